@@ -1,0 +1,1 @@
+"""The service: rig file, clock, ring, pipeline, log, viewer, reports, command line."""

@@ -1,0 +1,117 @@
+"""What every link driver yields, and the contract it keeps (the driver seam).
+
+A driver turns bytes of one link into *readings*: blocks of raw counts with an absolute sample index, gaps, notices
+and the device's description of itself. It never raises on wire data and never loses a sample without a `Gap`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """One channel as the link delivers it: SI value = counts * scale + offset."""
+
+    name: str
+    unit: str
+    scale: float
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Info:
+    """The device's description of itself; sent once before the first block and again after every change."""
+
+    signals: tuple[Signal, ...]
+    rate_hz: float
+    serial_number: str = ""
+    count_bits: int = 16  # counts beyond +-(2**(bits-1) - 1) cannot be told from a clipped sensor
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Consecutive samples of all channels.
+
+    index : absolute sample index of row 0; monotonic for the life of the driver, over device counter wraps
+        and device restarts.
+    counts : (n, channels) int32, raw.
+    t_host_ns : host monotonic clock when the last byte of the block was read.
+    t_device_ns : the device's own clock at row 0, unwrapped; None if the device sends none.
+    """
+
+    index: int
+    counts: NDArray[np.int32]
+    t_host_ns: int
+    t_device_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """`count` samples from `index` on that will never come. reason: one of REASONS."""
+
+    index: int
+    count: int
+    reason: str
+
+
+REASONS = (
+    "sequence", "crc", "device_lost", "restart", "reconnect", "overflow", "duplicate", "version", "silent",
+    "source", "stuck",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """Something an operator should read. level: info | warning | error; code: short, stable, snake_case."""
+
+    t_host_ns: int
+    level: str
+    code: str
+    text: str
+
+
+Reading = Info | Block | Gap | Notice
+
+
+@dataclass(slots=True)
+class LinkStats:
+    """Running totals of a link since it was opened; only ever grow."""
+
+    frames: int = 0
+    bytes: int = 0
+    crc_errors: int = 0
+    resyncs: int = 0
+    reconnects: int = 0
+    restarts: int = 0
+    duplicates: int = 0
+    lost_samples: int = 0
+    other: dict[str, int] = field(default_factory=dict)
+
+
+class Driver(Protocol):
+    """One link. Construct without I/O; `open` connects; `read` is called from one thread only.
+
+    Raises (see drivers/errors.py): `open` LinkUnavailable | LinkOpenError, one line saying what was tried and what to
+    do. `read` never raises on wire data or on a lost link: it reports a Notice, reconnects by itself with back-off
+    and no busy loop, and accounts for what was missed with a Gap.
+    """
+
+    kind: str
+    stats: LinkStats
+
+    def open(self) -> None: ...
+    def close(self) -> None: ...  # idempotent, wakes a blocked read within 0.2 s
+
+    def read(self, timeout_s: float) -> list[Reading]:
+        """What has arrived, in order; [] after `timeout_s` with nothing."""
+        ...
+
+    @property
+    def exhausted(self) -> bool:
+        """True once a finite source (a capture, a replay) has delivered everything."""
+        ...

@@ -1,0 +1,71 @@
+"""What an effect is (the effect seam). One file in effects/ defines one `Effect`.
+
+Laws are scalar functions that numba can compile, with one signature for all, so that the simulator, the estimator's
+features and the report call the same text. All SI. Restoring convention (model.py): M a + C v + K x + law = F.
+
+    force(x, v, xo, vo, t, phase, s, p) -> float
+        x, v : displacement and velocity at the place (for kind "shaft": disc minus the mean of the caps);
+        xo, vo : those of the other direction at the same node; t : s; phase : shaft angle, rad;
+        s : +1 in direction x, -1 in direction y; p : (k,) float64, the parameters in declared order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+Kind = Literal["force", "memory", "disc", "shaft", "excitation", "sensor"]
+
+
+@dataclass(frozen=True, slots=True)
+class EffectParameter:
+    """name, unit and limits of one parameter.
+
+    linear : the law is proportional to it (an amplitude, solved for exactly); otherwise it is searched on [low, high].
+    scale : how the natural size follows from the data, used to build search grids and test strengths:
+        "x" (displacement rms), "v" (velocity rms), "force" (bearing force rms), "hz", "order", "1" ...
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    default: float
+    description: str
+    linear: bool = False
+    scale: str = "1"
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """A physical effect or fault. Texts are for the user: `rotorscope effects NAME` prints them.
+
+    kind : force (acts on a cap), memory (a cap force with its own states), disc (acts on the disc), shaft (between
+        disc and caps), excitation (shapes the unknown force), sensor (acts on a measured channel).
+    scope : "direction": parameters of its own in x and in y; "node": one set shared by both directions of a node.
+    stationary_density : whether exp(-H/T) survives (physics.md section 6, column FDT).
+    states, rates, memory_force : for kind memory: number of states z;
+        rates(z, x, v, p, lin, dz) -> None fills dz; memory_force(z, x, v, p, lin) -> float; lin = (m, kL, c).
+    apply : for kind sensor: apply(y (n,), rate_hz, p, rng) -> (n,).
+    shape : for kind excitation: shape(f_hz (n,), p) -> (n,) multiplier of S.
+    """
+
+    name: str
+    kind: Kind
+    parameters: tuple[EffectParameter, ...]
+    equation: str
+    signature: str
+    confused_with: tuple[str, ...]
+    distinguish: str  # what separates it from those
+    reference: str
+    check: str  # value reproduced by its test, and its source
+    on_machine: str  # what an engineer should look at on the machine
+    scope: Literal["direction", "node"] = "direction"
+    stationary_density: bool = False
+    force: Callable[..., float] | None = None
+    states: int = 0
+    rates: Callable[..., None] | None = None
+    memory_force: Callable[..., float] | None = None
+    apply: Callable[..., Any] | None = None
+    shape: Callable[..., Any] | None = None

@@ -1,0 +1,1 @@
+"""The catalogue: one effect per file, listed by hand."""

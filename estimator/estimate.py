@@ -1,0 +1,55 @@
+"""What an estimator says, and the contract of a rolling one (the estimator seam)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A value with its standard deviation; `value` is None and `reason` says why where the data cannot tell."""
+
+    value: float | None
+    sd: float | None
+    unit: str
+    identifiable: bool = True
+    reason: str = ""
+
+    @classmethod
+    def judged(cls, value: float, sd: float, unit: str, limit: float = 0.5) -> Parameter:
+        """The parameter, or "not identifiable" if sd exceeds `limit` of the value (physics.md section 3)."""
+        if np.isfinite(value) and np.isfinite(sd) and sd <= limit * abs(value):
+            return cls(float(value), float(sd), unit)
+        return cls(None, None, unit, False, f"relative standard deviation over {100 * limit:.0f} %")
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A snapshot. parameters : "bearing1.x.kL" -> Parameter; samples : rows that it rests on, effectively."""
+
+    index: int  # absolute sample index that the estimate is up to
+    parameters: Mapping[str, Parameter]
+    samples: float
+    log_likelihood: float | None = None
+    status: str = "ok"  # ok | warming up | a reason why nothing is shown
+    extra: Mapping[str, float] | None = None  # e.g. missing_force_percent of the rolling comparison
+
+
+class OnlineEstimator(Protocol):
+    """Fed fixed-size consecutive blocks (live and replay agree bit for bit); deterministic; never raises on data.
+
+    Construct as cls(model: Model, rate_hz: float, time_constant_s: float).
+    """
+
+    def update(self, block: NDArray[np.float64]) -> None:
+        """Take the next rows, (n, channels of the model) in SI units; NaN where a sample is missing or clipped."""
+        ...
+
+    def snapshot(self) -> Estimate:
+        """The estimate as of the last update; changes nothing."""
+        ...

@@ -1,0 +1,13 @@
+#!/usr/bin/env bash
+# All the set-up and every check, in a virtual environment of its own: ./test.sh [pytest arguments]
+set -euo pipefail
+cd "$(dirname "$0")"
+venv=${ROTORSCOPE_VENV:-.venv-test}
+[ "${CI:-}" = true ] && rm -rf "$venv"
+[ -x "$venv/bin/python" ] || python3 -m venv "$venv"
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+export PATH="$PWD/$venv/bin:$PATH"
+ruff check .
+mypy
+lint-imports
+pytest -n 2 --dist loadfile "$@"
