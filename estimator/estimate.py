@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,11 @@ class Parameter:
         if np.isfinite(value) and np.isfinite(sd) and sd <= limit * abs(value):
             return cls(float(value), float(sd), unit)
         return cls(None, None, unit, False, f"relative standard deviation over {100 * limit:.0f} %")
+
+    def to_json(self) -> dict[str, Any]:
+        """As in the JSON results: value, sd, unit, identifiable and, where there is one, reason."""
+        out: dict[str, Any] = {"value": self.value, "sd": self.sd, "unit": self.unit, "identifiable": self.identifiable}
+        return out | ({"reason": self.reason} if self.reason else {})
 
 
 @dataclass(frozen=True, slots=True)
