@@ -94,7 +94,7 @@ class Model:
     speed_rpm: float | None = None
     ball_pass_order: float | None = None
     bearing: BearingGeometry | None = None
-    linear: Mapping[str, Mapping[str, Setting]] = EMPTY
+    linear: Mapping[str, Mapping[str, Setting]] = field(default_factory=lambda: EMPTY)
     effects: tuple[EffectUse, ...] = ()
     name: str = ""
 
