@@ -1,0 +1,100 @@
+"""The rig one transverse direction at a time, as the density methods need it: caps, powers, masses, shaft term.
+
+The disc is never measured. What it does to the caps' stationary density depends on the band [0, 2]:
+a disc whose mode lies inside the band is in equilibrium with the caps and is integrated out of exp(-V/T); a disc whose
+mode lies below the band stands still in it. With shaft energy (ks/2) [a (x1^2 + x2^2) + 2 b x1 x2] per direction:
+
+    shaft   disc in band          disc below band
+    chain   a = 1/2, b = -1/2     a = 1, b = 0
+    beam    a = 0,   b = 0        a = 1, b = 1
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from .model import DIRECTIONS, Model
+
+POWERS = {"quadratic": (2, "kq"), "cubic": (3, "kNL"), "quintic": (5, "k5")}
+POWER_UNITS = {1: "N/m", 2: "N/m^2", 3: "N/m^3", 5: "N/m^5"}
+
+
+@dataclass(frozen=True, slots=True)
+class Cap:
+    """One measured cap in one direction. powers : of x in its restoring force, 1 first. mass : kg or None."""
+
+    place: str
+    powers: tuple[int, ...]
+    mass: float | None
+
+    def name(self, power: int) -> str:
+        """Full name of the coefficient of x^power, as in the contract."""
+        if power == 1:
+            return f"{self.place}.kL"
+        effect, parameter = next((e, p) for e, (k, p) in POWERS.items() if k == power)
+        return f"{self.place}.{effect}.{parameter}"
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """The caps of one direction and the shaft between them. a, b : shaft term (module docstring); ks in N/m."""
+
+    direction: str
+    caps: tuple[Cap, ...]
+    ks: float = 0.0
+    a: float = 0.0
+    b: float = 0.0
+    disc: float | None = None
+
+    @property
+    def masses_known(self) -> bool:
+        return all(cap.mass is not None for cap in self.caps)
+
+    @property
+    def scale_from_shaft(self) -> bool:
+        """Whether the known shaft spring can stand in for an unknown mass: it must couple two measured caps."""
+        return len(self.caps) == 2 and self.ks > 0.0 and self.b != 0.0
+
+
+def disc_mode_hz(model: Model) -> float:
+    """Frequency of the disc on the shaft and the caps' springs in series, Hz; 0 without disc or shaft."""
+    disc = model.mass.get("disc")
+    if model.shaft == "none" or not disc or model.shaft_stiffness <= 0.0:
+        return 0.0
+    shaft = (2.0 if model.shaft == "chain" else 4.0) * model.shaft_stiffness
+    starts = [s["kL"].value for s in model.linear.values() if "kL" in s]
+    springs = [v for v in starts if v is not None and v > 0.0]
+    bearing = 2.0 * sum(springs) / len(springs) if springs else math.inf
+    return math.sqrt(1.0 / (1.0 / shaft + 1.0 / bearing) / disc) / (2.0 * math.pi)
+
+
+def _shaft_term(model: Model, caps: int) -> tuple[float, float]:
+    if model.shaft == "none" or model.shaft_stiffness <= 0.0:
+        return 0.0, 0.0
+    if disc_mode_hz(model) < model.band[0]:
+        a, b = (1.0, 0.0) if model.shaft == "chain" else (1.0, 1.0)
+    else:
+        a, b = (0.5, -0.5) if model.shaft == "chain" else (0.0, 0.0)
+    return (a, b) if caps == 2 else (a, 0.0)
+
+
+def planes(model: Model) -> tuple[Plane, ...]:
+    """One `Plane` per measured direction, caps in the order of `model.places`."""
+    out = []
+    for direction in DIRECTIONS:
+        places = [p for p in model.places if p.endswith("." + direction)]
+        if not places:
+            continue
+        caps = []
+        for place in places:
+            extra = [POWERS[e.name][0] for e in model.effects if e.name in POWERS and place in e.at]
+            caps.append(Cap(place, (1, *sorted(set(extra))), model.cap_mass(place)))
+        a, b = _shaft_term(model, len(places))
+        out.append(Plane(direction, tuple(caps), model.shaft_stiffness, a, b, model.mass.get("disc")))
+    return tuple(out)
+
+
+def ignored_effects(model: Model) -> tuple[str, ...]:
+    """Effects of the model that a density method leaves out: all but the powers of the displacement."""
+    return tuple(e.name for e in model.effects if e.name not in POWERS)
