@@ -1,0 +1,71 @@
+"""The latest samples of one device, in SI, addressed by absolute sample index."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Ring:
+    """Rows [start, stop) of `channels` float64 values, at most `capacity` of them; older ones are forgotten.
+
+    One writer. Every row is written twice, `capacity` rows apart, so that any window is one contiguous view. A missing
+    row is NaN and False in the mask; it never shifts another row's index.
+    """
+
+    def __init__(self, capacity: int, channels: int, first: int = 0) -> None:
+        if capacity < 1 or channels < 0 or first < 0:
+            raise ValueError(f"ring of {capacity} rows of {channels} channels from index {first}: needs >= 1, 0, 0")
+        self._rows = np.full((2 * capacity, channels), np.nan)
+        self._present = np.zeros(2 * capacity, dtype=np.bool_)
+        self.capacity = capacity
+        self.first = first
+        self.stop = first
+
+    @property
+    def start(self) -> int:
+        """The oldest index still held."""
+        return max(self.first, self.stop - self.capacity)
+
+    def append(self, rows: NDArray[np.float64]) -> None:
+        """Add rows (n, channels) at index `stop`; of more than `capacity`, only the last are kept."""
+        self.stop += len(rows)
+        kept = rows[-self.capacity :] if len(rows) > self.capacity else rows
+        self._write(kept, True)
+
+    def skip(self, count: int) -> None:
+        """`count` samples from `stop` on are missing: NaN rows."""
+        if count < 0:
+            raise ValueError(f"cannot skip {count} rows: the index only grows")
+        self.stop += count
+        self._write(np.full((min(count, self.capacity), self._rows.shape[1]), np.nan), False)
+
+    def window(self, start: int, stop: int) -> NDArray[np.float64]:
+        """Rows [start, stop), (stop - start, channels), a read-only view valid until the next append or skip."""
+        view = self._rows[self._slots(start, stop)]
+        view.flags.writeable = False
+        return view
+
+    def present(self, start: int, stop: int) -> NDArray[np.bool_]:
+        """Whether each row of [start, stop) arrived, (stop - start,), a read-only view."""
+        view = self._present[self._slots(start, stop)]
+        view.flags.writeable = False
+        return view
+
+    def _slots(self, start: int, stop: int) -> slice:
+        if not self.start <= start <= stop <= self.stop:
+            raise IndexError(f"rows [{start}, {stop}) asked for, the ring holds [{self.start}, {self.stop})")
+        at = start % self.capacity
+        return slice(at, at + stop - start)
+
+    def _write(self, rows: NDArray[np.float64], present: bool) -> None:
+        """Put rows (at most `capacity`) at the indices just before `stop`."""
+        count, capacity = len(rows), self.capacity
+        at = (self.stop - count) % capacity
+        before_wrap = min(count, capacity - at)
+        self._rows[at : at + count] = rows
+        self._rows[at + capacity : at + capacity + before_wrap] = rows[:before_wrap]
+        self._rows[: count - before_wrap] = rows[before_wrap:]
+        self._present[at : at + count] = present
+        self._present[at + capacity : at + capacity + before_wrap] = present
+        self._present[: count - before_wrap] = present
