@@ -1,0 +1,73 @@
+"""The band limit: exact in the band, no delay, the same for any chunking, honest about gaps."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from estimator.bandlimit import BandLimit, band_limit, half_length
+from estimator.errors import DataError
+
+RATE, BAND = 2000.0, (20.0, 600.0)
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "velocity", "displacement"])
+def test_a_tone_in_the_band_comes_out_as_its_own_derivatives_and_integrals(kind: str) -> None:
+    t = np.arange(6000) / RATE
+    for f in (20.0, 57.3, 599.0):
+        w = 2 * np.pi * f
+        x, v, a = np.sin(w * t), w * np.cos(w * t), -w * w * np.sin(w * t)
+        out = band_limit({"acceleration": a, "velocity": v, "displacement": x}[kind][:, None], [kind], RATE, BAND)
+        k = out.valid
+        for got, wanted in ((out.a, a), (out.v, v), (out.x, x)):
+            assert np.abs(got[0, k] - wanted[k]).max() < 1e-4 * np.abs(wanted).max()
+
+
+def test_offset_and_drift_do_not_pass() -> None:
+    t = np.arange(6000) / RATE
+    out = band_limit((3.0 + 0.5 * t)[:, None], ["acceleration"], RATE, BAND)
+    # 1e-6 of what the same acceleration would be in displacement at the lower edge
+    assert np.abs(out.x[0, out.valid]).max() < 1e-5 * 4.5 / (2 * np.pi * BAND[0]) ** 2
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.integers(1, 3000), min_size=1, max_size=12), st.integers(0, 2**31))
+def test_any_chunking_gives_the_same_bits(sizes: list[int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    y = rng.normal(size=(sum(sizes), 2))
+    y[rng.integers(len(y))] = np.nan
+    kinds = ["acceleration", "displacement"]
+    whole = band_limit(y, kinds, RATE, BAND)
+    stream = BandLimit(kinds, RATE, BAND)
+    parts = [stream.push(c) for c in np.split(y, np.cumsum(sizes)[:-1])] + [stream.flush()]
+    assert whole.rows == len(y)
+    assert [p.start for p in parts] == list(np.cumsum([0] + [p.rows for p in parts])[:-1])
+    for name in "avx":
+        assert np.array_equal(getattr(whole, name), np.concatenate([getattr(p, name) for p in parts], axis=1))
+    assert np.array_equal(whole.valid, np.concatenate([p.valid for p in parts]))
+
+
+def test_a_gap_invalidates_exactly_the_rows_that_it_touches() -> None:
+    y = np.random.default_rng(1).normal(size=(9000, 1))
+    holed = y.copy()
+    holed[4000:4010] = np.nan
+    whole, gapped = (band_limit(z, ["acceleration"], RATE, BAND) for z in (y, holed))
+    half = half_length(RATE, BAND)
+    invalid = np.flatnonzero(~gapped.valid)
+    expected = np.r_[0:half, 4000 - half : 4010 + half, 9000 - half : 9000]
+    assert np.array_equal(invalid, expected)
+    k = gapped.valid
+    assert np.allclose(whole.x[:, k], gapped.x[:, k], rtol=0, atol=1e-9 * np.abs(whole.x).max())
+
+
+def test_extra_output_is_a_response_from_displacement() -> None:
+    t = np.arange(6000) / RATE
+    w = 2 * np.pi * 100.0
+    out = band_limit(-w * w * np.sin(w * t)[:, None], ["acceleration"], RATE, BAND, extra=lambda f: 1j * 2 * np.pi * f)
+    assert np.allclose(out.u[0, out.valid], w * np.cos(w * t)[out.valid], atol=1e-3 * w)
+
+
+def test_impossible_bands_are_refused() -> None:
+    for band in ((20.0, 1000.0), (600.0, 20.0), (0.0, 100.0)):
+        with pytest.raises(DataError):
+            BandLimit(["acceleration"], RATE, band)
