@@ -1,0 +1,184 @@
+"""The [model] tables of effects: which places an effect acts at, and a setting for every parameter there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from pydantic import ValidationError
+
+from estimator.effect import Effect
+from estimator.model import DIRECTIONS, NODES, CustomLaw, EffectUse, Setting
+
+from .rig_file import ModelTable, SettingTable
+from .rig_problems import Path, Problem, did_you_mean, of_validation
+
+OF_ALL = ("at", "fixed", "value", "min", "max")  # keys of the whole effect's table
+
+_KEYS = ("effects", "linear", "custom")
+
+
+def places_of(effect: Effect, caps: Sequence[str]) -> tuple[str, ...]:
+    """Every place that a catalogue effect can act at, given the measured caps ("bearing1.x")."""
+    if effect.kind in ("disc", "shaft"):
+        caps = [f"disc.{d}" for d in DIRECTIONS if any(c.endswith("." + d) for c in caps)]
+    return tuple(dict.fromkeys(c.split(".")[0] for c in caps)) if effect.scope == "node" else tuple(caps)
+
+
+def effects_of(
+    table: ModelTable, catalogue: Mapping[str, Effect], caps: Sequence[str], channels: Mapping[str, str]
+) -> tuple[tuple[EffectUse, ...], list[Problem]]:
+    """The effects of a [model] table in their order, and everything wrong with them. channels: name -> place."""
+    problems: list[Problem] = []
+    uses: list[EffectUse] = []
+    extra: Mapping[str, dict[str, Any]] = table.__pydantic_extra__ or {}
+    customs = {custom.name: custom for custom in table.custom}
+    for i, custom in enumerate(table.custom):
+        if custom.name in catalogue:
+            text = f'"{custom.name}" is the name of an effect of the catalogue; give the law another'
+            problems.append(Problem(("model", "custom", i, "name"), text))
+        if [c.name for c in table.custom].index(custom.name) < i:
+            problems.append(Problem(("model", "custom", i, "name"), f'"{custom.name}" is there twice; rename one'))
+    names = list(dict.fromkeys([*table.effects, *customs]))
+    for i, name in enumerate(table.effects):
+        if name not in catalogue and name not in customs:
+            known = [*catalogue, *customs]
+            text = f'"{name}" is not an effect; {did_you_mean(name, known, "there are")}'
+            problems.append(Problem(("model", "effects", i), text))
+        if name in table.effects[:i]:
+            problems.append(Problem(("model", "effects", i), f'"{name}" is there twice; remove one'))
+    for name in extra:
+        if name not in names:
+            remedy = did_you_mean(name, [*_KEYS, *names, *catalogue])
+            if name in catalogue:
+                remedy = "add it to model.effects, or remove the table"
+            problems.append(Problem(("model", name), f"settings of an effect that the model does not have; {remedy}"))
+    for name in names:
+        settings = extra.get(name, {})
+        if name in customs:
+            i = list(customs).index(name)
+            own = customs[name]
+            units = {k: p.unit or "1" for k, p in own.parameters.items()}
+            reader = _Reader(("model", "custom", i), tuple(own.parameters), tuple(caps), channels, problems)
+            base = reader.read({"at": own.at} if own.at else {})
+            for place in base:
+                base[place] |= {k: setting(p) for k, p in own.parameters.items()}
+            reader.path = ("model", name)
+            law = CustomLaw(own.expression, own.module, units)
+            uses.append(EffectUse(name, reader.read(settings, base), law))
+        elif name in catalogue:
+            effect = catalogue[name]
+            parameters = tuple(p.name for p in effect.parameters)
+            reader = _Reader(("model", name), parameters, places_of(effect, caps), channels, problems)
+            uses.append(EffectUse(name, reader.read(settings)))
+    return tuple(uses), problems
+
+
+def setting(table: SettingTable) -> Setting:
+    return Setting(table.value, table.fixed, table.min, table.max)
+
+
+class _Reader:
+    """Reads one effect's table; what is wrong goes to `problems`."""
+
+    def __init__(
+        self,
+        path: Path,
+        parameters: tuple[str, ...],
+        places: tuple[str, ...],
+        channels: Mapping[str, str],
+        problems: list[Problem],
+    ) -> None:
+        self.path, self.parameters, self.places = path, parameters, places
+        self.channels, self.problems = channels, problems
+
+    def read(
+        self, table: Mapping[str, Any], base: dict[str, dict[str, Setting]] | None = None
+    ) -> dict[str, dict[str, Setting]]:
+        """place -> parameter -> Setting, over `base` (without one: at every place, nothing known)."""
+        shared, own = self._split(table)
+        at = self._at(self.path, table["at"]) if "at" in table else None
+        if at is None:
+            given = [self._at((*self.path, k, "at"), s.at) for k, s in shared.items() if s.at is not None]
+            at = tuple(p for p in self.places if any(p in g for g in given)) if given else tuple(base or self.places)
+        out = {place: dict((base or {}).get(place) or dict.fromkeys(self.parameters, Setting())) for place in at}
+        for name, s in shared.items():
+            where = self._at((*self.path, name, "at"), s.at) if s.at is not None else at
+            for place in (p for p in at if p in where):
+                out[place][name] = setting(s)
+        for place, name, s in own:
+            if place in out:
+                out[place][name] = setting(s)
+            else:
+                text = f"the effect does not act at {place}: it is not in `at`; add it there or remove this table"
+                self.problems.append(Problem((*self.path, *place.split(".")), text))
+        return out
+
+    def _split(self, table: Mapping[str, Any]) -> tuple[dict[str, SettingTable], list[tuple[str, str, SettingTable]]]:
+        """Settings for every place, and those of [model.EFFECT.PLACE] tables."""
+        shared: dict[str, SettingTable] = {}
+        own: list[tuple[str, str, SettingTable]] = []
+        whole = {k: v for k, v in table.items() if k in OF_ALL and k != "at" and k not in self.parameters}
+        for key, value in table.items():
+            if key in self.parameters:
+                self._setting((*self.path, key), value, whole if "fixed" in whole else {}, shared)
+            elif key in (*NODES, "disc") and isinstance(value, dict):
+                own += self._node(key, value)
+            elif key not in OF_ALL:
+                keys = [*self.parameters, "at"]
+                text = f"unknown key; {did_you_mean(key, keys, 'the keys here are')}"
+                self.problems.append(Problem((*self.path, key), text))
+        if set(whole) - {"fixed"} and len(self.parameters) == 1:
+            self._setting(self.path, whole, {}, shared, self.parameters[0])
+        elif set(whole) - {"fixed"}:
+            text = f"there are several parameters: say of which one, as in {self.parameters[0]} = {{ value = 1.0 }}"
+            self.problems.append(Problem((*self.path, next(iter(set(whole) - {"fixed"}))), text))
+        return shared, own
+
+    def _node(self, node: str, table: Mapping[str, Any]) -> list[tuple[str, str, SettingTable]]:
+        out: list[tuple[str, str, SettingTable]] = []
+        for key, value in table.items():
+            read: dict[str, SettingTable] = {}
+            if key in self.parameters:
+                self._setting((*self.path, node, key), value, {}, read)
+                out += [(p, key, s) for p in self.places if p.split(".")[0] == node for s in read.values()]
+            elif key in DIRECTIONS and isinstance(value, dict):
+                for name, inner in value.items():
+                    if name in self.parameters:
+                        self._setting((*self.path, node, key, name), inner, {}, read)
+                    else:
+                        text = f"unknown key; {did_you_mean(name, self.parameters, 'the keys here are')}"
+                        self.problems.append(Problem((*self.path, node, key, name), text))
+                out += [(f"{node}.{key}", name, s) for name, s in read.items()]
+            else:
+                keys = [*self.parameters, *DIRECTIONS]
+                text = f"unknown key; {did_you_mean(key, keys, 'the keys here are')}"
+                self.problems.append(Problem((*self.path, node, key), text))
+        return out
+
+    def _setting(
+        self, path: Path, value: Any, whole: Mapping[str, Any], into: dict[str, SettingTable], name: str = ""
+    ) -> None:
+        if whole and not isinstance(value, dict):
+            value = {"value": value}
+        try:
+            into[name or str(path[-1])] = SettingTable.model_validate({**value, **whole} if whole else value)
+        except ValidationError as error:
+            self.problems += of_validation(error, SettingTable, path)
+
+    def _at(self, path: Path, at: Any) -> tuple[str, ...]:
+        items = [at] if isinstance(at, str) else at
+        if not isinstance(items, Iterable) or not all(isinstance(item, str) for item in items) or not items:
+            text = f'at = {at!r}: a place such as "bearing1" or "bearing1.x", or a list of them'
+            self.problems.append(Problem((*path, "at"), text))
+            return self.places
+        found: list[str] = []
+        for item in items:
+            place = self.channels.get(item, item)
+            hits = [p for p in self.places if place in (p, p.split(".")[0], "both", "all")]
+            if not hits:
+                known = dict.fromkeys([p.split(".")[0] for p in self.places] + list(self.places))
+                text = f'it cannot act at "{item}"; {did_you_mean(item, known, "there are")}'
+                self.problems.append(Problem(path if path[-1] == "at" else (*path, "at"), text))
+            found += hits
+        return tuple(p for p in self.places if p in found) or self.places

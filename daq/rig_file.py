@@ -1,0 +1,257 @@
+"""The rig file as it is written: one pydantic model per table, values in the file's units (rig.py makes them SI)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
+
+from .units import factor
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Node = Literal["bearing1", "bearing2"]
+CapDirection = Literal["x", "y"]
+
+
+class Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class NumberOrTable(Table):
+    """A table that may be written as a bare number."""
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return {"anyOf": [{"type": "number"}, handler.resolve_ref_schema(handler(schema))]}
+
+
+class SettingTable(NumberOrTable):
+    """A parameter: a number, or a table of value, fixed, min and max (and `at`, for an effect's parameter)."""
+
+    value: float | None = None
+    fixed: bool = False
+    min: float | None = None
+    max: float | None = None
+    at: str | list[str] | None = Field(default=None, description="the places it acts at, if not everywhere")
+    unit: str | None = Field(default=None, description="for parameters of a law of one's own")
+
+    @model_validator(mode="before")
+    @classmethod
+    def number(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            return data
+        if isinstance(data, bool) or not isinstance(data, int | float):
+            raise ValueError(f"{data!r} is neither a number nor a table such as {{ value = 1.0, fixed = true }}")
+        return {"value": float(data)}
+
+    @model_validator(mode="after")
+    def ordered(self) -> SettingTable:
+        if self.fixed and self.value is None:
+            raise ValueError("fixed without a value: give value =, or remove fixed")
+        if self.min is not None and self.max is not None and self.min >= self.max:
+            raise ValueError(f"min {self.min:g} is not below max {self.max:g}")
+        for name, limit, outside in (("min", self.min, -1), ("max", self.max, 1)):
+            if limit is not None and self.value is not None and (self.value - limit) * outside > 0:
+                raise ValueError(f"value {self.value:g} is beyond {name} {limit:g}")
+        return self
+
+
+class CapMass(NumberOrTable):
+    """A cap's mass in kg: a number, or one for each direction."""
+
+    x: Positive | None = None
+    y: Positive | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def number(cls, data: Any) -> Any:
+        if not isinstance(data, int | float) or isinstance(data, bool):
+            return data
+        if data <= 0:
+            raise ValueError(f"{data:g} kg is not above 0; leave the key out if the mass is unknown")
+        return {"x": float(data), "y": float(data)}
+
+
+class MassTable(Table):
+    """kg; a key left out is unknown and estimated if the data can tell."""
+
+    disc: Positive | None = None
+    bearing1: CapMass | None = None
+    bearing2: CapMass | None = None
+
+
+class ShaftSpringTable(Table):
+    """N/m and N s/m of each half of the shaft."""
+
+    stiffness: NotNegative
+    damping: NotNegative = 0.0
+
+
+class BearingTable(Table):
+    """Ball bearing geometry, for theory and kinematics. A negative preload is a clearance."""
+
+    balls: Annotated[int, Field(ge=3, le=100)]
+    ball_diameter_mm: Positive
+    pitch_diameter_mm: Positive
+    groove_radius_mm: Positive
+    preload_um: float | None = None
+    contact_angle_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
+
+    @field_validator("pitch_diameter_mm")
+    @classmethod
+    def holds_the_balls(cls, value: float, info: ValidationInfo) -> float:
+        if value <= info.data.get("ball_diameter_mm", 0.0):
+            raise ValueError("is not larger than ball_diameter_mm: the two may be swapped")
+        return value
+
+    @field_validator("groove_radius_mm")
+    @classmethod
+    def wider_than_the_ball(cls, value: float, info: ValidationInfo) -> float:
+        if value <= info.data.get("ball_diameter_mm", 0.0) / 2:
+            raise ValueError("is not larger than half of ball_diameter_mm (a groove is about 0.52 ball diameters)")
+        return value
+
+
+class RigTable(Table):
+    name: str = ""
+    shaft: Literal["chain", "beam", "none"] = "none"
+    speed_rpm: NotNegative | None = None
+    ball_pass_order: Positive | None = Field(default=None, description="ball passes a turn, if geometry is unknown")
+    mass: MassTable = MassTable()
+    shaft_spring: ShaftSpringTable | None = Field(default=None, validate_default=True)
+    bearing: BearingTable | None = None
+
+    @field_validator("shaft_spring")
+    @classmethod
+    def of_a_shaft(cls, value: ShaftSpringTable | None, info: ValidationInfo) -> ShaftSpringTable | None:
+        shaft = info.data.get("shaft", "none")
+        if shaft != "none" and value is None:
+            raise ValueError(f'shaft = "{shaft}" needs [rig.shaft_spring] with its stiffness; or say shaft = "none"')
+        return value
+
+
+class BandTable(Table):
+    """Hz, the analysis band."""
+
+    low: NotNegative
+    high: Positive
+
+    @field_validator("high")
+    @classmethod
+    def above_low(cls, value: float, info: ValidationInfo) -> float:
+        if value <= info.data.get("low", 0.0):
+            raise ValueError(f"{value:g} Hz is not above low = {info.data['low']:g} Hz")
+        return value
+
+
+class AcquisitionTable(Table):
+    """What the device is expected to send, and what a simulated one does (full_scale, noise: unit of the channels)."""
+
+    rate_hz: Positive
+    full_scale: Positive | None = None
+    noise: NotNegative = 0.0
+
+
+class EstimatorTable(Table):
+    method: Literal["spectral", "score-matching"] = "spectral"
+    time_constant_s: Positive = 10.0
+
+
+class LinearTable(Table):
+    """N/m, N s/m, N^2/Hz (one-sided): start of a fit, truth of a simulation. Left out: unknown."""
+
+    kL: SettingTable | None = None
+    c: SettingTable | None = None
+    S: SettingTable | None = None
+
+
+class LinearNode(Table):
+    x: LinearTable | None = None
+    y: LinearTable | None = None
+
+
+class LinearNodes(Table):
+    bearing1: LinearNode | None = None
+    bearing2: LinearNode | None = None
+
+
+class CustomTable(Table):
+    """A user's own restoring force, by expression or by module = "FILE.py:NAME"."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    expression: str | None = None
+    module: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$")] | None = None
+    parameters: dict[str, SettingTable] = {}
+    at: str | list[str] | None = None
+
+    @model_validator(mode="after")
+    def one_source(self) -> CustomTable:
+        if (self.expression is None) == (self.module is None):
+            raise ValueError("give expression or module, one of the two")
+        return self
+
+
+class ModelTable(BaseModel):
+    """Linear stiffness and damping are always there. [model.EFFECT] tables are checked against the catalogue."""
+
+    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False, frozen=True)
+    effects: list[str] = []
+    linear: LinearNodes = LinearNodes()
+    custom: list[CustomTable] = []
+    __pydantic_extra__: dict[str, dict[str, Any]] = Field(init=False)
+
+
+class ChannelTable(Table):
+    """A measured channel. Direction z (axial) is recorded only."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z_][\w.-]*$")]
+    kind: Literal["acceleration", "velocity", "displacement", "force", "tacho"] = "acceleration"
+    node: Node | None = Field(default=None, validate_default=True, description="not of a tacho")
+    direction: Literal["x", "y", "z"] | None = Field(default=None, validate_default=True, description="not of a tacho")
+    unit: str
+
+    @field_validator("node", "direction")
+    @classmethod
+    def known(cls, value: str | None, info: ValidationInfo) -> str | None:
+        if value is None and info.data.get("kind") != "tacho":
+            raise ValueError("is missing; add it")
+        return value
+
+    @field_validator("unit")
+    @classmethod
+    def of_the_kind(cls, value: str, info: ValidationInfo) -> str:
+        if "kind" in info.data:
+            factor(info.data["kind"], value)
+        return value
+
+
+class LinkTable(Table):
+    """What --link overrides; with dbc and a signal map (channel = "MESSAGE.SIGNAL") for devices of others."""
+
+    url: str | None = None
+    dbc: str | None = Field(default=None, description="path from the rig file")
+    signals: dict[str, Annotated[str, Field(pattern=r"^[^.]+\.[^.]+$")]] = {}
+
+
+class RigFile(Table):
+    """A Rotorscope rig file (TOML)."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    rig: RigTable = RigTable()
+    band: BandTable
+    acquisition: AcquisitionTable | None = None
+    estimator: EstimatorTable = EstimatorTable()
+    model: ModelTable = ModelTable()
+    channel: Annotated[list[ChannelTable], Field(min_length=1)]
+    link: LinkTable = LinkTable()

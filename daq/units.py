@@ -1,0 +1,37 @@
+"""Units at the edge: what a rig file may say for each kind of channel, and its factor to SI."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+GRAVITY = 9.80665  # m/s^2, the standard value
+UNITS = MappingProxyType(
+    {
+        "acceleration": {"m/s^2": 1.0, "mm/s^2": 1e-3, "g": GRAVITY, "mg": 1e-3 * GRAVITY, "ft/s^2": 0.3048},
+        "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6, "in/s": 0.0254},
+        "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "mil": 2.54e-5},
+        "force": {"N": 1.0, "kN": 1e3, "mN": 1e-3, "lbf": 4.4482216152605},
+        "tacho": {"pulse": 1.0, "V": 1.0, "mV": 1e-3, "1": 1.0},  # a pulse train: one pulse a turn
+    }
+)
+SI = MappingProxyType({kind: next(iter(units)) for kind, units in UNITS.items()})
+_SPELLINGS = str.maketrans({"²": "2", "µ": "u", "μ": "u", "·": "*"})
+
+
+def canonical(unit: str) -> str:
+    """The unit as the table spells it: "m/s²", "m/s2", "m/s/s" and "m/s**2" are all "m/s^2"."""
+    text = unit.strip().translate(_SPELLINGS).replace(" ", "").replace("**", "^")
+    if text.endswith("/s/s"):
+        text = text[:-4] + "/s^2"
+    return text[:-3] + "/s^2" if text.endswith("/s2") else text
+
+
+def factor(kind: str, unit: str) -> float:
+    """SI value of one `unit`. Raises ValueError naming the units that fit, and the kind that `unit` belongs to."""
+    units = UNITS[kind]
+    text = canonical(unit)
+    if text in units:
+        return units[text]
+    owner = next((k for k, table in UNITS.items() if text in table), None)
+    of = f" (it is one of {owner})" if owner else ""
+    raise ValueError(f'"{unit}" is not a unit of {kind}{of}; use {", ".join(units)}')

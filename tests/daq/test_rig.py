@@ -1,0 +1,219 @@
+"""The rig file: contract.md's own example, everything wrong at once, units, effects and where they act."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq.errors import ConfigError
+from daq.rig import Rig, load_rig
+from daq.rig_problems import line_numbers
+from daq.units import UNITS, canonical, factor
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+CHANNELS = "".join(
+    f'[[channel]]\nname = "b{b}{d}"\nnode = "bearing{b}"\ndirection = "{d}"\nkind = "acceleration"\nunit = "m/s^2"\n'
+    for b in (1, 2)
+    for d in "xy"
+)
+HEAD = "schema = 1\n[band]\nlow = 150.0\nhigh = 8000.0\n"
+CONTRACT = f"""
+schema = 1
+[rig]
+name = "contract"
+shaft = "chain"
+speed_rpm = 2100.0
+[rig.mass]
+disc = 0.515
+bearing1 = 0.2
+bearing2 = 0.2
+[rig.shaft_spring]
+stiffness = 155e3
+damping = 0.5
+[rig.bearing]
+balls = 6
+ball_diameter_mm = 6.0
+pitch_diameter_mm = 20.0
+groove_radius_mm = 3.09
+preload_um = 0.3
+[band]
+low = 150.0
+high = 8000.0
+[model]
+effects = ["cubic"]
+{CHANNELS}
+"""
+
+
+def problems(text: str) -> list[str]:
+    with pytest.raises(ConfigError) as caught:
+        Rig.parse(text, where="rig.toml")
+    return str(caught.value).splitlines()
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.toml")), ids=lambda p: p.name)
+def test_every_shipped_rig_file_is_valid(path: Path) -> None:
+    rig = load_rig(path)
+    assert rig.path == path
+    assert rig.model.places
+
+
+def test_the_contracts_own_file_has_no_values_and_is_valid() -> None:
+    model = Rig.parse(CONTRACT).model
+    assert model.places == ("bearing1.x", "bearing1.y", "bearing2.x", "bearing2.y")
+    assert all(s.value is None for table in model.linear.values() for s in table.values())
+    assert model.effects[0].at == model.places
+    assert model.bearing is not None
+    assert model.bearing.preload == pytest.approx(0.3e-6)
+    assert model.mass == {"disc": 0.515, "bearing1": 0.2, "bearing2": 0.2}
+
+
+def test_everything_wrong_is_said_at_once_with_line_path_and_remedy() -> None:
+    text = CONTRACT.replace('"chain"', '"chian"').replace("disc =", "disk =").replace("low = 150.0", "low = 9e3")
+    text = text.replace('["cubic"]', '["cubik"]').replace('unit = "m/s^2"', 'unit = "mm"', 1) + "[extra]\n"
+    found = problems(text)
+    assert len(found) == 6
+    for path, remedy in {
+        "rig.shaft": 'did you mean "chain"',
+        "rig.mass.disk": 'did you mean "disc"',
+        "band.high": "not above low",
+        "model.effects[0]": 'did you mean "cubic"',
+        "channel[0].unit": "use m/s^2",
+        "extra": "unknown key",
+    }.items():
+        (line,) = [f for f in found if f": {path}: " in f]
+        assert remedy in line
+        number = int(line.split(":")[1])
+        assert path.split(".")[-1].split("[")[0] in text.splitlines()[number - 1]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("schema = 1", ""), "schema = 1 is missing"),
+        (("schema = 1", "schema = 2"), "schema: 2 is not one of 1"),
+        (("[rig.shaft_spring]\nstiffness = 155e3\ndamping = 0.5", ""), "needs [rig.shaft_spring]"),
+        (("pitch_diameter_mm = 20.0", "pitch_diameter_mm = 2.0"), "may be swapped"),
+        (('name = "b1y"', 'name = "b1x"'), "channel[1].name"),
+        (('direction = "y"', 'direction = "x"'), "already"),
+        (('direction = "y"\n', ""), "channel[1].direction: is missing"),
+        (("low = 150.0", "low = 0"), "cannot be integrated from 0 Hz"),
+        (("disc = 0.515", "disc = nan"), "rig.mass.disc"),
+        (("disc = 0.515", "disc = true"), "rig.mass.disc"),
+        (('["cubic"]', '["cubic", "cubic"]'), "there twice"),
+        (('["cubic"]', '["cubic"]\n[model.cubic]\nkNl = 1.0'), 'did you mean "kNL"'),
+        (('["cubic"]', '["cubic"]\n[model.cubic]\nat = "bearing3"'), 'cannot act at "bearing3"'),
+        (('["cubic"]', '["cubic"]\n[model.cubic]\nkNL = { value = 2.0, min = 3.0 }'), "beyond min"),
+        (('["cubic"]', '["cubic"]\n[model.cubic]\nkNL = { fixed = true }'), "fixed without a value"),
+        (('["cubic"]', '[]\n[model.cubic]\nkNL = 1.0'), "add it to model.effects"),
+        (('["cubic"]', '[]\n[[model.custom]]\nname = "mine"'), "give expression or module"),
+        (('["cubic"]', '[]\n[[model.custom]]\nname = "cubic"\nexpression = "x"'), "give the law another"),
+        (("preload_um = 0.3", "preload_um = "), "not a TOML file"),
+    ],
+)
+def test_each_mistake_has_its_words(change: tuple[str, str], said: str) -> None:
+    assert CONTRACT.count(change[0]) >= 1
+    assert any(said in line for line in problems(CONTRACT.replace(*change, 1)))
+
+
+def test_no_channel_and_no_band_are_both_said() -> None:
+    assert [line.split(": ")[1] for line in problems("schema = 1\n")] == ["band", "channel"]
+    assert any("channel" in line for line in problems("schema = 1\nchannel = []\n[band]\nlow = 1.0\nhigh = 2.0\n"))
+
+
+def test_one_bearing_alone_in_g_with_an_axial_channel() -> None:
+    rig = Rig.parse(
+        HEAD + '[[channel]]\nname = "a"\nnode = "bearing1"\ndirection = "x"\nunit = "g"\n'
+        '[[channel]]\nname = "axial"\nnode = "bearing1"\ndirection = "z"\nunit = "m/s²"\n'
+        '[[channel]]\nname = "pulse"\nkind = "tacho"\nunit = "V"\n'
+    )
+    assert rig.model.places == ("bearing1.x",)
+    assert rig.model.shaft == "none"
+    np.testing.assert_array_equal(rig.factors, [9.80665, 1.0, 1.0])
+    assert rig.si_units[0] == "m/s^2"
+
+
+def test_where_an_effect_acts_and_what_is_known_there() -> None:
+    table = '[model]\neffects = ["cubic"]\n[model.cubic]\nkNL = 1e18\nat = ["bearing2", "b1y"]\n'
+    table += "[model.cubic.bearing2.x]\nkNL = { value = 2e18, fixed = true, min = 0, max = 3e18 }\n"
+    (use,) = Rig.parse(HEAD + table + CHANNELS).model.effects
+    assert use.at == ("bearing1.y", "bearing2.x", "bearing2.y")
+    assert use.parameters["bearing1.y"]["kNL"].value == 1e18
+    own = use.parameters["bearing2.x"]["kNL"]
+    assert (own.value, own.fixed, own.low, own.high) == (2e18, True, 0, 3e18)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        "kNL = 1e18\nat = 'bearing1'",
+        "value = 1e18\nat = 'bearing1'",
+        "kNL = { value = 1e18, at = 'bearing1' }",
+        "[model.cubic.kNL]\nvalue = 1e18\nat = ['bearing1']",
+        "at = ['b1x', 'b1y']\n[model.cubic.bearing1]\nkNL = 1e18",
+    ],
+)
+def test_the_ways_to_say_a_value_and_a_place(table: str) -> None:
+    text = HEAD + '[model]\neffects = ["cubic"]\n[model.cubic]\n' + table + "\n" + CHANNELS
+    (use,) = Rig.parse(text.replace("[model.cubic]\n[model.cubic.kNL]", "[model.cubic.kNL]")).model.effects
+    assert {place: p["kNL"].value for place, p in use.parameters.items()} == dict.fromkeys(
+        ("bearing1.x", "bearing1.y"), 1e18
+    )
+
+
+def test_a_law_of_the_users_own_joins_the_effects() -> None:
+    text = HEAD + (
+        '[model]\neffects = ["soft_stop", "cubic"]\n[[model.custom]]\nname = "soft_stop"\nat = "bearing2"\n'
+        'expression = "k*maximum(x - g, 0)"\n'
+        'parameters = { k = { value = 1e6, unit = "N/m" }, g = { value = 1e-7, unit = "m" } }\n'
+        "[model.soft_stop.bearing2.x]\nk = 2e6\n"
+    )
+    stop, cubic = Rig.parse(text + CHANNELS).model.effects
+    assert cubic.name == "cubic"
+    assert stop.custom is not None
+    assert stop.custom.units == {"k": "N/m", "g": "m"}
+    assert stop.at == ("bearing2.x", "bearing2.y")
+    assert [stop.parameters[p]["k"].value for p in stop.at] == [2e6, 1e6]
+
+
+def test_masses_by_direction() -> None:
+    rig = Rig.parse(HEAD + "[rig.mass]\nbearing1 = { x = 0.22, y = 0.245 }\nbearing2.x = 0.2\n" + CHANNELS)
+    assert rig.model.mass == {"bearing1.x": 0.22, "bearing1.y": 0.245, "bearing2.x": 0.2}
+    assert rig.model.cap_mass("bearing2.y") is None
+
+
+def test_paths_start_at_the_rig_file(tmp_path: Path) -> None:
+    (tmp_path / "x.dbc").write_text('VERSION ""\n')
+    (tmp_path / "rig.toml").write_text(HEAD + CHANNELS + '[link]\ndbc = "x.dbc"\nsignals = { b1x = "A.B" }\n')
+    rig = load_rig(tmp_path / "rig.toml")
+    assert rig.dbc == tmp_path / "x.dbc"
+    assert set(rig.attachments()) == {"rig.toml", "x.dbc"}
+
+
+def test_a_missing_or_binary_file_is_said(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no such rig file"):
+        load_rig(tmp_path / "none.toml")
+    (tmp_path / "b.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="not a UTF-8"):
+        load_rig(tmp_path / "b.toml")
+
+
+@pytest.mark.parametrize("spelling", ["m/s^2", "m/s²", "m/s2", "m/s**2", "m / s^2", "m/s/s"])
+def test_spellings_of_a_unit(spelling: str) -> None:
+    assert canonical(spelling) == "m/s^2"
+
+
+def test_a_unit_of_another_kind_names_its_kind() -> None:
+    with pytest.raises(ValueError, match="one of displacement.*use m/s, mm/s"):
+        factor("velocity", "um")
+    assert factor("displacement", "µm") == 1e-6
+    assert {kind: next(iter(u)) for kind, u in UNITS.items()}["force"] == "N"
+
+
+@given(st.text(max_size=300))
+def test_any_text_is_read_or_refused_in_words(text: str) -> None:
+    line_numbers(text)
+    with pytest.raises(ConfigError):
+        Rig.parse(text)
