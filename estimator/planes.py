@@ -1,8 +1,9 @@
 """The rig one transverse direction at a time, as the density methods need it: caps, powers, masses, shaft term.
 
-The disc is never measured. What it does to the caps' stationary density depends on the band [0, 2]:
-a disc whose mode lies inside the band is in equilibrium with the caps and is integrated out of exp(-V/T); a disc whose
-mode lies below the band stands still in it. With shaft energy (ks/2) [a (x1^2 + x2^2) + 2 b x1 x2] per direction:
+The disc is never measured. What it does to the caps' stationary density depends on the band: a disc whose mode lies
+inside is in equilibrium with the caps and is integrated out of exp(-V/T); a disc whose mode lies below stands still.
+A soft shaft's disc mode relaxes in tens of seconds or more, so its share of the caps' motion never averages out; where
+the bearing mode is well above it, `density_band` cuts it off. With shaft energy (ks/2) [a (x1^2 + x2^2) + 2 b x1 x2] per direction:
 
     shaft   disc in band          disc below band
     chain   a = 1/2, b = -1/2     a = 1, b = 0
@@ -69,10 +70,31 @@ def disc_mode_hz(model: Model) -> float:
     return math.sqrt(1.0 / (1.0 / shaft + 1.0 / bearing) / disc) / (2.0 * math.pi)
 
 
+def density_band(model: Model) -> tuple[tuple[float, float], bool]:
+    """The band in Hz that the density methods use, and whether the disc stands still in it.
+
+    The model's own band, its low end raised to 2.3 times the disc mode (the filter's stop edge is at half the low end)
+    if that stays under 0.7 of the bearing mode: sqrt(kL/m) of the rig file, or the middle of the band.
+    """
+    low, high = model.band
+    disc = disc_mode_hz(model)
+    if disc == 0.0:
+        return model.band, False
+    modes = []
+    for place in model.places:
+        setting, mass = model.linear.get(place, {}).get("kL"), model.cap_mass(place)
+        if setting is not None and setting.value is not None and setting.value > 0.0 and mass is not None:
+            modes.append(math.sqrt(setting.value / mass) / (2.0 * math.pi))
+    bearing = min(modes, default=math.sqrt(low * high))
+    raised = max(low, 2.3 * disc)
+    return ((raised, high), True) if raised == low or raised < 0.7 * bearing else (model.band, False)
+
+
 def _shaft_term(model: Model, caps: int) -> tuple[float, float]:
     if model.shaft == "none" or model.shaft_stiffness <= 0.0:
         return 0.0, 0.0
-    if disc_mode_hz(model) < model.band[0]:
+    _, still = density_band(model)
+    if still:
         a, b = (1.0, 0.0) if model.shaft == "chain" else (1.0, 1.0)
     else:
         a, b = (0.5, -0.5) if model.shaft == "chain" else (0.0, 0.0)

@@ -2,151 +2,138 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from reference_samples import boltzmann, langevin
+from reference_samples import langevin
 
-from estimator.moments import BlockMoments, propagate
-from estimator.planes import Cap, Plane
-from estimator.score_matching import PlaneMoments
+from estimator.errors import DataError
+from estimator.model import Channel, EffectUse, Model, Setting
+from estimator.score_matching import RollingScoreMatching, fit
 
-KL, T, M3 = 1.0e7, 4.0e-7, 0.515
-MASS = M3 / 2.10
-LAMBDA = 0.1 / (T / KL)
+RATE = 25600.0
+TRUE_KL = np.array([1.0e7, 1.2e7])
+TRUE_KNL = 1.3e18
 
 
-def strong_shaft(mass: float | None = None) -> Plane:
-    caps = tuple(Cap(f"bearing{i}.x", (1, 3), mass) for i in (1, 2))
-    return Plane("x", caps, ks=KL, a=0.5, b=-0.5, disc=M3)
+def rig(places: tuple[str, ...] = ("bearing1.x", "bearing2.x"), **changes: object) -> Model:
+    channels = tuple(Channel(p.replace("bearing", "b").replace(".", ""), *p.split("."), "displacement") for p in places)
+    cubic = EffectUse("cubic", {p: {"kNL": Setting()} for p in places})
+    mass = {"disc": 0.515, "bearing1": 0.2, "bearing2": 0.22}
+    base = {"channels": channels, "band": (150.0, 8000.0), "shaft": "chain", "mass": mass, "shaft_stiffness": 1.55e5}
+    return Model(**(base | {"effects": (cubic,)} | changes))  # type: ignore[arg-type]
 
 
-def strong_shaft_samples(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    coupling = 0.5 * KL * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    x = boltzmann(n, np.full(2, KL), np.full(2, LAMBDA * KL), coupling, T, seed)
-    return x, np.random.default_rng(seed + 1000).standard_normal((n, 2)) * np.sqrt(T / MASS)
-
-
-def fed(plane: Plane, x: np.ndarray, v: np.ndarray, form: str, block: int = 2000) -> PlaneMoments:
-    moments = PlaneMoments(plane, form)  # type: ignore[arg-type]
-    for at in range(0, len(x), block):
-        moments.add(x[at : at + block], v[at : at + block])
-    return moments
-
-
-@pytest.mark.parametrize("form", ["density", "velocity"])
-def test_unknown_masses_follow_from_a_strong_shaft(form: str) -> None:
-    """The paper's test: ks = kL, mu = 2.10, the masses come out of the coupling term."""
-    values, cov = fed(strong_shaft(), *strong_shaft_samples(400_000, 1), form).values()
-    truth = {"kL": KL, "kNL": LAMBDA * KL, "lambda": LAMBDA, "m": MASS}
-    for (name, value), sd in zip(values.items(), np.sqrt(np.diag(cov)), strict=True):
-        true = truth[name.rsplit(".", 1)[1]]
-        assert abs(value - true) < 4.0 * sd, name
-        assert sd < 0.2 * true
-
-
-def test_a_soft_shaft_does_not_give_a_mass() -> None:
-    caps = tuple(Cap(f"bearing{i}.x", (1, 3), None) for i in (1, 2))
-    plane = Plane("x", caps, ks=1e-3 * KL, a=0.5, b=-0.5, disc=M3)
-    x = boltzmann(100_000, np.full(2, KL), np.full(2, LAMBDA * KL), np.zeros((2, 2)), T, 3)
-    v = np.random.default_rng(3).standard_normal(x.shape) * np.sqrt(T / MASS)
-    found = fed(plane, x, v, "density").parameters()
-    assert not found["bearing1.x.m"].identifiable
-    assert found["bearing1.x.m"].value is None
-    assert not found["bearing1.x.kL"].identifiable
-    assert found["bearing1.x.cubic.lambda"].identifiable
-
-
-def test_unknown_mass_without_a_shaft_says_what_to_give() -> None:
-    plane = Plane("x", (Cap("bearing1.x", (1, 3), None),))
-    x = boltzmann(20_000, np.array([KL]), np.array([LAMBDA * KL]), np.zeros((1, 1)), T, 4)
-    v = np.random.default_rng(4).standard_normal(x.shape)
-    found = fed(plane, x, v, "density").parameters()
-    assert "rig.mass" in found["bearing1.x.kL"].reason
-    assert found["bearing1.x.cubic.lambda"].value == pytest.approx(LAMBDA, rel=0.3)
-
-
-def test_velocity_form_needs_no_equal_temperatures_and_little_data() -> None:
-    """Noise-to-damping ratios of 1 and 3 at the two caps: kL within 0.5 % from 8 s, where the density wanders 2 %."""
-    m, c, kL = [0.2, 0.22], [60.0, 50.0], np.array([1.0e7, 1.2e7])
+@pytest.fixture(scope="module")
+def record() -> np.ndarray:
     ks = 1.55e5
-    K = np.diag([ks, ks])  # the disc at rest
-    x, v = langevin(m, c, kL, [1.3e18, 1.3e18], K, [4.5e-5, 1.35e-4], 25600.0, 8 * 25600, seed=7)
-    caps = (Cap("bearing1.x", (1, 3), m[0]), Cap("bearing2.x", (1, 3), m[1]))
-    values, cov = fed(Plane("x", caps, ks, 1.0, 0.0, M3), x, v, "velocity", 2560).values()
-    sd = dict(zip(values, np.sqrt(np.diag(cov)), strict=True))
-    for i, cap in enumerate(caps):
-        name = f"{cap.place}.kL"
-        assert values[name] == pytest.approx(kL[i], rel=5e-3)
-        assert sd[name] < 3e-3 * kL[i]
-        assert abs(values[name] - kL[i]) < 4.0 * sd[name]
-        assert abs(values[f"{cap.place}.cubic.kNL"] - 1.3e18) < 4.0 * sd[f"{cap.place}.cubic.kNL"]
+    K = np.array([[ks, 0.0, -ks], [0.0, ks, -ks], [-ks, -ks, 2.0 * ks]])
+    m, c, q = [0.2, 0.22, 0.515], [60.0, 50.0, 0.0], [4.5e-5, 4.0e-5, 0.0]
+    kL, kNL = np.append(TRUE_KL, 0.0), [TRUE_KNL, TRUE_KNL, 0.0]
+    coupled = K + np.diag([0.0, 0.0, 1.0])
+    x, _ = langevin(m, c, kL, kNL, coupled, q, RATE, 12 * 25600, seed=11)
+    return x[:, :2]
 
 
-def test_other_powers_of_the_displacement() -> None:
-    """A quadratic law in the model is found, and is zero within its sd where there is none."""
-    plane = Plane("x", (Cap("bearing1.x", (1, 2, 3), 0.2),))
-    x, v = langevin([0.2], [60.0], [1e7], [1.3e18], np.zeros((1, 1)), [4.5e-5], 25600.0, 4 * 25600, seed=8)
-    values, cov = fed(plane, x, v, "velocity", 2560).values()
-    assert abs(values["bearing1.x.quadratic.kq"]) < 4.0 * np.sqrt(cov[1, 1])
-    assert values["bearing1.x.kL"] == pytest.approx(1e7, rel=5e-3)
+def test_fit_of_a_record_recovers_the_rig(record: np.ndarray) -> None:
+    """Band-limited displacement of a flexible rotor whose disc is not measured."""
+    found = fit(rig(), record, RATE)
+    assert found.method == "score-matching"
+    assert found.log_likelihood is None
+    for i, node in enumerate(("bearing1", "bearing2")):
+        kL = found.parameters[f"{node}.x.kL"]
+        assert kL.value == pytest.approx(TRUE_KL[i], rel=8e-3)
+        assert 0.0 < kL.sd < 4e-3 * TRUE_KL[i]
+        kNL = found.parameters[f"{node}.x.cubic.kNL"]
+        assert abs(kNL.value - TRUE_KNL) < 4.0 * kNL.sd
+        assert kNL.unit == "N/m^3"
 
 
-def test_rows_with_nan_are_left_out() -> None:
-    x, v = strong_shaft_samples(20_000, 5)
-    holed = x.copy()
-    holed[::7, 0] = np.nan
-    keep = np.isfinite(holed).all(axis=1)
-    one, two = PlaneMoments(strong_shaft()), PlaneMoments(strong_shaft())
-    for at in range(0, len(x), 1000):
-        here = slice(at, at + 1000)
-        one.add(holed[here], v[here])
-        two.add(x[here][keep[here]], v[here][keep[here]])
-    assert one.values()[0] == two.values()[0]
+def test_rolling_agrees_with_the_fit_and_narrows(record: np.ndarray) -> None:
+    rolling = RollingScoreMatching(rig(), RATE, 4.0)
+    sds = []
+    for at in range(0, len(record), 1024):
+        rolling.update(record[at : at + 1024])
+        estimate = rolling.snapshot()
+        if estimate.parameters:
+            sds.append(estimate.parameters["bearing1.x.kL"].sd)
+    assert rolling.snapshot().status == "ok"
+    assert sds[-1] < sds[0]
+    kL = rolling.snapshot().parameters["bearing1.x.kL"]
+    assert kL.value == pytest.approx(TRUE_KL[0], rel=0.01)
+    assert 0 < rolling.snapshot().index <= len(record)
 
 
-def test_a_dead_channel_is_named() -> None:
-    x, v = strong_shaft_samples(4000, 6)
-    x[:, 1] = v[:, 1] = 0.0
-    found = fed(strong_shaft(MASS), x, v, "velocity", 500).parameters()
-    assert "bearing2.x does not move" in found["bearing1.x.kL"].reason
+def test_chunks_do_not_change_a_bit(record: np.ndarray) -> None:
+    short = record[:60_000].copy()
+    short[20_000:20_010] = np.nan
+    one, many = RollingScoreMatching(rig(), RATE, 1.0), RollingScoreMatching(rig(), RATE, 1.0)
+    one.update(short)
+    rng = np.random.default_rng(1)
+    at = 0
+    while at < len(short):
+        n = int(rng.integers(1, 3000))
+        many.update(short[at : at + n])
+        at += n
+    assert one.snapshot() == many.snapshot()
+    assert one.snapshot().parameters
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.floats(0.5, 1.0))
-def test_block_moments_are_the_weighted_mean(seed: int, forget: float) -> None:
-    rng = np.random.default_rng(seed)
-    blocks = [rng.standard_normal((int(rng.integers(1, 20)), 3)) for _ in range(8)]
-    moments = BlockMoments(3)
-    for block in blocks:
-        moments.add(block.sum(axis=0), len(block), forget)
-    w = forget ** np.arange(7, -1, -1)
-    rows = sum(wi * len(b) for wi, b in zip(w, blocks, strict=True))
-    mean = sum(wi * b.sum(axis=0) for wi, b in zip(w, blocks, strict=True)) / rows
-    np.testing.assert_allclose(moments.mean, mean, atol=1e-12)
-    r = [wi * (b.sum(axis=0) - len(b) * mean) for wi, b in zip(w, blocks, strict=True)]
-    g = moments.blocks
-    np.testing.assert_allclose(moments.covariance(), sum(np.outer(a, a) for a in r) / rows**2 * g / (g - 1), atol=1e-10)
+def test_snapshot_changes_nothing_and_follows_a_change(record: np.ndarray) -> None:
+    """After the stiffness jumps the rolling estimate forgets the old one."""
+    x, _ = langevin([0.2], [60.0], [1.4e7], [0.0], np.zeros((1, 1)), [4.5e-5], RATE, 5 * 25600, seed=12)
+    rolling = RollingScoreMatching(rig(("bearing1.x",), shaft="none"), RATE, 1.0)
+    rolling.update(record[:100_000, :1])
+    before = rolling.snapshot()
+    assert before == rolling.snapshot()
+    assert before.parameters["bearing1.x.kL"].value == pytest.approx(1.0155e7, rel=0.02)  # bearing and shaft
+    rolling.update(x)
+    assert rolling.snapshot().parameters["bearing1.x.kL"].value == pytest.approx(1.4e7, rel=0.02)
 
 
-def test_standard_deviation_of_a_mean_of_correlated_rows() -> None:
-    """AR(1), whose long-run variance is known: the sd is that, not the one of independent rows."""
-    from scipy.signal import lfilter
-
-    phi, n = 0.95, 400_000
-    series = lfilter([1.0], [1.0, -phi], np.random.default_rng(2).standard_normal(n))
-    moments = BlockMoments(1)
-    for block in series.reshape(-1, 2000, 1):
-        moments.add(block.sum(axis=0), len(block))
-    exact = 1.0 / (1.0 - phi) / np.sqrt(n)
-    assert np.sqrt(moments.covariance()[0, 0]) == pytest.approx(exact, rel=0.15)
+def test_warming_up_shows_nothing(record: np.ndarray) -> None:
+    rolling = RollingScoreMatching(rig(), RATE, 10.0)
+    assert rolling.snapshot().status == "warming up"
+    rolling.update(record[:8000])
+    assert rolling.snapshot().status == "warming up"
+    assert not rolling.snapshot().parameters
 
 
-def test_delta_method_against_the_textbook_ratio() -> None:
-    rng = np.random.default_rng(3)
-    rows = rng.standard_normal((100_000, 2)) * [0.5, 1.0] + [2.0, 5.0]
-    moments = BlockMoments(2)
-    for block in rows.reshape(-1, 500, 2):
-        moments.add(block.sum(axis=0), len(block))
-    sd = np.sqrt(propagate(lambda u: np.array([u[1] / u[0]]), moments)[0, 0])
-    exact = 2.5 * np.sqrt((0.5 / 2.0) ** 2 + (1.0 / 5.0) ** 2) / np.sqrt(len(rows))
-    assert sd == pytest.approx(exact, rel=0.15)
+def test_rolling_never_raises_on_data() -> None:
+    rolling = RollingScoreMatching(rig(), RATE, 0.5)
+    rolling.update(np.zeros((60_000, 2)))
+    assert "does not move" in rolling.snapshot().status
+    rolling.update(np.full((60_000, 2), np.nan))
+    rolling.snapshot()
+
+
+def test_bad_records_are_named(record: np.ndarray) -> None:
+    with pytest.raises(DataError, match="usable samples"):
+        fit(rig(), record[:5000], RATE)
+    dead = record.copy()
+    dead[:, 1] = 3.0
+    with pytest.raises(DataError, match="b2x is constant"):
+        fit(rig(), dead, RATE)
+    with pytest.raises(DataError, match="no resonance inside the band"):
+        fit(rig(band=(2500.0, 8000.0)), record, RATE)
+    with pytest.raises(DataError, match="2 channels"):
+        fit(rig(), record[:, :1], RATE)
+    with pytest.raises(DataError, match="usable samples"):
+        fit(rig(), np.full_like(record, np.nan), RATE)
+    holes = record.copy()
+    holes[::500] = np.nan
+    with pytest.raises(DataError, match="gaps"):
+        fit(rig(), holes, RATE)
+
+
+def test_a_gaussian_record_has_no_cubic_to_show() -> None:
+    x, _ = langevin([0.2], [60.0], [1e7], [0.0], np.zeros((1, 1)), [4.5e-5], RATE, 6 * 25600, seed=13)
+    found = fit(rig(("bearing1.x",), shaft="none"), x, RATE)
+    kNL = found.parameters["bearing1.x.cubic.kNL"]
+    assert not kNL.identifiable
+    assert kNL.value is None
+
+
+def test_what_the_method_cannot_know_is_said(record: np.ndarray) -> None:
+    stop = EffectUse("stop", {"bearing1.x": {}})
+    found = fit(rig(effects=(stop,)), record, RATE)
+    assert any("left out: stop" in message for message in found.messages)
+    unequal = record * [1.0, 1.3]  # a wrong gain looks like unequal temperatures
+    assert any("m v^2" in message for message in fit(rig(), unequal, RATE).messages)

@@ -1,0 +1,203 @@
+"""Linear and cubic stiffness from moments of displacement and velocity: score matching, without bins or histogram.
+
+The stationary density p(x) = c exp(-V/T) obeys, for V = sum_k theta_k phi_k (Hyvarinen 2005; physics.md section 3),
+
+    E[grad phi . grad phi'] theta/T = E[laplacian phi]                                                    (density form)
+
+and T = m E[v^2]. This is the paper's eq. (36) with infinitely fine cells. The same row follows from stationarity alone,
+0 = d/dt E[m v h(x)] = m E[h'(x) v^2] - E[h(x) V'(x)], because damping (odd in v) and white force do not correlate with
+a function of x at the same instant:
+
+    E[f f'] k = m E[f'(x) v^2],   f = dV/dk                                                              (velocity form)
+
+The two agree if x and v are independent, as exp(-H/T) says. On a record, the velocity form does not suffer from the
+slow wander of the amplitude, needs neither equal temperatures at the two caps nor a Gaussian velocity, and has a
+twentieth of the scatter (docs/paper.md); on independent samples of the density the density form is the better.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .estimate import Parameter
+from .moments import BlockMoments, propagate
+from .planes import POWER_UNITS, Plane
+
+Array = NDArray[np.float64]
+Form = Literal["velocity", "density"]
+
+
+class PlaneMoments:
+    """Moment recursion of one direction, and the stiffness that follows from it.
+
+    The row of the series, per cap with powers q: products x^(q_i + q_j) (upper triangle), q x^(q-1) v^2,
+    q x^(q-1) and x^q (a x + b x_other); for two caps also the squared gradient of the shaft term.
+    """
+
+    def __init__(self, plane: Plane, form: Form = "velocity") -> None:
+        self.plane = plane
+        self.form = form
+        self._joint = plane.scale_from_shaft and not plane.masses_known
+        self._slices: list[slice] = []
+        at = 0
+        for cap in plane.caps:
+            p = len(cap.powers)
+            width = p * (p + 1) // 2 + 3 * p
+            self._slices.append(slice(at, at + width))
+            at += width
+        self.moments = BlockMoments(at + 1)
+        self.names = self._names()
+
+    def _solvable(self, index: int) -> bool:
+        return self.plane.caps[index].mass is not None or self._joint
+
+    def _names(self) -> tuple[str, ...]:
+        out: list[str] = []
+        for i, cap in enumerate(self.plane.caps):
+            if self._solvable(i):
+                out += [cap.name(q) for q in cap.powers]
+            if 3 in cap.powers:
+                out.append(f"{cap.place}.cubic.lambda")
+            if cap.mass is None and self._joint:
+                out.append(f"{cap.place}.m")
+        return tuple(out)
+
+    def rows(self, x: Array, v: Array) -> Array:
+        """The series (n, K) for displacement and velocity (n, caps), m and m/s."""
+        plane = self.plane
+        shaft = plane.a * x + plane.b * x[:, ::-1] if x.shape[1] == 2 else plane.a * x
+        columns = []
+        for i, cap in enumerate(plane.caps):
+            f = [x[:, i] ** q for q in cap.powers]
+            slope = [q * x[:, i] ** (q - 1) for q in cap.powers]
+            columns += [f[j] * f[k] for j in range(len(f)) for k in range(j, len(f))]
+            columns += [s * v[:, i] ** 2 for s in slope]
+            columns += slope
+            columns += [g * shaft[:, i] for g in f]
+        columns.append(np.sum(shaft**2, axis=1))
+        return np.stack(columns, axis=1)
+
+    def add(self, x: Array, v: Array, forget: float = 1.0) -> None:
+        """Take one block, (n, caps) each; rows with NaN are left out."""
+        keep = np.isfinite(x).all(axis=1) & np.isfinite(v).all(axis=1)
+        if not keep.all():
+            x, v = x[keep], v[keep]
+        self.moments.add(self.rows(x, v).sum(axis=0), len(x), forget)
+
+    def parameters(self) -> dict[str, Parameter]:
+        """The estimate: contract names -> Parameter, each judged for identifiability."""
+        constant = self._constant()
+        if constant:
+            return {name: Parameter(None, None, _unit(name), False, constant) for name in self._all_names()}
+        mean = self.moments.mean.astype(complex)
+        values = self._solve(mean).real
+        sds = np.sqrt(np.maximum(np.diag(propagate(self._solve, self.moments)), 0.0))
+        found = dict(zip(self.names, zip(values, sds, strict=True), strict=True))
+        out = {}
+        for name in self._all_names():
+            if name in found:
+                out[name] = Parameter.judged(*found[name], _unit(name))
+            else:
+                reason = "mass unknown: give rig.mass for this cap; only ratios follow from its density"
+                out[name] = Parameter(None, None, _unit(name), False, reason)
+        return out
+
+    def values(self) -> tuple[dict[str, float], Array]:
+        """Estimate without verdict, and its covariance (P, P) in the order of `names`."""
+        solved = self._solve(self.moments.mean.astype(complex)).real
+        return dict(zip(self.names, solved.tolist(), strict=True)), propagate(self._solve, self.moments)
+
+    def _all_names(self) -> list[str]:
+        out: list[str] = []
+        for cap in self.plane.caps:
+            out += [cap.name(q) for q in cap.powers]
+            if 3 in cap.powers:
+                out.append(f"{cap.place}.cubic.lambda")
+            if cap.mass is None:
+                out.append(f"{cap.place}.m")
+        return out
+
+    def _constant(self) -> str:
+        mean = self.moments.mean
+        for cap, at in zip(self.plane.caps, self._slices, strict=True):
+            if self.moments.rows > 0 and not mean[at.start] > 0.0:
+                return f"{cap.place} does not move in the band: check the sensor and the band"
+        return "" if self.moments.rows > 0 else "no valid sample yet"
+
+    def _split(self, u: NDArray[np.complex128], index: int) -> tuple[NDArray[np.complex128], ...]:
+        """E[f f'], E[f' v^2], E[f'], E[f shaft], E[v^2] of one cap from the mean series."""
+        cap = self.plane.caps[index]
+        p = len(cap.powers)
+        part = u[self._slices[index]]
+        gram = np.zeros((p, p), complex)
+        upper = np.triu_indices(p)
+        gram[upper] = part[: len(upper[0])]
+        gram.T[upper] = gram[upper]
+        weighted, plain, shaft = part[len(upper[0]) :].reshape(3, p)
+        right = weighted if self.form == "velocity" else plain * weighted[0]
+        return gram, right, shaft, weighted[0]
+
+    def _solve(self, u: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """Parameters in the order of `names` from the mean series; analytic, for the complex-step derivative."""
+        plane = self.plane
+        parts = [self._split(u, i) for i in range(len(plane.caps))]
+        joint = _joint_solution(plane, parts, u[-1]) if self._joint else None
+        out: list[Any] = []
+        for i, cap in enumerate(plane.caps):
+            gram, right, shaft, square = parts[i]
+            scale = np.sqrt(gram[0, 0].real) ** np.array(cap.powers, dtype=float)
+            if cap.mass is not None:
+                k = _solve_scaled(gram, cap.mass * right - plane.ks * shaft, scale)
+            elif joint is not None:
+                k = joint[1][i]
+            else:
+                k = _solve_scaled(gram, right, scale)
+            if self._solvable(i):
+                out += list(k)
+            if 3 in cap.powers:
+                out.append(k[cap.powers.index(3)] / k[0])
+            if cap.mass is None and joint is not None:
+                out.append(joint[0] / square)
+        return np.array(out)
+
+
+def _solve_scaled(gram: NDArray[np.complex128], right: NDArray[np.complex128], scale: Array) -> NDArray[np.complex128]:
+    return np.asarray(np.linalg.solve(gram / np.multiply.outer(scale, scale), right / scale) / scale, complex)
+
+
+def _joint_solution(
+    plane: Plane, parts: list[tuple[NDArray[np.complex128], ...]], shaft_square: complex
+) -> tuple[complex, list[NDArray[np.complex128]]]:
+    """Temperature and coefficients of each cap when a mass is unknown: the shaft's own coefficient ks/T sets the scale.
+
+    Both caps are taken to be at one temperature (the paper's hypothesis).
+    """
+    sizes = [len(cap.powers) for cap in plane.caps]
+    n = sum(sizes)
+    gram = np.zeros((n + 1, n + 1), complex)
+    right = np.zeros(n + 1, complex)
+    scale = np.ones(n + 1)
+    at = 0
+    for cap, (own, slope, shaft, square) in zip(plane.caps, parts, strict=True):
+        here = slice(at, at + len(cap.powers))
+        gram[here, here] = own
+        gram[here, n] = gram[n, here] = shaft
+        right[here] = slope / square
+        scale[here] = np.sqrt(own[0, 0].real) ** np.array(cap.powers, dtype=float)
+        at = here.stop
+    gram[n, n] = shaft_square
+    right[n] = 2.0 * plane.a
+    scale[n] = np.sqrt(shaft_square.real)
+    theta = _solve_scaled(gram, right, scale)
+    temperature = plane.ks / theta[n]
+    return temperature, list(np.split(theta[:n] * temperature, np.cumsum(sizes)[:-1]))
+
+
+def _unit(name: str) -> str:
+    kind = name.rsplit(".", 1)[1]
+    if kind in ("lambda", "m"):
+        return "1/m^2" if kind == "lambda" else "kg"
+    return POWER_UNITS[{"kL": 1, "kq": 2, "kNL": 3, "k5": 5}[kind]]
