@@ -23,8 +23,12 @@ class EffectParameter:
     """name, unit and limits of one parameter.
 
     linear : the law is proportional to it (an amplitude, solved for exactly); otherwise it is searched on [low, high].
-    scale : how the natural size follows from the data, used to build search grids and test strengths:
-        "x" (displacement rms), "v" (velocity rms), "force" (bearing force rms), "hz", "order", "1" ...
+    scale : the natural size. For a searched parameter, low, high and default are multiples of it (effects/strength.py):
+        "x" displacement rms, "v" velocity rms, "a" acceleration rms of the place, "m" its mass, "hz_peak" its resonance
+        in Hz, "rate" the sampling rate in Hz, "band" the upper band edge in Hz, "seconds" s;
+        "1", "angle", "order": as they are; "bpfo", "balls": from the rig's geometry or ball_pass_order where known.
+        For a linear parameter it says nothing: its size follows from the data.
+    given : taken from the rig or the default, never searched.
     """
 
     name: str
@@ -35,6 +39,7 @@ class EffectParameter:
     description: str
     linear: bool = False
     scale: str = "1"
+    given: bool = False
 
 
 @dataclass(frozen=True, slots=True)

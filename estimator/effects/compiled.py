@@ -1,0 +1,148 @@
+"""Laws as machine code: every law gets one C signature, so one compiled kernel can call any of them by address.
+
+That keeps start-up short: the kernels are compiled once and cached on disk whatever the model, a law of the catalogue
+is cached beside its file, and only a user's own law is compiled anew (about 0.1 s).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import cfunc, njit, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from ..effect import Effect
+
+F = types.float64
+P = types.CPointer(F)
+ARRAY = types.Array(F, 1, "C")
+FORCE = F(F, F, F, F, F, F, F, P)  # x, v, xo, vo, t, phase, s, p
+RATES = types.void(P, F, F, P, P, P)  # z, x, v, p, lin, dz
+MEMORY = F(P, F, F, P, P)  # z, x, v, p, lin
+
+
+@cache
+def address(law: Callable[..., Any], kind: str = "force") -> int:
+    """Address of a law compiled for `kind` force | rates | memory. Kept alive for the life of the process."""
+    signature = {"force": FORCE, "rates": RATES, "memory": MEMORY}[kind]
+    on_disk = not law.__code__.co_filename.startswith("<")  # a law made from an expression has no file
+    compiled = cfunc(signature, cache=on_disk, error_model="numpy")(law)
+    _KEEP.append(compiled)
+    return int(compiled.address)
+
+
+_KEEP: list[Any] = []  # the code lives as long as its object
+
+
+def _caller(signature: Any, pointers: Sequence[int]) -> Any:
+    """An intrinsic that calls the function at an address (its first argument); arrays go as pointers to their data."""
+    args = [ARRAY if i in pointers else a for i, a in enumerate(signature.args)]
+
+    def generate(context: Any, builder: Any, sig: Any, values: Any) -> Any:
+        def low(t: Any) -> Any:
+            return ir.DoubleType().as_pointer() if t == P else ir.DoubleType()
+
+        void = signature.return_type == types.void
+        kind = ir.FunctionType(ir.VoidType() if void else ir.DoubleType(), [low(t) for t in signature.args])
+        given = [
+            context.make_array(ARRAY)(context, builder, v).data if i in pointers else v
+            for i, v in enumerate(values[1:])
+        ]
+        result = builder.call(builder.inttoptr(values[0], kind.as_pointer()), given)
+        return context.get_dummy_value() if void else result
+
+    return args, generate
+
+
+_FORCE_ARGS, _FORCE_CODE = _caller(FORCE, (7,))
+_RATES_ARGS, _RATES_CODE = _caller(RATES, (0, 3, 4, 5))
+_MEMORY_ARGS, _MEMORY_CODE = _caller(MEMORY, (0, 3, 4))
+
+
+@intrinsic
+def call_force(typingctx, law, x, v, xo, vo, t, phase, s, p):  # type: ignore[no-untyped-def]
+    return types.float64(types.uint64, *_FORCE_ARGS), _FORCE_CODE
+
+
+@intrinsic
+def call_rates(typingctx, law, z, x, v, p, lin, dz):  # type: ignore[no-untyped-def]
+    return types.void(types.uint64, *_RATES_ARGS), _RATES_CODE
+
+
+@intrinsic
+def call_memory(typingctx, law, z, x, v, p, lin):  # type: ignore[no-untyped-def]
+    return types.float64(types.uint64, *_MEMORY_ARGS), _MEMORY_CODE
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _force_array(law, p, x, v, xo, vo, t, phase, s, out):  # type: ignore[no-untyped-def]
+    for i in range(x.size):
+        out[i] = call_force(law, x[i], v[i], xo[i], vo[i], t[i], phase[i], s, p)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _memory_array(rates, force, states, p, lin, x, v, dt, out):  # type: ignore[no-untyped-def]
+    z, z1 = np.zeros(states), np.zeros(states)
+    d0, d1 = np.zeros(states), np.zeros(states)
+    out[0] = call_memory(force, z, x[0], v[0], p, lin)
+    for i in range(x.size - 1):
+        call_rates(rates, z, x[i], v[i], p, lin, d0)
+        for j in range(states):
+            z1[j] = z[j] + dt * d0[j]
+        call_rates(rates, z1, x[i + 1], v[i + 1], p, lin, d1)
+        for j in range(states):
+            z[j] += 0.5 * dt * (d0[j] + d1[j])
+        out[i + 1] = call_memory(force, z, x[i + 1], v[i + 1], p, lin)
+
+
+def _signal(a: NDArray[np.float64] | float, n: int) -> NDArray[np.float64]:
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(a, dtype=np.float64), (n,)))
+
+
+def force_array(
+    effect: Effect,
+    p: NDArray[np.float64],
+    x: NDArray[np.float64],
+    v: NDArray[np.float64] | float = 0.0,
+    xo: NDArray[np.float64] | float = 0.0,
+    vo: NDArray[np.float64] | float = 0.0,
+    t: NDArray[np.float64] | float = 0.0,
+    phase: NDArray[np.float64] | float = 0.0,
+    s: float = 1.0,
+) -> NDArray[np.float64]:
+    """(n,) N, the restoring force of an effect's law along signals; scalars are held. p : parameters in their order."""
+    if effect.force is None:
+        raise ValueError(f"{effect.name}: no force law (kind {effect.kind})")
+    x = np.ascontiguousarray(x, dtype=np.float64)
+    out = np.empty_like(x)
+    rest = [_signal(a, x.size) for a in (v, xo, vo, t, phase)]
+    _force_array(np.uint64(address(effect.force)), np.ascontiguousarray(p, dtype=np.float64), x, *rest, float(s), out)
+    return out
+
+
+def memory_array(
+    effect: Effect,
+    p: NDArray[np.float64],
+    lin: NDArray[np.float64],
+    x: NDArray[np.float64],
+    v: NDArray[np.float64],
+    rate_hz: float,
+) -> NDArray[np.float64]:
+    """(n,) N, the force of a memory effect along displacement and velocity, its states from rest (Heun steps).
+
+    lin : (3,) m, kL, c of the place.
+    """
+    if effect.rates is None or effect.memory_force is None:
+        raise ValueError(f"{effect.name}: no memory law (kind {effect.kind})")
+    x, v = np.ascontiguousarray(x, dtype=np.float64), np.ascontiguousarray(v, dtype=np.float64)
+    out = np.empty_like(x)
+    laws = (np.uint64(address(effect.rates, "rates")), np.uint64(address(effect.memory_force, "memory")))
+    p, lin = np.ascontiguousarray(p, dtype=np.float64), np.ascontiguousarray(lin, dtype=np.float64)
+    if x.size:
+        _memory_array(*laws, effect.states, p, lin, x, v, 1.0 / rate_hz, out)
+    return out

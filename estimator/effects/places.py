@@ -1,0 +1,103 @@
+"""Where an effect of a model acts, and with which numbers.
+
+Canonical places. scope "direction": "bearing1.x". scope "node": "bearing1" (one set of parameters for x and y). kind
+disc: "disc". kind shaft: "shaft". kind sensor: the place of the channel. A node-scope entry written "bearing1.x" (or
+a direction-scope entry written "bearing1") is understood.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effect import Effect
+from ..errors import ModelError
+from ..model import DIRECTIONS, NODES, EffectUse, Model
+
+
+def places(effect: Effect, model: Model) -> tuple[str, ...]:
+    """Every canonical place that an effect can act at in a model."""
+    caps = model.places or tuple(model.linear)
+    if effect.kind == "disc":
+        return ("disc",) if model.shaft != "none" else ()
+    if effect.kind == "shaft":
+        return ("shaft",) if model.shaft != "none" else ()
+    if effect.name == "correlated_force":
+        both = (d for d in DIRECTIONS if all(f"{n}.{d}" in caps for n in NODES))
+        return tuple(f"{NODES[0]}.{d}" for d in both)
+    if effect.scope == "node":
+        return tuple(n for n in NODES if all(f"{n}.{d}" in caps for d in DIRECTIONS))
+    return tuple(caps)
+
+
+def at(effect: Effect, use: EffectUse, model: Model) -> tuple[str, ...]:
+    """Canonical places of a use, each once. Raises ModelError for a place where the effect cannot act."""
+    can = places(effect, model)
+    found: dict[str, None] = {}
+    for written in use.parameters:
+        node = written.split(".")[0]
+        matches = [p for p in can if p in (written, node) or p.split(".")[0] == written]
+        if effect.kind in ("disc", "shaft"):
+            matches = list(can)
+        if effect.name == "correlated_force":
+            matches = [p for p in can if written in NODES or written.split(".")[-1] == p.split(".")[1]]
+        if effect.kind == "sensor" and not matches:
+            matches = [c.place for c in model.channels if c.name == written]
+        if not matches:
+            raise ModelError(f"effect {use.name} cannot act at {written!r}; possible: {', '.join(can) or 'no place'}")
+        found |= dict.fromkeys(matches)
+    return tuple(found)
+
+
+def values(effect: Effect, use: EffectUse, model: Model, place: str) -> NDArray[np.float64]:
+    """(k,) parameters at a canonical place, SI, in declared order.
+
+    Kinematic orders and the number of balls come from the rig where they are not given. Raises ModelError naming
+    what is missing: a missing parameter never means "off".
+    """
+    node = place.split(".")[0]
+    names = {c.name for c in model.channels if c.place == place}
+    entries = [use.parameters[k] for k in use.parameters if k == place]
+    entries += [
+        v
+        for k, v in use.parameters.items()
+        if k == node or k.split(".")[0] == node or k in names or effect.kind in ("disc", "shaft")
+    ]
+    if effect.name == "correlated_force":
+        entries += [v for k, v in use.parameters.items() if k in NODES or k.endswith(place[-2:])]
+    out: list[float] = []
+    for p in effect.parameters:
+        set_values = [e[p.name].value for e in entries if p.name in e and e[p.name].value is not None]
+        value = set_values[0] if set_values else kinematic(p.scale, model)
+        if value is None and p.given:
+            value = p.default
+        if value is None:
+            raise ModelError(f"effect {use.name} at {place} has no {p.name} ({p.unit}): give it, or fit first")
+        out.append(float(value))
+    return np.array(out)
+
+
+def kinematic(scale: str, model: Model) -> float | None:
+    """A number that the rig's geometry gives: scale "bpfo" | "balls"; None if the geometry is unknown."""
+    if scale == "balls" and model.bearing is not None:
+        return float(model.bearing.balls)
+    if scale == "bpfo":
+        if model.ball_pass_order is not None:
+            return model.ball_pass_order
+        if model.bearing is not None:
+            return orders(model)["BPFO"]
+    return None
+
+
+def orders(model: Model) -> dict[str, float]:
+    """Kinematic orders per shaft turn, outer ring at rest: FTF, BPFO, BPFI, BSF. Raises ModelError without geometry."""
+    b = model.bearing
+    if b is None:
+        raise ModelError("no [rig.bearing] geometry: kinematic orders are unknown")
+    ratio = b.ball_diameter / b.pitch_diameter * np.cos(b.contact_angle)
+    return {
+        "FTF": 0.5 * (1 - ratio),
+        "BPFO": 0.5 * b.balls * (1 - ratio),
+        "BPFI": 0.5 * b.balls * (1 + ratio),
+        "BSF": 0.5 * b.pitch_diameter / b.ball_diameter * (1 - ratio**2),
+    }

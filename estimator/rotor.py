@@ -1,0 +1,247 @@
+"""Linear rotor: shaft, disc and bearing matrices, disc elimination, modes, stationary response.
+
+One transverse direction at a time; the other is identical. Nodes in the order of `NODES` and then "disc". Restoring
+convention M a + C v + K x = F. Paper: Tiwari and Vyas, J. Sound Vib. 203(3), 1997, 389-408 (equation numbers below).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh, expm, solve_continuous_lyapunov
+
+from .errors import ModelError
+from .model import DIRECTIONS, NODES, Model, Shaft
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+CHAIN: Array = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0], [-1.0, -1.0, 2.0]])
+BEAM: Array = np.array([[1.0, 1.0, -2.0], [1.0, 1.0, -2.0], [-2.0, -2.0, 4.0]])
+SHAFTS: dict[Shaft, Array] = {"chain": CHAIN, "beam": BEAM, "none": np.zeros((3, 3))}
+
+
+def shaft_matrix(shaft: Shaft, stiffness: float) -> Array:
+    """(3, 3) stiffness of the massless shaft, N/m, nodes (bearing1, bearing2, disc); eq. (37) is `chain`.
+
+    stiffness : N/m. `chain`: 12 EI / l^3 of an element of length l whose end slopes are held. `beam`: 12 EI / L^3 of
+        the whole span L with free ends; a rigid tilt then costs nothing. The same matrix with a damping in N s/m is
+        the shaft's own damping.
+    """
+    return stiffness * SHAFTS[shaft]
+
+
+def lumped_shaft(positions: Array, bending_stiffness: float, slopes: str = "free") -> Array:
+    """(n, n) lateral stiffness, N/m, of a massless Euler-Bernoulli shaft, free at both ends, with n lumped nodes.
+
+    positions : (n,) m, increasing. bending_stiffness : EI, N m^2. slopes : "free" (rotations take the value that
+        carries no moment: forces only at the nodes) or "held" (every rotation zero).
+    Three equal elements give `beam` (12 EI / L^3 of the whole span) and `chain` (12 EI / l^3 of one element).
+    """
+    z = np.asarray(positions, dtype=float)
+    if z.ndim != 1 or z.size < 2 or np.any(np.diff(z) <= 0):
+        raise ValueError("positions: at least two increasing values in m")
+    n = z.size
+    K = np.zeros((2 * n, 2 * n))  # deflections, then slopes
+    for i, length in enumerate(np.diff(z)):
+        a, b = 6.0 * length, length * length
+        element = np.array([[12, a, -12, a], [a, 4 * b, -a, 2 * b], [-12, -a, 12, -a], [a, 2 * b, -a, 4 * b]])
+        at = [i, n + i, i + 1, n + i + 1]
+        K[np.ix_(at, at)] += bending_stiffness / length**3 * element
+    if slopes == "held":
+        return K[:n, :n]
+    return K[:n, :n] - K[:n, n:] @ np.linalg.solve(K[n:, n:], K[n:, :n])
+
+
+def dynamic_stiffness(M: Array, C: Array, K: Array, omega: Array) -> Complex:
+    """(len(omega), n, n) of K + i w C - w^2 M, N/m; omega in rad/s."""
+    w = np.asarray(omega, dtype=float)[:, None, None]
+    return np.asarray(K + 1j * w * C - w**2 * M)
+
+
+def eliminate(D: Complex, keep: list[int]) -> tuple[Complex, Complex]:
+    """Dynamic stiffness at the nodes of `keep` with no force on the others, and the others' response.
+
+    D : (f, n, n). Returns ((f, k, k) N/m, (f, n - k, k) displacement of each other node per displacement kept): exact
+    at every frequency (Schur complement).
+    """
+    rest = [i for i in range(D.shape[1]) if i not in keep]
+    follow = -np.linalg.solve(D[:, rest][:, :, rest], D[:, rest][:, :, keep])
+    return np.asarray(D[:, keep][:, :, keep] + D[:, keep][:, :, rest] @ follow), np.asarray(follow)
+
+
+def shaft_at_caps(
+    shaft: Shaft, stiffness: float, damping: float, disc: float, omega: Array
+) -> tuple[Complex, Complex]:
+    """What shaft and disc add to the dynamic stiffness of the two caps, and the disc's displacement.
+
+    disc : kg. Returns ((f, 2, 2) N/m, (f, 2) disc displacement per cap displacement). With kc = ks + i w cs:
+    D33 = 2 kc - m3 w^2 and -kc^2 / D33 between the caps for `chain`; 4 kc - m3 w^2 for `beam`.
+    """
+    w = np.asarray(omega, dtype=float)
+    if shaft == "none":
+        return np.zeros((w.size, 2, 2), dtype=complex), np.zeros((w.size, 2), dtype=complex)
+    D = dynamic_stiffness(
+        np.diag([0.0, 0.0, disc]), shaft_matrix(shaft, damping), shaft_matrix(shaft, stiffness), w
+    )
+    caps, follow = eliminate(D, [0, 1])
+    return caps, follow[:, 0, :]
+
+
+@dataclass(frozen=True, slots=True)
+class Modes:
+    """Undamped modes. p : (n,) eigenvalues w^2, rad^2/s^2; shapes : (n, n) columns with the disc's row 1 (the paper's
+    normalisation, eqs 38-40); mass : (n,) modal masses, kg."""
+
+    p: Array
+    shapes: Array
+    mass: Array
+
+
+def modes(M: Array, K: Array, unit_node: int = -1) -> Modes:
+    """Modes of (M, K), each scaled to 1 at `unit_node` (the disc is last). ValueError if a mode is still there."""
+    p, U = eigh(K, M)
+    at = U[unit_node]
+    if np.any(np.abs(at) < 1e-9 * np.abs(U).max(axis=0)):
+        raise ValueError("a mode does not move the node it is to be normalised at; choose another")
+    U = U / at
+    p = np.where(np.abs(p) < 1e-9 * np.abs(p).max(), 0.0, p)
+    return Modes(p, U, np.einsum("ij,ik,kj->j", U, M, U))
+
+
+@dataclass(frozen=True, slots=True)
+class Assembly:
+    """The linear rig as matrices over all degrees of freedom, direction by direction.
+
+    dofs : names such as "bearing1.x", "disc.x"; M, C, K : (n, n) SI; S : (n,) one-sided force PSD, N^2/Hz.
+    """
+
+    dofs: tuple[str, ...]
+    M: Array
+    C: Array
+    K: Array
+    S: Array
+
+    def index(self, place: str) -> int:
+        """Number of a degree of freedom. Raises KeyError with the names there are."""
+        try:
+            return self.dofs.index(place)
+        except ValueError:
+            raise KeyError(f"no degree of freedom {place!r}: there are {', '.join(self.dofs)}") from None
+
+
+def assemble(model: Model) -> Assembly:
+    """Matrices of a model whose linear part is complete. Raises ModelError naming every value that is missing."""
+    wanted = set(model.places) | set(model.linear)
+    dofs: list[str] = []
+    missing: list[str] = []
+    for d in DIRECTIONS:
+        caps = [f"{n}.{d}" for n in NODES if f"{n}.{d}" in wanted]
+        if caps and model.shaft != "none":
+            if len(caps) == 1:
+                raise ModelError(f'shaft "{model.shaft}" joins two bearings, direction {d} has one; use shaft = "none"')
+            caps.append(f"disc.{d}")
+        dofs += caps
+    if not dofs:
+        raise ModelError("no bearing cap in the model: name at least one acceleration channel")
+    n = len(dofs)
+    M, C, K, S = np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    for i, dof in enumerate(dofs):
+        mass = model.mass.get("disc") if dof.startswith("disc") else model.cap_mass(dof)
+        if mass is None:
+            missing.append(f"mass of {dof.split('.')[0] if dof.startswith('disc') else dof}")
+        M[i] = mass or 0.0
+        if dof.startswith("disc"):
+            continue
+        settings = model.linear.get(dof, {})
+        for key, target in (("kL", K[i, i : i + 1]), ("c", C[i, i : i + 1]), ("S", S[i : i + 1])):
+            value = settings[key].value if key in settings else None
+            if value is None:
+                missing.append(f"{dof}.{key}")
+            else:
+                target += value
+    if missing:
+        raise ModelError(f"the model has no value for {', '.join(missing)}: give them in the rig file, or fit first")
+    if model.shaft != "none":
+        for d in DIRECTIONS:
+            at = [i for i, dof in enumerate(dofs) if dof.endswith("." + d)]
+            if at:
+                K[np.ix_(at, at)] += shaft_matrix(model.shaft, model.shaft_stiffness)
+                C[np.ix_(at, at)] += shaft_matrix(model.shaft, model.shaft_damping)
+    return Assembly(tuple(dofs), np.diag(M), C, K, S)
+
+
+def linear_covariance(M: Array, C: Array, K: Array, Q: Array) -> Array:
+    """(2n, 2n) exact stationary covariance of (x, v) under white forces of intensity Q (n, n), N^2 s: Lyapunov.
+
+    Raises ModelError if the linear system does not decay.
+    """
+    n = len(M)
+    scale = np.sqrt(np.diag(K) / np.diag(M))  # state (w x, v): all entries of one size
+    Mi = np.linalg.inv(M)
+    A = np.block([[np.zeros((n, n)), np.diag(scale)], [-Mi @ K / scale, -Mi @ C]])
+    if np.max(np.linalg.eigvals(A).real) >= 0.0:
+        raise ModelError("the linear rotor does not decay, so it has no stationary response: check kL and c")
+    B = np.zeros((2 * n, 2 * n))
+    B[n:, n:] = Mi @ Q @ Mi.T
+    P = solve_continuous_lyapunov(A, -B)
+    back = np.concatenate([1.0 / scale, np.ones(n)])
+    P = P * back[:, None] * back
+    return np.asarray(0.5 * (P + P.T))
+
+
+def propagator(M: Array, C: Array, K: Array, dt: float) -> tuple[Array, Array, Array]:
+    """Exact step of the linear rotor under a force g0 + (g1 - g0) s / dt, 0 <= s <= dt.
+
+    Returns E (2n, 2n), G0 (2n, n), G1 (2n, n) with u(dt) = E u(0) + G0 g0 + G1 (g1 - g0), u = (x, v).
+    """
+    n = len(M)
+    A = np.zeros((4 * n, 4 * n))
+    Mi = np.linalg.inv(M)
+    A[:n, n : 2 * n] = np.eye(n)
+    A[n : 2 * n, :n], A[n : 2 * n, n : 2 * n], A[n : 2 * n, 2 * n : 3 * n] = -Mi @ K, -Mi @ C, Mi
+    A[2 * n : 3 * n, 3 * n :] = np.eye(n) / dt
+    X = expm(A * dt)
+    return X[: 2 * n, : 2 * n], X[: 2 * n, 2 * n : 3 * n], X[: 2 * n, 3 * n :]
+
+
+@dataclass(frozen=True, slots=True)
+class Stationarity:
+    """Whether exp(-H/T) is the stationary density: force intensity Q = 2 T C_sym (physics.md section 2).
+
+    temperature : J, the T of the best match; by_dof : J, Q_ii / (2 C_ii) of each damped or driven degree of freedom;
+    mismatch : |Q - 2 T C| / |Q| (0: exact). blocking : effects that break it whatever the noise.
+    """
+
+    temperature: float
+    by_dof: dict[str, float]
+    mismatch: float
+    blocking: tuple[str, ...]
+
+    @property
+    def exact(self) -> bool:
+        return self.mismatch < 1e-9 and not self.blocking
+
+
+def stationarity(model: Model) -> Stationarity:
+    """The exact stationary condition of any model. Raises ModelError if the linear part is incomplete."""
+    from .effects import CATALOGUE
+
+    rig = assemble(model)
+    Q, C = np.diag(rig.S / 2.0), 0.5 * (rig.C + rig.C.T)
+    T = float(np.sum(Q * C) / (2.0 * np.sum(C * C))) if np.any(C) else np.inf
+    by_dof = {
+        dof: float(Q[i, i] / (2.0 * C[i, i])) if C[i, i] > 0 else np.inf
+        for i, dof in enumerate(rig.dofs)
+        if Q[i, i] > 0 or C[i, i] > 0
+    }
+    mismatch = float(np.linalg.norm(Q - 2.0 * T * C) / np.linalg.norm(Q)) if np.any(Q) and np.isfinite(T) else np.inf
+    blocking = tuple(
+        use.name
+        for use in model.effects
+        if use.name not in CATALOGUE
+        or not (CATALOGUE[use.name].stationary_density or CATALOGUE[use.name].kind == "sensor")
+    )
+    return Stationarity(T, by_dof, mismatch, blocking)

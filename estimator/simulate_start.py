@@ -1,0 +1,94 @@
+"""Where a simulation starts: at rest, or as if it had run for ever.
+
+The disc mode of a chain relaxes only through the dampers of the caps, in 14 s to hours, so a start from rest would
+show a transient for the whole record. The start is the exact Gaussian of the linear part. Where exp(-H/T) is exactly
+stationary (rotor.stationarity) the effects are then let in with strong damping on every mass and the noise that goes
+with it: the same density, reached in a few periods. Otherwise a short run with the true damping lets them in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from .effects.compiled import force_array
+from .errors import ModelError
+from .model import Model
+from .rotor import Array, linear_covariance, stationarity
+from .simulate_plan import Plan
+
+if TYPE_CHECKING:
+    from .simulate import Stepper
+
+BURN_S = 0.5  # run before the record where the density is not known
+BARRIER = 20.0  # least U/T of a softening model that is let run
+
+
+def start_state(
+    model: Model,
+    plan: Plan,
+    stepper: Stepper,
+    rng: np.random.Generator,
+    start: Literal["boltzmann", "rest"],
+    first: int,
+) -> tuple[Array, Array, Array, int]:
+    """x, v (n,), z and the step number `first` to go on from. Raises ModelError if there is no stationary state."""
+    rig, n = plan.rig, len(plan.rig.dofs)
+    if start == "rest":
+        return np.zeros(n), np.zeros(n), stepper.z, first
+    if not np.any(rig.S):
+        raise ModelError("no force drives the rotor, so there is no stationary state: set S, or start from rest")
+    P = linear_covariance(rig.M, rig.C, rig.K, np.diag(rig.S / 2.0))
+    refuse_escape(plan, np.sqrt(np.diag(P)[:n]), np.diag(rig.M) * np.diag(P)[n:])
+    w, U = np.linalg.eigh(P / np.sqrt(np.outer(np.diag(P), np.diag(P))))
+    u = np.sqrt(np.diag(P)) * (U @ (np.sqrt(np.maximum(w, 0.0)) * rng.standard_normal(2 * n)))
+    stepper.x, stepper.v = u[:n].copy(), u[n:].copy()
+    if plan.acting:
+        known = stationarity(model)
+        if known.exact and not plan.correlation and not plan.shapes:
+            _thermalise(plan, stepper, rng, known.temperature)
+        else:
+            steps = round(BURN_S / stepper.dt)
+            stepper.count = first - steps
+            stepper.advance(rng, np.empty((len(plan.channels), steps)))
+    return stepper.x, stepper.v, stepper.z, first
+
+
+def _thermalise(plan: Plan, stepper: Stepper, rng: np.random.Generator, temperature: float) -> None:
+    """Run with damping 0.5 m w on every mass at the same temperature, for 60 times the slowest damping time."""
+    rig = plan.rig
+    m, w = np.diag(rig.M), np.sqrt(np.diag(rig.K) / np.diag(rig.M))
+    strong = replace(rig, C=np.diag(0.5 * m * w), S=2.0 * 2.0 * temperature * 0.5 * m * w)
+    other = type(stepper)(replace(plan, rig=strong), stepper.dt, stepper.scheme, stepper.speed)
+    other.x, other.v, other.z = stepper.x, stepper.v, stepper.z
+    steps = round(60.0 / (0.5 * w.min()) / stepper.dt)
+    while steps > 0:
+        other.advance(rng, np.empty((len(plan.channels), min(steps, 65536))))
+        steps -= 65536
+    stepper.x, stepper.v, stepper.z = other.x, other.v, other.z
+
+
+def refuse_escape(plan: Plan, sigma: Array, temperature: Array) -> None:
+    """Raise ModelError where the static force of the effects lets a cap leave its well for good.
+
+    sigma : (n,) m, temperature : (n,) J of each degree of freedom of the linear rotor. The barrier is the highest
+    potential on the way out along x; the least of both signs must exceed 20 T (physics.md section 2).
+    """
+    for i, dof in enumerate(plan.rig.dofs):
+        laws = [a for a in plan.acting if a.where[1] == i and a.effect.stationary_density and a.effect.force]
+        if not laws or not dof.startswith("bearing"):
+            continue
+        x = np.linspace(0.0, 60.0 * sigma[i], 6001)
+        for side in (1.0, -1.0):
+            force = plan.rig.K[i, i] * x
+            for a in laws:
+                force = force + side * force_array(a.effect, a.p, side * x, s=a.s)
+            V = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1])) * (x[1] - x[0])])
+            if force[-1] < 0.0 and V.max() < BARRIER * temperature[i]:
+                names = ", ".join(a.effect.name for a in laws)
+                raise ModelError(
+                    f"{dof}: {names} softens without end and has no stationary density (barrier "
+                    f"{V.max() / temperature[i]:.1f} T, at least {BARRIER:g} T is needed): weaken it, or use hertz"
+                )

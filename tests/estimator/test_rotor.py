@@ -1,0 +1,186 @@
+"""The linear rotor against the paper's test vector, scipy and exact limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad_vec
+from scipy.linalg import eigh
+
+from estimator.errors import ModelError
+from estimator.model import Channel, EffectUse, Model, Setting
+from estimator.rotor import (
+    assemble,
+    dynamic_stiffness,
+    linear_covariance,
+    lumped_shaft,
+    modes,
+    propagator,
+    shaft_at_caps,
+    shaft_matrix,
+    stationarity,
+)
+
+PAPER_MASS = np.diag([0.245, 0.22, 0.515])
+
+
+def small_rig(shaft: str = "chain", nodes: tuple[str, ...] = ("bearing1", "bearing2"), **linear: float) -> Model:
+    values = {"kL": 1e6, "c": 40.0, "S": 1e-4} | linear
+    return Model(
+        channels=tuple(Channel(f"{n}{d}", n, d) for n in nodes for d in "xy"),
+        band=(50.0, 2000.0),
+        shaft=shaft,  # type: ignore[arg-type]
+        mass={"disc": 0.515, "bearing1": 0.245, "bearing2": 0.22},
+        shaft_stiffness=155e3,
+        shaft_damping=0.5,
+        linear={f"{n}.{d}": {k: Setting(v) for k, v in values.items()} for n in nodes for d in "xy"},
+    )
+
+
+def test_paper_modes() -> None:
+    found = modes(PAPER_MASS, shaft_matrix("chain", 1.0))
+    assert found.p == pytest.approx([0.0, 4.29974359569, 8.21083874846], rel=1e-10, abs=1e-12)
+    printed = np.array([[1.0, 1.0], [-18.71356202, 18.49919407], [-0.98847879, -1.24010316]])
+    np.testing.assert_allclose(found.shapes[:2].T, printed, rtol=1e-8)
+    assert found.mass == pytest.approx([0.98, 161.6018, 1.0927], rel=2e-5)  # to the digits printed
+
+
+@pytest.mark.parametrize("shaft", ["chain", "beam", "none"])
+def test_modes_solve_the_generalised_eigenproblem(shaft: str) -> None:
+    rig = assemble(small_rig(shaft))
+    keep = [i for i, d in enumerate(rig.dofs) if d.endswith("x")]
+    M, K = rig.M[np.ix_(keep, keep)], rig.K[np.ix_(keep, keep)]
+    found_p = eigh(K, M, eigvals_only=True)
+    if shaft == "none":
+        assert found_p == pytest.approx(sorted(np.diag(K) / np.diag(M)))
+        return
+    found = modes(M, K)
+    assert found.p == pytest.approx(found_p, rel=1e-9)
+    assert M @ found.shapes * found.p == pytest.approx(K @ found.shapes, rel=1e-6, abs=1e-3)
+
+
+def test_a_mode_that_leaves_the_disc_still_cannot_be_normalised_there() -> None:
+    with pytest.raises(ValueError, match="another"):
+        modes(np.eye(3), shaft_matrix("chain", 1.0) + np.diag([1.0, 1.0, 0.0]))
+
+
+def test_chain_and_beam_are_three_nodes_of_the_general_shaft() -> None:
+    EI, span = 100.0, 0.5
+    positions, order = np.array([0.0, span / 2, span]), [0, 2, 1]
+    free = lumped_shaft(positions, EI)[np.ix_(order, order)]
+    held = lumped_shaft(positions, EI, "held")[np.ix_(order, order)]
+    assert free == pytest.approx(shaft_matrix("beam", 12 * EI / span**3))
+    assert held == pytest.approx(shaft_matrix("chain", 12 * EI / (span / 2) ** 3))
+
+
+def test_free_shaft_of_many_discs_costs_nothing_rigidly_and_bends_as_a_simple_beam() -> None:
+    EI, z = 80.0, np.array([0.0, 0.1, 0.25, 0.4, 0.6])
+    K = lumped_shaft(z, EI)
+    assert K @ np.ones(5) == pytest.approx(np.zeros(5), abs=1e-6 * K.max())
+    assert K @ z == pytest.approx(np.zeros(5), abs=1e-6 * K.max())
+    # simply supported, one force P at a: w(a) = P a^2 b^2 / (3 EI L) (Euler-Bernoulli, any textbook)
+    inner = np.linalg.inv(K[1:4, 1:4])
+    for i, a in enumerate(z[1:4]):
+        assert inner[i, i] == pytest.approx(a**2 * (0.6 - a) ** 2 / (3 * EI * 0.6))
+
+
+@pytest.mark.parametrize(("shaft", "factor"), [("chain", 2.0), ("beam", 4.0)])
+def test_disc_elimination_is_exact(shaft: str, factor: float) -> None:
+    w = 2 * np.pi * np.array([0.0, 35.0, 120.0, 1100.0, 8000.0])
+    ks, cs, m3 = 155e3, 0.5, 0.515
+    caps, disc = shaft_at_caps(shaft, ks, cs, m3, w)  # type: ignore[arg-type]
+    full = dynamic_stiffness(np.diag([0, 0, m3]), shaft_matrix(shaft, cs), shaft_matrix(shaft, ks), w)  # type: ignore[arg-type]
+    for f in range(w.size):
+        x = np.array([1.0, -0.3])
+        x3 = disc[f] @ x
+        force = full[f] @ np.array([*x, x3])
+        assert force[2] == pytest.approx(0.0, abs=1e-6 * ks)
+        assert force[:2] == pytest.approx(caps[f] @ x, rel=1e-9)
+    kc = ks + 1j * w * cs
+    if shaft == "chain":
+        assert caps[:, 0, 1] == pytest.approx(-(kc**2) / (factor * kc - m3 * w**2))
+        assert caps[0] == pytest.approx(ks / 2 * np.array([[1, -1], [-1, 1]]))  # what is left at zero frequency
+    else:
+        assert np.abs(caps[0]).max() < 1e-6 * ks
+    assert not shaft_at_caps("none", ks, cs, m3, w)[0].any()
+
+
+def test_linear_covariance_against_the_integral_of_the_response() -> None:
+    rig = assemble(small_rig())
+    Q = np.diag(rig.S / 2)
+    P = linear_covariance(rig.M, rig.C, rig.K, Q)
+    keep = [0, 1, 2]
+    M, C, K = (A[np.ix_(keep, keep)] for A in (rig.M, rig.C, rig.K))
+
+    def power(w: float) -> np.ndarray:
+        H = np.linalg.inv(dynamic_stiffness(M, C, K, np.array([w]))[0])
+        return np.real(H @ Q[:3, :3] @ H.conj().T) / np.pi
+
+    peaks = np.sqrt(eigh(K, M, eigvals_only=True))
+    total = quad_vec(power, 0.0, 5e5, points=peaks, limit=2000, epsrel=1e-7)[0]
+    assert P[:3, :3] == pytest.approx(total, rel=1e-4)
+    assert P[:6, 6:] == pytest.approx(-P[:6, 6:].T, abs=1e-9 * np.sqrt(P[0, 0] * P[6, 6]))  # E[x v'] antisymmetric
+
+
+def test_one_bearing_has_the_textbook_variance() -> None:
+    rig = assemble(small_rig("none", ("bearing1",)))
+    P = linear_covariance(rig.M, rig.C, rig.K, np.diag(rig.S / 2))
+    assert P[0, 0] == pytest.approx(1e-4 / (4 * 40.0 * 1e6))  # S / (4 c k)
+    assert P[2, 2] == pytest.approx(1e-4 / (4 * 40.0 * 0.245))
+
+
+def test_equipartition_exactly_when_noise_matches_damping() -> None:
+    rig = assemble(small_rig())
+    assert not stationarity(small_rig()).exact  # the shaft is damped and not driven
+    C = np.diag([40.0, 60.0, 0.0])
+    M, K = rig.M[:3, :3], rig.K[:3, :3]
+    T = 3e-7
+    P = linear_covariance(M, C, K, 2 * T * C)
+    assert np.diag(M) * np.diag(P)[3:] == pytest.approx(np.full(3, T), rel=1e-6)
+    assert P[:3, :3] == pytest.approx(T * np.linalg.inv(K), rel=1e-5)
+
+
+def test_stationary_condition_is_reported() -> None:
+    from dataclasses import replace
+
+    exact = replace(small_rig(), shaft_damping=0.0)
+    report = stationarity(exact)
+    assert report.exact
+    assert report.temperature == pytest.approx(1e-4 / (4 * 40.0))
+    cubic = EffectUse("cubic", {"bearing1.x": {"kNL": Setting(1e15)}})
+    assert stationarity(replace(exact, effects=(cubic,))).exact
+    doubled = {**exact.linear["bearing1.x"], "c": Setting(80.0)}
+    unequal = replace(exact, linear={**exact.linear, "bearing1.x": doubled})
+    assert stationarity(unequal).mismatch > 0.1
+    assert stationarity(unequal).by_dof["bearing1.x"] == pytest.approx(0.5 * report.temperature)
+
+
+def test_propagator_is_the_exact_flow() -> None:
+    from scipy.integrate import solve_ivp
+
+    rig = assemble(small_rig())
+    n, dt = len(rig.dofs), 1e-4
+    rng = np.random.default_rng(1)
+    g0, g1, u0 = rng.normal(size=n), rng.normal(size=n), rng.normal(size=2 * n) * 1e-6
+
+    def flow(t: float, u: np.ndarray) -> np.ndarray:
+        g = g0 + (g1 - g0) * t / dt
+        return np.concatenate([u[n:], np.linalg.solve(rig.M, g - rig.K @ u[:n] - rig.C @ u[n:])])
+
+    truth = solve_ivp(flow, (0, dt), u0, rtol=1e-11, atol=1e-18).y[:, -1]
+    E, G0, G1 = propagator(rig.M, rig.C, rig.K, dt)
+    assert E @ u0 + G0 @ g0 + G1 @ (g1 - g0) == pytest.approx(truth, rel=1e-8)
+
+
+def test_what_is_missing_is_named() -> None:
+    from dataclasses import replace
+
+    rig = small_rig()
+    linear = {**rig.linear, "bearing1.y": {"kL": Setting(1e6), "S": Setting(1e-4)}}
+    lacking = replace(rig, mass={"bearing1": 0.2, "bearing2": 0.2}, linear=linear)
+    with pytest.raises(ModelError, match=r"mass of disc.*bearing1\.y\.c"):
+        assemble(lacking)
+    with pytest.raises(ModelError, match="two bearings"):
+        assemble(small_rig("chain", ("bearing2",)))
+    with pytest.raises(ModelError, match="does not decay"):
+        linear_covariance(np.eye(1), np.zeros((1, 1)), np.eye(1), np.eye(1))
