@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
-from drivers.reading import Info, LinkStats, Reading
+from drivers.reading import Info, LinkStats, Notice, Reading
 from estimator.estimate import Estimate
 from estimator.model import Model
 
@@ -53,3 +53,19 @@ class Sink(Protocol):
     def estimate(self, estimate: Estimate) -> None: ...
     def status(self, status: Status) -> None: ...
     def close(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class SinkHealth:
+    """How a sink with a thread of its own is doing. dropped : samples not taken so far; notices : new ones."""
+
+    lag_s: float
+    dropped: int
+    notices: tuple[Notice, ...] = ()
+
+
+@runtime_checkable
+class Reporting(Protocol):
+    """What a sink with a thread of its own has besides the methods of `Sink`; asked from the core loop, often."""
+
+    def health(self) -> SinkHealth: ...

@@ -1,0 +1,238 @@
+"""The MCAP sink: takes what the core loop says without ever making it wait, and writes from a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+
+from drivers.reading import Block, Gap, Notice, Reading
+from estimator.estimate import Estimate
+
+from .clock import Clock, SystemClock
+from .log_encoder import LogEncoder
+from .log_file import LogFile
+from .sink import Session, SinkHealth, Status
+
+FLUSH_NS = 400_000_000  # a chunk ends and reaches the operating system this often: kill -9 costs less than 1 s
+SYNC_NS = 1_000_000_000  # and the disk itself this often: a power cut costs about 2 s
+RETRY_NS = 500_000_000
+GIVE_UP_NS = 1_000_000_000
+SMALL = 2048  # about what an estimate, a status or a notice takes
+
+Item = Session | Reading | Estimate | Status
+
+
+class LogWriter:
+    """The log at `path`. Raises LogError at once if it cannot be created.
+
+    live : acquisition must not wait. What waits for the disk is bounded by `limit_bytes`; beyond it the newest samples
+        are not stored, and a Gap of reason "storage" says which. False: the caller waits instead (import, recover).
+    A full or failing disk is tried again every 0.5 s and the same file goes on when it recovers. A file that was
+    removed, alone or with its folder, is put back with all its bytes. `health` tells the operator.
+    """
+
+    def __init__(
+        self, path: str | Path, *, live: bool = True, limit_bytes: int = 64 << 20, clock: Clock | None = None
+    ) -> None:
+        self._clock: Clock = clock or SystemClock()
+        self._file = LogFile(Path(path))
+        self._encoder = LogEncoder(self._file)
+        self._live = live
+        self._limit = limit_bytes
+        self._changed = threading.Condition()
+        self._queue: deque[Item] = deque()
+        self._queued = 0  # bytes
+        self._lost: Gap | None = None  # not yet told to the log
+        self._dropped = 0
+        self._notices: list[Notice] = []
+        self._closing = self._abandoned = False
+        self._progress = 0
+        self._behind_since_ns: int | None = None
+        self._problem = ""
+        self._thread = threading.Thread(target=self._run, name=f"log {path}", daemon=True)
+        self._thread.start()
+
+    @property
+    def path(self) -> Path:
+        """Where the log is; another name than asked for only if that was taken after a removal."""
+        return self._file.path
+
+    # -- core loop ------------------------------------------------------------------------------------------------
+
+    def start(self, session: Session) -> None:
+        self._put(session, sum(map(len, session.attachments.values())))
+
+    def readings(self, batch: Sequence[Reading]) -> None:
+        for reading in batch:
+            self._put(reading, reading.counts.nbytes if isinstance(reading, Block) else SMALL)
+
+    def estimate(self, estimate: Estimate) -> None:
+        self._put(estimate, SMALL)
+
+    def status(self, status: Status) -> None:
+        self._put(status, SMALL)
+
+    def health(self) -> SinkHealth:
+        """What the operator should know since the last call."""
+        with self._changed:
+            notices, self._notices = tuple(self._notices), []
+            behind = self._behind_since_ns
+        lag_s = 0.0 if behind is None else (self._clock.now_ns() - behind) / 1e9
+        return SinkHealth(lag_s, self._dropped, notices)
+
+    def close(self) -> None:
+        """Complete the log. Gives up, and says so in `health`, if the disk makes no progress for a second."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        seen, since = -1, self._clock.now_ns()
+        while self._thread.is_alive():
+            self._thread.join(0.05)
+            if self._progress != seen:
+                seen, since = self._progress, self._clock.now_ns()
+            elif self._live and self._clock.now_ns() - since > GIVE_UP_NS:
+                self._abandoned = True
+                self._tell("error", "log_incomplete", f"{self.path} could not be completed: {self._problem or 'stalled'}")
+                return
+
+    def _put(self, item: Item, size: int) -> None:
+        with self._changed:
+            if self._closing:
+                return
+            if not self._live:
+                self._changed.wait_for(lambda: self._queued < self._limit or not self._thread.is_alive())
+            room = self._limit if isinstance(item, Block) else self._limit + self._limit // 8
+            full = self._live and self._queued and self._queued + size > room
+            if full or not self._thread.is_alive():
+                self._drop(item)
+                return
+            if isinstance(item, Block):
+                self._record_lost()
+            self._queue.append(item)
+            self._queued += size
+            self._changed.notify_all()
+
+    def _drop(self, item: Item) -> None:
+        if not isinstance(item, Block):
+            return
+        lost = self._lost
+        if lost is None:
+            self._note("error", "log_overflow", f"{self.path}: the disk is too slow; samples from {item.index} are not stored")
+            lost = Gap(item.index, 0, "storage")
+        self._lost = Gap(lost.index, item.index + len(item.counts) - lost.index, "storage")
+        self._dropped += len(item.counts)
+
+    def _record_lost(self) -> None:
+        if self._lost is not None:
+            self._queue.append(self._lost)
+            text = f"{self.path}: storing again; {self._lost.count} samples from {self._lost.index} were not stored"
+            self._lost = None
+            self._note("warning", "log_resumed", text)
+
+    # -- writer thread --------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            self._loop()
+        except Exception as error:  # a defect here must not stop acquisition
+            self._tell("error", "log_failed", f"{self.path}: the log has stopped: {error!r}")
+
+    def _loop(self) -> None:
+        flush_ns = sync_ns = self._clock.now_ns()
+        while True:
+            due = flush_ns + FLUSH_NS - self._clock.now_ns()
+            items, closing = self._take(max(due, 0) / 1e9)
+            for item in items:
+                self._encode(item)
+            self._progress += len(items)
+            now = self._clock.now_ns()
+            if closing and not items:
+                break
+            if now - flush_ns >= FLUSH_NS:
+                self._encoder.flush()
+                flush_ns = now
+                self._look_after_file()
+            self._push(sync=now - sync_ns >= SYNC_NS)
+            sync_ns = now if now - sync_ns >= SYNC_NS else sync_ns
+        self._encoder.finish()
+        self._look_after_file()
+        while not self._push(sync=True) and not self._abandoned:
+            self._sleep(RETRY_NS)
+        self._file.close()
+
+    def _take(self, timeout_s: float) -> tuple[list[Item], bool]:
+        """What waits, once the disk has room for it."""
+        with self._changed:
+            if not self._queue and not self._closing:
+                self._changed.wait(timeout_s)
+            if self._file.pending > self._limit // 4 and not self._closing:
+                return [], False
+            if self._closing:
+                self._record_lost()
+            items = list(self._queue)
+            self._queue.clear()
+            self._queued = 0
+            self._behind_since_ns = self._behind_since_ns or (self._clock.now_ns() if items else None)
+            self._changed.notify_all()
+            return items, self._closing
+
+    def _encode(self, item: Item) -> None:
+        if isinstance(item, Session):
+            self._encoder.start(item, self._clock.wall_offset_ns())
+        elif isinstance(item, Estimate):
+            self._encoder.estimate(item)
+        elif isinstance(item, Status):
+            self._encoder.status(item)
+        else:
+            self._encoder.reading(item)
+
+    def _push(self, sync: bool) -> bool:
+        """Bytes to the disk; True if none are left."""
+        before = self._file.pending
+        try:
+            self._file.push()
+            if sync:
+                self._file.sync()
+        except OSError as error:
+            self._fault(f"{error.strerror or error}")
+            if not self._closing:
+                self._sleep(RETRY_NS)
+            return False
+        if before:
+            self._progress += 1
+            self._behind_since_ns = None
+        self._well()
+        return True
+
+    def _look_after_file(self) -> None:
+        if not self._file.removed:
+            return
+        try:
+            path = self._file.restore()
+        except OSError as error:
+            self._fault(f"removed, and cannot be put back: {error.strerror or error}")
+        else:
+            self._tell("warning", "log_restored", f"the log was removed; it is back, whole, as {path}")
+
+    def _fault(self, problem: str) -> None:
+        if problem != self._problem:
+            self._problem = problem
+            self._tell("error", "log_fault", f"{self.path}: {problem}; acquisition goes on, make room or reconnect the disk")
+
+    def _well(self) -> None:
+        if self._problem and not self._file.removed:
+            self._problem = ""
+            self._tell("info", "log_recovered", f"{self.path}: written again")
+
+    def _sleep(self, ns: int) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: False, ns / 1e9)
+
+    def _tell(self, level: str, code: str, text: str) -> None:
+        with self._changed:
+            self._note(level, code, text)
+
+    def _note(self, level: str, code: str, text: str) -> None:
+        self._notices.append(Notice(self._clock.now_ns(), level, code, text))
