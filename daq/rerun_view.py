@@ -1,0 +1,369 @@
+"""A session drawn in a Rerun recording: readings, estimates and status in, entities on two time lines out.
+
+Knows nothing of queues, files or viewers; the recording stream may be anything, and whoever calls may be blocked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.reading import Block, Gap, Info, Notice, Reading, Signal
+from estimator.estimate import Estimate
+
+from . import rerun_plane as plane
+from .rerun_layout import BAD, DEVICE_TIME, GOOD, HOST_TIME, IDLE, colour, layout
+from .rerun_signal import INTEGRATIONS, displacement, envelope, spectrum
+from .sink import ClockState, Status
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+Array = NDArray[np.float64]
+PREVIEW_HZ = 500.0  # rows a second of a waveform, two of them a bin; slower signals are shown whole
+ROWS = 64  # a call to the recording: 50 to 100 times cheaper than one row each
+TAIL_S = 1.0  # of signal behind each spectrum and orbit
+SCOPE_S = 0.02
+ORBIT_S = 0.06
+LEVELS = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
+
+
+@dataclass(frozen=True, slots=True)
+class ViewSession:
+    """What the view is told first. places : channel -> ("bearing1.x", kind); wall_ns : wall minus monotonic clock."""
+
+    name: str
+    recording_id: str
+    info: Info
+    places: Mapping[str, tuple[str, str]]
+    band: tuple[float, float]
+    wall_ns: int
+    rig: str = ""
+    facts: Mapping[str, str] = field(default_factory=dict)
+
+
+class RerunView:
+    """Draws one session. `take` in the order of the data, `close` at its end."""
+
+    def __init__(self, recording: rr.RecordingStream, session: ViewSession) -> None:
+        import rerun as rr
+
+        self._rr, self._to, self._session = rr, recording, session
+        self._clock: ClockState | None = None
+        self._anchor = (0, 0)  # index, host monotonic ns: until the clock is known
+        self._index = 0  # the next sample expected
+        self._drawn = 0.0  # device time of the last spectrum, s
+        self._planes: dict[str, plane.Plane] = {}
+        self._exponents: dict[str, int] = {}
+        self._kinds: dict[str, str] = {}  # of parameters, for the layout
+        self._missing_force = False
+        self._states: dict[str, str] = {}
+        self._begin(session.info)
+        self._to.send_recording_name(session.name)
+        self._text("rig", session.rig, "\n".join(f"- {k}: {v}" for k, v in session.facts.items()))
+        for lane, good in (("link", "receiving"), ("sensors", "in range"), ("estimator", "ok")):
+            self._lane(lane, good)
+        self._state("link", "waiting")
+
+    def take(self, item: Reading | Estimate | Status) -> None:
+        """Draw one thing. Block and Gap in the order of their indices."""
+        match item:
+            case Block():
+                self._block(item)
+            case Gap():
+                self._gap(item)
+            case Notice():
+                self._at(self._index, item.t_host_ns)
+                self._say(LEVELS.get(item.level, "INFO"), f"{item.code}: {item.text}")
+                if item.code == "silent":
+                    self._state("link", "silent")
+            case Info():
+                if item != self._info:
+                    self._flush()
+                    self._begin(item)
+                    self._say("INFO", f"device {item.serial_number or 'without a number'}, {item.rate_hz:g} Hz")
+            case Estimate():
+                self._estimate(item)
+            case Status():
+                self._status(item)
+
+    def close(self) -> None:
+        self._flush()
+        self._say("INFO", "end of the session")
+
+    # ---- time
+
+    def _host_ns(self, index: NDArray[np.int64] | int) -> NDArray[np.int64]:
+        """Wall clock of a device index."""
+        if self._clock is not None:
+            t = self._clock.offset_ns + np.asarray(index) * (1e9 / self._clock.rate_hz)
+        else:
+            t = self._anchor[1] + (np.asarray(index) - self._anchor[0]) * (1e9 / self._info.rate_hz)
+        return np.asarray(t).astype(np.int64) + self._session.wall_ns
+
+    def _columns(self, index: NDArray[np.int64]) -> list[rr.TimeColumn]:
+        host = self._host_ns(index).astype("datetime64[ns]")
+        return [
+            self._rr.TimeColumn(DEVICE_TIME, duration=index / self._info.rate_hz),
+            self._rr.TimeColumn(HOST_TIME, timestamp=host),
+        ]
+
+    def _at(self, index: int, host_ns: int | None = None) -> None:
+        """Set the time of what is logged next."""
+        wall = int(self._host_ns(index)) if host_ns is None else host_ns + self._session.wall_ns
+        self._to.set_time(DEVICE_TIME, duration=index / self._info.rate_hz)
+        self._to.set_time(HOST_TIME, timestamp=np.datetime64(wall, "ns"))
+
+    # ---- signals
+
+    def _begin(self, info: Info) -> None:
+        """Take a (new) description of the device."""
+        rr = self._rr
+        self._info = info
+        self._signals: tuple[Signal, ...] = info.signals
+        self._scale = np.array([s.scale for s in info.signals])
+        self._offset = np.array([s.offset for s in info.signals])
+        self._units = list(dict.fromkeys(s.unit for s in info.signals))
+        self._full = 2 ** (info.count_bits - 1) - 1
+        self._width = max(1, round(2 * info.rate_hz / PREVIEW_HZ))
+        self._enough = max(self._width * ROWS // 2, round(info.rate_hz / 4)) if self._width > 1 else ROWS
+        self._pending: list[Block] = []
+        self._held = 0
+        self._tail = np.full((max(64, round(TAIL_S * info.rate_hz)), len(info.signals)), np.nan)
+        for k, signal in enumerate(info.signals):
+            style = rr.SeriesLines(colors=[colour(k)], names=signal.name, widths=1.0, aggregation_policy="MinMax")
+            self._to.log(self._path(k), style, static=True)
+        self._pairs = self._orbits()
+        self._lay_out()
+
+    def _path(self, k: int) -> str:
+        return f"waveform/{self._units.index(self._signals[k].unit)}/{self._signals[k].name}"
+
+    def _orbits(self) -> dict[str, tuple[int, int, str]]:
+        """Bearing -> columns of its x and y of the same kind."""
+        found: dict[str, dict[str, tuple[int, str]]] = {}
+        for k, signal in enumerate(self._signals):
+            place, kind = self._session.places.get(signal.name, ("", ""))
+            node, _, direction = place.partition(".")
+            if kind in INTEGRATIONS:
+                found.setdefault(node, {}).setdefault(direction, (k, kind))
+        return {
+            node: (d["x"][0], d["y"][0], d["x"][1])
+            for node, d in found.items()
+            if "x" in d and "y" in d and d["x"][1] == d["y"][1]
+        }
+
+    def _lay_out(self) -> None:
+        kinds = {kind: self._kinds[kind] for kind in sorted(self._kinds)}
+        self._to.send_blueprint(layout(self._units, list(self._pairs), kinds, self._missing_force))
+
+    def _block(self, block: Block) -> None:
+        n = len(block.counts)
+        if not n or block.counts.shape[1] != len(self._signals):
+            return
+        if self._anchor == (0, 0):
+            self._anchor = (block.index + n, block.t_host_ns)
+        if block.index != self._index and self._held:
+            self._flush()
+        self._skip(block.index - self._index)
+        self._pending.append(block)
+        self._held += n
+        self._index = block.index + n
+        self._state("link", "receiving", block.index)
+        if self._held >= self._enough:
+            self._flush()
+
+    def _gap(self, gap: Gap) -> None:
+        self._flush()
+        nothing = np.full(1, np.nan)
+        at = np.array([gap.index], np.int64)
+        for k in range(len(self._signals)):
+            self._send(self._path(k), at, self._rr.Scalars.columns(scalars=nothing))
+        self._state("link", f"gap: {gap.reason}", gap.index)
+        self._say("WARN", f"gap: {gap.count} samples lost from index {gap.index} ({gap.reason})")
+        if gap.index + gap.count > self._index:
+            self._skip(gap.index + gap.count - self._index)
+            self._index = gap.index + gap.count
+
+    def _skip(self, count: int) -> None:
+        """Samples that will not come are NaN rows of the tail, not a shift."""
+        if count > 0:
+            self._push(np.full((min(count, len(self._tail)), len(self._signals)), np.nan))
+
+    def _push(self, y: Array) -> None:
+        y = y[-len(self._tail) :]
+        self._tail = np.concatenate([self._tail[len(y) :], y])
+
+    def _flush(self) -> None:
+        if not self._pending:
+            return
+        blocks, self._pending, self._held = self._pending, [], 0
+        counts = np.concatenate([b.counts for b in blocks])
+        at, rows = envelope(blocks[0].index, counts, self._width)
+        values = rows * self._scale + self._offset
+        for k in range(len(self._signals)):
+            self._send(self._path(k), at, self._rr.Scalars.columns(scalars=values[:, k]))
+        clipped = [
+            s.name for s, hit in zip(self._signals, (np.abs(rows) >= self._full).any(axis=0), strict=True) if hit
+        ]
+        self._state("sensors", "clipped: " + " ".join(clipped) if clipped else "in range", blocks[0].index)
+        self._push(counts * self._scale + self._offset)
+        now = self._index / self._info.rate_hz
+        if now - self._drawn >= TAIL_S:
+            self._drawn = now
+            self._at(self._index)
+            self._planes_of_tail()
+
+    def _send(self, path: str, at: NDArray[np.int64], columns: Any) -> None:
+        self._rr.send_columns(path, self._columns(at), columns, recording=self._to)
+
+    # ---- planes: spectra, scope, orbits
+
+    def _planes_of_tail(self) -> None:
+        rate = self._info.rate_hz
+        found = spectrum(self._tail, rate)
+        last = self._tail[-max(16, round(SCOPE_S * rate)) :]
+        ms = np.arange(len(last)) / rate * 1e3
+        for u, unit in enumerate(self._units):
+            members = [k for k, s in enumerate(self._signals) if s.unit == unit]
+            if found is not None:
+                f, power = found[0], found[1][:, members]
+                x = plane.Axis(float(f[0]), float(f[-1]), "frequency, Hz", log=True)
+                y = self._log_axis(f"spectrum/{u}", power, f"({unit})²/Hz")
+                frame = plane.Plane(x, y)
+                self._draw(f"spectrum/{u}", frame, [(f, power[:, j], colour(k)) for j, k in enumerate(members)])
+            if np.isfinite(last[:, members]).any():
+                y = self._linear_axis(f"scope/{u}", last[:, members], unit)
+                frame = plane.Plane(plane.Axis(0, float(ms[-1]), "time, ms"), y)
+                self._draw(f"scope/{u}", frame, [(ms, last[:, k], colour(k)) for k in members])
+        if np.isfinite(self._tail).all():
+            for b, (bearing, (i, j, kind)) in enumerate(self._pairs.items()):
+                self._orbit(b, bearing, self._tail[:, [i, j]], kind)
+
+    def _orbit(self, b: int, bearing: str, y: Array, kind: str) -> None:
+        rate = self._info.rate_hz
+        low, high = self._session.band
+        q = displacement(y, kind, rate, (low, min(high, 0.45 * rate)))
+        keep = slice(len(q) // 2, len(q) // 2 + max(16, round(ORBIT_S * rate)))
+        q = q[keep] * 1e9
+        side = self._linear_axis(f"orbit/{bearing}", q, "y, nm")
+        x = plane.Axis(side.low, side.high, "")
+        self._draw(f"orbit/{bearing}", plane.Plane(x, side, plane.HEIGHT), [(q[:, 0], q[:, 1], colour(b))])
+
+    def _log_axis(self, path: str, values: Array, label: str) -> plane.Axis:
+        """Decades that hold the values, and those held before."""
+        low, high = plane.decades(values)
+        old = self._planes.get(path)
+        if old is not None:
+            high = max(high, old.y.high)
+            low = max(min(low, old.y.low), high / 1e8)
+        return plane.Axis(low, high, label, log=True)
+
+    def _linear_axis(self, path: str, values: Array, label: str) -> plane.Axis:
+        """A symmetric range that holds the values; kept while they fill more than a fifth of it."""
+        peak = float(np.nanmax(np.abs(values))) or 1.0
+        old = self._planes.get(path)
+        high = old.y.high if old is not None else 0.0
+        if peak > high or peak < 0.2 * high:
+            high = plane.nice_step(peak)
+        return plane.Axis(-high, high, label)
+
+    def _draw(self, path: str, frame: plane.Plane, series: Sequence[tuple[Array, Array, tuple[int, int, int]]]) -> None:
+        if self._planes.get(path) != frame:
+            self._planes[path] = frame
+            for name, part in frame.frame():
+                self._to.log(f"{path}/{name}", part)
+        self._to.log(f"{path}/curves", plane.curves(frame, series))
+
+    # ---- estimates
+
+    def _estimate(self, estimate: Estimate) -> None:
+        rr = self._rr
+        self._at(estimate.index)
+        new = False
+        for name, p in estimate.parameters.items():
+            place, kind = ".".join(name.split(".")[:2]), ".".join(name.split(".")[2:]) or name
+            if p.value is None and kind not in self._exponents:
+                continue  # nothing to choose a scale by
+            exponent = self._exponents.setdefault(kind, engineering(p.value or 1.0))
+            if kind not in self._kinds:
+                new = True
+                self._kinds[kind] = f"{kind}  [{'' if not exponent else f'1e{exponent} '}{p.unit}]  ± 1 sd"
+            scale = 10.0**-exponent
+            value = math.nan if p.value is None else p.value * scale
+            sd = math.nan if p.sd is None else p.sd * scale
+            band = rr.Measurements(values=[value], variances=[sd * sd], names=[place], colors=[self._tint(place)])
+            self._to.log(f"estimate/{kind}/{place}", band)
+        for name, extra in (estimate.extra or {}).items():
+            if name.startswith("missing_force"):
+                new |= not self._missing_force
+                self._missing_force = True
+                self._to.log(f"missing_force/{name}", rr.Scalars(extra))
+        self._state("estimator", estimate.status, estimate.index)
+        if new:
+            self._lay_out()
+
+    def _tint(self, place: str) -> tuple[int, int, int]:
+        """The colour of the channel at that place."""
+        for k, signal in enumerate(self._signals):
+            if self._session.places.get(signal.name, ("", ""))[0] == place:
+                return colour(k)
+        return colour(len(self._signals))
+
+    # ---- status, lanes, log
+
+    def _status(self, status: Status) -> None:
+        self._flush()
+        if status.clock is not None:
+            self._clock = status.clock
+        self._at(status.index, status.t_host_ns)
+        link = status.link
+        lost = {
+            "lost samples": link.lost_samples,
+            "CRC errors": link.crc_errors,
+            "resynchronisations": link.resyncs,
+            "duplicates": link.duplicates,
+            "restarts": link.restarts,
+            "reconnects": link.reconnects,
+        } | {f"dropped by {name}": count for name, count in status.dropped.items()}
+        self._scalars("health/lost", lost)
+        self._scalars("health/lag", status.lag_s)
+        if status.clock is not None:
+            bound_us = status.clock.bound_ns / 1e3
+            self._scalars("health/clock", {"drift, ppm": status.clock.drift_ppm, "bound, us": bound_us})
+
+    def _scalars(self, path: str, values: Mapping[str, float]) -> None:
+        for k, (name, value) in enumerate(values.items()):
+            entity = f"{path}/{self._rr.escape_entity_path_part(name)}"
+            style = self._rr.SeriesLines(names=name, colors=[colour(k)])
+            self._to.log(entity, self._rr.Scalars(float(value)), style)
+
+    def _lane(self, lane: str, good: str) -> None:
+        values = [good, "waiting", "warming up", "silent", *(f"gap: {r}" for r in ("sequence", "crc", "device_lost"))]
+        colours = [GOOD, IDLE, IDLE, BAD, BAD, BAD, BAD]
+        style = self._rr.StateConfiguration(values=values, colors=colours)
+        self._to.log(f"state/{lane}", style, static=True)
+
+    def _state(self, lane: str, state: str, index: int | None = None) -> None:
+        if self._states.get(lane) != state:
+            self._states[lane] = state
+            self._at(self._index if index is None else index)
+            self._to.log(f"state/{lane}", self._rr.StateChange(state=state))
+
+    def _say(self, level: str, text: str) -> None:
+        self._to.log("log", self._rr.TextLog(text, level=level))
+
+    def _text(self, path: str, *parts: str) -> None:
+        body = "\n\n".join(f"```\n{part}\n```" if k == 0 else part for k, part in enumerate(parts) if part)
+        document = self._rr.TextDocument(body, media_type=self._rr.MediaType.MARKDOWN)
+        self._to.log(path, document, static=True)
+
+
+def engineering(value: float) -> int:
+    """The power of ten, a multiple of 3, that leaves 1 to 1000 of `value`."""
+    return 0 if not value else 3 * math.floor(math.log10(abs(value)) / 3)

@@ -1,0 +1,219 @@
+"""The Rerun sink with real files, ports, black holes and viewers that are killed."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import subprocess
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from daq.errors import ConfigError
+from daq.rerun_sink import RerunSink
+from daq.sink import ClockState, Session, Status
+from drivers.reading import Block, Gap, Info, LinkStats, Notice, Signal
+from estimator.estimate import Estimate, Parameter
+from estimator.model import Channel, Model
+
+RATE = 25600.0
+NAMES = ("b1x", "b1y", "b2x", "b2y")
+SCALE = 0.015
+
+
+def session() -> Session:
+    channels = tuple(Channel(n, f"bearing{n[1]}", n[2]) for n in NAMES)
+    info = Info(tuple(Signal(n, "m/s^2", SCALE) for n in NAMES), RATE, "SN 1")
+    model = Model(channels, (150.0, 8000.0), name="rig")
+    return Session(model, info, "", {"rig.toml": b"schema = 1\n"}, {"rotorscope": "test"})
+
+
+def feed(sink: RerunSink, seconds: float, start: float = 0.0, pace: float = 0.0) -> float:
+    """Blocks, estimates and statuses as of a core loop; the longest call in seconds. pace : s of sleep per block."""
+    rng = np.random.default_rng(1)
+    counts = np.round(rng.normal(size=(256, 4)) * 300).astype(np.int32)
+    t0 = time.monotonic_ns()
+    longest = 0.0
+    for k in range(round(start * RATE / 256), round((start + seconds) * RATE / 256)):
+        index = 256 * k
+        before = time.perf_counter()
+        sink.readings([Block(index, counts, t0 + int(index / RATE * 1e9))])
+        longest = max(longest, time.perf_counter() - before)
+        if k % 10 == 0:
+            known = {f"bearing1.{d}.kL": Parameter(1e7, 1e5, "N/m") for d in "xy"}
+            known["bearing1.x.cubic.kNL"] = Parameter(None, None, "N/m^3", False, "too little motion")
+            sink.estimate(Estimate(index, known, 1000.0, extra={"missing_force_percent": 1.5}))
+        if k % 100 == 0:
+            clock = ClockState(t0, RATE, 20.0, 15_000)
+            with contextlib.suppress(ConnectionError):
+                sink.status(Status(t0 + int(index / RATE * 1e9), index, RATE, LinkStats(), clock, {"estimator": 0.01}))
+        if pace:
+            time.sleep(pace)
+    return longest
+
+
+def wait(condition: Callable[[], object], seconds: float) -> bool:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if condition():
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def entities(path: Path) -> dict[str, int]:
+    """Rows of every entity of a recording, from Rerun's own reader."""
+    from rerun.chunk import RrdReader
+    from rerun.error_utils import RerunWarning
+
+    rows: dict[str, int] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RerunWarning)  # a receiver that is killed writes no footer
+        reader = RrdReader(str(path))
+    for chunk in reader.stream():
+        rows[chunk.entity_path.lstrip("/")] = rows.get(chunk.entity_path.lstrip("/"), 0) + chunk.num_rows
+    return rows
+
+
+def binary() -> str:
+    package = find_spec("rerun_cli")
+    assert package is not None
+    assert package.origin is not None
+    return str(Path(package.origin).with_name("rerun"))
+
+
+def free_port() -> int:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+@contextlib.contextmanager
+def viewer(port: int, save: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A real gRPC receiver of Rerun that writes what it gets into a file."""
+    command = [binary(), "--save", str(save), "--bind", "127.0.0.1", "--port", str(port)]
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    def listening() -> bool:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 0.2):
+            return True
+        return False
+
+    assert wait(listening, 20)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_file_has_everything(tmp_path: Path) -> None:
+    out = tmp_path / "session.rrd"
+    sink = RerunSink(str(out))
+    sink.start(session())
+    feed(sink, 1.5)
+    sink.readings([Gap(38400, 2560, "sequence"), Notice(time.monotonic_ns(), "warning", "gap", "lost")])
+    feed(sink, 1.0, start=1.6)
+    sink.close()
+    sink.close()
+    assert sink.dropped == 0
+    rows = entities(out)
+    for name in NAMES:
+        assert rows[f"waveform/0/{name}"] > 500 * 2.4
+    for path in (
+        "spectrum/0/curves", "spectrum/0/grid", "scope/0/curves", "orbit/bearing1/curves", "orbit/bearing2/curves",
+        "estimate/kL/bearing1.x", "missing_force/missing_force_percent", "state/link", "state/sensors",
+        "state/estimator", "log", "rig", "health/clock/drift, ppm", "health/lag/estimator",
+    ):  # fmt: skip
+        assert any(path == p.replace("\\", "") for p in rows), path
+    assert "estimate/cubic.kNL/bearing1.x" not in rows
+
+
+def test_targets() -> None:
+    assert RerunSink("rerun+http://127.0.0.1:9876")._target.endswith("/proxy")
+    for bad in ("a.txt", "http://x", "rerun+http:///proxy", "/no/such/folder/a.rrd"):
+        with pytest.raises(ConfigError, match="--rerun"):
+            RerunSink(bad)
+
+
+def test_closed_port_is_said_once_and_costs_nothing() -> None:
+    sink = RerunSink(f"rerun+http://127.0.0.1:{free_port()}/proxy", capacity_bytes=100_000)
+    sink.start(session())
+    assert wait(lambda: sink._problem, 5)
+    status = Status(0, 0, RATE, LinkStats(), None)
+    with pytest.raises(ConnectionError, match="nothing listens"):
+        sink.status(status)
+    sink.status(status)
+    assert feed(sink, 5.0) < 0.02
+    assert sink.dropped > 400
+    before = time.monotonic()
+    sink.close()
+    assert time.monotonic() - before < 1.5
+
+
+def test_black_hole_never_blocks() -> None:
+    """A port that accepts and then says nothing."""
+    with socket.create_server(("127.0.0.1", 0), backlog=16) as hole:
+        sink = RerunSink(f"rerun+http://127.0.0.1:{hole.getsockname()[1]}/proxy")
+        sink.start(session())
+        assert feed(sink, 3.0, pace=0.01) < 0.05
+        child = sink._process
+        before = time.monotonic()
+        sink.close()
+        assert time.monotonic() - before < 2.5
+        assert child is None or not psutil.pid_exists(child.pid)
+        assert sink.dropped > 0
+
+
+def test_viewer_dies_and_returns(tmp_path: Path) -> None:
+    port = free_port()
+    sink = RerunSink(f"rerun+http://127.0.0.1:{port}/proxy")
+    with viewer(port, tmp_path / "first.rrd"):
+        sink.start(session())
+        assert wait(lambda: sink._process and not sink._queue, 20)
+        feed(sink, 1.0, pace=0.01)
+        assert wait(lambda: not sink._queue, 10)
+    longest = feed(sink, 1.0, start=1.0, pace=0.01)
+    assert wait(lambda: sink._problem, 10), "a dead viewer must be noticed"
+    with viewer(port, tmp_path / "second.rrd") as receiver:
+        assert wait(lambda: sink._problem is None and not sink._queue, 20)
+        longest = max(longest, feed(sink, 2.0, start=2.0, pace=0.01))
+        sink.close()
+        time.sleep(0.5)
+        receiver.terminate()
+        receiver.wait(10)
+    assert longest < 0.05
+    assert entities(tmp_path / "second.rrd")["waveform/0/b1x"] > 500
+
+
+def test_drawing_process_killed_loses_only_a_counted_batch(tmp_path: Path) -> None:
+    sink = RerunSink(str(tmp_path / "a.rrd"))
+    sink.start(session())
+    assert wait(lambda: sink._process, 5)
+    assert sink._process is not None
+    sink._process.kill()
+    assert wait(lambda: sink._problem, 10)
+    feed(sink, 0.5)
+    assert sink.dropped > 50, "all that comes after is counted"
+    sink.close()
+
+
+def test_core_loop_calls_take_microseconds(tmp_path: Path) -> None:
+    sink = RerunSink(str(tmp_path / "a.rrd"))
+    sink.start(session())
+    counts = np.zeros((256, 4), np.int32)
+    took = []
+    for k in range(2000):
+        before = time.perf_counter()
+        sink.readings([Block(256 * k, counts, k)])
+        took.append(time.perf_counter() - before)
+    sink.close()
+    assert np.median(took) < 1e-4
+    assert np.quantile(took, 0.99) < 1e-3
+    assert sink.dropped == 0
