@@ -154,7 +154,7 @@ class RerunSink:
         if url == "spawn":
             url = f"rerun+http://127.0.0.1:{VIEWER_PORT}/proxy"
             if self._window is None and not answers(url):
-                self._window = start_viewer()
+                self._window = start_viewer(VIEWER_PORT)
                 for _ in range(100):
                     if answers(url) or self._closing.wait(0.1) or self._window.poll() is not None:
                         break

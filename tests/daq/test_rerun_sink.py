@@ -142,6 +142,17 @@ def test_targets() -> None:
             RerunSink(bad)
 
 
+def test_spawn_without_a_display_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("daq.rerun_sink.VIEWER_PORT", free_port())
+    sink = RerunSink("spawn")
+    sink.start(session())
+    assert wait(lambda: sink._problem, 20)
+    assert "is there a display" in str(sink._problem)
+    sink.close()
+
+
 def test_closed_port_is_said_once_and_costs_nothing() -> None:
     sink = RerunSink(f"rerun+http://127.0.0.1:{free_port()}/proxy", capacity_bytes=100_000)
     sink.start(session())

@@ -1,0 +1,109 @@
+"""Metrics over a real loopback socket, read with the Prometheus text parser."""
+
+from __future__ import annotations
+
+import urllib.request
+
+import numpy as np
+import psutil
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from daq.errors import ConfigError
+from daq.metrics import MetricsServer, MetricsSink
+from daq.sink import ClockState, Session, Status
+from drivers.reading import Block, Gap, Info, LinkStats, Notice, Signal
+from estimator.estimate import Estimate, Parameter
+from estimator.model import Channel, Model
+
+
+def session(device: str = "") -> Session:
+    info = Info((Signal("b1x", "m/s^2", 0.01),), 25600.0, "SN7")
+    return Session(Model((Channel("b1x", "bearing1", "x"),), (150.0, 8000.0)), info, device, {}, {})
+
+
+def read(server: MetricsServer) -> dict[tuple[str, ...], float]:
+    text = urllib.request.urlopen(server.url, timeout=5).read().decode()
+    found = {}
+    for family in text_string_to_metric_families(text):
+        for sample in family.samples:
+            device = sample.labels.pop("device")
+            labels = [sample.labels[name] for name in sorted(sample.labels)]
+            found[(sample.name.removeprefix("rotorscope_"), device, *labels)] = sample.value
+    return found
+
+
+def fill(sink: MetricsSink) -> None:
+    sink.readings([Block(0, np.zeros((256, 1), np.int32), 1), Gap(256, 7, "crc"), Gap(300, 3, "crc")])
+    sink.readings([Notice(1, "warning", "crc", "bad frame"), Block(303, np.zeros((10, 1), np.int32), 2)])
+    known = {"bearing1.x.kL": Parameter(1e7, 1e5, "N/m"), "bearing1.x.c": Parameter(None, None, "N s/m", False, "no")}
+    sink.estimate(Estimate(300, known, 10.0, extra={"missing_force_percent": 4.0, "missing_force_percent_low": 3.0}))
+    link = LinkStats(frames=12, crc_errors=2, other={"bus_off": 1})
+    sink.status(Status(1, 300, 25599.0, link, ClockState(0, 25599.0, -39.0, 20_000), {"log": 0.2}, {"rerun": 5}))
+
+
+def test_every_number_is_served() -> None:
+    server = MetricsServer(0)
+    sink = server.sink()
+    sink.start(session())
+    fill(sink)
+    got = read(server)
+    sink.close()
+    for key, value in {
+        ("samples_total", "SN7"): 266,
+        ("lost_samples_total", "SN7", "crc"): 10,
+        ("gaps_total", "SN7", "crc"): 2,
+        ("notices_total", "SN7", "crc", "warning"): 1,
+        ("link_total", "SN7", "frames"): 12,
+        ("link_total", "SN7", "crc_errors"): 2,
+        ("link_total", "SN7", "bus_off"): 1,
+        ("rate_hz", "SN7"): 25599,
+        ("lag_seconds", "SN7", "log"): 0.2,
+        ("dropped_total", "SN7", "rerun"): 5,
+        ("clock_drift_ppm", "SN7"): -39,
+        ("estimate", "SN7", "bearing1.x.kL", "N/m"): 1e7,
+        ("estimate_sd", "SN7", "bearing1.x.kL", "N/m"): 1e5,
+        ("missing_force_percent", "SN7", "value"): 4,
+        ("missing_force_percent", "SN7", "low"): 3,
+    }.items():
+        assert got[key] == value, key
+    assert got[("clock_bound_seconds", "SN7")] == pytest.approx(2e-5)
+    assert not any("bearing1.x.c" in key for key in got), "what the data cannot tell is absent, not zero"
+
+
+def test_a_parameter_that_is_lost_disappears() -> None:
+    server = MetricsServer(0)
+    sink = server.sink()
+    sink.start(session())
+    fill(sink)
+    sink.estimate(Estimate(900, {"bearing1.x.kL": Parameter(None, None, "N/m", False, "no data")}, 1.0))
+    assert not any(key[0] == "estimate" for key in read(server))
+    sink.close()
+
+
+def test_listens_on_loopback_only_and_ends_with_the_last_device() -> None:
+    server = MetricsServer(0)
+    port = int(server.url.split(":")[2].split("/")[0])
+    mine = [c.laddr.ip for c in psutil.Process().net_connections() if c.status == "LISTEN" and c.laddr.port == port]
+    assert mine == ["127.0.0.1"]
+    first, second = server.sink(), server.sink()
+    first.start(session("press"))
+    second.start(session("fan"))
+    fill(first)
+    fill(second)
+    first.close()
+    assert {key[1] for key in read(server)} == {"press", "fan"}
+    second.close()
+    second.close()
+    with pytest.raises(OSError, match="refused"):
+        read(server)
+
+
+def test_port_in_use_is_one_line() -> None:
+    server = MetricsServer(0)
+    port = int(server.url.split(":")[2].split("/")[0])
+    with pytest.raises(ConfigError, match="choose another port"):
+        MetricsServer(port)
+    sink = server.sink()
+    sink.start(session())
+    sink.close()
