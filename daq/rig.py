@@ -135,7 +135,7 @@ def _tables(data: dict[str, Any]) -> list[Problem]:
     for key in data:
         if key not in known:
             problems.append(Problem((key,), f"unknown key; {did_you_mean(key, known, 'the keys here are')}"))
-    return problems + _together(parts)
+    return problems + _together(data, parts)
 
 
 _MISSING = {
@@ -145,7 +145,7 @@ _MISSING = {
 }
 
 
-def _together(parts: dict[str, Any]) -> list[Problem]:
+def _together(data: dict[str, Any], parts: dict[str, Any]) -> list[Problem]:
     problems: list[Problem] = []
     channels: list[ChannelTable] = parts.get("channel", [])
     seen: dict[Any, int] = {}
@@ -180,18 +180,16 @@ def _together(parts: dict[str, Any]) -> list[Problem]:
             text = f"there is no channel of this name; {did_you_mean(name, names, 'there are')}"
             problems.append(Problem(("link", "signals", name), text))
     if "model" in parts:
-        caps = tuple(dict.fromkeys(f"{c.node}.{c.direction}" for c in motions)) or CAPS
-        places = {c.name: f"{c.node}.{c.direction}" for c in channels}
-        problems += effects_of(parts["model"], CATALOGUE, caps, places)[1]
+        shaft = parts["rig"].shaft if "rig" in parts else "none" if "rig" not in data else "chain"
+        known = _channels(channels) if motions else tuple(Channel(p, *p.split(".")) for p in CAPS)
+        problems += effects_of(parts["model"], CATALOGUE, Model(known, (1.0, 2.0), shaft))[1]
     return problems
 
 
 def _model(file: RigFile, base: Path, path: Path | None) -> tuple[Model, list[Problem]]:
-    channels = tuple(Channel(c.name, c.node or "shaft", c.direction or "", c.kind) for c in file.channel)
     rig, spring = file.rig, file.rig.shaft_spring
-    places = {c.name: c.place for c in channels}
     model = Model(
-        channels=channels,
+        channels=_channels(file.channel),
         band=(file.band.low, file.band.high),
         shaft=rig.shaft,
         mass=_masses(file),
@@ -202,7 +200,7 @@ def _model(file: RigFile, base: Path, path: Path | None) -> tuple[Model, list[Pr
         bearing=_bearing(rig.bearing),
         name=rig.name or (path.stem if path else "rig"),
     )
-    effects, problems = effects_of(file.model, CATALOGUE, model.places, places)
+    effects, problems = effects_of(file.model, CATALOGUE, model)
     linear = {p: dict.fromkeys(("kL", "c", "S"), Setting()) for p in model.places}
     for node in NODES:
         for direction in ("x", "y"):
@@ -212,6 +210,10 @@ def _model(file: RigFile, base: Path, path: Path | None) -> tuple[Model, list[Pr
                 place = f"{node}.{direction}"
                 linear[place] = linear.get(place, dict.fromkeys(("kL", "c", "S"), Setting())) | given
     return replace(model, linear=linear, effects=effects), problems
+
+
+def _channels(tables: list[ChannelTable]) -> tuple[Channel, ...]:
+    return tuple(Channel(c.name, c.node or "shaft", c.direction or "", c.kind) for c in tables)
 
 
 def _masses(file: RigFile) -> dict[str, float]:

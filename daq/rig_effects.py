@@ -8,7 +8,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from estimator.effect import Effect
-from estimator.model import DIRECTIONS, NODES, CustomLaw, EffectUse, Setting
+from estimator.effects.places import places
+from estimator.model import DIRECTIONS, NODES, CustomLaw, EffectUse, Model, Setting
 
 from .rig_file import ModelTable, SettingTable
 from .rig_problems import Path, Problem, did_you_mean, of_validation
@@ -18,17 +19,27 @@ OF_ALL = ("at", "fixed", "value", "min", "max")  # keys of the whole effect's ta
 _KEYS = ("effects", "linear", "custom")
 
 
-def places_of(effect: Effect, caps: Sequence[str]) -> tuple[str, ...]:
-    """Every place that a catalogue effect can act at, given the measured caps ("bearing1.x")."""
-    if effect.kind in ("disc", "shaft"):
-        caps = [f"disc.{d}" for d in DIRECTIONS if any(c.endswith("." + d) for c in caps)]
-    return tuple(dict.fromkeys(c.split(".")[0] for c in caps)) if effect.scope == "node" else tuple(caps)
+def at_places(
+    items: Iterable[str], possible: Sequence[str], channels: Mapping[str, str]
+) -> tuple[tuple[str, ...], list[str]]:
+    """The places that names of places, nodes, channels, or "all" mean; and what is wrong with them."""
+    found: list[str] = []
+    wrong: list[str] = []
+    for item in items:
+        place = channels.get(item, item)
+        hits = [p for p in possible if place in (p, p.split(".")[0], "both", "all") or place.split(".")[0] == p]
+        if not hits:
+            known = dict.fromkeys([p.split(".")[0] for p in possible] + list(possible))
+            wrong.append(f'it cannot act at "{item}"; {did_you_mean(item, known, "there are")}')
+        found += hits
+    return tuple(p for p in possible if p in found), wrong
 
 
 def effects_of(
-    table: ModelTable, catalogue: Mapping[str, Effect], caps: Sequence[str], channels: Mapping[str, str]
+    table: ModelTable, catalogue: Mapping[str, Effect], model: Model
 ) -> tuple[tuple[EffectUse, ...], list[Problem]]:
-    """The effects of a [model] table in their order, and everything wrong with them. channels: name -> place."""
+    """The effects of a [model] table in their order, and everything wrong with them. model : the rig without them."""
+    channels = {c.name: c.place for c in model.channels}
     problems: list[Problem] = []
     uses: list[EffectUse] = []
     extra: Mapping[str, dict[str, Any]] = table.__pydantic_extra__ or {}
@@ -59,7 +70,7 @@ def effects_of(
             i = list(customs).index(name)
             own = customs[name]
             units = {k: p.unit or "1" for k, p in own.parameters.items()}
-            reader = _Reader(("model", "custom", i), tuple(own.parameters), tuple(caps), channels, problems)
+            reader = _Reader(("model", "custom", i), tuple(own.parameters), model.places, channels, problems)
             base = reader.read({"at": own.at} if own.at else {})
             for place in base:
                 base[place] |= {k: setting(p) for k, p in own.parameters.items()}
@@ -69,9 +80,20 @@ def effects_of(
         elif name in catalogue:
             effect = catalogue[name]
             parameters = tuple(p.name for p in effect.parameters)
-            reader = _Reader(("model", name), parameters, places_of(effect, caps), channels, problems)
+            possible = places(effect, model)
+            if not possible:
+                i = table.effects.index(name)
+                problems.append(Problem(("model", "effects", i), f'"{name}" {_nowhere(effect, model)}'))
+            reader = _Reader(("model", name), parameters, possible, channels, problems)
             uses.append(EffectUse(name, reader.read(settings)))
     return tuple(uses), problems
+
+
+def _nowhere(effect: Effect, model: Model) -> str:
+    """Why an effect can act nowhere in this rig, and what to do."""
+    if effect.kind in ("disc", "shaft") and model.shaft == "none":
+        return 'acts on the disc or the shaft: say rig.shaft = "chain" or "beam", or remove it'
+    return "couples x and y, or two bearings, and the channels do not measure both; remove it"
 
 
 def setting(table: SettingTable) -> Setting:
@@ -122,7 +144,7 @@ class _Reader:
         for key, value in table.items():
             if key in self.parameters:
                 self._setting((*self.path, key), value, whole if "fixed" in whole else {}, shared)
-            elif key in (*NODES, "disc") and isinstance(value, dict):
+            elif key in (*NODES, "disc", "shaft") and isinstance(value, dict):
                 own += self._node(key, value)
             elif key not in OF_ALL:
                 keys = [*self.parameters, "at"]
@@ -172,13 +194,7 @@ class _Reader:
             text = f'at = {at!r}: a place such as "bearing1" or "bearing1.x", or a list of them'
             self.problems.append(Problem((*path, "at"), text))
             return self.places
-        found: list[str] = []
-        for item in items:
-            place = self.channels.get(item, item)
-            hits = [p for p in self.places if place in (p, p.split(".")[0], "both", "all")]
-            if not hits:
-                known = dict.fromkeys([p.split(".")[0] for p in self.places] + list(self.places))
-                text = f'it cannot act at "{item}"; {did_you_mean(item, known, "there are")}'
-                self.problems.append(Problem(path if path[-1] == "at" else (*path, "at"), text))
-            found += hits
-        return tuple(p for p in self.places if p in found) or self.places
+        found, wrong = at_places(items, self.places, self.channels)
+        where = path if path[-1] == "at" else (*path, "at")
+        self.problems += [Problem(where, text) for text in wrong if self.places]
+        return found or self.places

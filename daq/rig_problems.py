@@ -11,7 +11,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 Path = tuple[str | int, ...]
-_HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
+HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(r"""^\s*((?:[\w-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[\w-]+|"[^"]*"|'[^']*'))*)\s*=""")
 _PART = re.compile(r"""[\w-]+|"[^"]*"|'[^']*'""")
 
@@ -36,18 +36,23 @@ def dotted(path: Path) -> str:
     return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in path).lstrip(".")
 
 
+def parts(key: str) -> tuple[str, ...]:
+    """The names in a dotted key."""
+    return tuple(p.strip("\"'") for p in _PART.findall(key))
+
+
 def line_numbers(text: str) -> dict[Path, int]:
     """The line of every table header and key of a TOML text (keys of inline tables share their line)."""
     lines: dict[Path, int] = {}
     counts: dict[Path, int] = {}  # tables so far in each array of tables
     table: Path = ()
     for number, line in enumerate(text.splitlines(), 1):
-        if header := _HEADER.match(line):
+        if header := HEADER.match(line):
             table = ()
-            parts = [p.strip("\"'") for p in _PART.findall(header[2])]
-            for i, part in enumerate(parts):
+            names = parts(header[2])
+            for i, part in enumerate(names):
                 table += (part,)
-                if header[1] == "[[" and i == len(parts) - 1:
+                if header[1] == "[[" and i == len(names) - 1:
                     counts[table] = counts.get(table, -1) + 1
                 if table in counts:
                     lines.setdefault(table, number)
@@ -55,8 +60,8 @@ def line_numbers(text: str) -> dict[Path, int]:
             lines.setdefault(table, number)
         elif key := _KEY.match(line):
             path = table
-            for part in _PART.findall(key[1]):
-                path += (part.strip("\"'"),)
+            for part in parts(key[1]):
+                path += (part,)
                 lines.setdefault(path, number)
     return lines
 

@@ -1,0 +1,102 @@
+"""The command `rotorscope`: builds the application, and turns errors into one line and an exit status."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+from . import cli_analyse, cli_demo, cli_files, cli_live, cli_model
+from .errors import RotorscopeError
+
+INTERRUPTED = 130
+ABOUT = "Acquire bearing vibration, identify the rotor's stiffness from it, and learn which physics the model lacks."
+EPILOG = (
+    "Exit status: 0 fine, 1 the check asked for failed, 2 bad usage or configuration, 3 link, 4 log or data, "
+    "130 interrupted."
+)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        print(f"rotorscope {version('rotorscope')}")  # noqa: T201
+        raise typer.Exit
+
+
+def application() -> typer.Typer:
+    """All commands, in the order in which --help shows them."""
+    app = typer.Typer(
+        help=ABOUT,
+        epilog=EPILOG,
+        add_completion=False,
+        no_args_is_help=True,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        pretty_exceptions_enable=False,
+    )
+
+    @app.callback()
+    def rotorscope(
+        version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+    ) -> None:
+        pass
+
+    for group in (cli_demo, cli_live, cli_analyse, cli_model, cli_files):
+        group.register(app)
+    return app
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; its exit status."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    verbose = "--verbose" in arguments or "-v" in arguments
+    usage_error: Any = typer.BadParameter.__base__
+    try:
+        status = application()(arguments, prog_name="rotorscope", standalone_mode=False)
+        sys.stdout.flush()
+        return status if isinstance(status, int) else 0
+    except usage_error as error:
+        command = error.ctx.command_path if error.ctx is not None else "rotorscope"
+        if type(error).__name__ == "NoArgsIsHelpError":
+            print(error.format_message(), file=sys.stderr)  # noqa: T201
+            return 2
+        text = error.format_message().rstrip(".").replace("\n", " ")
+        return _failed(f"{text}; see {command} --help", 2, verbose)
+    except (KeyboardInterrupt, typer.Abort):
+        return _failed("interrupted", INTERRUPTED, verbose=False)
+    except BrokenPipeError:  # the reader of our output has seen enough
+        with contextlib.suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except RotorscopeError as error:
+        return _failed(str(error), error.exit_status, verbose)
+    except Exception as error:
+        status = _status_of(error)
+        if status is not None:
+            return _failed(str(error), status, verbose)
+        text = f"unexpected {type(error).__name__}: {error}; run it again with --verbose and report what it prints"
+        return _failed(text, 1, verbose)
+
+
+def _status_of(error: Exception) -> int | None:
+    """The status of an error of the parts below, which know no command line."""
+    from drivers.errors import LinkError
+    from estimator.errors import DataError, ModelError
+
+    table: dict[type[Exception], int] = {LinkError: 3, DataError: 4, ModelError: 2}
+    return next((status for kind, status in table.items() if isinstance(error, kind)), None)
+
+
+def _failed(text: str, status: int, verbose: bool) -> int:
+    if verbose:
+        traceback.print_exc()
+    for line in text.splitlines() or [""]:
+        print(f"rotorscope: {line}", file=sys.stderr)  # noqa: T201
+    return status
+

@@ -1,0 +1,106 @@
+"""fit, compare, diagnose, improve, theory, reproduce: what the data say about the model."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .cli_options import HtmlOption, Json, LogArgument, Output, Quiet, RigArgument, RigOption, Verbose
+
+
+class Method(StrEnum):
+    spectral = "spectral"
+    fokker_planck = "fokker-planck"
+    score_matching = "score-matching"
+
+
+def fit(
+    log: LogArgument,
+    rig: RigOption,
+    method: Annotated[Method, typer.Option("--method", help="Of estimation.")] = Method.spectral,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="RIG2", help="Write the rig file with the fitted values.")
+    ] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Parameters with units, standard deviations and an identifiability verdict."""
+    from .analyse import fit as body
+
+    body(Output(json, quiet, verbose), log, rig, method.value, out)
+
+
+def compare(
+    log: LogArgument,
+    rig: RigOption,
+    html: HtmlOption = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Model against measurement, on held-out data; where it fails."""
+    from .analyse import compare as body
+
+    body(Output(json, quiet, verbose), log, rig, html)
+
+
+def diagnose(
+    log: LogArgument,
+    rig: RigOption,
+    html: HtmlOption = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Which effect is missing, ranked, with evidence; or "complete"; or "unknown" with the shape of what is missing."""
+    from .analyse import diagnose as body
+
+    body(Output(json, quiet, verbose), log, rig, html)
+
+
+def improve(
+    log: LogArgument,
+    rig: RigOption,
+    out: Annotated[Path, typer.Option("--out", metavar="RIG2", help="Where to write the improved rig file.")],
+    html: HtmlOption = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Compare, diagnose, add, refit until nothing more is earned; prints the ladder of errors."""
+    from .analyse import improve as body
+
+    body(Output(json, quiet, verbose), log, rig, out, html)
+
+
+def theory(
+    rig: RigArgument,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Hertz stiffness curves of the bearing against preload, beside the fitted ones."""
+    from .analyse import theory as body
+
+    body(Output(json, quiet, verbose), rig)
+
+
+def reproduce(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder for figures, tables and numbers.")],
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """The paper of Tiwari and Vyas (1997), sections 5 and 6, on its rig: tables and figures."""
+    from .analyse import reproduce as body
+
+    body(Output(json, quiet, verbose), out)
+
+
+def register(app: typer.Typer) -> None:
+    for command in (fit, compare, diagnose, improve, theory, reproduce):
+        app.command(rich_help_panel="Identify")(command)

@@ -1,0 +1,98 @@
+"""run, simulate, replay: everything with a link or a clock."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .cli_options import Json, Output, Quiet, RigArgument, Verbose
+
+LINKS = (
+    "virtual: | can:INTERFACE:CHANNEL?bitrate=..&fd=1 | slcan:PORT?bitrate=.. | serial:PORT?baud=.. | "
+    "capture:FILE | replay:LOG.mcap"
+)
+Seconds = Annotated[float | None, typer.Option("--seconds", min=0.0, metavar="S", help="Stop after S seconds of data.")]
+
+
+def run(
+    rig: RigArgument,
+    link: Annotated[str | None, typer.Option("--link", metavar="LINK", help=f"{LINKS} (default: the rig's)")] = None,
+    seconds: Seconds = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="LOG.mcap", help="Write a log.")] = None,
+    rerun: Annotated[
+        str | None, typer.Option("--rerun", metavar="WHERE", help="FILE.rrd, spawn, or the URL of a viewer.")
+    ] = None,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 if any sample was lost.")] = False,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Live acquisition and rolling estimation.
+
+    Ctrl-C ends a run with a complete log and status 130; SIGTERM does so with status 0.
+    """
+    from .live import run as body
+
+    body(Output(json, quiet, verbose), rig, link, seconds, out, rerun, strict)
+
+
+def simulate(
+    rig: RigArgument,
+    out: Annotated[Path | None, typer.Option("--out", metavar="LOG.mcap", help="Simulate into a log.")] = None,
+    serve: Annotated[str | None, typer.Option("--serve", metavar="LINK", help="Be a device on a link.")] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option("--seconds", min=0.0, metavar="S", help="Length (default: 60 for a log, no end for a device)."),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Of the random forces and noise.")] = 1,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            "--truth", metavar="TRUTH.toml", help="Simulate this rig's model instead; if it is not there, write it."
+        ),
+    ] = None,
+    speed: Annotated[
+        str | None,
+        typer.Option("--speed", metavar="X|max", help="1 is real time (default: max for a log, 1 for a device)."),
+    ] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """A simulated rig, into a log or as a device on a link.
+
+    What the rig file leaves open is filled in with plain values, which are printed and written to --truth.
+    """
+    from .live import simulate as body
+
+    body(Output(json, quiet, verbose), rig, out, serve, seconds, seed, truth, speed)
+
+
+def replay(
+    log: Annotated[Path, typer.Argument(metavar="LOG.mcap", help="A log.")],
+    speed: Annotated[str, typer.Option("--speed", metavar="X|max", help="1 is real time.")] = "max",
+    rig: Annotated[
+        Path | None, typer.Option("--rig", metavar="RIG", help="Another rig file than the one in the log.")
+    ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Exit with 1 unless the estimates equal the logged ones bit for bit.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option("--out", metavar="LOG.mcap", help="Write a new log.")] = None,
+    rerun: Annotated[
+        str | None, typer.Option("--rerun", metavar="WHERE", help="FILE.rrd, spawn, or the URL of a viewer.")
+    ] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """The same pipeline, fed from a log."""
+    from .live import replay as body
+
+    body(Output(json, quiet, verbose), log, speed, rig, check, out, rerun)
+
+
+def register(app: typer.Typer) -> None:
+    for command in (run, simulate, replay):
+        app.command(rich_help_panel="Acquire")(command)

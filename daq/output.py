@@ -1,0 +1,127 @@
+"""What a command says: tables for people, JSON for programs, progress on a terminal only."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .errors import ConfigError
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
+Progress = Callable[[float], None]  # told the share that is done, 0 to 1
+PIPE_WIDTH = 160
+
+
+def quiet_progress(done: float) -> None:
+    """For callers without a terminal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """json : where the result goes as JSON, "-" for standard output (then nothing else goes there)."""
+
+    json: str | None = None
+    quiet: bool = False
+    verbose: bool = False
+
+    @property
+    def to_stdout(self) -> Console:
+        from rich.console import Console
+
+        return Console(soft_wrap=False, highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
+
+    @property
+    def to_stderr(self) -> Console:
+        from rich.console import Console
+
+        return Console(stderr=True, soft_wrap=True, highlight=False)
+
+    def say(self, *parts: RenderableType) -> None:
+        """For people, on standard output; on standard error if JSON goes there."""
+        if self.quiet:
+            return
+        console = self.to_stderr if self.json == "-" else self.to_stdout
+        for part in parts:
+            if isinstance(part, str):
+                console.print(part, markup=False, soft_wrap=True)
+            else:
+                console.print(part)
+
+    def note(self, text: str) -> None:
+        """Something the user should know that is not the result, on standard error."""
+        if not self.quiet:
+            print(f"rotorscope: {text}", file=sys.stderr)  # noqa: T201
+
+    def detail(self, text: str) -> None:
+        if self.verbose:
+            print(f"rotorscope: {text}", file=sys.stderr)  # noqa: T201
+
+    def result(self, value: dict[str, Any], *people: RenderableType) -> None:
+        """The result of the command, once: for people, and as JSON if that was asked for."""
+        if self.json != "-":
+            self.say(*people)
+        if self.json is None:
+            return
+        text = json.dumps(finite(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        if self.json == "-":
+            sys.stdout.write(text)
+            sys.stdout.flush()
+        else:
+            write_whole(Path(self.json), text)
+
+    @contextlib.contextmanager
+    def progress(self, what: str) -> Iterator[Progress]:
+        """A bar on a terminal, silence in a pipe."""
+        if self.quiet or not sys.stderr.isatty():
+            yield quiet_progress
+            return
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as Bar
+
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+        with Bar(*columns, TimeElapsedColumn(), console=self.to_stderr, transient=True) as bar:
+            task = bar.add_task(what, total=1.0)
+            yield lambda done: bar.update(task, completed=min(max(done, 0.0), 1.0))
+
+
+def finite(value: Any) -> Any:
+    """The value with numpy's numbers as Python's, and null for what is not finite."""
+    if isinstance(value, dict):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(v) for v in value]
+    if hasattr(value, "tolist"):
+        return finite(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write_whole(path: Path, data: str | bytes) -> None:
+    """Write a file so that nobody ever sees half of it. Raises ConfigError if it cannot be written."""
+    data = data.encode() if isinstance(data, str) else data
+    try:
+        if path.exists() and not path.is_file():  # /dev/stdout, a named pipe
+            path.write_bytes(data)
+            return
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(data)
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(temporary, 0o666 & ~umask)
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}; choose another place") from error
