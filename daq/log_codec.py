@@ -154,18 +154,16 @@ def encode_estimate(estimate: Estimate) -> bytes:
 def decode_estimate(data: bytes) -> Estimate:
     m = message("rotorscope.Estimate").FromString(data)
     parameters = {
-        p.name: Parameter(
-            p.value if p.HasField("value") else None, p.sd if p.HasField("sd") else None, p.unit, p.identifiable, p.reason
-        )
+        p.name: Parameter(_optional(p, "value"), _optional(p, "sd"), p.unit, p.identifiable, p.reason)
         for p in m.parameters
     }
-    likelihood = m.log_likelihood if m.HasField("log_likelihood") else None
     extra = {n.name: n.value for n in m.extra} if m.has_extra else None
-    return Estimate(m.index, parameters, m.samples, likelihood, m.status, extra)
+    return Estimate(m.index, parameters, m.samples, _optional(m, "log_likelihood"), m.status, extra)
 
 
 def encode_status(status: Status) -> bytes:
-    link = {name: getattr(status.link, name) for name in TOTALS} | {f"other.{k}": v for k, v in status.link.other.items()}
+    link = {name: getattr(status.link, name) for name in TOTALS}
+    link |= {f"other.{name}": count for name, count in status.link.other.items()}
     c = status.clock
     clock = c and {"offset_ns": c.offset_ns, "rate_hz": c.rate_hz, "drift_ppm": c.drift_ppm, "bound_ns": c.bound_ns}
     return _bytes(
@@ -196,6 +194,10 @@ def encode_multi_array(values: NDArray[np.float64]) -> bytes:
 def _bytes(name: str, **values: Any) -> bytes:
     out: bytes = message(f"rotorscope.{name}")(**values).SerializeToString()
     return out
+
+
+def _optional(m: Any, name: str) -> float | None:
+    return getattr(m, name) if m.HasField(name) else None
 
 
 def _numbers(values: Mapping[str, float]) -> list[dict[str, Any]]:

@@ -67,7 +67,7 @@ class LogFile:
 
     @property
     def removed(self) -> bool:
-        """The file has lost its name: somebody deleted it or its folder. The bytes live as long as we hold it open."""
+        """Somebody deleted the file or its folder. The bytes live as long as we hold it open."""
         return os.fstat(self._fd).st_nlink == 0
 
     def restore(self) -> Path:

@@ -64,9 +64,8 @@ def parse_proto(name: str, text: str) -> descriptor_pb2.FileDescriptorProto:
 @cache
 def files() -> tuple[descriptor_pb2.FileDescriptorProto, ...]:
     folder = resources.files(__package__)
-    return tuple(
-        parse_proto(name, folder.joinpath(name).read_text("utf-8")) for name in ("log_schema.proto", "foxglove_log.proto")
-    )
+    names = ("log_schema.proto", "foxglove_log.proto")
+    return tuple(parse_proto(name, folder.joinpath(name).read_text("utf-8")) for name in names)
 
 
 @cache

@@ -94,7 +94,8 @@ class LogWriter:
                 seen, since = self._progress, self._clock.now_ns()
             elif self._live and self._clock.now_ns() - since > GIVE_UP_NS:
                 self._abandoned = True
-                self._tell("error", "log_incomplete", f"{self.path} could not be completed: {self._problem or 'stalled'}")
+                why = self._problem or "the disk stalls"
+                self._tell("error", "log_incomplete", f"{self.path} could not be completed: {why}; try recover on it")
                 return
 
     def _put(self, item: Item, size: int) -> None:
@@ -108,8 +109,8 @@ class LogWriter:
             if full or not self._thread.is_alive():
                 self._drop(item)
                 return
-            if isinstance(item, Block):
-                self._record_lost()
+            if isinstance(item, Block | Gap):
+                self._record_lost(resumed=isinstance(item, Block))
             self._queue.append(item)
             self._queued += size
             self._changed.notify_all()
@@ -119,17 +120,20 @@ class LogWriter:
             return
         lost = self._lost
         if lost is None:
-            self._note("error", "log_overflow", f"{self.path}: the disk is too slow; samples from {item.index} are not stored")
+            text = f"{self.path}: the disk is too slow; samples from {item.index} are not stored"
+            self._note("error", "log_overflow", text)
             lost = Gap(item.index, 0, "storage")
         self._lost = Gap(lost.index, item.index + len(item.counts) - lost.index, "storage")
         self._dropped += len(item.counts)
 
-    def _record_lost(self) -> None:
-        if self._lost is not None:
-            self._queue.append(self._lost)
+    def _record_lost(self, resumed: bool) -> None:
+        if self._lost is None:
+            return
+        self._queue.append(self._lost)
+        if resumed:
             text = f"{self.path}: storing again; {self._lost.count} samples from {self._lost.index} were not stored"
-            self._lost = None
             self._note("warning", "log_resumed", text)
+        self._lost = None
 
     # -- writer thread --------------------------------------------------------------------------------------------
 
@@ -170,7 +174,7 @@ class LogWriter:
             if self._file.pending > self._limit // 4 and not self._closing:
                 return [], False
             if self._closing:
-                self._record_lost()
+                self._record_lost(resumed=False)
             items = list(self._queue)
             self._queue.clear()
             self._queued = 0
@@ -219,7 +223,8 @@ class LogWriter:
     def _fault(self, problem: str) -> None:
         if problem != self._problem:
             self._problem = problem
-            self._tell("error", "log_fault", f"{self.path}: {problem}; acquisition goes on, make room or reconnect the disk")
+            text = f"{self.path}: {problem}; acquisition goes on, make room or reconnect the disk"
+            self._tell("error", "log_fault", text)
 
     def _well(self) -> None:
         if self._problem and not self._file.removed:

@@ -33,7 +33,8 @@ def make_session(bits: int = 16, rate_hz: float = RATE_HZ) -> Session:
 def counts_at(index: int, n: int, bits: int = 16) -> NDArray[np.int32]:
     """(n, 4) counts that depend on the absolute index alone, noisy enough not to compress away."""
     i = np.arange(index, index + n, dtype=np.uint64)[:, None]
-    mixed = (i * np.uint64(0x9E3779B97F4A7C15) + np.arange(4, dtype=np.uint64) * np.uint64(0xBF58476D1CE4E5B9)) >> np.uint64(40)
+    channel = np.arange(4, dtype=np.uint64) * np.uint64(0xBF58476D1CE4E5B9)
+    mixed = (i * np.uint64(0x9E3779B97F4A7C15) + channel) >> np.uint64(40)
     return (mixed.astype(np.int64) % (2**bits - 2) - (2 ** (bits - 1) - 1)).astype(np.int32)
 
 
@@ -48,7 +49,8 @@ def make_estimate(index: int) -> Estimate:
         "bearing1.x.c": Parameter(None, None, "N s/m", False, "relative standard deviation over 50 %"),
         "bearing1.y.kL": Parameter(float("nan"), 0.0, "N/m"),
     }
-    return Estimate(index, parameters, index / 7, -1.5 if index % 2 else None, "ok", {"lag": 0.1} if index % 3 else None)
+    extra = {"lag": 0.1} if index % 3 else None
+    return Estimate(index, parameters, index / 7, -1.5 if index % 2 else None, "ok", extra)
 
 
 def make_status(index: int) -> Status:
