@@ -71,7 +71,7 @@ class LogFile:
         return os.fstat(self._fd).st_nlink == 0
 
     def restore(self) -> Path:
-        """Give a removed file its name back (or one beside it, if that is taken), with all its bytes. Raises OSError."""
+        """Give a removed file its name back (or one beside it, if that is taken), whole. Raises OSError."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         fd, path = self._free_name()
         try:
