@@ -25,7 +25,7 @@ class EffectParameter:
     linear : the law is proportional to it (an amplitude, solved for exactly); otherwise it is searched on [low, high].
     scale : the natural size. For a searched parameter, low, high and default are multiples of it (effects/strength.py):
         "x" displacement rms, "v" velocity rms, "a" acceleration rms of the place, "m" its mass, "hz_peak" its resonance
-        in Hz, "rate" the sampling rate in Hz, "band" the upper band edge in Hz, "seconds" s;
+        in Hz, "sample" the sampling interval in s, "band" the upper band edge in Hz;
         "1", "angle", "order": as they are; "bpfo", "balls": from the rig's geometry or ball_pass_order where known.
         For a linear parameter it says nothing: its size follows from the data.
     given : taken from the rig or the default, never searched.

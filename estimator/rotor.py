@@ -72,9 +72,7 @@ def eliminate(D: Complex, keep: list[int]) -> tuple[Complex, Complex]:
     return np.asarray(D[:, keep][:, :, keep] + D[:, keep][:, :, rest] @ follow), np.asarray(follow)
 
 
-def shaft_at_caps(
-    shaft: Shaft, stiffness: float, damping: float, disc: float, omega: Array
-) -> tuple[Complex, Complex]:
+def shaft_at_caps(shaft: Shaft, stiffness: float, damping: float, disc: float, omega: Array) -> tuple[Complex, Complex]:
     """What shaft and disc add to the dynamic stiffness of the two caps, and the disc's displacement.
 
     disc : kg. Returns ((f, 2, 2) N/m, (f, 2) disc displacement per cap displacement). With kc = ks + i w cs:
@@ -83,9 +81,7 @@ def shaft_at_caps(
     w = np.asarray(omega, dtype=float)
     if shaft == "none":
         return np.zeros((w.size, 2, 2), dtype=complex), np.zeros((w.size, 2), dtype=complex)
-    D = dynamic_stiffness(
-        np.diag([0.0, 0.0, disc]), shaft_matrix(shaft, damping), shaft_matrix(shaft, stiffness), w
-    )
+    D = dynamic_stiffness(np.diag([0.0, 0.0, disc]), shaft_matrix(shaft, damping), shaft_matrix(shaft, stiffness), w)
     caps, follow = eliminate(D, [0, 1])
     return caps, follow[:, 0, :]
 

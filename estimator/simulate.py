@@ -251,9 +251,7 @@ def simulate(
     noise : rms of white sensor noise over the whole band. full_scale : of the 16-bit counts; None leaves the signal
     unrounded. Either by channel name, or one number for every acceleration, velocity and displacement channel.
     """
-    source = Simulator(
-        model, rate_hz, seed, oversample, scheme=scheme, start=start, speed=speed, custom=custom
-    )
+    source = Simulator(model, rate_hz, seed, oversample, scheme=scheme, start=start, speed=speed, custom=custom)
     y = source.next(round(seconds * rate_hz))
     rng = np.random.default_rng(np.random.SeedSequence((seed, 1)))
     for i, channel in enumerate(model.channels):

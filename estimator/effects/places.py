@@ -1,7 +1,7 @@
 """Where an effect of a model acts, and with which numbers.
 
 Canonical places. scope "direction": "bearing1.x". scope "node": "bearing1" (one set of parameters for x and y). kind
-disc: "disc". kind shaft: "shaft". kind sensor: the place of the channel. A node-scope entry written "bearing1.x" (or
+disc or shaft: "disc". kind sensor: the place of the channel. A node-scope entry written "bearing1.x" (or
 a direction-scope entry written "bearing1") is understood.
 """
 
@@ -18,10 +18,8 @@ from ..model import DIRECTIONS, NODES, EffectUse, Model
 def places(effect: Effect, model: Model) -> tuple[str, ...]:
     """Every canonical place that an effect can act at in a model."""
     caps = model.places or tuple(model.linear)
-    if effect.kind == "disc":
+    if effect.kind in ("disc", "shaft"):
         return ("disc",) if model.shaft != "none" else ()
-    if effect.kind == "shaft":
-        return ("shaft",) if model.shaft != "none" else ()
     if effect.name == "correlated_force":
         both = (d for d in DIRECTIONS if all(f"{n}.{d}" in caps for n in NODES))
         return tuple(f"{NODES[0]}.{d}" for d in both)
@@ -61,7 +59,9 @@ def values(effect: Effect, use: EffectUse, model: Model, place: str) -> NDArray[
     entries += [
         v
         for k, v in use.parameters.items()
-        if k == node or k.split(".")[0] == node or k in names or effect.kind in ("disc", "shaft")
+        if k in (node, *names)
+        or effect.kind in ("disc", "shaft")
+        or (effect.scope == "node" and k.split(".")[0] == node)
     ]
     if effect.name == "correlated_force":
         entries += [v for k, v in use.parameters.items() if k in NODES or k.endswith(place[-2:])]

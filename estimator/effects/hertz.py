@@ -1,0 +1,90 @@
+"""Hertz contact of the balls, with preload or clearance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ..effect import Effect, EffectParameter
+
+INF = float("inf")
+
+
+def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
+    # The tangent at rest is taken off: kL stays the whole stiffness there. Balls are frozen at th_j = 2 pi j / Z.
+    g, balls = p[1], int(p[2])
+    cx, cy = (x, xo) if s > 0.0 else (xo, x)
+    total = 0.0
+    for j in range(balls):
+        angle = 2.0 * math.pi * j / balls
+        cos, sin = math.cos(angle), math.sin(angle)
+        squeeze = g + cx * cos + cy * sin
+        if squeeze > 0.0:
+            total += squeeze * math.sqrt(squeeze) * (cos if s > 0.0 else sin)
+    if g > 0.0:
+        total -= 0.75 * balls * math.sqrt(g) * x
+    return p[0] * total
+
+
+HERTZ = Effect(
+    name="hertz",
+    kind="force",
+    parameters=(
+        EffectParameter(
+            "k",
+            "N/m^1.5",
+            0.0,
+            INF,
+            0.0,
+            "load-deflection constant of one ball between both rings",
+            linear=True,
+        ),
+        EffectParameter(
+            "preload",
+            "m",
+            -2.0,
+            10.0,
+            1.5,
+            "radial preload of every ball; negative is clearance",
+            scale="x",
+        ),
+        EffectParameter(
+            "balls",
+            "1",
+            3.0,
+            40.0,
+            6.0,
+            "number of balls, one of them on the x axis",
+            scale="balls",
+            given=True,
+        ),
+    ),
+    equation=(
+        "k sum_j (g + x cos th_j + y sin th_j)_+^1.5 (cos th_j, sin th_j) - k0 (x, y), k0 = 0.75 Z k sqrt(g) for "
+        "g > 0, else 0"
+    ),
+    signature=(
+        "stiffness first falls (by 21 to 29 % until x is about the preload), then rises; couples x and y at large "
+        "radius; with clearance as a rounded dead zone"
+    ),
+    confused_with=("cubic", "clearance"),
+    distinguish=(
+        "softens near the centre and hardens beyond the preload; a cubic does one or the other; with clearance "
+        "the flanks bend as x^1.5 instead of being straight"
+    ),
+    reference=(
+        "Tiwari and Vyas, J. Sound Vib. 203(3), 1997, 389-408, section 6; Harris, Rolling Bearing Analysis, "
+        "Wiley, load-deflection of point contact"
+    ),
+    check=(
+        "six balls: F = 4.5 k sqrt(g) x - (9/64) k g^-1.5 x^3 for small x, before the tangent is taken off "
+        "(physics of the same section)"
+    ),
+    on_machine=(
+        "preload by fit, locknut and temperature; kL is the whole stiffness at rest, so a softening curve with "
+        "low kL means little preload"
+    ),
+    scope="node",
+    stationary_density=True,
+    force=force,
+)

@@ -1,0 +1,56 @@
+"""Local defect of a raceway or ball: a strike at every pass."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ..effect import Effect, EffectParameter
+
+INF = float("inf")
+
+
+def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
+    psi = p[1] * phase - p[2]
+    psi -= 2.0 * math.pi * math.floor(psi / (2.0 * math.pi))
+    return -p[0] * math.exp(-psi / p[3])
+
+
+LOCAL_DEFECT = Effect(
+    name="local_defect",
+    kind="force",
+    parameters=(
+        EffectParameter("strike", "N", -INF, INF, 0.0, "peak force of a strike", linear=True),
+        EffectParameter("order", "1", 0.3, 30.0, 2.1, "strikes per shaft turn: BPFO, BPFI or twice BSF", scale="bpfo"),
+        EffectParameter("angle", "rad", 0.0, 6.283185307179586, 0.0, "defect angle of the first strike", scale="angle"),
+        EffectParameter(
+            "width",
+            "rad",
+            0.005,
+            0.6,
+            0.05,
+            "decay of a strike in defect angle, 2 pi from one strike to the next",
+            scale="angle",
+        ),
+    ),
+    equation="force on the cap strike exp(-psi / width),  psi = (order phi - angle) mod 2 pi",
+    signature=(
+        "impulsive residual, kurtosis, lines at the defect order and its multiples in the envelope; each strike "
+        "rings the resonance"
+    ),
+    confused_with=("ball_pass", "line"),
+    distinguish=(
+        "acts at x = 0 and does not scale with x; a comb of many harmonics, where varying compliance makes "
+        "sidebands of the resonance only"
+    ),
+    reference="McFadden and Smith, J. Sound Vib. 96(1), 1984, 69-82 (single point defect)",
+    check=(
+        "harmonics of the strike fall as 1 / sqrt(1 + (n width)^2), n = 1, 2, ...: the Fourier series of the "
+        "pulse train"
+    ),
+    on_machine=(
+        "spall or brinelling: BPFO points to the outer ring, BPFI to the inner, 2 BSF to a ball; look at the "
+        "grease, plan a change"
+    ),
+    force=force,
+)

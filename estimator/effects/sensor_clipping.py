@@ -1,0 +1,35 @@
+"""A channel that saturates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effect import Effect, EffectParameter
+
+
+def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.random.Generator) -> NDArray[np.float64]:
+    return np.asarray(np.clip(y, -p[0], p[0]))
+
+
+SENSOR_CLIPPING = Effect(
+    name="sensor_clipping",
+    kind="sensor",
+    parameters=(EffectParameter("level", "m/s^2", 0.3, 8.0, 2.5, "largest value that passes", scale="a"),),
+    equation="measured = true, limited to +-level",
+    signature=(
+        "values pile up at the ends of the range; kurtosis below 3 in that channel; odd harmonics over the whole band"
+    ),
+    confused_with=("cubic", "quintic"),
+    distinguish=(
+        "hard corners of the measured value, not of the displacement; other channels of the same bearing are fine"
+    ),
+    reference="Bendat and Piersol, Random Data, 4th ed., Wiley 2010 (clipping of data)",
+    check="no sample exceeds the level, and those below it are unchanged",
+    on_machine=(
+        "wrong range, a supply too low for the swing, or shocks beyond the sensor: choose a range ten times the rms"
+    ),
+    apply=apply,
+)

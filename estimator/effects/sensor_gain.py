@@ -1,0 +1,35 @@
+"""Gain error of a sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effect import Effect, EffectParameter
+
+
+def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.random.Generator) -> NDArray[np.float64]:
+    return np.asarray(y * (1.0 + p[0]))
+
+
+SENSOR_GAIN = Effect(
+    name="sensor_gain",
+    kind="sensor",
+    parameters=(EffectParameter("error", "1", -3.0, 9.0, 0.1, "relative error; -2 is an inverted channel"),),
+    equation="measured = (1 + error) true",
+    signature=(
+        "one channel is too large or too small at all frequencies by the same factor; equal bearings look "
+        "unequal, S of that channel off by its square; inverted: phase turned by half a turn"
+    ),
+    confused_with=("correlated_force", "anisotropy"),
+    distinguish=(
+        "frequencies, damping and shape of the spectrum are right; only a scale is wrong, and forces through the "
+        "shaft no longer balance"
+    ),
+    reference="ISO 16063-21, calibration by comparison with a reference transducer",
+    check="rms of the channel changes by 1 + error exactly",
+    on_machine="sensitivity typed wrongly, loose mounting, a swapped or inverted cable: shake it with a calibrator",
+    apply=apply,
+)

@@ -1,0 +1,45 @@
+"""Resonance of a sensor or of its mounting."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effect import Effect, EffectParameter
+
+
+def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.random.Generator) -> NDArray[np.float64]:
+    """By its frequency response; the ringing of the ends is cut off with a pad of up to 512 samples."""
+    pad = min(512, max(len(y) - 1, 0))
+    whole = np.pad(y, pad, mode="reflect")
+    r = np.fft.rfftfreq(len(whole), 1.0 / rate_hz) / p[0]
+    out = np.fft.irfft(np.fft.rfft(whole) / (1.0 - r**2 + 1j * r / p[1]), len(whole))
+    return np.asarray(out[pad : pad + len(y)])
+
+
+SENSOR_RESONANCE = Effect(
+    name="sensor_resonance",
+    kind="sensor",
+    parameters=(
+        EffectParameter("frequency", "Hz", 0.1, 3.0, 0.7, "resonance", scale="band"),
+        EffectParameter("quality", "1", 1.0, 100.0, 10.0, "quality factor"),
+    ),
+    equation="measured / true = 1 / (1 - (f / f0)^2 + i f / (f0 quality))",
+    signature=(
+        "a peak in one channel at a frequency that is in no other, with the phase turning there; it multiplies "
+        "what is measured and is not a mode of the rotor"
+    ),
+    confused_with=("pedestal", "coloured_excitation"),
+    distinguish=(
+        "no anti-resonance and no trace in the other direction or bearing; rises before the peak as 1 / (1 - (f/f0)^2)"
+    ),
+    reference=(
+        "Serridge and Licht, Piezoelectric Accelerometers and Vibration Preamplifiers, Bruel and Kjaer 1987 "
+        "(mounted resonance)"
+    ),
+    check="gain at f0 is the quality, far below it 1",
+    on_machine="magnet, wax or hand-held probe instead of a stud; a loose stud; paint under the sensor",
+    apply=apply,
+)

@@ -1,0 +1,39 @@
+"""A channel that is late."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effect import Effect, EffectParameter
+
+
+def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.random.Generator) -> NDArray[np.float64]:
+    """By the phase of its Fourier transform; a few samples at the ends are affected."""
+    pad = 64
+    whole = np.pad(y, pad, mode="reflect") if len(y) > pad else y
+    f = np.fft.rfftfreq(len(whole), 1.0 / rate_hz)
+    late = np.fft.irfft(np.fft.rfft(whole) * np.exp(-2j * np.pi * f * p[0]), len(whole))
+    return np.asarray(late[pad : pad + len(y)] if len(y) > pad else late)
+
+
+SENSOR_SKEW = Effect(
+    name="sensor_skew",
+    kind="sensor",
+    parameters=(EffectParameter("delay", "s", -10.0, 10.0, 1.0, "how late the channel is", scale="sample"),),
+    equation="measured(t) = true(t - delay)",
+    signature="phase between this channel and the others grows in proportion to frequency; amplitudes are right",
+    confused_with=("cross_coupling", "gyroscopic", "pedestal"),
+    distinguish=(
+        "phase is linear in frequency up to the top of the band, and only for this channel; physics has phase "
+        "near its resonances"
+    ),
+    reference="Bendat and Piersol, Random Data, 4th ed., Wiley 2010 (multiplexed sampling)",
+    check="phase of the cross spectrum with the undelayed signal is -2 pi f delay",
+    on_machine=(
+        "multiplexed converter, other filter setting or firmware of one channel, two devices without a common clock"
+    ),
+    apply=apply,
+)

@@ -1,0 +1,155 @@
+"""How large an effect naturally is on a given rig: search ranges, and parameters for a wanted strength."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effect import Effect, EffectParameter
+from ..model import EffectUse, Model, Setting
+from .compiled import force_array, memory_array
+from .places import kinematic, places
+
+STATES = 4096  # Gaussian states that the rms of a law is taken over
+
+# Where strength is not a force: the parameter that sets it, and its size for a weak (2 %) and a strong (6 %) case.
+OTHER: Mapping[str, tuple[str, float, float]] = {
+    "pedestal": ("frequency", 3.0, 1.8),
+    "correlated_force": ("rho", 0.15, 0.4),
+    "coloured_excitation": ("gain", 1.0, 4.0),
+    "sensor_gain": ("error", 0.05, 0.2),
+    "sensor_clipping": ("level", 3.0, 2.3),
+    "sensor_skew": ("delay", 0.3, 1.0),
+    "sensor_resonance": ("frequency", 1.2, 0.7),
+    "sensor_noise": ("rms", 0.03, 0.1),
+}
+WEAK, STRONG = 0.02, 0.06
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """The natural sizes at a place. x, v, a : rms, SI. m : kg. kL : N/m. rate_hz. band_hz : upper edge. c : N s/m."""
+
+    x: float
+    v: float
+    m: float
+    kL: float
+    a: float = 1.0
+    c: float = 0.0
+    rate_hz: float = 25600.0
+    band_hz: float = 8000.0
+
+    @property
+    def force(self) -> float:
+        """rms of the linear bearing force, N."""
+        return self.kL * self.x
+
+    def of(self, parameter: EffectParameter) -> float:
+        """What low, high and default of a searched parameter are multiples of."""
+        known = {
+            "x": self.x,
+            "v": self.v,
+            "a": self.a,
+            "m": self.m,
+            "hz_peak": np.sqrt(self.kL / self.m) / (2.0 * np.pi),
+            "sample": 1.0 / self.rate_hz,
+            "band": self.band_hz,
+        }
+        return float(known.get(parameter.scale, 1.0))
+
+
+def size(model: Model, place: str, rate_hz: float = 25600.0) -> Size:
+    """Natural sizes at a place ("bearing1.x"; "bearing1" and "disc" mean their x) from the linear model alone."""
+    from ..rotor import assemble, linear_covariance
+
+    rig = assemble(model)
+    P = linear_covariance(rig.M, rig.C, rig.K, np.diag(rig.S / 2.0))
+    direction = place.split(".")[1] if "." in place else "x"
+    caps = [f"{place.split('.')[0]}.{direction}", *(d for d in rig.dofs if d.startswith("bearing"))]
+    i = rig.index(next(d for d in caps if d in rig.dofs and d.startswith("bearing")))
+    n, low, high = len(rig.dofs), *model.band
+    a = float(np.sqrt(rig.S[i] * (high - low)) / rig.M[i, i])  # the force itself, in the band: most of an acceleration
+    linear = model.linear[rig.dofs[i]]
+    return Size(
+        x=float(np.sqrt(P[i, i])),
+        v=float(np.sqrt(P[n + i, n + i])),
+        m=float(rig.M[i, i]),
+        kL=float(linear["kL"].value or 0.0),
+        a=a,
+        c=float(linear["c"].value or 0.0),
+        rate_hz=rate_hz,
+        band_hz=high,
+    )
+
+
+def search_range(parameter: EffectParameter, at: Size) -> tuple[float, float]:
+    """SI limits between which a nonlinear parameter is searched."""
+    unit = at.of(parameter)
+    return parameter.low * unit, parameter.high * unit
+
+
+def defaults(effect: Effect, at: Size, model: Model | None = None) -> NDArray[np.float64]:
+    """(k,) SI: 1 for linear parameters, the natural default of the others, kinematic numbers where the rig has them."""
+    out = []
+    for p in effect.parameters:
+        known = kinematic(p.scale, model) if model is not None else None
+        out.append(1.0 if p.linear else known if known is not None else p.default * at.of(p))
+    return np.array(out, dtype=np.float64)
+
+
+def rms(effect: Effect, p: NDArray[np.float64], at: Size, seconds: float = 60.0, seed: int = 0) -> float:
+    """rms of an effect's force, N, over Gaussian independent x, v of both directions, times and shaft angles.
+
+    A memory effect is driven by a harmonic of the rig's own frequency and rms. An effect on disc or shaft is taken at
+    the cap's motion: only its order of size is meant.
+    """
+    rng = np.random.default_rng(seed)
+    if effect.kind == "memory":
+        w = np.sqrt(at.kL / at.m)
+        rate = 100.0 * w / (2 * np.pi)
+        t = np.arange(STATES) / rate
+        x, v = np.sqrt(2) * at.x * np.sin(w * t), np.sqrt(2) * at.x * w * np.cos(w * t)
+        f = memory_array(effect, p, np.array([at.m, at.kL, at.c]), x, v, rate)
+        return float(np.sqrt(np.mean(f[STATES // 2 :] ** 2)))
+    z = rng.standard_normal((4, STATES)) * np.array([at.x, at.v, at.x, at.v])[:, None]
+    t, phase = rng.uniform(0.0, seconds, STATES), rng.uniform(0.0, 200.0 * np.pi, STATES)
+    f = force_array(effect, p, z[0], z[1], z[2], z[3], t, phase)
+    return float(np.sqrt(np.mean(f**2)))
+
+
+def strengths(
+    effect: Effect, at: Size, fraction: float = WEAK, model: Model | None = None, seconds: float = 60.0
+) -> dict[str, float]:
+    """Parameters (name -> SI) of an effect whose force has `fraction` of the rms linear bearing force.
+
+    Searched parameters take their natural default. Sensor and excitation effects and the pedestal have no such
+    force: a fraction up to 3 % gives their weak case and more their strong one (OTHER).
+    """
+    p = defaults(effect, at, model)
+    names = [q.name for q in effect.parameters]
+    if effect.name in OTHER:
+        name, weak, strong = OTHER[effect.name]
+        k = names.index(name)
+        p[k] = (weak if fraction <= 0.03 else strong) * at.of(effect.parameters[k])
+        return dict(zip(names, p.tolist(), strict=True))
+    linear = [k for k, q in enumerate(effect.parameters) if q.linear]
+    if not linear:
+        raise ValueError(f"{effect.name}: no parameter sets its strength")
+    p[linear[1:]] *= SECOND.get(effect.name, 1.0)
+    if effect.name == "stiffness_drift":
+        p[linear[1]] = 0.0
+    p[linear] *= fraction * at.force / rms(effect, p, at, seconds)
+    return dict(zip(names, p.tolist(), strict=True))
+
+
+SECOND = {"rub": 0.2, "imbalance": 0.5, "bow": 0.5}  # size of further amplitudes against the first: friction 0.2, ...
+
+
+def with_effect(model: Model, effect: Effect, parameters: Mapping[str, float], *at: str) -> Model:
+    """The model with one more effect, at the given canonical places (default: everywhere it can act)."""
+    where = at or places(effect, model)
+    settings = {place: {k: Setting(v) for k, v in parameters.items()} for place in where}
+    return replace(model, effects=(*model.effects, EffectUse(effect.name, settings)))
