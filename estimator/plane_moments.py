@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from .estimate import Parameter
 from .moments import BlockMoments, propagate
-from .planes import POWER_UNITS, Plane
+from .planes import Plane
 
 Array = NDArray[np.float64]
 Form = Literal["velocity", "density"]
@@ -49,21 +49,7 @@ class PlaneMoments:
             self._slices.append(slice(at, at + width))
             at += width
         self.moments = BlockMoments(at + 1)
-        self.names = self._names()
-
-    def _solvable(self, index: int) -> bool:
-        return self.plane.caps[index].mass is not None or self._joint
-
-    def _names(self) -> tuple[str, ...]:
-        out: list[str] = []
-        for i, cap in enumerate(self.plane.caps):
-            if self._solvable(i):
-                out += [cap.name(q) for q in cap.powers]
-            if 3 in cap.powers:
-                out.append(f"{cap.place}.cubic.lambda")
-            if cap.mass is None and self._joint:
-                out.append(f"{cap.place}.m")
-        return tuple(out)
+        self.names = plane.names()
 
     def rows(self, x: Array, v: Array) -> Array:
         """The series (n, K) for displacement and velocity (n, caps), m and m/s."""
@@ -91,34 +77,15 @@ class PlaneMoments:
         """The estimate: contract names -> Parameter, each judged for identifiability."""
         constant = self._constant()
         if constant:
-            return {name: Parameter(None, None, _unit(name), False, constant) for name in self._all_names()}
-        mean = self.moments.mean.astype(complex)
-        values = self._solve(mean).real
-        sds = np.sqrt(np.maximum(np.diag(propagate(self._solve, self.moments)), 0.0))
-        found = dict(zip(self.names, zip(values, sds, strict=True), strict=True))
-        out = {}
-        for name in self._all_names():
-            if name in found:
-                out[name] = Parameter.judged(*found[name], _unit(name))
-            else:
-                reason = "mass unknown: give rig.mass for this cap; only ratios follow from its density"
-                out[name] = Parameter(None, None, _unit(name), False, reason)
-        return out
+            return self.plane.undetermined(constant)
+        values, covariance = self.values()
+        sds = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        return self.plane.judged({n: (values[n], float(sd)) for n, sd in zip(self.names, sds, strict=True)})
 
     def values(self) -> tuple[dict[str, float], Array]:
         """Estimate without verdict, and its covariance (P, P) in the order of `names`."""
         solved = self._solve(self.moments.mean.astype(complex)).real
         return dict(zip(self.names, solved.tolist(), strict=True)), propagate(self._solve, self.moments)
-
-    def _all_names(self) -> list[str]:
-        out: list[str] = []
-        for cap in self.plane.caps:
-            out += [cap.name(q) for q in cap.powers]
-            if 3 in cap.powers:
-                out.append(f"{cap.place}.cubic.lambda")
-            if cap.mass is None:
-                out.append(f"{cap.place}.m")
-        return out
 
     def _constant(self) -> str:
         mean = self.moments.mean
@@ -155,7 +122,7 @@ class PlaneMoments:
                 k = joint[1][i]
             else:
                 k = _solve_scaled(gram, right, scale)
-            if self._solvable(i):
+            if plane.solvable(cap):
                 out += list(k)
             if 3 in cap.powers:
                 out.append(k[cap.powers.index(3)] / k[0])
@@ -194,10 +161,3 @@ def _joint_solution(
     theta = _solve_scaled(gram, right, scale)
     temperature = plane.ks / theta[n]
     return temperature, list(np.split(theta[:n] * temperature, np.cumsum(sizes)[:-1]))
-
-
-def _unit(name: str) -> str:
-    kind = name.rsplit(".", 1)[1]
-    if kind in ("lambda", "m"):
-        return "1/m^2" if kind == "lambda" else "kg"
-    return POWER_UNITS[{"kL": 1, "kq": 2, "kNL": 3, "k5": 5}[kind]]

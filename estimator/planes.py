@@ -3,7 +3,8 @@
 The disc is never measured. What it does to the caps' stationary density depends on the band: a disc whose mode lies
 inside is in equilibrium with the caps and is integrated out of exp(-V/T); a disc whose mode lies below stands still.
 A soft shaft's disc mode relaxes in tens of seconds or more, so its share of the caps' motion never averages out; where
-the bearing mode is well above it, `density_band` cuts it off. With shaft energy (ks/2) [a (x1^2 + x2^2) + 2 b x1 x2] per direction:
+the bearing mode is well above it, `density_band` cuts it off. The shaft energy of a direction is
+(ks/2) [a (x1^2 + x2^2) + 2 b x1 x2] with
 
     shaft   disc in band          disc below band
     chain   a = 1/2, b = -1/2     a = 1, b = 0
@@ -13,8 +14,10 @@ the bearing mode is well above it, `density_band` cuts it off. With shaft energy
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+from .estimate import Parameter
 from .model import DIRECTIONS, Model
 
 POWERS = {"quadratic": (2, "kq"), "cubic": (3, "kNL"), "quintic": (5, "k5")}
@@ -56,6 +59,45 @@ class Plane:
     def scale_from_shaft(self) -> bool:
         """Whether the known shaft spring can stand in for an unknown mass: it must couple two measured caps."""
         return len(self.caps) == 2 and self.ks > 0.0 and self.b != 0.0
+
+    def solvable(self, cap: Cap) -> bool:
+        """Whether the stiffness of this cap has a scale: its mass is given, or the shaft supplies it."""
+        return cap.mass is not None or self.scale_from_shaft
+
+    def names(self, solved_only: bool = True) -> tuple[str, ...]:
+        """Parameters of a density method, cap by cap: coefficients, lambda = kNL/kL, and the mass where unknown."""
+        out: list[str] = []
+        for cap in self.caps:
+            if self.solvable(cap) or not solved_only:
+                out += [cap.name(q) for q in cap.powers]
+            if 3 in cap.powers:
+                out.append(f"{cap.place}.cubic.lambda")
+            if cap.mass is None and (self.scale_from_shaft or not solved_only):
+                out.append(f"{cap.place}.m")
+        return tuple(out)
+
+    def judged(self, found: Mapping[str, tuple[float, float]]) -> dict[str, Parameter]:
+        """Every parameter with its verdict, from (value, sd) of those solved for."""
+        out = {}
+        for name in self.names(solved_only=False):
+            if name in found:
+                out[name] = Parameter.judged(*found[name], unit_of(name))
+            else:
+                reason = "mass unknown: give rig.mass for this cap; only ratios follow from its density"
+                out[name] = Parameter(None, None, unit_of(name), False, reason)
+        return out
+
+    def undetermined(self, reason: str) -> dict[str, Parameter]:
+        """Every parameter without a value, for one reason."""
+        return {n: Parameter(None, None, unit_of(n), False, reason) for n in self.names(solved_only=False)}
+
+
+def unit_of(name: str) -> str:
+    """SI unit of a density method's parameter, by its full name."""
+    kind = name.rsplit(".", 1)[1]
+    if kind in ("lambda", "m"):
+        return "1/m^2" if kind == "lambda" else "kg"
+    return POWER_UNITS[{"kL": 1, "kq": 2, "kNL": 3, "k5": 5}[kind]]
 
 
 def disc_mode_hz(model: Model) -> float:

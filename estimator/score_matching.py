@@ -18,7 +18,7 @@ from .fit_result import Fit
 from .model import Model
 from .plane_moments import Form, PlaneMoments
 from .planes import density_band, ignored_effects, planes
-from .stationary import check_resonance, messages
+from .stationary import check_resonance, messages, softening_message
 
 Array = NDArray[np.float64]
 MOTION = ("acceleration", "velocity", "displacement")
@@ -50,7 +50,7 @@ class RollingScoreMatching:
         self._columns = list(motion_columns(model))
         kinds = [model.channels[i].kind for i in self._columns]
         self._stream = BandLimit(kinds, rate_hz, density_band(model)[0])
-        self._planes = [(PlaneMoments(p), _place_columns(model, p.direction)) for p in planes(model)]
+        self._planes = [(PlaneMoments(p), place_columns(model, p.direction)) for p in planes(model)]
         self._rows = max(256, round(time_constant_s * rate_hz / 100.0))
         self._forget = math.exp(-self._rows / (time_constant_s * rate_hz))
         self._held = np.empty((2, 0, len(kinds)))
@@ -96,13 +96,13 @@ def fit(model: Model, y: Array, rate_hz: float, form: Form = "velocity") -> Fit:
     notes: list[str] = []
     size = max(1, int(valid.sum()) // FIT_BLOCKS)
     for plane in planes(model):
-        columns = _place_columns(model, plane.direction)
+        columns = place_columns(model, plane.direction)
         here, speed = x[valid][:, columns], v[valid][:, columns]
         moments = PlaneMoments(plane, form)
         for at in range(0, len(here), size):
             moments.add(here[at : at + size], speed[at : at + size])
         found |= moments.parameters()
-        notes += messages(plane, here, speed)
+        notes += messages(plane, here, speed) + softening_message(plane, found, speed)
     ignored = ignored_effects(model)
     if ignored:
         notes.append(f"score matching knows only powers of the displacement; left out: {', '.join(ignored)}")
@@ -138,5 +138,6 @@ def motion_of(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array, NDA
     return x, v, motion.valid
 
 
-def _place_columns(model: Model, direction: str) -> list[int]:
+def place_columns(model: Model, direction: str) -> list[int]:
+    """Positions in `model.places` of the caps of one direction."""
     return [k for k, place in enumerate(model.places) if place.endswith("." + direction)]

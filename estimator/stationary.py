@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import DataError
+from .estimate import Parameter
 from .moments import BlockMoments, propagate
 from .planes import Cap, Plane
 
@@ -56,12 +57,33 @@ class Density:
         """Raise DataError if a softening cubic lets the cap escape: barrier U = kL^2/(4 |kNL|) under 20 T."""
         for cap, terms in zip(self.plane.caps, self.stiffness, strict=True):
             kL, kNL = terms[1], terms.get(3, 0.0)
-            if kNL < 0.0 and 5 not in terms and kL**2 / (4.0 * -kNL) < 20.0 * self.temperature:
-                barrier = kL**2 / (4.0 * -kNL) / self.temperature
-                raise DataError(
-                    f"{cap.place}: softening cubic kNL = {kNL:.3g} N/m^3 has no stationary density "
-                    f"(barrier {barrier:.1f} T, 20 needed): use the hertz effect, or a lower level of excitation"
-                )
+            if kNL < 0.0 and 5 not in terms and barrier(kL, kNL, self.temperature) < 20.0:
+                raise DataError(_softens(cap.place, kL, kNL, self.temperature))
+
+
+def barrier(kL: float, kNL: float, temperature: float) -> float:
+    """Height of the potential barrier of a softening cubic in units of T: kL^2 / (4 |kNL| T)."""
+    return kL**2 / (4.0 * abs(kNL) * temperature)
+
+
+def _softens(place: str, kL: float, kNL: float, temperature: float) -> str:
+    return (
+        f"{place}: softening cubic kNL = {kNL:.3g} N/m^3 has no stationary density (barrier "
+        f"{barrier(kL, kNL, temperature):.1f} T, 20 needed): use the hertz effect, or a lower level of excitation"
+    )
+
+
+def softening_message(plane: Plane, found: Mapping[str, Parameter], v: Array) -> list[str]:
+    """A line for each cap whose fitted cubic softens by more than 3 sd and has too low a barrier; v : (n, caps) m/s."""
+    out = []
+    for i, cap in enumerate(plane.caps):
+        kL, kNL = found.get(f"{cap.place}.kL"), found.get(f"{cap.place}.cubic.kNL")
+        if cap.mass is None or kL is None or kNL is None or kL.value is None or kNL.value is None:
+            continue
+        temperature = cap.mass * float(np.mean(v[:, i] ** 2))
+        if kNL.value < -3.0 * (kNL.sd or 0.0) and barrier(kL.value, kNL.value, temperature) < 20.0:
+            out.append(_softens(cap.place, kL.value, kNL.value, temperature))
+    return out
 
 
 @dataclass(frozen=True, slots=True)
