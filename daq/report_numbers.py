@@ -1,0 +1,81 @@
+"""Numbers and units as an engineer reads them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+UNITS = {"N s/m": "N·s/m", "N^2/Hz": "N²/Hz", "m/s^2": "m/s²"}
+
+
+def unit_text(unit: str) -> str:
+    """The unit with real superscripts."""
+    if unit in UNITS:
+        return UNITS[unit]
+    out, raised = "", False
+    for letter in unit:
+        if letter == "^":
+            raised = True
+        elif raised and letter in "0123456789-":
+            out += letter.translate(SUPERSCRIPT)
+        else:
+            raised = False
+            out += letter
+    return out
+
+
+def prefix(peak: float, unit: str) -> tuple[float, str]:
+    """Factor and prefixed unit that leave 1 to 1000 of `peak`: (1e9, "nm") for 3e-8 of "m"."""
+    if not (peak > 0 and math.isfinite(peak)):
+        return 1.0, unit_text(unit)
+    exponent = min(9, max(-12, 3 * math.floor(math.log10(peak) / 3 + 1e-9)))
+    return 10.0**-exponent, PREFIXES[exponent] + unit_text(unit)
+
+
+def power(text: str, exponent: int) -> str:
+    return text if not exponent else f"{text} × 10{str(exponent).translate(SUPERSCRIPT)}"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """`digits` figures, with a power of ten where that reads better."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    if value == 0:
+        return "0"
+    exponent = math.floor(math.log10(abs(value)))
+    if -3 <= exponent <= 4:
+        return f"{value:.{max(0, digits - 1 - exponent)}f}"
+    return power(f"{value / 10.0**exponent:.{digits - 1}f}", exponent)
+
+
+def interval(value: float, sd: float) -> str:
+    """Value and 95 % interval with as many figures as the interval deserves: "1.30 ± 0.12 × 10¹⁸"."""
+    half = 1.96 * sd
+    if not (math.isfinite(value) and math.isfinite(half)) or half <= 1e-9 * abs(value):
+        return number(value)
+    top = math.floor(math.log10(max(abs(value), half)))
+    exponent = 0 if -2 <= top <= 3 else 3 * (top // 3)
+    places = max(0, 1 - math.floor(math.log10(half / 10.0**exponent)))
+    pair = f"{value / 10.0**exponent:.{places}f} ± {half / 10.0**exponent:.{places}f}"
+    return pair if not exponent else power(f"({pair})", exponent)
+
+
+def fixed(value: float) -> str:
+    """Four decimals and a real minus: log-likelihoods are compared in their last figures."""
+    return f"{value:.4f}".replace("-", "\N{MINUS SIGN}")
+
+
+def percent(value: float) -> str:
+    """Percentages without false precision."""
+    return f"{value:.0f} %" if abs(value) >= 10 else f"{value:.1f} %" if abs(value) >= 0.095 else f"{value:.2f} %"
+
+
+def parameter(p: Mapping[str, Any]) -> str:
+    """A parameter of the JSON results with its unit, or why there is none."""
+    if p.get("value") is None:
+        return f"not identifiable: {p['reason']}" if p.get("reason") else "not identifiable"
+    sd = p.get("sd")
+    return f"{interval(p['value'], sd) if sd else number(p['value'])} {unit_text(p.get('unit', ''))}".strip()

@@ -1,0 +1,93 @@
+"""The report in plain language: what was found, how sure it is, what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from .report_numbers import number, percent, unit_text
+
+Json = Mapping[str, Any]
+
+
+def summary(comparison: Json | None, diagnosis: Json | None, ladder: Sequence[Json]) -> list[str]:
+    """Two to five sentences, the most important first."""
+    said: list[str] = []
+    if len(ladder) > 1:
+        first, last = ladder[0]["missing_force_percent"]["value"], ladder[-1]["missing_force_percent"]["value"]
+        added = [e for e in ladder[-1]["effects"] if e not in ladder[0]["effects"]]
+        said.append(
+            f"Adding {listed(added)} to the model brings the missing force down from {percent(first)} to "
+            f"{percent(last)} of the bearing force, on data that no model was fitted to."
+        )
+    elif len(ladder) == 1:
+        said.append("No effect of the catalogue earns its place: the model stays as it is.")
+    if comparison is not None:
+        said += about_comparison(comparison)
+    if diagnosis is not None:
+        said += about_diagnosis(diagnosis, past=len(ladder) > 1)
+    return said
+
+
+def about_comparison(comparison: Json) -> list[str]:
+    missing = comparison["missing_force_percent"]
+    span = f"{percent(missing['value'])} (95 % interval {percent(missing['low'])} to {percent(missing['high'])})"
+    if comparison["adequate"]:
+        said = [f"The model explains this record: the missing force is {span} of the bearing force."]
+    else:
+        said = [
+            f"Something acts on the bearings that the model does not contain: {span} of the bearing force can still "
+            "be predicted from the motion, which a complete model would leave at zero."
+        ]
+        top = max(comparison["where"], key=lambda w: w["share_percent"], default=None)
+        if top is not None:
+            said.append(
+                f"It shows most clearly in {top['channel']} against {top['against'].replace('_', ' ')} "
+                f"({top['region']}, {percent(top['share_percent'])} of the missing force)."
+            )
+    left = comparison["heldout_nll"] - comparison["reference_nll"]
+    said.append(
+        f"A flexible black box predicts the same held-out data {number(abs(left), 2)} nats per sample "
+        f"{'better' if left > 0 else 'worse'} than the model" + (": that is what is left to win." if left > 0 else ".")
+    )
+    return said
+
+
+def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
+    verdict, rows = diagnosis["verdict"], diagnosis["ranking"]
+    if verdict == "complete":
+        return ["Diagnosis: complete. No effect of the catalogue improves the prediction by more than chance would."]
+    if verdict == "unknown":
+        near = f" The nearest are {listed([r['effect'] for r in rows[:3]])}." if rows else ""
+        return [
+            "Diagnosis: unknown. A force is missing, but no effect of the catalogue explains it; its shape is drawn "
+            "below, and a law of your own can be typed into the rig file and tested." + near
+        ]
+    best = next((r for r in rows if r["effect"] == verdict), None)
+    if best is None:
+        return [f"Diagnosis: {verdict}."]
+    said = [
+        f"Diagnosis: {verdict} at {listed(best['at'])} {'was' if past else 'is'} missing (p = {number(best['p_value'], 2)}). "
+        f"With it the missing force {'fell' if past else 'falls'} from {percent(best['missing_force_before_percent'])} to "
+        f"{percent(best['missing_force_after_percent'])}."
+    ]
+    second = runner_up(diagnosis)
+    if second is not None:
+        said.append(f"The runner-up is {second['effect']} at {listed(second['at'])}.")
+    return said
+
+
+def runner_up(diagnosis: Json) -> Json | None:
+    """The best-ranked effect other than the verdict."""
+    return next((r for r in diagnosis["ranking"] if r["effect"] != diagnosis["verdict"]), None)
+
+
+def listed(names: Sequence[str]) -> str:
+    """ "a", "a and b", "a, b and c"."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]])) if names else "nothing"
+
+
+def detectable(row: Json) -> str:
+    """How strong the effect would have to be to be seen in this record."""
+    limit = row.get("detectable_from")
+    return f"{number(limit['value'], 2)} {unit_text(limit['unit'])}" if limit else ""
