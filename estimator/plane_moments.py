@@ -51,27 +51,34 @@ class PlaneMoments:
         self.moments = BlockMoments(at + 1)
         self.names = plane.names()
 
-    def rows(self, x: Array, v: Array) -> Array:
-        """The series (n, K) for displacement and velocity (n, caps), m and m/s."""
+    def series(self, x: Array, v: Array) -> list[Array]:
+        """The K columns of the series, each (n,), for displacement and velocity (n, caps), m and m/s."""
         plane = self.plane
-        shaft = plane.a * x + plane.b * x[:, ::-1] if x.shape[1] == 2 else plane.a * x
-        columns = []
+        xs, vs = [np.ascontiguousarray(z) for z in x.T], [np.ascontiguousarray(z) for z in v.T]
+        shaft = [plane.a * z for z in xs]
+        if len(xs) == 2:
+            shaft = [shaft[0] + plane.b * xs[1], shaft[1] + plane.b * xs[0]]
+        columns: list[Array] = []
         for i, cap in enumerate(plane.caps):
-            f = [x[:, i] ** q for q in cap.powers]
-            slope = [q * x[:, i] ** (q - 1) for q in cap.powers]
+            power = [np.ones_like(xs[i]), xs[i]]
+            while len(power) <= cap.powers[-1]:
+                power.append(power[-1] * xs[i])  # x ** 3 costs fifty times as much
+            f = [power[q] for q in cap.powers]
+            slope = [q * power[q - 1] for q in cap.powers]
+            square = vs[i] * vs[i]
             columns += [f[j] * f[k] for j in range(len(f)) for k in range(j, len(f))]
-            columns += [s * v[:, i] ** 2 for s in slope]
+            columns += [s * square for s in slope]
             columns += slope
-            columns += [g * shaft[:, i] for g in f]
-        columns.append(np.sum(shaft**2, axis=1))
-        return np.stack(columns, axis=1)
+            columns += [g * shaft[i] for g in f]
+        columns.append(sum((z * z for z in shaft[1:]), shaft[0] * shaft[0]))
+        return columns
 
     def add(self, x: Array, v: Array, forget: float = 1.0) -> None:
         """Take one block, (n, caps) each; rows with NaN are left out."""
         keep = np.isfinite(x).all(axis=1) & np.isfinite(v).all(axis=1)
         if not keep.all():
             x, v = x[keep], v[keep]
-        self.moments.add(self.rows(x, v).sum(axis=0), len(x), forget)
+        self.moments.add(np.array([column.sum() for column in self.series(x, v)]), len(x), forget)
 
     def parameters(self) -> dict[str, Parameter]:
         """The estimate: contract names -> Parameter, each judged for identifiability."""
