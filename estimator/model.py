@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Literal
 
+from .effect import Effect
+
 Shaft = Literal["chain", "beam", "none"]
 NODES = ("bearing1", "bearing2")
 DIRECTIONS = ("x", "y")
@@ -57,11 +59,15 @@ class BearingGeometry:
 
 @dataclass(frozen=True, slots=True)
 class CustomLaw:
-    """A user's own restoring force: an expression (see effects/custom.py) or a module's object, and its units."""
+    """A user's own restoring force: an expression (see effects/custom.py) or a module's object, and its units.
+
+    effect : the loaded object of `module`; the estimator opens no files, so whoever reads the rig file puts it here.
+    """
 
     expression: str | None = None
     module: str | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+    effect: Effect | None = None
 
 
 @dataclass(frozen=True, slots=True)

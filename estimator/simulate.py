@@ -46,7 +46,6 @@ class Simulator:
         hold the force over the step with variance S / (2 dt).
     start : "boltzmann" (stationary, see simulate_start) or "rest".
     speed : shaft speed; default the constant speed of the model.
-    custom : name -> Effect for effects that come from a user's module.
 
     Raises ModelError for a model that is incomplete, unstable or without a stationary density.
     """
@@ -61,13 +60,12 @@ class Simulator:
         scheme: Scheme = "exponential",
         start: Literal["boltzmann", "rest"] = "boltzmann",
         speed: Speed | None = None,
-        custom: Mapping[str, Effect] | None = None,
     ) -> None:
         if oversample < 2 or rate_hz <= 0:
             raise ValueError("oversample must be at least 2 and rate_hz positive")
         self.model, self.rate_hz, self.oversample = model, float(rate_hz), oversample
         self.speed = speed or (Speed(model.speed_rpm) if model.speed_rpm is not None else None)
-        self.plan = build(model, custom)
+        self.plan = build(model)
         if self.speed is None:
             _refuse_without_speed(model, self.plan)
         motion, *sensor_seeds = np.random.SeedSequence(seed).spawn(1 + len(self.plan.sensors))
@@ -244,14 +242,13 @@ def simulate(
     scheme: Scheme = "exponential",
     start: Literal["boltzmann", "rest"] = "boltzmann",
     speed: Speed | None = None,
-    custom: Mapping[str, Effect] | None = None,
 ) -> Array:
     """(n, channels) of a simulated record, n = round(seconds * rate_hz), as a real device would send it.
 
     noise : rms of white sensor noise over the whole band. full_scale : of the 16-bit counts; None leaves the signal
     unrounded. Either by channel name, or one number for every acceleration, velocity and displacement channel.
     """
-    source = Simulator(model, rate_hz, seed, oversample, scheme=scheme, start=start, speed=speed, custom=custom)
+    source = Simulator(model, rate_hz, seed, oversample, scheme=scheme, start=start, speed=speed)
     y = source.next(round(seconds * rate_hz))
     rng = np.random.default_rng(np.random.SeedSequence((seed, 1)))
     for i, channel in enumerate(model.channels):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,20 +49,18 @@ class Plan:
     sensors: tuple[tuple[int, Effect, Array], ...]  # (channel number, effect, p)
 
 
-def effect_of(use: EffectUse, custom: Mapping[str, Effect] | None = None) -> Effect:
-    """The effect that a use names: the catalogue's, a module's object handed in, or compiled from its expression."""
-    if custom and use.name in custom:
-        return custom[use.name]
-    if use.custom is not None and use.custom.expression is not None:
-        from .effects.custom import from_expression
+def effect_of(use: EffectUse) -> Effect:
+    """The effect that a use names: of the catalogue, or the user's own."""
+    if use.custom is not None:
+        from .effects.custom import custom_effect
 
-        return from_expression(use.name, use.custom.expression, use.custom.units)
+        return custom_effect(use)
     if use.name not in CATALOGUE:
         raise ModelError(f"no effect {use.name!r} in the catalogue: see `rotorscope effects`, or use [[model.custom]]")
     return CATALOGUE[use.name]
 
 
-def build(model: Model, custom: Mapping[str, Effect] | None = None) -> Plan:
+def build(model: Model) -> Plan:
     """The plan of a model with every value given. Raises ModelError naming what is missing."""
     rig = assemble(model)
     acting: list[Acting] = []
@@ -70,7 +68,7 @@ def build(model: Model, custom: Mapping[str, Effect] | None = None) -> Plan:
     correlation: list[tuple[int, int, float]] = []
     sensors: list[tuple[int, Effect, Array]] = []
     for use in model.effects:
-        effect = effect_of(use, custom)
+        effect = effect_of(use)
         for place in at(effect, use, model):
             p = values(effect, use, model, place)
             if effect.kind == "sensor":

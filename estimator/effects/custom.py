@@ -1,12 +1,145 @@
-"""A user's own law from an expression, compiled to the same standing as a law of the catalogue."""
+"""A user's own law, with the same standing as one of the catalogue: simulated, fitted, compared, diagnosed."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import numpy as np
+from numpy.typing import NDArray
 
-from ..effect import Effect
+from ..effect import Effect, EffectParameter
+from ..errors import ModelError
+from ..model import EffectUse, Setting
+from .compiled import force_array
+from .expression import compile_law
+
+Array = NDArray[np.float64]
+SCALE_OF_UNIT = {"m": "x", "m/s": "v", "Hz": "hz_peak"}
 
 
-def from_expression(name: str, expression: str, units: Mapping[str, str]) -> Effect:
-    """The effect of an expression."""
-    raise NotImplementedError("custom expressions")
+def custom_effect(use: EffectUse) -> Effect:
+    """The effect of a [[model.custom]] entry. Raises ModelError, one line with the name and the column.
+
+    Parameters that the law is linear in are found by trying; the others are searched between their min and max, or
+    within a factor of 30 of their value. A module's object must have been loaded by the caller (`custom.effect`).
+    """
+    custom = use.custom
+    if custom is None:
+        raise ModelError(f"effect {use.name} is not a custom one")
+    if custom.effect is not None:
+        return custom.effect
+    if custom.expression is None:
+        raise ModelError(f"custom effect {use.name}: the module {custom.module!r} has not been loaded")
+    names = tuple(custom.units)
+    try:
+        law, used = compile_law(custom.expression, names)
+    except ModelError as error:
+        raise ModelError(f"custom effect {use.name}: {error}") from None
+    settings = next(iter(use.parameters.values()), {})
+    given = [settings.get(n, Setting()) for n in names]
+    parameters = tuple(_parameter(n, custom.units[n], s) for n, s in zip(names, given, strict=True))
+    effect = Effect(
+        name=use.name,
+        kind="force",
+        parameters=parameters,
+        equation=custom.expression,
+        signature="the law of the user",
+        confused_with=(),
+        distinguish="the shape of the law itself",
+        reference="the rig file",
+        check="finite over the range of states that its lengths suggest",
+        on_machine="what the user had in mind",
+        stationary_density=used.isdisjoint({"v", "xo", "vo", "t", "phase"}),
+        force=law,
+    )
+    p = np.array([_start(q, s) for q, s in zip(parameters, given, strict=True)])
+    _refuse_not_finite(effect, p)
+    linear = _linear(effect, p)
+    marked = tuple(
+        EffectParameter(q.name, q.unit, *_amplitude(s), 0.0, "amplitude", linear=True) if k in linear else q
+        for k, (q, s) in enumerate(zip(parameters, given, strict=True))
+    )
+    fields = {f: getattr(effect, f) for f in Effect.__dataclass_fields__}
+    return Effect(**{**fields, "parameters": marked})
+
+
+def _amplitude(s: Setting) -> tuple[float, float]:
+    low = -np.inf if s.low is None else s.low
+    return float(low), float(np.inf if s.high is None else s.high)
+
+
+def _parameter(name: str, unit: str, s: Setting) -> EffectParameter:
+    """Search range in SI from min, max and value; without any, in natural sizes by the unit."""
+    if s.value is None and s.low is None and s.high is None:
+        return EffectParameter(name, unit, -4.0, 4.0, 1.0, "of the user's law", scale=SCALE_OF_UNIT.get(unit, "1"))
+    value = s.value if s.value is not None else 0.5 * ((s.low or 0.0) + (s.high or 0.0))
+    wide = sorted((value / 30.0, value * 30.0)) if value else [-1.0, 1.0]
+    low = s.low if s.low is not None else min(wide[0], value)
+    high = s.high if s.high is not None else max(wide[1], value)
+    return EffectParameter(name, unit, low, high, value, "of the user's law")
+
+
+def _start(q: EffectParameter, s: Setting) -> float:
+    """A value to try the law with, in SI."""
+    if s.value is not None:
+        return s.value
+    return {"x": 1e-7, "v": 1e-3, "hz_peak": 1e3}.get(q.scale, 1.0) if q.scale != "1" else q.default
+
+
+def _states(effect: Effect, p: Array, n: int) -> tuple[Array, Array, Array, Array, Array, Array]:
+    lengths = [abs(a) for a, q in zip(p, effect.parameters, strict=True) if q.unit == "m" and a]
+    speeds = [abs(a) for a, q in zip(p, effect.parameters, strict=True) if q.unit == "m/s" and a]
+    x, v = 4.0 * max(lengths, default=2e-7), 4.0 * max(speeds, default=2e-3)
+    rng = np.random.default_rng(0)
+    z = rng.uniform(-1.0, 1.0, (4, n)) * np.array([x, v, x, v])[:, None]
+    z[:, 0] = 0.0
+    t, phase = rng.uniform(0.0, 60.0, n), rng.uniform(0.0, 1000.0, n)
+    t[0] = phase[0] = 0.0
+    return z[0], z[1], z[2], z[3], t, phase
+
+
+def _refuse_not_finite(effect: Effect, p: Array) -> None:
+    states = _states(effect, p, 2000)
+    f = force_array(effect, p, *states)
+    bad = np.flatnonzero(~np.isfinite(f))
+    if bad.size:
+        at = ", ".join(
+            f"{n} = {a[bad[0]]:.3g}" for n, a in zip(("x", "v", "xo", "vo", "t", "phase"), states, strict=True)
+        )
+        given = ", ".join(f"{q.name} = {a:.3g}" for q, a in zip(effect.parameters, p, strict=True))
+        raise ModelError(f"custom effect {effect.name}: the law is not finite at {at} with {given}")
+
+
+def _linear(effect: Effect, p: Array) -> set[int]:
+    """Indices of a largest set of parameters that the law is jointly linear in (homogeneous, no products)."""
+    states = _states(effect, p, 400)
+    rng = np.random.default_rng(1)
+
+    def f(q: Array) -> Array:
+        return force_array(effect, q, *states)
+
+    def moved(k: int, by: float) -> Array:
+        q = p.copy()
+        q[k] += by * step[k]
+        return q
+
+    step = np.where(p != 0.0, np.abs(p), 1.0) * rng.uniform(0.3, 0.7, p.size)
+    base = f(p)
+    size = max(float(np.max(np.abs(base))), 1e-300)
+    chosen: list[int] = []
+    for k in range(p.size):
+        one, two = f(moved(k, 1.0)) - base, f(moved(k, 2.0)) - base
+        back = f(moved(k, -5.0)) - base  # across zero: |a| is not linear
+        if not np.allclose(back, -5.0 * one, atol=1e-9 * max(size, float(np.max(np.abs(back))))):
+            continue
+        if not np.allclose(two, 2.0 * one, atol=1e-9 * max(size, float(np.max(np.abs(two))))):
+            continue
+        mixed = False
+        for j in chosen:
+            q = moved(k, 1.0)
+            q[j] += step[j]
+            both = f(q) - f(moved(j, 1.0))
+            mixed |= not np.allclose(both, one, atol=1e-9 * max(size, float(np.max(np.abs(both)))))
+        if not mixed:
+            chosen.append(k)
+    none = p.copy()
+    none[chosen] = 0.0
+    return set(chosen) if chosen and np.allclose(f(none), 0.0, atol=1e-12 * size) else set()

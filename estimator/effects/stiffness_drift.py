@@ -30,7 +30,8 @@ STIFFNESS_DRIFT = Effect(
         "nonlinearity does when the level drifts"
     ),
     reference=(
-        "Harris, Rolling Bearing Analysis, 4th ed., Wiley 2001 (stiffness goes as the root of the preload, which follows temperature)"
+        "Harris, Rolling Bearing Analysis, 4th ed., Wiley 2001 (stiffness goes as the root of "
+        "the preload, which follows temperature)"
     ),
     check="halves of a simulated record fitted apart differ by the drift between their middles",
     on_machine="warming up: preload grows or is lost; log the temperature, wait for steady state, check the locknut",

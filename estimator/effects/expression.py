@@ -1,0 +1,233 @@
+"""From a user's expression to a compiled law, safely: only whitelisted syntax is ever turned into code.
+
+The text is parsed with `ast`, every node is checked against the lists below and rewritten (parameters become p[0],
+p[1], ...; numpy names become scalar code), and only the rewritten tree is compiled. There is no attribute access, no
+subscript, no string, no call of anything that is not in FUNCTIONS.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable
+from functools import cache
+
+from numba import njit
+
+from ..errors import ModelError
+
+STATE = ("x", "v", "xo", "vo", "t", "phase")
+CONSTANTS = {"pi": math.pi, "e": math.e}
+LONGEST, MOST_NODES, DEEPEST = 1000, 300, 40
+
+FUNCTIONS: dict[str, tuple[int, str]] = {  # name -> number of arguments, scalar code
+    **{
+        name: (1, f"math.{name}")
+        for name in (
+            "sin",
+            "cos",
+            "tan",
+            "sinh",
+            "cosh",
+            "tanh",
+            "exp",
+            "expm1",
+            "log",
+            "log1p",
+            "log10",
+            "sqrt",
+            "floor",
+        )
+    },
+    **{name: (1, f"math.{name.replace('arc', 'a')}") for name in ("arcsin", "arccos", "arctan")},
+    "ceil": (1, "math.ceil"),
+    "arctan2": (2, "math.atan2"),
+    "hypot": (2, "math.hypot"),
+    "fmod": (2, "math.fmod"),
+    "abs": (1, "abs"),
+    "absolute": (1, "abs"),
+    "fabs": (1, "abs"),
+    "maximum": (2, "max"),
+    "minimum": (2, "min"),
+    "power": (2, "_power"),
+    "square": (1, "_square"),
+    "sign": (1, "_sign"),
+    "heaviside": (2, "_heaviside"),
+    "clip": (3, "_clip"),
+    "where": (3, "_where"),
+}
+OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod, ast.FloorDiv)
+COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)
+
+
+class ExpressionError(ModelError):
+    """What is wrong with an expression, and at which column (from 1) of it."""
+
+    def __init__(self, text: str, column: int) -> None:
+        super().__init__(f"{text} (column {column})")
+        self.column = column
+
+
+@njit(error_model="numpy")
+def _sign(a):  # type: ignore[no-untyped-def]
+    return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else 0.0 * a)
+
+
+@njit(error_model="numpy")
+def _square(a):  # type: ignore[no-untyped-def]
+    return a * a
+
+
+@njit(error_model="numpy")
+def _power(a, b):  # type: ignore[no-untyped-def]
+    return a**b
+
+
+@njit(error_model="numpy")
+def _heaviside(a, at_zero):  # type: ignore[no-untyped-def]
+    return 1.0 if a > 0.0 else (0.0 if a < 0.0 else at_zero)
+
+
+@njit(error_model="numpy")
+def _clip(a, low, high):  # type: ignore[no-untyped-def]
+    return min(max(a, low), high)
+
+
+@njit(error_model="numpy")
+def _where(condition, a, b):  # type: ignore[no-untyped-def]
+    return a if condition else b
+
+
+SCALARS = {
+    "_sign": _sign,
+    "_square": _square,
+    "_power": _power,
+    "_heaviside": _heaviside,
+    "_clip": _clip,
+    "_where": _where,
+}
+
+
+class _Rewrite(ast.NodeTransformer):
+    """Checks every node and turns names into scalar code; `used` collects the names that occur."""
+
+    def __init__(self, parameters: tuple[str, ...]) -> None:
+        self.parameters = parameters
+        self.used: set[str] = set()
+
+    def generic_visit(self, node: ast.AST) -> ast.AST:
+        allowed = (
+            ast.Expression, ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp, ast.UAdd, ast.USub, ast.Not,
+            ast.And, ast.Or, *OPERATORS, *COMPARISONS,
+        )  # fmt: skip
+        if not isinstance(node, allowed):
+            raise ExpressionError(
+                f"{_describe(node)} is not allowed in an expression", getattr(node, "col_offset", 0) + 1
+            )
+        return super().generic_visit(node)
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        if not isinstance(node.op, OPERATORS):
+            raise ExpressionError(f"operator {_describe(node.op)} is not allowed", node.col_offset + 1)
+        small = isinstance(node.right, ast.Constant) and type(node.right.value) is int and abs(node.right.value) <= 16
+        if isinstance(node.op, ast.Pow) and small:  # a whole power stays whole: exact for negative x, and fast
+            node.left = self.visit(node.left)
+            return node
+        return self.generic_visit(node)
+
+    def visit_Constant(self, node: ast.Constant) -> ast.AST:
+        if isinstance(node.value, bool) or not isinstance(node.value, (int, float)):
+            raise ExpressionError(f"{node.value!r} is not a number", node.col_offset + 1)
+        try:
+            value = float(node.value)
+        except OverflowError:
+            value = math.inf
+        if not math.isfinite(value):
+            raise ExpressionError("the number is too large", node.col_offset + 1)
+        return ast.copy_location(ast.Constant(value), node)
+
+    def visit_Name(self, node: ast.Name) -> ast.AST:
+        self.used.add(node.id)
+        if node.id in self.parameters:
+            return ast.parse(f"p[{self.parameters.index(node.id)}]", mode="eval").body
+        if node.id in STATE:
+            return node
+        if node.id in CONSTANTS:
+            return ast.copy_location(ast.Constant(CONSTANTS[node.id]), node)
+        if node.id in FUNCTIONS:
+            raise ExpressionError(f"{node.id} is a function: {node.id}(...)", node.col_offset + 1)
+        known = ", ".join((*STATE, *self.parameters))
+        raise ExpressionError(f'unknown name "{node.id}"; there are {known} and numpy functions', node.col_offset + 1)
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS:
+            what = f'"{node.func.id}"' if isinstance(node.func, ast.Name) else "this"
+            known = ", ".join(sorted(FUNCTIONS))
+            raise ExpressionError(f"{what} is not one of the functions: {known}", node.col_offset + 1)
+        count, code = FUNCTIONS[node.func.id]
+        if node.keywords or len(node.args) != count:
+            raise ExpressionError(
+                f"{node.func.id} takes {count} argument(s), {len(node.args)} given", node.col_offset + 1
+            )
+        func = ast.parse(code, mode="eval").body
+        return ast.copy_location(ast.Call(func, [self.visit(a) for a in node.args], []), node)
+
+
+def _describe(node: ast.AST) -> str:
+    words = {
+        ast.Attribute: "an attribute (.)",
+        ast.Subscript: "an index [ ]",
+        ast.Lambda: "lambda",
+        ast.Tuple: "a tuple",
+    }
+    return words.get(type(node), type(node).__name__)
+
+
+def _depth(node: ast.AST) -> int:
+    deepest, level = 0, [node]
+    while level:
+        deepest += 1
+        level = [child for parent in level for child in ast.iter_child_nodes(parent)]
+    return deepest
+
+
+@cache
+def compile_law(expression: str, parameters: tuple[str, ...]) -> tuple[Callable[..., float], frozenset[str]]:
+    """A law with the seam's signature, and the names it uses. The same text gives the same function object.
+
+    Raises ExpressionError: what, and the column. Nothing of the text is executed but the whitelisted arithmetic.
+    """
+    for name in parameters:
+        if not name.isidentifier() or name in STATE or name in FUNCTIONS or name in CONSTANTS or name in ("s", "p"):
+            raise ExpressionError(f'a parameter cannot be called "{name}"', 1)
+    text = expression.replace("\n", " ")
+    lead = len(text) - len(text.lstrip())
+    if not text.strip():
+        raise ExpressionError("the expression is empty", 1)
+    if len(text) > LONGEST:
+        raise ExpressionError(f"the expression is longer than {LONGEST} characters", LONGEST + 1)
+    try:
+        tree = ast.parse(text.strip(), mode="eval")
+    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
+        ends = not getattr(error, "offset", None) or getattr(error, "lineno", 1) != 1
+        column = len(text.strip()) + 1 if ends else int(getattr(error, "offset", 1))
+        raise ExpressionError(f"not an expression: {getattr(error, 'msg', error)}", column + lead) from None
+    if sum(1 for _ in ast.walk(tree)) > MOST_NODES or _depth(tree) > DEEPEST:
+        raise ExpressionError(f"the expression is too involved (over {MOST_NODES} terms or {DEEPEST} levels)", 1)
+    rewrite = _Rewrite(parameters)
+    try:
+        body = ast.unparse(ast.fix_missing_locations(rewrite.visit(tree)))
+    except ExpressionError as error:
+        raise ExpressionError(str(error).rsplit(" (column", 1)[0], error.column + lead) from None
+    unused = [name for name in parameters if name not in rewrite.used]
+    if unused:
+        raise ExpressionError(f"parameter {', '.join(unused)} is not used", 1)
+    if not rewrite.used & set(STATE):
+        raise ExpressionError(f"the law uses none of {', '.join(STATE)}: it would be a constant", 1)
+    namespace: dict[str, object] = {"math": math, **SCALARS}
+    source = f"def force(x, v, xo, vo, t, phase, s, p):\n    return float({body})\n"
+    exec(compile(source, f"<law {text.strip()}>", "exec"), namespace)
+    law = namespace["force"]
+    if not callable(law):
+        raise TypeError("force")
+    return law, frozenset(rewrite.used)

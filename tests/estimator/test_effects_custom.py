@@ -1,0 +1,151 @@
+"""The user's own law: what is understood, what is refused and where, and its standing beside the built-in ones."""
+
+from __future__ import annotations
+
+import contextlib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from estimator.effects import CATALOGUE
+from estimator.effects.compiled import force_array
+from estimator.effects.custom import custom_effect
+from estimator.effects.expression import FUNCTIONS, ExpressionError, compile_law
+from estimator.errors import ModelError
+from estimator.model import CustomLaw, EffectUse, Setting
+
+
+def own(expression: str, **parameters: tuple[float | None, str]) -> EffectUse:
+    values = {k: Setting(v) for k, (v, _) in parameters.items()}
+    law = CustomLaw(expression, None, {k: unit for k, (_, unit) in parameters.items()})
+    return EffectUse("mine", {"bearing1.x": values}, law)
+
+
+STATES = tuple(np.random.default_rng(0).normal(size=(6, 200)))
+
+
+def test_the_example_of_the_contract_equals_the_built_in_stop() -> None:
+    effect = custom_effect(own("k*maximum(x - g, 0)", k=(1e6, "N/m"), g=(1e-7, "m")))
+    x = np.linspace(-5e-7, 5e-7, 101)
+    p = np.array([1e6, 1e-7])
+    np.testing.assert_allclose(force_array(effect, p, x), force_array(CATALOGUE["stop"], p, x), atol=1e-15)
+    assert [q.linear for q in effect.parameters] == [True, False]
+    assert effect.parameters[1].low < 1e-7 < effect.parameters[1].high
+    assert effect.stationary_density
+    assert custom_effect(own("k*maximum(x - g, 0)", k=(2e6, "N/m"), g=(1e-7, "m"))).force is effect.force
+
+
+@pytest.mark.parametrize(
+    ("text", "numpy_text"),
+    [
+        ("a*x**3 - b*v*abs(v)", None),
+        ("a*sin(phase)*x + b*cos(3*phase)", None),
+        ("a*tanh(x/b) + hypot(x, xo)*sign(vo)", None),
+        ("a*where(x > b, x - b, 0) * (t >= 1)", None),
+        ("a*clip(x, -b, b) + heaviside(x, 0.5)", None),
+        ("a*x if x > 0 and v < b else -x % 2", "where((x > 0) & (v < b), a*x, -x % 2)"),
+        ("a*power(abs(x), 1.5) + exp(-b*square(v)) + pi", None),
+        ("a*arctan2(x, b) + log1p(fabs(v)) + floor(t) // 2", None),
+    ],
+)
+def test_values_are_those_of_numpy(text: str, numpy_text: str | None) -> None:
+    law, _ = compile_law(text, ("a", "b"))
+    names = dict(zip(("x", "v", "xo", "vo", "t", "phase"), STATES, strict=True)) | {"a": 1.3, "b": 0.7}
+    expected = eval(numpy_text or text, {n: getattr(np, n) for n in [*FUNCTIONS, "pi"]}, names)
+    from dataclasses import replace
+
+    effect = replace(CATALOGUE["cubic"], force=law)
+    found = force_array(effect, np.array([1.3, 0.7]), *STATES[:6])
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("expression", "message", "column"),
+    [
+        ("k*q", 'unknown name "q"', 3),
+        ("k*x + __import__('os')", "not one of the functions", 7),
+        ("k*x.real", "attribute", 3),
+        ("k*x[0]", "index", 3),
+        ("k*(lambda: x)()", "not one of the functions", 3),
+        ("k*[x for x in (1,)]", "ListComp", 3),
+        ("k*x + 'a'", "is not a number", 7),
+        ("k*x +", "not an expression", 6),
+        ("k*x if", "not an expression", 7),
+        ("k*sin(x, v)", r"takes 1 argument\(s\), 2 given", 3),
+        ("k*sin", "is a function", 3),
+        ("k*x*1e999", "too large", 5),
+        ("k*x & 3", "BitAnd", 1),
+        ("k*x; x", "not an expression", 4),
+        ("", "empty", 1),
+        ("2*x", "parameter k is not used", 1),
+        ("k*2", "constant", 1),
+        ("k*(" * 45 + "x" + ")" * 45, "too involved", 1),
+        ("k" + "*x" * 600, "longer", 1001),
+        ("(k:=x)", "NamedExpr", 2),
+    ],
+)
+def test_what_is_refused_is_said_with_its_column(expression: str, message: str, column: int) -> None:
+    with pytest.raises(ExpressionError, match=message) as error:
+        compile_law(expression, ("k",))
+    assert error.value.column == column
+    assert "\n" not in str(error.value)
+    assert f"(column {column})" in str(error.value)
+
+
+def test_parameters_cannot_hide_a_state_or_function() -> None:
+    for name in ("x", "sin", "pi", "p", "2a"):
+        with pytest.raises(ExpressionError, match="cannot be called"):
+            compile_law(f"{name}*v", (name,))
+
+
+def test_a_law_that_is_not_finite_is_refused_where_it_happens() -> None:
+    with pytest.raises(ModelError, match=r"custom effect mine: the law is not finite at x = 0, .*with k = 1"):
+        custom_effect(own("k/x", k=(1.0, "N m")))
+    with pytest.raises(ModelError, match="not finite"):
+        custom_effect(own("k*log(x)", k=(1.0, "N")))
+    with pytest.raises(ModelError, match=r"mine: unknown name .*column 5"):
+        custom_effect(own("k*x+z", k=(1.0, "N")))
+    with pytest.raises(ModelError, match="has not been loaded"):
+        custom_effect(EffectUse("mine", {}, CustomLaw(None, "a.py:B", {})))
+
+
+@pytest.mark.parametrize(
+    ("expression", "linear"),
+    [
+        ("a*x + b*x**3", {"a", "b"}),
+        ("a*b*x", {"a"}),
+        ("a*sin(x/b)", {"a"}),
+        ("a*x + b*x**3 + 7*x", set()),
+        ("(a + b*x)*v", {"a", "b"}),
+        ("x**3*abs(a)", set()),
+    ],
+)
+def test_linear_parameters_are_found(expression: str, linear: set[str]) -> None:
+    effect = custom_effect(own(expression, **{n: (1.5, "1") for n in ("a", "b") if n in expression.replace("abs", "")}))
+    assert {q.name for q in effect.parameters if q.linear} == linear
+
+
+def test_a_loaded_module_object_is_taken_as_it_is() -> None:
+    use = EffectUse("mine", {"bearing1.x": {}}, CustomLaw(None, "m.py:Mine", {}, effect=CATALOGUE["cubic"]))
+    assert custom_effect(use) is CATALOGUE["cubic"]
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text(alphabet="xvkp()[]{}*+-/%.,:;='\"_ 019eE<>!&|~@\n\t\\lambdimportsn", max_size=60))
+def test_no_text_gets_past_the_parser_in_any_other_way(text: str) -> None:
+    law = None
+    with contextlib.suppress(ExpressionError):
+        law, _ = compile_law(text, ("k",))
+    if law is not None:
+        assert set(law.__code__.co_names) <= {
+            "math",
+            "float",
+            "abs",
+            "max",
+            "min",
+            "sin",
+            "tan",
+            *FUNCTIONS,
+        }
