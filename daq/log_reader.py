@@ -44,10 +44,11 @@ class LoggedEstimate:
 Entry = Head | Info | RawBlock | Gap | Notice | LoggedEstimate | Status
 
 
-def walk(path: Path, findings: Findings) -> Iterator[tuple[Entry, Message | None]]:
-    """Everything in order, with the message it came from; unexplained jumps of the index become gaps (message None).
+def walk(path: Path, findings: Findings, everything: bool = False) -> Iterator[tuple[Entry | None, Message | None]]:
+    """All in order, with the message it came from; unexplained jumps of the index become gaps (message None).
 
-    Head and Info come when they are new. Blocks never overlap and never go back. Preview is left out.
+    Head and Info come when they are new. Blocks never overlap and never go back. Preview and repetitions are left out,
+    or with `everything` come as (None, message).
     """
     decoder = _Decoder(findings)
     for messages in scan(path, findings):
@@ -59,6 +60,8 @@ def walk(path: Path, findings: Findings) -> Iterator[tuple[Entry, Message | None
                 findings.damage.append(f"a message of channel {message.channel} makes no sense: {error}")
                 continue
             if entry is None:
+                if everything and 1 <= message.channel <= len(codec.TOPICS):
+                    yield None, message
                 continue
             missing = decoder.missing_before(entry)
             if missing is not None:
@@ -245,7 +248,7 @@ class Recording:
             elif isinstance(entry, Info | Gap | Notice):
                 yield entry
 
-    def _entries(self) -> Iterator[Entry]:
+    def _entries(self) -> Iterator[Entry | None]:
         for entry, _ in walk(self.path, Findings()):
             if isinstance(entry, Info) and (entry.rate_hz, len(entry.signals)) != (self.rate_hz, len(self.channels)):
                 raise LogError(

@@ -25,7 +25,7 @@ class ReadingQueue:
         self._changed = threading.Condition()
         self._items: deque[Reading] = deque()
         self._bytes = 0
-        self._open = True
+        self.open = True
         self._failure: BaseException | None = None
         self.dropped = 0  # samples
 
@@ -33,7 +33,7 @@ class ReadingQueue:
         """From the reader thread."""
         with self._changed:
             if not self._live:
-                self._changed.wait_for(lambda: self._bytes < self._limit or not self._open)
+                self._changed.wait_for(lambda: self._bytes < self._limit or not self.open)
             self._items.extend(readings)
             self._bytes += sum(map(_size, readings))
             if self._live and self._bytes > self._limit:
@@ -43,13 +43,19 @@ class ReadingQueue:
     def end(self, failure: BaseException | None = None) -> None:
         """Nothing more will come; `failure` is raised by the `take` that finds the queue empty."""
         with self._changed:
-            self._open, self._failure = False, failure
+            self.open, self._failure = False, failure or self._failure
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """The core loop wants nothing more: a `put` that waits goes on, and the reader sees `open` False."""
+        with self._changed:
+            self.open = False
             self._changed.notify_all()
 
     def take(self, timeout_s: float, limit_bytes: int = 4 << 20) -> list[Reading]:
         """Up to about `limit_bytes` of what waits, at once if something does, else within the time; [] if nothing."""
         with self._changed:
-            self._changed.wait_for(lambda: self._items or not self._open, timeout_s)
+            self._changed.wait_for(lambda: self._items or not self.open, timeout_s)
             if not self._items and self._failure is not None:
                 failure, self._failure = self._failure, None
                 raise failure
@@ -70,7 +76,7 @@ class ReadingQueue:
     def ended(self) -> bool:
         """Nothing waits and nothing will come."""
         with self._changed:
-            return not self._open and not self._items and self._failure is None
+            return not self.open and not self._items and self._failure is None
 
     def _drop_oldest(self) -> None:
         """Make room: to three quarters, so that a consumer that is just too slow does not cost a gap for each block."""

@@ -1,0 +1,216 @@
+"""A session from the opening of a link to the closing of its log; several at once, apart from each other."""
+
+from __future__ import annotations
+
+import platform
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+
+from drivers.reading import Driver, Gap, LinkStats, Notice
+from estimator.estimate import Estimate
+
+from .clock import Clock, SystemClock
+from .estimation import block_rows
+from .estimators import MakeEstimator, maker, warm_up
+from .pipeline import Pipeline, Plan
+from .reading_queue import ReadingQueue
+from .rig import Rig
+from .sink import Sink
+
+FINITE = ("capture", "replay")  # kinds of link that wait for us; all others are live
+READ_S = 0.1
+GRACE_S = 2.0  # a live link may take this much longer than the seconds asked for
+STOP_S = 0.6  # after a stop, this long for what was read but not yet taken
+VERSIONS = ("rotorscope", "numpy", "scipy", "numba", "mcap", "protobuf")
+
+Notify = Callable[[Notice], None]
+
+
+@dataclass(frozen=True, slots=True)
+class RunSummary:
+    """What came of a session. problems : what an operator must know, one line each; identical : of replay --check."""
+
+    seconds: float
+    samples: int
+    lost_samples: int
+    gaps: tuple[Gap, ...]
+    kind: str
+    stats: LinkStats
+    last_estimate: Estimate | None
+    clipped: int = 0
+    problems: tuple[str, ...] = ()
+    device: str = ""
+    identical: bool | None = None
+    compared: int = 0
+
+    def to_json(self) -> dict[str, Any]:
+        """As schemas/run.json."""
+        s = self.stats
+        counters = ("frames", "bytes", "crc_errors", "resyncs", "reconnects", "restarts", "duplicates")
+        link: dict[str, Any] = {"kind": self.kind} | {name: getattr(s, name) for name in counters} | {"other": s.other}
+        estimate = self.last_estimate
+        out: dict[str, Any] = {
+            "schema": 1,
+            "seconds": self.seconds,
+            "samples": self.samples,
+            "lost_samples": self.lost_samples,
+            "gaps": [{"index": g.index, "count": g.count, "reason": g.reason} for g in self.gaps],
+            "clipped_values": self.clipped,
+            "link": link,
+            "estimates": {n: p.to_json() for n, p in estimate.parameters.items()} if estimate else {},
+            "estimate_status": estimate.status if estimate else "no estimate",
+            "problems": list(self.problems),
+        }
+        if self.device:
+            out["device"] = self.device
+        if self.identical is not None:
+            out |= {"identical": self.identical, "estimates_compared": self.compared}
+        return out
+
+
+def acquire(
+    rig: Rig,
+    driver: Driver,
+    sinks: Sequence[Sink],
+    seconds: float | None = None,
+    stop: threading.Event | None = None,
+    *,
+    device: str = "",
+    metadata: Mapping[str, str] | None = None,
+    notify: Notify | None = None,
+    clock: Clock | None = None,
+    make: MakeEstimator | None = None,
+) -> RunSummary:
+    """Acquire until `seconds` of data have come, the source ends or `stop` is set. Sinks are closed in any case.
+
+    notify : called from this thread with everything an operator should read.
+    make : instead of the rig's estimator. metadata : into the log, beside versions and link kind.
+    Raises LinkError if the link cannot be opened, ConfigError if it does not have the rig's channels, and whatever a
+    driver raised against its contract, after the sinks are closed.
+    """
+    clock, stop = clock or SystemClock(), stop or threading.Event()
+    live = driver.kind not in FINITE
+    make = make or maker(rig.estimator.method, rig.estimator.time_constant_s)
+    rate_hz = rig.acquisition.rate_hz if rig.acquisition else None
+    if rate_hz:
+        _warm_up(make, rig, rate_hz)
+    about = _about(driver, clock) | dict(metadata or {})
+    plan = Plan(rig.model, make, rate_hz, device, rig.attachments(), about, seconds)
+    pipeline = Pipeline(plan, sinks, clock, live=live, notify=notify)
+    queue = ReadingQueue(live=live)
+    try:
+        driver.open()
+        reader = threading.Thread(target=_read, args=(driver, queue, stop), name=f"read {driver.kind}", daemon=True)
+        reader.start()
+        end_ns = clock.now_ns() + round((seconds + GRACE_S) * 1e9) if seconds is not None and live else None
+        try:
+            while not (stop.is_set() or pipeline.done or queue.ended):
+                pipeline.step(queue.take(READ_S))
+                pipeline.tick(driver.stats, {"reader": queue.dropped})
+                if end_ns is not None and clock.now_ns() > end_ns:
+                    break
+        finally:
+            queue.close()
+            driver.close()
+            reader.join(STOP_S)
+        if not pipeline.done:
+            _take_rest(pipeline, queue, clock)
+    finally:
+        pipeline.finish(driver.stats, {"reader": queue.dropped})
+    return _summary(pipeline, driver, device)
+
+
+def _read(driver: Driver, queue: ReadingQueue, stop: threading.Event) -> None:
+    """The reader thread."""
+    failure: BaseException | None = None
+    try:
+        while queue.open and not stop.is_set():
+            readings = driver.read(READ_S)
+            if readings:
+                queue.put(readings)
+            elif driver.exhausted:
+                break
+    except BaseException as error:  # raised again in the core loop
+        failure = error
+    queue.end(failure)
+
+
+def _take_rest(pipeline: Pipeline, queue: ReadingQueue, clock: Clock) -> None:
+    """What was read before the stop; if the estimator is too slow for it, it is logged and named, not estimated."""
+    end_ns = clock.now_ns() + round(STOP_S * 1e9)
+    while not queue.ended:
+        readings = queue.take(0.0)
+        if not readings:
+            break
+        if clock.now_ns() > end_ns:
+            pipeline.stop_estimating()
+        pipeline.step(readings)
+
+
+def _warm_up(make: MakeEstimator, rig: Rig, rate_hz: float) -> None:
+    try:
+        warm_up(make, rig.model, rate_hz, block_rows(rate_hz))
+    except ValueError:
+        return  # the pipeline meets it again, and says so
+
+
+def _about(driver: Driver, clock: Clock) -> dict[str, str]:
+    started = datetime.fromtimestamp((clock.now_ns() + clock.wall_offset_ns()) / 1e9, UTC)
+    versions = {name: version(name) for name in VERSIONS}
+    return versions | {
+        "python": platform.python_version(), "link_kind": driver.kind, "started": started.isoformat(timespec="seconds"),
+    }  # fmt: skip
+
+
+def _summary(pipeline: Pipeline, driver: Driver, device: str) -> RunSummary:
+    ledger = pipeline.ledger
+    length = 0 if ledger.first is None else ledger.stop - ledger.first
+    return RunSummary(
+        length / pipeline.rate_hz if pipeline.rate_hz else 0.0, ledger.samples, ledger.lost, tuple(ledger.gaps),
+        driver.kind, driver.stats, pipeline.last_estimate, pipeline.clipped, tuple(pipeline.problems), device,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Device:
+    """One of several devices of a service: its own rig file, link and log."""
+
+    name: str
+    rig: Rig
+    driver: Driver
+    sinks: Sequence[Sink]
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+def acquire_all(
+    devices: Sequence[Device], seconds: float | None = None, stop: threading.Event | None = None,
+    *, notify: Callable[[str, Notice], None] | None = None, make: MakeEstimator | None = None,
+) -> dict[str, RunSummary | Exception]:  # fmt: skip
+    """Each device in a core loop of its own, so that none waits for another; the outcome by name of the device.
+
+    An exception is the outcome of the device that it happened to, and ends no other.
+    """
+    outcome: dict[str, RunSummary | Exception] = {}
+    stop = stop or threading.Event()
+
+    def run(device: Device) -> None:
+        tell = None if notify is None else lambda notice: notify(device.name, notice)
+        try:
+            outcome[device.name] = acquire(
+                device.rig, device.driver, device.sinks, seconds, stop,
+                device=device.name, metadata=device.metadata, notify=tell, make=make,
+            )  # fmt: skip
+        except Exception as error:
+            outcome[device.name] = error
+
+    threads = [threading.Thread(target=run, args=(d,), name=f"core {d.name}", daemon=True) for d in devices]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        while thread.is_alive():  # with a timeout, so that a signal handler gets its turn
+            thread.join(READ_S)
+    return outcome

@@ -1,0 +1,298 @@
+"""The core loop's body for one device: what happens to readings, in which order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.reading import Block, Gap, Info, LinkStats, Notice, Reading
+from estimator.estimate import Estimate
+from estimator.model import Model
+
+from .clock import Clock, DeviceClock
+from .errors import ConfigError
+from .estimation import Estimation
+from .estimators import MakeEstimator
+from .ledger import Ledger
+from .scaling import Scaling
+from .sink import Reporting, Session, Sink, Status
+
+STATUS_NS = 1_000_000_000
+CLIPPED_EVERY_S = 10.0
+NEW_CLOCK = ("restart", "reconnect")  # after such a gap, index and host time go together in a new way
+# What the pipeline itself says; a replay says it again, so it is not taken from the log.
+OWN_CODES = frozenset(
+    {"clipped", "no_estimate", "estimator_failed", "sink_failed", "rate_differs", "channels_by_order", "stopped_behind"}
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a session is about. make : what makes its estimator; None: no estimates. rate_hz : what is expected."""
+
+    model: Model
+    make: MakeEstimator | None = None
+    rate_hz: float | None = None
+    device: str = ""
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    limit_s: float | None = None  # of data
+
+
+class Pipeline:
+    """One device: `step` for what arrived, `tick` for what time brings, `finish` at the end. Called from one thread.
+
+    Order of things: sinks get the raw readings, then the ring, then the estimator, then sinks its estimates. A sink
+    that raises OSError is reported and kept; one that raises anything else is reported and left out from then on.
+    """
+
+    def __init__(
+        self, plan: Plan, sinks: Iterable[Sink], clock: Clock, *,
+        live: bool = True, notify: Callable[[Notice], None] | None = None,
+    ) -> None:  # fmt: skip
+        self._plan = plan
+        self._sinks = list(sinks)
+        self._clock = clock
+        self._live = live
+        self._notify = notify
+        self._info: Info | None = None
+        self._scaling: Scaling | None = None
+        self._estimation: Estimation | None = None
+        self._early: list[Reading] = []  # before the device said what it is
+        self._unsaid: list[Reading] = []
+        self._reported: set[str] = set()
+        self._status_ns = clock.now_ns()
+        self._status_samples = 0
+        self._clipped_until = -1
+        self._lag_s: dict[str, float] = {}
+        self.clipped = 0
+        self.ledger = Ledger()
+        self.device_clock: DeviceClock | None = None
+        self.last_estimate: Estimate | None = None
+        self.problems: list[str] = []
+
+    @property
+    def done(self) -> bool:
+        """The time asked for is over."""
+        return self.ledger.full
+
+    @property
+    def rate_hz(self) -> float | None:
+        return self._info.rate_hz if self._info else None
+
+    # -- the three entries ----------------------------------------------------------------------------------------
+
+    def step(self, readings: Sequence[Reading]) -> None:
+        """Take readings in their order. Raises ConfigError if the device does not have the rig's channels."""
+        batch: list[Reading] = []
+        for reading in readings:
+            if isinstance(reading, Info):
+                batch = self._take(batch)
+                self._introduce(reading)
+            batch += self._accept(reading)
+        self._take(batch)
+
+    def tick(self, stats: LinkStats, dropped: Mapping[str, int], *, final: bool = False) -> None:
+        """Once in a while: hear the sinks, say what is unsaid, and once a second give the status."""
+        self._hear_sinks()
+        self._take([])
+        now = self._clock.now_ns()
+        if self._info is None or not (final or now - self._status_ns >= STATUS_NS):
+            return
+        seconds, samples = (now - self._status_ns) / 1e9, self.ledger.samples
+        rate = (samples - self._status_samples) / seconds if seconds > 0 else 0.0
+        self._status_ns, self._status_samples = now, samples
+        health = {type(s).__name__: s.health() for s in self._sinks if isinstance(s, Reporting)}
+        for report in health.values():
+            self._unsaid += report.notices
+        clock = self.device_clock.state() if self.device_clock else None
+        status = Status(
+            now, self.ledger.stop, rate, replace(stats, other=dict(stats.other)), clock,
+            self._lag_s | {name: h.lag_s for name, h in health.items()},
+            {**dropped, **{name: h.dropped for name, h in health.items()}, "clipped": self.clipped},
+        )  # fmt: skip
+        self._lag_s = {}
+        self._each_sink("status", lambda sink: sink.status(status))
+
+    def stop_estimating(self) -> None:
+        """From now on samples are only logged: the session is being closed and there is no time."""
+        if self._estimation is not None and self._estimation.stop():
+            self._say("warning", "stopped_behind", "the last samples before the stop are logged, not estimated from")
+
+    def finish(self, stats: LinkStats, dropped: Mapping[str, int]) -> None:
+        """The last estimate and status; every sink is closed, whatever happens to the others."""
+        if self._estimation is not None:
+            self._estimate(self._estimation.final())
+        if self._info is None:
+            self._introduce(Info((), self._plan.rate_hz or 1.0))
+        self.tick(stats, dropped, final=True)
+        self._each_sink("close", lambda sink: sink.close())
+        self._hear_sinks()
+        for reading in self._unsaid:  # too late for the log, not for the operator
+            self._one(reading)
+        self._unsaid = []
+
+    # -- readings -------------------------------------------------------------------------------------------------
+
+    def _accept(self, reading: Reading) -> list[Reading]:
+        if self._info is None and not isinstance(reading, Info):
+            self._early.append(reading)
+            return []
+        return self.ledger.accept(reading)
+
+    def _take(self, batch: list[Reading]) -> list[Reading]:
+        """Raw to the sinks first, then everything that is computed. Returns an empty batch."""
+        if self._info is not None and (batch or self._unsaid):
+            said, self._unsaid = self._unsaid, []
+            whole = [*said, *batch]
+            self._each_sink("readings", lambda sink: sink.readings(whole))
+            for reading in whole:
+                self._one(reading)
+        return []
+
+    def _one(self, reading: Reading) -> None:
+        if isinstance(reading, Block):
+            self._block(reading)
+        elif isinstance(reading, Gap):
+            if self.device_clock is not None and reading.reason in NEW_CLOCK:
+                self.device_clock.restart()
+            if reading.count:
+                self._estimate(self._estimator_at(reading.index).skip(reading.count))
+        elif isinstance(reading, Notice):
+            if reading.level == "error":
+                self.problems.append(reading.text)
+            if self._notify is not None:
+                self._notify(reading)
+
+    def _block(self, block: Block) -> None:
+        estimation = self._estimator_at(block.index)
+        if self._scaling is None or self.device_clock is None:
+            return
+        stop = block.index + len(block.counts)
+        self.device_clock.feed(stop, block.t_host_ns, len(block.counts))
+        counts = self._scaling.select(block.counts)
+        rows = self._scaling.si(counts)
+        clipped = self._scaling.clipped(counts)
+        if clipped is not None:
+            rows[clipped] = np.nan
+            self._say_clipped(block.index, clipped)
+        if self._live:
+            self._lag("core", block.t_host_ns)
+        if self._estimate(estimation.append(rows)) and self._live:
+            self._lag("estimate", block.t_host_ns)
+
+    def _estimate(self, estimates: Iterable[Estimate]) -> int:
+        """Hand on what is estimated; how many there were."""
+        count = 0
+        for estimate in estimates:
+            count += 1
+            self.last_estimate = estimate
+            self._each_sink("estimate", partial(_give, estimate=estimate))
+        failure = self._estimation.failure if self._estimation else None
+        if failure is not None and "estimator" not in self._reported:
+            self._reported.add("estimator")
+            self._say("error", "estimator_failed", f"the estimator has stopped: {failure!r}; acquisition goes on")
+        return count
+
+    # -- what the device is ---------------------------------------------------------------------------------------
+
+    def _introduce(self, info: Info) -> None:
+        """The device has said what it is, for the first time or anew."""
+        if info == self._info:
+            return
+        first, before = self._info is None, self._info
+        self._info = info
+        if info.signals:
+            self._scaling = Scaling(info, self._columns(info))
+        if before is None or (before.rate_hz, len(before.signals)) != (info.rate_hz, len(info.signals)):
+            self._estimation = None
+            self.device_clock = DeviceClock(info.rate_hz)
+            if first and self._plan.limit_s is not None:
+                self.ledger = Ledger(round(self._plan.limit_s * info.rate_hz))
+        expected = self._plan.rate_hz
+        if expected is not None and abs(info.rate_hz / expected - 1.0) > 1e-3:
+            text = f"the device sends {info.rate_hz:g} Hz, the rig file says {expected:g} Hz"
+            self._say("warning", "rate_differs", text)
+        if first:
+            plan = self._plan
+            session = Session(plan.model, info, plan.device, plan.attachments, plan.metadata)
+            self._each_sink("start", lambda sink: sink.start(session))
+            early, self._early = self._early, []
+            self._take([r for reading in early for r in self.ledger.accept(reading)])
+
+    def _columns(self, info: Info) -> list[int]:
+        """Which signal each channel of the model is: by name, or else in order if there are as many."""
+        names = [s.name for s in info.signals]
+        wanted = [c.name for c in self._plan.model.channels]
+        if all(name in names for name in wanted):
+            return [names.index(name) for name in wanted]
+        if len(names) == len(wanted):
+            text = f"the device's {', '.join(names)} are taken in this order as {', '.join(wanted)}"
+            self._say("warning", "channels_by_order", text)
+            return list(range(len(names)))
+        missing = ", ".join(name for name in wanted if name not in names)
+        raise ConfigError(
+            f"the device sends {', '.join(names)}, not the rig's channel {missing}; "
+            "name the channels in the rig file as the device does, or map them in [link.signals]"
+        )
+
+    def _estimator_at(self, index: int) -> Estimation:
+        """The estimation under way, or a new one whose first row is `index`."""
+        if self._estimation is None:
+            rate_hz = self._info.rate_hz if self._info else 1.0
+            estimator = None
+            if self._plan.make is not None:
+                try:
+                    estimator = self._plan.make(self._plan.model, rate_hz)
+                except ValueError as error:
+                    self._say("warning", "no_estimate", f"no rolling estimate: {error}")
+            self._estimation = Estimation(estimator, len(self._plan.model.channels), rate_hz, index)
+        return self._estimation
+
+    # -- saying things --------------------------------------------------------------------------------------------
+
+    def _say(self, level: str, code: str, text: str) -> None:
+        """To the sinks with the next readings, and to the operator."""
+        self._unsaid.append(Notice(self._clock.now_ns(), level, code, text))
+
+    def _say_clipped(self, index: int, clipped: NDArray[np.bool_]) -> None:
+        self.clipped += int(clipped.sum())
+        if index < self._clipped_until or self._info is None:
+            return
+        self._clipped_until = index + int(CLIPPED_EVERY_S * self._info.rate_hz)
+        names = [c.name for c, column in zip(self._plan.model.channels, clipped.T, strict=True) if column.any()]
+        text = f"{', '.join(names)} at full scale near sample {index}: left out of the estimate; use a larger range"
+        self._say("warning", "clipped", text)
+
+    def _lag(self, stage: str, since_ns: int) -> None:
+        """The largest lag of a stage since the last status."""
+        self._lag_s[stage] = max(self._lag_s.get(stage, 0.0), (self._clock.now_ns() - since_ns) / 1e9)
+
+    def _hear_sinks(self) -> None:
+        for sink in self._sinks:
+            if isinstance(sink, Reporting):
+                self._unsaid += sink.health().notices
+
+    def _each_sink(self, what: str, call: Callable[[Sink], None]) -> None:
+        for sink in list(self._sinks):
+            try:
+                call(sink)
+            except OSError as error:
+                self._report(sink, f"{what}: {error.strerror or error}; it is tried again")
+            except Exception as error:  # a defect there must not stop acquisition
+                self._sinks.remove(sink)
+                self._report(sink, f"{what}: {error!r}; it is left out from now on")
+
+    def _report(self, sink: Sink, problem: str) -> None:
+        text = f"{type(sink).__name__} failed at {problem}"
+        if text not in self._reported:
+            self._reported.add(text)
+            self._say("error", "sink_failed", text)
+
+
+def _give(sink: Sink, estimate: Estimate) -> None:
+    sink.estimate(estimate)
