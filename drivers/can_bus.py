@@ -1,0 +1,124 @@
+"""A CAN bus through python-can: many frames a wake-up, error frames and a dead interface noticed."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable
+from typing import Any
+
+from drivers.can_errors import describe_error
+from drivers.can_frames import EXTENDED, REMOTE, CanFrames
+from drivers.errors import LinkOpenError, LinkUnavailable
+from drivers.link import Event, LinkLost
+from drivers.links import CanConfig
+
+MAX_BATCH = 1024
+SPIN_SHARE = 0.6  # of the wait spent computing while nothing arrives: the interface is spinning on a dead connection
+
+
+def open_bus(config: CanConfig) -> Any:
+    """A python-can bus. Raises LinkUnavailable | LinkOpenError."""
+    try:
+        import can
+    except ImportError as error:
+        raise LinkUnavailable(f"{config.target}: python-can is missing ({error}): install python-can") from error
+    if config.interface not in can.VALID_INTERFACES:
+        known = ", ".join(sorted(can.VALID_INTERFACES))
+        raise LinkOpenError(f"{config.target}: python-can has no interface {config.interface!r}; it has {known}")
+    if config.interface == "socketcand":
+        _probe(config)  # python-can tries for 10 s at full load when nobody listens
+    arguments: dict[str, Any] = {"fd": config.fd, **config.options}
+    if config.bitrate is not None:
+        arguments["bitrate"] = config.bitrate
+    if config.data_bitrate is not None:
+        arguments["data_bitrate"] = config.data_bitrate
+    try:
+        return can.Bus(interface=config.interface, channel=config.channel, ignore_config=True, **arguments)
+    except can.CanInterfaceNotImplementedError as error:
+        raise LinkUnavailable(f"{config.target}: {_line(error)}: install what this interface needs") from error
+    except (can.CanError, OSError, ValueError, TypeError, TimeoutError, ImportError) as error:
+        raise LinkOpenError(f"{config.target}: {_line(error)}: {_advice(config)}") from error
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _advice(config: CanConfig) -> str:
+    if config.interface == "socketcan":
+        name = config.channel
+        return f"check `ip link show {name}` and bring it up with `ip link set {name} up type can ...`"
+    return "check the channel's name, that the adapter is plugged in and no other program holds it"
+
+
+def _probe(config: CanConfig) -> None:
+    host, port = config.options.get("host"), config.options.get("port")
+    if host is None or port is None:
+        raise LinkOpenError(f"{config.target}: socketcand needs a server: add ?host=..&port=..")
+    try:
+        socket.create_connection((str(host), int(port)), timeout=2.0).close()
+    except OSError as error:
+        text = f"{config.target}: no server at {host}:{port} ({_line(error)}): start socketcand"
+        raise LinkOpenError(text) from error
+
+
+class BusSource:
+    """Any python-can interface. `connect` opens the bus; a test or the virtual link may give its own."""
+
+    def __init__(self, config: CanConfig, connect: Callable[[CanConfig], Any] = open_bus) -> None:
+        self.exhausted = False
+        self._config = config
+        self._connect = connect
+        self._bus: Any = None
+        self._events: list[Event] = []
+        self._spins = 0
+
+    def open(self) -> None:
+        self._bus = self._connect(self._config)
+        self._spins = 0
+
+    def close(self) -> None:
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            try:
+                bus.shutdown()
+            except Exception as error:  # noqa: BLE001 - a vendor's library may raise anything on a dead adapter
+                self._events.append(Event("info", "shutdown_failed", _line(error)))
+
+    def events(self) -> list[Event]:
+        events, self._events = self._events, []
+        return events
+
+    def receive(self, timeout_s: float) -> CanFrames | None:
+        started_s, cpu_s = time.monotonic(), time.thread_time()
+        frames: list[tuple[int, bytes, int]] = []
+        wait_s = timeout_s
+        try:
+            while len(frames) < MAX_BATCH:
+                message = self._bus.recv(wait_s)
+                if message is None:
+                    break
+                wait_s = 0
+                if message.is_error_frame:
+                    self._events.extend(describe_error(message.arbitration_id, bytes(message.data)))
+                    continue
+                # is_fd and dlc are not to be believed (socketcand): the data says how long it is
+                flags = (EXTENDED if message.is_extended_id else 0) | (REMOTE if message.is_remote_frame else 0)
+                frames.append((message.arbitration_id | flags, bytes(message.data), int(message.timestamp * 1e9)))
+        except Exception as error:  # noqa: BLE001 - python-can's interfaces raise their vendors' own errors
+            raise LinkLost(_line(error)) from error
+        if frames:
+            self._spins = 0
+            return CanFrames.build(frames)
+        self._check_spin(time.monotonic() - started_s, time.thread_time() - cpu_s)
+        return None
+
+    def _check_spin(self, waited_s: float, cpu_s: float) -> None:
+        if waited_s < 0.02:
+            return
+        self._spins = self._spins + 1 if cpu_s > SPIN_SHARE * waited_s else 0
+        if self._spins >= 2:
+            raise LinkLost("the interface returns at once with nothing: its server has closed the connection")
+
+

@@ -1,0 +1,89 @@
+"""Assembles the device's description from info records; tells when it is complete, new, or of another version."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.notices import Notices
+from drivers.protocol import LAYOUTS, PARTS, VERSION, InfoRecord, Layout, unpack_info
+from drivers.reading import Info
+
+_BY_CODE = {layout.code: layout for layout in LAYOUTS.values()}
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What the rig file says of the device; a difference is told, never silently accepted."""
+
+    rate_hz: float | None = None
+    channels: tuple[str, ...] = ()
+
+
+class DeviceInfo:
+    """`info` and `layout` are None until one record of every channel has come."""
+
+    def __init__(self, notices: Notices, expected: Expected | None = None) -> None:
+        self.info: Info | None = None
+        self.layout: Layout | None = None
+        self._notices = notices
+        self._expected = expected or Expected()
+        self._records: dict[int, InfoRecord] = {}
+        self._parts: dict[int, list[bytes]] = {}
+
+    def record(self, data: bytes, t_host_ns: int) -> Info | None:
+        """Take one record; returns the description if this completes a new one."""
+        record = unpack_info(data)
+        if record is None:
+            self._notices.add(t_host_ns, "warning", "bad_info", "an info record makes no sense: ignored")
+            return None
+        if record.version != VERSION:
+            self.other_version(record.version, t_host_ns)
+            return None
+        self._records[record.channel] = record
+        device = (record.serial_number, record.epoch, record.layout, record.channels, record.rate_hz, record.count_bits)
+        group = [
+            each
+            for each in self._records.values()
+            if (each.serial_number, each.epoch, each.layout, each.channels, each.rate_hz, each.count_bits) == device
+        ]
+        if len(group) < record.channels:
+            return None
+        self._records = {each.channel: each for each in group}
+        signals = tuple(self._records[channel].signal for channel in range(record.channels))
+        info = Info(signals, record.rate_hz, f"{record.serial_number:08X}", record.count_bits)
+        if info == self.info:
+            return None
+        self._compare(info, t_host_ns)
+        self.info, self.layout = info, _BY_CODE[record.layout]
+        return info
+
+    def part(self, payload: bytes, t_host_ns: int) -> Info | None:
+        """Take one classic CAN part of a record: parts must come in order, a missing one voids the record."""
+        channel, number = payload[0], payload[1]
+        parts = self._parts.setdefault(channel % 16, [])
+        if number == 0:
+            parts.clear()
+        if number != len(parts):
+            parts.clear()
+            return None
+        parts.append(payload[2:8])
+        if len(parts) < PARTS:
+            return None
+        data = b"".join(parts)[:64]
+        parts.clear()
+        return self.record(data, t_host_ns)
+
+    def other_version(self, version: int, t_host_ns: int) -> None:
+        text = f"a frame of protocol version {version}, this host reads {VERSION}: dropped; update one of the two"
+        self._notices.add(t_host_ns, "error", "other_version", text)
+
+    def _compare(self, info: Info, t_host_ns: int) -> None:
+        rate, names = self._expected.rate_hz, tuple(signal.name for signal in info.signals)
+        if rate is not None and abs(info.rate_hz - rate) > 1e-6 * rate:
+            text = f"the device says {info.rate_hz:g} Hz, the rig file {rate:g} Hz: set acquisition.rate_hz"
+            self._notices.add(t_host_ns, "error", "rate_mismatch", text)
+        if self._expected.channels and names != self._expected.channels:
+            text = f"the device has channels {', '.join(names)}, the rig file {', '.join(self._expected.channels)}"
+            self._notices.add(t_host_ns, "warning", "channels_mismatch", text)
+        if self.info is not None:
+            self._notices.add(t_host_ns, "warning", "info_changed", "the device's description changed")
