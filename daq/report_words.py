@@ -66,10 +66,11 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
     best = next((r for r in rows if r["effect"] == verdict), None)
     if best is None:
         return [f"Diagnosis: {verdict}."]
+    before, after = best["missing_force_before_percent"], best["missing_force_after_percent"]
     said = [
-        f"Diagnosis: {verdict} at {listed(best['at'])} {'was' if past else 'is'} missing (p = {number(best['p_value'], 2)}). "
-        f"With it the missing force {'fell' if past else 'falls'} from {percent(best['missing_force_before_percent'])} to "
-        f"{percent(best['missing_force_after_percent'])}."
+        f"Diagnosis: {verdict} at {listed(best['at'])} {'was' if past else 'is'} missing "
+        f"(p = {number(best['p_value'], 2)}). With it the missing force {'fell' if past else 'falls'} from "
+        f"{percent(before)} to {percent(after)}."
     ]
     second = runner_up(diagnosis)
     if second is not None:

@@ -55,6 +55,13 @@ def nice_step(value: float) -> float:
     return next(f * decade for f in (1.0, 2.0, 5.0, 10.0) if f * decade >= value * (1 - 1e-9))
 
 
+def round_up(value: float) -> float:
+    """A round number a little above `value` (> 0): what an axis ends at."""
+    decade = 10.0 ** math.floor(math.log10(value))
+    steps = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0)
+    return next(f * decade for f in steps if f * decade >= value * (1 - 1e-9))
+
+
 def decades(values: NDArray[np.float64], at_most: int = 8) -> tuple[float, float]:
     """Whole decades around the positive `values`, the lowest given up if there are more than `at_most`."""
     positive = values[np.isfinite(values) & (values > 0)]

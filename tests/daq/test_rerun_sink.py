@@ -6,7 +6,6 @@ import contextlib
 import socket
 import subprocess
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from recordings import entities
 
 from daq.errors import ConfigError
 from daq.rerun_sink import RerunSink
@@ -65,20 +65,6 @@ def wait(condition: Callable[[], object], seconds: float) -> bool:
             return True
         time.sleep(0.05)
     return False
-
-
-def entities(path: Path) -> dict[str, int]:
-    """Rows of every entity of a recording, from Rerun's own reader."""
-    from rerun.chunk import RrdReader
-    from rerun.error_utils import RerunWarning
-
-    rows: dict[str, int] = {}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RerunWarning)  # a receiver that is killed writes no footer
-        reader = RrdReader(str(path))
-    for chunk in reader.stream():
-        rows[chunk.entity_path.lstrip("/")] = rows.get(chunk.entity_path.lstrip("/"), 0) + chunk.num_rows
-    return rows
 
 
 def binary() -> str:

@@ -1,0 +1,28 @@
+"""The comparison as a Rerun recording, read back with Rerun's own reader."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from made_up_results import CHANNELS, made_up
+from recordings import entities
+
+from daq.rerun_comparison import log_comparison
+
+
+def test_everything_that_the_report_draws(tmp_path: Path) -> None:
+    parts = made_up()
+    out = tmp_path / "comparison.rrd"
+    log_comparison(out, parts["comparison"], parts["before"], parts["diagnosis"], parts["ladder"], parts["title"])
+    rows = entities(out)
+    for channel in CHANNELS:
+        for path in (f"residual/{channel}/displacement", f"spectrum/{channel}", f"density/{channel}"):
+            assert rows[f"{path}/curves"] == 2, "one row a step of the ladder"
+    assert rows["orbit/bearing1/measured/curves"] == 2
+    assert rows["summary"] == 1
+
+
+def test_only_the_contract_keys(tmp_path: Path) -> None:
+    bare = {k: v for k, v in made_up()["comparison"].items() if k not in ("curves", "spectra", "densities", "orbits")}
+    log_comparison(tmp_path / "bare.rrd", bare)
+    assert "summary" in entities(tmp_path / "bare.rrd")
