@@ -32,6 +32,7 @@ from .model import Model
 from .planes import Cap, Plane, ignored_effects, planes
 from .score_matching import motion_of, place_columns
 from .stationary import messages, softening_message
+from .synchronous import synchronous_message
 
 Array = NDArray[np.float64]
 Form = Literal["literal", "midpoint", "response"]
@@ -278,6 +279,8 @@ def fit(model: Model, y: Array, rate_hz: float, form: Form = "response", replica
         found |= plane.judged({n: (values[n], float(sd)) for n, sd in zip(values, sds, strict=True)})
         notes += messages(plane, here, speed) + softening_message(plane, found, speed)
         notes += _silent_assumptions(plane)
+    for k, place in enumerate(model.places):
+        notes += synchronous_message(model, place, x[valid, k], v[valid, k], rate_hz)
     ignored = ignored_effects(model)
     if ignored:
         notes.append(f"eq. (36) knows only powers of the displacement; left out: {', '.join(ignored)}")

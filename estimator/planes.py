@@ -160,5 +160,7 @@ def planes(model: Model) -> tuple[Plane, ...]:
 
 
 def ignored_effects(model: Model) -> tuple[str, ...]:
-    """Effects of the model that a density method leaves out: all but the powers of the displacement."""
-    return tuple(e.name for e in model.effects if e.name not in POWERS)
+    """Effects of the model that a density method leaves out: all but powers of the displacement and removed lines."""
+    from .synchronous import ORDERS
+
+    return tuple(e.name for e in model.effects if e.name not in POWERS and e.name not in ORDERS)

@@ -19,6 +19,7 @@ from .model import Model
 from .plane_moments import Form, PlaneMoments
 from .planes import density_band, ignored_effects, planes
 from .stationary import check_resonance, messages, softening_message
+from .synchronous import lines, synchronous_message, synchronous_orders
 
 Array = NDArray[np.float64]
 MOTION = ("acceleration", "velocity", "displacement")
@@ -54,6 +55,7 @@ class RollingScoreMatching:
         self._rows = max(256, round(time_constant_s * rate_hz / 100.0))
         self._forget = math.exp(-self._rows / (time_constant_s * rate_hz))
         self._held = np.empty((2, 0, len(kinds)))
+        self._rate_hz, self._orders = rate_hz, synchronous_orders(model)
         self._index = 0
 
     def update(self, block: Array) -> None:
@@ -66,12 +68,21 @@ class RollingScoreMatching:
         self._held = np.concatenate([self._held, fresh], axis=1)
         used = 0
         while self._held.shape[1] - used >= self._rows:
-            x, v = self._held[:, used : used + self._rows]
+            x, v = self._motion(self._held[:, used : used + self._rows])
             for moments, columns in self._planes:
                 moments.add(x[:, columns], v[:, columns], self._forget)
             used += self._rows
         self._held = self._held[:, used:].copy()
         self._index += used
+
+    def _motion(self, block: Array) -> tuple[Array, Array]:
+        """x, v of one block (2, rows, places), without the lines that the model's effects say are there."""
+        if not self._orders or self.model.speed_rpm is None:
+            return block[0], block[1]
+        both = np.concatenate([block[0], block[1]], axis=1)
+        hz = self.model.speed_rpm / 60.0
+        both = both - lines(both, self._rate_hz, hz, self._orders, len(both) / self._rate_hz)
+        return both[:, : block.shape[2]], both[:, block.shape[2] :]
 
     def snapshot(self) -> Estimate:
         """The estimate as of the last complete internal block."""
@@ -103,6 +114,8 @@ def fit(model: Model, y: Array, rate_hz: float, form: Form = "velocity") -> Fit:
             moments.add(here[at : at + size], speed[at : at + size])
         found |= moments.parameters()
         notes += messages(plane, here, speed) + softening_message(plane, found, speed)
+    for k, place in enumerate(model.places):
+        notes += synchronous_message(model, place, x[valid, k], v[valid, k], rate_hz)
     ignored = ignored_effects(model)
     if ignored:
         notes.append(f"score matching knows only powers of the displacement; left out: {', '.join(ignored)}")
@@ -133,6 +146,11 @@ def motion_of(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array, NDA
             "record longer, or widen the band at its low end"
         )
     x, v = motion.x.T, motion.v.T
+    orders = synchronous_orders(model)
+    if orders and model.speed_rpm is not None:
+        both = np.where(motion.valid[:, None], np.concatenate([x, v], axis=1), np.nan)
+        both = both - lines(both, rate_hz, model.speed_rpm / 60.0, orders)
+        x, v = both[:, : x.shape[1]], both[:, x.shape[1] :]
     for k, i in enumerate(columns):
         check_resonance(v[motion.valid, k], rate_hz, band, model.channels[i].name)
     return x, v, motion.valid
