@@ -86,7 +86,7 @@ def half_length(rate_hz: float, band: tuple[float, float]) -> int:
 def _taps(response: Callable[[Floats], Complexes], rate_hz: float, band: tuple[float, float], half: int) -> Floats:
     """(2 half + 1,) taps of H(f) * response(f), middle tap at index half; within 3e-5 of it in the band."""
     size = 1 << int(np.ceil(np.log2(16 * half)))
-    f = np.fft.rfftfreq(size, 1.0 / rate_hz)
+    f: Floats = np.asarray(np.fft.rfftfreq(size, 1.0 / rate_hz), dtype=np.float64)
     gain = passband(f, rate_hz, band)
     wanted = np.zeros(f.size, complex)
     wanted[gain > 1e-14] = gain[gain > 1e-14] * response(f[gain > 1e-14])

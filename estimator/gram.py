@@ -1,0 +1,108 @@
+"""Cross-spectral Gram matrices of the columns, by frequency cell.
+
+Blocks of `size` rows overlap by half under a sine window. Its squares add up to 1, so the blocks are a tight frame:
+the sum over all bins is, by Parseval, exactly the sum over time; with the bins of the band it is the energy of the
+band-limited signal. Every stretch counts alike, and the number of independent complex bins is half the number of bins
+that are summed (the redundancy is 2). Because the coefficients of the balance do not depend on frequency, bins can be
+added up in cells that need be narrow only where the force spectrum is not flat.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import DataError
+
+Floats = NDArray[np.float64]
+CELLS = 24
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Blocks, bins and cells. bins : (b,) indices into the rfft, ascending; starts : (cells,) first bin of each."""
+
+    rate_hz: float
+    size: int
+    bins: NDArray[np.intp]
+    starts: NDArray[np.intp]
+
+    @property
+    def hop(self) -> int:
+        return self.size // 2
+
+    @property
+    def f_hz(self) -> Floats:
+        return np.asarray(self.bins * (self.rate_hz / self.size))
+
+    @property
+    def window(self) -> Floats:
+        """Sine window in units that make |Z|^2 a one-sided PSD."""
+        w = np.sin(np.pi * (np.arange(self.size) + 0.5) / self.size)
+        return np.asarray(w * np.sqrt(2.0 / (self.rate_hz * self.hop)))
+
+    @property
+    def per_cell(self) -> NDArray[np.intp]:
+        """(cells,) number of bins."""
+        return np.diff(np.append(self.starts, self.bins.size))
+
+    @property
+    def cell_of_bin(self) -> NDArray[np.intp]:
+        return np.repeat(np.arange(self.starts.size), self.per_cell)
+
+
+def layout(
+    rate_hz: float, band: tuple[float, float], notches: tuple[tuple[float, float], ...] = (), cells: int = CELLS
+) -> Layout:
+    """Blocks long enough for the lower band edge; bins of the band without the notches (f1, f2) in Hz.
+
+    Raises DataError if too few bins are left.
+    """
+    low, high = band
+    size = 1 << max(8, int(np.ceil(np.log2(32.0 * rate_hz / low))))
+    f = np.arange(size // 2 + 1) * (rate_hz / size)
+    keep = (f >= low) & (f <= high)
+    for a, b in notches:
+        keep &= (f < a) | (f > b)
+    bins = np.flatnonzero(keep)
+    if bins.size < 32:
+        raise DataError(f"band {low:g}-{high:g} Hz leaves {bins.size} frequency bins: widen it")
+    edges = np.geomspace(low, high, cells + 1)[1:-1]
+    starts = np.unique(np.concatenate([[0], np.searchsorted(f[bins], edges)]))
+    starts = starts[starts < bins.size]
+    kept = [0]
+    for s in starts[1:]:
+        if s - kept[-1] >= 4:
+            kept.append(int(s))
+    return Layout(rate_hz, size, bins, np.array(kept, dtype=np.intp))
+
+
+def valid_blocks(valid: NDArray[np.bool_], grid: Layout) -> NDArray[np.intp]:
+    """Numbers of the blocks (block b starts at row b * hop) that hold no invalid row."""
+    if valid.size < grid.size:
+        return np.empty(0, np.intp)
+    bad = np.concatenate([[0], np.cumsum(~valid)])
+    begin = np.arange(0, valid.size - grid.size + 1, grid.hop)
+    return np.flatnonzero(bad[begin + grid.size] == bad[begin])
+
+
+def spectra(columns: Floats, blocks: NDArray[np.intp], grid: Layout) -> NDArray[np.complex128]:
+    """(columns, blocks, bins) windowed spectra; columns (k, n) rows from the first block's row 0 on."""
+    frames = np.lib.stride_tricks.sliding_window_view(columns, grid.size, axis=1)[:, :: grid.hop]
+    z = np.fft.rfft(frames[:, blocks] * grid.window, axis=2)
+    return np.asarray(z[:, :, grid.bins])
+
+
+def gram(z: NDArray[np.complex128], grid: Layout, weights: Floats | None = None) -> Floats:
+    """(cells, k, k) real part of the sums of Z Z^H over blocks and bins of each cell. weights : (blocks,)."""
+    k = z.shape[0]
+    if weights is not None:
+        z = z * np.sqrt(weights)[:, None]
+    out = np.empty((grid.starts.size, k, k))
+    stops = np.append(grid.starts, grid.bins.size)[1:]
+    for c, (a, b) in enumerate(zip(grid.starts, stops, strict=True)):
+        flat = np.ascontiguousarray(z[:, :, a:b]).view(np.float64).reshape(k, -1)
+        out[c] = flat @ flat.T
+    return out

@@ -1,0 +1,255 @@
+"""The spectral path likelihood of a force balance, from Gram matrices alone.
+
+Per block and frequency bin, in nats (constants left out):  F^H S^-1 F + log det S - log |det A|^2,  F = B Z,  A = B R,
+where R is what each column answers to the acceleration of each place: 1 for a, 1 / (i w) for v, -1 / w^2 for x, the
+mean tangents of a law times those. S = diag(S_i) + sensor noise seen through A. The factor 1/2 in front is the
+redundancy of the overlapping blocks (gram.py). Within a step the weights S^-1 are held: the score stays unbiased,
+because E[F F^H] = S at every frequency (the Jacobian is weighted alike where S varies within a cell).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .balance import Balance
+from .gram import Layout
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+_NOISE_POWER = {"acceleration": 0, "velocity": 2, "displacement": 4}  # white in the unit of the sensor
+
+
+def responses(balance: Balance, tangents: Floats, f_hz: Floats) -> Complexes:
+    """(f, columns, places) R: each column per acceleration of each place. tangents (columns, 4): x, v, xo, vo."""
+    w = 2 * np.pi * f_hz
+    to = {"a": np.ones_like(w, complex), "v": 1 / (1j * w), "x": (-1 / w**2).astype(complex)}
+    if balance.common is not None:
+        to["u"] = balance.common(f_hz) * to["x"]
+    R = np.zeros((w.size, len(balance.columns), len(balance.places)), complex)
+    for k, column in enumerate(balance.columns):
+        if column.kind in to:
+            R[:, k, column.row] = to[column.kind]
+        elif column.kind == "law":
+            other = balance.other(column.row)
+            R[:, k, column.row] += tangents[k, 0] * to["x"] + tangents[k, 1] * to["v"]
+            if other >= 0:
+                R[:, k, other] += tangents[k, 2] * to["x"] + tangents[k, 3] * to["v"]
+    return R
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What the data say about a balance. gram : (cells, k, k) sums; blocks : their weighted number; tangents (k, 4)."""
+
+    balance: Balance
+    grid: Layout
+    gram: Floats
+    blocks: float
+    tangents: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A point in parameter space. beta (p,); S : (places,) N^2/Hz; noise : (places,) one-sided PSD of the sensor."""
+
+    beta: Floats
+    S: Floats
+    noise: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Local:
+    """The likelihood about a point. Order of theta: beta (p), log S (P), noise (P).
+
+    nll : nats. gradient : (p + 2 P,). hessian : (p + 2 P, p + 2 P), of the negative log-likelihood.
+    power : (cells, P) mean |F|^2 of each cell; floor : (cells, P, P) sensor-noise gain; spread : (cells, P) S of each.
+    """
+
+    point: Point
+    nll: float
+    gradient: Floats
+    hessian: Floats
+    power: Floats
+    floor: Floats
+    spread: Floats
+
+
+class Likelihood:
+    """Evaluates one `Evidence`; what does not depend on the parameters is prepared once."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        self.evidence = evidence
+        balance, grid = evidence.balance, evidence.grid
+        self.R = responses(balance, evidence.tangents, grid.f_hz)
+        entries = [(p, i, k, x) for p, f in enumerate(balance.free) for i, k, x in f.entries]
+        self.row = np.array([e[1] for e in entries], dtype=np.intp)
+        self.column = np.array([e[2] for e in entries], dtype=np.intp)
+        self.T = np.zeros((len(balance.free), len(entries)))  # entries -> parameters
+        for j, (p, _, _, x) in enumerate(entries):
+            self.T[p, j] = x
+        w = 2 * np.pi * grid.f_hz
+        self.noise_shape = np.array([w ** _NOISE_POWER[kind] for kind in balance.kinds]).T  # (f, P)
+
+    def force_power(self, B: Floats, gram: Floats | None = None) -> Floats:
+        """(cells, P, P) sums of F F^H."""
+        return np.asarray(B @ (self.evidence.gram if gram is None else gram) @ B.T)
+
+    def noise_gain(self, A: Complexes) -> Floats:
+        """(cells, P, P) mean |A_ij|^2 of each cell: the force PSD at i per sensor noise at j."""
+        grid = self.evidence.grid
+        gain = np.abs(A) ** 2 * self.noise_shape[:, None, :]
+        return np.asarray(np.add.reduceat(gain, grid.starts, axis=0) / grid.per_cell[:, None, None])
+
+    def at(self, point: Point) -> Local:
+        """Value, gradient and Hessian."""
+        ev, grid = self.evidence, self.evidence.grid
+        B = ev.balance.coefficients(point.beta)
+        A = B @ self.R
+        gain = self.noise_gain(A)
+        spread = point.S + gain @ point.noise  # (cells, P)
+        count = ev.blocks * grid.per_cell
+        total = self.force_power(B)
+        diagonal = np.einsum("cii->ci", total)
+        logdet = np.log(np.abs(np.linalg.det(A))) * 2
+        logs = float(np.sum(count[:, None] * np.log(spread)) - ev.blocks * logdet.sum())
+        nll = 0.5 * (float(np.sum(diagonal / spread)) + logs)
+
+        gram_rows = np.einsum("ci,ckl->ikl", 1 / spread, ev.gram)  # weighted Gram of each row
+        quad_g, quad_h = self._quadratic(B, gram_rows)
+        jac_g, jac_h = self._jacobian(A, point, spread)
+        g_beta = self.T @ (quad_g - ev.blocks * jac_g)
+        h_beta = self.T @ (quad_h - ev.blocks * jac_h) @ self.T.T
+        # nuisances: log S and noise of each place
+        P, p = point.S.size, point.beta.size
+        D = self._nuisance(point, gain)  # (cells, 2P, P): d spread / d psi
+        g_psi = 0.5 * np.einsum("cqi,ci->q", D, (count[:, None] - diagonal / spread) / spread)
+        h_psi = 0.5 * np.einsum("cqi,cri,ci->qr", D, D, count[:, None] / spread**2)
+        slope = np.einsum("cek,ek->ce", ev.gram[:, self.column], B[self.row])  # half of d F_rr / d entry, per cell
+        cross = -np.einsum("ce,cqe->eq", slope / spread[:, self.row] ** 2, D[:, :, self.row])
+        hessian = np.zeros((p + 2 * P, p + 2 * P))
+        hessian[:p, :p], hessian[p:, p:] = h_beta, h_psi
+        hessian[:p, p:] = self.T @ cross
+        hessian[p:, :p] = hessian[:p, p:].T
+        return Local(point, nll, np.concatenate([g_beta, g_psi]), hessian, diagonal / count[:, None], gain, spread)
+
+    def scores(self, local: Local, grams: Floats, blocks: Floats) -> Floats:
+        """(folds, p + 2 P) gradient of each fold; grams (folds, cells, k, k), blocks (folds,)."""
+        point, ev = local.point, self.evidence
+        B = ev.balance.coefficients(point.beta)
+        jac_g, _ = self._jacobian(B @ self.R, point, local.spread, hessian=False)
+        D = self._nuisance(point, local.floor)
+        out = []
+        for G, n in zip(grams, blocks, strict=True):
+            rows = np.einsum("ci,ckl->ikl", 1 / local.spread, G)
+            g_beta = self.T @ (self._quadratic(B, rows, hessian=False)[0] - n * jac_g)
+            diagonal = np.einsum("cii->ci", self.force_power(B, G))
+            excess = (n * ev.grid.per_cell[:, None] - diagonal / local.spread) / local.spread
+            out.append(np.concatenate([g_beta, 0.5 * np.einsum("cqi,ci->q", D, excess)]))
+        return np.array(out)
+
+    def _nuisance(self, point: Point, gain: Floats) -> Floats:
+        P = point.S.size
+        D = np.zeros((gain.shape[0], 2 * P, P))
+        D[:, range(P), range(P)] = point.S
+        D[:, P:] = gain.transpose(0, 2, 1)
+        return D
+
+    def _quadratic(self, B: Floats, rows: Floats, hessian: bool = True) -> tuple[Floats, Floats]:
+        """Gradient (E,) and Hessian (E, E) of 1/2 sum F^H S^-1 F by entry."""
+        r, k = self.row, self.column
+        g = np.einsum("el,el->e", rows[r, k], B[r])
+        if not hessian:
+            return g, np.empty((0, 0))
+        return g, np.where(r[:, None] == r, rows[r[:, None], k[:, None], k], 0.0)
+
+    def _jacobian(self, A: Complexes, point: Point, spread: Floats, hessian: bool = True) -> tuple[Floats, Floats]:
+        """Gradient (E,) and Hessian (E, E) of 1/2 sum over bins of log |det A|^2."""
+        grid = self.evidence.grid
+        inside = point.S + (np.abs(A) ** 2 * self.noise_shape[:, None, :]) @ point.noise
+        kappa = inside / spread[grid.cell_of_bin]  # (f, P), 1 where S is flat within the cell
+        Y = self.R[:, self.column] @ np.linalg.inv(A)  # (f, E, P)
+        X = Y[:, :, self.row]  # tr(A^-1 dA_e A^-1 dA_e') = X_ee' X_e'e
+        g = np.einsum("fe,fe->e", np.einsum("fee->fe", X).real, kappa[:, self.row])
+        if not hessian:
+            return g, np.empty((0, 0))
+        root = np.sqrt(kappa[:, self.row])[:, :, None]
+        X = X * root
+        flat = X.reshape(-1, X.shape[1], X.shape[2])
+        h = -np.einsum("fab,fba->ab", flat, flat, optimize=True).real
+        return g, h
+
+
+def spectrum_of_force(local: Local, count: Floats) -> tuple[Floats, Floats]:
+    """(S, noise), each (places,), >= 0, that explain the cell powers best given the gain of the noise.
+
+    Fisher scoring of the gamma likelihood of mean |F|^2 in each cell. count : (cells,) independent bins.
+    """
+    P = local.power.shape[1]
+    S, noise = local.point.S.copy(), local.point.noise.copy()
+    for _ in range(4):
+        for i in range(P):
+            rest = local.floor[:, i] @ noise - local.floor[:, i, i] * noise[i]
+            y, g = local.power[:, i] - rest, local.floor[:, i, i]
+            weight = count / (S[i] + rest + g * noise[i]) ** 2
+            X = np.stack([np.ones_like(g), g], axis=1)
+            normal = X.T @ (X * weight[:, None])
+            scale = np.sqrt(np.diag(normal))
+            solved = (
+                np.linalg.lstsq(normal / scale / scale[:, None], X.T @ (y * weight) / scale, rcond=1e-12)[0] / scale
+            )
+            if solved[1] <= 0.0:
+                solved = np.array([np.sum(y * weight) / np.sum(weight), 0.0])
+            elif solved[0] <= 0.0:
+                solved = np.array([1e-3 * local.point.S[i], solved[1]])
+            S[i], noise[i] = solved
+    return S, noise
+
+
+def active(point: Point) -> NDArray[np.intp]:
+    """Indices into theta of what is estimated: sensor noise at its bound, zero, is not."""
+    p, P = point.beta.size, point.S.size
+    return np.array([*range(p + P), *(p + P + i for i in range(P) if point.noise[i] > 0)], dtype=np.intp)
+
+
+def _step(local: Local, damping: float) -> tuple[Floats, float]:
+    """Newton step in beta with S and noise profiled out, and its decrement in nats.
+
+    Along flat or negative curvature it goes downhill by what the absolute curvature allows.
+    """
+    H, p = local.hessian, local.point.beta.size
+    rest = active(local.point)[p:]
+    profile = H[:p, :p] - H[:p, rest] @ np.linalg.solve(H[np.ix_(rest, rest)], H[rest, :p])
+    scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(H)[:p]), 1e-300))
+    w, V = np.linalg.eigh(profile * scale * scale[:, None])
+    g = V.T @ (local.gradient[:p] * scale)
+    curvature = np.maximum(np.abs(w), 1e-9) + damping
+    return -scale * (V @ (g / curvature)), float(np.sum(g**2 / curvature))
+
+
+def maximise(likelihood: Likelihood, start: Point, iterations: int = 40, tolerance: float = 1e-4) -> tuple[Local, bool]:
+    """Damped Newton steps until the likelihood rises no more. Returns the maximum and whether it was reached.
+
+    tolerance : of the Newton decrement in nats: 1e-4 is a hundredth of a standard deviation.
+    """
+    count: Floats = np.asarray(0.5 * likelihood.evidence.blocks * likelihood.evidence.grid.per_cell, dtype=np.float64)
+
+    def profiled(beta: Floats, point: Point) -> Local:
+        S, noise = spectrum_of_force(likelihood.at(replace(point, beta=beta)), count)
+        return likelihood.at(Point(beta, S, noise))
+
+    here, damping = profiled(start.beta, start), 0.0
+    for _ in range(iterations):
+        step, decrement = _step(here, damping)
+        trial = profiled(here.point.beta + step, here.point)
+        if np.isfinite(trial.nll) and trial.nll <= here.nll + 1e-9 * abs(here.nll):
+            here, damping, tried = trial, damping / 8 if damping > 1e-4 else 0.0, damping
+            if decrement < tolerance and tried == 0.0:
+                return here, True
+        elif damping > 1e6:
+            return here, False
+        else:
+            damping = max(4 * damping, 1e-3)
+    return here, False

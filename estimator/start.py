@@ -1,0 +1,116 @@
+"""A start that knows nothing of the answer: a scan over resonance and damping, and the linear fit from there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .balance import build
+from .errors import DataError
+from .features import NEAREST
+from .likelihood import Evidence, Likelihood, Point, maximise
+from .record import Record, gather
+
+Floats = NDArray[np.float64]
+SECONDS = 20.0  # of the record that the start is taken from
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Linear point and natural sizes. m, c, kL, S, noise : (places,). widths : (places, 2) sd left out of x and v."""
+
+    m: Floats
+    c: Floats
+    kL: Floats
+    S: Floats
+    noise: Floats
+    widths: Floats
+    sizes: dict[str, dict[str, float]]
+    nll: float
+
+    @property
+    def linear(self) -> Floats:
+        return np.stack([self.m, self.kL, self.c], axis=1)
+
+
+def scan(evidence: Evidence, row: int, mass: float, band: tuple[float, float]) -> tuple[float, float, float]:
+    """(c, kL, S) of the best single oscillator at a place, over resonances in the band and dampings of 0.2 to 80 %."""
+    P, grid = len(evidence.balance.places), evidence.grid
+    G = evidence.gram.sum(axis=0)[np.ix_([row, P + row, 2 * P + row], [row, P + row, 2 * P + row])]
+    w0 = 2 * np.pi * np.geomspace(band[0], band[1], 240)
+    zeta = np.geomspace(0.002, 0.8, 14)
+    c, k = mass * 2 * zeta[None, :] * w0[:, None], np.broadcast_to((mass * w0**2)[:, None], (w0.size, zeta.size))
+    Q = (
+        mass * mass * G[0, 0] + c * c * G[1, 1] + k * k * G[2, 2]
+        + 2 * (mass * c * G[0, 1] + mass * k * G[0, 2] + c * k * G[1, 2])
+    )  # fmt: skip
+    w = 2 * np.pi * grid.f_hz[:: max(1, grid.bins.size // 1500)]
+    r = (w0[:, None] / w) ** 2
+    logs = np.stack([np.log((1 - r) ** 2 + 4 * z * z * r).mean(axis=1) for z in zeta], axis=1)
+    value = np.log(np.maximum(Q, 1e-300)) - logs  # per bin; the mass is the same for all
+    i, j = np.unravel_index(int(np.argmin(value)), value.shape)
+    n = evidence.blocks * grid.bins.size
+    return float(c[i, j]), float(k[i, j]), float(Q[i, j] / n)
+
+
+def left_out(m: Floats, c: Floats, kL: Floats, S: Floats, record: Record) -> Floats:
+    """(places, 2) sd of the displacement and velocity outside of the pass band, from the linear response to S."""
+    from .bandlimit import passband
+
+    low, rate = record.model.band[0], record.rate_hz
+    f = np.concatenate([np.linspace(0.0, low, 200), np.geomspace(low, 1e3 * rate, 4000)[1:]])
+    lost = (1.0 - passband(f, record.rate_hz, record.model.band)) ** 2
+    w = 2 * np.pi * f
+    response = S[:, None] / np.abs(kL[:, None] + 1j * w * c[:, None] - m[:, None] * w**2) ** 2
+    both = np.stack([np.trapezoid(response * lost, f), np.trapezoid(response * lost * w**2, f)], axis=1)
+    return np.asarray(np.sqrt(both))
+
+
+def linear_start(record: Record) -> Start:
+    """The linear fit from a scan. Raises DataError if the band holds no resonance or the record is too short."""
+    model = replace(record.model, effects=())
+    balance = build(model)
+    P = len(balance.places)
+    bank = gather(record, balance, np.zeros((P, 2)), seconds=SECONDS)
+    evidence = bank.evidence()
+    beta = np.array([f.start for f in balance.free])
+    S = np.empty(P)
+    for i, place in enumerate(balance.places):
+        mass = model.cap_mass(place)
+        scanned = scan(evidence, i, 1.0 if mass is None else mass, model.band)
+        S[i] = scanned[2]
+        for j, f in enumerate(balance.free):
+            beta[j] = {f"{place}.m": 1.0, f"{place}.c": scanned[0], f"{place}.kL": scanned[1]}.get(f.name, beta[j])
+    local, _ = maximise(Likelihood(evidence), Point(beta, S, np.zeros(P)))
+    B = balance.coefficients(local.point.beta)
+    m, c, kL = (np.diag(B[:, i * P : (i + 1) * P]).copy() for i in range(3))
+    x, v, a = record.rms("x"), record.rms("v"), record.rms("a")
+    for i, place in enumerate(balance.places):
+        _judge(place, m[i], c[i], kL[i], record)
+    widths = np.maximum(left_out(m, c, kL, local.point.S, record), NEAREST * np.stack([x, v], axis=1))
+    sizes = {
+        place: {
+            "x": x[i], "v": v[i], "a": a[i], "m": m[i], "hz_peak": float(np.sqrt(kL[i] / m[i]) / (2 * np.pi)),
+            "rate": record.rate_hz, "sample": 1 / record.rate_hz, "band": model.band[1], "seconds": record.seconds,
+        }
+        for i, place in enumerate(balance.places)
+    }  # fmt: skip
+    return Start(m, c, kL, local.point.S, local.point.noise, widths, sizes, local.nll)
+
+
+def _judge(place: str, m: float, c: float, kL: float, record: Record) -> None:
+    low, high = record.model.band
+    f0 = np.sqrt(kL / m) / (2 * np.pi) if kL > 0 and m > 0 else 0.0
+    if not (1.02 * low < f0 < 0.98 * high) or c <= 0 or c > 1.8 * np.sqrt(kL * m):
+        raise DataError(
+            f"no resonance of {place} inside the band {low:g}-{high:g} Hz: choose a band around the bearing resonance, "
+            "and check that the channel is the bearing's"
+        )
+    correlation = 2 * m / c
+    if record.seconds < 10 * correlation:
+        raise DataError(
+            f"the record ({record.seconds:.2f} s valid) is shorter than ten correlation times of {place} "
+            f"({correlation:.2g} s each): record at least {10 * correlation:.1f} s"
+        )

@@ -1,0 +1,64 @@
+"""The fit on a rig integrated by another scheme, from no knowledge; and what it refuses."""
+
+import numpy as np
+import pytest
+from reference_rig import MASS, PLACES, RATE, TRUTH, rig_model, rig_record
+
+from estimator import spectral
+from estimator.errors import DataError
+
+
+@pytest.fixture(scope="module")
+def record() -> np.ndarray:
+    return rig_record(20.0, seed=1)
+
+
+def test_linear_and_cubic_parameters_come_back_within_their_intervals(record: np.ndarray) -> None:
+    fit = spectral.fit(rig_model("cubic"), record, RATE)
+    z = []
+    for i, place in enumerate(PLACES):
+        for key in ("kL", "c", "S"):
+            p = fit.parameters[f"{place}.{key}"]
+            assert p.value is not None
+            assert p.sd is not None
+            z.append((p.value - TRUTH[key][i]) / p.sd)
+            assert p.value == pytest.approx(TRUTH[key][i], rel={"kL": 0.005, "c": 0.06, "S": 0.015}[key])
+        p = fit.parameters[f"{place}.cubic.kNL"]
+        assert p.value == pytest.approx(1.3e18, rel=0.35)
+        z.append((p.value - 1.3e18) / p.sd)
+        assert fit.parameters[f"{place}.m"].value == MASS
+    assert np.sqrt(np.mean(np.square(z))) < 1.6
+    assert fit.messages == ()
+
+
+def test_results_are_the_same_with_a_gap_as_without_its_samples(record: np.ndarray) -> None:
+    holed = record.copy()
+    holed[200000:200050, 2] = np.nan
+    a, b = (spectral.fit(rig_model("cubic"), y, RATE).parameters for y in (record, holed))
+    for name, p in a.items():
+        if p.value is not None and p.sd:
+            assert abs(p.value - b[name].value) < 1.0 * p.sd
+
+
+def test_what_cannot_be_estimated_is_refused_in_one_line(record: np.ndarray) -> None:
+    model = rig_model()
+    dead, stuck, clipped = record.copy(), record.copy(), record.copy()
+    dead[:, 1] = 0.0
+    stuck[:, 1] = 3.0
+    clipped[:, 2] = np.clip(clipped[:, 2], -15, 15)
+    noise = np.random.default_rng(0).normal(size=record.shape)
+    cases = [
+        (model, dead, "b1y"),
+        (model, stuck, "constant"),
+        (model, clipped, "clipped"),
+        (model, record[:9000], "record"),
+        (rig_model(band=(2500.0, 8000.0)), record, "resonance"),
+        (rig_model(band=(150.0, 12800.0)), record, "Nyquist"),
+        (model, noise, "resonance"),
+        (model, record[:, :3], "channels"),
+        (model, [[1.0, 2.0], [3.0]], "unequal"),
+    ]
+    for m, y, word in cases:
+        with pytest.raises(DataError, match=word) as e:
+            spectral.fit(m, y, RATE)
+        assert "\n" not in str(e.value)
