@@ -67,8 +67,8 @@ def walk(path: Path, findings: Findings, everything: bool = False) -> Iterator[t
             if missing is not None:
                 findings.damage.append(f"{missing.count} samples from {missing.index} are missing without a gap record")
                 yield missing, None
-            if isinstance(entry, RawBlock) and not decoder.advance(entry):
-                findings.damage.append(f"a block at {entry.index} goes back in the index, and is left out")
+            if isinstance(entry, RawBlock | Gap) and not decoder.advance(entry):
+                findings.damage.append(f"what is said of sample {entry.index} goes back in the index, and is left out")
                 continue
             yield entry, message
 
@@ -122,22 +122,22 @@ class _Decoder:
         return gap
 
     def missing_before(self, entry: Entry) -> Gap | None:
-        """The unexplained hole between what was seen and this entry; moves over a gap."""
+        """The unexplained hole between what was seen and this entry."""
         if not isinstance(entry, RawBlock | Gap) or (isinstance(entry, Gap) and not entry.count):
             return None
-        expected, hole = self._next, None
-        if expected is not None and entry.index > expected:
-            hole = Gap(expected, entry.index - expected, LOST_IN_LOG)
-            self._next = entry.index
-        if isinstance(entry, Gap):
-            self._next = max(expected or 0, entry.index + entry.count)
-        return hole
+        expected = self._next
+        if expected is None or entry.index <= expected:
+            return None
+        self._next = entry.index
+        return Gap(expected, entry.index - expected, LOST_IN_LOG)
 
-    def advance(self, block: RawBlock) -> bool:
-        """Move over a block; False if it goes back."""
-        if self._next is not None and block.index < self._next:
+    def advance(self, entry: RawBlock | Gap) -> bool:
+        """Move over a block or a gap; False if it goes back."""
+        if isinstance(entry, Gap) and not entry.count:
+            return True
+        if self._next is not None and entry.index < self._next:
             return False
-        self._next = block.stop
+        self._next = entry.stop if isinstance(entry, RawBlock) else entry.index + entry.count
         return True
 
 
@@ -293,8 +293,8 @@ def read_log(path: str | Path) -> Recording:
                 if entry.count:
                     if first is None:
                         first = stop = entry.index
-                    lost += max(0, entry.index + entry.count - stop)
-                    stop = max(stop, entry.index + entry.count)
+                    lost += entry.count
+                    stop = entry.index + entry.count
             case Info():
                 info = info or entry
             case Notice():

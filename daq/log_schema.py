@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from functools import cache
-from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
@@ -63,9 +63,9 @@ def parse_proto(name: str, text: str) -> descriptor_pb2.FileDescriptorProto:
 
 @cache
 def files() -> tuple[descriptor_pb2.FileDescriptorProto, ...]:
-    folder = resources.files(__package__)
+    folder = Path(__file__).parent
     names = ("log_schema.proto", "foxglove_log.proto")
-    return tuple(parse_proto(name, folder.joinpath(name).read_text("utf-8")) for name in names)
+    return tuple(parse_proto(name, (folder / name).read_text("utf-8")) for name in names)
 
 
 @cache

@@ -41,8 +41,9 @@ class ScriptedDriver:
     """Delivers batches of readings, at once or `pause_s` apart; then it is silent, or exhausted if `ends`."""
 
     def __init__(
-        self, batches: Iterable[list[Reading] | BaseException], kind: str = "scripted", pause_s: float = 0.0, ends: bool = True
-    ) -> None:
+        self, batches: Iterable[list[Reading] | BaseException], kind: str = "scripted",
+        pause_s: float = 0.0, ends: bool = True,
+    ) -> None:  # fmt: skip
         self.kind = kind
         self.stats = LinkStats()
         self._batches = iter(batches)
