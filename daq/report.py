@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from importlib import metadata, resources
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +80,7 @@ def render(
         "detectable": words.detectable,
         "model_name": figures.model_name,
     }
-    template = environment.from_string(resources.files("daq").joinpath("report.html").read_text(encoding="utf-8"))
+    template = environment.from_string(Path(__file__).with_name("report.html").read_text(encoding="utf-8"))
     now, old = comparison or NOTHING, before or NOTHING
     return template.render(
         title=title,

@@ -14,12 +14,12 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 
-from drivers.reading import Block, Reading
+from drivers.reading import Block, Notice, Reading
 from estimator.estimate import Estimate
 
 from .rerun_process import VIEWER_PORT, ViewerGone, ViewerProcess, answers, start_viewer, viewer_target
 from .rerun_view import ViewSession
-from .sink import Session, Status
+from .sink import Session, SinkHealth, Status
 
 Item = Reading | Estimate | Status
 OVERHEAD = 256  # bytes charged for whatever is not samples
@@ -33,24 +33,23 @@ CLOSE_S = 1.0  # without progress while closing
 class RerunSink:
     """Shows a session in `target`: FILE.rrd, "spawn", or rerun+http://HOST:PORT/proxy.
 
-    dropped : readings, estimates and statuses that the viewer will never show.
-    Raises ConfigError for a target that is none of these. `status` raises ConnectionError, once for each change,
-    when the viewer cannot be reached: for the core loop to report; nothing else is affected.
+    wall_offset_ns : Unix time minus the monotonic time of the readings; None: this host's, now.
+    dropped : samples that the viewer will never show. `health` tells when a viewer is lost and when it is back.
+    Raises ConfigError for a target that is none of these.
     """
 
-    name = "rerun"
-
-    def __init__(self, target: str, capacity_bytes: int | None = None) -> None:
+    def __init__(self, target: str, capacity_bytes: int | None = None, wall_offset_ns: int | None = None) -> None:
         self._target = viewer_target(target)
         self._file = self._target.endswith(".rrd")
         self._capacity = capacity_bytes or (FILE_BYTES if self._file else LIVE_BYTES)
-        self._queue: deque[tuple[int, Item]] = deque()
+        self._wall_ns = time.time_ns() - time.monotonic_ns() if wall_offset_ns is None else wall_offset_ns
+        self._queue: deque[tuple[int, Item, int]] = deque()  # bytes, item, monotonic ns
         self._bytes = 0
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._closing = threading.Event()
         self._problem: str | None = None
-        self._told: str | None = None
+        self._notices: list[Notice] = []
         self._process: ViewerProcess | None = None
         self._window: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None
@@ -59,7 +58,7 @@ class RerunSink:
     # ---- called by the core loop
 
     def start(self, session: Session) -> None:
-        self._session = view_session(session)
+        self._session = view_session(session, self._wall_ns)
         self._thread = threading.Thread(target=self._run, name="rerun", daemon=True)
         self._thread.start()
 
@@ -74,11 +73,12 @@ class RerunSink:
     def status(self, status: Status) -> None:
         link = replace(status.link, other=dict(status.link.other))
         self._put(replace(status, link=link, lag_s=dict(status.lag_s), dropped=dict(status.dropped)), 0)
-        problem = self._problem
-        if problem != self._told:
-            self._told = problem
-            if problem is not None:
-                raise ConnectionError(problem)
+
+    def health(self) -> SinkHealth:
+        with self._lock:
+            notices, self._notices = tuple(self._notices), []
+            oldest = self._queue[0][2] if self._queue else None
+        return SinkHealth((time.monotonic_ns() - oldest) / 1e9 if oldest is not None else 0.0, self.dropped, notices)
 
     def close(self) -> None:
         """Hand over what is queued, for as long as the viewer takes it; then end. Idempotent."""
@@ -95,7 +95,7 @@ class RerunSink:
                 self._process.kill()
             left = len(self._queue)
         self._thread = None
-        self.dropped += len(self._queue)
+        self.dropped += sum(samples(item) for _, item, _ in self._queue)
         self._queue.clear()
 
     # ---- the queue
@@ -103,11 +103,12 @@ class RerunSink:
     def _put(self, item: Item, size: int) -> None:
         size += OVERHEAD
         with self._lock:
-            self._queue.append((size, item))
+            self._queue.append((size, item, time.monotonic_ns()))
             self._bytes += size
             while self._bytes > self._capacity:
-                self._bytes -= self._queue.popleft()[0]
-                self.dropped += 1
+                less, oldest, _ = self._queue.popleft()
+                self._bytes -= less
+                self.dropped += samples(oldest)
         self._wake.set()
 
     def _batch(self) -> list[Item]:
@@ -115,7 +116,7 @@ class RerunSink:
         size = 0
         with self._lock:
             while self._queue and size < BATCH:
-                more, item = self._queue.popleft()
+                more, item, _ = self._queue.popleft()
                 size += more
                 taken.append(item)
             self._bytes -= size
@@ -129,12 +130,12 @@ class RerunSink:
             try:
                 self._process = ViewerProcess(self._reach())
                 self._process.start(self._session)
-                self._problem = None
+                self._tell(None)
                 pause = RETRY_S[0]
                 self._feed(self._process)
                 return
             except OSError as problem:
-                self._problem = f"viewer {self._target}: {problem}; acquisition goes on without it"
+                self._tell(str(problem))
             finally:
                 if self._process is not None:
                     self._process.close()
@@ -145,6 +146,18 @@ class RerunSink:
             if self._closing.wait(pause):
                 return
             pause = min(2 * pause, longest)
+
+    def _tell(self, problem: str | None) -> None:
+        """A notice when the viewer is lost and when it is back, not for every attempt between."""
+        known, self._problem = self._problem, problem
+        if (known is None) == (problem is None):
+            return
+        level, code, text = "info", "viewer_back", "it is shown again"
+        if problem is not None:
+            level, code, text = "warning", "viewer_lost", f"{problem}; acquisition goes on without it"
+            text += "" if self._file else "; it is tried again"
+        with self._lock:
+            self._notices.append(Notice(time.monotonic_ns(), level, code, f"viewer {self._target}: {text}"))
 
     def _reach(self) -> str:
         """The target to give the drawing process, once it can be reached."""
@@ -171,7 +184,7 @@ class RerunSink:
                 try:
                     process.send(batch)
                 except OSError:
-                    self.dropped += len(batch)
+                    self.dropped += sum(samples(item) for item in batch)
                     raise
             elif self._closing.is_set():
                 process.finish(FINISH_S if self._file else CLOSE_S)
@@ -183,17 +196,24 @@ class RerunSink:
                 time.sleep(0.05)  # gather: one message of many blocks costs less than many of one
 
 
-def view_session(session: Session) -> ViewSession:
+def samples(item: Item) -> int:
+    return len(item.counts) if isinstance(item, Block) else 0
+
+
+def view_session(session: Session, wall_ns: int) -> ViewSession:
     """What the drawing process needs to know, as plain data."""
-    model, facts = session.model, dict(session.metadata)
+    model, names = session.model, [s.name for s in session.info.signals]
+    channels = {c.name: (c.place, c.kind) for c in model.channels}
+    if len(names) == len(channels) and not set(channels) <= set(names):  # the device's own names: taken in order
+        channels = dict(zip(names, channels.values(), strict=True))
     rig = next((text for name, text in session.attachments.items() if name.endswith(".toml")), b"")
     return ViewSession(
         name=" ".join(part for part in (model.name or "rotorscope", session.device) if part),
         recording_id=str(uuid.uuid4()),
         info=session.info,
-        places={c.name: (c.place, c.kind) for c in model.channels},
+        places=channels,
         band=model.band,
-        wall_ns=time.time_ns() - time.monotonic_ns(),
+        wall_ns=wall_ns,
         rig=rig.decode(errors="replace"),
-        facts=facts,
+        facts=dict(session.metadata),
     )

@@ -6,7 +6,7 @@ Knows nothing of queues, files or viewers; the recording stream may be anything,
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -16,20 +16,16 @@ from numpy.typing import NDArray
 from drivers.reading import Block, Gap, Info, Notice, Reading, Signal
 from estimator.estimate import Estimate
 
-from . import rerun_plane as plane
 from .rerun_layout import BAD, DEVICE_TIME, GOOD, HOST_TIME, IDLE, colour, layout
-from .rerun_signal import INTEGRATIONS, displacement, envelope, spectrum
+from .rerun_signal import envelope
+from .rerun_tail import TAIL_S, Tail
 from .sink import ClockState, Status
 
 if TYPE_CHECKING:
     import rerun as rr
 
-Array = NDArray[np.float64]
 PREVIEW_HZ = 500.0  # rows a second of a waveform, two of them a bin; slower signals are shown whole
 ROWS = 64  # a call to the recording: 50 to 100 times cheaper than one row each
-TAIL_S = 1.0  # of signal behind each spectrum and orbit
-SCOPE_S = 0.02
-ORBIT_S = 0.06
 LEVELS = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
 
 
@@ -58,7 +54,6 @@ class RerunView:
         self._anchor = (0, 0)  # index, host monotonic ns: until the clock is known
         self._index = 0  # the next sample expected
         self._drawn = 0.0  # device time of the last spectrum, s
-        self._planes: dict[str, plane.Plane] = {}
         self._exponents: dict[str, int] = {}
         self._kinds: dict[str, str] = {}  # of parameters, for the layout
         self._missing_force = False
@@ -78,7 +73,7 @@ class RerunView:
             case Gap():
                 self._gap(item)
             case Notice():
-                self._at(self._index, item.t_host_ns)
+                self._at(self._index)
                 self._say(LEVELS.get(item.level, "INFO"), f"{item.code}: {item.text}")
                 if item.code == "silent":
                     self._state("link", "silent")
@@ -113,11 +108,10 @@ class RerunView:
             self._rr.TimeColumn(HOST_TIME, timestamp=host),
         ]
 
-    def _at(self, index: int, host_ns: int | None = None) -> None:
+    def _at(self, index: int) -> None:
         """Set the time of what is logged next."""
-        wall = int(self._host_ns(index)) if host_ns is None else host_ns + self._session.wall_ns
         self._to.set_time(DEVICE_TIME, duration=index / self._info.rate_hz)
-        self._to.set_time(HOST_TIME, timestamp=np.datetime64(wall, "ns"))
+        self._to.set_time(HOST_TIME, timestamp=np.datetime64(int(self._host_ns(index)), "ns"))
 
     # ---- signals
 
@@ -134,33 +128,18 @@ class RerunView:
         self._enough = max(self._width * ROWS // 2, round(info.rate_hz / 4)) if self._width > 1 else ROWS
         self._pending: list[Block] = []
         self._held = 0
-        self._tail = np.full((max(64, round(TAIL_S * info.rate_hz)), len(info.signals)), np.nan)
+        self._tail = Tail(self._to, info, self._session.places, self._session.band)
         for k, signal in enumerate(info.signals):
             style = rr.SeriesLines(colors=[colour(k)], names=signal.name, widths=1.0, aggregation_policy="MinMax")
             self._to.log(self._path(k), style, static=True)
-        self._pairs = self._orbits()
         self._lay_out()
 
     def _path(self, k: int) -> str:
         return f"waveform/{self._units.index(self._signals[k].unit)}/{self._signals[k].name}"
 
-    def _orbits(self) -> dict[str, tuple[int, int, str]]:
-        """Bearing -> columns of its x and y of the same kind."""
-        found: dict[str, dict[str, tuple[int, str]]] = {}
-        for k, signal in enumerate(self._signals):
-            place, kind = self._session.places.get(signal.name, ("", ""))
-            node, _, direction = place.partition(".")
-            if kind in INTEGRATIONS:
-                found.setdefault(node, {}).setdefault(direction, (k, kind))
-        return {
-            node: (d["x"][0], d["y"][0], d["x"][1])
-            for node, d in found.items()
-            if "x" in d and "y" in d and d["x"][1] == d["y"][1]
-        }
-
     def _lay_out(self) -> None:
         kinds = {kind: self._kinds[kind] for kind in sorted(self._kinds)}
-        self._to.send_blueprint(layout(self._units, list(self._pairs), kinds, self._missing_force))
+        self._to.send_blueprint(layout(self._units, list(self._tail.pairs), kinds, self._missing_force))
 
     def _block(self, block: Block) -> None:
         n = len(block.counts)
@@ -170,7 +149,7 @@ class RerunView:
             self._anchor = (block.index + n, block.t_host_ns)
         if block.index != self._index and self._held:
             self._flush()
-        self._skip(block.index - self._index)
+        self._tail.skip(block.index - self._index)
         self._pending.append(block)
         self._held += n
         self._index = block.index + n
@@ -187,17 +166,8 @@ class RerunView:
         self._state("link", f"gap: {gap.reason}", gap.index)
         self._say("WARN", f"gap: {gap.count} samples lost from index {gap.index} ({gap.reason})")
         if gap.index + gap.count > self._index:
-            self._skip(gap.index + gap.count - self._index)
+            self._tail.skip(gap.index + gap.count - self._index)
             self._index = gap.index + gap.count
-
-    def _skip(self, count: int) -> None:
-        """Samples that will not come are NaN rows of the tail, not a shift."""
-        if count > 0:
-            self._push(np.full((min(count, len(self._tail)), len(self._signals)), np.nan))
-
-    def _push(self, y: Array) -> None:
-        y = y[-len(self._tail) :]
-        self._tail = np.concatenate([self._tail[len(y) :], y])
 
     def _flush(self) -> None:
         if not self._pending:
@@ -212,73 +182,15 @@ class RerunView:
             s.name for s, hit in zip(self._signals, (np.abs(rows) >= self._full).any(axis=0), strict=True) if hit
         ]
         self._state("sensors", "clipped: " + " ".join(clipped) if clipped else "in range", blocks[0].index)
-        self._push(counts * self._scale + self._offset)
+        self._tail.push(counts * self._scale + self._offset)
         now = self._index / self._info.rate_hz
         if now - self._drawn >= TAIL_S:
             self._drawn = now
             self._at(self._index)
-            self._planes_of_tail()
+            self._tail.draw()
 
     def _send(self, path: str, at: NDArray[np.int64], columns: Any) -> None:
         self._rr.send_columns(path, self._columns(at), columns, recording=self._to)
-
-    # ---- planes: spectra, scope, orbits
-
-    def _planes_of_tail(self) -> None:
-        rate = self._info.rate_hz
-        found = spectrum(self._tail, rate)
-        last = self._tail[-max(16, round(SCOPE_S * rate)) :]
-        ms = np.arange(len(last)) / rate * 1e3
-        for u, unit in enumerate(self._units):
-            members = [k for k, s in enumerate(self._signals) if s.unit == unit]
-            if found is not None:
-                f, power = found[0], found[1][:, members]
-                x = plane.Axis(float(f[0]), float(f[-1]), "frequency, Hz", log=True)
-                y = self._log_axis(f"spectrum/{u}", power, f"({unit})²/Hz")
-                frame = plane.Plane(x, y)
-                self._draw(f"spectrum/{u}", frame, [(f, power[:, j], colour(k)) for j, k in enumerate(members)])
-            if np.isfinite(last[:, members]).any():
-                y = self._linear_axis(f"scope/{u}", last[:, members], unit)
-                frame = plane.Plane(plane.Axis(0, float(ms[-1]), "time, ms"), y)
-                self._draw(f"scope/{u}", frame, [(ms, last[:, k], colour(k)) for k in members])
-        if np.isfinite(self._tail).all():
-            for b, (bearing, (i, j, kind)) in enumerate(self._pairs.items()):
-                self._orbit(b, bearing, self._tail[:, [i, j]], kind)
-
-    def _orbit(self, b: int, bearing: str, y: Array, kind: str) -> None:
-        rate = self._info.rate_hz
-        low, high = self._session.band
-        q = displacement(y, kind, rate, (low, min(high, 0.45 * rate)))
-        keep = slice(len(q) // 2, len(q) // 2 + max(16, round(ORBIT_S * rate)))
-        q = q[keep] * 1e9
-        side = self._linear_axis(f"orbit/{bearing}", q, "y, nm")
-        x = plane.Axis(side.low, side.high, "")
-        self._draw(f"orbit/{bearing}", plane.Plane(x, side, plane.HEIGHT), [(q[:, 0], q[:, 1], colour(b))])
-
-    def _log_axis(self, path: str, values: Array, label: str) -> plane.Axis:
-        """Decades that hold the values, and those held before."""
-        low, high = plane.decades(values)
-        old = self._planes.get(path)
-        if old is not None:
-            high = max(high, old.y.high)
-            low = max(min(low, old.y.low), high / 1e8)
-        return plane.Axis(low, high, label, log=True)
-
-    def _linear_axis(self, path: str, values: Array, label: str) -> plane.Axis:
-        """A symmetric range that holds the values; kept while they fill more than a fifth of it."""
-        peak = float(np.nanmax(np.abs(values))) or 1.0
-        old = self._planes.get(path)
-        high = old.y.high if old is not None else 0.0
-        if peak > high or peak < 0.2 * high:
-            high = plane.nice_step(peak)
-        return plane.Axis(-high, high, label)
-
-    def _draw(self, path: str, frame: plane.Plane, series: Sequence[tuple[Array, Array, tuple[int, int, int]]]) -> None:
-        if self._planes.get(path) != frame:
-            self._planes[path] = frame
-            for name, part in frame.frame():
-                self._to.log(f"{path}/{name}", part)
-        self._to.log(f"{path}/curves", plane.curves(frame, series))
 
     # ---- estimates
 
@@ -321,7 +233,7 @@ class RerunView:
         self._flush()
         if status.clock is not None:
             self._clock = status.clock
-        self._at(status.index, status.t_host_ns)
+        self._at(status.index)
         link = status.link
         lost = {
             "lost samples": link.lost_samples,

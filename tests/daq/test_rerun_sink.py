@@ -51,8 +51,7 @@ def feed(sink: RerunSink, seconds: float, start: float = 0.0, pace: float = 0.0)
             sink.estimate(Estimate(index, known, 1000.0, extra={"missing_force_percent": 1.5}))
         if k % 100 == 0:
             clock = ClockState(t0, RATE, 20.0, 15_000)
-            with contextlib.suppress(ConnectionError):
-                sink.status(Status(t0 + int(index / RATE * 1e9), index, RATE, LinkStats(), clock, {"estimator": 0.01}))
+            sink.status(Status(t0 + int(index / RATE * 1e9), index, RATE, LinkStats(), clock, {"estimator": 0.01}))
         if pace:
             time.sleep(pace)
     return longest
@@ -134,8 +133,7 @@ def test_spawn_without_a_display_says_so(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr("daq.rerun_sink.VIEWER_PORT", free_port())
     sink = RerunSink("spawn")
     sink.start(session())
-    assert wait(lambda: sink._problem, 20)
-    assert "is there a display" in str(sink._problem)
+    assert wait(lambda: "is there a display" in str(sink._problem), 30)
     sink.close()
 
 
@@ -143,12 +141,13 @@ def test_closed_port_is_said_once_and_costs_nothing() -> None:
     sink = RerunSink(f"rerun+http://127.0.0.1:{free_port()}/proxy", capacity_bytes=100_000)
     sink.start(session())
     assert wait(lambda: sink._problem, 5)
-    status = Status(0, 0, RATE, LinkStats(), None)
-    with pytest.raises(ConnectionError, match="nothing listens"):
-        sink.status(status)
-    sink.status(status)
+    time.sleep(1.0)
+    (notice,) = sink.health().notices
+    assert (notice.code, sink.health().notices) == ("viewer_lost", ())
+    assert "nothing listens there; acquisition goes on without it" in notice.text
     assert feed(sink, 5.0) < 0.02
-    assert sink.dropped > 400
+    assert sink.dropped > 4 * RATE
+    assert sink.health().dropped == sink.dropped
     before = time.monotonic()
     sink.close()
     assert time.monotonic() - before < 1.5
@@ -180,6 +179,7 @@ def test_viewer_dies_and_returns(tmp_path: Path) -> None:
     assert wait(lambda: sink._problem, 10), "a dead viewer must be noticed"
     with viewer(port, tmp_path / "second.rrd") as receiver:
         assert wait(lambda: sink._problem is None and not sink._queue, 20)
+        assert [n.code for n in sink.health().notices] == ["viewer_lost", "viewer_back"]
         longest = max(longest, feed(sink, 2.0, start=2.0, pace=0.01))
         sink.close()
         time.sleep(0.5)
@@ -197,7 +197,7 @@ def test_drawing_process_killed_loses_only_a_counted_batch(tmp_path: Path) -> No
     sink._process.kill()
     assert wait(lambda: sink._problem, 10)
     feed(sink, 0.5)
-    assert sink.dropped > 50, "all that comes after is counted"
+    assert sink.dropped > 0.4 * RATE, "all that comes after is counted"
     sink.close()
 
 
