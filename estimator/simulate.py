@@ -18,7 +18,7 @@ from .effect import Effect
 from .errors import ModelError
 from .model import Model
 from .rotor import Array, propagator
-from .simulate_plan import Plan, build, table
+from .simulate_plan import Plan, Slots, build, table
 from .simulate_speed import Speed
 from .simulate_start import start_state
 
@@ -134,9 +134,10 @@ class Stepper:
         if scheme not in ("exponential", "rk4"):
             raise ValueError(f'scheme {scheme!r}: "exponential" or "rk4"')
         self.plan, self.dt, self.speed, self.scheme = plan, dt, speed, scheme
-        rig, self.table = plan.rig, table(plan.acting)
-        n = len(rig.dofs)
-        self.x, self.v, self.z = np.zeros(n), np.zeros(n), np.zeros(int(self.table.zat[-1]))
+        rig, self.slots = plan.rig, Slots.of(plan.rig)
+        self._table, states, self._kept = table(plan.acting, self.slots)
+        n = self.slots.count
+        self.x, self.v, self.z = np.zeros(n), np.zeros(n), np.zeros(states)
         self.count = 0
         self.driven = np.flatnonzero(rig.S)
         self.level = np.sqrt(rig.S[self.driven] / (2.0 * dt))
@@ -147,29 +148,31 @@ class Stepper:
             if i in self.driven
         ]
         self._past: Array | None = None  # white force before this call, for the colouring filters
-        matrices = propagator(rig.M, rig.C, rig.K, dt) if scheme == "exponential" else (rig.K, rig.C)
-        self._matrices = tuple(np.ascontiguousarray(m) for m in matrices)
-        self._mass = np.ascontiguousarray(np.diag(rig.M))
+        self._matrices: tuple[Array, Array, Array]
+        if scheme == "exponential":
+            E, G0, G1 = propagator(rig.M, rig.C, rig.K, dt)
+            self._matrices = self.slots.blocks(E, 2, 2), self.slots.blocks(G0, 2), self.slots.blocks(G1, 2)
+        else:
+            mass = self.slots.vector(np.diag(rig.M), 1.0)
+            self._matrices = self.slots.blocks(rig.K), self.slots.blocks(rig.C), mass
+        self._channels = plan.channels.astype(np.uintp)
+        self._channels[:, 1] = self.slots.of_dof[plan.channels[:, 1]]
 
     def advance(self, rng: np.random.Generator, out: Array) -> None:
         """Step out.shape[1] times, writing the channels' step averages into out (channels, steps)."""
         steps = out.shape[1]
-        F = np.zeros((steps, len(self.x)))
-        F[:, self.driven] = self._force(rng, steps)
+        F = np.zeros((steps, self.slots.count))
+        F[:, self.slots.of_dof[self.driven]] = self._force(rng, steps)
         self.step(F, out)
 
     def step(self, F: Array, out: Array) -> None:
-        """Step under the given held forces F (steps, n) N."""
+        """Step under the given held forces F (steps, slots) N."""
         steps = len(F)
         t: Array = np.asarray((self.count + np.arange(steps + 1)) * self.dt, dtype=np.float64)
         phase = self.speed.phase(t) if self.speed else np.zeros(steps + 1)
-        state = (self.x, self.v, self.z, self.count * self.dt, self.dt, phase, F)
-        if self.scheme == "rk4":
-            kernel.rk4(
-                *state, *self.table.arguments, self.plan.block, *self._matrices, self._mass, self.plan.channels, out
-            )
-        else:
-            kernel.exponential(*state, *self.table.arguments, self.plan.block, *self._matrices, self.plan.channels, out)
+        run = kernel.rk4 if self.scheme == "rk4" else kernel.exponential
+        at = (self.count * self.dt, self.dt, phase, F)
+        run(self.x, self.v, self.z, *at, self._table, self._matrices, self._channels, out)
         self.count += steps
 
     def _force(self, rng: np.random.Generator, steps: int) -> Array:

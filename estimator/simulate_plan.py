@@ -41,7 +41,6 @@ class Plan:
     """Everything the stepping needs. channels : (c, 2) kind and degree of freedom of each stepped channel."""
 
     rig: Assembly
-    block: NDArray[np.int64]
     acting: tuple[Acting, ...]
     channels: NDArray[np.int64]
     shapes: tuple[tuple[int, Callable[..., Array], Array], ...]  # (dof, shape, p) of coloured forces
@@ -81,12 +80,9 @@ def build(model: Model) -> Plan:
                 shapes.append((rig.index(place), effect.shape, p))
             else:
                 acting += _acting(effect, place, p, rig, model)
-    blocks = [[i for i, dof in enumerate(rig.dofs) if dof.endswith("." + d)] for d in DIRECTIONS]
-    block = np.array([[b[0], b[-1] + 1] for b in blocks for _ in b], dtype=np.int64)
     stepped = [(KINDS[c.kind], rig.index(c.place)) for c in model.channels if c.kind in KINDS]
     return Plan(
         rig,
-        block,
         tuple(acting),
         np.array(stepped, dtype=np.int64).reshape(-1, 2),
         tuple(shapes),
@@ -123,30 +119,54 @@ def _acting(effect: Effect, place: str, p: Array, rig: Assembly, model: Model) -
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
-    """The effect table as arrays, in the argument order of the kernels."""
+class Slots:
+    """The kernel's fixed layout: three slots per direction (bearing1, bearing2, disc), a last one that stays zero."""
 
-    law: NDArray[np.uint64]
-    law2: NDArray[np.uint64]
-    where: NDArray[np.int64]
-    sign: Array
-    P: Array
-    lin: Array
-    zat: NDArray[np.int64]
+    directions: tuple[str, ...]
+    of_dof: NDArray[np.int64]  # slot of each degree of freedom
+
+    @classmethod
+    def of(cls, rig: Assembly) -> Slots:
+        directions = tuple(d for d in DIRECTIONS if any(dof.endswith("." + d) for dof in rig.dofs))
+        order = [f"{node}.{d}" for d in directions for node in (*NODES, "disc")]
+        return cls(directions, np.array([order.index(dof) for dof in rig.dofs], dtype=np.int64))
 
     @property
-    def arguments(self) -> tuple[NDArray[np.generic], ...]:
-        return self.law, self.law2, self.where, self.sign, self.P, self.lin, self.zat
+    def count(self) -> int:
+        return kernel.SLOTS * len(self.directions) + 1
+
+    def vector(self, a: Array, fill: float = 0.0) -> Array:
+        """(slots,) from (n,)."""
+        out = np.full(self.count, fill)
+        out[self.of_dof] = a
+        return out
+
+    def blocks(self, A: Array, rows: int = 1, columns: int = 1) -> Array:
+        """(directions, 3 rows, 3 columns) from (rows n, columns n): the diagonal block of each direction."""
+        n, w = len(self.of_dof), kernel.SLOTS
+        out = np.zeros((len(self.directions), rows * w, columns * w))
+        for i, a in enumerate(self.of_dof):
+            for j, b in enumerate(self.of_dof):
+                if a // w == b // w:
+                    out[a // w, a % w :: w, b % w :: w] = A[i::n, j::n]
+        return out
 
 
-def table(acting: tuple[Acting, ...]) -> Table:
-    """The compiled effect table; laws are compiled here, on first use."""
+Table = tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uintp], NDArray[np.uintp], NDArray[np.uintp], Array]
+
+
+def table(acting: tuple[Acting, ...], slots: Slots) -> tuple[Table, int, tuple[Array, Array]]:
+    """The compiled effect table of the kernels, the number of memory states, and the arrays that it points into.
+
+    Laws are compiled here, on first use.
+    """
     from .effects.compiled import address
 
-    n = len(acting)
+    n, states = len(acting), 0
     width = max((a.p.size for a in acting), default=0) or 1
     law, law2 = np.zeros(n, dtype=np.uint64), np.zeros(n, dtype=np.uint64)
-    P, zat = np.zeros((n, width)), np.zeros(n + 1, dtype=np.int64)
+    P, lin = np.zeros((n, width)), np.zeros((n, 3))
+    where = np.zeros((n, 8), dtype=np.uintp)
     for k, a in enumerate(acting):
         if a.effect.kind == "memory":
             if a.effect.rates is None or a.effect.memory_force is None:
@@ -156,8 +176,13 @@ def table(acting: tuple[Acting, ...]) -> Table:
             law[k] = address(a.effect.force)
         else:
             raise ModelError(f"effect {a.effect.name} (kind {a.effect.kind}) has no law to simulate")
-        P[k, : a.p.size] = a.p
-        zat[k + 1] = zat[k] + (a.effect.states if a.effect.kind == "memory" else 0)
-    where = np.array([a.where for a in acting], dtype=np.int64).reshape(n, 7)
-    lin = np.array([a.lin for a in acting], dtype=np.float64).reshape(n, 3)
-    return Table(law, law2, where, np.array([a.s for a in acting], dtype=np.float64), P, lin, zat)
+        P[k, : a.p.size], lin[k] = a.p, a.lin
+        where[k, 0] = a.where[0]
+        where[k, 1:7] = [slots.of_dof[i] if i >= 0 else slots.count - 1 for i in a.where[1:]]
+        where[k, 7] = states
+        states += a.effect.states if a.effect.kind == "memory" else 0
+    sign = np.array([a.s for a in acting], dtype=np.float64)
+    at = np.arange(n, dtype=np.uintp) * np.uintp(8)
+    p = np.uintp(P.ctypes.data) + at * np.uintp(width)
+    lin_at = np.uintp(lin.ctypes.data) + at * np.uintp(3)
+    return (law, law2, p, lin_at, where, sign), states, (P, lin)

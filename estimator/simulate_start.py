@@ -34,17 +34,17 @@ def start_state(
     start: Literal["boltzmann", "rest"],
     first: int,
 ) -> tuple[Array, Array, Array, int]:
-    """x, v (n,), z and the step number `first` to go on from. Raises ModelError if there is no stationary state."""
+    """x, v (slots,), z and the step number `first` to go on from. Raises ModelError if there is no stationary state."""
     rig, n = plan.rig, len(plan.rig.dofs)
     if start == "rest":
-        return np.zeros(n), np.zeros(n), stepper.z, first
+        return stepper.x, stepper.v, stepper.z, first
     if not np.any(rig.S):
         raise ModelError("no force drives the rotor, so there is no stationary state: set S, or start from rest")
     P = linear_covariance(rig.M, rig.C, rig.K, np.diag(rig.S / 2.0))
     refuse_escape(plan, np.sqrt(np.diag(P)[:n]), np.diag(rig.M) * np.diag(P)[n:])
     w, U = np.linalg.eigh(P / np.sqrt(np.outer(np.diag(P), np.diag(P))))
     u = np.sqrt(np.diag(P)) * (U @ (np.sqrt(np.maximum(w, 0.0)) * rng.standard_normal(2 * n)))
-    stepper.x, stepper.v = u[:n].copy(), u[n:].copy()
+    stepper.x, stepper.v = stepper.slots.vector(u[:n]), stepper.slots.vector(u[n:])
     if plan.acting:
         known = stationarity(model)
         if known.exact and not plan.correlation and not plan.shapes:

@@ -39,29 +39,37 @@ def address(law: Callable[..., Any], kind: str = "force") -> int:
 _KEEP: list[Any] = []  # the code lives as long as its object
 
 
-def _caller(signature: Any, pointers: Sequence[int]) -> Any:
-    """An intrinsic that calls the function at an address (its first argument); arrays go as pointers to their data."""
-    args = [ARRAY if i in pointers else a for i, a in enumerate(signature.args)]
+def _caller(signature: Any, arrays: Sequence[int] = (), addresses: Sequence[int] = ()) -> Any:
+    """Argument types and code of an intrinsic that calls the function at an address (its first argument).
+
+    arrays : arguments given as 1-d arrays, passed on as pointers to their data; addresses : given as integers.
+    """
+    args = [ARRAY if i in arrays else types.uintp if i in addresses else a for i, a in enumerate(signature.args)]
 
     def generate(context: Any, builder: Any, sig: Any, values: Any) -> Any:
-        def low(t: Any) -> Any:
-            return ir.DoubleType().as_pointer() if t == P else ir.DoubleType()
-
+        pointer = ir.DoubleType().as_pointer()
+        low = [pointer if t == P else ir.DoubleType() for t in signature.args]
         void = signature.return_type == types.void
-        kind = ir.FunctionType(ir.VoidType() if void else ir.DoubleType(), [low(t) for t in signature.args])
-        given = [
-            context.make_array(ARRAY)(context, builder, v).data if i in pointers else v
-            for i, v in enumerate(values[1:])
-        ]
+        kind = ir.FunctionType(ir.VoidType() if void else ir.DoubleType(), low)
+        given = []
+        for i, value in enumerate(values[1:]):
+            if i in arrays:
+                value = context.make_array(ARRAY)(context, builder, value).data
+            elif i in addresses:
+                value = builder.inttoptr(value, pointer)
+            given.append(value)
         result = builder.call(builder.inttoptr(values[0], kind.as_pointer()), given)
         return context.get_dummy_value() if void else result
 
     return args, generate
 
 
-_FORCE_ARGS, _FORCE_CODE = _caller(FORCE, (7,))
-_RATES_ARGS, _RATES_CODE = _caller(RATES, (0, 3, 4, 5))
-_MEMORY_ARGS, _MEMORY_CODE = _caller(MEMORY, (0, 3, 4))
+_FORCE_ARGS, _FORCE_CODE = _caller(FORCE, arrays=(7,))
+_RATES_ARGS, _RATES_CODE = _caller(RATES, arrays=(0, 3, 4, 5))
+_MEMORY_ARGS, _MEMORY_CODE = _caller(MEMORY, arrays=(0, 3, 4))
+_FORCE_AT_ARGS, _FORCE_AT_CODE = _caller(FORCE, addresses=(7,))
+_RATES_AT_ARGS, _RATES_AT_CODE = _caller(RATES, addresses=(0, 3, 4, 5))
+_MEMORY_AT_ARGS, _MEMORY_AT_CODE = _caller(MEMORY, addresses=(0, 3, 4))
 
 
 @intrinsic
@@ -77,6 +85,22 @@ def call_rates(typingctx, law, z, x, v, p, lin, dz):  # type: ignore[no-untyped-
 @intrinsic
 def call_memory(typingctx, law, z, x, v, p, lin):  # type: ignore[no-untyped-def]
     return types.float64(types.uint64, *_MEMORY_ARGS), _MEMORY_CODE
+
+
+# The same with addresses in place of arrays: no view is made and counted for every call.
+@intrinsic
+def call_force_at(typingctx, law, x, v, xo, vo, t, phase, s, p):  # type: ignore[no-untyped-def]
+    return types.float64(types.uint64, *_FORCE_AT_ARGS), _FORCE_AT_CODE
+
+
+@intrinsic
+def call_rates_at(typingctx, law, z, x, v, p, lin, dz):  # type: ignore[no-untyped-def]
+    return types.void(types.uint64, *_RATES_AT_ARGS), _RATES_AT_CODE
+
+
+@intrinsic
+def call_memory_at(typingctx, law, z, x, v, p, lin):  # type: ignore[no-untyped-def]
+    return types.float64(types.uint64, *_MEMORY_AT_ARGS), _MEMORY_AT_CODE
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
