@@ -267,8 +267,8 @@ def test_displacement_density_is_that_of_boltzmann(name: str) -> None:
         truth = np.sum(density * grid**power)
         blocks = np.mean((x**power).reshape(64, -1), axis=1)
         assert abs(blocks.mean() - truth) < 4 * blocks.std() / 8
-        assert blocks.std() / 8 < 0.06 * truth
-    assert abs(np.sum(density * grid**2) / sigma**2 - 1) > 0.15, "it must be off the linear rotor to mean anything"
+        assert blocks.std() / 8 < (0.015 if power == 2 else 0.04) * truth
+    assert abs(np.sum(density * grid**2) / sigma**2 - 1) > 0.1, "it must be off the linear rotor to mean anything"
 
 
 def _middle(a: np.ndarray) -> np.ndarray:
