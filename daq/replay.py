@@ -20,6 +20,7 @@ from .rig import Rig
 from .sink import Session, Sink, Status
 
 ROWS = 1 << 16  # per read
+OPEN_END = ("recovered", "stopped_behind")  # notices of logs whose last samples were not estimated from
 
 
 class ReplayDriver:
@@ -98,17 +99,16 @@ class EstimateCheck:
 
     def __init__(self, recording: Recording) -> None:
         self._logged = [e.data for e in recording.estimates]
-        self._behind = any(n.code == "stopped_behind" for n in recording.notices)
-        self._cut = not recording.complete
+        self._open_end = not recording.complete or any(n.code in OPEN_END for n in recording.notices)
         self.compared = 0
         self._extra = 0
         self._equal = True
 
     @property
     def identical(self) -> bool:
-        """All logged estimates came again, and no others; a log that was cut may give more than were logged."""
+        """All logged estimates came again, and no others; a log that was cut may give more at its end."""
         all_seen = self.compared == len(self._logged)
-        return self._equal and all_seen and (self._extra == 0 or self._cut or self._behind)
+        return self._equal and all_seen and (self._extra == 0 or self._open_end)
 
     def start(self, session: Session) -> None: ...
     def readings(self, batch: Sequence[Reading]) -> None: ...
