@@ -21,7 +21,7 @@ from .reading_queue import ReadingQueue
 from .rig import Rig
 from .sink import Sink
 
-FINITE = ("capture", "replay")  # kinds of link that wait for us; all others are live
+FINITE = ("capture", "replay", "simulated")  # kinds of link that wait for us; all others are live
 READ_S = 0.1
 GRACE_S = 2.0  # a live link may take this much longer than the seconds asked for
 STOP_S = 0.6  # after a stop, this long for what was read but not yet taken

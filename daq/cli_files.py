@@ -21,6 +21,9 @@ def import_(
     rate: Annotated[
         float | None, typer.Option("--rate", metavar="HZ", help="Sampling rate, if the file does not say it.")
     ] = None,
+    gaps: Annotated[
+        bool, typer.Option("--gaps", help="Rows that are NaN in every channel become gaps, instead of an error.")
+    ] = False,
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -28,7 +31,7 @@ def import_(
     """Another format into a log, by file ending; never a silent fill."""
     from .importers import import_file as body
 
-    body(Output(json, quiet, verbose), file, rig, out, rate)
+    body(Output(json, quiet, verbose), file, rig, out, rate, gaps)
 
 
 def export(

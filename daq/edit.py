@@ -191,21 +191,20 @@ def _with_key(text: str, name: tuple[str, ...], key: str, value: Any) -> str:
     """The text with one key set: in the place of the old value (within a table of value, fixed, ..., only `value`
     changes), at the end of its table, or in a new table."""
     document = tomlkit.parse(text)
-    table: Any = document
-    for part in name:
-        table = table.get(part) if hasattr(table, "get") else None
-        if table is None:
-            break
+    table = _at_path(document, name)
     line = f"{key} = {tomlkit.item(value).as_string()}"
     has_block = any(b.name == name for b in blocks(text.splitlines()))
-    if table is not None and (key in table or not has_block):
-        if isinstance(table, Mapping):
-            if isinstance(table.get(key), Mapping) and not isinstance(value, Mapping):
-                table[key]["value"] = value
-            elif key in table or isinstance(table, InlineTable):
-                table[key] = value
-            else:
-                return insert_table(text, name, [line])
-            return tomlkit.dumps(document)
-        raise ConfigError(f"{'.'.join(name)} is a single number for both directions; write one for each first")
-    return insert_key(text, name, line) if has_block else insert_table(text, name, [line])
+    if table is None or (key not in table and not isinstance(table, InlineTable)):
+        return insert_key(text, name, line) if has_block else insert_table(text, name, [line])
+    if isinstance(table.get(key), Mapping):
+        table[key]["value"] = value
+    else:
+        table[key] = value
+    return tomlkit.dumps(document)
+
+
+def _at_path(document: Any, name: Sequence[str]) -> Any:
+    """The table of that name; None if there is none."""
+    for part in name:
+        document = document.get(part) if isinstance(document, Mapping) else None
+    return document if isinstance(document, Mapping) else None

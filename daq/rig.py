@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from estimator.effects import CATALOGUE
-from estimator.model import NODES, BearingGeometry, Channel, Model, Setting
+from estimator.model import NODES, BearingGeometry, Channel, Model, Setting, Shaft
 
 from .errors import ConfigError
 from .rig_effects import effects_of, setting
@@ -180,7 +180,7 @@ def _together(data: dict[str, Any], parts: dict[str, Any]) -> list[Problem]:
             text = f"there is no channel of this name; {did_you_mean(name, names, 'there are')}"
             problems.append(Problem(("link", "signals", name), text))
     if "model" in parts:
-        shaft = parts["rig"].shaft if "rig" in parts else "none" if "rig" not in data else "chain"
+        shaft: Shaft = parts["rig"].shaft if "rig" in parts else "none" if "rig" not in data else "chain"
         known = _channels(channels) if motions else tuple(Channel(p, *p.split(".")) for p in CAPS)
         problems += effects_of(parts["model"], CATALOGUE, Model(known, (1.0, 2.0), shaft))[1]
     return problems

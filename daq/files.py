@@ -1,0 +1,65 @@
+"""`rotorscope info` and `rotorscope recover`: what is in a log, and mending one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+from rich.table import Table
+from rich.text import Text
+
+from .log_reader import Recording, read_log
+from .output import Output
+
+MOST_GAPS = 10
+
+
+def info(output: Output, log: Path) -> None:
+    from .info import info as facts
+
+    recording = read_log(log)
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    for heading, text in _rows(recording):
+        table.add_row(heading, Text(text))
+    output.result(facts(recording), table)
+
+
+def _rows(log: Recording) -> list[tuple[str, str]]:
+    rows = [
+        ("length", f"{log.seconds:.6g} s, {log.n_samples} samples of each channel at {log.rate_hz:g} Hz"),
+        ("channels", ", ".join(f"{s.name} [{s.unit}]" for s in log.info.signals)),
+    ]
+    if log.lost_samples:
+        reasons = Counter(g.reason for g in log.gaps if g.count)
+        named = ", ".join(f"{n} by {reason}" for reason, n in reasons.items())
+        rows.append(("lost", f"{log.lost_samples} samples in {sum(reasons.values())} gaps: {named}"))
+        rows += [
+            ("", f"{g.count} from index {g.index} on, t = {(g.index - log.first) / log.rate_hz:.6g} s ({g.reason})")
+            for g in [g for g in log.gaps if g.count][:MOST_GAPS]
+        ]
+    else:
+        rows.append(("lost", "nothing"))
+    rows.append(("complete", "yes" if log.complete else "no: `rotorscope recover LOG --out LOG2` saves what is there"))
+    rows += [("damage", text) for text in log.damage[:MOST_GAPS]]
+    if log.clock is not None:
+        drift, bound_ms = log.clock.drift_ppm, log.clock.bound_ns * 1e-6
+        rows.append(("clock", f"{drift:+.2f} ppm; a sample's time on the host's clock is known to {bound_ms:.3g} ms"))
+    if log.estimates:
+        last = log.estimates[-1].estimate
+        rows.append(("estimates", f"{len(log.estimates)}, the last of {len(last.parameters)} parameters"))
+    if log.notices:
+        rows.append(("notices", f"{len(log.notices)}, the last: {log.notices[-1].text}"))
+    rows.append(("attachments", ", ".join(log.attachments) or "none"))
+    rows.append(("made by", ", ".join(f"{k} {v}" for k, v in log.metadata.items())))
+    return rows
+
+
+def recover(output: Output, log: Path, out: Path) -> None:
+    from .recover import recover as mend
+
+    with output.progress(f"recovering {log.name}") as progress:
+        saved = mend(log, out, progress)
+    text = f"{out}: {saved.samples} samples ({saved.seconds:.3f} s) recovered; lost: {saved.lost}"
+    output.result(saved.to_json(), text)

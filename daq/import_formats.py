@@ -1,0 +1,199 @@
+"""Data files of others as columns by name; one reader per file ending. Nothing is checked or filled here."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import LogError
+
+Column = NDArray[Any]
+CSV_ROWS = 200_000  # parsed at a time
+_UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\s*$")  # "b1x [g]", "b1x (m/s^2)"
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """What a file holds. units : of those columns whose unit the file says; time : s, if the file has one.
+
+    full_scale_counts : the count at full scale if the columns are bare counts (PCM audio), else None.
+    """
+
+    values: Mapping[str, Column]
+    rate_hz: float | None = None
+    time: Column | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    full_scale_counts: int | None = None
+
+
+def read(path: Path, names: Sequence[str]) -> Columns:
+    """The columns of a file, by its ending. names : of the rig's channels, for formats that name none (.wav).
+
+    Raises LogError for a file that is missing, of an unknown ending, or not what its ending says.
+    """
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        known = ", ".join([*READERS, ".log, .blf, .asc (CAN, with a DBC)"])
+        raise LogError(f'{path}: cannot import a file that ends in "{path.suffix}"; known are {known}')
+    if not path.is_file():
+        raise LogError(f"{path}: there is no such file; check the path")
+    try:
+        return reader(path, names)
+    except (LogError, KeyboardInterrupt):
+        raise
+    except Exception as error:  # a damaged file may raise anything in the library that reads it
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise LogError(f"{path}: cannot be read as {path.suffix}: {text}; check how it was written") from error
+
+
+def _npz(path: Path, names: Sequence[str]) -> Columns:
+    with path.open("rb") as stream:
+        file = np.load(stream, allow_pickle=False)
+        if not isinstance(file, np.lib.npyio.NpzFile):
+            raise LogError(f"{path}: one array without a name; write it with numpy.savez(FILE, b1x=..., rate_hz=...)")
+        rate = float(file["rate_hz"]) if "rate_hz" in file.files else None
+        time = file["time"] if "time" in file.files and rate is None else None
+        others = {k: np.empty(0) for k in file.files if k not in (*names, "rate_hz", "time")}  # for messages only
+        return Columns({k: file[k] for k in file.files if k in names} | others, rate, time)
+
+
+def _csv(path: Path, names: Sequence[str]) -> Columns:
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        skipped, header, delimiter = _header(file)
+        titles = [m[1] if (m := _UNIT.match(h)) else h for h in header]
+        if len(set(titles)) < len(titles):
+            twice = next(t for i, t in enumerate(titles) if t in titles[:i])
+            raise LogError(f'{path}: the header names "{twice}" twice; rename one column')
+        units = {t: m[2] for t, h in zip(titles, header, strict=True) if (m := _UNIT.match(h))}
+        wanted = [i for i, t in enumerate(titles) if t in names or t.lower() == "time"]
+        others = {t: np.empty(0) for t in titles if t not in names and t.lower() != "time"}  # for messages only
+        parts: list[NDArray[np.float64]] = []
+        row = skipped + 1
+        while lines := list(islice(file, CSV_ROWS)):
+            parts.append(_numbers(path, lines, delimiter, row, titles, wanted))
+            row += len(lines)
+    table = np.concatenate(parts) if parts else np.empty((0, len(wanted)))
+    columns = {titles[i]: table[:, k] for k, i in enumerate(wanted)}
+    time = next((columns.pop(t) for t in list(columns) if t.lower() == "time" and t not in names), None)
+    return Columns(columns | others, None, time, units)
+
+
+def _header(file: TextIO) -> tuple[int, list[str], str]:
+    """Lines up to the header, its titles, and the delimiter."""
+    for number, line in enumerate(file, 1):
+        if line.strip() and not line.startswith("#"):
+            delimiter = max(",;\t", key=line.count)
+            return number, [t.strip() for t in next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter))], delimiter
+    raise LogError(f"{file.name}: is empty; a header of channel names and rows of numbers are needed")
+
+
+def _numbers(
+    path: Path, lines: list[str], delimiter: str, row: int, titles: list[str], wanted: list[int]
+) -> NDArray[np.float64]:
+    if not wanted or not any(line.strip() for line in lines):
+        return np.empty((0, len(wanted)))
+    try:
+        if any(line.count(delimiter) != len(titles) - 1 for line in lines if line.strip()):
+            raise ValueError("a line has more or fewer cells than the header")
+        return np.loadtxt(lines, delimiter=delimiter, usecols=wanted, ndmin=2, comments=None)
+    except ValueError as error:
+        for k, line in enumerate(lines):
+            cells = next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter), [])
+            if cells and len(cells) != len(titles):
+                text = f"{len(cells)} cells where the header has {len(titles)}"
+                raise LogError(f"{path}:{row + k}: {text}; repair or cut that line") from error
+            for i in wanted if cells else ():
+                try:
+                    float(cells[i])
+                except ValueError:
+                    what = f'"{cells[i]}" is not a number' if cells[i].strip() else "the cell is empty"
+                    raise LogError(f"{path}:{row + k}: {titles[i]}: {what}; repair or cut that line") from error
+        raise
+
+
+def _mat(path: Path, names: Sequence[str]) -> Columns:
+    import scipy.io
+
+    try:
+        file = scipy.io.loadmat(path, squeeze_me=True)
+    except NotImplementedError as error:
+        raise LogError(f"{path}: a MATLAB 7.3 file (HDF5); save it with -v7") from error
+    rate = file.get("rate_hz", file.get("fs"))
+    values = {k: np.asarray(v) for k, v in file.items() if not k.startswith("__") and np.ndim(v) >= 1}
+    time = values.pop("time", None) if "time" not in names else None
+    return Columns(values, None if rate is None else float(rate), time if rate is None else None)
+
+
+def _mf4(path: Path, names: Sequence[str]) -> Columns:
+    from asammdf import MDF
+
+    with MDF(path) as file:
+        found = [n for n in names if n in file.channels_db]
+        if not found:
+            held = [n for n in file.channels_db if "time" not in n.lower()]
+            return Columns({n: np.empty(0) for n in held})
+        signals = [file.get(n, *file.channels_db[n][0]) for n in found]
+    time = signals[0].timestamps
+    for n, s in zip(found, signals, strict=True):
+        if len(s.timestamps) != len(time) or not np.array_equal(s.timestamps, time):
+            text = f"{n} was not sampled at the same times as {found[0]}; resample them to one time first"
+            raise LogError(f"{path}: {text}")
+    units = {n: s.unit for n, s in zip(found, signals, strict=True) if s.unit}
+    return Columns({n: s.samples for n, s in zip(found, signals, strict=True)}, None, time, units)
+
+
+def _uff(path: Path, names: Sequence[str]) -> Columns:
+    import pyuff
+
+    file = pyuff.UFF(str(path))
+    sets = [file.read_sets(i) for i, kind in enumerate(file.get_set_types()) if int(kind) == 58]
+    records = [s for s in sets if s.get("func_type") == 1]  # time response
+    if not records:
+        raise LogError(f"{path}: holds no time response (dataset 58, function type 1); export the time histories")
+    values: dict[str, Column] = {}
+    units: dict[str, str] = {}
+    for s in records:
+        labels = [str(s.get(k, "")).strip() for k in ("id1", "id2", "id4", "id5", "rsp_ent_name")]
+        name = next((label for label in labels if label in names), labels[0] or f"record {len(values) + 1}")
+        if name in values:
+            raise LogError(f'{path}: two time responses are called "{name}"; name each after its channel')
+        values[name] = np.real(s["data"])
+        if unit := str(s.get("ordinate_axis_units_lab", "")).strip().strip("-").removeprefix("NONE"):
+            units[name] = unit
+    steps = {float(s.get("abscissa_inc", 0.0)) for s in records}
+    if len(steps) > 1 or 0.0 in steps:
+        return Columns(values, None, np.asarray(records[0]["x"]), units)
+    return Columns(values, 1.0 / steps.pop(), None, units)
+
+
+def _wav(path: Path, names: Sequence[str]) -> Columns:
+    import warnings
+
+    from scipy.io import wavfile
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", wavfile.WavFileWarning)  # chunks that carry no samples
+        rate, data = wavfile.read(path, mmap=False)
+    data = data.reshape(len(data), -1)
+    if data.shape[1] != len(names):
+        text = f"{data.shape[1]} tracks, where the rig has {len(names)} channels ({', '.join(names)})"
+        raise LogError(f"{path}: {text}; a .wav names none, so their number and order must be the rig's")
+    values = {n: data[:, i] for i, n in enumerate(names)}
+    if data.dtype.kind == "f":
+        return Columns(values, float(rate))
+    if data.dtype == np.uint8:
+        raise LogError(f"{path}: 8-bit sound; 16, 24 or 32 bits, or floats, are needed")
+    return Columns(values, float(rate), full_scale_counts=2 ** (8 * data.dtype.itemsize - 1))
+
+
+READERS: dict[str, Callable[[Path, Sequence[str]], Columns]] = {
+    ".npz": _npz, ".csv": _csv, ".mat": _mat, ".mf4": _mf4, ".uff": _uff, ".unv": _uff, ".wav": _wav,
+}  # fmt: skip

@@ -1,0 +1,128 @@
+"""`rotorscope import`: a file of another format into a log of ours.
+
+Raw counts of a log are int32. Whole numbers go in as they are. Others are scaled by a power of two, channel by
+channel, so that the largest comes to between 2^29 and 2^30: rounding is then 2^-30 of the largest value, some 180 dB
+below it, and floats of 24 bits within a factor of 64 of the largest survive to the last bit.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.reading import Block, Gap, Info, Reading, Signal
+
+from .errors import LogError
+from .import_checks import Record, checked
+from .import_formats import read
+from .output import Output, Progress
+from .rig import Rig, load_rig
+from .sink import Session
+from .units import SI
+
+ROWS = 8192  # in a block
+COUNT_BITS = 32
+CAPTURES = (".log", ".blf", ".asc", ".mf4")
+
+
+def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: float | None, gaps: bool) -> None:
+    rig = load_rig(rig_path)
+    if out.resolve() == path.resolve():
+        raise LogError(f"{out}: is the file to import; choose another name for the log")
+    if path.suffix.lower() in CAPTURES and (path.suffix.lower() != ".mf4" or rig.link.signals):
+        from .import_capture import import_capture
+
+        import_capture(output, path, rig, out)
+        return
+    with output.progress(f"reading {path.name}"):
+        record = checked(path, read(path, [c.name for c in rig.model.channels]), rig, rate_hz, output.note, gaps)
+    lost = 0 if record.missing is None else int(record.missing.sum())
+    with output.progress(f"writing {out.name}") as progress:
+        write_record(record, rig, out, {"source": path.name}, progress)
+    value = {
+        "schema": 1,
+        "file": str(out),
+        "channels": list(record.names),
+        "samples": record.samples - lost,
+        "lost_samples": lost,
+        "rate_hz": record.rate_hz,
+        "seconds": record.samples / record.rate_hz,
+    }
+    text = f"{record.samples / record.rate_hz:.6g} s of {len(record.names)} channels at {record.rate_hz:g} Hz"
+    output.result(value, f"{out}: {text}{f', {lost} samples missing' if lost else ''}")
+
+
+def write_record(
+    record: Record, rig: Rig, out: Path, metadata: dict[str, str], progress: Progress = lambda done: None
+) -> None:
+    """Write a log of a record. Raises LogError if it cannot be written."""
+    from .log_writer import LogWriter
+
+    scales = [power_of_two(v) for v in record.values]
+    kinds = [c.kind for c in rig.model.channels]
+    info = Info(
+        tuple(
+            Signal(name, SI[kind], f * scale)
+            for name, kind, f, scale in zip(record.names, kinds, record.factors, scales, strict=True)
+        ),
+        record.rate_hz,
+        count_bits=COUNT_BITS,
+    )
+    writer = LogWriter(out, live=False)
+    try:
+        writer.start(Session(rig.model, info, "", rig.attachments(), versions() | metadata))
+        for index, readings in _blocks(record, scales):
+            writer.readings(readings)
+            progress(index / record.samples)
+    finally:
+        writer.close()
+    for notice in writer.health().notices:
+        if notice.level == "error":
+            raise LogError(f"{notice.text}; make room and import again")
+
+
+def versions() -> dict[str, str]:
+    """What made the log."""
+    return {"command": "import", "rotorscope": version("rotorscope")}
+
+
+def _blocks(record: Record, scales: list[float]) -> Iterator[tuple[int, list[Reading]]]:
+    start_ns = time.monotonic_ns()
+    for first, stop, present in _runs(record):
+        if not present:
+            yield stop, [Gap(first, stop - first, "source")]
+            continue
+        for index in range(first, stop, ROWS):
+            end = min(index + ROWS, stop)
+            counts = np.empty((end - index, len(scales)), dtype=np.int32)
+            for k, (value, scale) in enumerate(zip(record.values, scales, strict=True)):
+                counts[:, k] = np.rint(np.asarray(value[index:end], dtype=np.float64) / scale)
+            yield end, [Block(index, counts, start_ns + round(1e9 * end / record.rate_hz))]
+
+
+def _runs(record: Record) -> Iterator[tuple[int, int, bool]]:
+    """(first, stop, present) of runs of rows that are there or not."""
+    if record.missing is None:
+        yield 0, record.samples, True
+        return
+    edges = [0, *(np.flatnonzero(np.diff(record.missing)) + 1).tolist(), record.samples]
+    for first, stop in zip(edges, edges[1:], strict=False):
+        yield first, stop, not record.missing[first]
+
+
+def power_of_two(values: NDArray[Any]) -> float:
+    """The scale of a column: value = count * scale exactly for whole numbers, else to 2^-30 of the largest."""
+    whole = values.dtype.kind in "iu"
+    if whole and (values.dtype.itemsize < 4 or (int(values.max()) < 2**31 - 1 and int(values.min()) > -(2**31))):
+        return 1.0
+    finite = values[np.isfinite(values)] if values.dtype.kind == "f" else values
+    largest = float(max(abs(float(finite.max())), abs(float(finite.min())))) if finite.size else 0.0
+    if largest == 0.0:
+        return 1.0
+    return float(2.0 ** (np.frexp(largest)[1] - 30))

@@ -1,0 +1,59 @@
+"""What a run shows on a terminal while it goes on: one line of status and the estimates, redrawn twice a second."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.text import Text
+
+from drivers.reading import Block, Gap, Reading
+from estimator.estimate import Estimate
+
+from .sink import Session, Status
+from .tables import parameters_table
+
+
+class LiveTable:
+    """A sink. Draws at most twice a second, in a thread of rich's."""
+
+    def __init__(self, console: Console) -> None:
+        self._live = Live(console=console, refresh_per_second=2, transient=True, get_renderable=self._draw)
+        self._estimate: Estimate | None = None
+        self._status: Status | None = None
+        self._samples = self._lost = 0
+        self._rate_hz = 1.0
+        self._started = False
+
+    def start(self, session: Session) -> None:
+        self._rate_hz = session.info.rate_hz
+        self._live.start()
+        self._started = True
+
+    def readings(self, batch: Sequence[Reading]) -> None:
+        for reading in batch:
+            if isinstance(reading, Block):
+                self._samples += len(reading.counts)
+            elif isinstance(reading, Gap):
+                self._lost += reading.count
+
+    def estimate(self, estimate: Estimate) -> None:
+        self._estimate = estimate
+
+    def status(self, status: Status) -> None:
+        self._status = status
+
+    def close(self) -> None:
+        if self._started:
+            self._live.stop()
+
+    def _draw(self) -> Group:
+        text = f"{self._samples / self._rate_hz:8.1f} s   lost {self._lost}"
+        if self._status is not None:
+            text += f"   {self._status.rate_hz:.0f} samples/s"
+        parts: list[object] = [Text(text)]
+        if self._estimate is not None:
+            shown = self._estimate.parameters
+            parts.append(parameters_table(shown) if shown else Text(self._estimate.status))
+        return Group(*parts)  # type: ignore[arg-type]

@@ -1,0 +1,233 @@
+"""Files in and out: whole round trips for every format, exactness, and a clear refusal of everything doubtful."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from daq.cli import main
+from daq.importers import power_of_two
+from daq.log_reader import read_log
+
+RATE = 5120.0
+RIG = """schema = 1
+[band]
+low = 100.0
+high = 2000.0
+[acquisition]
+rate_hz = 5120.0
+full_scale = 100.0
+[[channel]]
+name = "b1x"
+node = "bearing1"
+direction = "x"
+unit = "g"
+[[channel]]
+name = "b1y"
+node = "bearing1"
+direction = "y"
+unit = "m/s^2"
+"""
+FACTORS = np.array([9.80665, 1.0])
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "rig.toml").write_text(RIG)
+    return tmp_path
+
+
+def samples(n: int = 4000) -> np.ndarray:
+    return np.random.default_rng(1).standard_normal((n, 2)) * [3.0, 40.0]
+
+
+def write_npz(path: Path, y: np.ndarray, **more: object) -> Path:
+    np.savez(path, allow_pickle=False, **({"b1x": y[:, 0], "b1y": y[:, 1], "rate_hz": RATE} | more))  # type: ignore[arg-type]
+    return path
+
+
+def write_csv(path: Path, y: np.ndarray, time: np.ndarray | None = None, header: str = "b1x,b1y") -> Path:
+    table = y if time is None else np.column_stack([time, y])
+    np.savetxt(path, table, delimiter=",", header=("" if time is None else "time,") + header, comments="", fmt="%.9g")
+    return path
+
+
+def load(folder: Path, file: Path, *options: str) -> int:
+    return main(["import", str(file), "--rig", str(folder / "rig.toml"), "--out", str(folder / "log.mcap"), *options])
+
+
+def refused(folder: Path, file: Path, capsys: pytest.CaptureFixture[str], *options: str) -> str:
+    assert load(folder, file, *options) == 4
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert not (folder / "log.mcap").exists()
+    return error
+
+
+def test_a_log_of_an_npz_is_in_si_and_exact_to_far_below_the_noise(folder: Path) -> None:
+    y = samples()
+    assert load(folder, write_npz(folder / "a.npz", y)) == 0
+    log = read_log(folder / "log.mcap")
+    assert log.complete
+    assert log.rate_hz == RATE
+    assert log.channels == ("b1x", "b1y")
+    np.testing.assert_allclose(log.samples(), y * FACTORS, rtol=0, atol=2**-29 * np.abs(y * FACTORS).max())
+    assert "b1x" in log.rig_text
+
+
+def test_whole_numbers_go_in_as_they_are(folder: Path) -> None:
+    y = np.random.default_rng(0).integers(-32767, 32768, (5000, 2)).astype(np.int16)
+    assert load(folder, write_npz(folder / "a.npz", y)) == 0
+    np.testing.assert_array_equal(read_log(folder / "log.mcap").counts(), y)
+
+
+@given(arrays(np.float32, 50, elements=st.floats(1.0, 64.0, width=32)))
+def test_single_precision_survives_to_the_last_bit(values: np.ndarray) -> None:
+    scale = power_of_two(values)
+    counts = np.rint(values.astype(np.float64) / scale)
+    assert np.abs(counts).max() < 2**30
+    np.testing.assert_array_equal((counts * scale).astype(np.float32), values)
+
+
+@pytest.mark.parametrize("ending", ["npz", "csv", "mat", "wav", "mf4"])
+def test_out_and_in_again(folder: Path, ending: str) -> None:
+    y = samples()
+    load(folder, write_npz(folder / "a.npz", y))
+    (folder / "log.mcap").rename(folder / "first.mcap")
+    back = folder / f"back.{ending}"
+    assert main(["export", str(folder / "first.mcap"), "--to", str(back)]) == 0
+    assert load(folder, back) == 0
+    first, second = read_log(folder / "first.mcap"), read_log(folder / "log.mcap")
+    assert second.rate_hz == pytest.approx(RATE, rel=1e-9)
+    atol = 2e-5 if ending == "wav" else 1e-12  # .wav holds single precision
+    np.testing.assert_allclose(second.samples(), first.samples(), rtol=0, atol=atol)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff's writer leaves its file open
+def test_uff_dataset_58(folder: Path) -> None:
+    import pyuff
+
+    y = samples(1000)
+    file = pyuff.UFF(str(folder / "a.uff"))
+    for k, name in enumerate(("b1x", "b1y")):
+        x = np.arange(1000) / RATE
+        file.write_sets(
+            pyuff.prepare_58(
+                binary=1, func_type=1, ver_num=1, load_case_id=0, rsp_ent_name=name, rsp_node=1, rsp_dir=1,
+                ref_ent_name="NONE", ref_node=0, ref_dir=0, data=y[:, k], x=x, id1=name, id2="", id3="", id4="", id5="",
+                ord_data_type=4, orddenom_spec_data_type=0, z_axis_spec_data_type=0, abscissa_spacing=1,
+                abscissa_min=0.0, abscissa_inc=1 / RATE, num_pts=1000,
+            ),
+            mode="add",
+        )  # fmt: skip
+    assert load(folder, folder / "a.uff") == 0
+    log = read_log(folder / "log.mcap")
+    assert log.rate_hz == pytest.approx(RATE, rel=1e-4)  # text of the file: 1/5120 with few digits
+    np.testing.assert_allclose(log.samples(), y * FACTORS, rtol=1e-6, atol=1e-6)
+
+
+def test_pcm_sound_needs_full_scale_and_has_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from scipy.io import wavfile
+
+    counts = np.random.default_rng(0).integers(-32767, 32768, (3000, 2)).astype(np.int16)
+    wavfile.write(folder / "a.wav", int(RATE), counts)
+    assert load(folder, folder / "a.wav") == 0
+    np.testing.assert_allclose(read_log(folder / "log.mcap").samples(), counts * (100 / 32768) * FACTORS, rtol=1e-9)
+    (folder / "log.mcap").unlink()
+    (folder / "rig.toml").write_text(RIG.replace("full_scale = 100.0\n", ""))
+    assert "acquisition.full_scale" in refused(folder, folder / "a.wav", capsys)
+
+
+def test_what_is_doubtful_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    y = samples()
+    holed = y.copy()
+    holed[100:110, 1] = np.nan
+    assert "b1y is not a number at row 100" in refused(folder, write_npz(folder / "nan.npz", holed), capsys)
+    assert "unequal length: b1x 4000, b1y 3990" in refused(
+        folder, write_npz(folder / "short.npz", y, b1y=y[:-10, 1]), capsys
+    )
+    np.savez(folder / "few.npz", b1x=y[:, 0], b1Y=y[:, 1], rate_hz=RATE)
+    assert 'no channel "b1y" of the rig; did you mean "b1Y"?' in refused(folder, folder / "few.npz", capsys)
+    np.savez(folder / "norate.npz", b1x=y[:, 0], b1y=y[:, 1])
+    assert "give --rate HZ" in refused(folder, folder / "norate.npz", capsys)
+    assert "--rate says 5000" in refused(folder, write_npz(folder / "a.npz", y), capsys, "--rate", "5000")
+    assert "half its rate" in refused(folder, write_npz(folder / "slow.npz", y, rate_hz=1000.0), capsys)
+    assert "holds <U3" in refused(folder, write_npz(folder / "text.npz", y, b1x=np.array(["abc"] * 4000)), capsys)
+    assert "0 samples" in refused(folder, write_npz(folder / "empty.npz", y[:0]), capsys)
+    assert "no such file" in refused(folder, folder / "none.npz", capsys)
+    assert "cannot import" in refused(folder, folder / "none.xyz", capsys)
+    np.save(folder / "one.npy", y)
+    (folder / "one.npy").rename(folder / "one.npz")
+    assert "one array without a name" in refused(folder, folder / "one.npz", capsys)
+    (folder / "broken.npz").write_bytes(b"PK\x03\x04 not a zip")
+    assert "cannot be read as .npz" in refused(folder, folder / "broken.npz", capsys)
+
+
+def test_csv_mistakes_have_their_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def text(body: str) -> Path:
+        (folder / "a.csv").write_text("# a recorder\nb1x,b1y\n" + body)
+        return folder / "a.csv"
+
+    assert 'a.csv:4: b1y: "abc" is not a number' in refused(folder, text("1,2\n3,abc\n"), capsys, "--rate", "5120")
+    assert "a.csv:4: b1y: the cell is empty" in refused(folder, text("1,2\n3,\n"), capsys, "--rate", "5120")
+    assert "a.csv:4: 3 cells where the header has 2" in refused(folder, text("1,2\n3,4,5\n"), capsys, "--rate", "5120")
+    assert "b1x is not a number at row 1" in refused(folder, text("1,2\nnan,4\n"), capsys, "--rate", "5120")
+    assert "give --rate" in refused(folder, text("1,2\n3,4\n"), capsys)
+
+
+def test_time_must_be_uniform_without_gaps_and_rising(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    y = samples()
+    time = np.arange(4000) / RATE
+    assert load(folder, write_csv(folder / "a.csv", y, time)) == 0
+    assert read_log(folder / "log.mcap").rate_hz == RATE
+    (folder / "log.mcap").unlink()
+    gap = np.where(np.arange(4000) < 500, time, time + 20 / RATE)
+    assert "20 samples are missing before row 500" in refused(folder, write_csv(folder / "g.csv", y, gap), capsys)
+    back = time.copy()
+    back[7] = 0
+    assert "does not increase at row 7" in refused(folder, write_csv(folder / "b.csv", y, back), capsys)
+    warped = time + 0.4 / RATE * np.sin(np.arange(4000) / 300)
+    assert "not sampled uniformly" in refused(folder, write_csv(folder / "w.csv", y, warped), capsys)
+
+
+def test_a_unit_in_the_file_must_be_the_rigs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time = np.arange(4000) / RATE
+    good = write_csv(folder / "a.csv", samples(), time, "b1x [g],b1y (m/s²)")
+    assert load(folder, good) == 0
+    (folder / "log.mcap").unlink()
+    bad = write_csv(folder / "a.csv", samples(), time, "b1x [m/s^2],b1y")
+    assert 'b1x is in "m/s^2" there, and in "g" in the rig file' in refused(folder, bad, capsys)
+
+
+def test_gaps_only_when_asked_for_and_named_on_the_way_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    y = samples()
+    y[1000:1200] = np.nan
+    file = write_npz(folder / "a.npz", y)
+    assert "import with --gaps" in refused(folder, file, capsys)
+    assert load(folder, file, "--gaps") == 0
+    log = read_log(folder / "log.mcap")
+    assert [(g.index, g.count, g.reason) for g in log.gaps] == [(1000, 200, "source")]
+    np.testing.assert_array_equal(np.isnan(log.samples()), np.isnan(y))
+    capsys.readouterr()
+    assert main(["export", str(folder / "log.mcap"), "--to", str(folder / "b.csv")]) == 0
+    assert "200 samples from t = 0.195312 s on are missing" in capsys.readouterr().err
+
+
+def test_another_rate_than_the_rigs_is_said_and_used(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert load(folder, write_npz(folder / "a.npz", samples(), rate_hz=5000.0), "--json", "-") == 0
+    captured = capsys.readouterr()
+    assert "5000 Hz, where the rig file expects 5120 Hz" in captured.err
+    assert json.loads(captured.out)["rate_hz"] == 5000.0
+
+
+def test_export_of_nothing_and_to_nowhere(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    load(folder, write_npz(folder / "a.npz", samples()))
+    log = str(folder / "log.mcap")
+    assert main(["export", log, "--to", str(folder / "b.xyz")]) == 2
+    assert main(["export", log, "--to", str(folder / "no" / "b.npz")]) == 2
+    assert main(["export", str(folder / "none.mcap"), "--to", str(folder / "b.npz")]) == 4
+    assert not list(folder.glob(".*part*"))
