@@ -1,0 +1,260 @@
+"""Disks that are full, slow or gone, for real: acquisition goes on, the operator is told, the log stays readable."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sessions import RATE_HZ, counts_at, make_block, make_session
+
+from daq.errors import LogError
+from daq.log_file import LogFile
+from daq.log_reader import read_log
+from daq.log_writer import LogWriter
+from drivers.reading import Notice
+
+ROWS = 256
+
+
+class Feeder:
+    """The core loop's place: blocks into the writer, the time each call took, and what the operator was told."""
+
+    def __init__(self, writer: LogWriter, start: bool = True) -> None:
+        self.writer = writer
+        self.index = 0
+        self.slowest_s = 0.0
+        self.told: list[Notice] = []
+        if start:
+            writer.start(make_session())
+
+    def feed(self, blocks: int, pause_s: float = 0.0) -> None:
+        for _ in range(blocks):
+            block = make_block(self.index, ROWS)
+            self.index += ROWS
+            begin = time.perf_counter()
+            self.writer.readings([block])
+            self.slowest_s = max(self.slowest_s, time.perf_counter() - begin)
+            time.sleep(pause_s)
+        self.told += self.writer.health().notices
+
+    def until(self, condition: Callable[[], bool], timeout_s: float = 15.0, blocks: int = 10) -> None:
+        end = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < end, f"not within {timeout_s} s; told: {[n.text for n in self.told]}"
+            self.feed(blocks)
+            time.sleep(0.01)
+
+    def heard(self, code: str) -> bool:
+        return any(n.code == code for n in self.told)
+
+    def close(self) -> None:
+        self.writer.close()
+        self.told += self.writer.health().notices
+
+
+@contextmanager
+def file_size_limit(limit: int) -> Iterator[None]:
+    """The operating system refuses to let any file of ours grow beyond this: EFBIG, as a full disk gives ENOSPC."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def assert_right(path: Path, complete: bool) -> int:
+    """What is in the log is right, every hole is a gap; samples there."""
+    log = read_log(path)
+    assert log.complete is complete, log.damage
+    counts = log.counts()
+    there = counts[:, 0] != np.iinfo(np.int32).min
+    np.testing.assert_array_equal(counts[there], counts_at(log.first, len(counts))[there])
+    assert sum(g.count for g in log.gaps) == log.lost_samples == int((~there).sum())
+    return log.n_samples
+
+
+def test_a_full_disk_that_gets_room_again_costs_nothing(tmp_path: Path) -> None:
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
+    feeder.feed(100)
+    with file_size_limit(400_000):
+        feeder.until(lambda: feeder.heard("log_fault"))
+        feeder.feed(100, 0.002)
+        during = read_log(tmp_path / "a.mcap")  # readable while the fault lasts
+        assert during.n_samples > 0
+    feeder.until(lambda: feeder.heard("log_recovered"))
+    feeder.feed(50)
+    feeder.close()
+    assert feeder.slowest_s < 0.2
+    assert [n.code for n in feeder.told] == ["log_fault", "log_recovered"]
+    assert "File too large" in feeder.told[0].text
+    assert assert_right(tmp_path / "a.mcap", complete=True) == feeder.index
+
+
+def test_a_disk_full_for_long_costs_the_newest_by_name(tmp_path: Path) -> None:
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap", limit_bytes=1 << 20))
+    with file_size_limit(300_000):
+        feeder.until(lambda: feeder.heard("log_overflow"))
+        feeder.feed(2000)
+    feeder.until(lambda: feeder.heard("log_resumed"))
+    feeder.feed(20, 0.01)
+    feeder.close()
+    assert feeder.slowest_s < 0.2
+    stored = assert_right(tmp_path / "a.mcap", complete=True)
+    log = read_log(tmp_path / "a.mcap")
+    assert {g.reason for g in log.gaps} == {"storage"}
+    assert stored + log.lost_samples == feeder.index
+    assert feeder.writer.health().dropped == log.lost_samples > 100_000
+    assert "samples from" in next(n.text for n in feeder.told if n.code == "log_overflow")
+
+
+def test_a_disk_that_stays_full_leaves_a_readable_log_and_a_quick_end(tmp_path: Path) -> None:
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
+    with file_size_limit(500_000):
+        feeder.until(lambda: feeder.heard("log_fault"))
+        begin = time.monotonic()
+        feeder.close()
+        assert time.monotonic() - begin < 2.0
+        assert feeder.heard("log_incomplete")
+        stored = assert_right(tmp_path / "a.mcap", complete=False)
+        assert stored > 30_000
+        assert (tmp_path / "a.mcap").stat().st_size == 500_000
+
+
+def test_the_log_folder_is_removed(tmp_path: Path) -> None:
+    folder = tmp_path / "logs" / "today"
+    folder.mkdir(parents=True)
+    feeder = Feeder(LogWriter(folder / "a.mcap"))
+    feeder.feed(200, 0.002)
+    shutil.rmtree(tmp_path / "logs")
+    feeder.until(lambda: feeder.heard("log_restored"))
+    feeder.feed(50, 0.002)
+    feeder.close()
+    assert assert_right(folder / "a.mcap", complete=True) == feeder.index
+
+
+def test_the_log_is_removed_and_its_name_taken(tmp_path: Path) -> None:
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
+    feeder.feed(50, 0.002)
+    (tmp_path / "a.mcap").unlink()
+    (tmp_path / "a.mcap").write_text("somebody else's")
+    feeder.until(lambda: feeder.heard("log_restored"))
+    feeder.close()
+    assert (tmp_path / "a.mcap").read_text() == "somebody else's"
+    assert feeder.writer.path == tmp_path / "a-2.mcap"
+    assert assert_right(tmp_path / "a-2.mcap", complete=True) == feeder.index
+
+
+def test_the_folder_is_removed_and_cannot_be_made_again(tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    feeder = Feeder(LogWriter(folder / "a.mcap"))
+    feeder.feed(50, 0.002)
+    shutil.rmtree(folder)
+    folder.write_text("a file stands in the way")
+    feeder.until(lambda: feeder.heard("log_fault"))
+    assert "removed" in feeder.told[0].text
+    folder.unlink()
+    feeder.until(lambda: feeder.heard("log_restored"))
+    feeder.close()
+    assert assert_right(folder / "a.mcap", complete=True) == feeder.index
+
+
+def test_the_log_is_moved_while_it_is_written(tmp_path: Path) -> None:
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
+    feeder.feed(50, 0.01)
+    (tmp_path / "a.mcap").rename(tmp_path / "b.mcap")
+    feeder.feed(50, 0.01)
+    feeder.close()
+    assert not (tmp_path / "a.mcap").exists()
+    assert assert_right(tmp_path / "b.mcap", complete=True) == feeder.index
+
+
+class StalledFile(LogFile):
+    """A disk that takes no byte for a while: the write itself hangs."""
+
+    gate = threading.Event()
+
+    def push(self) -> None:
+        self.gate.wait()
+        super().push()
+
+
+@pytest.mark.parametrize("seconds", [1.5])
+def test_a_stalled_disk_never_makes_acquisition_wait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float
+) -> None:
+    monkeypatch.setattr("daq.log_writer.LogFile", StalledFile)
+    StalledFile.gate.clear()
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap", limit_bytes=1 << 20))
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        feeder.feed(5, 0.001)
+    assert feeder.writer.health().lag_s > 1.0
+    assert feeder.heard("log_overflow")
+    StalledFile.gate.set()
+    feeder.until(lambda: feeder.heard("log_resumed"))
+    feeder.close()
+    assert feeder.slowest_s < 0.2
+    assert assert_right(tmp_path / "a.mcap", complete=True) < feeder.index
+
+
+def test_a_disk_stalled_at_the_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daq.log_writer.LogFile", StalledFile)
+    StalledFile.gate.clear()
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
+    feeder.feed(10)
+    begin = time.monotonic()
+    feeder.close()
+    assert time.monotonic() - begin < 2.0
+    assert feeder.heard("log_incomplete")
+    StalledFile.gate.set()
+
+
+def test_a_log_that_cannot_be_created_is_refused_at_once(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for path in (tmp_path / "none" / "a.mcap", tmp_path / "file" / "a.mcap", tmp_path):
+        with pytest.raises(LogError, match=r"cannot write the log .*: .*; choose another --out"):
+            LogWriter(path)
+
+
+def test_dev_full(tmp_path: Path) -> None:
+    """A device that is always full, behind a symbolic link."""
+    (tmp_path / "a.mcap").symlink_to("/dev/full")
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
+    feeder.until(lambda: feeder.heard("log_fault"))
+    assert "No space left on device" in feeder.told[0].text
+    feeder.close()
+    assert feeder.heard("log_incomplete")
+
+
+def test_memory_stays_bounded_while_the_disk_is_full(tmp_path: Path) -> None:
+    import psutil
+
+    process = psutil.Process()
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap", limit_bytes=4 << 20))
+    with file_size_limit(100_000):
+        feeder.until(lambda: feeder.heard("log_overflow"), blocks=100)
+        before = process.memory_info().rss
+        feeder.feed(20_000)  # 5.1 M samples, 82 MB of counts
+        grown = process.memory_info().rss - before
+    feeder.close()
+    print(f"disk full for {20_000 * ROWS / RATE_HZ:.0f} s of data: memory grew by {grown / 1e6:.1f} MB")
+    assert grown < 12e6
+
+
+def test_no_handle_is_left_open(tmp_path: Path) -> None:
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(3):
+        feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
+        feeder.feed(5)
+        feeder.close()
+    assert len(os.listdir("/proc/self/fd")) <= before + 1
