@@ -25,6 +25,9 @@ def run(
         str | None, typer.Option("--rerun", metavar="WHERE", help="FILE.rrd, spawn, or the URL of a viewer.")
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 if any sample was lost.")] = False,
+    metrics: Annotated[
+        int | None, typer.Option("--metrics", metavar="PORT", help="Prometheus metrics on 127.0.0.1:PORT.")
+    ] = None,
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -35,7 +38,7 @@ def run(
     """
     from .live import run as body
 
-    body(Output(json, quiet, verbose), rig, link, seconds, out, rerun, strict)
+    body(Output(json, quiet, verbose), rig, link, seconds, out, rerun, strict, metrics)
 
 
 def simulate(

@@ -13,6 +13,7 @@ from .errors import ConfigError, LogError
 from .log_reader import Recording, read_log
 from .output import Output
 from .rig import Rig
+from .tables import gap_lines
 
 CSV_ROWS = 50_000
 
@@ -44,9 +45,10 @@ def export(output: Output, log: Path, to: Path) -> None:
             raise ConfigError(f"{to}: cannot be written: {error.strerror}; choose another place") from error
         finally:
             temporary.unlink(missing_ok=True)
-    for gap in recording.gaps:
-        at = (gap.index - recording.first) / recording.rate_hz
-        output.note(f"{to}: {gap.count} samples from t = {at:.6g} s on are missing ({gap.reason}): NaN there")
+    for line in gap_lines(recording.gaps, recording.first, recording.rate_hz):
+        output.note(line)
+    if recording.lost_samples:
+        output.note(f"{to}: the {recording.lost_samples} missing samples are NaN")
     if not recording.complete:
         output.note(f"{log}: is not complete; `rotorscope recover` says what was lost")
     value = {

@@ -10,8 +10,9 @@ from rich.text import Text
 
 from .log_reader import Recording, read_log
 from .output import Output
+from .tables import gap_lines
 
-MOST_GAPS = 10
+MOST_LINES = 10
 
 
 def info(output: Output, log: Path) -> None:
@@ -35,14 +36,11 @@ def _rows(log: Recording) -> list[tuple[str, str]]:
         reasons = Counter(g.reason for g in log.gaps if g.count)
         named = ", ".join(f"{n} by {reason}" for reason, n in reasons.items())
         rows.append(("lost", f"{log.lost_samples} samples in {sum(reasons.values())} gaps: {named}"))
-        rows += [
-            ("", f"{g.count} from index {g.index} on, t = {(g.index - log.first) / log.rate_hz:.6g} s ({g.reason})")
-            for g in [g for g in log.gaps if g.count][:MOST_GAPS]
-        ]
+        rows += [("", line) for line in gap_lines(log.gaps, log.first, log.rate_hz)]
     else:
         rows.append(("lost", "nothing"))
     rows.append(("complete", "yes" if log.complete else "no: `rotorscope recover LOG --out LOG2` saves what is there"))
-    rows += [("damage", text) for text in log.damage[:MOST_GAPS]]
+    rows += [("damage", text) for text in log.damage[:MOST_LINES]]
     if log.clock is not None:
         drift, bound_ms = log.clock.drift_ppm, log.clock.bound_ns * 1e-6
         rows.append(("clock", f"{drift:+.2f} ppm; a sample's time on the host's clock is known to {bound_ms:.3g} ms"))

@@ -36,9 +36,7 @@ def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: 
     if out.resolve() == path.resolve():
         raise LogError(f"{out}: is the file to import; choose another name for the log")
     if path.suffix.lower() in CAPTURES and (path.suffix.lower() != ".mf4" or rig.link.signals):
-        from .import_capture import import_capture
-
-        import_capture(output, path, rig, out)
+        _import_capture(output, path, rig, out)
         return
     with output.progress(f"reading {path.name}"):
         record = checked(path, read(path, [c.name for c in rig.model.channels]), rig, rate_hz, output.note, gaps)
@@ -56,6 +54,15 @@ def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: 
     }
     text = f"{record.samples / record.rate_hz:.6g} s of {len(record.names)} channels at {record.rate_hz:g} Hz"
     output.result(value, f"{out}: {text}{f', {lost} samples missing' if lost else ''}")
+
+
+def _import_capture(output: Output, path: Path, rig: Rig, out: Path) -> None:
+    """Recorded CAN traffic goes through the driver and the pipeline that live traffic takes."""
+    from .live import run_rig
+
+    if not path.is_file():
+        raise LogError(f"{path}: there is no such file; check the path")
+    run_rig(output, rig, f"capture:{path}", out, command="import")
 
 
 def write_record(

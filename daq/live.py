@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from .output import Output
 from .rig import Rig, load_rig
 from .sink import Sink
 from .stop import Stop
-from .tables import parameters_table
+from .tables import gap_lines, parameters_table
 
 LOG_LOST = ("log_incomplete", "log_failed")
 
@@ -41,14 +40,21 @@ def run(
     output: Output, rig_path: Path, link: str | None, seconds: float | None, out: Path | None, rerun: str | None,
     strict: bool, metrics: int | None = None,
 ) -> None:  # fmt: skip
-    rig = load_rig(rig_path)
+    run_rig(output, load_rig(rig_path), link, out, seconds=seconds, rerun=rerun, strict=strict, metrics=metrics)
+
+
+def run_rig(
+    output: Output, rig: Rig, link: str | None, out: Path | None, *, seconds: float | None = None,
+    rerun: str | None = None, strict: bool = False, metrics: int | None = None, command: str = "run",
+) -> None:  # fmt: skip
+    """Acquire from a link into a log and a viewer, and say what came of it."""
     driver = open_driver(link, rig)
     operator = Operator(output)
     with Stop() as stop:
         sinks = _sinks(output, out, rerun, live=driver.kind not in ("capture", "replay"))
         if metrics is not None:
             sinks.append(_metrics(output, metrics))
-        metadata = {"command": "run", "link": link or rig.link.url or ""}
+        metadata = {"command": command, "link": link or rig.link.url or ""}
         summary = acquire(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=operator)
     _report(output, summary, out, {"rig": rig.model.name})
     if operator.lost_log:
@@ -215,7 +221,7 @@ def _report(output: Output, summary: RunSummary, out: Path | None, more: dict[st
         people += [parameters_table(estimate.parameters), ""]
     elif estimate is not None:
         people.append(f"no estimate: {estimate.status}")
-    people += _gap_lines(summary)
+    people += gap_lines(summary.gaps)
     lost = f", {summary.lost_samples} lost in {len(summary.gaps)} gaps" if summary.lost_samples else ", none lost"
     people.append(f"{summary.seconds:.3f} s, {summary.samples} samples of each channel{lost}")
     if out is not None:
@@ -223,7 +229,3 @@ def _report(output: Output, summary: RunSummary, out: Path | None, more: dict[st
     output.result(summary.to_json() | more | ({"log": str(out)} if out else {}), *people)
 
 
-def _gap_lines(summary: RunSummary, most: int = 10) -> Sequence[str]:
-    gaps = [g for g in summary.gaps if g.count]
-    lines = [f"gap: {g.count} samples from index {g.index} on ({g.reason})" for g in gaps[:most]]
-    return [*lines, f"... and {len(gaps) - most} more gaps"] if len(gaps) > most else lines

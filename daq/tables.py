@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from rich.table import Table
 from rich.text import Text
 
+from drivers.reading import Gap
 from estimator.estimate import Parameter
-
-PREFIXES = {12: "T", 9: "G", 6: "M", 3: "k", 0: "", -3: "m", -6: "u", -9: "n", -12: "p"}
 
 
 def parameters_table(parameters: Mapping[str, Parameter], truth: Mapping[str, float] | None = None) -> Table:
@@ -56,6 +55,16 @@ def number(value: float | None, sd: float | None = None) -> str:
     return f"{value:.{digits}g}"
 
 
+def gap_lines(gaps: Sequence[Gap], first: int = 0, rate_hz: float | None = None, most: int = 10) -> list[str]:
+    """One line for each gap, the first few of them."""
+    real = [g for g in gaps if g.count]
+    lines = []
+    for g in real[:most]:
+        at = "" if rate_hz is None else f", t = {(g.index - first) / rate_hz:.6g} s"
+        lines.append(f"gap: {g.count} samples from index {g.index} on{at} ({g.reason})")
+    return [*lines, f"... and {len(real) - most} more gaps"] if len(real) > most else lines
+
+
 def ladder_table(rows: list[dict[str, object]]) -> Table:
     """Effects against held-out error and missing force, one row a model."""
     table = Table(box=None, header_style="bold", pad_edge=False)
@@ -65,9 +74,9 @@ def ladder_table(rows: list[dict[str, object]]) -> Table:
     for row in rows:
         missing = row["missing_force_percent"]
         effects = row["effects"]
-        assert_list = ", ".join(str(e) for e in effects) if isinstance(effects, list) else str(effects)
+        names = ", ".join(str(e) for e in effects) if isinstance(effects, list) else str(effects)
         low, value, high = (missing[k] for k in ("low", "value", "high")) if isinstance(missing, dict) else (0, 0, 0)
         table.add_row(
-            Text(assert_list or "nothing else"), f"{row['heldout_nll']:.5f}", f"{value:.2f}", f"{low:.2f} to {high:.2f}"
+            Text(names or "nothing else"), f"{row['heldout_nll']:.5f}", f"{value:.2f}", f"{low:.2f} to {high:.2f}"
         )
     return table

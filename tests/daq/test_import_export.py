@@ -214,7 +214,7 @@ def test_gaps_only_when_asked_for_and_named_on_the_way_out(folder: Path, capsys:
     np.testing.assert_array_equal(np.isnan(log.samples()), np.isnan(y))
     capsys.readouterr()
     assert main(["export", str(folder / "log.mcap"), "--to", str(folder / "b.csv")]) == 0
-    assert "200 samples from t = 0.195312 s on are missing" in capsys.readouterr().err
+    assert "gap: 200 samples from index 1000 on, t = 0.195312 s" in capsys.readouterr().err
 
 
 def test_another_rate_than_the_rigs_is_said_and_used(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
