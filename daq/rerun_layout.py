@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from .report_numbers import unit_text
 from .rerun_plane import HEIGHT, WIDTH
 
 if TYPE_CHECKING:
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
 
 DEVICE_TIME, HOST_TIME = "device_time", "host_time"
 LINEAR = ("kL", "c", "m", "S")
+MOST_APART = 6  # waveforms with a plot of their own
 WINDOW_S = 10.0  # of the rolling waveform view; zoom out for the rest
 # Okabe and Ito's colours, told apart with every common colour vision, on dark and on light ground.
 PALETTE = (
@@ -26,9 +28,9 @@ def colour(k: int) -> tuple[int, int, int]:
 
 
 def layout(
-    units: Sequence[str], bearings: Sequence[str], parameters: Mapping[str, str], missing_force: bool
+    signals: Mapping[str, Sequence[str]], bearings: Sequence[str], parameters: Mapping[str, str], missing_force: bool
 ) -> rrb.Blueprint:
-    """The live view. units : of the waveforms, each once; bearings : with an orbit; parameters : kind -> heading."""
+    """The live view. signals : unit -> waveforms; bearings : those with an orbit; parameters : kind -> heading."""
     import rerun.blueprint as rrb
 
     rolling = rrb.VisibleTimeRange(
@@ -41,19 +43,26 @@ def layout(
     def series(path: str, name: str, **more: Any) -> rrb.TimeSeriesView:
         return rrb.TimeSeriesView(origin=path, name=name, plot_legend=legend, **more)
 
+    def trace(path: str, name: str) -> rrb.TimeSeriesView:
+        return rrb.TimeSeriesView(
+            origin=path, name=name, plot_legend=rrb.PlotLegend(visible=False), time_ranges=rolling
+        )
+
     def plot(path: str, name: str, width: float = WIDTH) -> rrb.Spatial2DView:
-        bounds = rrb.VisualBounds2D(x_range=(-110, width + 40), y_range=(-30, HEIGHT + 70))
+        bounds = rrb.VisualBounds2D(x_range=(-110, width + 40), y_range=(-30, HEIGHT + 90))
         return rrb.Spatial2DView(origin=path, name=name, visual_bounds=bounds)
 
     def tabbed(views: list[Any]) -> Any:
         return views[0] if len(views) == 1 else rrb.Tabs(*views, active_tab=0)
 
     waveforms = [
-        series(f"waveform/{k}", f"Waveforms, min and max of each bin [{unit}]", time_ranges=rolling)
-        for k, unit in enumerate(units)
+        series(f"waveform/{k}", f"Waveforms [{unit_text(unit)}]", time_ranges=rolling)
+        if len(names) > MOST_APART
+        else rrb.Vertical(*(trace(f"waveform/{k}/{name}", f"{name} [{unit_text(unit)}]") for name in names))
+        for k, (unit, names) in enumerate(signals.items())
     ]
-    spectra = [plot(f"spectrum/{k}", f"Spectrum [({unit})²/Hz]") for k, unit in enumerate(units)]
-    scopes = [plot(f"scope/{k}", f"Scope, every sample [{unit}]") for k, unit in enumerate(units)]
+    spectra = [plot(f"spectrum/{k}", f"Spectrum [({unit_text(unit)})²/Hz]") for k, unit in enumerate(signals)]
+    scopes = [plot(f"scope/{k}", f"Scope, every sample [{unit_text(unit)}]") for k, unit in enumerate(signals)]
     orbits = [plot(f"orbit/{bearing}", f"Orbit, {bearing} [nm]", HEIGHT) for bearing in bearings]
     estimates = {kind: series(f"estimate/{kind}", heading) for kind, heading in parameters.items()}
     linear = [estimates[kind] for kind in LINEAR if kind in estimates]
@@ -74,7 +83,7 @@ def layout(
     right = [tabbed(spectra + scopes), *([rrb.Horizontal(*orbits)] if orbits else []), health]
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(*left, row_shares=[4, 4, 2] if tabs else [4, 2]),
+            rrb.Vertical(*left, row_shares=[5, 4, 2] if tabs else [5, 2]),
             rrb.Vertical(*right, row_shares=[4, 4, 3] if orbits else [4, 2]),
             column_shares=[1, 1],
         ),

@@ -34,14 +34,18 @@ class RerunSink:
     """Shows a session in `target`: FILE.rrd, "spawn", or rerun+http://HOST:PORT/proxy.
 
     wall_offset_ns : Unix time minus the monotonic time of the readings; None: this host's, now.
+    live : False for a replay or a capture, which waits for the viewer rather than lose anything (while there is one).
     dropped : samples that the viewer will never show. `health` tells when a viewer is lost and when it is back.
     Raises ConfigError for a target that is none of these.
     """
 
-    def __init__(self, target: str, capacity_bytes: int | None = None, wall_offset_ns: int | None = None) -> None:
+    def __init__(
+        self, target: str, *, capacity_bytes: int | None = None, wall_offset_ns: int | None = None, live: bool = True
+    ) -> None:
         self._target = viewer_target(target)
         self._file = self._target.endswith(".rrd")
         self._capacity = capacity_bytes or (FILE_BYTES if self._file else LIVE_BYTES)
+        self._live = live
         self._wall_ns = time.time_ns() - time.monotonic_ns() if wall_offset_ns is None else wall_offset_ns
         self._queue: deque[tuple[int, Item, int]] = deque()  # bytes, item, monotonic ns
         self._bytes = 0
@@ -102,6 +106,8 @@ class RerunSink:
 
     def _put(self, item: Item, size: int) -> None:
         size += OVERHEAD
+        while not self._live and self._bytes + size > self._capacity and self._process is not None:
+            time.sleep(0.002)
         with self._lock:
             self._queue.append((size, item, time.monotonic_ns()))
             self._bytes += size

@@ -99,7 +99,7 @@ class Tail:
         old = self._planes.get(path)
         high = old.y.high if old is not None else 0.0
         if peak > high or peak < 0.2 * high:
-            high = plane.nice_step(peak)
+            high = plane.round_up(peak)
         return plane.Axis(-high, high, label)
 
     def _draw(self, path: str, frame: plane.Plane, series: Sequence[tuple[Array, Array, tuple[int, int, int]]]) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from drivers.reading import Block, Gap, Info, Notice, Reading, Signal
 from estimator.estimate import Estimate
 
+from .report_numbers import unit_text
 from .rerun_layout import BAD, DEVICE_TIME, GOOD, HOST_TIME, IDLE, colour, layout
 from .rerun_signal import envelope
 from .rerun_tail import TAIL_S, Tail
@@ -123,6 +124,7 @@ class RerunView:
         self._scale = np.array([s.scale for s in info.signals])
         self._offset = np.array([s.offset for s in info.signals])
         self._units = list(dict.fromkeys(s.unit for s in info.signals))
+        self._by_unit = {unit: [s.name for s in info.signals if s.unit == unit] for unit in self._units}
         self._full = 2 ** (info.count_bits - 1) - 1
         self._width = max(1, round(2 * info.rate_hz / PREVIEW_HZ))
         self._enough = max(self._width * ROWS // 2, round(info.rate_hz / 4)) if self._width > 1 else ROWS
@@ -139,7 +141,7 @@ class RerunView:
 
     def _lay_out(self) -> None:
         kinds = {kind: self._kinds[kind] for kind in sorted(self._kinds)}
-        self._to.send_blueprint(layout(self._units, list(self._tail.pairs), kinds, self._missing_force))
+        self._to.send_blueprint(layout(self._by_unit, list(self._tail.pairs), kinds, self._missing_force))
 
     def _block(self, block: Block) -> None:
         n = len(block.counts)
@@ -205,7 +207,7 @@ class RerunView:
             exponent = self._exponents.setdefault(kind, engineering(p.value or 1.0))
             if kind not in self._kinds:
                 new = True
-                self._kinds[kind] = f"{kind}  [{'' if not exponent else f'1e{exponent} '}{p.unit}]  ± 1 sd"
+                self._kinds[kind] = f"{kind}  [{'' if not exponent else f'1e{exponent} '}{unit_text(p.unit)}]  ± 1 sd"
             scale = 10.0**-exponent
             value = math.nan if p.value is None else p.value * scale
             sd = math.nan if p.sd is None else p.sd * scale

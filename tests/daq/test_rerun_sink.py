@@ -201,6 +201,16 @@ def test_drawing_process_killed_loses_only_a_counted_batch(tmp_path: Path) -> No
     sink.close()
 
 
+def test_a_replay_waits_rather_than_drop(tmp_path: Path) -> None:
+    sink = RerunSink(str(tmp_path / "a.rrd"), capacity_bytes=200_000, live=False)
+    sink.start(session())
+    assert wait(lambda: sink._process, 5)
+    feed(sink, 10.0)
+    sink.close()
+    assert sink.dropped == 0
+    assert entities(tmp_path / "a.rrd")["waveform/0/b1x"] > 500 * 9.9
+
+
 def test_core_loop_calls_take_microseconds(tmp_path: Path) -> None:
     sink = RerunSink(str(tmp_path / "a.rrd"))
     sink.start(session())
