@@ -93,6 +93,16 @@ class RawBlock:
     def stop(self) -> int:
         return self.index + len(self.counts)
 
+    def parts(self) -> list[Block]:
+        """As the link delivered it."""
+        counts = self.counts.astype(np.int32)
+        device: Sequence[int | None] = self.part_device_ns or [None] * len(self.part_rows)
+        out, at = [], 0
+        for rows, host_ns, device_ns in zip(self.part_rows, self.part_host_ns, device, strict=True):
+            out.append(Block(self.index + at, counts[at : at + rows], host_ns, device_ns))
+            at += rows
+        return out
+
     def joined(self) -> Block:
         """As one reading; its host time is the last part's."""
         device = self.part_device_ns[0] if len(self.part_device_ns) else None

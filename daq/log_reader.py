@@ -240,11 +240,16 @@ class Recording:
         out[at:] = np.nan
         return out
 
-    def readings(self) -> Iterator[Reading]:
-        """What the link delivered, in order, a piece at a time: for replay. Memory does not grow with the log."""
+    def readings(self, joined: bool = True) -> Iterator[Reading]:
+        """What the link delivered, in order, a piece at a time: for replay. Memory does not grow with the log.
+
+        joined : blocks as the log holds them, several of the link in one; False: as they came.
+        """
         for entry, _ in walk(self.path, Findings()):
-            if isinstance(entry, RawBlock):
+            if isinstance(entry, RawBlock) and joined:
                 yield entry.joined()
+            elif isinstance(entry, RawBlock):
+                yield from entry.parts()
             elif isinstance(entry, Info | Gap | Notice):
                 yield entry
 

@@ -11,6 +11,7 @@ from drivers.reading import Block, Gap, Notice, Reading
 from estimator.estimate import Estimate
 
 from .clock import Clock, SystemClock
+from .errors import LogError
 from .log_encoder import LogEncoder
 from .log_file import LogFile
 from .sink import Session, SinkHealth, Status
@@ -28,9 +29,10 @@ class LogWriter:
     """The log at `path`. Raises LogError at once if it cannot be created.
 
     live : acquisition must not wait. What waits for the disk is bounded by `limit_bytes`; beyond it the newest samples
-        are not stored, and a Gap of reason "storage" says which. False: the caller waits instead (import, recover).
-    A full or failing disk is tried again every 0.5 s and the same file goes on when it recovers. A file that was
-    removed, alone or with its folder, is put back with all its bytes. `health` tells the operator.
+        are not stored, and a Gap of reason "storage" says which. A full or failing disk is tried again every 0.5 s
+        and the same file goes on when it recovers. False: the caller waits for the disk (import, fast replay), and a
+        fault of the disk is a LogError from any method.
+    A file that was removed, alone or with its folder, is put back with all its bytes. `health` tells the operator.
     """
 
     def __init__(
@@ -51,6 +53,7 @@ class LogWriter:
         self._progress = 0
         self._behind_since_ns: int | None = None
         self._problem = ""
+        self._failed = ""
         self._thread = threading.Thread(target=self._run, name=f"log {path}", daemon=True)
         self._thread.start()
 
@@ -97,16 +100,23 @@ class LogWriter:
                 why = self._problem or "the disk stalls"
                 self._tell("error", "log_incomplete", f"{self.path} could not be completed: {why}; try recover on it")
                 return
+        if not self._live:
+            self._raise_failure()
+
+    def _raise_failure(self) -> None:
+        if self._failed:
+            raise LogError(self._failed)
 
     def _put(self, item: Item, size: int) -> None:
         with self._changed:
             if self._closing:
                 return
             if not self._live:
-                self._changed.wait_for(lambda: self._queued < self._limit or not self._thread.is_alive())
+                self._changed.wait_for(lambda: self._queued < self._limit or self._failed)
+                self._raise_failure()
             room = self._limit if isinstance(item, Block) else self._limit + self._limit // 8
             full = self._live and self._queued and self._queued + size > room
-            if full or not self._thread.is_alive():
+            if full or self._failed:
                 self._drop(item)
                 return
             if isinstance(item, Block | Gap):
@@ -140,8 +150,12 @@ class LogWriter:
     def _run(self) -> None:
         try:
             self._loop()
-        except Exception as error:  # a defect here must not stop acquisition
-            self._tell("error", "log_failed", f"{self.path}: the log has stopped: {error!r}")
+        except Exception as error:  # whatever it is must not stop acquisition
+            what = str(error.strerror or error) if isinstance(error, OSError) else repr(error)
+            with self._changed:
+                self._failed = f"{self.path}: the log has stopped: {what}; make room or choose another --out"
+                self._note("error", "log_failed", self._failed)
+                self._changed.notify_all()
 
     def _loop(self) -> None:
         flush_ns = sync_ns = self._clock.now_ns()
@@ -200,6 +214,8 @@ class LogWriter:
             if sync:
                 self._file.sync()
         except OSError as error:
+            if not self._live:
+                raise
             self._fault(f"{error.strerror or error}")
             if not self._closing:
                 self._sleep(RETRY_NS)

@@ -52,8 +52,11 @@ class ReadingQueue:
             self.open = False
             self._changed.notify_all()
 
-    def take(self, timeout_s: float, limit_bytes: int = 4 << 20) -> list[Reading]:
-        """Up to about `limit_bytes` of what waits, at once if something does, else within the time; [] if nothing."""
+    def take(self, timeout_s: float, limit_bytes: int = 128 << 10) -> list[Reading]:
+        """Up to about `limit_bytes` of what waits, at once if something does, else within the time; [] if nothing.
+
+        Little at a time, so that a core loop with a backlog still hears of a stop.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._items or not self.open, timeout_s)
             if not self._items and self._failure is not None:

@@ -45,7 +45,7 @@ class ReplayDriver:
         self.exhausted = False
 
     def open(self) -> None:
-        self._source = self._recording.readings()
+        self._source = self._recording.readings(joined=self._speed is None)
         self._start_ns = self._clock.now_ns()
 
     def close(self) -> None:

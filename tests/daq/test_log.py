@@ -99,6 +99,10 @@ def test_blocks_are_joined_and_keep_their_times(tmp_path: Path) -> None:
     assert len(raw) < 13
     assert [t for r in raw for t in r.part_host_ns] == [b.t_host_ns for b in blocks]
     assert [t for r in raw for t in r.part_device_ns] == [b.t_device_ns for b in blocks]
+    back = [r for r in read_log(tmp_path / "a.mcap").readings(joined=False) if isinstance(r, Block)]
+    for ours, theirs in zip(back, blocks, strict=True):
+        assert (ours.index, ours.t_host_ns, ours.t_device_ns) == (theirs.index, theirs.t_host_ns, theirs.t_device_ns)
+        np.testing.assert_array_equal(ours.counts, theirs.counts)
 
 
 def test_other_tools_read_it(tmp_path: Path) -> None:

@@ -236,6 +236,15 @@ def test_dev_full(tmp_path: Path) -> None:
     assert feeder.heard("log_incomplete")
 
 
+def test_an_import_into_a_full_disk_fails_with_one_line(tmp_path: Path) -> None:
+    for call in ("readings", "close"):
+        writer = LogWriter(tmp_path / f"{call}.mcap", live=False, limit_bytes=1 << 20)
+        feeder = Feeder(writer)
+        with file_size_limit(200_000), pytest.raises(LogError, match="File too large; make room or choose another"):
+            feeder.feed(100_000 if call == "readings" else 200)
+            writer.close()
+
+
 def test_memory_stays_bounded_while_the_disk_is_full(tmp_path: Path) -> None:
     import psutil
 
