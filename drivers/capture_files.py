@@ -1,0 +1,183 @@
+"""Recorded CAN traffic as batches of frames: candump .log by a tolerant reader, .blf, .asc and .mf4 by python-can."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from drivers.can_frames import ERROR, EXTENDED, REMOTE, CanFrames
+from drivers.errors import LinkOpenError, LinkUnavailable
+
+BATCH = 4096  # frames
+SUFFIXES = (".log", ".blf", ".asc", ".mf4")
+_LINE = re.compile(
+    r"\((\d+)\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})(?:#R(\d?)|##([0-9A-Fa-f])|#)([0-9A-Fa-f.]*)(?:\s+[RT])?"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """damaged : lines or records that could not be read; why: the first reason, "" if none."""
+
+    frames: CanFrames
+    damaged: int = 0
+    why: str = ""
+
+
+def open_capture(path: str, bus: str | None) -> Generator[Batch, None, None]:
+    """Batches of a file, in the order of time. Raises LinkOpenError | LinkUnavailable before the first batch only."""
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES:
+        what = suffix or "a file without ending"
+        raise LinkOpenError(f"capture:{path}: cannot read {what}: use {', '.join(SUFFIXES)}")
+    try:
+        with file.open("rb") as handle:
+            handle.read(1)
+    except OSError as error:
+        raise LinkOpenError(f"capture:{path}: {error.strerror}: check the path") from error
+    if suffix == ".log":
+        return _candump(file, bus)
+    try:
+        reader = _open_reader(file, suffix)
+    except ImportError as error:
+        raise LinkUnavailable(f"capture:{path}: {error}: install the missing library") from error
+    except Exception as error:
+        text = " ".join(str(error).split())
+        raise LinkOpenError(f"capture:{path}: not a {suffix} file ({text}): check the file") from error
+    return _python_can(reader, bus, file)
+
+
+def _open_reader(file: Path, suffix: str) -> Any:
+    """python-can's reader, on a handle of ours: its own stays open when a file is not what it seems."""
+    import can
+
+    if suffix == ".mf4":
+        return can.MF4Reader(file)
+    handle = file.open("rb") if suffix == ".blf" else file.open("r", encoding="utf-8", errors="replace")
+    try:
+        return can.BLFReader(handle) if suffix == ".blf" else can.ASCReader(handle)
+    except Exception:
+        handle.close()
+        raise
+
+
+def _candump(file: Path, bus: str | None) -> Generator[Batch, None, None]:
+    frames: list[tuple[int, bytes, int]] = []
+    damaged, why = 0, ""
+    with file.open("r", encoding="ascii", errors="replace") as lines:
+        for number, line in enumerate(_bounded(lines), 1):
+            match = _LINE.fullmatch(line.strip())
+            if match is None:
+                if line.strip():
+                    damaged += 1
+                    why = why or f"line {number} is no candump line"
+            elif bus is None or match[3] == bus:
+                frame = _parse(match)
+                if frame is None:
+                    damaged += 1
+                    why = why or f"line {number} has a wrong length"
+                else:
+                    frames.append(frame)
+            if len(frames) >= BATCH:
+                yield Batch(CanFrames.build(frames), damaged, why)
+                frames, damaged, why = [], 0, ""
+    yield Batch(CanFrames.build(frames), damaged, why)
+
+
+def _bounded(lines: Any) -> Iterator[str]:
+    """Lines of at most 1000 characters: a file without line ends must not fill the memory."""
+    while line := lines.readline(1000):
+        yield line
+
+
+def _parse(match: re.Match[str]) -> tuple[int, bytes, int] | None:
+    number, digits = int(match[4], 16), match[7].replace(".", "")
+    if len(digits) % 2 or len(digits) > 128:
+        return None
+    identifier = number
+    if len(match[4]) == 8:
+        identifier = number & 0x1FFF_FFFF | (ERROR if number & ERROR else EXTENDED)
+    if match[5] is not None:
+        identifier |= REMOTE
+        digits = ""
+    t_ns = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
+    return identifier, bytes.fromhex(digits), t_ns
+
+
+def _python_can(reader: Any, bus: str | None, file: Path) -> Generator[Batch, None, None]:
+    messages = iter(reader)
+    ended = False
+    try:
+        while not ended:
+            frames: list[tuple[int, bytes, int]] = []
+            damaged, why = 0, ""
+            try:
+                while len(frames) < BATCH:
+                    message = next(messages, None)
+                    if message is None:
+                        ended = True
+                        break
+                    if bus is not None and str(message.channel) != bus:
+                        continue
+                    flags = EXTENDED if message.is_extended_id else 0
+                    flags |= (REMOTE if message.is_remote_frame else 0) | (ERROR if message.is_error_frame else 0)
+                    # seconds as a float carry microseconds for today's dates, no more
+                    t_ns = round(message.timestamp * 1e6) * 1000
+                    frames.append((message.arbitration_id | flags, bytes(message.data), t_ns))
+            except Exception as error:  # noqa: BLE001 - a damaged file: python-can raises whatever it trips over
+                ended, damaged, why = True, 1, f"{type(error).__name__}: {' '.join(str(error).split())}"
+            if ended and not damaged:
+                why = _cut(reader, file)
+                damaged = 1 if why else 0
+            yield Batch(CanFrames.build(frames), damaged, why)
+    finally:
+        reader.stop()
+
+
+def _blocks_end(file: Path) -> int:
+    """Where the last data block of an MF4 file ends by its own header; asammdf reads a cut one without a word.
+
+    ASAM MDF 4.1, 4.4: a block begins with its id (4 bytes), 4 reserved, its length and its number of links (u64),
+    then the links. The header block at 64 links the first data group, that the next one and its data.
+    """
+    ends = [0]
+    with file.open("rb") as handle:
+
+        def block(address: int) -> tuple[bytes, int, tuple[int, ...]]:
+            handle.seek(address)
+            head = handle.read(24)
+            if len(head) < 24:
+                return b"", 0, ()
+            name, length, links = head[:4], *struct.unpack("<QQ", head[8:])
+            body = handle.read(8 * min(links, 10_000))
+            return name, length, struct.unpack(f"<{len(body) // 8}Q", body[: len(body) // 8 * 8])
+
+        groups = [block(64)[2][:1]]
+        seen: set[int] = set()
+        while groups:
+            for address in groups.pop():
+                if address == 0 or address in seen or len(seen) > 100_000:
+                    continue
+                seen.add(address)
+                name, length, links = block(address)
+                if name == b"##DG":
+                    groups += [links[:1], links[2:3]]
+                elif name in (b"##DL", b"##HL"):
+                    groups.append(links)
+                elif name in (b"##DT", b"##DZ"):
+                    ends.append(address + length)
+    return max(ends)
+
+
+def _cut(reader: Any, file: Path) -> str:
+    """Why a file that was read without an error is not whole; "" if it is."""
+    size = file.stat().st_size
+    end = getattr(reader, "file_size", 0) if file.suffix.lower() == ".blf" else 0
+    if file.suffix.lower() == ".mf4":
+        end = _blocks_end(file)
+    return f"the file has {size} bytes, its header says {end}: it is cut" if end > size else ""

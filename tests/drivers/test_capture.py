@@ -1,0 +1,134 @@
+"""capture: on a real recording of somebody else's device, in three containers, and on damaged files."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import can
+import cantools
+import numpy as np
+import pytest
+from asammdf import MDF
+from ramp_device import Record, read_all
+
+from drivers.errors import LinkError, LinkOpenError
+from drivers.links import CaptureConfig, make_driver
+from drivers.reading import Info
+
+DATA = Path(__file__).parents[1] / "data" / "canedge_imu"
+SIGNALS = {f"imu_{axis.lower()}": f"gnss_imu.Acceleration{axis}" for axis in "XYZ"}
+FILES = ("canedge_imu.log", "canedge_imu.blf", "11111111_00000012_00000001.MF4")
+
+
+def capture(path: Path, **options: object) -> Record:
+    driver = make_driver(
+        CaptureConfig(str(path), **options),  # type: ignore[arg-type]
+        dbc=(DATA / "canmod-gps.dbc").read_bytes(),
+        signals=SIGNALS,
+    )
+    driver.open()
+    record = read_all(driver, Record(ramp=False))
+    driver.close()
+    return record
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_real_recording(name: str) -> None:
+    record = capture(DATA / name)
+    assert [(s.name, s.unit, s.scale, s.offset) for s in record.infos[0].signals] == [
+        (channel, "m/s^2", 0.125, 0.0) for channel in SIGNALS
+    ]
+    assert record.infos[0].rate_hz == 100.0
+    assert {gap.reason for gap in record.gaps} == {"source"}
+    assert not record.notices
+    # the oracle: python-can's reader and cantools, one frame at a time
+    message = cantools.database.load_file(DATA / "canmod-gps.dbc").get_message_by_frame_id(9)
+    with can.LogReader(DATA / name) as reader:
+        frames = [m for m in reader if m.arbitration_id == 9 and not m.is_extended_id]
+    want = np.array([[message.decode(m.data)[s.split(".")[1]] for s in SIGNALS.values()] for m in frames])
+    got = np.concatenate([block.counts for block in record.blocks]) * 0.125
+    assert np.array_equal(got, want)
+    # samples lie at their recorded times, true to a sample, over the stalls in the recording
+    times = np.array([m.timestamp for m in frames])
+    index = np.concatenate([block.index + np.arange(len(block.counts)) for block in record.blocks])
+    lag = (times - times[0]) * 100.0 - index
+    low, high = np.percentile(lag - np.median(lag), [0.5, 98.0])
+    assert low > -1.0
+    assert high < 1.0  # a frame may be late, and catch up
+
+
+def test_containers_agree() -> None:
+    log, blf = (capture(DATA / name) for name in FILES[:2])
+    assert log.gaps == blf.gaps
+    assert np.array_equal(log.blocks[0].counts, blf.blocks[0].counts)
+
+
+def test_host_time_of_a_block_is_the_recorded_time() -> None:
+    record = capture(DATA / FILES[0])
+    first = record.blocks[0]
+    assert first.t_host_ns / 1e9 == pytest.approx(1635188466.525 + (len(first.counts) - 1) * 0.01, abs=0.05)
+
+
+def test_damaged_log_is_counted_and_read_on(tmp_path: Path) -> None:
+    lines = (DATA / FILES[0]).read_text().splitlines(keepends=True)[:6000]
+    lines[100] = "garbage\n"
+    lines[200] = "(1635188454.9) can0 009#ABC R\n"
+    path = tmp_path / "cut.log"
+    path.write_bytes("".join(lines).encode() + os.urandom(3000))
+    record = capture(path)
+    assert "capture_damaged" in record.codes()
+    assert record.samples > 250
+
+
+@pytest.mark.parametrize("name", FILES[1:])
+def test_cut_binary_capture_ends_with_a_notice(tmp_path: Path, name: str) -> None:
+    path = (tmp_path / name).with_suffix(Path(name).suffix.lower())
+    if name.endswith(".MF4"):  # the recording is one its logger never finished: no length in it to compare with
+        with MDF(DATA / name) as mdf:
+            mdf.save(path, overwrite=True)  # it writes .mf4 in lower case
+    else:
+        shutil.copy(DATA / name, path)
+        path.chmod(0o600)
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size // 2)
+    driver = make_driver(CaptureConfig(str(path)), dbc=(DATA / "canmod-gps.dbc").read_bytes(), signals=SIGNALS)
+    driver.open()
+    record = read_all(driver, Record(ramp=False))
+    assert record.samples > 0
+    assert "capture_damaged" in record.codes()
+
+
+def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:
+    with pytest.raises(LinkOpenError, match="check the path"):
+        capture(tmp_path / "none.log")
+    (tmp_path / "data.txt").write_text("x")
+    with pytest.raises(LinkOpenError, match="use .log, .blf, .asc, .mf4"):
+        capture(tmp_path / "data.txt")
+    (tmp_path / "data.blf").write_text("not one")
+    with pytest.raises(LinkOpenError, match="not a .blf file"):
+        capture(tmp_path / "data.blf")
+
+
+def test_signal_map_errors_name_the_remedy() -> None:
+    dbc = (DATA / "canmod-gps.dbc").read_bytes()
+    config = CaptureConfig("x.log")
+    for signals, text in [
+        ({"a": "gnss_imu.AccelerationQ"}, "did you mean 'Acceleration"),
+        ({"a": "gnss_imo.AccelerationX"}, "did you mean 'gnss_imu'"),
+        ({"a": "AccelerationX"}, "write Message.Signal"),
+        ({}, "empty"),
+    ]:
+        with pytest.raises(LinkError, match=text):
+            make_driver(config, dbc=dbc, signals=signals)
+    with pytest.raises(LinkError, match="cannot be read"):
+        make_driver(config, dbc=b"BO_ nonsense", signals={"a": "b.c"})
+    with pytest.raises(LinkError, match="set link.dbc"):
+        make_driver(config, signals={"a": "b.c"})
+
+
+def test_given_rate_is_used() -> None:
+    record = capture(DATA / FILES[0], rate_hz=50.0)
+    assert isinstance(record.infos[0], Info)
+    assert record.infos[0].rate_hz == 50.0
