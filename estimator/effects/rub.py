@@ -28,8 +28,8 @@ RUB = Effect(
     ),
     equation="(r - clearance)_+ / r (k x - kt y, k y + kt x),  r = hypot(x, y)",
     signature=(
-        "starts at a radius of the orbit, whatever the direction; friction drives backward whirl; sub-harmonics "
-        "and fractional orders"
+        "starts at a radius of the orbit, whatever the direction; friction drives backward whirl, without end where "
+        "kt exceeds c w (dry whip); sub-harmonics and fractional orders"
     ),
     confused_with=("clearance", "cross_coupling", "stop"),
     distinguish=(
