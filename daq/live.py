@@ -145,7 +145,7 @@ def replay(
     rig = Rig.parse(recording.rig_text, where=f"{log}: rig.toml") if rig_path is None else load_rig(rig_path)
     operator = Operator(output)
     with Stop() as stop:
-        sinks = _sinks(output, out, rerun, live=False)
+        sinks = _sinks(output, out, rerun, live=False, wall_offset_ns=recording.head.wall_offset_ns)
         summary = replay_log(recording, rig, sinks, speed=pace, check=check, stop=stop.event, notify=operator)
     _report(output, summary, out, {})
     if operator.lost_log:
@@ -174,7 +174,10 @@ def _speed(text: str) -> float | None:
     return value
 
 
-def _sinks(output: Output, out: Path | None, rerun: str | None, live: bool) -> list[Sink]:
+def _sinks(
+    output: Output, out: Path | None, rerun: str | None, live: bool, wall_offset_ns: int | None = None
+) -> list[Sink]:
+    """wall_offset_ns : Unix time minus the monotonic time of the readings, where they are not of now."""
     sinks: list[Sink] = []
     if out is not None:
         from .log_writer import LogWriter
@@ -183,7 +186,7 @@ def _sinks(output: Output, out: Path | None, rerun: str | None, live: bool) -> l
     if rerun is not None:
         from .rerun_sink import RerunSink
 
-        sinks.append(RerunSink(rerun))
+        sinks.append(RerunSink(rerun, live=live, wall_offset_ns=wall_offset_ns))
     if sys.stderr.isatty() and not output.quiet:
         from .live_table import LiveTable
 
