@@ -180,8 +180,8 @@ def test_anisotropy_makes_the_directions_coherent() -> None:
 @pytest.mark.parametrize(
     ("name", "moment", "sign", "fraction"),
     [
-        ("cubic", "kurtosis", -1, 0.2),
-        ("quintic", "kurtosis", -1, 0.2),
+        ("cubic", "kurtosis", -1, 0.4),
+        ("quintic", "kurtosis", -1, 0.5),
         ("clearance", "kurtosis", -1, 0.4),
         ("quadratic", "skew", -1, 0.1),
         ("stop", "skew", -1, 0.2),
