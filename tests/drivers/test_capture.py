@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from pathlib import Path
 
 import can
@@ -82,22 +81,28 @@ def test_damaged_log_is_counted_and_read_on(tmp_path: Path) -> None:
     assert record.samples > 250
 
 
-@pytest.mark.parametrize("name", FILES[1:])
-def test_cut_binary_capture_ends_with_a_notice(tmp_path: Path, name: str) -> None:
-    path = (tmp_path / name).with_suffix(Path(name).suffix.lower())
-    if name.endswith(".MF4"):  # the recording is one its logger never finished: no length in it to compare with
-        with MDF(DATA / name) as mdf:
-            mdf.save(path, overwrite=True)  # it writes .mf4 in lower case
-    else:
-        shutil.copy(DATA / name, path)
-        path.chmod(0o600)
-    with path.open("r+b") as file:
-        file.truncate(path.stat().st_size // 2)
-    driver = make_driver(CaptureConfig(str(path)), dbc=(DATA / "canmod-gps.dbc").read_bytes(), signals=SIGNALS)
-    driver.open()
-    record = read_all(driver, Record(ramp=False))
-    assert record.samples > 0
+def test_cut_blf_ends_with_a_notice(tmp_path: Path) -> None:
+    path = tmp_path / "cut.blf"
+    path.write_bytes((DATA / "canedge_imu.blf").read_bytes()[:120_000])
+    record = capture(path)
+    assert record.samples > 1000
     assert "capture_damaged" in record.codes()
+
+
+def test_cut_mf4_of_an_unfinished_recording_is_read_to_its_end(tmp_path: Path) -> None:
+    path = tmp_path / "cut.mf4"  # the logger writes no lengths: where it ends is where it ended
+    path.write_bytes((DATA / FILES[2]).read_bytes()[:1_000_000])
+    assert capture(path).samples > 1000
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # asammdf's own destructor
+def test_cut_mf4_of_a_finished_recording_does_not_open(tmp_path: Path) -> None:
+    path = tmp_path / "whole.mf4"
+    with MDF(DATA / FILES[2]) as mdf:
+        mdf.save(path)
+    (tmp_path / "cut.mf4").write_bytes(path.read_bytes()[:1_000_000])
+    with pytest.raises(LinkOpenError, match="not a .mf4 file"):
+        capture(tmp_path / "cut.mf4")
 
 
 def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:
