@@ -239,6 +239,11 @@ def estimate(
         weights = rng.multinomial(BLOCKS, np.full(BLOCKS, 1.0 / BLOCKS)).astype(float)
         draws.append(_values(plane, grid, weights, form))
     covariance = np.atleast_2d(np.cov(np.array(draws).T)) if replicates > 1 else np.full((len(values),) * 2, np.nan)
+    if form == "midpoint" and plane.scale_from_shaft and not plane.masses_known:
+        # attenuated to a steady wrong value, its own scatter says nothing: the response form tells if there is a scale
+        honest, spread = estimate(plane, x, v, "response", replicates, seed)
+        if any(np.sqrt(s) > 0.5 * abs(q) for q, s in zip(honest.values(), np.diag(spread), strict=True)):
+            covariance = np.full_like(covariance, np.inf)
     return dict(zip(plane.names(), values.tolist(), strict=True)), covariance
 
 

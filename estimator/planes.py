@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from .estimate import Parameter
 from .model import DIRECTIONS, Model
 
+SHAFT_LIMIT = 0.25  # relative sd above which the shaft does not give a mass
 POWERS = {"quadratic": (2, "kq"), "cubic": (3, "kNL"), "quintic": (5, "k5")}
 POWER_UNITS = {1: "N/m", 2: "N/m^2", 3: "N/m^3", 5: "N/m^5"}
 
@@ -77,14 +78,23 @@ class Plane:
         return tuple(out)
 
     def judged(self, found: Mapping[str, tuple[float, float]]) -> dict[str, Parameter]:
-        """Every parameter with its verdict, from (value, sd) of those solved for."""
+        """Every parameter with its verdict, from (value, sd) of those solved for.
+
+        A scale taken from the shaft must stand out by four sd: the quotient ks/(ks/T) is large whenever its
+        denominator happens to be small, and two sd would let one in twenty through.
+        """
+        masses = [found[f"{cap.place}.m"] for cap in self.caps if f"{cap.place}.m" in found]
+        weak = any(not (value > 0.0 and sd <= SHAFT_LIMIT * value) for value, sd in masses)
         out = {}
         for name in self.names(solved_only=False):
-            if name in found:
-                out[name] = Parameter.judged(*found[name], unit_of(name))
-            else:
+            if name not in found:
                 reason = "mass unknown: give rig.mass for this cap; only ratios follow from its density"
                 out[name] = Parameter(None, None, unit_of(name), False, reason)
+            elif weak and not name.endswith("lambda"):
+                reason = "the shaft couples the caps too weakly to set the mass: give rig.mass"
+                out[name] = Parameter(None, None, unit_of(name), False, reason)
+            else:
+                out[name] = Parameter.judged(*found[name], unit_of(name))
         return out
 
     def undetermined(self, reason: str) -> dict[str, Parameter]:

@@ -242,7 +242,7 @@ def taylor(bearing: BearingGeometry, preload: float, K_n: float | None = None) -
 
 
 def theory(model: Model, fit: Fit | None = None, preloads: Sequence[float] | None = None) -> Theory:
-    """Hertz theory of the model's bearing, beside the fitted stiffness if a fit is given.
+    """Hertz theory of the model's bearing, beside a fit, or without one beside the model's own values of kL and kNL.
 
     preloads : m; default 0.2 to 0.6 um as in the paper, and the rig's own. Raises DataError without a bearing geometry.
     """
@@ -253,19 +253,32 @@ def theory(model: Model, fit: Fit | None = None, preloads: Sequence[float] | Non
         own = () if bearing.preload is None else (bearing.preload,)
         preloads = sorted({round(g, 12) for g in (*PRELOADS, *own)})
     inner, outer = raceways(bearing)
-    rows = tuple(_fitted(bearing, fit)) if fit is not None else ()
+    rows = tuple(_fitted(bearing, _of_model(model) if fit is None else fit.parameters))
     curves = tuple(curve(bearing, g) for g in preloads)
     return Theory(bearing, inner, outer, load_deflection(bearing), kinematics(bearing), curves, rows)
 
 
-def _fitted(bearing: BearingGeometry, fit: Fit) -> list[FittedRow]:
+def _of_model(model: Model) -> dict[str, Parameter]:
+    """The rig file's stiffnesses (what `fit --out` wrote, or a first guess) as parameters without sd."""
+    out: dict[str, Parameter] = {}
+    for place, settings in model.linear.items():
+        if "kL" in settings and settings["kL"].value is not None:
+            out[f"{place}.kL"] = Parameter(settings["kL"].value, None, "N/m")
+    for use in model.effects:
+        for place, settings in use.parameters.items():
+            if use.name == "cubic" and "kNL" in settings and settings["kNL"].value is not None:
+                out[f"{place}.cubic.kNL"] = Parameter(settings["kNL"].value, None, "N/m^3")
+    return out
+
+
+def _fitted(bearing: BearingGeometry, found: Mapping[str, Parameter]) -> list[FittedRow]:
     rows = []
     unit = taylor(bearing, 1e-6)[0]  # kL = unit sqrt(g / um)
-    for name, kL in fit.parameters.items():
+    for name, kL in found.items():
         if not name.endswith(".kL"):
             continue
         place = name.removesuffix(".kL")
-        kNL = fit.parameters.get(f"{place}.cubic.kNL")
+        kNL = found.get(f"{place}.cubic.kNL")
         if kL.value is None or kL.value <= 0.0:
             rows.append(FittedRow(place, kL, kNL, None, None, None))
             continue

@@ -12,7 +12,7 @@ from estimator.errors import DataError
 from estimator.estimate import Parameter
 from estimator.fit_result import Fit
 from estimator.hertz_contact import STEEL, delta_star, ellipse_ratio, load_deflection, point_contact, raceways
-from estimator.model import BearingGeometry, Channel, Model
+from estimator.model import BearingGeometry, Channel, EffectUse, Model, Setting
 from estimator.theory import curve, kinematics, radial_force, taylor, theory
 
 SKF6200 = BearingGeometry(6, 6e-3, 20e-3, 3.09e-3, preload=0.3e-6)
@@ -142,6 +142,17 @@ def test_theory_beside_a_fit_and_its_json() -> None:
     text = json.dumps(result.to_json(), allow_nan=False)
     assert json.loads(text)["schema"] == 1
     assert len(result.table()) == 7
+
+
+def test_theory_beside_the_rig_files_own_values() -> None:
+    linear = {"bearing1.x": {"kL": Setting(1e7)}, "bearing2.x": {"c": Setting(3.0)}}
+    cubic = EffectUse("cubic", {"bearing1.x": {"kNL": Setting(1.3e18)}})
+    model = Model((Channel("b1x", "bearing1", "x"),), (150.0, 8000.0), bearing=SKF6200, linear=linear, effects=(cubic,))
+    (row,) = theory(model).fitted
+    assert row.kL.value == 1e7
+    assert row.kNL is not None
+    assert row.kNL.value == 1.3e18
+    assert row.preload_sd is None
 
 
 def test_no_geometry_is_said() -> None:
