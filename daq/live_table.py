@@ -19,12 +19,13 @@ class LiveTable:
     """A sink. Draws at most twice a second, in a thread of rich's."""
 
     def __init__(self, console: Console) -> None:
-        self._live = Live(console=console, refresh_per_second=2, transient=True, get_renderable=self._draw)
         self._estimate: Estimate | None = None
         self._status: Status | None = None
         self._samples = self._lost = 0
         self._rate_hz = 1.0
         self._started = False
+        # last: it draws at once
+        self._live = Live(console=console, refresh_per_second=2, transient=True, get_renderable=self._draw)
 
     def start(self, session: Session) -> None:
         self._rate_hz = session.info.rate_hz

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import signal
 import subprocess
@@ -23,9 +24,9 @@ RATE_HZ = 25_600.0
 
 
 def start(log: Path, *arguments: str) -> subprocess.Popen[str]:
-    process = subprocess.Popen(
-        [sys.executable, str(HERE / "session_process.py"), str(log), *arguments], stdout=subprocess.PIPE, text=True
-    )
+    command = [sys.executable, str(HERE / "session_process.py"), str(log), *arguments]
+    path = os.environ | {"PYTHONPATH": str(HERE.parent)}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=path)
     assert process.stdout is not None
     assert process.stdout.readline() == "started\n"
     return process

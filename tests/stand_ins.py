@@ -17,7 +17,7 @@ from drivers.reading import Block, Info, LinkStats, Reading
 from estimator.estimate import Estimate, Parameter
 from estimator.model import Model
 
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[1] / "configs"
 
 
 def paper_rig() -> Rig:
