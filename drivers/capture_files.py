@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import re
+import sys
+import traceback
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,13 +59,33 @@ def _open_reader(file: Path, suffix: str) -> Any:
     import can
 
     if suffix == ".mf4":
-        return can.MF4Reader(file)
+        return _open_mf4(file)
     handle = file.open("rb") if suffix == ".blf" else file.open("r", encoding="utf-8", errors="replace")
     try:
         return can.BLFReader(handle) if suffix == ".blf" else can.ASCReader(handle)
     except Exception:
         handle.close()
         raise
+
+
+def _open_mf4(file: Path) -> Any:
+    """asammdf's half-made object of a damaged file complains in its destructor: let it do so unheard."""
+    import can
+
+    try:
+        return can.MF4Reader(file)
+    except ImportError:
+        raise
+    except Exception as error:
+        text = str(error)
+        heard, sys.unraisablehook = sys.unraisablehook, lambda _: None
+        try:
+            traceback.clear_frames(error.__traceback__)
+            del error
+            gc.collect()
+        finally:
+            sys.unraisablehook = heard
+    raise ValueError(text)
 
 
 def _candump(file: Path, bus: str | None) -> Generator[Batch, None, None]:

@@ -95,7 +95,6 @@ def test_cut_mf4_of_an_unfinished_recording_is_read_to_its_end(tmp_path: Path) -
     assert capture(path).samples > 1000
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # asammdf's own destructor
 def test_cut_mf4_of_a_finished_recording_does_not_open(tmp_path: Path) -> None:
     path = tmp_path / "whole.mf4"
     with MDF(DATA / FILES[2]) as mdf:
