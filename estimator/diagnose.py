@@ -1,0 +1,157 @@
+"""Which effect is missing: every effect of the catalogue on trial, by held-out likelihood, with honest odds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import evidence, missing_force, screen
+from .effects import CATALOGUE
+from .evidence import Entry
+from .model import Model
+from .model_uses import acting, placed_of, searched
+from .motion_blocks import cut
+from .shape import Shape, shape_of
+from .working_point import WorkingPoint, fit_model, thinned
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+SIGNIFICANT = 1e-3  # p-value, after counting all that was tried, below which an effect is claimed
+SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same state means another law
+SEARCH_SECONDS = 8.0
+FAMILY = {
+    "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
+    "quadratic": "even in x", "stop": "even in x",
+    "coulomb": "damping", "quadratic_damping": "damping", "displacement_damping": "damping", "bouc_wen": "damping",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """verdict : an effect's name, "complete" or "unknown". ranking : best first. shape : where verdict is "unknown"."""
+
+    verdict: str
+    ranking: tuple[Entry, ...]
+    shape: Shape | None = None
+    separates: str = ""
+    messages: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """As schemas/diagnose.json, with `separates` and `messages`."""
+        out: dict[str, Any] = {
+            "schema": 1,
+            "verdict": self.verdict,
+            "ranking": [e.to_json() for e in self.ranking],
+            "separates": self.separates,
+            "messages": list(self.messages),
+        }
+        return out if self.shape is None else out | {"shape": self.shape.to_json()}
+
+
+def quiet(fraction: float, text: str) -> None:
+    """No progress shown."""
+
+
+def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None = None) -> Diagnosis:
+    """Name what the model lacks on a record y (n, channels of the model), SI, NaN where missing.
+
+    Raises DataError if the record cannot answer.
+    """
+    say = progress or quiet
+    say(0.0, "band limit")
+    data = cut(model, y, rate_hz)
+    say(0.05, "fit of the model as it is")
+    point = fit_model(data, placed_of(model, data))
+    return diagnose_point(model, point, y, say)
+
+
+def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:
+    """The same from a model already fitted."""
+    say(0.15, "what can still be predicted")
+    before = missing_force.survey(point, model)
+    trials = _screen(model, point, say)
+    entries = evidence.entries(model, point, trials, before)
+    if not entries or entries[0].p_value > SIGNIFICANT:
+        return _nothing(point, before, tuple(entries))
+    say(0.85, f"does {entries[0].effect} explain it?")
+    best = entries[0]
+    after_point = fit_model(point.data, [*point.placed, *best.placed], start=point, rounds=3)
+    after = missing_force.survey(after_point, model, only=before.places_found())
+    entries[0] = best = replace(best, after_percent=after.percent(point))
+    left = _same_state_left(before, after, best, point)
+    if left > SAME_SHAPE and not _another_explains(model, after_point, after, best, say):
+        return Diagnosis(
+            "unknown",
+            tuple(entries),
+            shape_of(point, before),
+            messages=(
+                f"{best.effect} comes nearest but leaves {100 * left:.0f} % of the missing force in the same state: "
+                "no law of the catalogue has this shape",
+            ),
+        )
+    return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries))
+
+
+def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[Entry, ...]) -> Diagnosis:
+    if before.any_found():
+        return Diagnosis(
+            "unknown", entries, shape_of(point, before),
+            messages=("the residual force can be predicted, but no effect of the catalogue does it significantly",),
+        )  # fmt: skip
+    return Diagnosis("complete", entries, messages=("nothing of the catalogue improves the prediction beyond chance",))
+
+
+def _screen(model: Model, point: WorkingPoint, say: Progress) -> list[screen.Trial]:
+    """The best trial of every force effect at every spot; searched parameters refined for the promising ones."""
+    small = thinned(point, SEARCH_SECONDS)
+    pairs = [(e, s) for e in CATALOGUE.values() for s in screen.spots(e, model, point)]
+    trials = []
+    for number, (effect, spot) in enumerate(pairs):
+        say(0.25 + 0.45 * number / len(pairs), f"{effect.name} at {spot}")
+        found = screen.best_at(small, model, effect, spot)
+        again = None if found is None else screen.again(point, model, found)
+        if again is not None:
+            trials.append(again)
+    trials.sort(key=lambda t: -t.gain)
+    say(0.7, "refining the best")
+    searched = [t for t in trials[:12] if searched(t.effect, model) and t.gain > max(4.0, 0.5 * trials[0].gain)]
+    better = {id(t): screen.refined(point, model, t) for t in searched[:8]}
+    return [better.get(id(t), t) for t in trials]
+
+
+def _same_state_left(
+    before: missing_force.Survey, after: missing_force.Survey, best: Entry, point: WorkingPoint
+) -> float:
+    """rms left over rms before, in the states where the effect acts at its places: 0 if its law has the right shape."""
+    places = {i for p in best.placed for i in p.at}
+    was = sum(r.P for r in before.residuals if r.place in places)
+    groups = {(r.place, f.group) for r in before.residuals for f in r.found[:1]}
+    rest = sum(f.power for r in after.residuals if r.place in places for f in r.found if (r.place, f.group) in groups)
+    return float(np.sqrt(max(rest, 0.0) / was)) if was > 0 else 0.0
+
+
+def _another_explains(
+    model: Model, point: WorkingPoint, left: missing_force.Survey, best: Entry, say: Progress
+) -> bool:
+    """Whether a second effect, of another family, explains what the first leaves: two missing, not one unknown."""
+    say(0.93, "one effect or two?")
+    small = thinned(point, SEARCH_SECONDS)
+    family = FAMILY.get(best.effect, best.effect)
+    where = {point.data.places[r.place] for r in left.residuals if r.found}
+    for effect in CATALOGUE.values():
+        if FAMILY.get(effect.name, effect.name) == family:
+            continue
+        for spot in screen.spots(effect, model, point):
+            if not any(p.startswith(spot) for p in where):
+                continue
+            found = screen.best_at(small, model, effect, spot)
+            full = None if found is None else screen.again(point, model, found)
+            on = acting(effect, spot, point.data)
+            found_gain = sum(f.gain for r in left.residuals if r.place in on for f in r.found)
+            if full is not None and full.gain > 0.8 * found_gain:
+                return True
+    return False

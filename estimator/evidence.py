@@ -1,0 +1,163 @@
+"""From trials at single spots to a ranking of effects: bearings, odds, what separates the first from the second."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from .effects import CATALOGUE
+from .estimate import Parameter
+from .missing_force import Survey
+from .model import Model
+from .placed import Placed
+from .screen import Trial
+from .working_point import WorkingPoint
+
+JOINT = 1e-2  # p-value, after counting, for a further bearing to be named beside the best one
+COST = 1.5  # nats per parameter in the order of the ranking: what an idle one gains held in, and loses held out
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One effect with its evidence. at : nodes. gain, heldout_gain : nats. p_value : catalogue and places counted.
+
+    before_percent, after_percent : missing force at the places of the effect. detectable : (value, unit) or None.
+    """
+
+    effect: str
+    at: tuple[str, ...]
+    gain: float
+    heldout_gain: float
+    p_value: float
+    before_percent: float
+    after_percent: float
+    parameters: dict[str, Parameter]
+    score: float
+    placed: tuple[Placed, ...] = ()
+    detectable: tuple[float, str] | None = None
+    note: str = ""
+    facts: dict[str, float] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        out: dict[str, Any] = {
+            "effect": self.effect,
+            "at": list(self.at),
+            "heldout_gain": self.heldout_gain,
+            "p_value": self.p_value,
+            "missing_force_before_percent": self.before_percent,
+            "missing_force_after_percent": self.after_percent,
+            "parameters": {k: p.to_json() for k, p in self.parameters.items()},
+        }
+        if self.detectable is not None:
+            out["detectable_from"] = {"value": self.detectable[0], "unit": self.detectable[1]}
+        return out | ({"note": self.note} if self.note else {})
+
+
+def entries(model: Model, point: WorkingPoint, trials: Sequence[Trial], before: Survey) -> list[Entry]:
+    """The ranking: one entry per effect, best first."""
+    tried = max(len(trials), 1)
+    by_effect: dict[str, list[Trial]] = {}
+    for t in trials:
+        by_effect.setdefault(t.effect.name, []).append(t)
+    out = [_entry(point, own, tried, before) for own in by_effect.values()]
+    return sorted(out, key=lambda e: -e.score)
+
+
+def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: Survey) -> Entry:
+    nodes: dict[str, list[Trial]] = {}
+    for t in own:
+        nodes.setdefault(t.spot.split(".")[0], []).append(t)
+    odds = {n: _odds(ts) for n, ts in nodes.items()}
+    best = min(odds, key=lambda n: (odds[n], -sum(t.gain for t in nodes[n])))
+    at = tuple(n for n in nodes if n == best or odds[n] * tried < JOINT)
+    used = [t for n in at for t in nodes[n]]
+    gain = sum(max(t.gain, 0.0) for t in used)
+    df = sum(t.df for t in used)
+    heldout = float(sum(t.heldout.sum() for t in used))
+    p = min(1.0, min(odds[n] for n in at) * tried)
+    places = tuple(sorted({i for t in used for i in t.placed.at}))
+    scale = float(np.sum(before.bearing[list(places)] ** 2))
+    power = sum(_power(point, t) for t in used)
+    was = before.interval(places)[0]
+    left = max(was**2 - 1e4 * power / scale, 0.0) ** 0.5
+    return Entry(
+        effect=used[0].effect.name,
+        at=at,
+        gain=gain,
+        heldout_gain=heldout,
+        p_value=p,
+        before_percent=was,
+        after_percent=left,
+        parameters={k: v for t in used for k, v in _parameters(point, t).items()},
+        score=gain - COST * df if heldout > -3.0 else -np.inf,
+        placed=tuple(t.placed for t in used),
+        detectable=_detectable(used),
+    )
+
+
+def _odds(trials: list[Trial]) -> float:
+    """p-value of the gains of one bearing together."""
+    gain, df = sum(max(t.gain, 0.0) for t in trials), sum(t.df for t in trials)
+    together = float(chi2.sf(2 * gain, df))
+    return min(1.0, 2 * min(together, *(len(trials) * t.p_value for t in trials)))
+
+
+def _power(point: WorkingPoint, t: Trial) -> float:
+    """Mean square in N^2 of the part of the effect's force that the model's own parameters cannot take over."""
+    if t.problem is None or t.fit is None:
+        return 0.0
+    G = t.problem.gram.G.sum(axis=(0, 1))
+    b = len(t.problem.base)
+    theta = t.fit.delta[b:]
+    cross = G[1 + b :, 1 : 1 + b]
+    Q = G[1 + b :, 1 + b :] - cross @ np.linalg.pinv(G[1 : 1 + b, 1 : 1 + b], rcond=1e-9) @ cross.T
+    noise = np.trace(Q @ t.fit.covariance[b:, b:])
+    return max(float(theta @ Q @ theta - noise), 0.0) * point.data.rate_hz / point.data.block / point.data.blocks
+
+
+def _parameters(point: WorkingPoint, t: Trial) -> dict[str, Parameter]:
+    out = {}
+    for k, q in enumerate(t.effect.parameters):
+        name = f"{t.placed.key}.{q.name}"
+        if q.linear:
+            value, sd = t.values.get(q.name, (0.0, 0.0))
+            if q.name not in t.values:
+                out[name] = Parameter(None, None, q.unit, False, "at its limit: not needed")
+                continue
+            out[name] = Parameter.judged(value, sd, q.unit)
+        else:
+            # found by search: the width over which the gain falls by 1/2, from the strength of the evidence
+            value = float(t.placed.p[k])
+            sd = abs(value) / max(np.sqrt(2 * max(t.gain, 0.0)), 1e-6) * 0.5
+            out[name] = Parameter.judged(value, sd, q.unit)
+    return out
+
+
+def _detectable(trials: list[Trial]) -> tuple[float, str] | None:
+    """Amplitude that would be claimed in this record: about 5 standard deviations (p = 1e-3 after counting)."""
+    best = max(trials, key=lambda t: t.gain)
+    amplitudes = [(n, v) for n, v in best.values.items()]
+    if not amplitudes:
+        return None
+    name, (_, sd) = amplitudes[0]
+    unit = next(q.unit for q in best.effect.parameters if q.name == name)
+    return float(5.0 * sd), unit
+
+
+def separates(ranking: Sequence[Entry]) -> str:
+    """What tells the first from the runner-up, for a person."""
+    if len(ranking) < 2:
+        return ""
+    first, second = ranking[0], ranking[1]
+    ahead = first.gain - second.gain
+    text = f"{first.effect} is {ahead:.0f} nats ahead of {second.effect}"
+    effect = CATALOGUE.get(first.effect)
+    if effect is not None and second.effect in effect.confused_with:
+        text += f"; {effect.distinguish}"
+    if ahead < 5.0:
+        text += "; the record hardly separates the two"
+    return text

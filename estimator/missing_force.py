@@ -1,0 +1,188 @@
+"""What of the inferred force can still be predicted, state by state: the missing force.
+
+Groups of flexible columns (reference.py) enter one after the other, by significance of the likelihood they gain, until
+none is significant given the number of groups tried: a complete model is left with nothing, and its missing force is
+0. The power of the part found is unbiased: the square of the estimate minus its own noise,
+
+    P = theta' Q theta - tr(Q Cov),    var P = 2 tr (Q Cov)^2 + 4 theta' Q Cov Q theta
+
+with Q the Gram matrix of the found columns per second, freed from what the model's own parameters could take over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from . import reference
+from .effects.places import kinematic
+from .model import Model
+from .path_fit import PathFit
+from .subproblem import Subproblem, subproblem
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+LEVEL = 1e-3  # of a group at a place, after counting the groups and places tried
+RIDGE = 1e-3  # of a column's own information: keeps hat functions that nothing visits at zero
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A group found at a place: power in N^2, nats gained, p-value; the fit that holds its coefficients."""
+
+    place: int
+    group: str
+    power: float
+    gain: float
+    p_value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """What is found at one place. P, sd : N^2 of all groups together; problem, fit : the groups found, fitted."""
+
+    place: int
+    found: tuple[Found, ...]
+    P: float
+    sd: float
+    problem: Subproblem
+    fit: PathFit
+    groups: tuple[reference.Group, ...]
+    upper: float  # N^2: what could hide from the largest group tested, 95 %
+
+
+def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) -> Residual:
+    """Forward selection of groups at place i. tries : groups tested over all places, for the significance."""
+    pool = reference.groups(point.data, i, orders)
+    problem = subproblem(point, (i,), reference.join([reference.columns(point, i, g) for g in pool]))
+    names = {g.name: tuple(n for n in problem.extra if n.startswith(g.name + ".")) for g in pool}
+    plain = problem.without_extra()
+    base = plain.fit()
+    everything = np.arange(point.fold_blocks.size)
+    level = plain.likelihood(base, everything)
+    chosen: list[str] = []
+    found: list[Found] = []
+    fitted, power = base, 0.0
+    current = plain
+    upper = 0.0
+    while len(chosen) < len(names):
+        best: tuple[float, str, Subproblem, PathFit, float] | None = None
+        for name in names:
+            if name in chosen:
+                continue
+            trial = problem.only(tuple(n for g in [*chosen, name] for n in names[g]))
+            fit = _ridged(trial)
+            gained = trial.likelihood(fit, everything) - level
+            df = _effective(trial, fit, names[name])
+            p = float(chi2.sf(2 * max(gained, 0.0), df))
+            if not chosen:
+                upper = max(upper, _hidden(point, trial, fit, i))
+            if best is None or (p, -gained) < (best[4], -best[0]):
+                best = (gained, name, trial, fit, p)
+        if best is None or min(1.0, best[4] * tries) > LEVEL:
+            break
+        gained, name, current, fitted, p = best
+        chosen.append(name)
+        level += gained
+        total, _ = power_of(point, current, fitted, i)
+        found.append(Found(i, name, max(total - power, 0.0), gained, min(1.0, p * tries)))
+        power = max(total, power)
+    P, sd = power_of(point, current, fitted, i) if chosen else (0.0, 0.0)
+    kept = tuple(g for name in chosen for g in pool if g.name == name)
+    return Residual(i, tuple(found), P, sd, current, fitted, kept, upper)
+
+
+def _ridged(problem: Subproblem) -> PathFit:
+    """Fit with a weak prior, RIDGE of the mean information of an extra column."""
+    G = problem.gram.G.sum(axis=1)
+    n = problem.gram.n.sum(axis=1)
+    S = G[:, 0, 0] / n
+    own = 2 * np.einsum("ikk->ik", G / S[:, None, None]).sum(axis=0)[1 + len(problem.base) :]
+    return problem.fit(ridge=RIDGE * float(np.mean(own)) if own.size else 0.0, steps=6)
+
+
+def _effective(problem: Subproblem, fit: PathFit, names: tuple[str, ...]) -> float:
+    """Degrees of freedom of some columns: those that the base does not already span."""
+    Q, _, index = metric(problem, fit)
+    at = [index.index(n) for n in names if n in index]
+    others = [k for k in range(len(index)) if k not in at]
+    A = Q[np.ix_(at, at)]
+    if others:
+        B = Q[np.ix_(at, others)]
+        A = A - B @ np.linalg.pinv(Q[np.ix_(others, others)], rcond=1e-6) @ B.T
+    d = np.sqrt(np.maximum(np.diag(Q)[at], 1e-300))
+    e = np.linalg.eigvalsh(A / np.multiply.outer(d, d))
+    return float(max(1.0, np.sum(np.maximum(e, 0) / (np.maximum(e, 0) + RIDGE))))
+
+
+def metric(problem: Subproblem, fit: PathFit) -> tuple[Array, Array, tuple[str, ...]]:
+    """Q (extra, extra), the Gram of the extra columns freed from the base, summed over bins in N^2/Hz units; their
+    covariance; and their names."""
+    G = problem.gram.G.sum(axis=(0, 1))
+    b = len(problem.base)
+    Gb, Ge, Gc = G[1 : 1 + b, 1 : 1 + b], G[1 + b :, 1 + b :], G[1 + b :, 1 : 1 + b]
+    Q = Ge - Gc @ np.linalg.pinv(Gb, rcond=1e-9) @ Gc.T
+    return Q, fit.covariance[b:, b:], problem.extra
+
+
+def power_of(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) -> tuple[float, float]:
+    """Unbiased mean square in N^2 of the extra terms' force at place i, and its standard deviation."""
+    Q, cov, _ = metric(problem, fit)
+    if not len(Q):
+        return 0.0, 0.0
+    per_second = point.data.rate_hz / point.data.block / point.data.blocks
+    theta = fit.delta[len(problem.base) :]
+    QC = Q @ cov
+    P = float(theta @ Q @ theta - np.trace(QC)) * per_second
+    variance = 2 * np.trace(QC @ QC) + 4 * theta @ QC @ Q @ theta
+    return P, float(np.sqrt(max(variance, 0.0))) * per_second
+
+
+def _hidden(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) -> float:
+    """Power that a group which was not found could still have, 95 % (normal approximation)."""
+    P, sd = power_of(point, problem, fit, i)
+    return max(P, 0.0) + 1.645 * sd
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What is found at every place. bearing : (places,) N rms; total of the missing force as a share of it."""
+
+    residuals: tuple[Residual, ...]
+    bearing: Array
+
+    def any_found(self) -> bool:
+        return any(r.found for r in self.residuals)
+
+    def places_found(self) -> tuple[int, ...]:
+        return tuple(r.place for r in self.residuals if r.found)
+
+    def percent(self, point: WorkingPoint, places: tuple[int, ...] | None = None) -> float:
+        """rms of the missing force over the rms bearing force, all places together or some."""
+        return self.interval(places)[0]
+
+    def interval(self, places: tuple[int, ...] | None = None) -> tuple[float, float, float]:
+        """Value, low, high in per cent: 95 %; where nothing is found, high is what could hide there."""
+        own = [r for r in self.residuals if places is None or r.place in places]
+        scale = float(np.sum(self.bearing[[r.place for r in own]] ** 2)) if own else 1.0
+        P = sum(r.P for r in own)
+        sd = float(np.sqrt(sum(r.sd**2 for r in own)))
+        hidden = sum(r.upper for r in own if not r.found)
+        low = P - 1.96 * sd if P > 0 else 0.0
+        return tuple(100 * float(np.sqrt(max(z, 0.0) / scale)) for z in (P, low, P + 1.96 * sd + hidden))  # type: ignore[return-value]
+
+
+def orders_of(model: Model) -> tuple[float, ...]:
+    """Shaft orders at which stiffness is expected to turn: 1, 2 and the ball pass."""
+    known = kinematic("bpfo", model)
+    return (1.0, 2.0) if known is None else (1.0, 2.0, float(known))
+
+
+def survey(point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None) -> Survey:
+    """Every place (or some; the rest count as explained)."""
+    places = range(len(point.data.places)) if only is None else only
+    tries = len(point.data.places) * len(reference.GROUPS)
+    return Survey(tuple(explain(point, i, orders_of(model), tries) for i in places), point.bearing_force)

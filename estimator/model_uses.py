@@ -1,0 +1,95 @@
+"""A model's effects as they act on a record: starting values in SI, what is free, natural sizes from the data."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .effect import Effect, EffectParameter
+from .effects import CATALOGUE
+from .effects.custom import custom_effect
+from .effects.places import at, kinematic
+from .effects.strength import Size
+from .model import EffectUse, Model
+from .motion_blocks import MotionBlocks
+from .placed import Placed
+
+Array = NDArray[np.float64]
+FORCES = ("force", "memory", "shaft")  # kinds that act through the motion of the caps
+PERIODIC = ("imbalance", "bow", "misalignment", "local_defect", "line")  # a force of time alone
+
+
+def effect_of(use: EffectUse) -> Effect:
+    """The catalogue's effect or the user's. Raises ModelError for a bad law, KeyError for an unknown name."""
+    return custom_effect(use) if use.custom is not None else CATALOGUE[use.name]
+
+
+def size(data: MotionBlocks, i: int, kL: float) -> Size:
+    """Natural sizes at a place, measured."""
+    return Size(
+        x=float(data.x[i].std()), v=float(data.v[i].std()), m=float(data.mass[i]), kL=float(kL),
+        a=float(data.a[i].std()), rate_hz=data.rate_hz, band_hz=data.band[1],
+    )  # fmt: skip
+
+
+def stiffness(data: MotionBlocks, i: int) -> float:
+    """N/m, first idea: E[v^2] / E[x^2] times the mass."""
+    return float(data.mass[i] * np.mean(data.v[i] ** 2) / np.mean(data.x[i] ** 2))
+
+
+def acting(effect: Effect, canonical: str, data: MotionBlocks) -> tuple[int, ...]:
+    """Indices of the measured places that an effect at a canonical place acts on."""
+    if effect.kind in ("shaft", "disc"):
+        return tuple(range(len(data.places)))
+    return tuple(i for i, p in enumerate(data.places) if p == canonical or p.split(".")[0] == canonical)
+
+
+def searched(effect: Effect, model: Model) -> list[int]:
+    """Numbers of the parameters that are searched: neither amplitudes, nor given, nor known from the geometry."""
+    return [
+        k for k, q in enumerate(effect.parameters) if not q.linear and not q.given and kinematic(q.scale, model) is None
+    ]
+
+
+def start(q: EffectParameter, natural: Size, model: Model) -> float:
+    """SI value of a parameter that nothing is said about."""
+    known = kinematic(q.scale, model)
+    if known is not None:
+        return known
+    return 0.0 if q.linear else q.default * natural.of(q)
+
+
+def placed_of(model: Model, data: MotionBlocks) -> list[Placed]:
+    """The model's force effects at their places, with the rig file's values as start."""
+    out = []
+    for use in model.effects:
+        effect = effect_of(use)
+        if effect.kind not in FORCES or effect.name in PERIODIC:
+            continue
+        loose = set(searched(effect, model))
+        for canonical in at(effect, use, model):
+            where = acting(effect, canonical, data)
+            if not where:
+                continue
+            settings = _settings(use, canonical)
+            natural = size(data, where[0], stiffness(data, where[0]))
+            p = np.zeros(len(effect.parameters))
+            free = []
+            for k, q in enumerate(effect.parameters):
+                s = settings.get(q.name)
+                p[k] = s.value if s is not None and s.value is not None else start(q, natural, model)
+                free.append((q.linear or k in loose) and not (s is not None and s.fixed))
+            out.append(Placed(effect, f"{canonical}.{effect.name}", where, p, tuple(free)))
+    return out
+
+
+def _settings(use: EffectUse, canonical: str):  # type: ignore[no-untyped-def]
+    node = canonical.split(".")[0]
+    for key in (canonical, node):
+        if key in use.parameters:
+            return use.parameters[key]
+    return (
+        next(iter(use.parameters.values()))
+        if node in ("shaft", "disc")
+        else next((v for k, v in use.parameters.items() if k.split(".")[0] == node), {})
+    )

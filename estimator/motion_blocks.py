@@ -1,0 +1,168 @@
+"""A record as equal blocks of band-limited motion: what comparison and diagnosis work on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .bandlimit import band_limit
+from .errors import DataError
+from .model import Model
+from .rotor import shaft_at_caps
+
+Array = NDArray[np.float64]
+FOLDS = 6
+_OTHER = {"x": "y", "y": "x"}
+
+
+@dataclass(frozen=True, slots=True)
+class MotionBlocks:
+    """Valid blocks laid end to end, n = blocks * block rows. SI.
+
+    a, v, x : (places, n) band-limited motion; known : (places, n) N, the part of the force that needs no estimate:
+    m a + shaft and disc. t : (n,) s from the start of the record; phase : (n,) rad. start : (blocks,) first row of each
+    block in the record. fold : (blocks,) number of the time fold. force : (places, n) N, the measured force or zero.
+    """
+
+    places: tuple[str, ...]
+    rate_hz: float
+    band: tuple[float, float]
+    block: int
+    start: NDArray[np.int64]
+    fold: NDArray[np.int64]
+    a: Array
+    v: Array
+    x: Array
+    known: Array
+    t: Array
+    phase: Array
+    mass: Array
+    speed: float  # rad/s, 0 if unknown
+    shaft: NDArray[np.complex128]  # (bins, places, places) N/m, shaft and disc as seen by the caps
+    measured_force: bool = False
+
+    @property
+    def blocks(self) -> int:
+        return int(self.start.size)
+
+    @property
+    def f_hz(self) -> Array:
+        """Frequencies of the block spectrum inside the band, (bins,)."""
+        return np.asarray(np.fft.rfftfreq(self.block, 1 / self.rate_hz)[self.bins], dtype=np.float64)
+
+    @property
+    def bins(self) -> slice:
+        f = np.fft.rfftfreq(self.block, 1 / self.rate_hz)
+        return slice(int(np.searchsorted(f, self.band[0])), int(np.searchsorted(f, self.band[1], side="right")))
+
+    @property
+    def seconds(self) -> float:
+        return self.blocks * self.block / self.rate_hz
+
+    def other(self, i: int) -> int | None:
+        """Index of the other direction at the same node."""
+        node, direction = self.places[i].split(".")
+        name = f"{node}.{_OTHER[direction]}"
+        return self.places.index(name) if name in self.places else None
+
+    def opposite(self, i: int) -> int | None:
+        """Index of the same direction at the other bearing."""
+        node, direction = self.places[i].split(".")
+        name = f"{'bearing2' if node == 'bearing1' else 'bearing1'}.{direction}"
+        return self.places.index(name) if name in self.places else None
+
+    def sign(self, i: int) -> float:
+        return 1.0 if self.places[i].endswith("x") else -1.0
+
+
+def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
+    """(f, places, places) N/m: what shaft and disc add to the dynamic stiffness at the measured caps."""
+    D = np.zeros((f_hz.size, len(places), len(places)), complex)
+    disc = model.mass.get("disc", 0.0)
+    if model.shaft == "none" or disc <= 0.0:
+        return D
+    caps, _ = shaft_at_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, disc, 2 * np.pi * f_hz)
+    for i, p in enumerate(places):
+        for j, q in enumerate(places):
+            if p.split(".")[1] == q.split(".")[1]:
+                D[:, i, j] = caps[:, int(p[7]) - 1, int(q[7]) - 1]
+    return D
+
+
+def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBlocks:
+    """Band-limit a record (n, channels of the model) and cut it into valid blocks.
+
+    Raises DataError if no ten blocks are valid, or a channel does not move.
+    """
+    y = np.asarray(y, dtype=np.float64)
+    if y.ndim != 2 or y.shape[1] != len(model.channels):
+        raise DataError(
+            f"the record has {y.shape[-1]} channels, the rig {len(model.channels)}: use the rig of the record"
+        )
+    places = model.places
+    if not places:
+        raise DataError("the rig has no motion channel at a bearing: nothing to compare")
+    moving = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind in _MOTION) for p in places]
+    forced = {c.place: k for k, c in enumerate(model.channels) if c.kind == "force"}
+    columns = moving + [forced[p] for p in places if p in forced]
+    for k in columns:
+        row = y[:, k]
+        if not np.nanmax(np.abs(row), initial=0.0) > 0.0:
+            raise DataError(f"channel {model.channels[k].name} is zero all along: check the sensor and the link")
+    while block > 1024 and y.shape[0] < 24 * block:
+        block //= 2
+    motion = band_limit(y[:, columns], [model.channels[k].kind for k in columns], rate_hz, model.band, _beta(model))
+    starts = _valid_starts(motion.valid, block)
+    if starts.size < 2 * FOLDS:
+        raise DataError(
+            f"only {starts.size * block / rate_hz:.2f} s of valid samples in unbroken stretches; "
+            f"at least {2 * FOLDS * block / rate_hz:.1f} s are needed: record longer"
+        )
+    rows = (starts[:, None] + np.arange(block)).ravel()
+    P = len(places)
+    a, v, x = (np.ascontiguousarray(z[:P, rows]) for z in (motion.a, motion.v, motion.x))
+    mass = np.array([model.cap_mass(p) or 1.0 for p in places])
+    known = mass[:, None] * a
+    if motion.u.size:
+        u = motion.u[:P, rows]
+        for i, p in enumerate(places):
+            for j, q in enumerate(places):
+                if p.split(".")[1] == q.split(".")[1]:
+                    known[i] += u[j]
+        if model.shaft == "chain":
+            known += model.shaft_stiffness * x + model.shaft_damping * v
+    for k, p in enumerate(q for q in places if q in forced):
+        known[places.index(p)] -= motion.a[P + k, rows]
+    t = rows / rate_hz
+    speed = 2 * np.pi * (model.speed_rpm or 0.0) / 60
+    fold = np.minimum(np.arange(starts.size) * FOLDS // starts.size, FOLDS - 1)
+    f: Array = np.asarray(np.fft.rfftfreq(block, 1 / rate_hz), dtype=np.float64)
+    f = f[(f >= model.band[0]) & (f <= model.band[1])]
+    return MotionBlocks(places, rate_hz, model.band, block, starts, fold, a, v, x, known, t, speed * t, mass, speed,
+                        shaft_response(model, places, f), bool(forced))  # fmt: skip
+
+
+_MOTION = ("acceleration", "velocity", "displacement")
+
+
+def _beta(model: Model) -> Callable[[Array], NDArray[np.complex128]] | None:
+    """Response from a cap's displacement to the shaft force that the same displacement causes at the opposite cap."""
+    disc = model.mass.get("disc", 0.0)
+    if model.shaft == "none" or disc <= 0.0:
+        return None
+
+    def response(f_hz: Array) -> NDArray[np.complex128]:
+        caps, _ = shaft_at_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, disc, 2 * np.pi * f_hz)
+        return np.asarray(caps[:, 0, 1])
+
+    return response
+
+
+def _valid_starts(valid: NDArray[np.bool_], block: int) -> NDArray[np.int64]:
+    """First rows of as many non-overlapping all-valid blocks as there are."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], valid.astype(np.int8), [0]])))
+    out = [np.arange(a, b - block + 1, block) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return np.concatenate(out) if out else np.zeros(0, np.int64)

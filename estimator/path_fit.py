@@ -1,0 +1,279 @@
+"""The spectral path likelihood around a working point, as small matrices (physics.md section 5).
+
+At a working point the force that the model cannot explain is known as a series per place. Every further term adds
+delta * column to it. With spectra weighted by W(f) = 1 / (1 + nu |A|^2) (white force S, sensor noise nu S), the
+log-likelihood of increments delta is, in nats,
+
+    L(delta) = sum_i [ -n_i log Q_i(delta) + sum log W ] + 2 sum log |det A(delta)|,  Q_i = (1, delta) G_i (1, delta)
+
+with G_i the Gram matrix of [force, columns] of place i: all that is needed of the data. A term may act at several
+places with one parameter. A(w) is the mean tangent of the whole model over the places, over -w^2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .motion_blocks import FOLDS, MotionBlocks
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Spectrum = NDArray[np.float32]
+THIN = 3  # every third bin is enough for the determinant
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One parameter's force per unit: series by place index, (n,) N per unit, and its mean tangent.
+
+    tangent : (places, places, 2): mean derivative of the force at place i to x_l and to v_l.
+    memory : (bins,) N/m per unit, more of the mean response to x at the place itself, of a force with memory.
+    name : "bearing1.x.kL" and so on. scale : what the parameter is divided by in the computation.
+    """
+
+    name: str
+    unit: str
+    series: dict[int, Array]
+    tangent: Array
+    scale: float = 1.0
+    memory: Complexes | None = None
+
+
+def response(tangent: Array, data: MotionBlocks) -> Complexes:
+    """(..., thinned bins) contribution to A of a mean tangent (..., 2)."""
+    w = 2 * np.pi * data.f_hz[::THIN]
+    return np.asarray(-tangent[..., :1] / w**2 + tangent[..., 1:] / (1j * w))
+
+
+def term_response(term: Term, data: MotionBlocks) -> Complexes:
+    """(places, places, thinned bins) contribution to A of one scaled unit of a term."""
+    out = response(term.tangent, data)
+    if term.memory is not None:
+        for i in term.series:
+            out[i, i] -= (term.memory / (2 * np.pi * data.f_hz) ** 2)[::THIN]
+    return out * term.scale
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Terms turned into weighted spectra, by place: (terms there, blocks, 2 bins) float32."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    scales: Array
+    tangents: Complexes  # (terms, places, places, thinned bins), contribution to A per scaled unit
+    spectra: dict[int, Spectrum]
+    index: dict[int, NDArray[np.int64]]  # place -> number of the term of each row of spectra
+
+
+@dataclass(frozen=True, slots=True)
+class Gram:
+    """G by place and fold, (places, folds, 1 + terms, 1 + terms), row 0 the force; n : (places, folds) complex bins."""
+
+    G: Array
+    n: Array
+    log_weight: Array  # (places, folds) sum of log W
+    tangents: Complexes
+    scales: Array
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+
+    def keep(self, names: list[str] | tuple[str, ...]) -> Gram:
+        """The same without the other terms."""
+        at = [self.names.index(k) for k in names]
+        rows = np.array([0] + [1 + k for k in at])
+        return Gram(self.G[:, :, rows[:, None], rows], self.n, self.log_weight, self.tangents[at], self.scales[at],
+                    tuple(names), tuple(self.units[k] for k in at))  # fmt: skip
+
+
+@dataclass
+class Weighing:
+    """Turns series into weighted block spectra at a working point. weight : (places, bins)."""
+
+    data: MotionBlocks
+    weight: Array
+    _root: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        # one-sided PSD normalisation: the mean of |F|^2 over bins is S
+        self._root = np.sqrt(self.weight * 2.0 / (self.data.rate_hz * self.data.block)).astype(np.float32)
+
+    def spectrum(self, i: int, series: Array | Spectrum) -> Spectrum:
+        """(blocks, 2 bins) float32 of a series (n,) seen at place i; the mean is taken out."""
+        from scipy.fft import rfft
+
+        z = series.reshape(self.data.blocks, self.data.block).astype(np.float32)
+        z -= z.mean(axis=1, keepdims=True)
+        Z = rfft(z, axis=1, workers=2)[:, self.data.bins] * self._root[i]
+        return np.ascontiguousarray(Z).view(np.float32)
+
+    def columns(self, terms: list[Term]) -> Columns:
+        spectra: dict[int, list[Spectrum]] = {}
+        index: dict[int, list[int]] = {}
+        for k, term in enumerate(terms):
+            for i, series in term.series.items():
+                spectra.setdefault(i, []).append(self.spectrum(i, series * term.scale))
+                index.setdefault(i, []).append(k)
+        tangents = np.array([term_response(t, self.data) for t in terms])
+        return Columns(
+            tuple(t.name for t in terms), tuple(t.unit for t in terms), np.array([t.scale for t in terms]), tangents,
+            {i: np.stack(z) for i, z in spectra.items()}, {i: np.array(k) for i, k in index.items()},
+        )  # fmt: skip
+
+
+def gram(weighing: Weighing, force: dict[int, Spectrum], *columns: Columns) -> Gram:
+    """Gram matrices of the force and all columns, by place and time fold."""
+    data = weighing.data
+    P = len(data.places)
+    total = sum(len(c.names) for c in columns)
+    G = np.zeros((P, FOLDS, 1 + total, 1 + total))
+    n = np.zeros((P, FOLDS))
+    bins = weighing.weight.shape[1]
+    log_weight = np.zeros((P, FOLDS))
+    for i in range(P):
+        rows = [0]
+        stacks = [force[i][None]]
+        offset = 1
+        for c in columns:
+            if i in c.spectra:
+                stacks.append(c.spectra[i])
+                rows += list(offset + c.index[i])
+            offset += len(c.names)
+        at = np.array(rows)
+        for f in range(FOLDS):
+            here = np.flatnonzero(data.fold == f)
+            span = slice(int(here[0]), int(here[-1]) + 1)
+            Z = np.concatenate([s[:, span].reshape(len(s), -1) for s in stacks])
+            G[i, f][at[:, None], at] = Z @ Z.T
+            n[i, f] = here.size * bins
+            log_weight[i, f] = here.size * np.log(weighing.weight[i]).sum()
+    return Gram(
+        G, n, log_weight, np.concatenate([c.tangents for c in columns]), np.concatenate([c.scales for c in columns]),
+        tuple(k for c in columns for k in c.names), tuple(u for c in columns for u in c.units),
+    )  # fmt: skip
+
+
+class Jacobian:
+    """2 sum_f log |det A(f)| per block and its derivatives, about the working point's A0 (bins, places, places)."""
+
+    def __init__(self, A0: Complexes) -> None:
+        self.A0 = A0[::THIN]
+        self.step = len(A0) / len(self.A0)
+
+    def of(self, tangents: Complexes, delta: Array) -> Complexes:
+        """A at increments delta, (thinned bins, places, places)."""
+        return np.asarray(self.A0 + np.moveaxis(np.tensordot(delta, tangents, 1), 2, 0))
+
+    def value(self, tangents: Complexes, delta: Array) -> float:
+        return float(2 * self.step * np.log(np.abs(np.linalg.det(self.of(tangents, delta)))).sum())
+
+    def derivatives(self, tangents: Complexes, delta: Array) -> tuple[Array, Array]:
+        """Gradient (k,) and second derivative (k, k) to the increments."""
+        inverse = np.linalg.inv(self.of(tangents, delta))
+        k, P = len(tangents), tangents.shape[1]
+        acting = [np.flatnonzero(np.any(t != 0, axis=(1, 2))) for t in tangents]
+        R = np.zeros((k, len(self.A0), P, P), complex)
+        for j, t in enumerate(tangents):
+            for i in acting[j]:  # A^-1 A_j, row i of A_j only
+                R[j] += inverse[:, :, i][:, :, None] * t[i].T[:, None, :]
+        gradient = 2 * self.step * np.einsum("jfpp->j", R).real
+        left = R.reshape(k, -1)
+        right = np.swapaxes(R, 2, 3).reshape(k, -1)
+        return np.asarray(gradient), np.asarray(-2 * self.step * (left @ right.T).real)
+
+
+@dataclass(frozen=True, slots=True)
+class PathFit:
+    """Increments delta (terms,) in scaled units, their covariance, S by place, and the log-likelihood, nats."""
+
+    names: tuple[str, ...]
+    delta: Array
+    covariance: Array
+    S: Array
+    log_likelihood: float
+    scales: Array
+
+    def value(self, name: str) -> tuple[float, float]:
+        """Increment and standard deviation of a parameter, SI."""
+        k = self.names.index(name)
+        return float(self.delta[k] * self.scales[k]), float(np.sqrt(self.covariance[k, k]) * self.scales[k])
+
+
+def log_likelihood(
+    gram: Gram, jacobian: Jacobian, delta: Array, S: Array, folds: NDArray[np.int64], blocks: Array
+) -> float:
+    """Nats on some folds, at given delta and S (places,); blocks : (folds,) number of blocks of each fold."""
+    b = np.concatenate([[1.0], delta])
+    G, n = gram.G[:, folds].sum(axis=1), gram.n[:, folds].sum(axis=1)
+    Q = np.einsum("a,iab,b->i", b, G, b)
+    out = -(Q / S + n * np.log(np.pi * S)).sum() + gram.log_weight[:, folds].sum()
+    return float(out + blocks[folds].sum() * jacobian.value(gram.tangents, delta))
+
+
+def fit(
+    gram: Gram,
+    jacobian: Jacobian,
+    folds: NDArray[np.int64],
+    blocks: Array,
+    start: Array | None = None,
+    ridge: Array | None = None,
+    steps: int = 30,
+) -> PathFit:
+    """Maximise L over all terms by Newton's method with halving; ridge : (terms,) added to the information."""
+    G, n = gram.G[:, folds].sum(axis=1), gram.n[:, folds].sum(axis=1)
+    B = blocks[folds].sum()
+    k = len(gram.names)
+    delta = np.zeros(k) if start is None else start.copy()
+    penalty = np.zeros(k) if ridge is None else ridge
+
+    def objective(d: Array) -> float:
+        b = np.concatenate([[1.0], d])
+        Q = np.einsum("a,iab,b->i", b, G, b)
+        if np.any(Q <= 0):
+            return -np.inf
+        return float(-(n * np.log(Q / n)).sum() + B * jacobian.value(gram.tangents, d) - 0.5 * penalty @ d**2)
+
+    best = objective(delta)
+    H = np.eye(k)
+    for _ in range(steps):
+        b = np.concatenate([[1.0], delta])
+        GB = np.einsum("iab,b->ia", G, b)
+        S = (GB @ b) / n
+        j1, j2 = jacobian.derivatives(gram.tangents, delta)
+        gradient = -2 * (GB[:, 1:] / S[:, None]).sum(axis=0) + B * j1 - penalty * delta
+        H = 2 * (G[:, 1:, 1:] / S[:, None, None]).sum(axis=0) - B * j2 + np.diag(penalty)
+        step = _solve(H, gradient)
+        size, new = 1.0, -np.inf
+        while size > 1e-3:
+            new = objective(delta + size * step)
+            if new > best - 1e-9:
+                break
+            size /= 2
+        if not new > best - 1e-9:
+            break
+        delta = delta + size * step
+        gained, best = new - best, new
+        if gained < 1e-4:
+            break
+    b = np.concatenate([[1.0], delta])
+    S = np.einsum("a,iab,b->i", b, G, b) / n
+    value = log_likelihood(gram, jacobian, delta, S, folds, blocks)
+    return PathFit(gram.names, delta, _inverse(H), S, value, gram.scales)
+
+
+def _solve(H: Array, g: Array) -> Array:
+    """H^-1 g with eigenvalues kept away from zero (relative to the diagonal)."""
+    d = 1 / np.sqrt(np.maximum(np.abs(np.diag(H)), 1e-300))
+    e, U = np.linalg.eigh(H * np.multiply.outer(d, d))
+    e = np.maximum(np.abs(e), 1e-6)
+    return np.asarray(d * (U @ ((U.T @ (d * g)) / e)))
+
+
+def _inverse(H: Array) -> Array:
+    d = 1 / np.sqrt(np.maximum(np.abs(np.diag(H)), 1e-300))
+    e, U = np.linalg.eigh(H * np.multiply.outer(d, d))
+    e = np.maximum(e, 1e-6)
+    return np.asarray(np.multiply.outer(d, d) * ((U / e) @ U.T))

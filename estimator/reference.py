@@ -1,0 +1,165 @@
+"""A flexible black box for the residual force: smooth columns of every state that a cap force can depend on.
+
+By group, named as the map of comparison names them. Columns of one state are hat functions (piecewise linear, exact
+mean derivative); of two states, low products. u = x / rms, w = v / rms, r^2 = u^2 + w^2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from .motion_blocks import MotionBlocks
+from .path_fit import Columns, response
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+Series = NDArray[np.float32]
+GROUPS = ("displacement", "velocity", "level", "other_direction", "other_bearing", "time", "shaft_angle")
+X_STEP, V_STEP = 0.35, 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Columns of one place (k, n) float32 N-free, their tangents (k, places, 2) and, for hats, their knots (SI)."""
+
+    name: str
+    series: list[Series]
+    tangents: list[Array]
+    knots: Array | None = None
+
+
+@njit(cache=True, nogil=True)
+def _hats(z, low, step, out, slopes):  # type: ignore[no-untyped-def]
+    """Hat functions with knots low + k step; linear beyond the ends. slopes (k,): mean derivative."""
+    k = out.shape[0]
+    n = z.size
+    for i in range(n):
+        u = (z[i] - low) / step
+        j = int(u)
+        if j < 0:
+            j = 0
+        if j > k - 2:
+            j = k - 2
+        f = u - j
+        out[j, i] = 1.0 - f
+        out[j + 1, i] = f
+        slopes[j] -= 1.0
+        slopes[j + 1] += 1.0
+    for j in range(k):
+        slopes[j] /= n * step
+
+
+def hat_group(name: str, z: Array, place: int, which: int, places: int, step: float, span: float = 3.7) -> Group:
+    """Hats over +-span rms of a state; which: 0 for x, 1 for v."""
+    scale = float(z.std())
+    half = int(np.ceil(span / step))
+    knots: Array = np.arange(-half, half + 1, dtype=np.float64) * step * scale
+    out = np.zeros((knots.size, z.size), np.float32)
+    slopes = np.zeros(knots.size)
+    _hats(z, float(knots[0]), step * scale, out, slopes)
+    tangents = []
+    for s in slopes:
+        t = np.zeros((places, 2))
+        t[place, which] = s
+        tangents.append(t)
+    return Group(name, list(out), tangents, knots)
+
+
+def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> list[Group]:
+    """Every group of columns of place i. orders : of shaft rotation, for the stiffness that turns with the shaft."""
+    P = len(data.places)
+    sx, sv = float(data.x[i].std()), float(data.v[i].std())
+    u, w = (data.x[i] / sx).astype(np.float32), (data.v[i] / sv).astype(np.float32)
+    out = [
+        hat_group("displacement", data.x[i], i, 0, P, X_STEP),
+        hat_group("velocity", data.v[i], i, 1, P, V_STEP),
+    ]
+
+    def group(name: str, columns: list[tuple[Series, float, float, float, float]]) -> None:
+        """(series, mean d/du, d/dw, d/duo, d/dwo)."""
+        o = data.other(i)
+        tangents = []
+        for _, du, dw, duo, dwo in columns:
+            t = np.zeros((P, 2))
+            t[i] = du / sx, dw / sv
+            if o is not None:
+                t[o] = duo / data.x[o].std(), dwo / data.v[o].std()
+            tangents.append(t)
+        out.append(Group(name, [c[0] for c in columns], tangents))
+
+    def m(z: Series) -> float:
+        return float(np.mean(z, dtype=np.float64))
+
+    r = np.sqrt(u * u + w * w)
+    rr = np.maximum(r, 1e-6)
+    group("level", [
+        (u * w, m(w), m(u), 0, 0), (u * u * w, m(2 * u * w), m(u * u), 0, 0), (u * w * w, m(w * w), m(2 * u * w), 0, 0),
+        (r * u, m(r + u * u / rr), m(u * w / rr), 0, 0), (r * w, m(u * w / rr), m(r + w * w / rr), 0, 0),
+    ])  # fmt: skip
+    o = data.other(i)
+    if o is not None:
+        uo, wo = (data.x[o] / data.x[o].std()).astype(np.float32), (data.v[o] / data.v[o].std()).astype(np.float32)
+        columns = [
+            (uo, 0.0, 0.0, 1.0, 0.0), (wo, 0.0, 0.0, 0.0, 1.0), (uo * uo, 0.0, 0.0, m(2 * uo), 0.0),
+            (u * uo, m(uo), 0.0, m(u), 0.0), (uo**3, 0.0, 0.0, m(3 * uo * uo), 0.0),
+            (u * u * uo, m(2 * u * uo), 0.0, m(u * u), 0.0), (u * uo * uo, m(uo * uo), 0.0, m(2 * u * uo), 0.0),
+        ]  # fmt: skip
+        radius = np.maximum(np.sqrt(u * u + uo * uo), 1e-6)
+        for gap in (1.0, 2.0):
+            over = np.maximum(1 - gap / radius, 0).astype(np.float32)
+            bend = np.where(radius > gap, gap / radius**3, 0)
+            columns += [
+                (over * u, m(over + bend * u * u), 0.0, m(bend * u * uo), 0.0),
+                (over * uo, m(bend * u * uo), 0.0, m(over + bend * uo * uo), 0.0),
+            ]
+        group("other_direction", columns)
+    q = data.opposite(i)
+    if q is not None:
+        tx, tv = np.zeros((P, 2)), np.zeros((P, 2))
+        tx[q, 0], tv[q, 1] = 1.0 / data.x[q].std(), 1.0 / data.v[q].std()
+        up, wp = (data.x[q] / data.x[q].std()).astype(np.float32), (data.v[q] / data.v[q].std()).astype(np.float32)
+        out.append(Group("other_bearing", [up, wp], [tx, tv]))
+    tau = (2 * (data.t - data.t[0]) / max(data.t[-1] - data.t[0], 1e-9) - 1).astype(np.float32)
+    second = 1.5 * tau**2 - 0.5
+    group("time", [
+        (tau * u, m(tau), 0, 0, 0), (tau * w, 0, m(tau), 0, 0),
+        (second * u, m(second), 0, 0, 0), (second * w, 0, m(second), 0, 0),
+    ])  # fmt: skip
+    if data.speed > 0.0:
+        columns = []
+        for k in orders:
+            c, s = np.cos(k * data.phase).astype(np.float32), np.sin(k * data.phase).astype(np.float32)
+            columns += [(c * u, m(c), 0.0, 0.0, 0.0), (s * u, m(s), 0.0, 0.0, 0.0)]
+        group("shaft_angle", columns)
+    return out
+
+
+def columns(point: WorkingPoint, i: int, group: Group) -> Columns:
+    """The group as weighted spectra, each column scaled to the rms of the inferred force."""
+    spectra = np.stack([point.weighing.spectrum(i, z) for z in group.series])
+    power = np.sqrt(np.mean(spectra.astype(np.float32) ** 2, axis=(1, 2)))
+    power = np.maximum(power, 1e-30)
+    own = np.sqrt(np.mean(point.spectra[i] ** 2))
+    scales = np.asarray(own / power, dtype=np.float64)
+    spectra *= scales[:, None, None].astype(np.float32)
+    P = len(point.data.places)
+    tangents = np.zeros((len(group.series), P, P, point.columns.tangents.shape[-1]), complex)
+    for k, t in enumerate(group.tangents):
+        tangents[k, i] = response(t * scales[k], point.data)
+    names = tuple(f"{group.name}.{k}" for k in range(len(group.series)))
+    return Columns(names, ("N",) * len(names), scales, tangents, {i: spectra}, {i: np.arange(len(names))})
+
+
+def join(parts: list[Columns]) -> Columns:
+    """Several columns of the same single place as one."""
+    place = next(iter(parts[0].spectra))
+    total = sum(len(c.names) for c in parts)
+    return Columns(
+        tuple(k for c in parts for k in c.names), tuple(u for c in parts for u in c.units),
+        np.concatenate([c.scales for c in parts]), np.concatenate([c.tangents for c in parts]),
+        {place: np.concatenate([c.spectra[place] for c in parts])}, {place: np.arange(total)},
+    )  # fmt: skip

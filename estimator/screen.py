@@ -1,0 +1,192 @@
+"""One effect of the catalogue on trial at one spot: its searched parameters, its gain, its cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from .effect import Effect
+from .effects.places import places as canonical_places
+from .effects.strength import search_range
+from .model import Model
+from .model_uses import FORCES, PERIODIC, acting, searched, size, start
+from .path_fit import Columns, PathFit
+from .placed import Placed, orthogonal, terms
+from .subproblem import Subproblem, heldout_gain, subproblem
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+GRID = {1: 7, 2: 4, 3: 3}  # points per searched parameter, by their number
+EVERYTHING = np.arange(6)
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """An effect at a spot, fitted. gain : nats on the record; heldout : (folds,) nats; df : parameters paid for.
+
+    values : name -> (value, sd), SI, amplitudes only by their own fit.
+    """
+
+    effect: Effect
+    spot: str
+    placed: Placed
+    gain: float
+    heldout: Array
+    df: int
+    values: dict[str, tuple[float, float]]
+    problem: Subproblem | None = None
+    fit: PathFit | None = None
+
+    @property
+    def p_value(self) -> float:
+        """Of the gain, if nothing is there; before counting how many were tried."""
+        return float(chi2.sf(2 * max(self.gain, 0.0), self.df))
+
+
+def spots(effect: Effect, model: Model, point: WorkingPoint) -> list[str]:
+    """Canonical places where a force effect could be added: measured, and not in the model there already."""
+    if effect.kind not in FORCES or effect.name in PERIODIC or effect.name == "pedestal":
+        return []
+    taken = {u.key for u in point.placed}
+    return [
+        s
+        for s in canonical_places(effect, model)
+        if f"{s}.{effect.name}" not in taken and acting(effect, s, point.data)
+    ]
+
+
+def grid(effect: Effect, model: Model, point: WorkingPoint, i: int, loose: list[int]) -> list[Array]:
+    """Parameter vectors to try, amplitudes 1, the searched ones over their natural range."""
+    natural = size(point.data, i, point.kL[i])
+    p = np.array([1.0 if q.linear else start(q, natural, model) for q in effect.parameters])
+    if not loose:
+        return [p]
+    axes = []
+    for k in loose:
+        low, high = search_range(effect.parameters[k], natural)
+        count = GRID.get(len(loose), 3)
+        if low > 0:
+            axes.append(np.geomspace(max(low, high / 60), high * 0.8, count))
+        elif high > 0:
+            up = np.geomspace(high / 40, high * 0.8, count)
+            axes.append(np.concatenate([-up[up < -low][::-1], up]) if low < 0 else np.concatenate([[0.0], up]))
+        else:
+            axes.append(np.linspace(low, high, count))
+    out = []
+    for values in product(*axes):
+        q = p.copy()
+        q[loose] = values
+        out.append(q)
+    return out
+
+
+def trial_columns(point: WorkingPoint, placed: Placed) -> Columns | None:
+    """Columns of the amplitudes, freed from the base; None if nothing is left of one of them."""
+    made = [orthogonal(t, point.terms) for t in terms(placed, point.data, point.lin, linear_only=True)]
+    kept = [t for t in made if t is not None]
+    return point.weighing.columns(kept) if kept else None
+
+
+def assess(point: WorkingPoint, placed: Placed, steps: int = 3) -> tuple[float, Subproblem, PathFit] | None:
+    """Gain in nats of the amplitudes within their limits, at given searched parameters."""
+    extra = trial_columns(point, placed)
+    if extra is None:
+        return None
+    problem = subproblem(point, placed.at, extra)
+    plain = problem.without_extra()
+    level = plain.likelihood(plain.fit(steps=steps), EVERYTHING)
+    limits = {placed.name(k): (q.low, q.high) for k, q in enumerate(placed.effect.parameters)}
+    for _ in range(len(problem.extra) + 1):
+        fit = problem.fit(steps=steps)
+        bad = [n for n in problem.extra if not limits[n][0] <= fit.value(n)[0] <= limits[n][1]]
+        if not bad:
+            return problem.likelihood(fit, EVERYTHING) - level, problem, fit
+        kept = tuple(n for n in problem.extra if n not in bad)
+        if not kept:
+            return None
+        problem = problem.only(kept)
+    return None
+
+
+def best_at(point: WorkingPoint, model: Model, effect: Effect, spot: str, refine: bool = False) -> Trial | None:
+    """The best trial of an effect at a spot over the grid of its searched parameters, refined on demand."""
+    where = acting(effect, spot, point.data)
+    loose = searched(effect, model)
+    free = tuple(q.linear for q in effect.parameters)
+    best: tuple[float, Subproblem, PathFit, Placed] | None = None
+    for p in grid(effect, model, point, where[0], loose):
+        placed = Placed(effect, f"{spot}.{effect.name}", where, p, free)
+        got = assess(point, placed)
+        if got is not None and (best is None or got[0] > best[0]):
+            best = (*got, placed)
+    if best is None:
+        return None
+    if refine:
+        best = _refined(point, best, loose)
+    return _trial(effect, spot, best, loose)
+
+
+def _trial(effect: Effect, spot: str, best: tuple[float, Subproblem, PathFit, Placed], loose: list[int]) -> Trial:
+    gained, problem, fit, placed = best
+    heldout = heldout_gain(problem) if gained > 2.0 else np.full(6, min(gained, 0.0) / 6)
+    values = {n.rsplit(".", 1)[1]: fit.value(n) for n in problem.extra}
+    p = placed.p.copy()
+    for k, q in enumerate(effect.parameters):
+        if q.linear:
+            p[k] = values.get(q.name, (0.0, 0.0))[0]
+    placed = Placed(
+        effect, placed.key, placed.at, p, tuple(q.linear or k in loose for k, q in enumerate(effect.parameters))
+    )
+    return Trial(effect, spot, placed, gained, heldout, len(problem.extra) + len(loose), values, problem, fit)
+
+
+def _refined(
+    point: WorkingPoint, best: tuple[float, Subproblem, PathFit, Placed], loose: list[int], rounds: int = 2
+) -> tuple[float, Subproblem, PathFit, Placed]:
+    """Parabola steps along each searched parameter about the best grid point."""
+    for round_ in range(rounds):
+        for k in loose:
+            width = (0.35 if round_ == 0 else 0.12) * max(abs(best[3].p[k]), 1e-300)
+            for _ in range(3):
+                centre = best[3].p[k]
+                around: list[float] = []
+                for z in (centre - width, centre + width):
+                    p = best[3].p.copy()
+                    p[k] = z
+                    trial = best[3].with_values(p)
+                    got = assess(point, trial)
+                    around.append(-np.inf if got is None else got[0])
+                    if got is not None and got[0] > best[0]:
+                        best = (*got, trial)
+                if best[3].p[k] == centre:
+                    break
+            width /= 3
+    return best
+
+
+def refined(point: WorkingPoint, model: Model, trial: Trial) -> Trial:
+    """The trial with its searched parameters refined."""
+    loose = searched(trial.effect, model)
+    if not loose or trial.problem is None or trial.fit is None:
+        return trial
+    p = np.where([q.linear for q in trial.effect.parameters], 1.0, trial.placed.p)
+    placed = Placed(
+        trial.effect, trial.placed.key, trial.placed.at, p, tuple(q.linear for q in trial.effect.parameters)
+    )
+    return _trial(
+        trial.effect, trial.spot, _refined(point, (trial.gain, trial.problem, trial.fit, placed), loose), loose
+    )
+
+
+def again(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:
+    """A trial found on part of the record, at the same searched parameters on the whole."""
+    linear = [q.linear for q in found.effect.parameters]
+    placed = Placed(
+        found.effect, found.placed.key, found.placed.at, np.where(linear, 1.0, found.placed.p), tuple(linear)
+    )
+    got = assess(point, placed)
+    return None if got is None else _trial(found.effect, found.spot, (*got, placed), searched(found.effect, model))

@@ -1,0 +1,67 @@
+"""The smooth curve of the residual force against a state: what a person needs to see of an unknown law."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .missing_force import Residual, Survey
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """Restoring force in N against a state, freed from kL and c; band : 95 %."""
+
+    channel: str
+    against: str
+    at: Array
+    force: Array
+    band_low: Array
+    band_high: Array
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "channel": self.channel,
+            "against": self.against,
+            **{k: [float(z) for z in getattr(self, k)] for k in ("at", "force", "band_low", "band_high")},
+        }
+
+
+def curve(point: WorkingPoint, residual: Residual, group: str) -> Shape | None:
+    """The fitted hat functions of one state as a curve, a straight line through the origin taken out; None if the
+    state was not found."""
+    problem, fit = residual.problem, residual.fit
+    own = next((g for g in residual.groups if g.name == group and g.knots is not None), None)
+    if own is None or own.knots is None:
+        return None
+    i = residual.place
+    names = [f"{group}.{k}" for k in range(len(own.knots))]
+    at = np.array([fit.names.index(n) for n in names])
+    scales = fit.scales[at]
+    # the force that the model lacks is added to the restoring side with the sign of delta
+    force, cov = fit.delta[at] * scales, fit.covariance[np.ix_(at, at)] * np.multiply.outer(scales, scales)
+    state = point.data.x[i] if group == "displacement" else point.data.v[i]
+    rms = float(state.std())
+    inside = np.abs(own.knots) <= min(3.5 * rms, float(np.quantile(np.abs(state), 0.999)))
+    weight = np.exp(-0.5 * (own.knots / rms) ** 2)
+    D = np.stack([np.ones_like(own.knots), own.knots / rms], axis=1)
+    free = np.eye(len(force)) - D @ np.linalg.solve(D.T @ (weight[:, None] * D), D.T * weight)
+    force, sd = free @ force, np.sqrt(np.maximum(np.diag(free @ cov @ free.T), 0.0))
+    at_knots, force, sd = own.knots[inside], force[inside], sd[inside]
+    del problem
+    return Shape(point.data.places[i], group, at_knots, force, force - 1.96 * sd, force + 1.96 * sd)
+
+
+def shape_of(point: WorkingPoint, found: Survey) -> Shape | None:
+    """The curve against the state that explains most, where it is one of displacement or velocity."""
+    best = [(f.gain, r, f.group) for r in found.residuals for f in r.found if f.group in ("displacement", "velocity")]
+    if not best:
+        return None
+    _, residual, group = max(best, key=lambda z: z[0])
+    return curve(point, residual, group)

@@ -1,0 +1,120 @@
+"""Likelihood of a few places with extra terms: the small problem behind every score, refit and held-out gain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .motion_blocks import FOLDS
+from .path_fit import Columns, Gram, Jacobian, PathFit, fit, log_likelihood
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Subproblem:
+    """Gram and Jacobian of some places; `base` names the model's own terms, `extra` those on trial."""
+
+    places: tuple[int, ...]
+    gram: Gram
+    jacobian: Jacobian
+    blocks: Array
+    base: tuple[str, ...]
+    extra: tuple[str, ...]
+
+    def without_extra(self) -> Subproblem:
+        return Subproblem(self.places, self.gram.keep(self.base), self.jacobian, self.blocks, self.base, ())
+
+    def only(self, extra: tuple[str, ...]) -> Subproblem:
+        return Subproblem(self.places, self.gram.keep(self.base + extra), self.jacobian, self.blocks, self.base, extra)
+
+    def fit(self, folds: NDArray[np.int64] | None = None, ridge: float = 0.0, steps: int = 30) -> PathFit:
+        """Maximum likelihood; `ridge` is a prior information on the scaled extra terms."""
+        penalty = np.concatenate([np.zeros(len(self.base)), np.full(len(self.extra), ridge)])
+        return fit(
+            self.gram, self.jacobian, np.arange(FOLDS) if folds is None else folds, self.blocks, None, penalty, steps
+        )
+
+    def likelihood(self, found: PathFit, folds: NDArray[np.int64]) -> float:
+        return log_likelihood(self.gram, self.jacobian, found.delta, found.S, folds, self.blocks)
+
+
+def component(point: WorkingPoint, places: tuple[int, ...]) -> tuple[int, ...]:
+    """The places together with those that share a parameter of the model with them."""
+    found = set(places)
+    while True:
+        grown = found.union(*(set(u.at) for u in point.placed if found & set(u.at)))
+        if grown == found:
+            return tuple(sorted(found))
+        found = grown
+
+
+def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: Columns | None = None) -> Subproblem:
+    """Cut the places out of the working point and add columns. Coupling to other places through the shaft is kept
+    in the force (it is known) and dropped in the Jacobian, where it is of the order of (shaft / bearing stiffness)^2.
+    """
+    at = np.array(component(point, places))
+    own = point.columns
+    base = [k for k in range(len(own.names)) if any(k in own.index[int(i)] for i in at if int(i) in own.index)]
+    q = 0 if extra is None else len(extra.names)
+    size = 1 + len(base) + q
+    G = np.zeros((at.size, FOLDS, size, size))
+    rows = np.array([0] + [1 + k for k in base])
+    G[:, :, : rows.size, : rows.size] = point.gram.G[at][:, :, rows[:, None], rows]
+    tangents, scales = own.tangents[base], own.scales[base]
+    names, units = tuple(own.names[k] for k in base), tuple(own.units[k] for k in base)
+    if extra is not None:
+        for number, i in enumerate(at):
+            _extend(point, int(i), extra, base, G[number])
+        tangents = np.concatenate([tangents, extra.tangents])
+        scales = np.concatenate([scales, extra.scales])
+    tangents = tangents[:, at][:, :, at]
+    new = () if extra is None else extra.names
+    merged = Gram(G, point.gram.n[at], point.gram.log_weight[at], tangents, scales, names + new,
+                  units + (() if extra is None else extra.units))  # fmt: skip
+    jacobian = Jacobian(point.A[:, at[:, None], at])
+    return Subproblem(tuple(int(i) for i in at), merged, jacobian, point.fold_blocks, names, new)
+
+
+def _extend(point: WorkingPoint, i: int, extra: Columns, base: list[int], G: Array) -> None:
+    """Fill the rows of the extra columns of one place into G (folds, 1 + terms, 1 + terms)."""
+    if i not in extra.spectra:
+        return
+    own = point.columns
+    X = extra.spectra[i]
+    first = 1 + len(base)
+    at_extra = first + extra.index[i]
+    at_base = np.array([1 + base.index(int(k)) for k in own.index[i]])
+    for f in range(FOLDS):
+        here = np.flatnonzero(point.data.fold == f)
+        span = slice(int(here[0]), int(here[-1]) + 1)
+        Z = X[:, span].reshape(len(X), -1)
+        cross = np.concatenate([point.spectra[i][None, span], own.spectra[i][:, span]]).reshape(-1, Z.shape[1])
+        C = cross @ Z.T
+        rows = np.concatenate([[0], at_base])
+        G[f][rows[:, None], at_extra] = C
+        G[f][at_extra[:, None], rows] = C.T
+        G[f][at_extra[:, None], at_extra] = Z @ Z.T
+
+
+def gain(problem: Subproblem, ridge: float = 0.0, steps: int = 30) -> tuple[float, PathFit]:
+    """Log-likelihood gained by the extra terms over the refitted base, nats, on the whole record."""
+    everything = np.arange(FOLDS)
+    full = problem.fit(ridge=ridge, steps=steps)
+    plain = problem.without_extra()
+    base = plain.fit(steps=steps)
+    return problem.likelihood(full, everything) - plain.likelihood(base, everything), full
+
+
+def heldout_gain(problem: Subproblem, ridge: float = 0.0) -> Array:
+    """(folds,) nats gained on each time fold by parameters fitted to the others."""
+    plain = problem.without_extra()
+    out = np.zeros(FOLDS)
+    for f in range(FOLDS):
+        rest = np.array([k for k in range(FOLDS) if k != f])
+        here = np.array([f])
+        out[f] = problem.likelihood(problem.fit(rest, ridge), here) - plain.likelihood(plain.fit(rest), here)
+    return out

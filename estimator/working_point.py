@@ -1,0 +1,172 @@
+"""The model fitted to a record: inferred force by place, spectra of its columns, and the tangent A(w)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import placed as placing
+from .motion_blocks import FOLDS, MotionBlocks
+from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing, fit, gram
+from .placed import Placed
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class WorkingPoint:
+    """A fitted model on a record. kL, c, S : (places,); nu : (places,) sensor noise PSD over S (per (m/s^2)^2)."""
+
+    data: MotionBlocks
+    kL: Array
+    c: Array
+    S: Array
+    nu: Array
+    placed: tuple[Placed, ...]
+    force: Array  # (places, n) N, inferred excitation
+    weighing: Weighing
+    spectra: dict[int, Spectrum]  # of the force
+    terms: tuple[Term, ...]
+    columns: Columns
+    gram: Gram
+    jacobian: Jacobian
+    fit: PathFit
+    A: NDArray[np.complex128]  # (bins, places, places)
+
+    @property
+    def lin(self) -> Array:
+        """(places, 3) m, kL, c."""
+        return np.stack([self.data.mass, self.kL, self.c], axis=1)
+
+    @property
+    def fold_blocks(self) -> Array:
+        return np.bincount(self.data.fold, minlength=FOLDS).astype(np.float64)
+
+    @property
+    def bearing_force(self) -> Array:
+        """(places,) N rms of the force in the bearing, k x + c v + effects, as the scale of what is missing."""
+        return np.asarray(np.sqrt(np.mean((self.force - self.data.known) ** 2, axis=1)))
+
+
+def fit_model(
+    data: MotionBlocks, uses: list[Placed], start: WorkingPoint | None = None, rounds: int = 6
+) -> WorkingPoint:
+    """Fit kL, c, S and every free parameter of the effects, from a start that needs no values of the linear part."""
+    P = len(data.places)
+    if start is None:
+        kL, c = _first_linear(data)
+        nu = np.zeros(P)
+    else:
+        kL, c, nu = start.kL.copy(), start.c.copy(), start.nu.copy()
+    point: WorkingPoint | None = None
+    for round_ in range(rounds):
+        point = _at(data, kL, c, nu, uses)
+        moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
+        kL, c, uses = _moved(point, kL, c)
+        nu_old, nu = nu, _noise(point)
+        if moved.max(initial=0.0) < 0.05 and np.allclose(nu, nu_old, rtol=0.2, atol=1e-9) and round_ > 0:
+            break
+    return _at(data, kL, c, nu, uses)
+
+
+def thinned(point: WorkingPoint, seconds: float) -> WorkingPoint:
+    """The same model on part of the record, some consecutive blocks of every fold: for searching, not for deciding."""
+    data = point.data
+    per_fold = max(2, int(seconds * data.rate_hz / data.block / FOLDS))
+    if data.blocks <= per_fold * FOLDS:
+        return point
+    pick = np.concatenate([np.flatnonzero(data.fold == f)[:per_fold] for f in range(FOLDS)])
+    rows = (pick[:, None] * data.block + np.arange(data.block)).ravel()
+    a, v, x, known = (np.ascontiguousarray(z[:, rows]) for z in (data.a, data.v, data.x, data.known))
+    part = replace(data, start=data.start[pick], fold=data.fold[pick], t=data.t[rows], phase=data.phase[rows],
+                   a=a, v=v, x=x, known=known)  # fmt: skip
+    return _at(part, point.kL, point.c, point.nu, list(point.placed))
+
+
+def _first_linear(data: MotionBlocks) -> tuple[Array, Array]:
+    """kL by least squares (consistent: E[a v] = 0 leaves it alone), c from the power balance S = 4 c m E[v^2]."""
+    kL, c = np.zeros(len(data.places)), np.zeros(len(data.places))
+    for i in range(len(data.places)):
+        x, v = data.x[i], data.v[i]
+        kL[i] = -np.dot(x, data.known[i]) / np.dot(x, x)
+        f = (data.known[i] + kL[i] * x).reshape(data.blocks, data.block)[:: max(1, data.blocks // 40)]
+        power = np.mean(np.abs(np.fft.rfft(f * np.hanning(data.block), axis=1)) ** 2, axis=0)[data.bins]
+        S = float(np.median(power)) * 2 / (data.rate_hz * data.block * 0.375)
+        c[i] = S / (4 * data.mass[i] * np.mean(v * v))
+    return kL, c
+
+
+def _forces(data: MotionBlocks, kL: Array, c: Array, uses: list[Placed]) -> tuple[Array, NDArray[np.complex128]]:
+    """Inferred force (places, n) and A (bins, places, places)."""
+    F = data.known + kL[:, None] * data.x + c[:, None] * data.v
+    P = len(data.places)
+    M = np.zeros_like(data.shaft)
+    D = np.zeros((P, P, 2))
+    D[np.arange(P), np.arange(P), 0] = kL
+    D[np.arange(P), np.arange(P), 1] = c
+    lin = np.stack([data.mass, kL, c], axis=1)
+    for use in uses:
+        for i in use.at:
+            f, slope, memory = placing.evaluate(use, data, i, lin[i])
+            F[i] += f
+            D[i] += slope
+            if memory is not None:
+                M[:, i, i] += memory
+    w = 2 * np.pi * data.f_hz[:, None, None]
+    return F, np.diag(data.mass)[None] - (data.shaft + M + D[..., 0]) / w**2 + D[..., 1] / (1j * w)
+
+
+def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) -> WorkingPoint:
+    F, A = _forces(data, kL, c, uses)
+    P = len(data.places)
+    A2 = np.stack([np.sum(np.abs(A[:, i, :]) ** 2, axis=1) for i in range(P)])
+    weighing = Weighing(data, 1.0 / (1.0 + nu[:, None] * A2))
+    spectra = {i: weighing.spectrum(i, F[i]) for i in range(P)}
+    lin = np.stack([data.mass, kL, c], axis=1)
+    terms = [t for i in range(P) for t in placing.linear_terms(data, i)]
+    for use in uses:
+        terms += placing.terms(use, data, lin)
+    columns = weighing.columns(terms)
+    G = gram(weighing, spectra, columns)
+    jacobian = Jacobian(A)
+    blocks = np.bincount(data.fold, minlength=FOLDS).astype(np.float64)
+    result = fit(G, jacobian, np.arange(FOLDS), blocks)
+    return WorkingPoint(
+        data, kL, c, result.S, nu, tuple(uses), F, weighing, spectra, tuple(terms), columns, G, jacobian, result, A
+    )
+
+
+def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list[Placed]]:
+    """Values after the increments of the fit, searched parameters kept inside their limits."""
+    step = dict(zip(point.fit.names, point.fit.delta * point.fit.scales, strict=True))
+    places = point.data.places
+    kL = kL + np.array([step[f"{p}.kL"] for p in places])
+    c = c + np.array([step[f"{p}.c"] for p in places])
+    uses = []
+    for use in point.placed:
+        p = use.p.copy()
+        for k, q in enumerate(use.effect.parameters):
+            d = step.get(use.name(k), 0.0)
+            if not q.linear:
+                d = float(np.clip(d, -0.3 * abs(p[k]), 0.3 * abs(p[k])))
+            p[k] += d
+        uses.append(use.with_values(p))
+    return kL, c, uses
+
+
+def _noise(point: WorkingPoint) -> Array:
+    """Sensor noise over force noise, (places,), by maximum likelihood on the spectrum of the inferred force."""
+    data = point.data
+    out = np.zeros(len(data.places))
+    for i in range(len(data.places)):
+        Z = point.spectra[i].reshape(data.blocks, -1, 2)
+        power = np.einsum("bkc,bkc->k", Z, Z) / data.blocks / point.weighing.weight[i]
+        A2 = np.sum(np.abs(point.A[:, i, :]) ** 2, axis=1)
+        grid = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 61) / np.mean(A2)])
+        shape = 1.0 + grid[:, None] * A2
+        S = np.mean(power / shape, axis=1)
+        cost = np.log(S) + np.mean(np.log(shape), axis=1)
+        out[i] = grid[int(np.argmin(cost))]
+    return out
