@@ -21,7 +21,7 @@ from drivers.reading import Block, Gap, Info, Reading, Signal
 from .errors import LogError
 from .import_checks import Record, checked
 from .import_formats import read
-from .output import Output, Progress
+from .output import Output, Progress, quiet_progress
 from .rig import Rig, load_rig
 from .sink import Session
 from .units import SI
@@ -66,7 +66,7 @@ def _import_capture(output: Output, path: Path, rig: Rig, out: Path) -> None:
 
 
 def write_record(
-    record: Record, rig: Rig, out: Path, metadata: dict[str, str], progress: Progress = lambda done: None
+    record: Record, rig: Rig, out: Path, metadata: dict[str, str], progress: Progress = quiet_progress
 ) -> None:
     """Write a log of a record. Raises LogError if it cannot be written."""
     from .log_writer import LogWriter

@@ -8,21 +8,26 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from .errors import ConfigError
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-Progress = Callable[[float], None]  # told the share that is done, 0 to 1
 PIPE_WIDTH = 160
 
 
-def quiet_progress(done: float) -> None:
+class Progress(Protocol):
+    """Told the share that is done, 0 to 1, and perhaps what is being done now."""
+
+    def __call__(self, done: float, what: str = "", /) -> None: ...
+
+
+def quiet_progress(done: float, what: str = "", /) -> None:
     """For callers without a terminal."""
 
 
@@ -91,7 +96,11 @@ class Output:
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
         with Bar(*columns, TimeElapsedColumn(), console=self.to_stderr, transient=True) as bar:
             task = bar.add_task(what, total=1.0)
-            yield lambda done: bar.update(task, completed=min(max(done, 0.0), 1.0))
+
+            def told(done: float, now: str = "", /) -> None:
+                bar.update(task, completed=min(max(done, 0.0), 1.0), description=f"{what}: {now}" if now else what)
+
+            yield told
 
 
 def finite(value: Any) -> Any:

@@ -70,7 +70,7 @@ def ladder_table(rows: list[dict[str, object]]) -> Table:
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("model: linear and", overflow="fold")
     for heading in ("held-out error [nats/sample]", "missing force [%]", "interval"):
-        table.add_column(heading, justify="right", no_wrap=True)
+        table.add_column(Text(heading), justify="right", no_wrap=True)
     for row in rows:
         missing = row["missing_force_percent"]
         effects = row["effects"]

@@ -1,0 +1,236 @@
+"""The bodies of fit, compare, diagnose, improve, theory and reproduce."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from estimator.estimate import Parameter
+from estimator.fit_result import Fit
+
+from .edit import with_effect, with_values
+from .errors import ConfigError
+from .measurement import Measurement, measure
+from .output import Output, write_whole
+from .rig import Rig, load_rig
+from .tables import ladder_table, number, parameters_table
+
+NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is missing"
+
+
+def fit(output: Output, log: Path, rig_path: Path, method: str, out: Path | None) -> None:
+    rig = load_rig(rig_path)
+    data = measure(log, rig, output.note)
+    with output.progress(f"fitting ({method})"):
+        result = fitted(rig, data, method)
+    if out is not None:
+        write_whole(out, with_values(rig, result.parameters))
+    people: list[Any] = [parameters_table(result.parameters), ""]
+    people += [f"note: {message}" for message in result.messages]
+    people.append(f"{result.samples} samples, method {result.method}" + _likelihood(result))
+    if out is not None:
+        people.append(f"{out}: the rig file with the fitted values")
+    output.result(result.to_json(), *people)
+
+
+def fitted(rig: Rig, data: Measurement, method: str) -> Fit:
+    """The fit of a record by the method's name."""
+    from importlib import import_module
+
+    module = import_module(f"estimator.{method.replace('-', '_')}")
+    result: Fit = module.fit(rig.model, data.y, data.rate_hz)
+    return result
+
+
+def _likelihood(result: Fit) -> str:
+    return "" if result.log_likelihood is None else f", log-likelihood {result.log_likelihood:.6g}"
+
+
+def compare(output: Output, log: Path, rig_path: Path, html: Path | None) -> None:
+    from estimator.compare import compare as compare_model
+
+    rig = load_rig(rig_path)
+    data = measure(log, rig, output.note)
+    with output.progress("comparing") as progress:
+        value = compare_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
+    if html is not None:
+        _report(html, rig, data, comparison=value)
+    output.result(value, *comparison_text(value), *_written(html))
+
+
+def comparison_text(value: Mapping[str, Any]) -> list[Any]:
+    """A comparison for people."""
+    missing = value["missing_force_percent"]
+    interval = f"{missing['low']:.2f} to {missing['high']:.2f}"
+    left = value["heldout_nll"] - value["reference_nll"]
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for heading in ("channel", "fails against", "region", "share [%]"):
+        table.add_column(Text(heading), justify="right" if heading.endswith("[%]") else "left")
+    for row in value["where"]:
+        cells = (row["channel"], row["against"].replace("_", " "), row["region"], f"{row['share_percent']:.0f}")
+        table.add_row(*(Text(c) for c in cells))
+    people: list[Any] = [table, ""] if value["where"] else []
+    people.append(f"missing force: {missing['value']:.2f} % of the bearing force ({interval})")
+    people.append(
+        f"held-out error: {value['heldout_nll']:.5f} nats per sample; black box {value['reference_nll']:.5f}, "
+        f"so {max(left, 0.0):.5f} at most are left to win"
+    )
+    for name, text in (("psd_distance_db", "spectra differ by [dB]"), ("pdf_distance", "densities differ by"),
+                       ("simulation_rmse", "free-run simulation error")):  # fmt: skip
+        if value.get(name):
+            people.append(f"{text}: " + ", ".join(f"{c} {number(d)}" for c, d in value[name].items()))
+    people += [f"note: {message}" for message in value.get("messages", ())]
+    people.append("the model is adequate" if value["adequate"] else NOT_ADEQUATE)
+    return people
+
+
+def diagnose(output: Output, log: Path, rig_path: Path, html: Path | None) -> None:
+    from estimator.diagnose import diagnose as diagnose_model
+
+    rig = load_rig(rig_path)
+    data = measure(log, rig, output.note)
+    with output.progress("diagnosing") as progress:
+        value = diagnose_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
+    if html is not None:
+        from estimator.compare import compare as compare_model
+
+        with output.progress("comparing") as progress:
+            comparison = compare_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
+        _report(html, rig, data, comparison=comparison, diagnosis=value)
+    output.result(value, *diagnosis_text(value), *_written(html))
+
+
+def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
+    """A diagnosis for people."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for heading in ("effect", "at", "held-out gain", "p-value", "missing force [%]", "parameters", "detectable from"):
+        table.add_column(Text(heading), overflow="fold")
+    for row in value["ranking"][:most]:
+        before, after = row["missing_force_before_percent"], row["missing_force_after_percent"]
+        parameters = ", ".join(
+            f"{k} {number(p['value'], p['sd'])} {p['unit']}" for k, p in row["parameters"].items() if p["identifiable"]
+        )
+        seen = row.get("detectable_from")
+        limit = f"{number(seen['value'])} {seen['unit']}" if seen else ""
+        cells = (row["effect"], ", ".join(row["at"]), f"{row['heldout_gain']:.5g}", f"{row['p_value']:.2g}",
+                 f"{before:.2f} -> {after:.2f}", parameters, limit)  # fmt: skip
+        table.add_row(*(Text(c) for c in cells))
+    people: list[Any] = [table, ""] if value["ranking"] else []
+    people += [f"note: {message}" for message in value.get("messages", ())]
+    if value["verdict"] == "unknown" and value.get("shape"):
+        shape = value["shape"]
+        peak = max(map(abs, shape["force"]), default=0.0)
+        where = f" at {shape['channel']}" if "channel" in shape else ""
+        people.append(f"what is missing depends on {shape['against']}{where}, up to {peak:.3g} N; --html draws it")
+    verdict = {
+        "complete": "the model is complete: nothing in the catalogue earns its place",
+        "unknown": "something is missing that the catalogue does not hold; type a law of your own into the rig file",
+    }.get(value["verdict"], f"missing: {value['verdict']}; rotorscope effects {value['verdict']} says what to look at")
+    return [*people, f"verdict: {value['verdict']}", verdict]
+
+
+def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | None) -> None:
+    from estimator.improve import improve as improve_model
+
+    rig = load_rig(rig_path)
+    data = measure(log, rig, output.note)
+    with output.progress("improving") as progress:
+        ladder = improve_model(rig.model, data.y, data.rate_hz, progress=progress)
+    value = ladder.to_json()
+    text, better = improved(rig, ladder)
+    write_whole(out, text)
+    if html is not None:
+        from estimator.compare import compare as compare_model
+
+        with output.progress("comparing") as progress:
+            before = compare_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
+            now = compare_model(better.model, data.y, data.rate_hz, progress=progress).to_json()
+        _report(html, better, data, comparison=now, before=before, ladder=value["ladder"])
+    added = [u.name for u in better.model.effects if u.name not in [v.name for v in rig.model.effects]]
+    said = f"added: {', '.join(added)}" if added else "nothing more is earned: the model stays as it is"
+    output.result(value, ladder_table(value["ladder"]), "", said, f"{out}: the improved rig file", *_written(html))
+
+
+def improved(rig: Rig, ladder: Any) -> tuple[str, Rig]:
+    """The rig file of a ladder's last model with its fitted values."""
+    now = rig
+    for use in ladder.model.effects:
+        known = next((u for u in now.model.effects if u.name == use.name), None)
+        new = [place for place in use.at if known is None or place not in known.at]
+        if new:
+            now = Rig.parse(with_effect(now, use.name, new), now.base, now.path)
+    return (text := with_values(now, ladder.fit.parameters)), Rig.parse(text, now.base, now.path)
+
+
+def theory(output: Output, rig_path: Path) -> None:
+    from estimator.theory import theory as hertz
+
+    rig = load_rig(rig_path)
+    if rig.model.bearing is None:
+        text = "balls, ball_diameter_mm, pitch_diameter_mm and groove_radius_mm"
+        raise ConfigError(f"{rig_path}: theory needs the bearing's geometry: add [rig.bearing] with {text}")
+    result = hertz(rig.model, _values(rig))
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    rows = result.table()
+    keys = list(dict.fromkeys(k for row in rows for k in row))
+    for key in keys:
+        table.add_column(Text(_HEADINGS.get(key, key)), justify="left" if key == "row" else "right")
+    for row in rows:
+        table.add_row(*(_cell(row.get(key)) for key in keys))
+    orders = ", ".join(f"{k} {v:.3f}" for k, v in result.kinematics.items())
+    K_n = f"K_n = {result.K_n:.4g} N/m^1.5 ({result.K_n * 1e-3**1.5:.4g} N/mm^1.5)"
+    output.result(result.to_json(), table, "", f"{K_n}; orders of the shaft speed: {orders}")
+
+
+_HEADINGS = {
+    "row": "",
+    "preload_um": "preload [um]",
+    "kL_N_per_mm": "kL [N/mm]",
+    "kNL_N_per_mm3": "kNL [N/mm^3]",
+    "tangent_k0": "tangent k0 [N/mm]",
+    "tangent_k2": "k2 [N/mm^3]",
+    "secant_k0": "secant k0 [N/mm]",
+    "secant_k2": "k2 [N/mm^3]",
+}
+
+
+def _cell(value: Any) -> Text:
+    return Text("" if value is None else value if isinstance(value, str) else f"{value:.4g}")
+
+
+def _values(rig: Rig) -> Fit | None:
+    """The stiffness values of the rig file as a fit, for the theory to stand beside."""
+    found = {
+        f"{place}.kL": Parameter(s["kL"].value, None, "N/m")
+        for place, s in rig.model.linear.items()
+        if s["kL"].value is not None
+    }
+    for use in rig.model.effects:
+        if use.name == "cubic":
+            for place, s in use.parameters.items():
+                if s["kNL"].value is not None:
+                    found[f"{place}.cubic.kNL"] = Parameter(s["kNL"].value, None, "N/m^3")
+    return Fit(found, None, 0, "spectral") if found else None
+
+
+def reproduce(output: Output, out: Path) -> None:
+    from .reproduce import reproduce as make
+
+    with output.progress("reproducing the paper") as progress:
+        value = make(out, progress)
+    output.result(value, f"{out}/index.html: tables 1 to 3 and figures 4 to 19; numbers in {out}/numbers.json")
+
+
+def _report(path: Path, rig: Rig, data: Measurement, **parts: Any) -> None:
+    from .report import write_report
+
+    facts = {"rig": rig.model.name} | data.facts
+    write_report(path, f"Rotorscope: {rig.model.name}", facts=facts, rig_text=rig.text, **parts)
+
+
+def _written(html: Path | None) -> list[str]:
+    return [] if html is None else [f"report: {html}"]

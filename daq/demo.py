@@ -1,0 +1,209 @@
+"""`rotorscope demo`: the whole story on one machine, with no hardware, in under a minute.
+
+A simulated rig has an effect that its model lacks. Its device streams over an in-process CAN bus into the real driver,
+ring, rolling estimator, MCAP and Rerun log; then replay, compare, diagnose, add, compare. Nothing in the second part
+knows the first part's truth, which is printed beside the results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from rich.rule import Rule
+
+from drivers.reading import Reading
+from estimator.estimate import Estimate, Parameter
+
+from .edit import with_effect, with_values
+from .errors import CheckFailed, ConfigError
+from .measurement import Measurement
+from .output import Output, write_whole
+from .rig import Rig, load_rig
+from .sink import Session, Sink, Status
+from .tables import ladder_table, parameters_table
+
+SECONDS = 30.0
+SEED = 7
+TOLD_AT_S = (1.0, 2.0, 5.0, 10.0, 20.0, 29.5)
+LINEAR = {  # kL N/m, c N s/m, S N^2/Hz
+    "bearing1.x": (10.0e6, 60.0, 9.0e-5),
+    "bearing1.y": (9.2e6, 55.0, 9.0e-5),
+    "bearing2.x": (11.0e6, 65.0, 8.0e-5),
+    "bearing2.y": (10.4e6, 58.0, 8.0e-5),
+}
+KNL = 1.3e18  # N/m^3
+HIDDEN, HIDDEN_AT = "clearance", "bearing1"
+HIDDEN_VALUES = {"k": 1.5e6, "gap": 0.19e-6}  # N/m, m
+
+
+def demo(output: Output, out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be made: {error.strerror}; choose another --out") from error
+    rig_path, truth_path = out / "rig.toml", out / "truth.toml"
+    write_whole(rig_path, resources.files(__package__).joinpath("demo_rig.toml").read_text("utf-8"))
+    rig = load_rig(rig_path)
+    write_whole(truth_path, truth_text(rig))
+    truth = load_rig(truth_path)
+    files = [rig_path, truth_path]
+
+    values = ", ".join(f"{k} = {v:g}" for k, v in HIDDEN_VALUES.items())
+    output.say(
+        Rule("1  acquire"),
+        f"A simulated rig has a {HIDDEN} at {HIDDEN_AT} ({values}), which the model in {rig_path} lacks.",
+        f"{SECONDS:g} s of four channels at 25.6 kHz go over a virtual CAN FD bus into driver, ring, estimator, "
+        "MCAP and Rerun log, faster than real time. The stiffness of the sound bearing meanwhile:",
+    )
+    log, recording = out / "measurement.mcap", out / "measurement.rrd"
+    _acquire(output, rig, truth, log, recording)
+    files += [log, recording]
+
+    output.say(Rule("2  replay"))
+    _replay(output, log)
+
+    steps, report = _improve(output, rig, truth, log, out)
+    files += report
+    output.say(Rule("files"), *(f"  {path}" for path in files))
+    output.say(f"Look at it: rerun {recording}")
+    output.result({"schema": 1, "ladder": steps, "files": [str(path) for path in files]})
+
+
+def truth_text(rig: Rig) -> str:
+    """The rig file with the true values and the hidden effect."""
+    known = {
+        f"{place}.{key}": Parameter(value, 0.0, "")
+        for place, values in LINEAR.items()
+        for key, value in zip(("kL", "c", "S"), values, strict=True)
+    }
+    known |= {f"{place}.cubic.kNL": Parameter(KNL, 0.0, "N/m^3") for place in LINEAR}
+    with_known = Rig.parse(with_values(rig, known), rig.base, rig.path)
+    hidden = {place: HIDDEN_VALUES for place in LINEAR if place.startswith(HIDDEN_AT)}
+    return with_effect(with_known, HIDDEN, [HIDDEN_AT], hidden)
+
+
+def _acquire(output: Output, rig: Rig, truth: Rig, log: Path, recording: Path) -> None:
+    from drivers.links import VirtualConfig, make_driver
+
+    from .acquire import acquire
+    from .live import Operator
+    from .log_writer import LogWriter
+    from .rerun_sink import RerunSink
+    from .simulation import machine
+
+    device = machine(rig, truth=truth, seed=SEED, seconds=SECONDS).device
+    driver = make_driver(VirtualConfig(None), device=device)
+    sinks: list[Sink] = [LogWriter(log), RerunSink(str(recording)), Watch(output, known_values(truth))]
+    metadata = {"command": "demo", "link": "virtual:"}
+    summary = acquire(rig, driver, sinks, SECONDS, metadata=metadata, notify=Operator(output))
+    lost = f"{summary.lost_samples} samples lost" if summary.lost_samples else "no sample lost"
+    output.say(f"{summary.samples} samples of each channel, {lost}")
+
+
+def known_values(rig: Rig) -> dict[str, float]:
+    """Every value of a rig file by its full name."""
+    out = {f"{p}.{k}": s.value for p, t in rig.model.linear.items() for k, s in t.items() if s.value is not None}
+    for use in rig.model.effects:
+        named = {f"{p}.{use.name}.{k}": s.value for p, t in use.parameters.items() for k, s in t.items()}
+        out |= {name: value for name, value in named.items() if value is not None}
+    return out
+
+
+class Watch:
+    """A sink that says now and then how far the rolling estimate is from the truth."""
+
+    def __init__(self, output: Output, truth: Mapping[str, float]) -> None:
+        self._output, self._truth = output, truth
+        self._rate_hz = 1.0
+        self._due_s = list(TOLD_AT_S)
+        self._places = ("bearing2.x", "bearing2.y")  # nothing is hidden there
+
+    def start(self, session: Session) -> None:
+        self._rate_hz = session.info.rate_hz
+
+    def estimate(self, estimate: Estimate) -> None:
+        seconds = estimate.index / self._rate_hz
+        if not self._due_s or seconds < self._due_s[0] - 0.3:
+            return
+        self._due_s.pop(0)
+        said = []
+        for place in self._places:
+            p, truth = estimate.parameters.get(f"{place}.kL"), self._truth[f"{place}.kL"]
+            if p is not None and p.value is not None and p.sd is not None:
+                off = 100 * (p.value / truth - 1)
+                said.append(f"{place}.kL {p.value:.4g} +- {p.sd:.1g} N/m ({off:+.2f} % from the truth)")
+        self._output.say(f"  {seconds:4.1f} s   " + ("   ".join(said) or estimate.status))
+
+    def readings(self, batch: Sequence[Reading]) -> None: ...
+    def status(self, status: Status) -> None: ...
+    def close(self) -> None: ...
+
+
+def _replay(output: Output, log: Path) -> None:
+    from .log_reader import read_log
+    from .replay import replay
+
+    summary = replay(read_log(log), check=True)
+    if not summary.identical:
+        raise CheckFailed(f"{log}: the replay does not give the logged estimates; please report this")
+    output.say(f"replayed: all {summary.compared} logged estimates come again, bit for bit")
+
+
+def _improve(
+    output: Output, rig: Rig, truth: Rig, log: Path, out: Path
+) -> tuple[list[dict[str, Any]], list[Path]]:
+    """Compare, diagnose, add, compare: the ladder of errors and the files written."""
+    from estimator.compare import compare
+
+    from estimator.diagnose import diagnose
+
+    from .analyse import diagnosis_text, fitted
+    from .measurement import measure
+    from .report import write_report
+
+    data = measure(log, rig, output.note)
+    output.say(Rule("3  compare"))
+    before = _compared(output, compare, rig, data)
+    output.say(Rule("4  diagnose"))
+    with output.progress("diagnosing") as progress:
+        diagnosis = diagnose(rig.model, data.y, data.rate_hz, progress=progress).to_json()
+    output.say(*diagnosis_text(diagnosis, most=3))
+    steps = [_step(rig, before)]
+    verdict = diagnosis["verdict"]
+    if verdict in ("complete", "unknown"):
+        return steps, []
+    output.say(Rule(f"5  add {verdict}"))
+    top = diagnosis["ranking"][0]
+    better = Rig.parse(with_effect(rig, verdict, top["at"]), rig.base, rig.path)
+    fit = fitted(better, data, "spectral")
+    improved = out / "improved.toml"
+    write_whole(improved, with_values(better, fit.parameters))
+    better = load_rig(improved)
+    output.say(parameters_table(fit.parameters, known_values(truth)))
+    after = _compared(output, compare, better, data)
+    steps.append(_step(better, after))
+    output.say(Rule("the error falls"), ladder_table(steps))
+    report = out / "report.html"
+    facts = {"rig": rig.model.name} | data.facts
+    write_report(
+        report, "Rotorscope demo", facts=facts, comparison=after, before=before, diagnosis=diagnosis, ladder=steps,
+        rig_text=better.text,
+    )  # fmt: skip
+    return steps, [improved, report]
+
+
+def _compared(output: Output, compare: Any, rig: Rig, data: Measurement) -> dict[str, Any]:
+    from .analyse import comparison_text
+
+    with output.progress("comparing") as progress:
+        value: dict[str, Any] = compare(rig.model, data.y, data.rate_hz, progress=progress).to_json()
+    output.say(*comparison_text(value))
+    return value
+
+
+def _step(rig: Rig, comparison: Mapping[str, Any]) -> dict[str, Any]:
+    keys = ("heldout_nll", "missing_force_percent")
+    return {"effects": [use.name for use in rig.model.effects]} | {k: comparison[k] for k in keys}
