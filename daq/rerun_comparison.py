@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,21 @@ from . import report_words as words
 from . import rerun_plane as plane
 from .report_figures import AGAINST, FIRST, floats, model_name
 from .report_numbers import fixed, percent, prefix, unit_text
+from .rerun_layout import part
 
 Json = Mapping[str, Any]
 Series = tuple[NDArray[np.float64], NDArray[np.float64], tuple[int, int, int]]
 MEASURED, MODEL, BEFORE = (200, 200, 200), (86, 180, 233), (230, 159, 0)
 BAND = {MODEL: (45, 85, 110), BEFORE: (105, 80, 25)}
 STEP = "model"
+
+
+class Picture(NamedTuple):
+    """A plane of one step: what is drawn in it, and the name of its view."""
+
+    frame: plane.Plane
+    series: list[Series]
+    title: str
 
 
 def log_comparison(
@@ -45,11 +54,11 @@ def log_comparison(
     drawn: dict[str, str] = {}
     for k in range(len(steps)):
         recording.set_time(STEP, sequence=k)
-        for entity, (frame, series) in planes(steps, k).items():
-            drawn[entity] = title_of(entity, frame)
-            for name, part in frame.frame():
-                recording.log(f"{entity}/{name}", part)
-            recording.log(f"{entity}/curves", plane.curves(frame, series))
+        for entity, picture in planes(steps, k).items():
+            drawn[entity] = picture.title
+            for name, drawing in picture.frame.frame():
+                recording.log(f"{entity}/{name}", drawing)
+            recording.log(f"{entity}/curves", plane.curves(picture.frame, picture.series))
     text = document(title, comparison, diagnosis, ladder)
     recording.log("summary", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
     recording.send_blueprint(layout(drawn))
@@ -57,7 +66,7 @@ def log_comparison(
     recording.disconnect()
 
 
-def planes(steps: Sequence[Json], now: int) -> dict[str, tuple[plane.Plane, list[Series]]]:
+def planes(steps: Sequence[Json], now: int) -> dict[str, Picture]:
     """Entity path -> frame and curves of step `now`, those of the step before it faintly underneath.
 
     Frames fit all the steps, so that scrubbing moves the curves and not the axes.
@@ -69,8 +78,8 @@ def tone(steps: Sequence[Json], k: int) -> tuple[int, int, int]:
     return MODEL if k == len(steps) - 1 else BEFORE
 
 
-def residuals(steps: Sequence[Json], now: int) -> dict[str, tuple[plane.Plane, list[Series]]]:
-    found: dict[str, tuple[plane.Plane, list[Series]]] = {}
+def residuals(steps: Sequence[Json], now: int) -> dict[str, Picture]:
+    found: dict[str, Picture] = {}
     every = [c for s in steps for c in s.get("curves", ()) if c["against"] in FIRST]
     for channel, against in dict.fromkeys((c["channel"], c["against"]) for c in steps[now].get("curves", ())):
         row = [c for c in every if c["channel"] == channel]
@@ -90,12 +99,14 @@ def residuals(steps: Sequence[Json], now: int) -> dict[str, tuple[plane.Plane, l
                     for key in ("band_low", "band_high") if k == now else ():
                         series.append((at, floats(c[key]) * y_gain, BAND[tone(steps, k)]))
                     series.append((at, floats(c["force"]) * y_gain, tone(steps, k)))
-        found[f"residual/{channel}/{against}"] = (plane.Plane(x, y), series)
+        found[f"residual/{part(channel)}/{part(against)}"] = Picture(
+            plane.Plane(x, y), series, f"{channel} against {name} [{y_unit}]"
+        )
     return found
 
 
-def spectra(steps: Sequence[Json], now: int) -> dict[str, tuple[plane.Plane, list[Series]]]:
-    found: dict[str, tuple[plane.Plane, list[Series]]] = {}
+def spectra(steps: Sequence[Json], now: int) -> dict[str, Picture]:
+    found: dict[str, Picture] = {}
     for channel, s in steps[now].get("spectra", {}).items():
         alike = [o["spectra"][channel] for o in steps if channel in o.get("spectra", {})]
         values = np.concatenate([floats(o[key]) for o in alike for key in ("measured", "model")])
@@ -103,12 +114,12 @@ def spectra(steps: Sequence[Json], now: int) -> dict[str, tuple[plane.Plane, lis
         x = plane.Axis(float(f.min()), float(f.max()), "frequency, Hz", log=True)
         y = plane.Axis(*plane.decades(values), f"({unit_text(s.get('unit', 'm/s^2'))})²/Hz", log=True)
         series = [(f, floats(s["measured"]), MEASURED), (f, floats(s["model"]), tone(steps, now))]
-        found[f"spectrum/{channel}"] = (plane.Plane(x, y), series)
+        found[f"spectrum/{part(channel)}"] = Picture(plane.Plane(x, y), series, f"{channel} [{y.label}]")
     return found
 
 
-def densities(steps: Sequence[Json], now: int) -> dict[str, tuple[plane.Plane, list[Series]]]:
-    found: dict[str, tuple[plane.Plane, list[Series]]] = {}
+def densities(steps: Sequence[Json], now: int) -> dict[str, Picture]:
+    found: dict[str, Picture] = {}
     for channel, d in steps[now].get("densities", {}).items():
         alike = [o["densities"][channel] for o in steps if channel in o.get("densities", {})]
         gain, unit = scaled((o["at"] for o in alike), "m")
@@ -117,19 +128,20 @@ def densities(steps: Sequence[Json], now: int) -> dict[str, tuple[plane.Plane, l
         y = plane.Axis(*plane.decades(values, at_most=5), f"1/{unit}", log=True)
         at = floats(d["at"]) * gain
         series = [(at, floats(d["measured"]) / gain, MEASURED), (at, floats(d["model"]) / gain, tone(steps, now))]
-        found[f"density/{channel}"] = (plane.Plane(x, y), series)
+        found[f"density/{part(channel)}"] = Picture(plane.Plane(x, y), series, f"{channel} [{y.label}]")
     return found
 
 
-def orbits(step: Json, colour: tuple[int, int, int]) -> dict[str, tuple[plane.Plane, list[Series]]]:
-    found: dict[str, tuple[plane.Plane, list[Series]]] = {}
+def orbits(step: Json, colour: tuple[int, int, int]) -> dict[str, Picture]:
+    found: dict[str, Picture] = {}
     for bearing, o in step.get("orbits", {}).items():
         both = [values for key in ("measured", "model") for values in o[key]]
         gain, unit = scaled(both, "m")
         side = span(both, gain, unit)
         for key, shade in (("measured", MEASURED), ("model", colour)):
             series = [(floats(o[key][0]) * gain, floats(o[key][1]) * gain, shade)]
-            found[f"orbit/{bearing}/{key}"] = (plane.Plane(side, side, plane.HEIGHT), series)
+            frame = plane.Plane(side, side, plane.HEIGHT)
+            found[f"orbit/{part(bearing)}/{key}"] = Picture(frame, series, f"{bearing}, {key} [{unit}]")
     return found
 
 
@@ -146,13 +158,6 @@ def span(many: Iterable[Sequence[float]], gain: float, label: str) -> plane.Axis
     values = values[np.isfinite(values)]
     high = plane.round_up(float(np.abs(values).max(initial=0)) or 1.0)
     return plane.Axis(-high if (values < 0).any() else 0.0, high, label)
-
-
-def title_of(entity: str, frame: plane.Plane) -> str:
-    kind, *rest = entity.split("/")
-    if kind == "residual":
-        return f"{rest[0]} against {rest[1].replace('_', ' ')} [{frame.y.label}]"
-    return f"{' '.join(rest)} [{frame.y.label}]"
 
 
 def document(title: str, comparison: Json, diagnosis: Json | None, ladder: Sequence[Json]) -> str:
@@ -177,17 +182,16 @@ def layout(drawn: Mapping[str, str]) -> Any:
         bounds = rrb.VisualBounds2D(x_range=(-130, width + 40), y_range=(-30, plane.HEIGHT + 80))
         return rrb.Spatial2DView(origin=entity, name=name, visual_bounds=bounds)
 
-    per_row = len({entity.split("/")[2] for entity in drawn if entity.startswith("residual/")})
+    per_row = len({entity.rsplit("/", 1)[1] for entity in drawn if entity.startswith("residual/")})
     kinds = {"residual": "Residual force", "spectrum": "Spectra", "density": "Densities", "orbit": "Orbits"}
     tabs = []
     for kind, name in kinds.items():
         views = [view(entity, text) for entity, text in drawn.items() if entity.startswith(kind + "/")]
         if views:
             tabs.append(rrb.Grid(*views, grid_columns=per_row if kind == "residual" else 2, name=name))
+    summary = rrb.TextDocumentView(origin="summary", name="Summary")
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.TextDocumentView(origin="summary", name="Summary"), rrb.Tabs(*tabs, active_tab=0), column_shares=[2, 5]
-        ),
+        rrb.Horizontal(summary, rrb.Tabs(*tabs, active_tab=0), column_shares=[2, 5]) if tabs else summary,
         rrb.TimePanel(timeline=STEP, state="collapsed", play_state="following"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),

@@ -23,6 +23,14 @@ PALETTE = (
 BAD, GOOD, IDLE = (213, 94, 0), (0, 158, 115), (130, 130, 130)
 
 
+def part(name: str) -> str:
+    """A name of the user's or a device's as one part of an entity path."""
+    import rerun as rr
+
+    escaped: str = rr.escape_entity_path_part(name)
+    return escaped or "_"
+
+
 def colour(k: int) -> tuple[int, int, int]:
     return PALETTE[k % len(PALETTE)]
 
@@ -58,13 +66,13 @@ def layout(
     waveforms = [
         series(f"waveform/{k}", f"Waveforms [{unit_text(unit)}]", time_ranges=rolling)
         if len(names) > MOST_APART
-        else rrb.Vertical(*(trace(f"waveform/{k}/{name}", f"{name} [{unit_text(unit)}]") for name in names))
+        else rrb.Vertical(*(trace(f"waveform/{k}/{part(name)}", f"{name} [{unit_text(unit)}]") for name in names))
         for k, (unit, names) in enumerate(signals.items())
     ]
     spectra = [plot(f"spectrum/{k}", f"Spectrum [({unit_text(unit)})²/Hz]") for k, unit in enumerate(signals)]
     scopes = [plot(f"scope/{k}", f"Scope, every sample [{unit_text(unit)}]") for k, unit in enumerate(signals)]
-    orbits = [plot(f"orbit/{bearing}", f"Orbit, {bearing} [nm]", HEIGHT) for bearing in bearings]
-    estimates = {kind: series(f"estimate/{kind}", heading) for kind, heading in parameters.items()}
+    orbits = [plot(f"orbit/{part(bearing)}", f"Orbit, {bearing} [nm]", HEIGHT) for bearing in bearings]
+    estimates = {kind: series(f"estimate/{part(kind)}", heading) for kind, heading in parameters.items()}
     linear = [estimates[kind] for kind in LINEAR if kind in estimates]
     nonlinear = [view for kind, view in estimates.items() if kind not in LINEAR]
     missing = [series("missing_force", "Missing force [%]")] if missing_force else []

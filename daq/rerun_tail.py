@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from drivers.reading import Info, Signal
 
 from . import rerun_plane as plane
-from .rerun_layout import colour
+from .rerun_layout import colour, part
 from .rerun_signal import INTEGRATIONS, displacement, spectrum
 
 if TYPE_CHECKING:
@@ -80,9 +80,9 @@ class Tail:
         q = displacement(y, kind, rate, (low, min(high, 0.45 * rate)))
         keep = slice(len(q) // 2, len(q) // 2 + max(16, round(ORBIT_S * rate)))
         q = q[keep] * 1e9
-        side = self._linear_axis(f"orbit/{bearing}", q, "y, nm")
+        side = self._linear_axis(f"orbit/{part(bearing)}", q, "y, nm")
         x = plane.Axis(side.low, side.high, "")
-        self._draw(f"orbit/{bearing}", plane.Plane(x, side, plane.HEIGHT), [(q[:, 0], q[:, 1], colour(b))])
+        self._draw(f"orbit/{part(bearing)}", plane.Plane(x, side, plane.HEIGHT), [(q[:, 0], q[:, 1], colour(b))])
 
     def _log_axis(self, path: str, values: Array, label: str) -> plane.Axis:
         """Decades that hold the values, and those held before."""
@@ -105,8 +105,8 @@ class Tail:
     def _draw(self, path: str, frame: plane.Plane, series: Sequence[tuple[Array, Array, tuple[int, int, int]]]) -> None:
         if self._planes.get(path) != frame:
             self._planes[path] = frame
-            for name, part in frame.frame():
-                self._to.log(f"{path}/{name}", part)
+            for name, drawing in frame.frame():
+                self._to.log(f"{path}/{name}", drawing)
         self._to.log(f"{path}/curves", plane.curves(frame, series))
 
     def _orbits(self, places: Places) -> dict[str, tuple[int, int, str]]:

@@ -17,7 +17,7 @@ from drivers.reading import Block, Gap, Info, Notice, Reading, Signal
 from estimator.estimate import Estimate
 
 from .report_numbers import unit_text
-from .rerun_layout import BAD, DEVICE_TIME, GOOD, HOST_TIME, IDLE, colour, layout
+from .rerun_layout import BAD, DEVICE_TIME, GOOD, HOST_TIME, IDLE, colour, layout, part
 from .rerun_signal import envelope
 from .rerun_tail import TAIL_S, Tail
 from .sink import ClockState, Status
@@ -137,7 +137,7 @@ class RerunView:
         self._lay_out()
 
     def _path(self, k: int) -> str:
-        return f"waveform/{self._units.index(self._signals[k].unit)}/{self._signals[k].name}"
+        return f"waveform/{self._units.index(self._signals[k].unit)}/{part(self._signals[k].name)}"
 
     def _lay_out(self) -> None:
         kinds = {kind: self._kinds[kind] for kind in sorted(self._kinds)}
@@ -212,12 +212,12 @@ class RerunView:
             value = math.nan if p.value is None else p.value * scale
             sd = math.nan if p.sd is None else p.sd * scale
             band = rr.Measurements(values=[value], variances=[sd * sd], names=[place], colors=[self._tint(place)])
-            self._to.log(f"estimate/{kind}/{place}", band)
+            self._to.log(f"estimate/{part(kind)}/{part(place)}", band)
         for name, extra in (estimate.extra or {}).items():
             if name.startswith("missing_force"):
                 new |= not self._missing_force
                 self._missing_force = True
-                self._to.log(f"missing_force/{name}", rr.Scalars(extra))
+                self._to.log(f"missing_force/{part(name)}", rr.Scalars(extra))
         self._state("estimator", estimate.status, estimate.index)
         if new:
             self._lay_out()
@@ -253,7 +253,7 @@ class RerunView:
 
     def _scalars(self, path: str, values: Mapping[str, float]) -> None:
         for k, (name, value) in enumerate(values.items()):
-            entity = f"{path}/{self._rr.escape_entity_path_part(name)}"
+            entity = f"{path}/{part(name)}"
             style = self._rr.SeriesLines(names=name, colors=[colour(k)])
             self._to.log(entity, self._rr.Scalars(float(value)), style)
 

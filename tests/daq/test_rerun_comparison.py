@@ -26,3 +26,12 @@ def test_only_the_contract_keys(tmp_path: Path) -> None:
     bare = {k: v for k, v in made_up()["comparison"].items() if k not in ("curves", "spectra", "densities", "orbits")}
     log_comparison(tmp_path / "bare.rrd", bare)
     assert "summary" in entities(tmp_path / "bare.rrd")
+
+
+def test_any_names(tmp_path: Path) -> None:
+    parts = made_up()
+    for curve in parts["comparison"]["curves"]:
+        curve["channel"] = "a/b c$"
+    parts["comparison"]["spectra"] = {"a/b c$": parts["comparison"]["spectra"]["b1x"]}
+    log_comparison(tmp_path / "names.rrd", parts["comparison"])
+    assert r"spectrum/a\/b\ c\$/curves" in entities(tmp_path / "names.rrd")
