@@ -6,6 +6,7 @@ convention M a + C v + K x = F. Paper: Tiwari and Vyas, J. Sound Vib. 203(3), 19
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,6 +54,22 @@ def lumped_shaft(positions: Array, bending_stiffness: float, slopes: str = "free
     if slopes == "held":
         return K[:n, :n]
     return K[:n, :n] - K[:n, n:] @ np.linalg.solve(K[n:, n:], K[n:, :n])
+
+
+def lumped_rotor(
+    positions: Array, bending_stiffness: float, masses: Array, supports: Mapping[int, tuple[float, float]]
+) -> tuple[Array, Array, Array]:
+    """M, C, K (n, n) of lumped masses on a free-free shaft carried by bearings, one transverse direction.
+
+    positions, masses : (n,) m and kg. supports : node number -> (kL, c) of its bearing. With `modes`, `eliminate` and
+    `linear_covariance` this is the rotor of any number of discs.
+    """
+    n = len(masses)
+    M, C, K = np.diag(np.asarray(masses, dtype=float)), np.zeros((n, n)), lumped_shaft(positions, bending_stiffness)
+    for node, (stiffness, damping) in supports.items():
+        K[node, node] += stiffness
+        C[node, node] += damping
+    return M, C, K
 
 
 def dynamic_stiffness(M: Array, C: Array, K: Array, omega: Array) -> Complex:
@@ -223,7 +240,7 @@ class Stationarity:
 
 def stationarity(model: Model) -> Stationarity:
     """The exact stationary condition of any model. Raises ModelError if the linear part is incomplete."""
-    from .effects import CATALOGUE
+    from .effects.custom import effect_of
 
     rig = assemble(model)
     Q, C = np.diag(rig.S / 2.0), 0.5 * (rig.C + rig.C.T)
@@ -234,10 +251,6 @@ def stationarity(model: Model) -> Stationarity:
         if Q[i, i] > 0 or C[i, i] > 0
     }
     mismatch = float(np.linalg.norm(Q - 2.0 * T * C) / np.linalg.norm(Q)) if np.any(Q) and np.isfinite(T) else np.inf
-    blocking = tuple(
-        use.name
-        for use in model.effects
-        if use.name not in CATALOGUE
-        or not (CATALOGUE[use.name].stationary_density or CATALOGUE[use.name].kind == "sensor")
-    )
+    effects = [effect_of(use) for use in model.effects]
+    blocking = tuple(e.name for e in effects if not e.stationary_density and e.kind != "sensor")
     return Stationarity(T, by_dof, mismatch, blocking)

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from . import simulate_kernel as kernel
 from .effect import Effect
-from .effects import CATALOGUE
+from .effects.custom import effect_of
 from .effects.places import at, values
 from .errors import ModelError
-from .model import DIRECTIONS, NODES, EffectUse, Model
+from .model import DIRECTIONS, NODES, Model
 from .rotor import Array, Assembly, assemble
 
 KINDS = {
@@ -46,17 +46,6 @@ class Plan:
     shapes: tuple[tuple[int, Callable[..., Array], Array], ...]  # (dof, shape, p) of coloured forces
     correlation: tuple[tuple[int, int, float], ...]  # (dof, dof, coefficient)
     sensors: tuple[tuple[int, Effect, Array], ...]  # (channel number, effect, p)
-
-
-def effect_of(use: EffectUse) -> Effect:
-    """The effect that a use names: of the catalogue, or the user's own."""
-    if use.custom is not None:
-        from .effects.custom import custom_effect
-
-        return custom_effect(use)
-    if use.name not in CATALOGUE:
-        raise ModelError(f"no effect {use.name!r} in the catalogue: see `rotorscope effects`, or use [[model.custom]]")
-    return CATALOGUE[use.name]
 
 
 def build(model: Model) -> Plan:

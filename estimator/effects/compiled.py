@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import cfunc, njit, types
+from numba.core.errors import NumbaError
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from ..effect import Effect
+from ..errors import ModelError
 
 F = types.float64
 P = types.CPointer(F)
@@ -28,10 +30,21 @@ MEMORY = F(P, F, F, P, P)  # z, x, v, p, lin
 
 @cache
 def address(law: Callable[..., Any], kind: str = "force") -> int:
-    """Address of a law compiled for `kind` force | rates | memory. Kept alive for the life of the process."""
+    """Address of a law compiled for `kind` force | rates | memory. Kept alive for the life of the process.
+
+    Raises ModelError for a law that numba cannot compile.
+    """
     signature = {"force": FORCE, "rates": RATES, "memory": MEMORY}[kind]
     on_disk = not law.__code__.co_filename.startswith("<")  # a law made from an expression has no file
-    compiled = cfunc(signature, cache=on_disk, error_model="numpy")(law)
+    try:
+        compiled = cfunc(signature, cache=on_disk, error_model="numpy")(law)
+    except NumbaError as error:
+        why = str(error).strip().splitlines()
+        said = next((line.strip() for line in why[1:] if line.strip()), why[0])
+        raise ModelError(
+            f"law {law.__name__} of {law.__code__.co_filename}: numba cannot compile it: {said}; "
+            "use floats, the math module and the arguments of the seam (estimator/effect.py)"
+        ) from error
     _KEEP.append(compiled)
     return int(compiled.address)
 

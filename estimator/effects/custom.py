@@ -8,11 +8,21 @@ from numpy.typing import NDArray
 from ..effect import Effect, EffectParameter
 from ..errors import ModelError
 from ..model import EffectUse, Setting
-from .compiled import force_array
+from . import CATALOGUE
+from .compiled import address, force_array
 from .expression import compile_law
 
 Array = NDArray[np.float64]
 SCALE_OF_UNIT = {"m": "x", "m/s": "v", "Hz": "hz_peak"}
+
+
+def effect_of(use: EffectUse) -> Effect:
+    """The effect that a use names: of the catalogue, or the user's own. Raises ModelError."""
+    if use.custom is not None:
+        return custom_effect(use)
+    if use.name not in CATALOGUE:
+        raise ModelError(f"no effect {use.name!r} in the catalogue: see `rotorscope effects`, or use [[model.custom]]")
+    return CATALOGUE[use.name]
 
 
 def custom_effect(use: EffectUse) -> Effect:
@@ -25,7 +35,7 @@ def custom_effect(use: EffectUse) -> Effect:
     if custom is None:
         raise ModelError(f"effect {use.name} is not a custom one")
     if custom.effect is not None:
-        return custom.effect
+        return _loaded(use.name, custom.effect)
     if custom.expression is None:
         raise ModelError(f"custom effect {use.name}: the module {custom.module!r} has not been loaded")
     names = tuple(custom.units)
@@ -59,6 +69,22 @@ def custom_effect(use: EffectUse) -> Effect:
     )
     fields = {f: getattr(effect, f) for f in Effect.__dataclass_fields__}
     return Effect(**{**fields, "parameters": marked})
+
+
+def _loaded(name: str, effect: Effect) -> Effect:
+    """A module's object, if it is an Effect that can work under its name."""
+    if not isinstance(effect, Effect):
+        raise ModelError(f"custom effect {name}: the module's object is a {type(effect).__name__}, not an Effect")
+    needs = {"memory": ("rates", "memory_force"), "sensor": ("apply",), "excitation": ("shape",)}.get(
+        effect.kind, ("force",)
+    )
+    lacking = [n for n in needs if getattr(effect, n) is None]
+    if lacking:
+        raise ModelError(f"custom effect {name}: an Effect of kind {effect.kind} needs {' and '.join(lacking)}")
+    for law, kind in ((effect.force, "force"), (effect.rates, "rates"), (effect.memory_force, "memory")):
+        if law is not None:
+            address(law, kind)
+    return effect
 
 
 def _amplitude(s: Setting) -> tuple[float, float]:

@@ -5,22 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from ..effect import Effect, EffectParameter
 
 INF = float("inf")
+MOST_BALLS = 40
+_ANGLES = 2.0 * np.pi * np.arange(MOST_BALLS) / np.maximum(np.arange(MOST_BALLS + 1), 1)[:, None]
+COS, SIN = np.cos(_ANGLES), np.sin(_ANGLES)  # [balls, j]: tables, as trigonometry would be most of the cost
 
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
     # The tangent at rest is taken off: kL stays the whole stiffness there. Balls are frozen at th_j = 2 pi j / Z.
-    g, balls = p[1], int(p[2])
+    g, balls = p[1], max(min(int(p[2]), MOST_BALLS), 1)
     cx, cy = (x, xo) if s > 0.0 else (xo, x)
     total = 0.0
     for j in range(balls):
-        angle = 2.0 * math.pi * j / balls
-        cos, sin = math.cos(angle), math.sin(angle)
-        squeeze = g + cx * cos + cy * sin
+        squeeze = g + cx * COS[balls, j] + cy * SIN[balls, j]
         if squeeze > 0.0:
-            total += squeeze * math.sqrt(squeeze) * (cos if s > 0.0 else sin)
+            total += squeeze * math.sqrt(squeeze) * (COS[balls, j] if s > 0.0 else SIN[balls, j])
     if g > 0.0:
         total -= 0.75 * balls * math.sqrt(g) * x
     return p[0] * total

@@ -51,7 +51,7 @@ def values(effect: Effect, use: EffectUse, model: Model, place: str) -> NDArray[
     """(k,) parameters at a canonical place, SI, in declared order.
 
     Kinematic orders and the number of balls come from the rig where they are not given. Raises ModelError naming
-    what is missing: a missing parameter never means "off".
+    what is missing (a missing parameter never means "off") or impossible.
     """
     node = place.split(".")[0]
     names = {c.name for c in model.channels if c.place == place}
@@ -73,6 +73,9 @@ def values(effect: Effect, use: EffectUse, model: Model, place: str) -> NDArray[
             value = p.default
         if value is None:
             raise ModelError(f"effect {use.name} at {place} has no {p.name} ({p.unit}): give it, or fit first")
+        if not np.isfinite(value) or (p.low >= 0.0 and value < 0.0) or (p.given and not p.low <= value <= p.high):
+            least = f"{p.low:g} to {p.high:g}" if p.given else "a number of at least 0" if p.low >= 0.0 else "a number"
+            raise ModelError(f"effect {use.name} at {place}: {p.name} is {value:g} {p.unit}, it must be {least}")
         out.append(float(value))
     return np.array(out)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,8 +55,6 @@ def test_values_are_those_of_numpy(text: str, numpy_text: str | None) -> None:
     law, _ = compile_law(text, ("a", "b"))
     names = dict(zip(("x", "v", "xo", "vo", "t", "phase"), STATES, strict=True)) | {"a": 1.3, "b": 0.7}
     expected = eval(numpy_text or text, {n: getattr(np, n) for n in [*FUNCTIONS, "pi"]}, names)
-    from dataclasses import replace
-
     effect = replace(CATALOGUE["cubic"], force=law)
     found = force_array(effect, np.array([1.3, 0.7]), *STATES[:6])
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
@@ -130,6 +129,35 @@ def test_linear_parameters_are_found(expression: str, linear: set[str]) -> None:
 def test_a_loaded_module_object_is_taken_as_it_is() -> None:
     use = EffectUse("mine", {"bearing1.x": {}}, CustomLaw(None, "m.py:Mine", {}, effect=CATALOGUE["cubic"]))
     assert custom_effect(use) is CATALOGUE["cubic"]
+
+
+def test_a_module_object_that_cannot_work_is_refused() -> None:
+    def with_effect(effect: object) -> EffectUse:
+        return EffectUse("mine", {"bearing1.x": {}}, CustomLaw(None, "m.py:Mine", {}, effect=effect))  # type: ignore[arg-type]
+
+    def bad(x, v, xo, vo, t, phase, s, p):  # type: ignore[no-untyped-def]
+        return x.real_part_of("nothing")
+
+    with pytest.raises(ModelError, match="mine: the module's object is a int, not an Effect"):
+        custom_effect(with_effect(3))
+    with pytest.raises(ModelError, match="kind force needs force"):
+        custom_effect(with_effect(replace(CATALOGUE["cubic"], force=None)))
+    with pytest.raises(ModelError, match="numba cannot compile it"):
+        custom_effect(with_effect(replace(CATALOGUE["cubic"], force=bad)))
+
+
+def test_a_user_law_has_the_standing_of_a_built_in_one_in_simulation() -> None:
+    from estimator.model import Channel, Model
+    from estimator.rotor import stationarity
+    from estimator.simulate import simulate
+
+    linear = {"bearing1.x": {"kL": Setting(1e7), "c": Setting(60.0), "S": Setting(9e-5)}}
+    model = Model((Channel("a", "bearing1", "x"),), (150.0, 8000.0), mass={"bearing1": 0.2}, linear=linear)
+    built_in = EffectUse("cubic", {"bearing1.x": {"kNL": Setting(1e18)}})
+    own_law = own("k*x**3", k=(1e18, "N/m^3"))
+    one, two = (replace(model, effects=(e,)) for e in (built_in, own_law))
+    np.testing.assert_allclose(simulate(two, 25600.0, 0.3, seed=3), simulate(one, 25600.0, 0.3, seed=3), rtol=1e-9)
+    assert stationarity(two).exact
 
 
 @settings(max_examples=200, deadline=None)

@@ -421,6 +421,10 @@ def test_what_cannot_be_simulated_is_said() -> None:
         )
     with pytest.raises(ModelError, match=r"clearance at bearing1\.x has no gap \(m\)"):
         Simulator(one_bearing(use("clearance", ("bearing1.x",), k=1e6)), RATE)
+    with pytest.raises(
+        ModelError, match=r"clearance at bearing1\.x: gap is -1e-07 m, it must be a number of at least 0"
+    ):
+        Simulator(one_bearing(use("clearance", ("bearing1.x",), k=1e6, gap=-1e-7)), RATE)
     with pytest.raises(ModelError, match="cannot act at 'bearing7"):
         Simulator(one_bearing(use("cubic", ("bearing7.x",), kNL=1e6)), RATE)
     with pytest.raises(ModelError, match="no effect 'cubik'"):
