@@ -11,6 +11,7 @@ import pytest
 from estimator.effect import Effect
 from estimator.effects import CATALOGUE
 from estimator.effects.compiled import force_array, memory_array
+from estimator.effects.page import markdown
 from estimator.effects.strength import OTHER, Size, defaults, rms, search_range, strengths
 
 CONTRACT = """cubic, quintic, quadratic, clearance, stop, hertz, coulomb, quadratic_damping, displacement_damping,
@@ -50,6 +51,11 @@ def random_parameters(effect: Effect, rng: np.random.Generator) -> np.ndarray:
 def test_every_name_of_the_contract_is_there() -> None:
     assert list(CATALOGUE) == re.split(r",\s*", CONTRACT)
     assert all(name == effect.name for name, effect in CATALOGUE.items())
+
+
+def test_the_page_of_the_docs_is_the_catalogue() -> None:
+    page = Path(__file__).parents[2] / "docs" / "effects.md"
+    assert page.read_text() == markdown(), "python -m estimator.effects.page > docs/effects.md"
 
 
 @of(ALL)
