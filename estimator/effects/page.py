@@ -28,17 +28,17 @@ HEAD = """# Effects
 
 Written from the catalogue by `python -m estimator.effects.page`; change the file of the effect, not this page.
 
-**Conventions.** All SI. Laws are *restoring* forces on the left-hand side: `M a + C v + K x + sum(laws) = F`. `x, v` are
-displacement and velocity of the cap in one direction, `xo, vo` those of the other direction of the same cap; for an
-effect on the shaft they are disc minus mean of the caps. Rotation takes x to y; `phi` is the shaft angle from the tacho
-pulse, Omega its rate, `t` time. `(.)_+` is the positive part.
+**Conventions.** All SI. Laws are *restoring* forces on the left-hand side: `M a + C v + K x + sum(laws) = F`. `x, v`
+are displacement and velocity of the cap in one direction, `xo, vo` those of the other direction of the same cap; for
+an effect on the shaft they are disc minus mean of the caps. Rotation takes x to y; `phi` is the shaft angle from the
+tacho pulse, Omega its rate, `t` time. `(.)_+` is the positive part.
 
 **Linear stiffness and damping are always in the model**, so a law says what comes on top of `kL x + c v`. Hertz contact
 is written less its tangent at rest: `kL` stays the whole stiffness there.
 
-**Places.** An effect of scope *direction* has parameters of its own at `bearing1.x`, `bearing1.y`, ...; of scope *node*
-one set for both directions of `bearing1`, `bearing2` or `disc`. correlated_force belongs to a direction and stands at the
-first bearing.
+**Places.** An effect of scope *direction* has parameters of its own at `bearing1.x`, `bearing1.y`, ...; of scope
+*node* one set for both directions of `bearing1`, `bearing2` or `disc`. correlated_force belongs to a direction and
+stands at the first bearing.
 
 **Limits.** *amplitude*: the law is proportional to it, so it is solved for and needs no start. *search*: looked for
 between the limits, which are multiples of a natural size of the rig (displacement rms and so on). *given*: taken from
@@ -57,11 +57,11 @@ By expression, in the rig file:
     expression = "k*maximum(x - g, 0)"
     parameters = { k = { value = 1e6, unit = "N/m" }, g = { value = 1e-7, unit = "m" } }
 
-Names: `x v xo vo t phase`, the parameters, `pi`, `e`; numbers; `+ - * / // % **`, comparisons, `and or not`,
-`a if condition else b`; and FUNCTIONS. Nothing else is accepted: no attributes, indices or other calls. Errors give
-the column. A law that is not finite, a parameter that is not used and a name that does not exist are refused. Parameters
-that the law is linear in are found by trying and solved for exactly; the others are searched between `min` and `max`, or
-within a factor of 30 of `value`.
+Names: `x v xo vo t phase`, the parameters, `pi`, `e`; numbers; `+ - * / // % **`, comparisons, `and or not`, `a if
+condition else b`; and FUNCTIONS. Nothing else is accepted: no attributes, indices or other calls. Errors give the
+column. A law that is not finite, a parameter that is not used and a name that does not exist are refused. Parameters
+that the law is linear in are found by trying and solved for exactly; the others are searched between `min` and `max`,
+or within a factor of 30 of `value`.
 
 By module, for laws with memory, coupling or sensor behaviour: `module = "my_effects.py:SOFT_STOP"` names an
 `estimator.effect.Effect`, built as any file of `estimator/effects/` does. Its law is a plain function with the
