@@ -276,5 +276,5 @@ def ranking(rows: Sequence[Json]) -> str:
     ax.axvline(0, color="black", linewidth=0.8)
     ax.set_yticks(range(len(rows)), [plain(f"{r['effect']} at {', '.join(r['at'])}") for r in rows])
     ax.invert_yaxis()
-    label_axes(ax, "gain on held-out data (higher is better)", "")
+    label_axes(ax, "gain in log-likelihood on held-out data, nats", "")
     return svg(figure, "ranking")

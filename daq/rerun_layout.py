@@ -77,7 +77,7 @@ def layout(
     nonlinear = [view for kind, view in estimates.items() if kind not in LINEAR]
     missing = [series("missing_force", "Missing force [%]")] if missing_force else []
     tabs = [tabbed(group) for group in (linear, nonlinear, missing) if group]
-    left = [rrb.Vertical(*waveforms)]
+    left = [rrb.Vertical(*waveforms)] if waveforms else []
     left += [rrb.Horizontal(*tabs)] if tabs else []
     left += [rrb.StateTimelineView(origin="state", name="Link, gaps, sensors, estimator")]
     health = rrb.Tabs(
@@ -88,11 +88,11 @@ def layout(
         rrb.TextDocumentView(origin="rig", name="Rig file"),
         active_tab=0,
     )
-    right = [tabbed(spectra + scopes), *([rrb.Horizontal(*orbits)] if orbits else []), health]
+    right = [*([tabbed(spectra + scopes)] if signals else []), *([rrb.Horizontal(*orbits)] if orbits else []), health]
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(*left, row_shares=[5, 4, 2] if tabs else [5, 2]),
-            rrb.Vertical(*right, row_shares=[4, 4, 3] if orbits else [4, 2]),
+            rrb.Vertical(*left, row_shares=[5, 4, 2][-len(left) :]),
+            rrb.Vertical(*right, row_shares=[4, 4, 3][-len(right) :]),
             column_shares=[1, 1],
         ),
         rrb.TimePanel(timeline=DEVICE_TIME, state="collapsed", play_state="following"),

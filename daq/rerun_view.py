@@ -25,6 +25,7 @@ from .sink import ClockState, Status
 if TYPE_CHECKING:
     import rerun as rr
 
+LAST_S = 9e9  # times are int64 nanoseconds: a gap may claim more than that
 PREVIEW_HZ = 500.0  # rows a second of a waveform, two of them a bin; slower signals are shown whole
 ROWS = 64  # a call to the recording: 50 to 100 times cheaper than one row each
 LEVELS = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
@@ -100,18 +101,22 @@ class RerunView:
             t = self._clock.offset_ns + np.asarray(index) * (1e9 / self._clock.rate_hz)
         else:
             t = self._anchor[1] + (np.asarray(index) - self._anchor[0]) * (1e9 / self._info.rate_hz)
-        return np.asarray(t).astype(np.int64) + self._session.wall_ns
+        return np.clip(np.asarray(t) + self._session.wall_ns, -LAST_S * 1e9, LAST_S * 1e9).astype(np.int64)
+
+    def _device_s(self, index: NDArray[np.int64] | int) -> NDArray[np.float64]:
+        """Device time of an index."""
+        return np.minimum(np.asarray(index) / self._info.rate_hz, LAST_S)
 
     def _columns(self, index: NDArray[np.int64]) -> list[rr.TimeColumn]:
         host = self._host_ns(index).astype("datetime64[ns]")
         return [
-            self._rr.TimeColumn(DEVICE_TIME, duration=index / self._info.rate_hz),
+            self._rr.TimeColumn(DEVICE_TIME, duration=self._device_s(index)),
             self._rr.TimeColumn(HOST_TIME, timestamp=host),
         ]
 
     def _at(self, index: int) -> None:
         """Set the time of what is logged next."""
-        self._to.set_time(DEVICE_TIME, duration=index / self._info.rate_hz)
+        self._to.set_time(DEVICE_TIME, duration=float(self._device_s(index)))
         self._to.set_time(HOST_TIME, timestamp=np.datetime64(int(self._host_ns(index)), "ns"))
 
     # ---- signals
