@@ -17,15 +17,14 @@ from . import simulate_kernel as kernel
 from .effect import Effect
 from .errors import ModelError
 from .model import Model
-from .rotor import Array, propagator
-from .simulate_plan import Plan, Slots, build, table
+from .rotor import Array
+from .simulate_plan import Plan, build
 from .simulate_speed import Speed
 from .simulate_start import start_state
+from .simulate_step import Scheme, Stepper
 
-Scheme = Literal["exponential", "rk4"]
 BLOCK = 1024  # output samples made at a time
 MARGIN = 512  # samples before and after a block that sensor effects may look at
-SHAPE_TAPS = 4096  # length of the filter that colours a force
 
 
 def antialias_taps(oversample: int) -> Array:
@@ -125,93 +124,6 @@ class Simulator:
                 column += 1
         self._raw_index += BLOCK
         return out
-
-
-class Stepper:
-    """The rotor's state and the compiled step. `count` is the number of the next step; step k starts at k * dt."""
-
-    def __init__(self, plan: Plan, dt: float, scheme: Scheme, speed: Speed | None) -> None:
-        if scheme not in ("exponential", "rk4"):
-            raise ValueError(f'scheme {scheme!r}: "exponential" or "rk4"')
-        self.plan, self.dt, self.speed, self.scheme = plan, dt, speed, scheme
-        rig, self.slots = plan.rig, Slots.of(plan.rig)
-        self._table, states, self._kept = table(plan.acting, self.slots)
-        n = self.slots.count
-        self.x, self.v, self.z = np.zeros(n), np.zeros(n), np.zeros(states)
-        self.count = 0
-        self.driven = np.flatnonzero(rig.S)
-        self.level = np.sqrt(rig.S[self.driven] / (2.0 * dt))
-        self._mix = _correlation(plan, self.driven)
-        self._shapes = [
-            (int(np.flatnonzero(self.driven == i)[0]), _shape_taps(shape, p, dt))
-            for i, shape, p in plan.shapes
-            if i in self.driven
-        ]
-        self._past: Array | None = None  # white force before this call, for the colouring filters
-        self._matrices: tuple[Array, Array, Array]
-        if scheme == "exponential":
-            E, G0, G1 = propagator(rig.M, rig.C, rig.K, dt)
-            self._matrices = self.slots.blocks(E, 2, 2), self.slots.blocks(G0, 2), self.slots.blocks(G1, 2)
-        else:
-            mass = self.slots.vector(np.diag(rig.M), 1.0)
-            self._matrices = self.slots.blocks(rig.K), self.slots.blocks(rig.C), mass
-        self._channels = plan.channels.astype(np.uintp)
-        self._channels[:, 1] = self.slots.of_dof[plan.channels[:, 1]]
-
-    def advance(self, rng: np.random.Generator, out: Array) -> None:
-        """Step out.shape[1] times, writing the channels' step averages into out (channels, steps)."""
-        steps = out.shape[1]
-        F = np.zeros((steps, self.slots.count))
-        F[:, self.slots.of_dof[self.driven]] = self._force(rng, steps)
-        self.step(F, out)
-
-    def step(self, F: Array, out: Array) -> None:
-        """Step under the given held forces F (steps, slots) N."""
-        steps = len(F)
-        t: Array = np.asarray((self.count + np.arange(steps + 1)) * self.dt, dtype=np.float64)
-        phase = self.speed.phase(t) if self.speed else np.zeros(steps + 1)
-        run = kernel.rk4 if self.scheme == "rk4" else kernel.exponential
-        at = (self.count * self.dt, self.dt, phase, F)
-        run(self.x, self.v, self.z, *at, self._table, self._matrices, self._channels, out)
-        self.count += steps
-
-    def _force(self, rng: np.random.Generator, steps: int) -> Array:
-        white = rng.standard_normal((steps, self.driven.size))
-        if self._mix is not None:
-            white = white @ self._mix.T
-        if self._shapes:
-            from scipy.signal import oaconvolve
-
-            if self._past is None:
-                self._past = rng.standard_normal((SHAPE_TAPS, self.driven.size))
-            whole = np.concatenate([self._past, white])
-            self._past = whole[-SHAPE_TAPS:]
-            for column, taps in self._shapes:
-                white[:, column] = oaconvolve(whole[:, column], taps, mode="full")[SHAPE_TAPS : SHAPE_TAPS + steps]
-        return np.asarray(white * self.level)
-
-
-def _correlation(plan: Plan, driven: np.ndarray) -> Array | None:
-    """Factor (forces, forces) that correlates white forces, None if there is nothing to correlate."""
-    if not plan.correlation:
-        return None
-    R = np.eye(driven.size)
-    for i, j, rho in plan.correlation:
-        if not -1.0 < rho < 1.0:
-            raise ModelError(f"correlated_force: rho must lie between -1 and 1, it is {rho:g}")
-        if i in driven and j in driven:
-            a, b = np.flatnonzero(driven == i)[0], np.flatnonzero(driven == j)[0]
-            R[a, b] = R[b, a] = rho
-    return np.asarray(np.linalg.cholesky(R))
-
-
-def _shape_taps(shape: object, p: Array, dt: float) -> Array:
-    """Filter whose gain is the root of the effect's multiplier of S, by sampling it in frequency."""
-    if not callable(shape):
-        raise TypeError("shape must be callable")
-    gain = np.sqrt(np.maximum(shape(np.fft.rfftfreq(SHAPE_TAPS, dt), p), 0.0))
-    taps = np.roll(np.fft.irfft(gain), SHAPE_TAPS // 2)
-    return np.asarray(taps * np.hanning(SHAPE_TAPS + 1)[:SHAPE_TAPS])
 
 
 def _refuse_without_speed(model: Model, plan: Plan) -> None:

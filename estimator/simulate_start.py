@@ -20,7 +20,7 @@ from .rotor import Array, linear_covariance, stationarity
 from .simulate_plan import Plan
 
 if TYPE_CHECKING:
-    from .simulate import Stepper
+    from .simulate_step import Stepper
 
 BURN_S = 0.5  # run before the record where the density is not known
 BARRIER = 20.0  # least U/T of a softening model that is let run

@@ -16,9 +16,10 @@ from estimator.effects.compiled import force_array
 from estimator.errors import ModelError
 from estimator.model import Channel, EffectUse, Model, Setting
 from estimator.rotor import assemble, dynamic_stiffness, linear_covariance, propagator
-from estimator.simulate import Simulator, Stepper, antialias_taps, quantise, simulate
+from estimator.simulate import Simulator, antialias_taps, quantise, simulate
 from estimator.simulate_plan import build
 from estimator.simulate_speed import Speed
+from estimator.simulate_step import Stepper
 
 RATE = 25600.0
 
