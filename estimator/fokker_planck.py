@@ -273,7 +273,7 @@ def fit(model: Model, y: Array, rate_hz: float, form: Form = "response", replica
     Raises DataError if the form is literal, too few rows are valid, a channel is constant or the band misses the
     resonance.
     """
-    x, v, valid = motion_of(model, y, rate_hz)
+    x, v, _, valid = motion_of(model, y, rate_hz)
     found: dict[str, Parameter] = {}
     notes: list[str] = []
     for plane in planes(model):

@@ -22,6 +22,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from .band_edge import BandEdge
 from .estimate import Parameter
 from .moments import BlockMoments, propagate
 from .planes import Plane
@@ -34,25 +35,27 @@ class PlaneMoments:
     """Moment recursion of one direction, and the stiffness that follows from it.
 
     The row of the series, per cap with powers q: products x^(q_i + q_j) (upper triangle), q x^(q-1) v^2,
-    q x^(q-1) and x^q (a x + b x_other); for two caps also the squared gradient of the shaft term.
+    q x^(q-1) and x^q (a x + b x_other), and a^2; then the squared gradient of the shaft term.
+    edge : of the band that x, v, a were limited to; None for signals that were not.
     """
 
-    def __init__(self, plane: Plane, form: Form = "velocity") -> None:
+    def __init__(self, plane: Plane, form: Form = "velocity", edge: BandEdge | None = None) -> None:
         self.plane = plane
         self.form = form
+        self.edge = edge
         self._joint = plane.scale_from_shaft and not plane.masses_known
         self._slices: list[slice] = []
         at = 0
         for cap in plane.caps:
             p = len(cap.powers)
-            width = p * (p + 1) // 2 + 3 * p
+            width = p * (p + 1) // 2 + 3 * p + 1
             self._slices.append(slice(at, at + width))
             at += width
         self.moments = BlockMoments(at + 1)
         self.names = plane.names()
 
-    def series(self, x: Array, v: Array) -> list[Array]:
-        """The K columns of the series, each (n,), for displacement and velocity (n, caps), m and m/s."""
+    def series(self, x: Array, v: Array, a: Array | None = None) -> list[Array]:
+        """The K columns of the series, each (n,), for displacement, velocity, acceleration (n, caps), SI."""
         plane = self.plane
         xs, vs = [np.ascontiguousarray(z) for z in x.T], [np.ascontiguousarray(z) for z in v.T]
         shaft = [plane.a * z for z in xs]
@@ -70,15 +73,16 @@ class PlaneMoments:
             columns += [s * square for s in slope]
             columns += slope
             columns += [g * shaft[i] for g in f]
+            columns.append(np.zeros(len(x)) if a is None else np.ascontiguousarray(a[:, i]) ** 2)
         columns.append(sum((z * z for z in shaft[1:]), shaft[0] * shaft[0]))
         return columns
 
-    def add(self, x: Array, v: Array, forget: float = 1.0) -> None:
-        """Take one block, (n, caps) each; rows with NaN are left out."""
+    def add(self, x: Array, v: Array, a: Array | None = None, forget: float = 1.0) -> None:
+        """Take one block, (n, caps) each; rows with NaN are left out. a is needed if there is a band edge."""
         keep = np.isfinite(x).all(axis=1) & np.isfinite(v).all(axis=1)
         if not keep.all():
-            x, v = x[keep], v[keep]
-        self.moments.add(np.array([column.sum() for column in self.series(x, v)]), len(x), forget)
+            x, v, a = x[keep], v[keep], None if a is None else a[keep]
+        self.moments.add(np.array([column.sum() for column in self.series(x, v, a)]), len(x), forget)
 
     def parameters(self) -> dict[str, Parameter]:
         """The estimate: contract names -> Parameter, each judged for identifiability."""
@@ -102,7 +106,7 @@ class PlaneMoments:
         return "" if self.moments.rows > 0 else "no valid sample yet"
 
     def _split(self, u: NDArray[np.complex128], index: int) -> tuple[NDArray[np.complex128], ...]:
-        """E[f f'], E[f' v^2], E[f'], E[f shaft], E[v^2] of one cap from the mean series."""
+        """E[f f'], E[f' v^2], E[f shaft], E[v^2] of one cap from the mean series, for unit mass and all of the band."""
         cap = self.plane.caps[index]
         p = len(cap.powers)
         part = u[self._slices[index]]
@@ -110,8 +114,14 @@ class PlaneMoments:
         upper = np.triu_indices(p)
         gram[upper] = part[: len(upper[0])]
         gram.T[upper] = gram[upper]
-        weighted, plain, shaft = part[len(upper[0]) :].reshape(3, p)
+        weighted, plain, shaft = part[len(upper[0]) : -1].reshape(3, p)
         right = weighted if self.form == "velocity" else plain * weighted[0]
+        if self.edge is not None:
+            mass = 1.0 if cap.mass is None else cap.mass
+            scale = np.sqrt(gram[0, 0].real) ** np.array(cap.powers, dtype=float)
+            stiffness = _solve_scaled(gram, mass * right, scale)[0]  # of bearing and shaft together
+            # for Gaussian x, E[f F] = E[f'] E[x F]
+            right = right + plain * (self.edge.work(stiffness, mass, gram[0, 0], weighted[0], part[-1]) / mass)
         return gram, right, shaft, weighted[0]
 
     def _solve(self, u: NDArray[np.complex128]) -> NDArray[np.complex128]:

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from .band_edge import BandEdge
 from .bandlimit import BandLimit, band_limit
 from .errors import DataError
 from .estimate import Estimate, Parameter
@@ -51,10 +52,11 @@ class RollingScoreMatching:
         self._columns = list(motion_columns(model))
         kinds = [model.channels[i].kind for i in self._columns]
         self._stream = BandLimit(kinds, rate_hz, density_band(model)[0])
-        self._planes = [(PlaneMoments(p), place_columns(model, p.direction)) for p in planes(model)]
+        edge = BandEdge.of(rate_hz, density_band(model)[0])
+        self._planes = [(PlaneMoments(p, edge=edge), place_columns(model, p.direction)) for p in planes(model)]
         self._rows = max(256, round(time_constant_s * rate_hz / 100.0))
         self._forget = math.exp(-self._rows / (time_constant_s * rate_hz))
-        self._held = np.empty((2, 0, len(kinds)))
+        self._held = np.empty((3, 0, len(kinds)))
         self._rate_hz, self._orders = rate_hz, synchronous_orders(model)
         self._index = 0
 
@@ -63,26 +65,26 @@ class RollingScoreMatching:
         motion = self._stream.push(block[:, self._columns])
         if not motion.rows:
             return
-        fresh = np.stack([motion.x.T, motion.v.T])
+        fresh = np.stack([motion.x.T, motion.v.T, motion.a.T])
         fresh[:, ~motion.valid] = np.nan
         self._held = np.concatenate([self._held, fresh], axis=1)
         used = 0
         while self._held.shape[1] - used >= self._rows:
-            x, v = self._motion(self._held[:, used : used + self._rows])
+            x, v, a = self._motion(self._held[:, used : used + self._rows])
             for moments, columns in self._planes:
-                moments.add(x[:, columns], v[:, columns], self._forget)
+                moments.add(x[:, columns], v[:, columns], a[:, columns], self._forget)
             used += self._rows
         self._held = self._held[:, used:].copy()
         self._index += used
 
-    def _motion(self, block: Array) -> tuple[Array, Array]:
-        """x, v of one block (2, rows, places), without the lines that the model's effects say are there."""
+    def _motion(self, block: Array) -> Array:
+        """x, v, a of one block (3, rows, places), without the lines that the model's effects say are there."""
         if not self._orders or self.model.speed_rpm is None:
-            return block[0], block[1]
-        both = np.concatenate([block[0], block[1]], axis=1)
+            return block
+        flat = np.concatenate(list(block), axis=1)
         hz = self.model.speed_rpm / 60.0
-        both = both - lines(both, self._rate_hz, hz, self._orders, len(both) / self._rate_hz)
-        return both[:, : block.shape[2]], both[:, block.shape[2] :]
+        flat = flat - lines(flat, self._rate_hz, hz, self._orders, len(flat) / self._rate_hz)
+        return np.stack(np.split(flat, 3, axis=1))
 
     def snapshot(self) -> Estimate:
         """The estimate as of the last complete internal block."""
@@ -102,16 +104,18 @@ def fit(model: Model, y: Array, rate_hz: float, form: Form = "velocity") -> Fit:
     form : plane_moments.py; "velocity" for records, "density" is the paper's hypothesis taken literally.
     Raises DataError if too few rows are valid, a channel does not move, or the band misses the resonance.
     """
-    x, v, valid = motion_of(model, y, rate_hz)
+    x, v, a, valid = motion_of(model, y, rate_hz)
     found: dict[str, Parameter] = {}
     notes: list[str] = []
     size = max(1, int(valid.sum()) // FIT_BLOCKS)
+    edge = BandEdge.of(rate_hz, density_band(model)[0])
     for plane in planes(model):
         columns = place_columns(model, plane.direction)
-        here, speed = x[valid][:, columns], v[valid][:, columns]
-        moments = PlaneMoments(plane, form)
+        here, speed, shaken = (z[valid][:, columns] for z in (x, v, a))
+        moments = PlaneMoments(plane, form, edge)
         for at in range(0, len(here), size):
-            moments.add(here[at : at + size], speed[at : at + size])
+            part = slice(at, at + size)
+            moments.add(here[part], speed[part], shaken[part])
         found |= moments.parameters()
         notes += messages(plane, here, speed) + softening_message(plane, found, speed)
     for k, place in enumerate(model.places):
@@ -122,8 +126,8 @@ def fit(model: Model, y: Array, rate_hz: float, form: Form = "velocity") -> Fit:
     return Fit(found, None, int(valid.sum()), "score-matching", tuple(notes))
 
 
-def motion_of(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Band-limited displacement and velocity (n, places) of a record and the rows (n,) that may be used.
+def motion_of(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Band-limited displacement, velocity, acceleration (n, places) of a record and the rows (n,) that may be used.
 
     Raises DataError as `fit`.
     """
@@ -145,15 +149,15 @@ def motion_of(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array, NDA
             f"{usable} usable samples of {len(y)} (band filter and gaps take the rest), {FEWEST_ROWS} needed: "
             "record longer, or widen the band at its low end"
         )
-    x, v = motion.x.T, motion.v.T
+    parts = np.concatenate([motion.x, motion.v, motion.a]).T
     orders = synchronous_orders(model)
     if orders and model.speed_rpm is not None:
-        both = np.where(motion.valid[:, None], np.concatenate([x, v], axis=1), np.nan)
-        both = both - lines(both, rate_hz, model.speed_rpm / 60.0, orders)
-        x, v = both[:, : x.shape[1]], both[:, x.shape[1] :]
+        parts = np.where(motion.valid[:, None], parts, np.nan)
+        parts = parts - lines(parts, rate_hz, model.speed_rpm / 60.0, orders)
+    x, v, a = np.split(parts, 3, axis=1)
     for k, i in enumerate(columns):
         check_resonance(v[motion.valid, k], rate_hz, band, model.channels[i].name)
-    return x, v, motion.valid
+    return x, v, a, motion.valid
 
 
 def place_columns(model: Model, direction: str) -> list[int]:
