@@ -140,7 +140,7 @@ class Continuity:
             return 1
         if total < last.rows and total > -LATE_FRAMES * rows:
             return self._late(last, total, f, start, stop, t_host_ns)
-        slack = (0.5 if already else 2.0) * rows + min(1e-4 * abs(elapsed), f.modulus / 64)
+        slack = 0.5 * rows + min(1e-4 * abs(elapsed), f.modulus / 64)
         if total < 0 or (timed and elapsed < -slack):
             self._restart("its counter and clock went back", (stop - start) * rows, t_host_ns, out)
         elif not timed or abs(total - elapsed) <= slack:
@@ -155,7 +155,8 @@ class Continuity:
                 self._causes = {"stuck"}
                 self._notices.add(t_host_ns, "error", "counter_jump",
                                   "the device's counter disagrees with its clock: the clock is believed")  # fmt: skip
-            self._missing(round(elapsed) - last.rows - already, last, f, start, out)
+            passed = rows * round(elapsed / rows)  # whole frames, as the device counts
+            self._missing(passed - last.rows - already, last, f, start, out)
         return 0
 
     def _changed(self, f: SampleFrames, start: int) -> bool:

@@ -1,0 +1,327 @@
+"""Every sample is in one block or one gap, at its true index, whatever the device and the link do to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ramp_device import PERIOD, Record, ramp_device
+
+from drivers import cobs
+from drivers.can_decoder import CanDecoder
+from drivers.can_frames import CanFrames
+from drivers.continuity import Continuity
+from drivers.faults import Fault
+from drivers.notices import Notices
+from drivers.protocol import NO_MODULUS, SampleFrames
+from drivers.reading import Block, Gap, LinkStats, Reading
+from drivers.serial_decoder import SerialDecoder
+from drivers.simulated import SimulatedDevice, WireFrame
+
+LAYOUTS = ("fd16", "fd24", "classic", "serial16", "serial24")
+SLICE_S = 0.01
+
+
+class Wire:
+    """Feeds a device's frames to a decoder in batches, at the times they leave the device."""
+
+    def __init__(self, device: SimulatedDevice, batch: int = 40) -> None:
+        self.stats = LinkStats()
+        self.serial = device.config.serial
+        self.decoder = SerialDecoder(self.stats) if self.serial else CanDecoder(self.stats)
+        self.record = Record()
+        self.readings: list[Reading] = []
+        self.device = device
+        self._batch = batch
+
+    def feed(self, frames: Iterable[WireFrame]) -> None:
+        held: list[WireFrame] = []
+        for frame in [*frames, None]:
+            if frame is not None:
+                held.append(frame)
+            if held and (frame is None or len(held) >= self._batch):
+                t_ns = round(held[-1].due_s * 1e9)
+                if isinstance(self.decoder, SerialDecoder):
+                    out = self.decoder.feed(b"".join(_damage(cobs.encode(f.data), f.damaged) for f in held), t_ns)
+                else:
+                    arrived = [f for f in held if f.damaged != "flip"]
+                    cut = [(f.identifier, f.data[:-1] if f.damaged else f.data, t_ns) for f in arrived]
+                    out = self.decoder.feed(CanFrames.build(cut), t_ns)
+                self.readings += out
+                self.record.take(out)
+                held = []
+
+    def run(self, frames: int) -> Record:
+        self.feed(self.device.next(frames))
+        return self.record
+
+
+def _damage(wire: bytes, how: str) -> bytes:
+    if how == "flip":
+        return wire[:3] + bytes((wire[3] ^ 16,)) + wire[4:]
+    return wire[:3] + wire[4:] if how == "short" else wire
+
+
+def device_of(layout: str, *faults: Fault, **config: object) -> SimulatedDevice:
+    rate_hz = 8000.0 if layout == "classic" else 25_600.0
+    return ramp_device(layout, rate_hz, None, faults=faults, rows=16, **config)
+
+
+def frames_of(layout: str) -> int:
+    return 2400 if layout == "classic" else 300
+
+
+def whole(layout: str, samples: int) -> int:
+    return samples - samples % 800 if layout == "classic" else samples  # up to the last sync frame
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_undisturbed(layout: str) -> None:
+    wire = Wire(device_of(layout))
+    record = wire.run(frames_of(layout))
+    assert not record.gaps
+    assert not record.notices
+    assert record.offset == 0
+    assert record.samples >= whole(layout, wire.device.samples_made) - 800 * (layout == "classic")
+
+
+@pytest.mark.parametrize("layout", ["fd16", "fd24", "serial16", "serial24"])
+@pytest.mark.parametrize(
+    ("kind", "count", "reason", "code"),
+    [
+        ("drop", 1, "sequence", ""), ("drop", 9, "sequence", ""), ("device_lost", 5, "device_lost", ""),
+        ("version", 4, "version", "other_version"), ("stuck", 6, "stuck", "stuck_counter"),
+        ("silent", 80, "sequence", ""), ("duplicate", 3, "", "duplicate"), ("reorder", 1, "sequence", "reordered"),
+        ("restart", 50, "restart", "device_restart"),
+    ],
+)  # fmt: skip
+def test_each_fault_is_named_and_costs_what_it_must(layout: str, kind: str, count: int, reason: str, code: str) -> None:
+    wire = Wire(device_of(layout, Fault(kind, 100, count)))
+    record = wire.run(300)
+    rows = wire.device.config.frame_rows
+    assert {gap.reason for gap in record.gaps} == ({reason} if reason else set())
+    lost = record.lost(reason) if reason else 0
+    if kind == "restart":
+        assert lost >= 1
+        assert wire.stats.restarts == 1
+    else:
+        assert lost == (0 if kind == "duplicate" else count * rows)
+        assert record.offset == 0
+        assert record.next_index == wire.device.samples_made
+    assert record.codes() == ({code} if code else set())
+    assert wire.stats.lost_samples == lost
+
+
+@pytest.mark.parametrize("layout", ["serial16", "serial24", "fd16", "fd24"])
+def test_damaged_frames_are_a_gap(layout: str) -> None:
+    wire = Wire(device_of(layout, Fault("short", 100, 3)))
+    record = wire.run(300)
+    assert record.lost("crc") == 3 * wire.device.config.frame_rows
+    assert record.offset == 0
+    assert wire.stats.crc_errors == 3
+
+
+def test_device_lost_and_link_loss_are_told_apart() -> None:
+    wire = Wire(device_of("fd16", Fault("device_lost", 100, 2), Fault("drop", 102, 3)))
+    record = wire.run(300)
+    assert (record.lost("device_lost"), record.lost("sequence")) == (14, 21)
+
+
+def test_restart_is_as_long_as_the_hosts_clock_says() -> None:
+    for layout in ("fd16", "fd24", "serial16"):
+        wire = Wire(device_of(layout, Fault("restart", 200, 1000)), batch=1)
+        record = wire.run(600)
+        away = 1000 * wire.device.config.frame_rows
+        assert record.lost("restart") == pytest.approx(away, rel=0.01)
+
+
+def test_restart_without_epochs_is_seen_by_the_clock() -> None:
+    device = device_of("fd16", Fault("restart", 200, 100))
+    device._epoch = 0
+    wire = Wire(device)
+    frames = device.next(200)
+    wire.feed(frames)
+    restarted = device.next(100)
+    for frame in restarted:
+        if frame.identifier == 0x300:
+            data = bytearray(frame.data)
+            data[3] &= 0x0F
+            object.__setattr__(frame, "data", bytes(data))
+    wire.feed(restarted)
+    assert wire.stats.restarts == 1
+    assert wire.record.lost("restart") >= 1
+
+
+@pytest.mark.parametrize("layout", ["fd16", "fd24", "serial16", "classic"])
+def test_a_silence_longer_than_the_counters_wrap_is_exact(layout: str) -> None:
+    """fd16 wraps after 17.9 s, classic after 16 samples; 40 s pass."""
+    device = device_of(layout)
+    wire = Wire(device)
+    wire.run(frames_of(layout))
+    made = device.samples_made
+    silent = round(40 * device.config.rate_hz / device.config.frame_rows)
+    while silent > 0:
+        device.next(min(silent, 4000))
+        silent -= 4000
+    record = wire.run(frames_of(layout))
+    assert record.offset == 0
+    missing = device.samples_made - made - frames_of(layout) * device.config.frame_rows
+    assert record.lost("sequence") == pytest.approx(missing, abs=2 * 800 * (layout == "classic"))
+
+
+def test_the_device_clock_wraps_unnoticed() -> None:
+    """u32 microseconds wrap after 71.6 min."""
+    device = device_of("fd16")
+    device._index = 4294 * 25_600 // 7 * 7  # 0.97 s before the wrap
+    record = Wire(device).run(3700)
+    assert record.next_index == 3700 * 7
+    assert not record.gaps
+    times = [block.t_device_ns for block in record.blocks]
+    assert times == sorted(times, key=lambda t: t or 0)
+    assert times[-1] - times[0] == pytest.approx((record.blocks[-1].index) / 25_600 * 1e9, abs=2e3)
+
+
+def test_device_time_is_that_of_row_0() -> None:
+    for layout in LAYOUTS:
+        wire = Wire(device_of(layout), batch=33)
+        record = wire.run(frames_of(layout))
+        for block in record.blocks:
+            assert block.t_device_ns is not None
+            assert block.t_device_ns / 1e9 == pytest.approx(block.index / wire.device.config.rate_hz, abs=2e-6)
+
+
+def test_a_lost_group_of_16_on_classic_can_is_never_a_shift() -> None:
+    """16 frames lost in a row leave no trace in a 4-bit counter: the window must go."""
+    for count in (16, 32, 5, 21):
+        wire = Wire(device_of("classic", Fault("drop", 1000, count)))
+        record = wire.run(2500)
+        assert record.offset == 0
+        assert sum(gap.count for gap in record.gaps) == (count if count == 5 else 800)
+
+
+@pytest.mark.parametrize("layout", ["fd16", "serial16"])
+def test_clock_jump_alone_is_no_gap(layout: str) -> None:
+    device = device_of(layout)
+    wire = Wire(device)
+    wire.run(100)
+    frames = device.next(100)
+    at, size = (4, 4) if layout == "fd16" else (16, 8)
+    for frame in frames:
+        data = bytearray(frame.data)
+        if frame.identifier == 0x300 or (layout == "serial16" and data[1] == 1):
+            later = int.from_bytes(data[at : at + size], "little") + 7_000_000
+            data[at : at + size] = later.to_bytes(size, "little")
+            object.__setattr__(frame, "data", bytes(data))
+    wire.feed(frames)
+    assert not wire.record.gaps
+    assert wire.record.codes() == {"device_clock_jump"}
+
+
+def test_a_pause_in_sampling_is_a_silent_gap() -> None:
+    """The counter goes on where it stopped, device and host clock say 3 s passed."""
+    device = device_of("serial16")
+    wire = Wire(device)
+    wire.run(100)
+    frames = device.next(100)
+    for frame in frames:
+        data = bytearray(frame.data)
+        if data[1] == 1:
+            later = int.from_bytes(data[16:24], "little") + 3_000_000
+            data[16:24] = later.to_bytes(8, "little")
+        object.__setattr__(frame, "data", bytes(data))
+        object.__setattr__(frame, "due_s", frame.due_s + 3.0)
+    wire.feed(frames)
+    assert wire.record.lost("silent") == pytest.approx(3 * 25_600, abs=1)
+
+
+FAULTS = st.lists(
+    st.builds(
+        Fault,
+        st.sampled_from(["drop", "duplicate", "reorder", "short", "device_lost", "stuck", "silent", "version"]),
+        st.integers(20, 280),
+        st.integers(1, 30),
+    ),
+    max_size=6,
+)
+
+
+@settings(max_examples=200)
+@given(st.sampled_from(LAYOUTS), FAULTS, st.integers(1, 200))
+def test_no_fault_ever_shifts_the_axis(layout: str, faults: list[Fault], batch: int) -> None:
+    """The ramp at each index is the sample the device took then; losses add up."""
+    scale = 8 if layout == "classic" else 1
+    if layout == "fd24" and any(f.kind == "stuck" for f in faults):
+        faults = [f for f in faults if f.kind == "stuck"]  # no stamp in each frame: lost and stuck at once is hopeless
+    wire = Wire(device_of(layout, *(Fault(f.kind, f.at * scale, f.count) for f in faults)), batch)
+    wire.run(300 * scale)
+    wire.run(100)  # a good end, so that the axis is complete
+    record = wire.record
+    for block in record.blocks:
+        assert (int(block.counts[0, 0]) + PERIOD // 2 - block.index) % PERIOD == 0
+    assert record.next_index - sum(gap.count for gap in record.gaps) == record.samples
+    assert sum(gap.count for gap in record.gaps) == wire.stats.lost_samples
+
+
+@settings(max_examples=40)
+@given(st.sampled_from(["fd16", "fd24", "serial16", "classic"]), FAULTS, st.integers(1, 60))
+def test_any_batching_gives_the_same(layout: str, faults: list[Fault], batch: int) -> None:
+    scale = 8 if layout == "classic" else 1
+    scaled = [Fault(f.kind, f.at * scale, f.count) for f in faults]
+    seen = []
+    for size in (batch, 100_000):
+        wire = Wire(device_of(layout, *scaled), size)
+        wire.run(300 * scale)
+        blocks = [reading for reading in wire.readings if isinstance(reading, Block)]
+        gaps = [reading for reading in wire.readings if isinstance(reading, Gap)]
+        rows = {b.index + k: tuple(row) for b in blocks for k, row in enumerate(b.counts.tolist())}
+        seen.append((rows, [(g.index, g.count) for g in gaps if g.reason != "restart"]))
+    assert seen[0] == seen[1]
+
+
+@given(st.lists(st.tuples(st.integers(0, 2**20), st.integers(0, 255), st.integers(0, 2), st.integers(0, 2**33)),
+                max_size=30), st.integers(1, 8))  # fmt: skip
+def test_any_frames_at_all_keep_the_axis_whole(frames: list[tuple[int, int, int, int]], rows: int) -> None:
+    """No counter, clock or epoch a broken device could send breaks the promise or raises."""
+    stats = LinkStats()
+    axis = Continuity(stats, Notices())
+    axis.rate_hz = 1000.0
+    record = Record(ramp=False)
+    record.infos.append(None)  # type: ignore[arg-type]
+    for k, (position, lost, epoch, time_us) in enumerate(frames):
+        one = SampleFrames(
+            np.array([position]), NO_MODULUS, np.array([lost], np.uint8), np.array([epoch], np.uint8),
+            np.array([time_us]), NO_MODULUS, np.zeros((1, rows, 1), np.int32),
+        )  # fmt: skip
+        for reading in axis.feed(one, k * 1_000_000):
+            assert isinstance(reading, Block | Gap)
+            assert reading.index == record.next_index
+            record.next_index += len(reading.counts) if isinstance(reading, Block) else reading.count
+    assert record.next_index == axis.index
+
+
+@given(st.lists(st.tuples(st.integers(0x2FE, 0x308), st.binary(max_size=64)), max_size=40))
+def test_any_can_frames_never_raise(frames: list[tuple[int, bytes]]) -> None:
+    device = device_of("fd16")
+    decoder = CanDecoder(LinkStats())
+    good = [(f.identifier, f.data, 0) for f in device.next(3)]
+    out = decoder.feed(CanFrames.build([*good, *((i, d, 0) for i, d in frames), *good]), 1_000_000)
+    assert any(isinstance(reading, Block) for reading in out)
+
+
+@given(st.binary(max_size=4000))
+def test_any_serial_bytes_never_raise(garbage: bytes) -> None:
+    decoder = SerialDecoder(LinkStats())
+    device = device_of("serial16")
+    good = b"".join(cobs.encode(f.data) for f in device.next(3))
+    out = decoder.feed(good + garbage + b"\0" + cobs.encode(device.next(1)[0].data), 1_000_000)
+    assert sum(len(reading.counts) for reading in out if isinstance(reading, Block)) == 64
+
+
+@given(st.binary(min_size=2, max_size=200))
+def test_valid_check_sum_with_senseless_content_never_raises(body: bytes) -> None:
+    decoder = SerialDecoder(LinkStats())
+    good = b"".join(cobs.encode(f.data) for f in device_of("serial16").next(3))
+    decoder.feed(good + cobs.encode(body) + cobs.encode(b"\1\1" + body) + cobs.encode(b"\1\3" + body), 0)
