@@ -34,7 +34,8 @@ def main(target: str, source: BinaryIO, answers: BinaryIO) -> int:
         if target.startswith("rerun"):
             recording.connect_grpc(target)
         else:
-            recording.save(target)
+            # The footer is an index of all chunks, kept in memory until the end: 4 MB a minute. Viewers do without it.
+            recording.save(target, write_footer=False)
         view = RerunView(recording, session)
         recording.flush(timeout_sec=FLUSH_S)
     answer(answers, "+")
