@@ -61,10 +61,13 @@ class BlockMoments:
 def propagate(function: Callable[[NDArray[np.complex128]], NDArray[np.complex128]], moments: BlockMoments) -> Array:
     """Covariance of function(mean), by the delta method with an exact complex-step derivative.
 
-    function : (K,) complex -> (P,) complex, analytic. Returns (P, P) float64.
+    function : (K,) complex -> (P,) complex, analytic. Returns (P, P) float64, infinite for fewer than two blocks.
     """
     covariance = moments.covariance()
     mean = moments.mean.astype(complex)
+    if not np.isfinite(covariance).all():
+        size = function(mean).size
+        return np.full((size, size), np.inf)
     scale = np.sqrt(np.abs(np.diag(covariance)))
     scale[scale == 0.0] = 1.0
     step = 1e-30
