@@ -49,6 +49,7 @@ class Evidence:
     gram: Floats
     blocks: float
     tangents: Floats
+    dressing: Complexes | None = None  # (f, columns), see dressing.py
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +85,9 @@ class Likelihood:
         self.evidence = evidence
         balance, grid = evidence.balance, evidence.grid
         self.R = responses(balance, evidence.tangents, grid.f_hz)
+        if evidence.dressing is not None:
+            for k, column in enumerate(balance.columns):
+                self.R[:, k, column.row] += evidence.dressing[:, k]
         entries = [(p, i, k, x) for p, f in enumerate(balance.free) for i, k, x in f.entries]
         self.row = np.array([e[1] for e in entries], dtype=np.intp)
         self.column = np.array([e[2] for e in entries], dtype=np.intp)

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from .balance import Balance, build
 from .checks import check_record
+from .columns import Columns
+from .dressing import dressed, self_energies
 from .estimate import Parameter
 from .fit_result import Fit
 from .gram import spectra, valid_blocks
 from .likelihood import Likelihood, Local, Point, active, maximise
 from .model import UNITS, Model
-from .record import Bank, Columns, Record, gather, prepare, stretches
+from .record import Bank, Record, gather, prepare, stretches
 from .start import Start, linear_start
 
 Floats = NDArray[np.float64]
@@ -75,13 +77,31 @@ def solve(record: Record, start: Start, model: Model, values: Mapping[str, float
     known = dict(values or {})
     balance = build(model, start.sizes, known, search=False)
     bank = gather(record, balance, start.widths, start.linear)
-    likelihood = Likelihood(bank.evidence())
-    local, converged = maximise(likelihood, initial(balance, start, known))
+    likelihood, local, converged = dress(record, start, bank, initial(balance, start, known))
     full = build(model, start.sizes, known)
     if len(full.free) > len(balance.free):
         balance, bank, likelihood, local, converged = _search(record, start, model, balance, local, known)
     covariance = sandwich(likelihood, local, bank)
     return Solution(record, start, balance, bank, local, covariance, converged)
+
+
+def dress(record: Record, start: Start, bank: Bank, point: Point, rounds: int = 2) -> tuple[Likelihood, Local, bool]:
+    """The maximum with the responses of the laws dressed (dressing.py), which depends on the parameters a little."""
+    evidence = bank.evidence()
+    likelihood = Likelihood(evidence)
+    local, converged = maximise(likelihood, point)
+    balance, P = bank.balance, len(bank.balance.places)
+    if not any(law.effect.kind == "force" for law in balance.laws):
+        return likelihood, local, converged
+    columns = Columns(balance, record.scales, start.widths, start.linear)
+    B = balance.coefficients(local.point.beta)
+    damping = np.array([B[i, P + i] + B[i] @ bank.tangents[:, 1] for i in range(P)])
+    pairs = self_energies(record, columns, start.linear, np.maximum(damping, 0.1 * start.c))
+    for _ in range(rounds):
+        B = balance.coefficients(local.point.beta)
+        likelihood = Likelihood(replace(evidence, dressing=dressed(pairs, balance, B, bank.grid)))
+        local, converged = maximise(likelihood, local.point)
+    return likelihood, local, converged
 
 
 def _search(
@@ -93,9 +113,8 @@ def _search(
     for _ in range(ROUNDS):
         searching = build(model, start.sizes, values)
         bank = gather(record, searching, start.widths, start.linear)
-        likelihood = Likelihood(bank.evidence())
-        point = initial(searching, start, values)
-        local, converged = maximise(likelihood, replace(point, S=local.point.S, noise=local.point.noise))
+        point = replace(initial(searching, start, values), S=local.point.S, noise=local.point.noise)
+        likelihood, local, converged = dress(record, start, bank, point)
         if settled:
             break
         moved = 0.0
@@ -144,13 +163,13 @@ def inferred_force(solution: Solution) -> Floats:
     Synthesised from the same blocks as the likelihood: window, bins of the band, window, overlap and add.
     """
     record, grid, balance = solution.record, solution.record.grid, solution.balance
-    columns = Columns(balance, record, solution.start.widths, solution.start.linear)
+    columns = Columns(balance, record.scales, solution.start.widths, solution.start.linear)
     B = balance.coefficients(solution.point.beta)
     out, weight = np.zeros((len(balance.places), record.motion.rows)), np.zeros(record.motion.rows)
     w = np.sin(np.pi * (np.arange(grid.size) + 0.5) / grid.size)
     for group in stretches(valid_blocks(record.motion.valid, grid), 8):
         at = int(group[0]) * grid.hop
-        z, _ = columns.evaluate(slice(at, int(group[-1]) * grid.hop + grid.size))
+        z, _ = columns.evaluate(record.stretch(at, int(group[-1]) * grid.hop + grid.size))
         Z = spectra(B @ z, group - group[0], grid) / grid.window[0] * w[0]
         full = np.zeros((*Z.shape[:2], grid.size // 2 + 1), complex)
         full[:, :, grid.bins] = Z

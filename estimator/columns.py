@@ -1,0 +1,155 @@
+"""The columns of a force balance evaluated along a stretch of band-limited motion, live or offline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .balance import Balance
+from .effects.compiled import memory_array
+from .errors import DataError
+from .features import FINER, HALF, MARGIN, State, decimated, depends, law_force, rough
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Rows in a row, MARGIN more on either side. a, v, x, u : (places, n); force : row -> (n,); valid : (n,)."""
+
+    a: Floats
+    v: Floats
+    x: Floats
+    u: Floats
+    valid: NDArray[np.bool_]
+    force: dict[int, Floats]
+    t: Floats
+    phase: Floats
+    rate_hz: float
+
+    @property
+    def rows(self) -> int:
+        return int(self.t.size - 2 * MARGIN)
+
+
+@dataclass(frozen=True, slots=True)
+class _Law:
+    """A column's law: (parameters, weight) pairs whose weighted forces add up to it."""
+
+    terms: tuple[tuple[Floats, float], ...]
+    reads: NDArray[np.bool_]
+    rough: bool
+
+
+class Columns:
+    """Evaluates the columns of a balance.
+
+    rms : (places, 2) of x and v. widths : (places, 2) sd of what the band leaves out of x and v. linear : (places, 3)
+    m, kL, c for effects with a memory.
+    """
+
+    def __init__(self, balance: Balance, rms: Floats, widths: Floats, linear: Floats | None = None) -> None:
+        self.balance, self.widths = balance, widths
+        self.linear = np.ones((len(balance.places), 3)) if linear is None else linear
+        self._laws: dict[int, _Law] = {}
+        for k, column in enumerate(balance.columns):
+            if column.kind == "law":
+                other = balance.other(column.row)
+                scale = np.concatenate([rms[column.row], rms[other] if other >= 0 else np.zeros(2)])
+                self._laws[k] = self._law(k, scale)
+
+    def _law(self, k: int, scale: Floats) -> _Law:
+        column = self.balance.columns[k]
+        law = self.balance.laws[column.law]
+        if column.part in law.linear:
+            p = law.p.copy()
+            p[list(law.linear)] = 0.0
+            p[column.part] = 1.0
+            terms: tuple[tuple[Floats, float], ...] = ((p, 1.0),)
+        elif column.part < 0:
+            terms = ((law.p, 1.0),)
+        else:
+            d = law.steps[column.part]
+            up, down = law.p.copy(), law.p.copy()
+            up[column.part] += d
+            down[column.part] -= d
+            terms = ((up, 0.5 / d), (down, -0.5 / d))
+        if law.effect.kind == "memory":
+            return _Law(terms, np.zeros(4, bool), False)
+        reads = np.any([depends(law.effect, p, scale) for p, _ in terms], axis=0)
+        return _Law(terms, reads, rough(law.effect, terms[0][0], scale))
+
+    def state(self, row: int, stretch: Stretch) -> State:
+        """What the laws at a place see."""
+        other = self.balance.other(row)
+        zero = np.zeros(stretch.t.size)
+        h = np.sqrt(3.0) * np.concatenate([self.widths[row], self.widths[other] if other >= 0 else np.zeros(2)])
+        xo, vo = (stretch.x[other], stretch.v[other]) if other >= 0 else (zero, zero)
+        sign = 1.0 if self.balance.places[row].endswith(".x") else -1.0
+        return State(stretch.x[row], stretch.v[row], xo, vo, stretch.t, stretch.phase, sign, h, stretch.valid)
+
+    def evaluate(self, stretch: Stretch) -> tuple[Floats, Floats]:
+        """(columns, rows) and (columns, 4) sums of tangents over the valid rows. Raises DataError if not finite."""
+        inner = slice(MARGIN, MARGIN + stretch.rows)
+        out = np.empty((len(self.balance.columns), stretch.rows))
+        tangents = np.zeros((len(self.balance.columns), 4))
+        states: dict[tuple[int, bool], State] = {}
+        for k, column in enumerate(self.balance.columns):
+            if column.kind == "f":
+                out[k] = stretch.force[column.row][inner]
+            elif column.kind != "law":
+                out[k] = getattr(stretch, column.kind)[column.row, inner]
+            elif self.balance.laws[column.law].effect.kind == "memory":
+                out[k], tangents[k] = self._memory(k, stretch, inner)
+            else:
+                law = self._laws[k]
+                key = (column.row, law.rough)
+                if key not in states:
+                    wide = self.state(column.row, stretch)
+                    states[key] = wide.finer() if law.rough else wide.inner()
+                effect = self.balance.laws[column.law].effect
+                out[k] = 0.0
+                for p, weight in law.terms:
+                    force, sums = law_force(effect, p, states[key], law.reads)
+                    out[k] += weight * (decimated(force) if law.rough else force)
+                    tangents[k] += weight * sums / (FINER if law.rough else 1)
+                if not np.isfinite(out[k]).all():
+                    raise DataError(
+                        f"the force of effect {effect.name} at {self.balance.places[column.row]} is not finite along "
+                        "the measured motion: check its expression and limits"
+                    )
+        return out, tangents
+
+    def tangent_series(self, k: int, stretch: Stretch) -> tuple[Floats, Floats, int]:
+        """Tangents of column k along x and v, and how many rows there are to a row of the stretch."""
+        column, law = self.balance.columns[k], self._laws[k]
+        wide = self.state(column.row, stretch)
+        state = wide.finer() if law.rough else wide.inner()
+        effect = self.balance.laws[column.law].effect
+        kx, kv = np.zeros(state.x.size), np.zeros(state.x.size)
+        for p, weight in law.terms:
+            series = (np.zeros(state.x.size), np.zeros(state.x.size))
+            law_force(effect, p, state, law.reads, series)
+            kx += weight * series[0]
+            kv += weight * series[1]
+        if law.rough:
+            return kx[HALF * FINER : -HALF * FINER], kv[HALF * FINER : -HALF * FINER], FINER
+        return kx, kv, 1
+
+    def _memory(self, k: int, stretch: Stretch, inner: slice) -> tuple[Floats, Floats]:
+        """Force of an effect with states, from rest at the start of the stretch, and its mean gain to x and v."""
+        column, law = self.balance.columns[k], self._laws[k]
+        effect = self.balance.laws[column.law].effect
+        x, v = stretch.x[column.row], stretch.v[column.row]
+        force = np.zeros(x.size)
+        for p, weight in law.terms:
+            force += weight * memory_array(effect, p, self.linear[column.row], x, v, stretch.rate_hz)
+        f, valid = force[inner], stretch.valid[inner]
+        x, v, z = x[inner][valid], v[inner][valid], f[valid]
+        gains = np.zeros(4)
+        xx, vv = float(x @ x), float(v @ v)
+        if xx > 0 and vv > 0:
+            gains[:2] = valid.sum() * np.array([float(z @ x) / xx, float(z @ v) / vv])
+        return f, gains
