@@ -118,8 +118,8 @@ def _screen(model: Model, point: WorkingPoint, say: Progress) -> list[screen.Tri
             trials.append(again)
     trials.sort(key=lambda t: -t.gain)
     say(0.7, "refining the best")
-    searched = [t for t in trials[:12] if searched(t.effect, model) and t.gain > max(4.0, 0.5 * trials[0].gain)]
-    better = {id(t): screen.refined(point, model, t) for t in searched[:8]}
+    promising = [t for t in trials[:12] if searched(t.effect, model) and t.gain > max(4.0, 0.5 * trials[0].gain)]
+    better = {id(t): screen.refined(point, model, t) for t in promising[:8]}
     return [better.get(id(t), t) for t in trials]
 
 

@@ -50,15 +50,22 @@ class Residual:
     sd: float
     problem: Subproblem
     fit: PathFit
-    groups: tuple[reference.Group, ...]
+    knots: dict[str, Array]  # of the groups of hat functions, SI
+    pool: Subproblem  # every group
     upper: float  # N^2: what could hide from the largest group tested, 95 %
 
 
 def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) -> Residual:
     """Forward selection of groups at place i. tries : groups tested over all places, for the significance."""
-    pool = reference.groups(point.data, i, orders)
-    problem = subproblem(point, (i,), reference.join([reference.columns(point, i, g) for g in pool]))
-    names = {g.name: tuple(n for n in problem.extra if n.startswith(g.name + ".")) for g in pool}
+    parts, knots = [], {}
+    for g in reference.groups(point.data, i, orders):
+        parts.append(reference.columns(point, i, g))
+        if g.knots is not None:
+            knots[g.name] = g.knots
+    problem = subproblem(point, (i,), reference.join(parts))
+    names: dict[str, tuple[str, ...]] = {}
+    for n in problem.extra:
+        names[n.split(".")[0]] = (*names.get(n.split(".")[0], ()), n)
     plain = problem.without_extra()
     base = plain.fit()
     everything = np.arange(point.fold_blocks.size)
@@ -74,7 +81,7 @@ def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) 
             if name in chosen:
                 continue
             trial = problem.only(tuple(n for g in [*chosen, name] for n in names[g]))
-            fit = _ridged(trial)
+            fit = ridged(trial)
             gained = trial.likelihood(fit, everything) - level
             df = _effective(trial, fit, names[name])
             p = float(chi2.sf(2 * max(gained, 0.0), df))
@@ -91,17 +98,21 @@ def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) 
         found.append(Found(i, name, max(total - power, 0.0), gained, min(1.0, p * tries)))
         power = max(total, power)
     P, sd = power_of(point, current, fitted, i) if chosen else (0.0, 0.0)
-    kept = tuple(g for name in chosen for g in pool if g.name == name)
-    return Residual(i, tuple(found), P, sd, current, fitted, kept, upper)
+    return Residual(i, tuple(found), P, sd, current, fitted, knots, problem, upper)
 
 
-def _ridged(problem: Subproblem) -> PathFit:
+def ridged(problem: Subproblem) -> PathFit:
     """Fit with a weak prior, RIDGE of the mean information of an extra column."""
+    return problem.fit(ridge=ridge_of(problem), steps=6)
+
+
+def ridge_of(problem: Subproblem) -> float:
+    """The prior information that goes with RIDGE."""
     G = problem.gram.G.sum(axis=1)
     n = problem.gram.n.sum(axis=1)
     S = G[:, 0, 0] / n
     own = 2 * np.einsum("ikk->ik", G / S[:, None, None]).sum(axis=0)[1 + len(problem.base) :]
-    return problem.fit(ridge=RIDGE * float(np.mean(own)) if own.size else 0.0, steps=6)
+    return RIDGE * float(np.mean(own)) if own.size else 0.0
 
 
 def _effective(problem: Subproblem, fit: PathFit, names: tuple[str, ...]) -> float:

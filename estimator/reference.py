@@ -6,6 +6,7 @@ mean derivative); of two states, low products. u = x / rms, w = v / rms, r^2 = u
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,17 +70,15 @@ def hat_group(name: str, z: Array, place: int, which: int, places: int, step: fl
     return Group(name, list(out), tangents, knots)
 
 
-def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> list[Group]:
-    """Every group of columns of place i. orders : of shaft rotation, for the stiffness that turns with the shaft."""
+def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> Iterator[Group]:
+    """Every group of columns of place i, one at a time (they are large). orders : of shaft rotation, for stiffness."""
     P = len(data.places)
     sx, sv = float(data.x[i].std()), float(data.v[i].std())
     u, w = (data.x[i] / sx).astype(np.float32), (data.v[i] / sv).astype(np.float32)
-    out = [
-        hat_group("displacement", data.x[i], i, 0, P, X_STEP),
-        hat_group("velocity", data.v[i], i, 1, P, V_STEP),
-    ]
+    yield hat_group("displacement", data.x[i], i, 0, P, X_STEP)
+    yield hat_group("velocity", data.v[i], i, 1, P, V_STEP)
 
-    def group(name: str, columns: list[tuple[Series, float, float, float, float]]) -> None:
+    def group(name: str, columns: list[tuple[Series, float, float, float, float]]) -> Group:
         """(series, mean d/du, d/dw, d/duo, d/dwo)."""
         o = data.other(i)
         tangents = []
@@ -89,14 +88,14 @@ def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> list[Group]
             if o is not None:
                 t[o] = duo / data.x[o].std(), dwo / data.v[o].std()
             tangents.append(t)
-        out.append(Group(name, [c[0] for c in columns], tangents))
+        return Group(name, [c[0] for c in columns], tangents)
 
     def m(z: Series) -> float:
         return float(np.mean(z, dtype=np.float64))
 
     r = np.sqrt(u * u + w * w)
     rr = np.maximum(r, 1e-6)
-    group("level", [
+    yield group("level", [
         (u * w, m(w), m(u), 0, 0), (u * u * w, m(2 * u * w), m(u * u), 0, 0), (u * w * w, m(w * w), m(2 * u * w), 0, 0),
         (r * u, m(r + u * u / rr), m(u * w / rr), 0, 0), (r * w, m(u * w / rr), m(r + w * w / rr), 0, 0),
     ])  # fmt: skip
@@ -116,16 +115,16 @@ def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> list[Group]
                 (over * u, m(over + bend * u * u), 0.0, m(bend * u * uo), 0.0),
                 (over * uo, m(bend * u * uo), 0.0, m(over + bend * uo * uo), 0.0),
             ]
-        group("other_direction", columns)
+        yield group("other_direction", columns)
     q = data.opposite(i)
     if q is not None:
         tx, tv = np.zeros((P, 2)), np.zeros((P, 2))
         tx[q, 0], tv[q, 1] = 1.0 / data.x[q].std(), 1.0 / data.v[q].std()
         up, wp = (data.x[q] / data.x[q].std()).astype(np.float32), (data.v[q] / data.v[q].std()).astype(np.float32)
-        out.append(Group("other_bearing", [up, wp], [tx, tv]))
+        yield Group("other_bearing", [up, wp], [tx, tv])
     tau = (2 * (data.t - data.t[0]) / max(data.t[-1] - data.t[0], 1e-9) - 1).astype(np.float32)
     second = 1.5 * tau**2 - 0.5
-    group("time", [
+    yield group("time", [
         (tau * u, m(tau), 0, 0, 0), (tau * w, 0, m(tau), 0, 0),
         (second * u, m(second), 0, 0, 0), (second * w, 0, m(second), 0, 0),
     ])  # fmt: skip
@@ -134,8 +133,7 @@ def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> list[Group]
         for k in orders:
             c, s = np.cos(k * data.phase).astype(np.float32), np.sin(k * data.phase).astype(np.float32)
             columns += [(c * u, m(c), 0.0, 0.0, 0.0), (s * u, m(s), 0.0, 0.0, 0.0)]
-        group("shaft_angle", columns)
-    return out
+        yield group("shaft_angle", columns)
 
 
 def columns(point: WorkingPoint, i: int, group: Group) -> Columns:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .missing_force import Residual, Survey
+from .missing_force import Residual, Survey, ridged
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -33,29 +33,26 @@ class Shape:
         }
 
 
-def curve(point: WorkingPoint, residual: Residual, group: str) -> Shape | None:
-    """The fitted hat functions of one state as a curve, a straight line through the origin taken out; None if the
-    state was not found."""
-    problem, fit = residual.problem, residual.fit
-    own = next((g for g in residual.groups if g.name == group and g.knots is not None), None)
-    if own is None or own.knots is None:
-        return None
+def curve(point: WorkingPoint, residual: Residual, group: str, channel: str) -> Shape:
+    """The fitted hat functions of one state ("displacement" or "velocity") as a curve, without its straight line."""
+    knots = residual.knots[group]
     i = residual.place
-    names = [f"{group}.{k}" for k in range(len(own.knots))]
+    names = [f"{group}.{k}" for k in range(len(knots))]
+    # where other states are found too, their part is taken out by the joint fit
+    fit = residual.fit if names[0] in residual.fit.names else ridged(residual.pool.only(tuple(names)))
     at = np.array([fit.names.index(n) for n in names])
     scales = fit.scales[at]
     # the force that the model lacks is added to the restoring side with the sign of delta
     force, cov = fit.delta[at] * scales, fit.covariance[np.ix_(at, at)] * np.multiply.outer(scales, scales)
     state = point.data.x[i] if group == "displacement" else point.data.v[i]
     rms = float(state.std())
-    inside = np.abs(own.knots) <= min(3.5 * rms, float(np.quantile(np.abs(state), 0.999)))
-    weight = np.exp(-0.5 * (own.knots / rms) ** 2)
-    D = np.stack([np.ones_like(own.knots), own.knots / rms], axis=1)
+    inside = np.abs(knots) <= min(3.5 * rms, float(np.quantile(np.abs(state), 0.999)))
+    weight = np.exp(-0.5 * (knots / rms) ** 2)
+    D = np.stack([np.ones_like(knots), knots / rms], axis=1)
     free = np.eye(len(force)) - D @ np.linalg.solve(D.T @ (weight[:, None] * D), D.T * weight)
     force, sd = free @ force, np.sqrt(np.maximum(np.diag(free @ cov @ free.T), 0.0))
-    at_knots, force, sd = own.knots[inside], force[inside], sd[inside]
-    del problem
-    return Shape(point.data.places[i], group, at_knots, force, force - 1.96 * sd, force + 1.96 * sd)
+    at_knots, force, sd = knots[inside], force[inside], sd[inside]
+    return Shape(channel, group, at_knots, force, force - 1.96 * sd, force + 1.96 * sd)
 
 
 def shape_of(point: WorkingPoint, found: Survey) -> Shape | None:
@@ -64,4 +61,4 @@ def shape_of(point: WorkingPoint, found: Survey) -> Shape | None:
     if not best:
         return None
     _, residual, group = max(best, key=lambda z: z[0])
-    return curve(point, residual, group)
+    return curve(point, residual, group, point.data.places[residual.place])

@@ -1,0 +1,113 @@
+"""Model against measurement on held-out data, and a map of where the model fails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import missing_force
+from .estimate import Parameter
+from .fitted import fitted_model, parameters
+from .heldout import heldout_nll, reference_nll
+from .model import Model
+from .model_uses import placed_of
+from .motion_blocks import cut
+from .shape import Shape, curve
+from .twin import twin
+from .where import Where, where_of
+from .working_point import WorkingPoint, fit_model
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """As schemas/compare.json; missing : value, low, high in per cent of the rms bearing force, 95 %.
+
+    curves : residual force against displacement and velocity of every channel, for pictures.
+    """
+
+    heldout_nll: float
+    reference_nll: float
+    missing: tuple[float, float, float]
+    psd_distance_db: dict[str, float]
+    pdf_distance: dict[str, float]
+    where: tuple[Where, ...]
+    adequate: bool
+    curves: tuple[Shape, ...] = ()
+    spectra: dict[str, Any] = field(default_factory=dict)
+    densities: dict[str, Any] = field(default_factory=dict)
+    orbits: dict[str, Any] = field(default_factory=dict)
+    parameters: dict[str, Parameter] = field(default_factory=dict)
+    simulation_rmse: dict[str, float] = field(default_factory=dict)
+    messages: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        value, low, high = self.missing
+        out: dict[str, Any] = {
+            "schema": 1,
+            "heldout_nll": self.heldout_nll,
+            "reference_nll": self.reference_nll,
+            "missing_force_percent": {"value": value, "low": low, "high": high},
+            "psd_distance_db": self.psd_distance_db,
+            "pdf_distance": self.pdf_distance,
+            "where": [w.to_json() for w in self.where],
+            "adequate": self.adequate,
+            "curves": [c.to_json() for c in self.curves],
+            "spectra": self.spectra,
+            "densities": self.densities,
+            "orbits": self.orbits,
+            "parameters": {k: p.to_json() for k, p in self.parameters.items()},
+            "messages": list(self.messages),
+        }
+        return out | ({"simulation_rmse": self.simulation_rmse} if self.simulation_rmse else {})
+
+
+def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = None) -> Comparison:
+    """Fit the model on the record's time folds, judge it on the others. y : (n, channels), SI, NaN where missing.
+
+    Raises DataError if the record cannot answer, ModelError for a model that makes no sense.
+    """
+    say = progress or (lambda fraction, text: None)
+    say(0.0, "band limit")
+    data = cut(model, y, rate_hz)
+    say(0.15, "fit")
+    point = fit_model(data, placed_of(model, data))
+    return compare_point(model, point, say)
+
+
+def compare_point(model: Model, point: WorkingPoint, say: Progress) -> Comparison:
+    """The same from a model already fitted."""
+    say(0.4, "what can still be predicted")
+    found = missing_force.survey(point, model)
+    nll = heldout_nll(point)
+    reference = reference_nll(point, found, nll)
+    say(0.85, "simulated twin")
+    beside = twin(fitted_model(model, point), point)
+    channel = {p: next(c.name for c in model.channels if c.place == p) for p in point.data.places}
+    curves = tuple(
+        curve(point, r, group, channel[point.data.places[r.place]])
+        for r in found.residuals
+        for group in ("displacement", "velocity")
+    )
+    say(1.0, "done")
+    return Comparison(
+        heldout_nll=nll,
+        reference_nll=reference,
+        missing=found.interval(),
+        psd_distance_db=beside.psd_distance_db,
+        pdf_distance=beside.pdf_distance,
+        where=where_of(point, found, channel),
+        adequate=not found.any_found(),
+        curves=curves,
+        spectra=beside.spectra,
+        densities=beside.densities,
+        orbits=beside.orbits,
+        parameters=parameters(point),
+        messages=(beside.message,) if beside.message else (),
+    )

@@ -1,0 +1,78 @@
+"""Held-out likelihood of a working point, in nats per sample, and of a flexible black box beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .missing_force import Survey, ridge_of
+from .motion_blocks import FOLDS
+from .subproblem import component, heldout_gain, subproblem
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+CELLS = 40
+
+
+def heldout_nll(point: WorkingPoint) -> float:
+    """Nats per sample: every time fold judged by the parameters of the others. Lower is better.
+
+    Of the one-sided PSD of the accelerations in the band, over all places; one sample is one row of the record.
+    """
+    total = 0.0
+    left = set(range(len(point.data.places)))
+    while left:
+        part = component(point, (min(left),))
+        left -= set(part)
+        problem = subproblem(point, part)
+        for f in range(FOLDS):
+            rest = np.array([k for k in range(FOLDS) if k != f])
+            total -= problem.likelihood(problem.fit(rest), np.array([f]))
+    return total / (point.data.blocks * point.data.block)
+
+
+def reference_nll(point: WorkingPoint, found: Survey, nll: float) -> float:
+    """The same for a black box: the smooth columns found (ridge), and a force spectrum that is free in 40 cells.
+
+    Its parts count only where they help on held-out data, so it is never above `nll`.
+    """
+    samples = point.data.blocks * point.data.block
+    gained = 0.0
+    for r in found.residuals:
+        if r.found:
+            gained += max(0.0, float(heldout_gain(r.problem, ridge_of(r.problem)).sum()))
+    for i in range(len(point.data.places)):
+        gained += max(0.0, _free_spectrum_gain(point, i))
+    return nll - gained / samples
+
+
+def cells(bins: int, count: int = CELLS) -> NDArray[np.int64]:
+    """First bins of cells of about equal width in log frequency, at least 4 bins each."""
+    edges = np.unique(np.round(np.geomspace(8, bins, count + 1)).astype(np.int64))
+    return np.concatenate([[0], edges[:-1]])
+
+
+def cell_powers(point: WorkingPoint, i: int) -> tuple[Array, Array, NDArray[np.int64]]:
+    """(folds, cells) mean |F|^2 W of place i relative to its S, (folds, cells) number of bins, first bins."""
+    data = point.data
+    Z = point.spectra[i].reshape(data.blocks, -1, 2)
+    power = np.einsum("bkc,bkc->bk", Z, Z).astype(np.float64) / point.S[i]
+    first = cells(power.shape[1])
+    width = np.diff(np.append(first, power.shape[1]))
+    sums = np.add.reduceat(power, first, axis=1)
+    folded = np.stack([sums[data.fold == f].sum(axis=0) for f in range(FOLDS)])
+    n = np.outer(np.bincount(data.fold, minlength=FOLDS), width).astype(np.float64)
+    return folded / n, n, first
+
+
+def _free_spectrum_gain(point: WorkingPoint, i: int) -> float:
+    """Nats on held-out folds of a free force spectrum over the white one."""
+    ratio, n, _ = cell_powers(point, i)
+    total = 0.0
+    for f in range(FOLDS):
+        rest = [k for k in range(FOLDS) if k != f]
+        trained = (ratio[rest] * n[rest]).sum(axis=0) / n[rest].sum(axis=0)
+        flat = (ratio[rest] * n[rest]).sum() / n[rest].sum()
+        here = ratio[f] * n[f]
+        total += float(np.sum(here / flat + n[f] * np.log(flat) - here / trained - n[f] * np.log(trained)))
+    return total

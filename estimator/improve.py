@@ -1,0 +1,110 @@
+"""Compare, diagnose, add, refit, until nothing more is earned: the ladder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .diagnose import Diagnosis, diagnose_point
+from .estimate import Parameter
+from .fitted import fitted_model, parameters
+from .heldout import heldout_nll
+from .missing_force import survey
+from .model import Model
+from .model_uses import placed_of
+from .motion_blocks import cut
+from .working_point import WorkingPoint, fit_model
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+MOST = 5  # effects added at most
+
+
+@dataclass(frozen=True, slots=True)
+class Rung:
+    """A model on the ladder. missing : value, low, high in per cent."""
+
+    effects: tuple[str, ...]
+    heldout_nll: float
+    missing: tuple[float, float, float]
+
+    def to_json(self) -> dict[str, Any]:
+        value, low, high = self.missing
+        return {
+            "effects": list(self.effects),
+            "heldout_nll": self.heldout_nll,
+            "missing_force_percent": {"value": value, "low": low, "high": high},
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Ladder:
+    """rungs : the model as it was, and after each effect added. model : the last, with fitted values.
+
+    last : the diagnosis that ended it.
+    """
+
+    rungs: tuple[Rung, ...]
+    model: Model
+    parameters: dict[str, Parameter]
+    last: Diagnosis
+    messages: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """As schemas/improve.json."""
+        return {
+            "schema": 1,
+            "ladder": [r.to_json() for r in self.rungs],
+            "verdict": self.last.verdict,
+            "parameters": {k: p.to_json() for k, p in self.parameters.items()},
+            "messages": list(self.messages),
+        }
+
+
+def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = None) -> Ladder:
+    """Add what the diagnosis names, as long as the held-out likelihood improves. y : (n, channels), SI."""
+    say = progress or (lambda fraction, text: None)
+    data = cut(model, y, rate_hz)
+    point = fit_model(data, placed_of(model, data))
+    rungs = [rung(model, point)]
+    messages: list[str] = []
+    for step in range(MOST):
+        start = step / (step + 1.0)
+
+        def inner(fraction: float, text: str, start: float = start) -> None:
+            say(start + fraction * (1 - start) / 2, text)
+
+        found = diagnose_point(model, point, y, inner)
+        best = found.ranking[0] if found.ranking else None
+        if found.verdict in ("complete", "unknown") or best is None or not best.placed:
+            break
+        richer = fit_model(data, [*point.placed, *best.placed], start=point)
+        bigger = fitted_model(model, richer)
+        new = rung(bigger, richer)
+        if new.heldout_nll >= rungs[-1].heldout_nll:
+            messages.append(f"{found.verdict} was named but does not improve the held-out likelihood: not added")
+            break
+        model, point = bigger, richer
+        rungs.append(new)
+    messages += idle(point)
+    say(1.0, "done")
+    return Ladder(tuple(rungs), fitted_model(model, point), parameters(point), found, tuple(messages))
+
+
+def rung(model: Model, point: WorkingPoint) -> Rung:
+    return Rung(tuple(u.name for u in model.effects), heldout_nll(point), survey(point, model).interval())
+
+
+def idle(point: WorkingPoint) -> list[str]:
+    """Effects of the model that earn nothing: said, never removed."""
+    out = []
+    values = parameters(point)
+    for use in point.placed:
+        amplitudes = [values[use.name(k)] for k, q in enumerate(use.effect.parameters) if q.linear and use.free[k]]
+        if amplitudes and not any(p.identifiable for p in amplitudes):
+            out.append(f"{use.key} is not told from zero in this record")
+    return out

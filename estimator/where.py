@@ -1,0 +1,79 @@
+"""The map of where a model fails: channel by state, the region in words, the share of the missing force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .missing_force import Residual, Survey
+from .shape import curve
+from .working_point import WorkingPoint
+
+PREFIX = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"))
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    channel: str
+    against: str
+    region: str
+    share_percent: float
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "channel": self.channel,
+            "against": self.against,
+            "region": self.region,
+            "share_percent": self.share_percent,
+        }
+
+
+def where_of(point: WorkingPoint, found: Survey, channel: dict[str, str]) -> tuple[Where, ...]:
+    """Every state found, largest share first."""
+    total = sum(f.power for r in found.residuals for f in r.found)
+    out = [
+        Where(channel[point.data.places[r.place]], f.group, region(point, r, f.group), 100 * f.power / total)
+        for r in found.residuals
+        for f in r.found
+        if total > 0
+    ]
+    return tuple(sorted(out, key=lambda w: -w.share_percent))
+
+
+def region(point: WorkingPoint, residual: Residual, group: str) -> str:
+    """Where in the state the missing force sits, in words and units."""
+    data, i = point.data, residual.place
+    if group in ("displacement", "velocity"):
+        unit = "m" if group == "displacement" else "m/s"
+        state = data.x[i] if group == "displacement" else data.v[i]
+        c = curve(point, residual, group, "")
+        density = np.histogram(state, np.append(c.at, 2 * c.at[-1] - c.at[-2]) - 0.5 * (c.at[1] - c.at[0]))[0]
+        weight = c.force**2 * density
+        return _stretches(c.at, weight, unit)
+    other = data.other(i)
+    opposite = data.opposite(i)
+    return {
+        "level": "grows or falls with the vibration level",
+        "other_direction": f"follows {data.places[other]}" if other is not None else "other direction",
+        "other_bearing": f"follows {data.places[opposite]}" if opposite is not None else "other bearing",
+        "time": f"drifts over the {data.seconds:.0f} s of the record",
+        "shaft_angle": "turns with the shaft",
+    }.get(group, group)
+
+
+def _stretches(at: np.ndarray, weight: np.ndarray, unit: str) -> str:
+    """The stretches that hold 70 % of the weight."""
+    order = np.argsort(-weight)
+    enough = int(np.searchsorted(np.cumsum(weight[order]), 0.7 * weight.sum())) + 1
+    inside = np.zeros(at.size, bool)
+    inside[order[:enough]] = True
+    step = 0.5 * (at[1] - at[0])
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
+    factor, prefix = next((f, p) for f, p in PREFIX if np.abs(at).max() >= f or f == PREFIX[-1][0])
+    parts = [
+        f"{(at[a] - step) / factor:.2g} to {(at[b - 1] + step) / factor:.2g}"
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return " and ".join(parts) + f" {prefix}{unit}"
