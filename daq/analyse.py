@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 from rich.text import Text
 
 from estimator.estimate import Parameter
 from estimator.fit_result import Fit
+
+if TYPE_CHECKING:
+    from estimator.improve import Ladder
 
 from .edit import with_effect, with_values
 from .errors import ConfigError
@@ -152,10 +155,12 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
         _report(html, better, data, comparison=now, before=before, ladder=value["ladder"])
     added = [u.name for u in better.model.effects if u.name not in [v.name for v in rig.model.effects]]
     said = f"added: {', '.join(added)}" if added else "nothing more is earned: the model stays as it is"
-    output.result(value, ladder_table(value["ladder"]), "", said, f"{out}: the improved rig file", *_written(html))
+    notes = [f"note: {message}" for message in ladder.messages]
+    files = [f"{out}: the improved rig file", *_written(html)]
+    output.result(value, ladder_table(value["ladder"]), "", *notes, said, *files)
 
 
-def improved(rig: Rig, ladder: Any) -> tuple[str, Rig]:
+def improved(rig: Rig, ladder: Ladder) -> tuple[str, Rig]:
     """The rig file of a ladder's last model with its fitted values."""
     now = rig
     for use in ladder.model.effects:
@@ -163,7 +168,7 @@ def improved(rig: Rig, ladder: Any) -> tuple[str, Rig]:
         new = [place for place in use.at if known is None or place not in known.at]
         if new:
             now = Rig.parse(with_effect(now, use.name, new), now.base, now.path)
-    return (text := with_values(now, ladder.fit.parameters)), Rig.parse(text, now.base, now.path)
+    return (text := with_values(now, ladder.parameters)), Rig.parse(text, now.base, now.path)
 
 
 def theory(output: Output, rig_path: Path) -> None:

@@ -8,7 +8,10 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from estimator.errors import ModelError
 from estimator.model import Model
+
+from .errors import ConfigError
 
 from .output import Output
 from .rig import Rig, load_rig
@@ -18,6 +21,14 @@ SHAFTS = {"chain": "chain (caps joined through the disc)", "beam": "free-free be
 
 def check(output: Output, path: Path) -> None:
     rig = load_rig(path)
+    for use in rig.model.effects:
+        if use.custom is not None:
+            from estimator.effects.custom import custom_effect
+
+            try:
+                custom_effect(use)
+            except ModelError as error:  # the law is not finite
+                raise ConfigError(f"{path}: {error}; correct it, or give values within its range") from error
     remarks = _remarks(rig)
     notes = [f"note: {text}" for text in remarks]
     value = {"schema": 1, "valid": True, "summary": _facts(rig), "notes": remarks}

@@ -60,17 +60,32 @@ def simulate(
         str | None,
         typer.Option("--speed", metavar="X|max", help="1 is real time (default: max for a log, 1 for a device)."),
     ] = None,
+    clock_ppm: Annotated[
+        float, typer.Option("--clock-ppm", metavar="PPM", help="How much faster than the truth its clock runs.")
+    ] = 20.0,
+    jitter_ms: Annotated[
+        float, typer.Option("--jitter-ms", metavar="MS", min=0.0, help="How late frames leave, on average.")
+    ] = 0.1,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault", metavar="KIND:RATE", help="drop, duplicate, flip, restart ...: share of frames; may be repeated."
+        ),
+    ] = None,
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
     """A simulated rig, into a log or as a device on a link.
 
-    What the rig file leaves open is filled in with plain values, which are printed and written to --truth.
+    LINK to serve: serial:pty, slcan:pty, serial:socket://HOST:PORT, can:INTERFACE:CHANNEL or a serial port; what to
+    give to `rotorscope run --link` is printed. What the rig file leaves open is filled in with plain values, which are
+    said and written to --truth.
     """
     from .live import simulate as body
 
-    body(Output(json, quiet, verbose), rig, out, serve, seconds, seed, truth, speed)
+    device = {"clock_ppm": clock_ppm, "jitter_s": 1e-3 * jitter_ms}
+    body(Output(json, quiet, verbose), rig, out, serve, seconds, seed, truth, speed, device, fault or [])
 
 
 def replay(

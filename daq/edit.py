@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -106,9 +107,9 @@ def without_effect(rig: Rig, effect: str, at: Sequence[str] = ()) -> str:
     return _checked(rig, tomlkit.dumps(document))
 
 
-def with_values(rig: Rig, parameters: Mapping[str, Parameter]) -> str:
+def with_values(rig: Rig, parameters: Mapping[str, Parameter], digits: int = 9) -> str:
     """The text of the rig file with fitted values in [model...], and in [rig.mass] where it is silent. What could not
-    be told, and what is fixed, stays as it is."""
+    be told, what is fixed, and what is no parameter of the file stays as it is. digits : 17 for the very values."""
     tables: dict[tuple[str, ...], dict[str, float]] = {}
     uses = {use.name: use for use in rig.model.effects}
     for name, parameter in parameters.items():
@@ -119,7 +120,7 @@ def with_values(rig: Rig, parameters: Mapping[str, Parameter]) -> str:
         if path[-1] in uses:
             place = ".".join(path[:-1])
             now = uses[path[-1]].parameters.get(place, {}).get(key)
-            if now is None or not now.fixed:
+            if now is not None and not now.fixed:
                 tables.setdefault(("model", path[-1], *path[:-1]), {})[key] = parameter.value
         elif key in ("kL", "c", "S") and len(path) == 2 and not rig.model.linear[place][key].fixed:
             tables.setdefault(("model", "linear", *path), {})[key] = parameter.value
@@ -127,7 +128,7 @@ def with_values(rig: Rig, parameters: Mapping[str, Parameter]) -> str:
             tables.setdefault(("rig", "mass", path[0]), {})[path[1]] = parameter.value
     text = rig.text
     for table, values in tables.items():
-        text = _with_numbers(text, table, values)
+        text = _with_numbers(text, table, values, digits)
     return _checked(rig, text)
 
 
@@ -171,16 +172,19 @@ def _with_at(text: str, effect: str, at: Sequence[str], possible: Sequence[str])
     return _with_key(text, ("model", effect), "at", list(names))
 
 
-def _with_numbers(text: str, table: tuple[str, ...], values: Mapping[str, float]) -> str:
+def _with_numbers(text: str, table: tuple[str, ...], values: Mapping[str, float], digits: int = 9) -> str:
     for key, value in values.items():
-        text = _with_key(text, table, key, _number(value))
+        text = _with_key(text, table, key, _number(value, digits))
     return text
 
 
-def _number(value: float) -> Float:
+def _number(value: float, digits: int) -> Float:
     """A number as an engineer writes it: 10.4e6, 58.0, 90.0e-6."""
     exponent = 0 if value == 0 or 1e-3 <= abs(value) < 1e5 else 3 * math.floor(math.log10(abs(value)) / 3)
-    mantissa = f"{value / 10.0**exponent:.9g}"
+    shifted = Decimal(value).scaleb(-exponent)
+    mantissa = f"{float(shifted):.{min(digits, 15)}g}"
+    if float(f"{mantissa}e{exponent}") != value and digits > 15:
+        mantissa = f"{shifted:.{digits}g}"
     if "." not in mantissa and "e" not in mantissa:
         mantissa += ".0"
     text = mantissa + (f"e{exponent}" if exponent else "")

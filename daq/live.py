@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -76,9 +77,9 @@ def _nothing(summary: RunSummary, link: str) -> Exception:
 
 def simulate(
     output: Output, rig_path: Path, out: Path | None, serve: str | None, seconds: float | None, seed: int,
-    truth_path: Path | None, speed: str | None,
+    truth_path: Path | None, speed: str | None, device: Mapping[str, object], faults: Sequence[str],
 ) -> None:  # fmt: skip
-    from .simulation import FrameSource, machine
+    from .simulation import FrameSource, fault_rates, machine
 
     if (out is None) == (serve is None):
         raise ConfigError("say --out LOG.mcap to simulate into a log, or --serve LINK to be a device; one of the two")
@@ -88,7 +89,8 @@ def simulate(
     if out is not None and seconds is None:
         seconds = 60.0
     layout = "serial16" if serve is not None and serve.startswith("serial:") else None
-    simulated = machine(rig, truth=truth, seed=seed, seconds=seconds, layout=layout)
+    config = {**device, "fault_rates": fault_rates(faults)}
+    simulated = machine(rig, truth=truth, seed=seed, seconds=seconds, layout=layout, config=config)
     if simulated.assumed:
         names = ", ".join(simulated.assumed)
         output.note(f"{len(simulated.assumed)} values are left open, and plain ones taken: {names}")
@@ -100,8 +102,8 @@ def simulate(
 
         with Stop() as stop:
             run_device(serve, simulated.device, pace, stop.event, lambda url: _serving(output, url))
-        device = simulated.device
-        value |= {"samples": device.samples_made, "seconds": device.samples_made / device.config.rate_hz}
+        made = simulated.device.samples_made
+        value |= {"samples": made, "seconds": made / simulated.device.config.rate_hz}
         output.result(value, f"sent {value['seconds']:.3f} s")
         if stop.interrupted:
             raise KeyboardInterrupt
@@ -214,7 +216,7 @@ def _write_truth(rig: Rig, assumed: Any, path: Path) -> None:
     from .edit import with_values
     from .output import write_whole
 
-    write_whole(path, with_values(rig, assumed))
+    write_whole(path, with_values(rig, assumed, digits=17))
 
 
 def _report(output: Output, summary: RunSummary, out: Path | None, more: dict[str, Any]) -> None:

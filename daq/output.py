@@ -43,7 +43,11 @@ class Output:
     def to_stdout(self) -> Console:
         from rich.console import Console
 
-        return Console(soft_wrap=False, highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
+        class Pipe(Console):
+            def on_broken_pipe(self) -> None:  # rich would end the process with status 1
+                raise BrokenPipeError
+
+        return Pipe(soft_wrap=False, highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
 
     @property
     def to_stderr(self) -> Console:
@@ -58,7 +62,7 @@ class Output:
         console = self.to_stderr if self.json == "-" else self.to_stdout
         for part in parts:
             if isinstance(part, str):
-                console.print(part, markup=False, soft_wrap=True)
+                console.print(part, markup=False, emoji=False, soft_wrap=True)
             else:
                 console.print(part)
 

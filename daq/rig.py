@@ -45,7 +45,7 @@ class Rig:
             data = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
             raise ConfigError(f"{where}: not a TOML file: {error}; correct that line first") from error
-        problems = _tables(data)
+        problems = _tables(data, base)
         if not problems:
             try:
                 file = RigFile.model_validate(data)
@@ -112,7 +112,7 @@ def load_rig(path: str | Path) -> Rig:
     return Rig.parse(text, path.parent, path, str(path))
 
 
-def _tables(data: dict[str, Any]) -> list[Problem]:
+def _tables(data: dict[str, Any], base: Path) -> list[Problem]:
     """Each table by itself, so that a mistake in one hides none in another; and what the tables say together."""
     problems: list[Problem] = []
     parts: dict[str, Any] = {}
@@ -135,7 +135,7 @@ def _tables(data: dict[str, Any]) -> list[Problem]:
     for key in data:
         if key not in known:
             problems.append(Problem((key,), f"unknown key; {did_you_mean(key, known, 'the keys here are')}"))
-    return problems + _together(data, parts)
+    return problems + _together(data, parts, base)
 
 
 _MISSING = {
@@ -145,7 +145,7 @@ _MISSING = {
 }
 
 
-def _together(data: dict[str, Any], parts: dict[str, Any]) -> list[Problem]:
+def _together(data: dict[str, Any], parts: dict[str, Any], base: Path) -> list[Problem]:
     problems: list[Problem] = []
     channels: list[ChannelTable] = parts.get("channel", [])
     seen: dict[Any, int] = {}
@@ -182,7 +182,7 @@ def _together(data: dict[str, Any], parts: dict[str, Any]) -> list[Problem]:
     if "model" in parts:
         shaft: Shaft = parts["rig"].shaft if "rig" in parts else "none" if "rig" not in data else "chain"
         known = _channels(channels) if motions else tuple(Channel(p, *p.split(".")) for p in CAPS)
-        problems += effects_of(parts["model"], CATALOGUE, Model(known, (1.0, 2.0), shaft))[1]
+        problems += effects_of(parts["model"], CATALOGUE, Model(known, (1.0, 2.0), shaft), base)[1]
     return problems
 
 
@@ -200,7 +200,7 @@ def _model(file: RigFile, base: Path, path: Path | None) -> tuple[Model, list[Pr
         bearing=_bearing(rig.bearing),
         name=rig.name or (path.stem if path else "rig"),
     )
-    effects, problems = effects_of(file.model, CATALOGUE, model)
+    effects, problems = effects_of(file.model, CATALOGUE, model, base)
     linear = {p: dict.fromkeys(("kL", "c", "S"), Setting()) for p in model.places}
     for node in NODES:
         for direction in ("x", "y"):

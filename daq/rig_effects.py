@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path as Folder
 from typing import Any
 
 from pydantic import ValidationError
 
 from estimator.effect import Effect
 from estimator.effects.places import places
+from estimator.errors import ModelError
 from estimator.model import DIRECTIONS, NODES, CustomLaw, EffectUse, Model, Setting
 
-from .rig_file import ModelTable, SettingTable
+from .rig_file import CustomTable, ModelTable, SettingTable
 from .rig_problems import Path, Problem, did_you_mean, of_validation
 
 OF_ALL = ("at", "fixed", "value", "min", "max")  # keys of the whole effect's table
@@ -36,9 +38,12 @@ def at_places(
 
 
 def effects_of(
-    table: ModelTable, catalogue: Mapping[str, Effect], model: Model
+    table: ModelTable, catalogue: Mapping[str, Effect], model: Model, base: Folder
 ) -> tuple[tuple[EffectUse, ...], list[Problem]]:
-    """The effects of a [model] table in their order, and everything wrong with them. model : the rig without them."""
+    """The effects of a [model] table in their order, and everything wrong with them.
+
+    model : the rig without them; base : where paths of modules start.
+    """
     channels = {c.name: c.place for c in model.channels}
     problems: list[Problem] = []
     uses: list[EffectUse] = []
@@ -67,16 +72,16 @@ def effects_of(
     for name in names:
         settings = extra.get(name, {})
         if name in customs:
-            i = list(customs).index(name)
+            path: Path = ("model", "custom", [c.name for c in table.custom].index(name))
             own = customs[name]
-            units = {k: p.unit or "1" for k, p in own.parameters.items()}
-            reader = _Reader(("model", "custom", i), tuple(own.parameters), model.places, channels, problems)
-            base = reader.read({"at": own.at} if own.at else {})
-            for place in base:
-                base[place] |= {k: setting(p) for k, p in own.parameters.items()}
+            law, possible, wrong = _law(own, model, base)
+            problems += [Problem((*path, where), text) for where, text in wrong]
+            reader = _Reader(path, tuple(law.units), possible, channels, problems)
+            values = reader.read({"at": own.at} if own.at else {})
+            for settings_there in values.values():
+                settings_there |= {k: setting(p) for k, p in own.parameters.items() if k in law.units}
             reader.path = ("model", name)
-            law = CustomLaw(own.expression, own.module, units)
-            uses.append(EffectUse(name, reader.read(settings, base), law))
+            uses.append(EffectUse(name, reader.read(settings, values), law))
         elif name in catalogue:
             effect = catalogue[name]
             parameters = tuple(p.name for p in effect.parameters)
@@ -87,6 +92,33 @@ def effects_of(
             reader = _Reader(("model", name), parameters, possible, channels, problems)
             uses.append(EffectUse(name, reader.read(settings)))
     return tuple(uses), problems
+
+
+def _law(own: CustomTable, model: Model, base: Folder) -> tuple[CustomLaw, tuple[str, ...], list[tuple[str, str]]]:
+    """A law of the user's own, the places it can act at, and what is wrong with it: (key, text)."""
+    units = {k: p.unit or "1" for k, p in own.parameters.items()}
+    if own.module is not None:
+        from .custom_module import load_effect
+
+        try:
+            effect = load_effect(own.module, base)
+        except ValueError as error:
+            return CustomLaw(None, own.module, units), model.places, [("module", str(error))]
+        known = {p.name: p.unit for p in effect.parameters}
+        wrong = [
+            ("parameters", f"{own.module} has no parameter {k}; {did_you_mean(k, known, 'it has')}")
+            for k in units
+            if k not in known
+        ]
+        return CustomLaw(None, own.module, known, effect), places(effect, model), wrong
+    from estimator.effects.expression import compile_law
+
+    law = CustomLaw(own.expression, None, units)
+    try:
+        compile_law(own.expression or "", tuple(units))
+    except ModelError as error:
+        return law, model.places, [("expression", f'"{own.expression}": {error}')]
+    return law, model.places, []
 
 
 def _nowhere(effect: Effect, model: Model) -> str:

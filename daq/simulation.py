@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.can_frames import CanFrames
+from drivers.faults import KINDS
 from drivers.link import Event
 from drivers.simulated import DeviceConfig, SimulatedDevice
 from estimator.effect import Effect
@@ -151,6 +152,21 @@ def machine(
     except ValueError as error:
         raise ConfigError(f"{rig.path or 'rig file'}: a simulated device: {error}") from error
     return Machine(SimulatedDevice(analogue, device), model, assumed)
+
+
+def fault_rates(faults: Sequence[str]) -> dict[str, float]:
+    """From KIND:RATE words. Raises ConfigError."""
+    rates = {}
+    for text in faults:
+        kind, _, share = text.partition(":")
+        try:
+            rates[kind] = float(share)
+        except ValueError:
+            rates[kind] = -1.0
+        if kind not in KINDS or not 0 <= rates[kind] <= 1:
+            known = f"KIND is one of {', '.join(KINDS)}, RATE a share of the frames from 0 to 1"
+            raise ConfigError(f"--fault {text}: {known}, as in drop:0.001")
+    return rates
 
 
 def _column(rig: Rig, source: Rig, k: int) -> int:

@@ -76,7 +76,7 @@ def test_remove_at_one_node_keeps_the_other() -> None:
 
 
 def test_a_custom_law_is_removed_whole_and_its_neighbour_stays() -> None:
-    law = '\n# A {0} of ours.\n[[model.custom]]\nname = "{0}"\nexpression = "k*x"\nparameters = {{ k = {{ value = 1.0 }} }}\n'
+    law = '\n# A {0} of ours.\n[[model.custom]]\nname = "{0}"\nexpression = "k*x"\nparameters = {{ k = 1.0 }}\n'
     text = load_rig(PAPER).text.replace("[model.cubic]", law.format("one") + law.format("two") + "\n[model.cubic]", 1)
     after = without_effect(Rig.parse(text), "one")
     assert [u.name for u in Rig.parse(after).model.effects] == ["cubic", "two"]

@@ -1,0 +1,8 @@
+"""`python -m daq` is `rotorscope`."""
+
+import sys
+
+from .cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())
