@@ -1,0 +1,74 @@
+"""A fast device for the benchmarks: serial frames made beforehand, written to a pseudo-terminal at their pace.
+
+python device_process.py RATE_HZ SECONDS STAMPS: prints the port, waits for a line, streams, writes to STAMPS the host
+monotonic time (ns, int64) at which each frame of 64 samples had left, then holds the port until it is killed.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import termios
+import time
+import tty
+
+import numpy as np
+
+from drivers import cobs
+from drivers.protocol import SERIAL16, InfoRecord
+from drivers.reading import Signal
+from drivers.serial_decoder import pack_info_body, pack_samples
+
+ROWS = 64
+CHANNELS = ("b1x", "b1y", "b2x", "b2y")
+
+
+def frames(rate_hz: float, seconds: float) -> tuple[bytes, list[bytes]]:
+    """The info frames, and every frame of samples."""
+    info = b"".join(
+        cobs.encode(
+            pack_info_body(
+                InfoRecord(SERIAL16.code, 4, c, 16, 1, rate_hz, Signal(name, "m/s^2", 490.5 / 32767), 490.5, epoch=1)
+            )
+        )
+        for c, name in enumerate(CHANNELS)
+    )
+    rng = np.random.default_rng(0)
+    pool = np.round(rng.standard_normal((64 * ROWS, 4)) * 3000).astype(np.int32)
+    flags = (1 << 2) | (1 << 4)
+    out = []
+    for k in range(int(seconds * rate_hz / ROWS)):
+        at = (k % 64) * ROWS
+        time_us = round(k * ROWS * 1e6 / rate_hz)
+        out.append(cobs.encode(pack_samples(k * ROWS, 0, flags, time_us, pool[at : at + ROWS])))
+    return info, out
+
+
+def main() -> None:
+    rate_hz, seconds, stamps_path = float(sys.argv[1]), float(sys.argv[2]), sys.argv[3]
+    info, made = frames(rate_hz, seconds)
+    master, slave = os.openpty()
+    tty.setraw(slave, termios.TCSANOW)
+    print(os.ttyname(slave), flush=True)
+    sys.stdin.readline()
+    time.sleep(0.3)
+    os.write(master, b"\0" + info)
+    time.sleep(0.1)
+    stamps = np.memmap(stamps_path, np.int64, "w+", shape=(len(made),))  # is there even if we are killed
+    start = time.monotonic()
+    sent = 0
+    tick_s = max(0.002, ROWS / rate_hz)
+    while sent < len(made):
+        due = min(len(made), int((time.monotonic() - start) * rate_hz / ROWS))
+        if due > sent:
+            data = memoryview(b"".join(made[sent:due]))
+            while data:
+                data = data[os.write(master, data) :]
+            stamps[sent:due] = time.monotonic_ns()
+            sent = due
+        time.sleep(tick_s)
+    time.sleep(3600)
+
+
+if __name__ == "__main__":
+    main()
