@@ -15,6 +15,7 @@ class Method(StrEnum):
     spectral = "spectral"
     fokker_planck = "fokker-planck"
     score_matching = "score-matching"
+    volterra = "volterra"
 
 
 def fit(

@@ -171,7 +171,7 @@ def fit(model: Model, y: Array, rate_hz: float) -> Fit:
                 few = f"{int(part.valid.sum())} usable samples at {cap.place}"
                 raise DataError(f"{few}, {FEWEST_ROWS} needed: record longer")
             kernels, cov, left = identify(part.x[0], part.a[1], rate_hz, band, cap.mass, part.valid)
-            found |= _named(plane, cap.place, cap.mass, kernels, cov)
+            found |= _named(plane, cap.place, cap.mass, kernels, cov, model.shaft_damping)
             notes.append(f"{cap.place}: {100.0 * left:.2g} % of the rms displacement is left unexplained")
     if not found:
         raise DataError('no channel of kind "force" at a measured cap: volterra needs one; use another method')
@@ -181,12 +181,14 @@ def fit(model: Model, y: Array, rate_hz: float) -> Fit:
     return Fit(found, None, rows, "volterra", tuple(notes))
 
 
-def _named(plane: Plane, place: str, mass: float | None, kernels: Kernels, cov: Array) -> dict[str, Parameter]:
+def _named(
+    plane: Plane, place: str, mass: float | None, kernels: Kernels, cov: Array, shaft_damping: float
+) -> dict[str, Parameter]:
     sd = np.sqrt(np.diag(cov))
     # the shaft, seen from one cap: its diagonal term; the motion of the other cap enters as noise
     out = {
         f"{place}.kL": Parameter.judged(kernels.k - plane.a * plane.ks, float(sd[0]), "N/m"),
-        f"{place}.c": Parameter.judged(kernels.c, float(sd[1]), "N s/m"),
+        f"{place}.c": Parameter.judged(kernels.c - plane.a * shaft_damping, float(sd[1]), "N s/m"),
         f"{place}.cubic.kNL": Parameter.judged(kernels.kNL, float(sd[2]), "N/m^3"),
     }
     if mass is None:
