@@ -12,6 +12,7 @@ from drivers.can_frames import EXTENDED, REMOTE, CanFrames
 from drivers.errors import LinkOpenError, LinkUnavailable
 from drivers.link import Event, LinkLost
 from drivers.links import CanConfig
+from drivers.socketcan import KernelQueue, check_up
 
 MAX_BATCH = 1024
 SPIN_SHARE = 0.6  # of the wait spent computing while nothing arrives: the interface is spinning on a dead connection
@@ -28,6 +29,8 @@ def open_bus(config: CanConfig) -> Any:
         raise LinkOpenError(f"{config.target}: python-can has no interface {config.interface!r}; it has {known}")
     if config.interface == "socketcand":
         _probe(config)  # python-can tries for 10 s at full load when nobody listens
+    if config.interface == "socketcan":
+        check_up(config.target, config.channel)
     arguments: dict[str, Any] = {"fd": config.fd, **config.options}
     if config.bitrate is not None:
         arguments["bitrate"] = config.bitrate
@@ -71,11 +74,13 @@ class BusSource:
         self._config = config
         self._connect = connect
         self._bus: Any = None
+        self._queue: KernelQueue | None = None
         self._events: list[Event] = []
         self._spins = 0
 
     def open(self) -> None:
         self._bus = self._connect(self._config)
+        self._queue = KernelQueue(self._bus) if self._config.interface == "socketcan" else None
         self._spins = 0
 
     def close(self) -> None:
@@ -108,6 +113,9 @@ class BusSource:
                 frames.append((message.arbitration_id | flags, bytes(message.data), int(message.timestamp * 1e9)))
         except Exception as error:  # noqa: BLE001 - python-can's interfaces raise their vendors' own errors
             raise LinkLost(_line(error)) from error
+        if self._queue is not None and (lost := self._queue.lost()):
+            text = f"the kernel's queue was full: {lost} frames of the bus lost because this host was too slow"
+            self._events.append(Event("error", "kernel_overflow", text, "overflow"))
         if frames:
             self._spins = 0
             return CanFrames.build(frames)

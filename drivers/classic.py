@@ -50,16 +50,16 @@ class ClassicWindow:
         counter, counts = protocol.unpack_classic(np.concatenate(held), channels)
         again = np.zeros(len(counter), np.bool_)
         again[1:] = (np.diff(counter) == 0) & (np.diff(counts, axis=0) == 0).all(axis=1)
-        steps = np.diff(counter, prepend=counter[:1]) % 16
-        if again.any() and len(counter) > (index - start[0]) % SYNC_MODULUS:  # else 16 equal samples were lost
+        if again.any():
             self._stats.duplicates += int(again.sum())
             self._notices.add(t_host_ns, "warning", "duplicate", "frames came twice: dropped")
-            counts, steps, counter = counts[~again], steps[~again], counter[~again]
-        steps[1:][steps[1:] == 0] = 16
-        steps[0] = (int(counter[0]) - start[0]) % 16
+            counter, counts = counter[~again], counts[~again]
+        steps = np.diff(counter, prepend=start[0] % 16) % 16
         place = np.cumsum(steps)
         window = (index - start[0]) % SYNC_MODULUS
-        if window - 1 - int(place[-1]) != (index - 1 - int(counter[-1])) % 16:
+        behind = (index - 1 - int(counter[-1])) % 16
+        # a counter that stands still: stuck, or 16 frames lost
+        if (steps[1:] == 0).any() or window - 1 - int(place[-1]) != behind:
             self._notices.add(t_host_ns, "warning", "window_dropped",
                               f"{len(counts)} samples between two sync frames cannot be placed: dropped")  # fmt: skip
             self._stats.other["unplaced_samples"] = self._stats.other.get("unplaced_samples", 0) + len(counts)

@@ -133,10 +133,10 @@ class Continuity:
         total = ahead + f.modulus * round((elapsed - ahead) / f.modulus)
         if not timed and f.modulus - ahead <= LATE_FRAMES * rows and host < 0.5 * f.modulus:
             total = ahead - f.modulus  # a little behind, and no time for a whole wrap
-        if total == 0 and ((timed and elapsed > 0.5 * rows) or self._changed(f, start)):
-            self._notices.add(t_host_ns, "error", "stuck_counter", "the device repeats one counter value: dropped")
-            self._stats.other["stuck_frames"] = self._stats.other.get("stuck_frames", 0) + 1
-            self.lose(rows, "stuck", out)
+        moved = timed and elapsed > 0.5 * rows
+        if total == 0 and (moved or self._changed(f, start)):
+            passed = rows * round(elapsed / rows) + rows - last.rows - already
+            self._stuck(passed if moved else rows, t_host_ns, out)
             return 1
         if total < last.rows and total > -LATE_FRAMES * rows:
             return self._late(last, total, f, start, stop, t_host_ns)
@@ -158,6 +158,12 @@ class Continuity:
             passed = rows * round(elapsed / rows)  # whole frames, as the device counts
             self._missing(passed - last.rows - already, last, f, start, out)
         return 0
+
+    def _stuck(self, count: int, t_host_ns: int, out: list[Reading]) -> None:
+        """The counter stands still: these samples have no place, but their time has passed."""
+        self._notices.add(t_host_ns, "error", "stuck_counter", "the device repeats one counter value: dropped")
+        self._stats.other["stuck_frames"] = self._stats.other.get("stuck_frames", 0) + 1
+        self.lose(count, "stuck", out)
 
     def _changed(self, f: SampleFrames, start: int) -> bool:
         """Does a frame with the last frame's counter carry other samples?"""

@@ -202,6 +202,14 @@ def test_a_lost_group_of_16_on_classic_can_is_never_a_shift() -> None:
         assert sum(gap.count for gap in record.gaps) == (count if count == 5 else 800)
 
 
+def test_a_frame_sent_twice_and_16_lost_do_not_cancel() -> None:
+    wire = Wire(device_of("classic", Fault("drop", 1000, 16), Fault("duplicate", 1100)))
+    record = wire.run(2500)
+    assert record.offset == 0
+    assert sum(gap.count for gap in record.gaps) == 800
+    assert wire.stats.duplicates == 1
+
+
 @pytest.mark.parametrize("layout", ["fd16", "serial16"])
 def test_clock_jump_alone_is_no_gap(layout: str) -> None:
     device = device_of(layout)
@@ -253,6 +261,8 @@ FAULTS = st.lists(
 def test_no_fault_ever_shifts_the_axis(layout: str, faults: list[Fault], batch: int) -> None:
     """The ramp at each index is the sample the device took then; losses add up."""
     scale = 8 if layout == "classic" else 1
+    if layout == "classic":
+        faults = [f for f in faults if f.kind != "reorder"]  # a 4-bit counter cannot see it, and no CAN bus does it
     if layout == "fd24" and any(f.kind == "stuck" for f in faults):
         faults = [f for f in faults if f.kind == "stuck"]  # no stamp in each frame: lost and stuck at once is hopeless
     wire = Wire(device_of(layout, *(Fault(f.kind, f.at * scale, f.count) for f in faults)), batch)
@@ -269,7 +279,7 @@ def test_no_fault_ever_shifts_the_axis(layout: str, faults: list[Fault], batch: 
 @given(st.sampled_from(["fd16", "fd24", "serial16", "classic"]), FAULTS, st.integers(1, 60))
 def test_any_batching_gives_the_same(layout: str, faults: list[Fault], batch: int) -> None:
     scale = 8 if layout == "classic" else 1
-    scaled = [Fault(f.kind, f.at * scale, f.count) for f in faults]
+    scaled = [Fault(f.kind, f.at * scale, f.count) for f in faults if f.kind != "reorder" or scale == 1]
     seen = []
     for size in (batch, 100_000):
         wire = Wire(device_of(layout, *scaled), size)
