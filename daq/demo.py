@@ -163,6 +163,7 @@ def _improve(
     from .analyse import diagnosis_text, fitted
     from .measurement import measure
     from .report import write_report
+    from .rerun_comparison import log_comparison
 
     data = measure(log, rig, output.note)
     output.say(Rule("3  compare"))
@@ -192,7 +193,9 @@ def _improve(
         report, "Rotorscope demo", facts=facts, comparison=after, before=before, diagnosis=diagnosis, ladder=steps,
         rig_text=better.text,
     )  # fmt: skip
-    return steps, [improved, report]
+    view = out / "comparison.rrd"
+    log_comparison(view, after, before, diagnosis, steps, "Rotorscope demo")
+    return steps, [improved, report, view]
 
 
 def _compared(output: Output, compare: Any, rig: Rig, data: Measurement) -> dict[str, Any]:

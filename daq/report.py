@@ -29,7 +29,7 @@ from .errors import LogError
 
 Json = Mapping[str, Any]
 NOTHING: Json = {}
-MOST = 10  # rows of the ranking that are shown
+FEWEST, MOST = 3, 10  # rows of the ranking that are shown
 
 
 def write_report(
@@ -74,6 +74,7 @@ def render(
     environment.globals |= {
         "number": numbers.number,
         "fixed": numbers.fixed,
+        "odds": numbers.odds,
         "percent": numbers.percent,
         "parameter": numbers.parameter,
         "listed": words.listed,
@@ -90,7 +91,8 @@ def render(
         comparison=comparison,
         diagnosis=diagnosis,
         ladder=ladder,
-        ranking=list(diagnosis["ranking"])[:MOST] if diagnosis else [],
+        ranking=worth_showing(diagnosis),
+        limits=[r for r in diagnosis["ranking"] if r.get("detectable_from")] if diagnosis else [],
         runner_up=words.runner_up(diagnosis) if diagnosis and diagnosis["ranking"] else None,
         effects=described(diagnosis),
         messages=[*now.get("messages", ()), *(diagnosis or NOTHING).get("messages", ())],
@@ -101,7 +103,7 @@ def render(
 
 def pictures(now: Json, old: Json, diagnosis: Json | None, ladder: Sequence[Json]) -> dict[str, str | None]:
     """SVG by name, None where there is nothing to show."""
-    ranking = list(diagnosis["ranking"])[:MOST] if diagnosis else []
+    ranking = worth_showing(diagnosis)
     return {
         "ladder": figures.ladder(ladder) if ladder else None,
         "residuals": figures.residuals(now.get("curves", ()), old.get("curves", ())),
@@ -112,6 +114,12 @@ def pictures(now: Json, old: Json, diagnosis: Json | None, ladder: Sequence[Json
         "ranking": figures.ranking(ranking) if ranking else None,
         "shape": figures.shape(diagnosis["shape"]) if diagnosis and diagnosis.get("shape") else None,
     }
+
+
+def worth_showing(diagnosis: Json | None) -> list[Json]:
+    """The first few effects of the ranking, and those after them that gain anything."""
+    rows = list(diagnosis["ranking"])[:MOST] if diagnosis else []
+    return [r for k, r in enumerate(rows) if k < FEWEST or r["heldout_gain"] > 1.0]
 
 
 def described(diagnosis: Json | None) -> dict[str, Any]:

@@ -103,6 +103,14 @@ def model_name(effects: Sequence[str]) -> str:
     return "linear" + "".join(f" + {name}" for name in effects)
 
 
+def force_reach(curves: Sequence[Json]) -> float:
+    """How far the force axis goes, in N: all of the curves, and their bands but for where data are few."""
+    tallest = max((float(np.nanmax(np.abs(floats(c["force"])), initial=0)) for c in curves), default=0.0)
+    widths = [floats(c["band_high"]) - floats(c["band_low"]) for c in curves]
+    usual = max((float(np.nanmedian(w)) for w in widths if np.isfinite(w).any()), default=0.0)
+    return 1.15 * max(tallest, usual) or 1.0
+
+
 def residuals(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
     """Residual force against displacement, velocity, shaft angle ..., one row a channel, with its band."""
     curves = [*before, *after]
@@ -111,8 +119,7 @@ def residuals(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
     against = [a for a in FIRST if a in present] or [a for a in AGAINST if a in present][:3]
     if not channels or not against:
         return None
-    peak = max((float(np.nanmax(np.abs(floats(c["force"])), initial=0)) for c in curves), default=0)
-    gain, unit = prefix(peak, "N")
+    gain, unit = prefix(force_reach(curves), "N")
     size = (3.5 * len(against), 2.3 * len(channels) + 0.3)
     figure, axes = new_figure(*size, len(channels), len(against), sharey="row")
     for k, ax in enumerate(axes):
@@ -129,6 +136,8 @@ def residuals(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
                     low, high = floats(c["band_low"]) * gain, floats(c["band_high"]) * gain
                     ax.fill_between(x, low, high, color=colour, alpha=0.22, linewidth=0)
                     ax.plot(x, floats(c["force"]) * gain, color=colour, linewidth=1.5, dashes=dashes, label=text)
+        top = gain * force_reach([c for c in curves if c["channel"] == channel])
+        ax.set_ylim(-top, top)
         first_row, first_column = k < len(against), k % len(against) == 0
         label_axes(ax, f"{name}, {x_unit}", f"{channel}: residual force, {unit}" if first_column else "")
         if first_row and first_column and before and after:
@@ -140,11 +149,11 @@ def where_map(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
     """Share of the missing force, channels by what it is a function of; the model before beside it."""
     maps = {name: rows for name, rows in (("before", before), ("this model", after)) if rows}
     everything = [*before, *after]
-    channels = list(dict.fromkeys(r["channel"] for r in everything))
+    channels = sorted({r["channel"] for r in everything})
     against = [a for a in AGAINST if any(r["against"] == a for r in everything)]
     if not channels or not against:
         return None
-    figure, axes = new_figure((1.6 + 0.8 * len(against)) * len(maps), 1.4 + 0.4 * len(channels), 1, len(maps))
+    figure, axes = new_figure(max(3.4, 1.6 + 0.8 * len(against)) * len(maps), 1.4 + 0.4 * len(channels), 1, len(maps))
     for ax, (name, rows) in zip(axes, maps.items(), strict=True):
         share = np.zeros((len(channels), len(against)))
         for r in rows:
@@ -156,7 +165,7 @@ def where_map(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
             ax.text(j, i, f"{share[i, j]:.0f} %", ha="center", va="center", fontsize=8.5, color=tone)
         ax.set_yticks(range(len(channels)), [plain(c) for c in channels])
         ax.set_xticks(range(len(against)), [a.replace("_", "\n") for a in against])
-        label_axes(ax, "the missing force as a function of ...", "channel", name if len(maps) > 1 else "")
+        label_axes(ax, "the missing force as a function of ...", "channel", name if before else "")
     return svg(figure, "where")
 
 

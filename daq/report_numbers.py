@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any
 
 PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+TINY = 1e-300
 SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+PREFIXED = ("m", "N", "N/m", "m/s", "s", "Hz")  # kg has its prefix already, and powers of a unit would mislead
 UNITS = {"N s/m": "N·s/m", "N^2/Hz": "N²/Hz", "m/s^2": "m/s²"}
 
 
 def unit_text(unit: str) -> str:
     """The unit with real superscripts."""
-    if unit in UNITS:
-        return UNITS[unit]
-    out, raised = "", False
-    for letter in unit:
-        if letter == "^":
-            raised = True
-        elif raised and letter in "0123456789-":
-            out += letter.translate(SUPERSCRIPT)
-        else:
-            raised = False
-            out += letter
-    return out
+    return UNITS.get(unit) or re.sub(r"\^(-?\d+)(?![\d.])", lambda power: power[1].translate(SUPERSCRIPT), unit)
 
 
 def prefix(peak: float, unit: str) -> tuple[float, str]:
@@ -43,7 +35,7 @@ def number(value: float | None, digits: int = 3) -> str:
     """`digits` figures, with a power of ten where that reads better."""
     if value is None or not math.isfinite(value):
         return "-"
-    if value == 0:
+    if abs(value) < TINY:
         return "0"
     exponent = math.floor(math.log10(abs(value)))
     if -3 <= exponent <= 4:
@@ -54,7 +46,7 @@ def number(value: float | None, digits: int = 3) -> str:
 def interval(value: float, sd: float) -> str:
     """Value and 95 % interval with as many figures as the interval deserves: "1.30 ± 0.12 × 10¹⁸"."""
     half = 1.96 * sd
-    if not (math.isfinite(value) and math.isfinite(half)) or half <= 1e-9 * abs(value):
+    if not (math.isfinite(value) and math.isfinite(half)) or half <= max(1e-9 * abs(value), TINY):
         return number(value)
     top = math.floor(math.log10(max(abs(value), half)))
     exponent = 0 if -2 <= top <= 3 else 3 * (top // 3)
@@ -64,18 +56,29 @@ def interval(value: float, sd: float) -> str:
 
 
 def fixed(value: float) -> str:
-    """Four decimals and a real minus: log-likelihoods are compared in their last figures."""
-    return f"{value:.4f}".replace("-", "\N{MINUS SIGN}")
+    """Five decimals and a real minus: log-likelihoods are compared in their last figures."""
+    return f"{value:.5f}".replace("-", "\N{MINUS SIGN}")
+
+
+def odds(p_value: float) -> str:
+    """A p-value; beyond 1e-20 the figures mean nothing."""
+    return "< " + power("1", -20)[4:] if p_value < 1e-20 else number(p_value, 2)
 
 
 def percent(value: float) -> str:
     """Percentages without false precision."""
+    if value == 0:
+        return "0 %"
     return f"{value:.0f} %" if abs(value) >= 10 else f"{value:.1f} %" if abs(value) >= 0.095 else f"{value:.2f} %"
 
 
-def parameter(p: Mapping[str, Any]) -> str:
-    """A parameter of the JSON results with its unit, or why there is none."""
-    if p.get("value") is None:
-        return f"not identifiable: {p['reason']}" if p.get("reason") else "not identifiable"
-    sd = p.get("sd")
-    return f"{interval(p['value'], sd) if sd else number(p['value'])} {unit_text(p.get('unit', ''))}".strip()
+def parameter(p: Mapping[str, Any], brief: bool = False, digits: int = 3) -> str:
+    """A parameter of the JSON results with its 95 % interval and unit, or (not if brief) why there is none."""
+    value, sd, unit = p.get("value"), p.get("sd"), p.get("unit", "")
+    if value is None:
+        return f"not identifiable: {p['reason']}" if p.get("reason") and not brief else "not identifiable"
+    gain = 1.0
+    if unit in PREFIXED:
+        gain, unit = prefix(abs(value), unit)
+    unit = "" if unit == "1" else unit_text(unit)
+    return f"{interval(value * gain, sd * gain) if sd else number(value * gain, digits)} {unit}".strip()

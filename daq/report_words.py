@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .report_numbers import number, percent, unit_text
+from .report_numbers import number, odds, parameter, percent
 
 Json = Mapping[str, Any]
+AS_GOOD = 1e-4  # nats per sample
 
 
 def summary(comparison: Json | None, diagnosis: Json | None, ladder: Sequence[Json]) -> list[str]:
@@ -46,10 +47,13 @@ def about_comparison(comparison: Json) -> list[str]:
                 f"({top['region']}, {percent(top['share_percent'])} of the missing force)."
             )
     left = comparison["heldout_nll"] - comparison["reference_nll"]
-    said.append(
-        f"A flexible black box predicts the same held-out data {number(abs(left), 2)} nats per sample "
-        f"{'better' if left > 0 else 'worse'} than the model" + (": that is what is left to win." if left > 0 else ".")
-    )
+    if abs(left) < AS_GOOD:
+        said.append("It predicts the held-out data as well as a flexible black box does: nothing is left to win.")
+    elif left > 0:
+        said.append(
+            f"A flexible black box predicts the same held-out data {number(left, 2)} nats per sample better than the "
+            "model: that is what is left to win."
+        )
     return said
 
 
@@ -69,7 +73,7 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
     before, after = best["missing_force_before_percent"], best["missing_force_after_percent"]
     said = [
         f"Diagnosis: {verdict} at {listed(best['at'])} {'was' if past else 'is'} missing "
-        f"(p = {number(best['p_value'], 2)}). With it the missing force {'fell' if past else 'falls'} from "
+        f"(p {odds(best['p_value'])}). With it the missing force {'fell' if past else 'falls'} from "
         f"{percent(before)} to {percent(after)}."
     ]
     second = runner_up(diagnosis)
@@ -91,4 +95,4 @@ def listed(names: Sequence[str]) -> str:
 def detectable(row: Json) -> str:
     """How strong the effect would have to be to be seen in this record."""
     limit = row.get("detectable_from")
-    return f"{number(limit['value'], 2)} {unit_text(limit['unit'])}" if limit else ""
+    return parameter({"value": limit["value"], "unit": limit["unit"]}, digits=2) if limit else ""

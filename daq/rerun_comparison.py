@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from . import report_words as words
 from . import rerun_plane as plane
-from .report_figures import AGAINST, FIRST, floats, model_name
+from .report_figures import AGAINST, FIRST, floats, force_reach, model_name
 from .report_numbers import fixed, percent, prefix, unit_text
 from .rerun_layout import part
 
@@ -90,7 +90,8 @@ def residuals(steps: Sequence[Json], now: int) -> dict[str, Picture]:
         x_gain, x_unit = scaled((c["at"] for c in column), base)
         y_gain, y_unit = scaled((c["force"] for c in row), "N")
         x = span((c["at"] for c in column), x_gain, f"{name}, {x_unit}")
-        y = span((c[key] for c in row for key in ("band_low", "band_high")), y_gain, y_unit)
+        high = plane.round_up(force_reach(row) * y_gain)
+        y = plane.Axis(-high, high, y_unit)
         series: list[Series] = []
         for k in range(now + 1):
             for c in steps[k].get("curves", ()):
@@ -179,7 +180,7 @@ def layout(drawn: Mapping[str, str]) -> Any:
 
     def view(entity: str, name: str) -> rrb.Spatial2DView:
         width = plane.HEIGHT if entity.startswith("orbit") else plane.WIDTH
-        bounds = rrb.VisualBounds2D(x_range=(-130, width + 40), y_range=(-30, plane.HEIGHT + 80))
+        bounds = rrb.VisualBounds2D(x_range=(-130, width + 40), y_range=(-30, plane.HEIGHT + 130))
         return rrb.Spatial2DView(origin=entity, name=name, visual_bounds=bounds)
 
     per_row = len({entity.rsplit("/", 1)[1] for entity in drawn if entity.startswith("residual/")})

@@ -14,7 +14,7 @@ from made_up_results import compared, diagnosed, made_up
 
 from daq.errors import LogError
 from daq.report import render, write_report
-from daq.report_numbers import interval, number, parameter, percent, prefix, unit_text
+from daq.report_numbers import interval, number, odds, parameter, percent, prefix, unit_text
 
 
 @functools.cache
@@ -57,8 +57,9 @@ def test_the_whole_story_is_on_the_page() -> None:
     page = Page(story())
     assert page.tags.count("svg") == 7
     for text in (
-        "from 12 % to 0.6 %", "linear + cubic + clearance", "clearance", "stop", "run.mcap", "not identifiable",
-        "|x| > 40 nm", "residual force, mN", "frequency, Hz", "displacement, nm", "(10.300 ± 0.078) × 10⁶",
+        "from 12 % to 0.6 %", "can be seen from",
+        "200 kN/m", "linear + cubic + clearance", "clearance", "stop", "run.mcap", "not identifiable",
+        "|x| > 40 nm", "residual force, mN", "frequency, Hz", "displacement, nm", "10.300 ± 0.078 MN/m",
         "near full scale",
     ):  # fmt: skip
         assert text in page.text, text
@@ -127,7 +128,11 @@ def test_numbers_read_well() -> None:
     assert number(2.813e5) == "2.81 × 10⁵"
     assert unit_text("N/m^3") == "N/m³"
     assert unit_text("N^2/Hz") == "N²/Hz"
+    assert unit_text("N/m^1.5") == "N/m^1.5"
     assert prefix(3e-8, "m") == (1e9, "nm")
+    assert parameter({"value": 1.985e-7, "sd": 4.8e-9, "unit": "m"}) == "198.5 ± 9.4 nm"
+    assert parameter({"value": 6.0, "sd": 0.3, "unit": "1"}) == "6.00 ± 0.59"
+    assert (odds(1e-158), odds(0.011), percent(0.0)) == ("< 10⁻²⁰", "0.011", "0 %")
     assert parameter({"value": None, "reason": "too little motion"}) == "not identifiable: too little motion"
 
 
