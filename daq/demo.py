@@ -157,7 +157,6 @@ def _improve(
 ) -> tuple[list[dict[str, Any]], list[Path]]:
     """Compare, diagnose, add, compare: the ladder of errors and the files written."""
     from estimator.compare import compare
-
     from estimator.diagnose import diagnose
 
     from .analyse import diagnosis_text, fitted
