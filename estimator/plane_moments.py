@@ -89,7 +89,10 @@ class PlaneMoments:
         constant = self._constant()
         if constant:
             return self.plane.undetermined(constant)
-        values, covariance = self.values()
+        try:
+            values, covariance = self.values()
+        except np.linalg.LinAlgError:
+            return self.plane.undetermined("the displacement takes too few values to tell x from its powers")
         sds = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         return self.plane.judged({n: (values[n], float(sd)) for n, sd in zip(self.names, sds, strict=True)})
 

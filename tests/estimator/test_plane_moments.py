@@ -184,3 +184,13 @@ def test_delta_method_against_the_textbook_ratio() -> None:
     sd = np.sqrt(propagate(lambda u: np.array([u[1] / u[0]]), moments)[0, 0])
     exact = 2.5 * np.sqrt((0.5 / 2.0) ** 2 + (1.0 / 5.0) ** 2) / np.sqrt(len(rows))
     assert sd == pytest.approx(exact, rel=0.15)
+
+
+def test_a_displacement_of_two_values_is_a_verdict_not_an_exception() -> None:
+    x = np.tile([[1e-7], [-1e-7]], (2000, 1))
+    moments = PlaneMoments(Plane("x", (Cap("bearing1.x", (1, 3), 0.2),)))
+    for at in range(0, len(x), 200):
+        moments.add(x[at : at + 200], 1e3 * x[at : at + 200])
+    kL = moments.parameters()["bearing1.x.kL"]
+    assert kL.value is None
+    assert "powers" in kL.reason or "50 %" in kL.reason
