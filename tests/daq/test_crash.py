@@ -57,8 +57,8 @@ def kill_after(log: Path, seconds: float) -> float:
 
 def test_kill_9_costs_less_than_a_second(tmp_path: Path) -> None:
     rng = random.Random(1)
-    lost = [kill_after(tmp_path / f"{k}.mcap", rng.uniform(1.2, 2.4)) for k in range(3)]
-    print(f"kill -9, 3 times: at most {max(lost):.2f} s of data lost")
+    lost = [kill_after(tmp_path / f"{k}.mcap", rng.uniform(1.2, 2.4)) for k in range(2)]
+    print(f"kill -9, twice: at most {max(lost):.2f} s of data lost")
     assert max(lost) <= 1.0
 
 
