@@ -23,7 +23,7 @@ from .sink import Sink
 
 FINITE = ("capture", "replay", "simulated")  # kinds of link that wait for us; all others are live
 READ_S = 0.1
-GRACE_S = 2.0  # a live link may take this much longer than the seconds asked for
+GRACE_S = 2.0  # a live link may take this much longer than the seconds asked for, from its first sample on
 STOP_S = 0.6  # after a stop, this long for what was read but not yet taken
 VERSIONS = ("rotorscope", "numpy", "scipy", "numba", "mcap", "protobuf")
 
@@ -106,12 +106,14 @@ def acquire(
         driver.open()
         reader = threading.Thread(target=_read, args=(driver, queue, stop), name=f"read {driver.kind}", daemon=True)
         reader.start()
-        end_ns = clock.now_ns() + round((seconds + GRACE_S) * 1e9) if seconds is not None and live else None
+        begin_ns, flowing = clock.now_ns(), False
         try:
             while not (stop.is_set() or pipeline.done or queue.ended):
                 pipeline.step(queue.take(READ_S))
                 pipeline.tick(driver.stats, {"reader": queue.dropped})
-                if end_ns is not None and clock.now_ns() > end_ns:
+                if not flowing and pipeline.ledger.first is not None:
+                    begin_ns, flowing = clock.now_ns(), True
+                if live and seconds is not None and clock.now_ns() > begin_ns + (seconds + GRACE_S) * 1e9:
                     break
         finally:
             queue.close()
