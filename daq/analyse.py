@@ -44,8 +44,11 @@ def fitted(rig: Rig, data: Measurement, method: str) -> Fit:
     """The fit of a record by the method's name."""
     from importlib import import_module
 
+    from estimator.shaft_angle import measured_phase
+
     module = import_module(f"estimator.{method.replace('-', '_')}")
-    result: Fit = module.fit(rig.model, data.y, data.rate_hz)
+    phase = measured_phase(rig.model, data.y, data.rate_hz) if method == "spectral" else None
+    result: Fit = module.fit(rig.model, data.y, data.rate_hz, **({} if phase is None else {"phase": phase}))
     return result
 
 

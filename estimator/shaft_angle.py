@@ -1,0 +1,71 @@
+"""Shaft angle from a tacho channel: one pulse a turn, its rising edge at angle 0."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import DataError
+from .model import Model
+
+Array = NDArray[np.float64]
+FEWEST_PULSES = 4
+HYSTERESIS = 0.1  # of the pulse height: a pulse counts once the signal has been so far below its middle
+LONG = 1.5  # of the turns around it: such a distance between pulses holds several turns (missing samples, a weak pulse)
+SHORT = 0.5  # and such a one is no turn at all (ringing, interference)
+
+
+def measured_phase(model: Model, y: Array, rate_hz: float) -> Array | None:
+    """(n,) rad, the shaft angle along y (n, channels of the model); None without a tacho channel. Raises DataError."""
+    column = next((i for i, c in enumerate(model.channels) if c.kind == "tacho"), None)
+    return None if column is None else shaft_angle(y[:, column], rate_hz, model.channels[column].name)
+
+
+def shaft_angle(pulses: Array, rate_hz: float, name: str = "tacho") -> Array:
+    """(n,) rad, rising through 2 pi k at the k-th pulse, linear between pulses, at the last known speed beyond them.
+
+    pulses : (n,) any height and width, NaN where a sample is missing. Raises DataError with fewer than four pulses.
+    """
+    edges = rising_edges(pulses)
+    if edges.size >= FEWEST_PULSES:
+        edges = edges[np.concatenate([[True], np.diff(edges) > SHORT * np.median(np.diff(edges))])]
+    if edges.size < FEWEST_PULSES:
+        raise DataError(f"channel {name}: {edges.size} tacho pulses; at least {FEWEST_PULSES} are needed, one a turn")
+    distance = np.diff(edges)
+    period = _usual(distance)
+    turns = np.where(distance > LONG * period, np.rint(distance / period), 1.0)
+    angle = np.concatenate([[0.0], np.cumsum(turns)])
+    n = np.arange(len(pulses), dtype=np.float64)
+    out = np.interp(n, edges, angle)
+    first, last = turns[0] / distance[0], turns[-1] / distance[-1]
+    out = np.where(n < edges[0], (n - edges[0]) * first, out)
+    out = np.where(n > edges[-1], angle[-1] + (n - edges[-1]) * last, out)
+    return np.asarray(2 * np.pi * out)
+
+
+def rising_edges(pulses: Array) -> Array:
+    """(k,) rows, with fractions, at which the signal rises through its middle."""
+    there = np.flatnonzero(np.isfinite(pulses))
+    if there.size < 2:
+        return np.empty(0)
+    y = pulses[there]
+    low, high = float(y.min()), float(y.max())
+    if high <= low:
+        return np.empty(0)
+    middle = 0.5 * (low + high)
+    armed = middle - HYSTERESIS * (high - low)
+    state = np.where(y >= middle, 1, np.where(y < armed, -1, 0))  # 0: keeps what it was
+    last = np.maximum.accumulate(np.where(state != 0, np.arange(y.size), 0))
+    state = state[last]
+    rise = np.flatnonzero((state[1:] == 1) & (state[:-1] != 1)) + 1
+    rise = rise[there[rise] - there[rise - 1] == 1]  # an edge inside a gap has no place
+    before, after = y[rise - 1], y[rise]
+    step = after - before
+    return np.asarray(there[rise] - np.where(step > 0, (after - middle) / np.where(step > 0, step, 1.0), 0.0))
+
+
+def _usual(distance: Array, around: int = 9) -> Array:
+    """(k,) the median of the distances around each: the turn's length there, also while the speed changes."""
+    half = around // 2
+    padded = np.pad(distance, half, mode="edge")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, around), axis=1))
