@@ -80,7 +80,7 @@ def demo(folder: Path, ending: str, word: str) -> Path:
     """The file of that kind that the demo writes."""
     out = folder / "demo"
     if not out.exists():
-        run([sys.executable, "-m", "daq.cli", "demo", "--out", str(out)])
+        run([sys.executable, "-m", "daq", "demo", "--quiet", "--out", str(out)])
     return next(p for p in sorted(out.iterdir()) if p.suffix == ending and word in p.name)
 
 
