@@ -104,6 +104,19 @@ def _power(exponent: int) -> Callable[[Floats], Complexes]:
     return lambda f: np.asarray((2j * np.pi * f) ** float(exponent), dtype=np.complex128)
 
 
+def _block_size(half: int, rate_hz: float) -> int:
+    """Transform size: four times the half length, but with at most 0.4 s of new rows, and a product of 2, 3 and 5."""
+    size = min(1 << int(np.ceil(np.log2(4 * half + 1))), 2 * half + max(1, int(0.4 * rate_hz)))
+    while True:
+        rest = size
+        for prime in (2, 3, 5):
+            while rest % prime == 0:
+                rest //= prime
+        if rest == 1:
+            return size
+        size += 1
+
+
 class BandLimit:
     """Streams (n, channels) rows into `Motion`. Row k comes out once rows to k + half (and a full block) are in.
 
@@ -120,7 +133,7 @@ class BandLimit:
     ) -> None:
         self.kinds, self.rate_hz, self.band = tuple(kinds), rate_hz, band
         self.half = half_length(rate_hz, band)
-        self._size = 1 << int(np.ceil(np.log2(4 * self.half + 1)))
+        self._size = _block_size(self.half, rate_hz)
         self._hop = self._size - 2 * self.half  # fixed, so that block positions never depend on the chunks
         self._outputs = 3 if extra is None else 4
         self._filters: dict[str, Complexes] = {}
@@ -197,5 +210,9 @@ def band_limit(
     """The whole record (n, channels) at once; the same numbers as any stream of its pieces."""
     stream = BandLimit(kinds, rate_hz, band, extra)
     parts = [stream.push(y), stream.flush()]
-    a, v, x, u = (np.concatenate([getattr(p, name) for p in parts], axis=1) for name in "avxu")
-    return Motion(0, a, v, x, u, np.concatenate([p.valid for p in parts]))
+    valid = np.concatenate([p.valid for p in parts])
+    a, v, x, u = (
+        np.concatenate([getattr(p, name) for p in parts], axis=1) if parts[1].rows else getattr(parts[0], name)
+        for name in "avxu"
+    )
+    return Motion(0, a, v, x, u, valid)

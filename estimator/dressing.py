@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from .balance import Balance
 from .columns import Columns
-from .gram import Layout, valid_blocks
+from .gram import valid_blocks
 from .record import Record, stretches
 
 Floats = NDArray[np.float64]
@@ -28,14 +28,14 @@ SECONDS = 8.0  # of the record that the covariances are taken from
 
 
 def self_energies(
-    record: Record, columns: Columns, linear: Floats, damping: Floats, seconds: float = SECONDS
+    record: Record, columns: Columns, linear: Floats, damping: Floats, f_hz: Floats, seconds: float = SECONDS
 ) -> Complexes:
-    """(f, columns, columns) N/m per pair of law columns at one place: Sigma_j is its sum over k times B_k.
+    """(f, columns, columns) N/m, at f_hz, per pair of law columns at one place: Sigma_j is its sum over k times B_k.
 
     linear : (places, 3) m, kL, c; damping : (places,) of the mean response, with that of the effects, N s/m.
     """
-    balance, grid = columns.balance, record.grid
-    out = np.zeros((grid.bins.size, len(balance.columns), len(balance.columns)), complex)
+    balance = columns.balance
+    out = np.zeros((f_hz.size, len(balance.columns), len(balance.columns)), complex)
     for row in range(len(balance.places)):
         laws = [
             k
@@ -43,12 +43,14 @@ def self_energies(
             if c.kind == "law" and c.row == row and balance.laws[c.law].effect.kind == "force"
         ]
         if laws:
-            out[:, np.array(laws)[:, None], laws] = _at_place(record, columns, laws, linear[row], damping[row], seconds)
+            out[:, np.array(laws)[:, None], laws] = _at_place(
+                record, columns, laws, linear[row], damping[row], f_hz, seconds
+            )
     return out
 
 
 def _at_place(
-    record: Record, columns: Columns, laws: list[int], linear: Floats, damping: float, seconds: float
+    record: Record, columns: Columns, laws: list[int], linear: Floats, damping: float, f_hz: Floats, seconds: float
 ) -> Complexes:
     grid = record.grid
     m, kL, _ = linear
@@ -68,10 +70,10 @@ def _at_place(
     gv = np.exp(-decay * tau) * (np.cos(wd * tau) - decay / wd * np.sin(wd * tau)) / m * taper
     g = np.stack([gx, gv])
     f = np.fft.rfftfreq(2 * length, dt)
-    keep = np.searchsorted(f, [grid.f_hz[0], grid.f_hz[-1]]) + np.array([-1, 1])
+    keep = np.searchsorted(f, [f_hz[0], f_hz[-1]]) + np.array([-1, 1])
     part = slice(max(keep[0], 0), keep[1] + 1)
     iw = 2j * np.pi * f[part]
-    out = np.empty((grid.bins.size, len(laws), len(laws)), complex)
+    out = np.empty((f_hz.size, len(laws), len(laws)), complex)
     for j in range(len(laws)):
         for k in range(len(laws)):
             sigma = np.zeros(iw.size, complex)
@@ -82,7 +84,7 @@ def _at_place(
                     C = np.fft.irfft(cross, 2 * length)[:length] / (length - np.arange(length))
                     lagged += C * g[a]
                 sigma += np.fft.rfft(lagged, 2 * length)[part] * iw**b
-            out[:, j, k] = np.interp(grid.f_hz, f[part], sigma.real) + 1j * np.interp(grid.f_hz, f[part], sigma.imag)
+            out[:, j, k] = np.interp(f_hz, f[part], sigma.real) + 1j * np.interp(f_hz, f[part], sigma.imag)
     return out
 
 
@@ -103,11 +105,11 @@ def _series(record: Record, columns: Columns, laws: list[int], usable: NDArray[n
     return out, factor
 
 
-def dressed(pairs: Complexes, balance: Balance, B: Floats, grid: Layout) -> Complexes:
+def dressed(pairs: Complexes, balance: Balance, B: Floats, f_hz: Floats) -> Complexes:
     """(f, columns) change of each column's response to the acceleration of its own place, 1/(m/s^2) of its unit."""
-    w = 2 * np.pi * grid.f_hz
-    out = np.zeros((grid.bins.size, len(balance.columns)), complex)
+    w = 2 * np.pi * f_hz
+    out = np.zeros((f_hz.size, len(balance.columns)), complex)
     for j, column in enumerate(balance.columns):
         if column.kind == "law":
-            out[:, j] = pairs[:, j] @ B[column.row] / w**2
+            out[:, j] = np.einsum("fk,k->f", pairs[:, j], B[column.row]) / w**2
     return out

@@ -10,6 +10,7 @@ added up in cells that need be narrow only where the force spectrum is not flat.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,11 @@ from .errors import DataError
 
 Floats = NDArray[np.float64]
 CELLS = 24
+
+
+@cache
+def _sine(size: int) -> Floats:
+    return np.asarray(np.sin(np.pi * (np.arange(size) + 0.5) / size))
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +46,7 @@ class Layout:
     @property
     def window(self) -> Floats:
         """Sine window in units that make |Z|^2 a one-sided PSD."""
-        w = np.sin(np.pi * (np.arange(self.size) + 0.5) / self.size)
-        return np.asarray(w * np.sqrt(2.0 / (self.rate_hz * self.hop)))
+        return np.asarray(_sine(self.size) * np.sqrt(2.0 / (self.rate_hz * self.hop)))
 
     @property
     def per_cell(self) -> NDArray[np.intp]:
@@ -51,6 +56,41 @@ class Layout:
     @property
     def cell_of_bin(self) -> NDArray[np.intp]:
         return np.repeat(np.arange(self.starts.size), self.per_cell)
+
+
+@dataclass(frozen=True, slots=True)
+class Nodes:
+    """Frequencies at which the Jacobian is evaluated: each stands for `weight` neighbouring bins of one cell."""
+
+    f_hz: Floats
+    weight: Floats
+    cell: NDArray[np.intp]
+
+    def mean_by_cell(self, z: Floats, per_cell: NDArray[np.intp]) -> Floats:
+        """(cells, ...) mean over the bins of each cell of z (nodes, ...)."""
+        shape = (-1, *(1 for _ in z.shape[1:]))
+        first = np.searchsorted(self.cell, np.arange(per_cell.size))
+        return np.asarray(np.add.reduceat(z * self.weight.reshape(shape), first, axis=0) / per_cell.reshape(shape))
+
+
+def nodes(grid: Layout, peaks_hz: Floats | None = None, widths_hz: Floats | None = None) -> Nodes:
+    """Every bin; or, with the resonances and their half-power widths, few where the response is smooth.
+
+    Nodes are no farther apart than a sixth of the width at a resonance and a fifteenth of the distance from it: the
+    midpoint rule is then good to 1e-3 of a standard deviation of the parameters (tests/estimator/test_likelihood.py).
+    """
+    f, cell = grid.f_hz, grid.cell_of_bin
+    if peaks_hz is None or widths_hz is None:
+        return Nodes(f, np.ones(f.size), cell)
+    apart = np.abs(f[:, None] - peaks_hz) / 15.0
+    allowed = np.maximum(apart, widths_hz / 6.0).min(axis=1) / (grid.rate_hz / grid.size)
+    starts: list[int] = []
+    for a, n in zip(grid.starts, grid.per_cell, strict=True):
+        step = int(np.clip(allowed[a : a + n].min(), 1, max(1, n // 3)))
+        starts += range(int(a), int(a + n), step)
+    at = np.array(starts)
+    weight = np.diff(np.append(at, f.size)).astype(float)
+    return Nodes(np.add.reduceat(f, at) / weight, weight, cell[at])
 
 
 def layout(

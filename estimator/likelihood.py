@@ -9,13 +9,13 @@ because E[F F^H] = S at every frequency (the Jacobian is weighted alike where S 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .balance import Balance
-from .gram import Layout
+from .gram import Layout, Nodes
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -49,7 +49,8 @@ class Evidence:
     gram: Floats
     blocks: float
     tangents: Floats
-    dressing: Complexes | None = None  # (f, columns), see dressing.py
+    nodes: Nodes
+    dressing: Complexes | None = None  # (nodes, columns), see dressing.py
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +84,8 @@ class Likelihood:
 
     def __init__(self, evidence: Evidence) -> None:
         self.evidence = evidence
-        balance, grid = evidence.balance, evidence.grid
-        self.R = responses(balance, evidence.tangents, grid.f_hz)
+        balance, nodes = evidence.balance, evidence.nodes
+        self.R = responses(balance, evidence.tangents, nodes.f_hz)
         if evidence.dressing is not None:
             for k, column in enumerate(balance.columns):
                 self.R[:, k, column.row] += evidence.dressing[:, k]
@@ -94,7 +95,7 @@ class Likelihood:
         self.T = np.zeros((len(balance.free), len(entries)))  # entries -> parameters
         for j, (p, _, _, x) in enumerate(entries):
             self.T[p, j] = x
-        w = 2 * np.pi * grid.f_hz
+        w = 2 * np.pi * nodes.f_hz
         self.noise_shape = np.array([w ** _NOISE_POWER[kind] for kind in balance.kinds]).T  # (f, P)
 
     def force_power(self, B: Floats, gram: Floats | None = None) -> Floats:
@@ -103,9 +104,14 @@ class Likelihood:
 
     def noise_gain(self, A: Complexes) -> Floats:
         """(cells, P, P) mean |A_ij|^2 of each cell: the force PSD at i per sensor noise at j."""
-        grid = self.evidence.grid
         gain = np.abs(A) ** 2 * self.noise_shape[:, None, :]
-        return np.asarray(np.add.reduceat(gain, grid.starts, axis=0) / grid.per_cell[:, None, None])
+        return self.evidence.nodes.mean_by_cell(gain, self.evidence.grid.per_cell)
+
+    def power(self, beta: Floats) -> tuple[Floats, Floats]:
+        """(cells, P) mean |F|^2 and (cells, P, P) gain of the sensor noise."""
+        B = self.evidence.balance.coefficients(beta)
+        count = self.evidence.blocks * self.evidence.grid.per_cell
+        return np.einsum("cii->ci", self.force_power(B)) / count[:, None], self.noise_gain(B @ self.R)
 
     def at(self, point: Point) -> Local:
         """Value, gradient and Hessian."""
@@ -118,7 +124,7 @@ class Likelihood:
         total = self.force_power(B)
         diagonal = np.einsum("cii->ci", total)
         logdet = np.log(np.abs(np.linalg.det(A))) * 2
-        logs = float(np.sum(count[:, None] * np.log(spread)) - ev.blocks * logdet.sum())
+        logs = float(np.sum(count[:, None] * np.log(spread)) - ev.blocks * (logdet @ ev.nodes.weight))
         nll = 0.5 * (float(np.sum(diagonal / spread)) + logs)
 
         gram_rows = np.einsum("ci,ckl->ikl", 1 / spread, ev.gram)  # weighted Gram of each row
@@ -171,9 +177,9 @@ class Likelihood:
 
     def _jacobian(self, A: Complexes, point: Point, spread: Floats, hessian: bool = True) -> tuple[Floats, Floats]:
         """Gradient (E,) and Hessian (E, E) of 1/2 sum over bins of log |det A|^2."""
-        grid = self.evidence.grid
+        nodes = self.evidence.nodes
         inside = point.S + (np.abs(A) ** 2 * self.noise_shape[:, None, :]) @ point.noise
-        kappa = inside / spread[grid.cell_of_bin]  # (f, P), 1 where S is flat within the cell
+        kappa = inside / spread[nodes.cell] * nodes.weight[:, None]  # 1 per bin where S is flat within the cell
         Y = self.R[:, self.column] @ np.linalg.inv(A)  # (f, E, P)
         X = Y[:, :, self.row]  # tr(A^-1 dA_e A^-1 dA_e') = X_ee' X_e'e
         g = np.einsum("fe,fe->e", np.einsum("fee->fe", X).real, kappa[:, self.row])
@@ -186,29 +192,26 @@ class Likelihood:
         return g, h
 
 
-def spectrum_of_force(local: Local, count: Floats) -> tuple[Floats, Floats]:
+def spectrum_of_force(power: Floats, floor: Floats, count: Floats, start: Point) -> tuple[Floats, Floats]:
     """(S, noise), each (places,), >= 0, that explain the cell powers best given the gain of the noise.
 
-    Fisher scoring of the gamma likelihood of mean |F|^2 in each cell. count : (cells,) independent bins.
+    Fisher scoring of the gamma likelihood of mean |F|^2 in each cell. power : (cells, P); floor : (cells, P, P), see
+    Local; count : (cells,) independent bins.
     """
-    P = local.power.shape[1]
-    S, noise = local.point.S.copy(), local.point.noise.copy()
+    S, noise = start.S.copy(), start.noise.copy()
     for _ in range(4):
-        for i in range(P):
-            rest = local.floor[:, i] @ noise - local.floor[:, i, i] * noise[i]
-            y, g = local.power[:, i] - rest, local.floor[:, i, i]
+        for i in range(S.size):
+            g = floor[:, i, i]
+            rest = floor[:, i] @ noise - g * noise[i]
+            y = power[:, i] - rest
             weight = count / (S[i] + rest + g * noise[i]) ** 2
-            X = np.stack([np.ones_like(g), g], axis=1)
-            normal = X.T @ (X * weight[:, None])
-            scale = np.sqrt(np.diag(normal))
-            solved = (
-                np.linalg.lstsq(normal / scale / scale[:, None], X.T @ (y * weight) / scale, rcond=1e-12)[0] / scale
-            )
-            if solved[1] <= 0.0:
-                solved = np.array([np.sum(y * weight) / np.sum(weight), 0.0])
-            elif solved[0] <= 0.0:
-                solved = np.array([1e-3 * local.point.S[i], solved[1]])
-            S[i], noise[i] = solved
+            n, ng, ngg, ny, ngy = weight.sum(), weight @ g, weight @ (g * g), weight @ y, weight @ (g * y)
+            determinant = n * ngg - ng * ng
+            level, slope = (ny * ngg - ngy * ng, n * ngy - ng * ny) if determinant > 1e-9 * n * ngg else (0.0, 0.0)
+            if slope <= 0.0:
+                S[i], noise[i] = ny / n, 0.0
+            else:
+                S[i], noise[i] = max(level / determinant, 1e-3 * start.S[i]), slope / determinant
     return S, noise
 
 
@@ -241,7 +244,7 @@ def maximise(likelihood: Likelihood, start: Point, iterations: int = 40, toleran
     count: Floats = np.asarray(0.5 * likelihood.evidence.blocks * likelihood.evidence.grid.per_cell, dtype=np.float64)
 
     def profiled(beta: Floats, point: Point) -> Local:
-        S, noise = spectrum_of_force(likelihood.at(replace(point, beta=beta)), count)
+        S, noise = spectrum_of_force(*likelihood.power(beta), count, point)
         return likelihood.at(Point(beta, S, noise))
 
     here, damping = profiled(start.beta, start), 0.0

@@ -13,7 +13,7 @@ from .bandlimit import Motion, band_limit
 from .columns import Columns, Stretch
 from .errors import DataError
 from .features import MARGIN
-from .gram import Layout, gram, layout, spectra, valid_blocks
+from .gram import Layout, Nodes, gram, layout, nodes, spectra, valid_blocks
 from .likelihood import Evidence
 from .model import Model
 
@@ -61,7 +61,7 @@ class Record:
             z = z[..., lo:hi]
             return np.pad(z, [(0, 0)] * (z.ndim - 1) + [pad]) if any(pad) else z
 
-        t = np.arange(start - MARGIN, stop + MARGIN) / self.rate_hz
+        t = (m.start + np.arange(start - MARGIN, stop + MARGIN)) / self.rate_hz
         valid = np.pad(m.valid[lo:hi], pad)
         force = {i: cut(f) for i, f in self.force.items()}
         phase = np.pad(self.phase[lo:hi], pad, mode="edge") if any(pad) else self.phase[lo:hi]
@@ -98,6 +98,19 @@ def prepare(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None
     return Record(model, rate_hz, motion, force, np.asarray(phase, np.float64), grid)
 
 
+def as_record(model: Model, rate_hz: float, parts: list[Motion], grid: Layout) -> Record:
+    """Consecutive pieces of a stream, motion channels first, as a record that begins at the first piece's row."""
+    P = len(model.places)
+    a, v, x, u = (np.concatenate([getattr(p, name) for p in parts], axis=1) for name in "avxu")
+    valid = np.concatenate([p.valid for p in parts])
+    motion = Motion(parts[0].start, a[:P], v[:P], x[:P], u[:P], valid)
+    turns_per_s = (model.speed_rpm or 0.0) / 60.0
+    rows = np.arange(motion.start, motion.start + motion.rows)
+    phase = np.asarray(2 * np.pi * turns_per_s / rate_hz * rows, dtype=np.float64)
+    force = {row: a[P + i] for i, row in enumerate(force_channels(model))}
+    return Record(model, rate_hz, motion, force, phase, grid)
+
+
 @dataclass(frozen=True, slots=True)
 class Bank:
     """Gram matrices by fold of time: what every sub-model, test and residual spectrum is computed from.
@@ -112,12 +125,11 @@ class Bank:
     start: Floats
     tangents: Floats
 
-    def evidence(self, folds: NDArray[np.bool_] | None = None) -> Evidence:
-        """The sum over the folds (all, or those marked)."""
+    def evidence(self, at: Nodes | None = None, folds: NDArray[np.bool_] | None = None) -> Evidence:
+        """The sum over the folds (all, or those marked). at : where the Jacobian is evaluated (every bin)."""
         keep = np.ones(self.blocks.size, bool) if folds is None else folds
-        return Evidence(
-            self.balance, self.grid, self.grams[keep].sum(axis=0), float(self.blocks[keep].sum()), self.tangents
-        )
+        gram, blocks = self.grams[keep].sum(axis=0), float(self.blocks[keep].sum())
+        return Evidence(self.balance, self.grid, gram, blocks, self.tangents, nodes(self.grid) if at is None else at)
 
     def restrict(self, laws: set[int]) -> Bank:
         """The bank of the model that has only these laws (indices into balance.laws)."""

@@ -74,20 +74,29 @@ def solve(record: Record, start: Start, model: Model, values: Mapping[str, float
     The parameters that a law is linear in are solved for at held shapes first; then its shape is searched by
     Gauss-Newton on the derivative of its law, which joins the columns.
     """
-    known = dict(values or {})
-    balance = build(model, start.sizes, known, search=False)
-    bank = gather(record, balance, start.widths, start.linear)
-    likelihood, local, converged = dress(record, start, bank, initial(balance, start, known))
-    full = build(model, start.sizes, known)
-    if len(full.free) > len(balance.free):
-        balance, bank, likelihood, local, converged = _search(record, start, model, balance, local, known)
+    balance, bank, likelihood, local, converged, _ = maximum(record, start, model, values)
     covariance = sandwich(likelihood, local, bank)
     return Solution(record, start, balance, bank, local, covariance, converged)
 
 
+Maximum = tuple[Balance, Bank, Likelihood, Local, bool, dict[str, float]]
+
+
+def maximum(record: Record, start: Start, model: Model, values: Mapping[str, float] | None = None) -> Maximum:
+    """Where the likelihood is highest, and the values of all parameters there, by name."""
+    known = dict(values or {})
+    balance = build(model, start.sizes, known, search=False)
+    bank = gather(record, balance, start.widths, start.linear)
+    likelihood, local, converged = dress(record, start, bank, initial(balance, start, known))
+    known |= dict(zip(balance.names, local.point.beta.tolist(), strict=True))
+    if len(build(model, start.sizes, known).free) > len(balance.free):
+        return _search(record, start, model, local, known)
+    return balance, bank, likelihood, local, converged, known
+
+
 def dress(record: Record, start: Start, bank: Bank, point: Point, rounds: int = 2) -> tuple[Likelihood, Local, bool]:
     """The maximum with the responses of the laws dressed (dressing.py), which depends on the parameters a little."""
-    evidence = bank.evidence()
+    evidence = bank.evidence(start.nodes)
     likelihood = Likelihood(evidence)
     local, converged = maximise(likelihood, point)
     balance, P = bank.balance, len(bank.balance.places)
@@ -96,18 +105,15 @@ def dress(record: Record, start: Start, bank: Bank, point: Point, rounds: int = 
     columns = Columns(balance, record.scales, start.widths, start.linear)
     B = balance.coefficients(local.point.beta)
     damping = np.array([B[i, P + i] + B[i] @ bank.tangents[:, 1] for i in range(P)])
-    pairs = self_energies(record, columns, start.linear, np.maximum(damping, 0.1 * start.c))
+    pairs = self_energies(record, columns, start.linear, np.maximum(damping, 0.1 * start.c), start.nodes.f_hz)
     for _ in range(rounds):
         B = balance.coefficients(local.point.beta)
-        likelihood = Likelihood(replace(evidence, dressing=dressed(pairs, balance, B, bank.grid)))
+        likelihood = Likelihood(replace(evidence, dressing=dressed(pairs, balance, B, start.nodes.f_hz)))
         local, converged = maximise(likelihood, local.point)
     return likelihood, local, converged
 
 
-def _search(
-    record: Record, start: Start, model: Model, balance: Balance, local: Local, known: dict[str, float]
-) -> tuple[Balance, Bank, Likelihood, Local, bool]:
-    values = known | dict(zip(balance.names, local.point.beta.tolist(), strict=True))
+def _search(record: Record, start: Start, model: Model, local: Local, values: dict[str, float]) -> Maximum:
     best = local.nll
     settled = False
     for _ in range(ROUNDS):
@@ -129,32 +135,40 @@ def _search(
             values[f.name] = new
         settled = moved < 1e-3 or abs(best - local.nll) < 1e-3
         best = local.nll
-    return searching, bank, likelihood, local, converged and settled
+    return searching, bank, likelihood, local, converged and settled, values
+
+
+def inverse(local: Local) -> Floats:
+    """(p + 2 P, p + 2 P) inverse of the Hessian: inf for what the data leave free, nan for what is not estimated."""
+    used = active(local.point)
+    H = local.hessian[np.ix_(used, used)]
+    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    w, V = np.linalg.eigh(H * scale * scale[:, None])
+    free = w < 1e-7 * w.max()
+    out = np.full(local.hessian.shape, np.nan)
+    covariance = scale[:, None] * (V[:, ~free] / w[~free]) @ V[:, ~free].T * scale
+    loose = (V[:, free] ** 2).sum(axis=1) > 1e-4
+    covariance[loose, loose] = np.inf
+    out[np.ix_(used, used)] = covariance
+    return out
 
 
 def sandwich(likelihood: Likelihood, local: Local, bank: Bank) -> Floats:
     """Covariance H^-1 J H^-1 with J from the scores of the folds of time; H^-1 alone if they are too few."""
-    H = local.hessian
-    P, p = local.point.S.size, local.point.beta.size
-    used = active(local.point)
-    Ha = H[np.ix_(used, used)]
-    scale = 1 / np.sqrt(np.maximum(np.diag(Ha), 1e-300))
-    w, V = np.linalg.eigh(Ha * scale * scale[:, None])
-    free = w < 1e-7 * w.max()  # directions that the data say nothing about
-    inverse = scale[:, None] * (V[:, ~free] / w[~free]) @ V[:, ~free].T * scale
-    covariance = inverse
-    folds = bank.blocks.size
-    if folds >= 3 * used.size:
-        g = likelihood.scores(local, bank.grams, bank.blocks)[:, used]
-        m = float(bank.blocks.mean())
-        lost = (1 + 2 * OVERLAP) / (1 + 2 * OVERLAP * (m - 1) / m)  # neighbouring folds share half a block
-        J = (g.T @ g) * lost * folds / (folds - used.size)
-        covariance = inverse @ J @ inverse
-    loose = (V[:, free] ** 2).sum(axis=1) > 1e-4
+    bread, used, folds = inverse(local), active(local.point), bank.blocks.size
+    if folds < 3 * used.size:
+        return bread
+    g = likelihood.scores(local, bank.grams, bank.blocks)[:, used]
+    m = float(bank.blocks.mean())
+    lost = (1 + 2 * OVERLAP) / (1 + 2 * OVERLAP * (m - 1) / m)  # neighbouring folds share half a block
+    J = (g.T @ g) * lost * folds / (folds - used.size)
+    H = bread[np.ix_(used, used)]
+    loose = ~np.isfinite(np.diag(H))
+    H = np.where(np.isfinite(H), H, 0.0)
+    covariance = H @ J @ H
     covariance[loose, loose] = np.inf
-    out = np.full((p + 2 * P, p + 2 * P), np.nan)
-    out[np.ix_(used, used)] = covariance
-    return out
+    bread[np.ix_(used, used)] = covariance
+    return bread
 
 
 def inferred_force(solution: Solution) -> Floats:
@@ -184,27 +198,28 @@ def inferred_force(solution: Solution) -> Floats:
 
 def report(solution: Solution) -> dict[str, Parameter]:
     """Every parameter by full name, judged."""
-    balance, point, model = solution.balance, solution.point, solution.record.model
-    sd = np.sqrt(np.diag(solution.covariance))
+    return judged(solution.balance, solution.point, solution.covariance, solution.record.model)
+
+
+def judged(balance: Balance, point: Point, covariance: Floats, model: Model) -> dict[str, Parameter]:
+    """Parameters by full name: kL, c, m and S of each place, then those of the effects."""
+    sd = np.sqrt(np.diag(covariance))
+    free = {
+        f.name: (f, (f.start + b if f.searched else b), sd[j])
+        for j, (f, b) in enumerate(zip(balance.free, point.beta.tolist(), strict=True))
+    }
     out: dict[str, Parameter] = {}
-    values = solution.values
     for i, place in enumerate(balance.places):
-        mass = model.cap_mass(place)
         for key in ("kL", "c", "m"):
             name = f"{place}.{key}"
-            if name not in values:
-                setting = model.linear.get(place, {}).get(key)
-                given = mass if key == "m" else None if setting is None else setting.value
-                if given is not None:
-                    out[name] = Parameter(given, 0.0, UNITS[key], True, "given")
-                continue
-            out[name] = _judged(values[name], sd[balance.names.index(name)], UNITS[key])
-        log_sd = sd[point.beta.size + i]
-        out[f"{place}.S"] = _judged(point.S[i], point.S[i] * log_sd, UNITS["S"])
-    for j, f in enumerate(balance.free):
-        if f.name not in out:
-            out[f.name] = _judged(values[f.name], sd[j], f.unit)
-    return out
+            setting = model.linear.get(place, {}).get(key)
+            given = model.cap_mass(place) if key == "m" else None if setting is None else setting.value
+            if name in free:
+                out[name] = _judged(free[name][1], free[name][2], UNITS[key])
+            elif given is not None:
+                out[name] = Parameter(given, 0.0, UNITS[key], True, "given")
+        out[f"{place}.S"] = _judged(point.S[i], point.S[i] * sd[point.beta.size + i], UNITS["S"])
+    return out | {name: _judged(value, s, f.unit) for name, (f, value, s) in free.items() if name not in out}
 
 
 def _judged(value: float, sd: float, unit: str) -> Parameter:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .balance import build
 from .errors import DataError
 from .features import NEAREST
+from .gram import Nodes, nodes
 from .likelihood import Evidence, Likelihood, Point, maximise
 from .record import Record, gather
 
@@ -19,7 +20,10 @@ SECONDS = 20.0  # of the record that the start is taken from
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Linear point and natural sizes. m, c, kL, S, noise : (places,). widths : (places, 2) sd left out of x and v."""
+    """Linear point and natural sizes. m, c, kL, S, noise : (places,). widths : (places, 2) sd left out of x and v.
+
+    nodes : where the Jacobian of these resonances is evaluated.
+    """
 
     m: Floats
     c: Floats
@@ -28,7 +32,7 @@ class Start:
     noise: Floats
     widths: Floats
     sizes: dict[str, dict[str, float]]
-    nll: float
+    nodes: Nodes
 
     @property
     def linear(self) -> Floats:
@@ -97,7 +101,8 @@ def linear_start(record: Record) -> Start:
         }
         for i, place in enumerate(balance.places)
     }  # fmt: skip
-    return Start(m, c, kL, local.point.S, local.point.noise, widths, sizes, local.nll)
+    at = nodes(record.grid, np.sqrt(kL / m) / (2 * np.pi), c / m / (2 * np.pi))
+    return Start(m, c, kL, local.point.S, local.point.noise, widths, sizes, at)
 
 
 def _judge(place: str, m: float, c: float, kL: float, record: Record) -> None:

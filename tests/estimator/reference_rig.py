@@ -84,13 +84,15 @@ def rig_record(
     noise: float = 0.02,
     step: float = 490.5 / 32768,
     steps: int = 10,
-    k: NDArray[np.float64] | None = None,
+    change: tuple[float, NDArray[np.float64]] | None = None,
 ) -> NDArray[np.float64]:
-    """(n, 4) m/s^2. hidden : (4, 7) see above; level : factor on the force; step : of the quantiser."""
+    """(n, 4) m/s^2. hidden : (4, 7) see above; level : factor on the force; step : of the quantiser.
+
+    change : (s, (4,) N/m) when the stiffnesses change, and to what.
+    """
     rng = np.random.default_rng(seed)
     H = np.zeros((4, 7)) if hidden is None else hidden.copy()
     H[:, CUBIC] += kNL
-    k = TRUTH["kL"] if k is None else k
     fs = RATE * steps
     taps = _taps(steps)
     x, v = np.zeros(6), np.zeros(6)
@@ -99,6 +101,7 @@ def rig_record(
     while count < wanted:
         F = rng.normal(size=(chunk * steps, 4)) * level * np.sqrt(TRUTH["S"] / 2 * fs)
         out = np.empty_like(F)
+        k = change[1] if change is not None and count >= change[0] * RATE else TRUTH["kL"]
         _integrate(F, x, v, 1 / fs, k, TRUTH["c"], H, out)
         joined = np.concatenate([tail, out])
         if not len(tail):  # the first chunk is the run-up

@@ -1,0 +1,81 @@
+"""The rolling estimator: cold start, chunks, gaps, a change that is followed with an honest interval."""
+
+import numpy as np
+import pytest
+from reference_rig import PLACES, RATE, TRUTH, rig_model, rig_record
+
+from estimator import spectral
+from estimator.estimate import Estimate
+from estimator.rolling import RollingSpectral
+
+BLOCK = 1280
+
+
+@pytest.fixture(scope="module")
+def record() -> np.ndarray:
+    return rig_record(14.0, seed=4)
+
+
+def run(rolling: RollingSpectral, y: np.ndarray, block: int = BLOCK) -> list[Estimate]:
+    out: list[Estimate] = []
+    for part in np.split(y, np.arange(block, len(y), block)):
+        rolling.update(part)
+        out.append(rolling.snapshot())
+    return out
+
+
+def test_nothing_is_shown_until_it_means_something_then_twice_a_second(record: np.ndarray) -> None:
+    estimates = run(RollingSpectral(rig_model("cubic"), RATE, 10.0), record)
+    shown = [bool(e.parameters) for e in estimates]
+    first = shown.index(True)
+    assert all(e.status == "warming up" for e in estimates[:first])
+    assert 4.0 <= first * BLOCK / RATE < 5.5
+    assert all(shown[first:])
+    assert estimates[-1].index == len(record)
+    different = {id(e.parameters) for e in estimates[first:]}
+    assert len(different) >= 2.0 * (len(record) / RATE - first * BLOCK / RATE)
+
+
+def test_with_a_long_memory_it_agrees_with_the_fit(record: np.ndarray) -> None:
+    last = run(RollingSpectral(rig_model("cubic"), RATE, 1e4), record)[-1]
+    fit = spectral.fit(rig_model("cubic"), record, RATE)
+    for place in PLACES:
+        for key in ("kL", "c"):
+            a, b = last.parameters[f"{place}.{key}"], fit.parameters[f"{place}.{key}"]
+            assert abs(a.value - b.value) < 0.6 * b.sd  # the last half second is not in it yet
+            assert a.sd == pytest.approx(b.sd, rel=0.15)
+
+
+def test_the_same_rows_in_other_chunks_give_the_same_bits(record: np.ndarray) -> None:
+    y = record[: int(8 * RATE)]
+    a = run(RollingSpectral(rig_model("cubic"), RATE, 5.0), y)
+    b = run(RollingSpectral(rig_model("cubic"), RATE, 5.0), y)
+    assert [e.parameters for e in a] == [e.parameters for e in b]
+
+
+def test_gaps_are_left_out(record: np.ndarray) -> None:
+    holed = record.copy()
+    holed[180000:180700] = np.nan
+    holed[250000:250001, 1] = np.nan
+    last = run(RollingSpectral(rig_model("cubic"), RATE, 10.0), holed)[-1]
+    for i, place in enumerate(PLACES):
+        p = last.parameters[f"{place}.kL"]
+        assert abs(p.value - TRUTH["kL"][i]) < 4 * p.sd
+
+
+def test_noise_without_a_resonance_says_why_there_is_no_estimate() -> None:
+    y = np.random.default_rng(0).normal(size=(int(9 * RATE), 4))
+    last = run(RollingSpectral(rig_model(), RATE, 5.0), y)[-1]
+    assert not last.parameters
+    assert "resonance" in last.status
+
+
+@pytest.mark.slow
+def test_a_change_of_two_per_cent_is_followed_within_two_time_constants() -> None:
+    tau, changed = 5.0, TRUTH["kL"] * np.array([1.02, 1.0, 1.0, 1.0])
+    record = rig_record(45.0, seed=1, change=(20.0, changed))
+    estimates = run(RollingSpectral(rig_model("cubic"), RATE, tau), record)
+    at = [e for e in estimates if e.index / RATE > 20.0 + 2 * tau]
+    z = [(e.parameters["bearing1.x.kL"].value - changed[0]) / e.parameters["bearing1.x.kL"].sd for e in at]
+    assert np.mean(np.abs(z) < 2.5) > 0.9
+    assert at[0].parameters["bearing1.x.kL"].value > 1.01 * TRUTH["kL"][0]
