@@ -38,7 +38,6 @@ def main(wanted: list[str]) -> int:
 def rerun(folder: Path) -> Path:
     """The live view at the end of a session."""
     from daq.acquire import acquire
-    from daq.estimators import maker
     from daq.rerun_sink import RerunSink
     from daq.rig import load_rig
     from daq.simulation import machine
@@ -50,14 +49,7 @@ def rerun(folder: Path) -> Path:
     device = machine(rig, seed=3, seconds=SECONDS, config={"faults": (lost,), "clock_ppm": 35.0}).device
     recording = folder / "session.rrd"
     driver = make_driver(VirtualConfig(), device=device)
-    acquire(
-        rig,
-        driver,
-        [RerunSink(str(recording))],
-        SECONDS,
-        metadata={"command": "docs/make_pictures.py"},
-        make=maker("score-matching", 10.0),
-    )
+    acquire(rig, driver, [RerunSink(str(recording))], SECONDS, metadata={"command": "docs/make_pictures.py"})
     return screenshot(recording, DOCS / "rerun.png")
 
 
