@@ -232,7 +232,8 @@ def _step(local: Local, damping: float) -> tuple[Floats, float]:
     scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(H)[:p]), 1e-300))
     w, V = np.linalg.eigh(profile * scale * scale[:, None])
     g = V.T @ (local.gradient[:p] * scale)
-    curvature = np.maximum(np.abs(w), 1e-9) + damping
+    g = np.where(np.abs(w) > 1e-8, g, 0.0)  # what the data leave free stays where it is
+    curvature = np.maximum(np.abs(w), 1e-8) + damping
     return -scale * (V @ (g / curvature)), float(np.sum(g**2 / curvature))
 
 

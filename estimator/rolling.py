@@ -23,9 +23,10 @@ from .estimate import Estimate
 from .features import MARGIN
 from .gram import Layout, gram, layout, spectra
 from .likelihood import Evidence, Likelihood, Local, Point, active, maximise
+from .maximum import initial, inverse, maximum
 from .model import Model
 from .record import Record, as_record, gather, notches
-from .spectral import judged, maximum
+from .spectral import judged
 from .start import Start, linear_start
 
 Floats = NDArray[np.float64]
@@ -186,7 +187,7 @@ class _Fitted:
         start = linear_start(record)
         values = {}
         if len(build(model, start.sizes).free) > len(build(model, start.sizes, search=False).free):
-            values = maximum(record, start, model)[5]  # the shapes as the first seconds have them
+            values = maximum(record, start, model).values  # the shapes as the first seconds have them
         balance = build(model, start.sizes, values, search=False)
         bank = gather(record, balance, start.widths, start.linear, per_fold=1)
         columns = Columns(balance, record.scales, start.widths, start.linear)
@@ -202,8 +203,6 @@ class _Fitted:
         return fitted
 
     def _initial(self, values: dict[str, float]) -> Point:
-        from .spectral import initial
-
         return initial(self.balance, self.start, values)
 
     def _dress(self, record: Record) -> None:
@@ -250,8 +249,6 @@ class _Fitted:
 
     def _changed(self) -> bool:
         """Whether one Newton step on the recent memory leads away from the point of the long one."""
-        from .spectral import inverse
-
         recent = Likelihood(self._evidence(self.fast, self.local.point.beta)).at(self.local.point)
         V = inverse(recent)
         used = active(self.local.point)
@@ -264,6 +261,4 @@ class _Fitted:
 
     def covariance(self) -> Floats:
         """H^-1 for weights that forget: the score varies by n2 / n of what the Hessian says."""
-        from .spectral import inverse
-
         return inverse(self.local) * (self.slow.n2 / self.slow.n)

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .balance import Balance, build
+from .balance import Balance
 from .checks import check_record
 from .columns import Columns
-from .dressing import dressed, self_energies
 from .estimate import Parameter
 from .fit_result import Fit
 from .gram import spectra, valid_blocks
-from .likelihood import Likelihood, Local, Point, active, maximise
+from .likelihood import Likelihood, Local, Point, active
+from .maximum import inverse, maximum
 from .model import UNITS, Model
-from .record import Bank, Record, gather, prepare, stretches
+from .record import Bank, Record, prepare, stretches
 from .start import Start, linear_start
 
 Floats = NDArray[np.float64]
 OVERLAP = 1.0 / 6.0  # correlation of the energies of neighbouring blocks under the sine window
-ROUNDS = 12  # of Gauss-Newton in the searched parameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,98 +58,11 @@ def analyse(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None
     return solve(record, linear_start(record), model)
 
 
-def initial(balance: Balance, start: Start, values: Mapping[str, float]) -> Point:
-    """The point that the linear start gives; effects at their given values."""
-    at: dict[str, float] = {}
-    for i, place in enumerate(balance.places):
-        at |= {f"{place}.m": start.m[i], f"{place}.c": start.c[i], f"{place}.kL": start.kL[i]}
-    beta = [0.0 if f.searched else values.get(f.name, at.get(f.name, f.start)) for f in balance.free]
-    return Point(np.array(beta, float), start.S.copy(), start.noise.copy())
-
-
 def solve(record: Record, start: Start, model: Model, values: Mapping[str, float] | None = None) -> Solution:
-    """Fit a model to a prepared record from a linear start. values : known ones by name, before the model's own.
-
-    The parameters that a law is linear in are solved for at held shapes first; then its shape is searched by
-    Gauss-Newton on the derivative of its law, which joins the columns.
-    """
-    balance, bank, likelihood, local, converged, _ = maximum(record, start, model, values)
-    covariance = sandwich(likelihood, local, bank)
-    return Solution(record, start, balance, bank, local, covariance, converged)
-
-
-Maximum = tuple[Balance, Bank, Likelihood, Local, bool, dict[str, float]]
-
-
-def maximum(record: Record, start: Start, model: Model, values: Mapping[str, float] | None = None) -> Maximum:
-    """Where the likelihood is highest, and the values of all parameters there, by name."""
-    known = dict(values or {})
-    balance = build(model, start.sizes, known, search=False)
-    bank = gather(record, balance, start.widths, start.linear)
-    likelihood, local, converged = dress(record, start, bank, initial(balance, start, known))
-    known |= dict(zip(balance.names, local.point.beta.tolist(), strict=True))
-    if len(build(model, start.sizes, known).free) > len(balance.free):
-        return _search(record, start, model, local, known)
-    return balance, bank, likelihood, local, converged, known
-
-
-def dress(record: Record, start: Start, bank: Bank, point: Point, rounds: int = 2) -> tuple[Likelihood, Local, bool]:
-    """The maximum with the responses of the laws dressed (dressing.py), which depends on the parameters a little."""
-    evidence = bank.evidence(start.nodes)
-    likelihood = Likelihood(evidence)
-    local, converged = maximise(likelihood, point)
-    balance, P = bank.balance, len(bank.balance.places)
-    if not any(law.effect.kind == "force" for law in balance.laws):
-        return likelihood, local, converged
-    columns = Columns(balance, record.scales, start.widths, start.linear)
-    B = balance.coefficients(local.point.beta)
-    damping = np.array([B[i, P + i] + B[i] @ bank.tangents[:, 1] for i in range(P)])
-    pairs = self_energies(record, columns, start.linear, np.maximum(damping, 0.1 * start.c), start.nodes.f_hz)
-    for _ in range(rounds):
-        B = balance.coefficients(local.point.beta)
-        likelihood = Likelihood(replace(evidence, dressing=dressed(pairs, balance, B, start.nodes.f_hz)))
-        local, converged = maximise(likelihood, local.point)
-    return likelihood, local, converged
-
-
-def _search(record: Record, start: Start, model: Model, local: Local, values: dict[str, float]) -> Maximum:
-    best = local.nll
-    settled = False
-    for _ in range(ROUNDS):
-        searching = build(model, start.sizes, values)
-        bank = gather(record, searching, start.widths, start.linear)
-        point = replace(initial(searching, start, values), S=local.point.S, noise=local.point.noise)
-        likelihood, local, converged = dress(record, start, bank, point)
-        if settled:
-            break
-        moved = 0.0
-        for f, b in zip(searching.free, local.point.beta.tolist(), strict=True):
-            if not f.searched:
-                values[f.name] = b
-                continue
-            reach = 0.3 * max(abs(f.start), 1e-12)
-            step = float(np.clip(b, -reach, reach))
-            new = float(np.clip(f.start + step, f.low, f.high))
-            moved = max(moved, abs(new - f.start) / max(abs(f.start), 1e-12))
-            values[f.name] = new
-        settled = moved < 1e-3 or abs(best - local.nll) < 1e-3
-        best = local.nll
-    return searching, bank, likelihood, local, converged and settled, values
-
-
-def inverse(local: Local) -> Floats:
-    """(p + 2 P, p + 2 P) inverse of the Hessian: inf for what the data leave free, nan for what is not estimated."""
-    used = active(local.point)
-    H = local.hessian[np.ix_(used, used)]
-    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-    w, V = np.linalg.eigh(H * scale * scale[:, None])
-    free = w < 1e-7 * w.max()
-    out = np.full(local.hessian.shape, np.nan)
-    covariance = scale[:, None] * (V[:, ~free] / w[~free]) @ V[:, ~free].T * scale
-    loose = (V[:, free] ** 2).sum(axis=1) > 1e-4
-    covariance[loose, loose] = np.inf
-    out[np.ix_(used, used)] = covariance
-    return out
+    """Fit a model to a prepared record from a linear start. values : known ones by name, before the model's own."""
+    best = maximum(record, start, model, values)
+    covariance = sandwich(best.likelihood, best.local, best.bank)
+    return Solution(record, start, best.balance, best.bank, best.local, covariance, best.converged)
 
 
 def sandwich(likelihood: Likelihood, local: Local, bank: Bank) -> Floats:
@@ -234,7 +146,36 @@ def _judged(value: float, sd: float, unit: str) -> Parameter:
 def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) -> Fit:
     """Parameters with standard deviations from (n, channels) rows in SI. Raises DataError."""
     solution = analyse(model, y, rate_hz, phase)
-    messages = [] if solution.converged else ["the likelihood was not brought to its maximum: values are provisional"]
-    return Fit(
-        report(solution), -solution.local.nll, int(solution.record.motion.valid.sum()), "spectral", tuple(messages)
-    )
+    samples = int(solution.record.motion.valid.sum())
+    return Fit(report(solution), -solution.local.nll, samples, "spectral", messages(solution))
+
+
+def messages(solution: Solution) -> tuple[str, ...]:
+    """What the user should know beside the numbers: what was assumed and does not hold, what sets no scale."""
+    out = []
+    point, places = solution.point, solution.balance.places
+    if not solution.converged:
+        out.append("the likelihood was not brought to its maximum: values are provisional")
+    values, sd = solution.values, np.sqrt(np.diag(solution.covariance))
+    for i, place in enumerate(places):
+        name = f"{place}.m"
+        if name in values and not np.isfinite(sd[solution.balance.names.index(name)]):
+            hz = np.sqrt(values[f"{place}.kL"] / values[name]) / (2 * np.pi)
+            zeta = values[f"{place}.c"] / (2 * np.sqrt(values[f"{place}.kL"] * values[name]))
+            out.append(
+                f"{place}: no mass is known, so only ratios are: resonance {hz:.1f} Hz, damping {100 * zeta:.2f} % "
+                "of critical; give [rig.mass] to have stiffness in N/m"
+            )
+        excess = solution.local.power[:, i] / solution.local.spread[:, i] - 1.0
+        count = 0.5 * solution.bank.blocks.sum() * solution.record.grid.per_cell
+        z = excess * np.sqrt(count)
+        worst = int(np.argmax(np.abs(z)))
+        if abs(z[worst]) > 5.0 and abs(excess[worst]) > 0.05:
+            f = solution.record.grid.f_hz[solution.record.grid.starts]
+            out.append(
+                f"{place}: the inferred force is not white: {100 * excess[worst]:+.0f} % near {f[worst]:.0f} Hz; the "
+                "model lacks something there (rotorscope compare shows where)"
+            )
+        if point.noise[i] > 0 and point.noise[i] * solution.local.floor[0, i, i] > point.S[i]:
+            out.append(f"{place}: sensor noise is stronger than the force at the lower band edge: raise band.low")
+    return tuple(out)

@@ -1,0 +1,129 @@
+"""Where the likelihood of a model is highest: Newton in what is linear, Gauss-Newton in the shapes of the laws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .balance import Balance, build
+from .columns import Columns
+from .dressing import dressed, self_energies
+from .likelihood import Likelihood, Local, Point, active, maximise
+from .model import Model
+from .record import Bank, Record, gather
+from .start import Start
+
+Floats = NDArray[np.float64]
+SECONDS = 12.0  # of the record that shapes are sought on before all of it is used
+ROUGH_ROUNDS, ROUNDS = 8, 5
+SETTLED = 0.1  # of a standard deviation: a step that no longer matters
+REACH = 0.3  # largest step in a shape, of its value
+
+
+@dataclass(frozen=True, slots=True)
+class Maximum:
+    """balance, bank, likelihood: at the shapes found; local: the likelihood there; values: all parameters by name."""
+
+    balance: Balance
+    bank: Bank
+    likelihood: Likelihood
+    local: Local
+    values: dict[str, float]
+    converged: bool
+
+
+def initial(balance: Balance, start: Start, values: Mapping[str, float]) -> Point:
+    """The point that the linear start gives; effects at their given values."""
+    at: dict[str, float] = {}
+    for i, place in enumerate(balance.places):
+        at |= {f"{place}.m": start.m[i], f"{place}.c": start.c[i], f"{place}.kL": start.kL[i]}
+    beta = [0.0 if f.searched else values.get(f.name, at.get(f.name, f.start)) for f in balance.free]
+    return Point(np.array(beta, float), start.S.copy(), start.noise.copy())
+
+
+def maximum(record: Record, start: Start, model: Model, values: Mapping[str, float] | None = None) -> Maximum:
+    """Fit a model to a prepared record from a linear start. values : known ones by name, before the model's own.
+
+    The parameters that a law is linear in are solved for at held shapes first. Then its shape is searched by
+    Gauss-Newton on the derivative of its law, which joins the columns: on the first seconds until the steps are small
+    compared with their standard deviation, then on the whole record.
+    """
+    known = dict(values or {})
+    held = build(model, start.sizes, known, search=False)
+    searching = len(build(model, start.sizes, known).free) > len(held.free)
+    bank = gather(record, held, start.widths, start.linear, seconds=SECONDS if searching else np.inf)
+    likelihood, local, converged = dress(record, start, bank, initial(held, start, known))
+    known |= dict(zip(held.names, local.point.beta.tolist(), strict=True))
+    if not searching:
+        return Maximum(held, bank, likelihood, local, known, converged)
+    for rounds, seconds in ((ROUGH_ROUNDS, SECONDS), (ROUNDS, np.inf)):
+        whole = not np.isfinite(seconds)
+        for _ in range(rounds):
+            balance = build(model, start.sizes, known)
+            bank = gather(record, balance, start.widths, start.linear, seconds=seconds)
+            point = replace(initial(balance, start, known), S=local.point.S, noise=local.point.noise)
+            likelihood, local, converged = dress(record, start, bank, point, rounds=2 if whole else 0)
+            moved = _move(balance, local, known, last=whole)
+            if moved < SETTLED:
+                break
+    return Maximum(balance, bank, likelihood, local, known, converged and moved < SETTLED)
+
+
+def _move(balance: Balance, local: Local, values: dict[str, float], last: bool) -> float:
+    """Take the step into `values`; the largest one in a shape, in standard deviations (of the whole parameter).
+
+    last : the step is not taken once it no longer matters, so that `values` are where the columns are.
+    """
+    sd = np.sqrt(np.diag(inverse(local)))
+    new, moved = dict(values), 0.0
+    for f, b, s in zip(balance.free, local.point.beta.tolist(), sd, strict=False):
+        if not f.searched:
+            new[f.name] = b
+            continue
+        reach = REACH * max(abs(f.start), 1e-12)
+        to = float(np.clip(f.start + np.clip(b, -reach, reach), f.low, f.high))
+        # a shape that the data do not tell at all need not settle
+        moved = max(moved, abs(to - f.start) / s if np.isfinite(s) and s < abs(f.start) else 0.0)
+        new[f.name] = to
+    if moved >= SETTLED or not last:
+        values |= new
+    else:
+        values |= {f.name: new[f.name] for f in balance.free if not f.searched}
+    return moved
+
+
+def dress(record: Record, start: Start, bank: Bank, point: Point, rounds: int = 2) -> tuple[Likelihood, Local, bool]:
+    """The maximum with the responses of the laws dressed (dressing.py), which depends on the parameters a little."""
+    evidence = bank.evidence(start.nodes)
+    likelihood = Likelihood(evidence)
+    local, converged = maximise(likelihood, point)
+    balance, P = bank.balance, len(bank.balance.places)
+    if rounds == 0 or not any(law.effect.kind == "force" for law in balance.laws):
+        return likelihood, local, converged
+    columns = Columns(balance, record.scales, start.widths, start.linear)
+    B = balance.coefficients(local.point.beta)
+    damping = np.array([B[i, P + i] + B[i] @ bank.tangents[:, 1] for i in range(P)])
+    pairs = self_energies(record, columns, start.linear, np.maximum(damping, 0.1 * start.c), start.nodes.f_hz)
+    for _ in range(rounds):
+        B = balance.coefficients(local.point.beta)
+        likelihood = Likelihood(replace(evidence, dressing=dressed(pairs, balance, B, start.nodes.f_hz)))
+        local, converged = maximise(likelihood, local.point)
+    return likelihood, local, converged
+
+
+def inverse(local: Local) -> Floats:
+    """(p + 2 P, p + 2 P) inverse of the Hessian: inf for what the data leave free, nan for what is not estimated."""
+    used = active(local.point)
+    H = local.hessian[np.ix_(used, used)]
+    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    w, V = np.linalg.eigh(H * scale * scale[:, None])
+    free = w < 1e-7 * w.max()
+    out = np.full(local.hessian.shape, np.nan)
+    covariance = scale[:, None] * (V[:, ~free] / w[~free]) @ V[:, ~free].T * scale
+    loose = (V[:, free] ** 2).sum(axis=1) > 1e-4
+    covariance[loose, loose] = np.inf
+    out[np.ix_(used, used)] = covariance
+    return out
