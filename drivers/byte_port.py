@@ -6,6 +6,7 @@ import contextlib
 import os
 import select
 import socket
+import warnings
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -133,7 +134,9 @@ def _connect(target: str, name: str, baud: int) -> Any:
         raise LinkUnavailable(f"{target}: pyserial is missing ({error}): install pyserial") from error
     try:
         if "://" in name:
-            return serial.serial_for_url(name, baudrate=baud, timeout=0)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # pyserial 3.5 calls Thread.setDaemon
+                return serial.serial_for_url(name, baudrate=baud, timeout=0)
         return serial.Serial(name, baudrate=baud, timeout=0, write_timeout=1.0, exclusive=True)
     except Exception as error:
         text = _line(error)

@@ -27,6 +27,10 @@ class CanFrames:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def pick(self, which: NDArray[np.bool_] | slice) -> CanFrames:
+        """Some of the frames."""
+        return CanFrames(self.ids[which], self.lengths[which], self.payload[which], self.t_ns[which])
+
     @classmethod
     def build(cls, frames: list[tuple[int, bytes, int]]) -> CanFrames:
         """From (id with flags, data, t_ns) triples."""

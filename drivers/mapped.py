@@ -92,7 +92,7 @@ class MappedDecoder:
         """Counts (n, channels), valid (n,) and times (n,) of the complete cycles."""
         which = self._which(frames, t_host_ns)
         mine = which >= 0
-        frames = _pick(frames, mine)
+        frames = frames.pick(mine)
         which = which[mine]
         if self._open is not None:
             frames = _join(self._open, frames)
@@ -104,7 +104,7 @@ class MappedDecoder:
             n -= 1  # the last cycle is still open
             still = cycle == n
             if int(still.sum()) <= MAX_OPEN:
-                self._open = _pick(frames, still)
+                self._open = frames.pick(still)
             keep &= cycle < n
         counts = np.zeros((n, len(self._plan.signals)), np.int32)
         valid = np.zeros((n, len(self._plan.signals)), np.bool_)
@@ -141,10 +141,6 @@ class MappedDecoder:
             text = f"{message.name} comes from several source addresses: only 0x{first:02X} is taken"
             self.notices.add(t_host_ns, "warning", "other_source", text)
         return np.asarray(same)
-
-
-def _pick(frames: CanFrames, mask: NDArray[np.bool_]) -> CanFrames:
-    return CanFrames(frames.ids[mask], frames.lengths[mask], frames.payload[mask], frames.t_ns[mask])
 
 
 def _join(a: CanFrames, b: CanFrames) -> CanFrames:

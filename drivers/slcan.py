@@ -69,9 +69,6 @@ class SlcanDecoder:
                 self.notices.add(t_host_ns, "warning", "bad_line", "damaged slcan lines: dropped")
                 self._inner.cause("crc")
             if stop > start:
-                part = CanFrames(
-                    frames.ids[start:stop], frames.lengths[start:stop], frames.payload[start:stop],
-                    frames.t_ns[start:stop],
-                )  # fmt: skip
+                part = frames.pick(slice(start, stop))
                 out += self._inner.feed(part, t_host_ns)
         return out + self.notices.take()

@@ -30,6 +30,7 @@ class TimeAxis:
         self._placed = 0  # samples so far
         self._missing = 0
         self._base: float | None = None
+        self._late = 0.0  # samples by which frames have lately been late
 
     @property
     def held(self) -> int:
@@ -49,16 +50,39 @@ class TimeAxis:
         earliest = _earliest(lag, ahead)
         if self._base is None:
             self._base = float(earliest[0])
-        missing = np.maximum.accumulate(np.maximum(np.rint(earliest - self._base), self._missing)).astype(np.int64)
-        sure = len(times) if final else self._sure(missing, len(times) - ahead)
+        missing, sure = self._levels(np.rint(earliest - self._base), len(times) - ahead, ahead, final)
         if sure == 0:
             return np.empty(0, np.int64)
         index = np.arange(self._placed, self._placed + sure) + missing[:sure]
         self._follow(earliest[:sure] - missing[:sure], sure)
+        late = float(np.quantile(lag[:sure] - missing[:sure] - self._base, 0.98))
+        self._late = max(late, 0.9 * self._late)
         self._held = times[sure:]
         self._placed += sure
         self._missing = int(missing[sure - 1])
         return index
+
+    def _levels(self, behind: F64, whole: int, ahead: int, final: bool) -> tuple[I64, int]:
+        """(n,) samples missing before each, and how many of these are certain.
+
+        A step up counts if it is more than frames have lately been late, or if it lasts for the whole look-ahead.
+        """
+        n, level = len(behind), self._missing
+        raw = np.maximum.accumulate(np.maximum(behind, level)).astype(np.int64)
+        result = np.full(n, level, np.int64)
+        sure = n
+        steps = [*np.flatnonzero(np.diff(raw, prepend=level) > 0).tolist(), n]
+        for start, stop in zip(steps[:-1], steps[1:], strict=True):
+            if start >= whole and not final:
+                sure = min(sure, start)  # a later frame may still catch up
+                break
+            if raw[start] - level > self._late + 0.5 or stop - start >= ahead:
+                level = int(raw[start])
+            elif stop == n and not final:
+                sure = min(sure, start)
+                break
+            result[start:] = level
+        return result, sure
 
     def _learn(self, times: I64, final: bool) -> bool:
         """Estimate the rate from the first samples, if it was not given."""
@@ -72,15 +96,9 @@ class TimeAxis:
             return False
         even = steps[np.abs(steps - step) < 0.02 * step]
         if len(even) < len(steps) // 2:  # stamps too coarse for that
-            even = steps[np.abs(steps - step) < 0.5 * step]
-        self.rate_hz = _round_rate(1e9 / float(np.mean(even)))
+            even = steps[np.abs(steps - step) <= 0.5 * step]
+        self.rate_hz = _round_rate(1e9 / float(np.mean(even if len(even) else step)))
         return True
-
-    def _sure(self, missing: I64, whole: int) -> int:
-        """Samples that no later arrival can move: full look-ahead, or no hole in front of them."""
-        settled = max(0, whole)
-        level = int(missing[settled - 1]) if settled else self._missing
-        return settled + int(np.searchsorted(missing[settled:], level, side="right"))
 
     def _follow(self, lag: F64, n: int) -> None:
         """Move the base line with the device's clock, slowly."""

@@ -1,0 +1,287 @@
+"""python-can's buses and their traps: real ones (virtual, socketcand over TCP), nothing replaced."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+import time
+import uuid
+from collections.abc import Iterator
+
+import can
+import numpy as np
+import pytest
+from ramp_device import Record, ramp_device, read_until
+
+from drivers.can_bus import BusSource
+from drivers.can_errors import describe_error
+from drivers.can_frames import EXTENDED, CanFrames
+from drivers.errors import LinkOpenError
+from drivers.link import LinkLost
+from drivers.links import CanConfig, VirtualConfig, make_driver, parse_link
+from drivers.reading import Driver
+from drivers.simulated import WireFrame
+from drivers.socketcan import BulkReceiver
+
+
+class Socketcand:
+    """A socketcand server: says hello, opens, and sends a device's frames as text, 64-byte ones included."""
+
+    def __init__(self) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listener.getsockname()[1]
+        self._clients: list[socket.socket] = []
+        self._thread = threading.Thread(target=self._accept, daemon=True)
+        self._thread.start()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                client, _ = self._listener.accept()
+            except OSError:
+                return
+            try:
+                client.sendall(b"< hi >")
+                for _ in range(2):  # open, rawmode
+                    if not client.recv(200):
+                        raise ConnectionError
+                    client.sendall(b"< ok >")
+            except OSError:
+                client.close()
+                continue
+            self._clients.append(client)
+
+    def send(self, frames: list[WireFrame]) -> None:
+        deadline = time.monotonic() + 5
+        while not self._clients:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        text = "".join(f"< frame {f.identifier:03X} {f.due_s:.6f} {f.data.hex()} >" for f in frames)
+        self._clients[-1].sendall(text.encode())
+
+    def hang_up(self) -> None:
+        for client in self._clients:
+            client.close()
+        self._clients = []
+
+    def close(self) -> None:
+        self.hang_up()
+        if self._thread.is_alive():
+            self._listener.shutdown(socket.SHUT_RDWR)  # closing alone leaves it listening while accept() waits
+        self._listener.close()
+        self._thread.join(5)
+
+
+@pytest.fixture
+def server() -> Iterator[Socketcand]:
+    server = Socketcand()
+    yield server
+    server.close()
+
+
+def socketcand_driver(server: Socketcand) -> Driver:
+    return make_driver(parse_link(f"can:socketcand:can0?host=127.0.0.1&port={server.port}"))
+
+
+def test_socketcand_64_byte_frames_are_read_though_is_fd_is_false(server: Socketcand) -> None:
+    driver = socketcand_driver(server)
+    driver.open()
+    server.send(ramp_device("fd16").next(40))
+    record = read_until(driver, Record(), lambda r: r.samples >= 280)
+    driver.close()
+    assert not record.gaps
+
+
+def test_socketcand_server_closes_and_returns(server: Socketcand) -> None:
+    """python-can would spin in recv() for ever, and for 10 s in its constructor when nobody listens."""
+    device = ramp_device("fd16", seconds=None)
+    driver = socketcand_driver(server)
+    driver.open()
+    server.send(device.next(40))
+    record = read_until(driver, Record(), lambda r: r.samples >= 280)
+    server.hang_up()
+    read_until(driver, record, lambda r: {"link_lost", "link_back"} <= r.codes(), seconds=5)
+    device.next(100)
+    server.send(device.next(40))
+    read_until(driver, record, lambda r: r.samples >= 560, seconds=5)
+    driver.close()
+    assert record.lost("reconnect") == 700
+    assert record.offset == 0
+    assert driver.stats.reconnects == 1
+
+
+def test_socketcand_gone_for_good_costs_nothing(server: Socketcand) -> None:
+    driver = socketcand_driver(server)
+    driver.open()
+    server.send(ramp_device("fd16").next(10))
+    record = read_until(driver, Record(), lambda r: r.samples >= 70)
+    server.close()
+    read_until(driver, record, lambda r: "link_lost" in r.codes(), seconds=5)
+    cpu, until = time.thread_time(), time.monotonic() + 1.0
+    while time.monotonic() < until:
+        record.take(driver.read(0.2))
+    assert time.thread_time() - cpu < 0.02 * 1.0
+    driver.close()
+
+
+def test_socketcand_nobody_listens_is_told_at_once() -> None:
+    driver = make_driver(parse_link("can:socketcand:can0?host=127.0.0.1&port=1"))
+    started = time.monotonic()
+    with pytest.raises(LinkOpenError, match="start socketcand"):
+        driver.open()
+    assert time.monotonic() - started < 3
+
+
+def test_virtual_queue_full_never_blocks_the_device() -> None:
+    """python-can says "drops oldest" and blocks. The device counts what it cannot send, and says so."""
+    device = ramp_device("fd16", seconds=None, rate_hz=200_000.0)
+    driver = make_driver(VirtualConfig(1.0), device=device)
+    driver.open()
+    record = read_until(driver, Record(), lambda r: r.samples > 0)
+    time.sleep(0.6)  # the reader stalls; 4096 frames are 0.14 s
+    started = device.samples_made
+    time.sleep(0.2)
+    assert device.samples_made > started
+    read_until(driver, record, lambda r: r.lost("device_lost") > 0)
+    driver.close()
+    assert {gap.reason for gap in record.gaps} <= {"device_lost", "sequence"}
+    assert record.offset == 0
+
+
+def test_error_frames_become_notices() -> None:
+    channel = str(uuid.uuid4())
+    driver = make_driver(CanConfig("virtual", channel))
+    driver.open()
+    device = ramp_device("fd16", seconds=None)
+    sender = can.Bus(channel, interface="virtual")
+
+    def send(frames: list[WireFrame]) -> None:
+        for frame in frames:
+            sender.send(can.Message(arbitration_id=frame.identifier, data=frame.data, is_extended_id=False, is_fd=True))
+
+    send(device.next(10))
+    record = read_until(driver, Record(), lambda r: r.samples >= 70)
+    for identifier, data in [(0x40, b""), (0x100, b""), (0x04, b"\0\x20"), (0x04, b"\0\x01"), (0x88, b""), (0x20, b"")]:
+        sender.send(can.Message(arbitration_id=identifier, data=data.ljust(8, b"\0"), is_error_frame=True))
+    device.next(5)
+    send(device.next(10))
+    read_until(driver, record, lambda r: r.samples >= 140)
+    driver.close()
+    sender.shutdown()
+    want = {"bus_off", "bus_restarted", "error_passive", "controller_overflow", "bus_error", "no_ack"}
+    assert record.codes() == want
+    assert record.lost("reconnect") == 35
+
+
+def test_every_error_bit_is_survived() -> None:
+    for identifier in range(0x200):
+        for state in (0, 1, 0x0C, 0x30, 0x40, 0xFF):
+            for event in describe_error(identifier, bytes((0, state))):
+                assert "\n" not in event.text
+        assert isinstance(describe_error(identifier, b""), list)
+
+
+def test_wrong_interface_and_wrong_channel_are_said() -> None:
+    with pytest.raises(LinkOpenError, match="no interface 'socketcann'"):
+        make_driver(parse_link("can:socketcann:can0")).open()
+    with pytest.raises(LinkOpenError, match="socketcan:nonesuch0"):
+        make_driver(parse_link("can:socketcan:nonesuch0")).open()
+    with pytest.raises(LinkOpenError, match="host"):
+        make_driver(parse_link("can:socketcand:can0")).open()
+
+
+def test_other_frames_on_the_bus_are_passed_over() -> None:
+    source = ramp_device("fd16").next(20)
+    decoder_frames = [(f.identifier, f.data, 0) for f in source]
+    noise = [(0x123, bytes(8), 0), (0x300 | EXTENDED, bytes(64), 0), (0x7FF, b"", 0)]
+    mixed = [frame for pair in zip(decoder_frames, noise * 10, strict=False) for frame in pair]
+    driver = make_driver(CanConfig("virtual", "unused"))
+    record = Record()
+    record.take(driver._decoder.feed(CanFrames.build(mixed), 1))  # type: ignore[attr-defined]
+    assert record.samples == 7 * 20
+    assert driver.stats.other["other_frames"] == 24
+
+
+def test_a_second_device_on_the_bus() -> None:
+    channel = str(uuid.uuid4())
+    drivers = [make_driver(parse_link(f"can:virtual:{channel}?id={base}")) for base in ("0x300", "0x308")]
+    for driver in drivers:
+        driver.open()
+    sender = can.Bus(channel, interface="virtual")
+    for k, base in enumerate((0x300, 0x308)):
+        for frame in ramp_device("fd16", base_id=base, serial_number=k).next(20):
+            sender.send(can.Message(arbitration_id=frame.identifier, data=frame.data, is_extended_id=False, is_fd=True))
+    for k, driver in enumerate(drivers):
+        record = read_until(driver, Record(), lambda r: r.samples >= 140)
+        assert record.infos[0].serial_number == f"{k:08X}"
+        driver.close()
+    sender.shutdown()
+
+
+class TestBulkReceiver:
+    """recvmmsg works on any datagram socket: here on a Unix pair, on real CAN in tests/guest."""
+
+    def pair(self, kind: int = socket.SOCK_DGRAM) -> tuple[socket.socket, socket.socket, BulkReceiver]:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, kind)
+        return theirs, ours, BulkReceiver(ours)
+
+    def test_frames_of_both_kinds_and_the_kernels_fd_flag(self) -> None:
+        theirs, ours, receiver = self.pair()
+        fd = struct.pack("=IBBxx64s", 0x300, 64, 0x05, bytes(range(64)))  # BRS, and CANFD_FDF as Linux 6 adds it
+        classic = struct.pack("=IB3x8s", EXTENDED | 0x123, 3, b"\1\2\3")
+        for frame in (fd, classic, fd):
+            theirs.send(frame)
+        frames = receiver.receive(1.0)
+        assert frames is not None
+        assert frames.ids.tolist() == [0x300, EXTENDED | 0x123, 0x300]
+        assert frames.lengths.tolist() == [64, 3, 64]
+        assert frames.payload[0].tobytes() == bytes(range(64))
+        assert frames.payload[1].tobytes() == b"\1\2\3".ljust(64, b"\0")
+        theirs.send(classic)  # into a slot that held a longer frame
+        frames = receiver.receive(1.0)
+        assert frames is not None
+        assert frames.payload[0, 3:].sum() == 0
+        ours.close()
+        theirs.close()
+
+    def test_nothing_and_closed(self) -> None:
+        theirs, ours, receiver = self.pair(socket.SOCK_SEQPACKET)
+        assert receiver.receive(0.01) is None
+        theirs.shutdown(socket.SHUT_RDWR)
+        with pytest.raises(LinkLost):
+            receiver.receive(0.1)
+        theirs.close()
+        ours.close()
+
+    def test_impossible_lengths_are_bounded(self) -> None:
+        theirs, ours, receiver = self.pair()
+        theirs.send(struct.pack("=IBBxx64s", 1, 255, 0, bytes(64)))
+        theirs.send(b"abc")
+        frames = receiver.receive(1.0)
+        assert frames is not None
+        assert frames.lengths.tolist() == [64]
+        theirs.close()
+        ours.close()
+
+
+def test_spinning_interface_is_taken_for_dead() -> None:
+    class Spins:
+        """Behaves as python-can's socketcand does after the server closed."""
+
+        def recv(self, timeout: float) -> None:
+            until = time.monotonic() + timeout
+            while time.monotonic() < until:
+                np.zeros(10).sum()
+
+        def shutdown(self) -> None: ...
+
+    source = BusSource(CanConfig("virtual", "x"), connect=lambda _: Spins())
+    source.open()
+    with pytest.raises(LinkLost, match="returns at once"):
+        _receive_often(source)
+
+
+def _receive_often(source: BusSource) -> None:
+    for _ in range(40):
+        source.receive(0.05)
