@@ -15,8 +15,9 @@ from .fitted import fitted_model, parameters
 from .heldout import heldout_nll, reference_nll
 from .model import Model
 from .model_uses import placed_of
-from .motion_blocks import cut
+from .preparation import prepare
 from .shape import Shape, curve
+from .suspects import suspects
 from .twin import twin
 from .where import Where, where_of
 from .working_point import WorkingPoint, fit_model
@@ -75,16 +76,16 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     """
     say = progress or (lambda fraction, text: None)
     say(0.0, "band limit")
-    data = cut(model, y, rate_hz)
+    data = prepare(model, y, rate_hz)
     say(0.15, "fit")
     point = fit_model(data, placed_of(model, data))
-    return compare_point(model, point, say)
+    return compare_point(model, point, y, say)
 
 
-def compare_point(model: Model, point: WorkingPoint, say: Progress) -> Comparison:
+def compare_point(model: Model, point: WorkingPoint, y: Array, say: Progress) -> Comparison:
     """The same from a model already fitted."""
     say(0.4, "what can still be predicted")
-    found = missing_force.survey(point, model)
+    found = missing_force.survey(point, model, others=suspects(model, point, y))
     nll = heldout_nll(point)
     reference = reference_nll(point, found, nll)
     say(0.85, "simulated twin")

@@ -14,8 +14,9 @@ from .effects import CATALOGUE
 from .evidence import Entry
 from .model import Model
 from .model_uses import acting, placed_of, searched
-from .motion_blocks import cut
+from .preparation import prepare
 from .shape import Shape, shape_of
+from .suspects import suspects
 from .working_point import WorkingPoint, fit_model, thinned
 
 Array = NDArray[np.float64]
@@ -63,7 +64,7 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
     """
     say = progress or quiet
     say(0.0, "band limit")
-    data = cut(model, y, rate_hz)
+    data = prepare(model, y, rate_hz)
     say(0.05, "fit of the model as it is")
     point = fit_model(data, placed_of(model, data))
     return diagnose_point(model, point, y, say)
@@ -72,13 +73,16 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
 def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:
     """The same from a model already fitted."""
     say(0.15, "what can still be predicted")
-    before = missing_force.survey(point, model)
+    others = suspects(model, point, y)
+    before = missing_force.survey(point, model, others=others)
     trials = _screen(model, point, say)
-    entries = evidence.entries(model, point, trials, before)
+    entries = evidence.entries(model, point, trials, before, others)
     if not entries or entries[0].p_value > SIGNIFICANT:
         return _nothing(point, before, tuple(entries))
     say(0.85, f"does {entries[0].effect} explain it?")
     best = entries[0]
+    if not best.placed:
+        return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries), messages=best.notes)
     after_point = fit_model(point.data, [*point.placed, *best.placed], start=point, rounds=3)
     after = missing_force.survey(after_point, model, only=before.places_found())
     entries[0] = best = replace(best, after_percent=after.percent(point))

@@ -15,6 +15,7 @@ from .missing_force import Survey
 from .model import Model
 from .placed import Placed
 from .screen import Trial
+from .suspect import Suspect
 from .working_point import WorkingPoint
 
 JOINT = 1e-2  # p-value, after counting, for a further bearing to be named beside the best one
@@ -39,8 +40,8 @@ class Entry:
     score: float
     placed: tuple[Placed, ...] = ()
     detectable: tuple[float, str] | None = None
-    note: str = ""
-    facts: dict[str, float] = field(default_factory=dict)
+    settings: dict[str, dict[str, Parameter]] = field(default_factory=dict)  # of an effect that is no force law
+    notes: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         out: dict[str, Any] = {
@@ -54,16 +55,20 @@ class Entry:
         }
         if self.detectable is not None:
             out["detectable_from"] = {"value": self.detectable[0], "unit": self.detectable[1]}
-        return out | ({"note": self.note} if self.note else {})
+        return out | ({"notes": list(self.notes)} if self.notes else {})
 
 
-def entries(model: Model, point: WorkingPoint, trials: Sequence[Trial], before: Survey) -> list[Entry]:
-    """The ranking: one entry per effect, best first."""
+def entries(
+    model: Model, point: WorkingPoint, trials: Sequence[Trial], before: Survey, others: Sequence[Suspect] = ()
+) -> list[Entry]:
+    """The ranking: one entry per effect, best first; a clipped channel before everything it may have caused."""
     tried = max(len(trials), 1)
     by_effect: dict[str, list[Trial]] = {}
     for t in trials:
         by_effect.setdefault(t.effect.name, []).append(t)
     out = [_entry(point, own, tried, before) for own in by_effect.values()]
+    for name in dict.fromkeys(s.effect for s in others):
+        out.append(_suspected(point, [s for s in others if s.effect == name], before))
     return sorted(out, key=lambda e: -e.score)
 
 
@@ -96,6 +101,31 @@ def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: Survey) ->
         score=gain - COST * df if heldout > -3.0 else -np.inf,
         placed=tuple(t.placed for t in used),
         detectable=_detectable(used),
+    )
+
+
+def _suspected(point: WorkingPoint, own: list[Suspect], before: Survey) -> Entry:
+    """Entry of an effect that is not a force law."""
+    gain, df = sum(s.gain for s in own), sum(s.df for s in own)
+    places = tuple(sorted({i for s in own for i in s.power}))
+    was = before.interval(places)[0]
+    scale = float(np.sum(before.bearing[list(places)] ** 2))
+    part = sum(p for s in own for p in s.power.values())
+    settings = {place: values for s in own for place, values in s.settings.items()}
+    first = float("inf") if own[0].effect == "sensor_clipping" else gain - COST * df
+    return Entry(
+        effect=own[0].effect,
+        at=tuple(dict.fromkeys(p.split(".")[0] for s in own for p in s.at)),
+        gain=gain,
+        heldout_gain=gain - df,
+        p_value=min(s.p_value for s in own),
+        before_percent=was,
+        after_percent=max(was**2 - 1e4 * part / scale, 0.0) ** 0.5,
+        parameters={f"{p}.{own[0].effect}.{n}": v for p, values in settings.items() for n, v in values.items()},
+        score=first,
+        detectable=own[0].detectable,
+        settings=settings,
+        notes=tuple(dict.fromkeys([s.region for s in own] + [s.note for s in own if s.note])),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,17 +11,28 @@ from numpy.typing import NDArray
 
 from .diagnose import Diagnosis, diagnose_point
 from .estimate import Parameter
+from .evidence import Entry
 from .fitted import fitted_model, parameters
 from .heldout import heldout_nll
 from .missing_force import survey
-from .model import Model
+from .model import EffectUse, Model, Setting
 from .model_uses import placed_of
-from .motion_blocks import cut
+from .preparation import prepare
+from .suspects import suspects
 from .working_point import WorkingPoint, fit_model
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 MOST = 5  # effects added at most
+UNSCORED = (
+    "sensor_noise",
+    "sensor_clipping",
+    "correlated_force",
+    "imbalance",
+    "bow",
+    "line",
+    "misalignment",
+)  # may lie out of the band or beside the likelihood
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +79,9 @@ class Ladder:
 def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = None) -> Ladder:
     """Add what the diagnosis names, as long as the held-out likelihood improves. y : (n, channels), SI."""
     say = progress or (lambda fraction, text: None)
-    data = cut(model, y, rate_hz)
+    data = prepare(model, y, rate_hz)
     point = fit_model(data, placed_of(model, data))
-    rungs = [rung(model, point)]
+    rungs = [rung(model, point, y)]
     messages: list[str] = []
     for step in range(MOST):
         start = step / (step + 1.0)
@@ -80,12 +91,18 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
 
         found = diagnose_point(model, point, y, inner)
         best = found.ranking[0] if found.ranking else None
-        if found.verdict in ("complete", "unknown") or best is None or not best.placed:
+        if found.verdict in ("complete", "unknown") or best is None:
             break
-        richer = fit_model(data, [*point.placed, *best.placed], start=point)
-        bigger = fitted_model(model, richer)
-        new = rung(bigger, richer)
-        if new.heldout_nll >= rungs[-1].heldout_nll:
+        if best.placed:
+            richer = fit_model(point.data, [*point.placed, *best.placed], start=point)
+            bigger = fitted_model(model, richer)
+        else:
+            bigger = with_settings(fitted_model(model, point), best)
+            data = prepare(bigger, y, rate_hz)
+            richer = fit_model(data, placed_of(bigger, data))
+            bigger = fitted_model(bigger, richer)
+        new = rung(bigger, richer, y)
+        if best.effect not in UNSCORED and new.heldout_nll >= rungs[-1].heldout_nll:
             messages.append(f"{found.verdict} was named but does not improve the held-out likelihood: not added")
             break
         model, point = bigger, richer
@@ -95,8 +112,26 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     return Ladder(tuple(rungs), fitted_model(model, point), parameters(point), found, tuple(messages))
 
 
-def rung(model: Model, point: WorkingPoint) -> Rung:
-    return Rung(tuple(u.name for u in model.effects), heldout_nll(point), survey(point, model).interval())
+def with_settings(model: Model, entry: Entry) -> Model:
+    """The model with an effect that is no force law, at the values found."""
+    added = {place: {name: Setting(p.value) for name, p in values.items()} for place, values in entry.settings.items()}
+    for use in model.effects:
+        if use.name == entry.effect:
+            return replace(
+                model,
+                effects=tuple(
+                    replace(u, parameters={**u.parameters, **added}) if u is use else u for u in model.effects
+                ),
+            )
+    return replace(model, effects=(*model.effects, EffectUse(entry.effect, added)))
+
+
+def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:
+    return Rung(
+        tuple(u.name for u in model.effects),
+        heldout_nll(point),
+        survey(point, model, others=suspects(model, point, y)).interval(),
+    )
 
 
 def idle(point: WorkingPoint) -> list[str]:

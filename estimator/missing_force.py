@@ -11,6 +11,7 @@ with Q the Gram matrix of the found columns per second, freed from what the mode
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,7 @@ from .effects.places import kinematic
 from .model import Model
 from .path_fit import PathFit
 from .subproblem import Subproblem, subproblem
+from .suspect import Share, Suspect, shares
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -164,9 +166,10 @@ class Survey:
 
     residuals: tuple[Residual, ...]
     bearing: Array
+    shares: tuple[Share, ...] = ()
 
     def any_found(self) -> bool:
-        return any(r.found for r in self.residuals)
+        return bool(self.shares) or any(r.found for r in self.residuals)
 
     def places_found(self) -> tuple[int, ...]:
         return tuple(r.place for r in self.residuals if r.found)
@@ -178,8 +181,8 @@ class Survey:
     def interval(self, places: tuple[int, ...] | None = None) -> tuple[float, float, float]:
         """Value, low, high in per cent: 95 %; where nothing is found, high is what could hide there."""
         own = [r for r in self.residuals if places is None or r.place in places]
-        scale = float(np.sum(self.bearing[[r.place for r in own]] ** 2)) if own else 1.0
-        P = sum(r.P for r in own)
+        scale = float(np.sum(self.bearing[list(range(self.bearing.size) if places is None else places)] ** 2))
+        P = sum(r.P for r in own) + sum(s.power for s in self.shares if places is None or s.place in places)
         sd = float(np.sqrt(sum(r.sd**2 for r in own)))
         hidden = sum(r.upper for r in own if not r.found)
         low = P - 1.96 * sd if P > 0 else 0.0
@@ -192,8 +195,14 @@ def orders_of(model: Model) -> tuple[float, ...]:
     return (1.0, 2.0) if known is None else (1.0, 2.0, float(known))
 
 
-def survey(point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None) -> Survey:
-    """Every place (or some; the rest count as explained)."""
+def survey(
+    point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None, others: Sequence[Suspect] = ()
+) -> Survey:
+    """Every place (or some; the rest count as explained); `others` are findings that no state explains."""
     places = range(len(point.data.places)) if only is None else only
     tries = len(point.data.places) * len(reference.GROUPS)
-    return Survey(tuple(explain(point, i, orders_of(model), tries) for i in places), point.bearing_force)
+    return Survey(
+        tuple(explain(point, i, orders_of(model), tries) for i in places),
+        point.bearing_force,
+        tuple(shares(list(others))),
+    )

@@ -42,6 +42,7 @@ class MotionBlocks:
     mass: Array
     speed: float  # rad/s, 0 if unknown
     shaft: NDArray[np.complex128]  # (bins, places, places) N/m, shaft and disc as seen by the caps
+    colour: Array  # (places, bins) shape of the force spectrum that the model has, mean about 1
     measured_force: bool = False
 
     @property
@@ -142,7 +143,31 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     f: Array = np.asarray(np.fft.rfftfreq(block, 1 / rate_hz), dtype=np.float64)
     f = f[(f >= model.band[0]) & (f <= model.band[1])]
     return MotionBlocks(places, rate_hz, model.band, block, starts, fold, a, v, x, known, t, speed * t, mass, speed,
-                        shaft_response(model, places, f), bool(forced))  # fmt: skip
+                        shaft_response(model, places, f), colours(model, places, f), bool(forced))  # fmt: skip
+
+
+def colours(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
+    """(places, f) what the model's own effects make of a white force: coloured excitation, a resonant sensor."""
+    from .effects import CATALOGUE
+
+    out = np.ones((len(places), f_hz.size))
+    for use in model.effects:
+        if use.name not in ("coloured_excitation", "sensor_resonance"):
+            continue
+        for i, place in enumerate(places):
+            own = [s for k, s in use.parameters.items() if k in (place, place.split(".")[0])]
+            if not own:
+                continue
+            values = [s.value for q in CATALOGUE[use.name].parameters if (s := own[0].get(q.name)) is not None]
+            a, b = (*(z for z in values if z is not None), None, None)[:2]
+            if a is None or b is None:
+                continue
+            if use.name == "coloured_excitation":
+                out[i] *= 1 + a / (1 + (f_hz / b) ** 2)
+            else:
+                r = f_hz / a
+                out[i] /= (1 - r**2) ** 2 + (r / b) ** 2
+    return out
 
 
 _MOTION = ("acceleration", "velocity", "displacement")

@@ -32,12 +32,15 @@ class Where:
 
 def where_of(point: WorkingPoint, found: Survey, channel: dict[str, str]) -> tuple[Where, ...]:
     """Every state found, largest share first."""
-    total = sum(f.power for r in found.residuals for f in r.found)
+    total = sum(f.power for r in found.residuals for f in r.found) + sum(s.power for s in found.shares)
     out = [
         Where(channel[point.data.places[r.place]], f.group, region(point, r, f.group), 100 * f.power / total)
         for r in found.residuals
         for f in r.found
         if total > 0
+    ]
+    out += [
+        Where(channel[point.data.places[s.place]], s.against, s.region, 100 * s.power / total) for s in found.shares
     ]
     return tuple(sorted(out, key=lambda w: -w.share_percent))
 

@@ -34,6 +34,7 @@ class WorkingPoint:
     jacobian: Jacobian
     fit: PathFit
     A: NDArray[np.complex128]  # (bins, places, places)
+    slopes: Array  # (places, places, 2) mean tangent
 
     @property
     def lin(self) -> Array:
@@ -98,8 +99,8 @@ def _first_linear(data: MotionBlocks) -> tuple[Array, Array]:
     return kL, c
 
 
-def _forces(data: MotionBlocks, kL: Array, c: Array, uses: list[Placed]) -> tuple[Array, NDArray[np.complex128]]:
-    """Inferred force (places, n) and A (bins, places, places)."""
+def _forces(data: MotionBlocks, kL: Array, c: Array, uses: list[Placed]) -> tuple[Array, NDArray[np.complex128], Array]:
+    """Inferred force (places, n), A (bins, places, places) and the mean tangent (places, places, 2)."""
     F = data.known + kL[:, None] * data.x + c[:, None] * data.v
     P = len(data.places)
     M = np.zeros_like(data.shaft)
@@ -115,14 +116,22 @@ def _forces(data: MotionBlocks, kL: Array, c: Array, uses: list[Placed]) -> tupl
             if memory is not None:
                 M[:, i, i] += memory
     w = 2 * np.pi * data.f_hz[:, None, None]
-    return F, np.diag(data.mass)[None] - (data.shaft + M + D[..., 0]) / w**2 + D[..., 1] / (1j * w)
+    return F, np.diag(data.mass)[None] - (data.shaft + M + D[..., 0]) / w**2 + D[..., 1] / (1j * w), D
+
+
+def tangent_at(point: WorkingPoint, f_hz: Array, shaft: NDArray[np.complex128] | None = None) -> NDArray[np.complex128]:
+    """(f, places, places) force per acceleration at any frequency, memory effects left out."""
+    w = 2 * np.pi * f_hz[:, None, None]
+    D = point.slopes
+    reaction = 0.0 if shaft is None else shaft
+    return np.asarray(np.diag(point.data.mass)[None] - (reaction + D[..., 0]) / w**2 + D[..., 1] / (1j * w))
 
 
 def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) -> WorkingPoint:
-    F, A = _forces(data, kL, c, uses)
+    F, A, D = _forces(data, kL, c, uses)
     P = len(data.places)
     A2 = np.stack([np.sum(np.abs(A[:, i, :]) ** 2, axis=1) for i in range(P)])
-    weighing = Weighing(data, 1.0 / (1.0 + nu[:, None] * A2))
+    weighing = Weighing(data, 1.0 / (data.colour + nu[:, None] * A2))
     spectra = {i: weighing.spectrum(i, F[i]) for i in range(P)}
     lin = np.stack([data.mass, kL, c], axis=1)
     terms = [t for i in range(P) for t in placing.linear_terms(data, i)]
@@ -134,7 +143,7 @@ def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) 
     blocks = np.bincount(data.fold, minlength=FOLDS).astype(np.float64)
     result = fit(G, jacobian, np.arange(FOLDS), blocks)
     return WorkingPoint(
-        data, kL, c, result.S, nu, tuple(uses), F, weighing, spectra, tuple(terms), columns, G, jacobian, result, A
+        data, kL, c, result.S, nu, tuple(uses), F, weighing, spectra, tuple(terms), columns, G, jacobian, result, A, D
     )
 
 
@@ -165,7 +174,7 @@ def _noise(point: WorkingPoint) -> Array:
         power = np.einsum("bkc,bkc->k", Z, Z) / data.blocks / point.weighing.weight[i]
         A2 = np.sum(np.abs(point.A[:, i, :]) ** 2, axis=1)
         grid = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 61) / np.mean(A2)])
-        shape = 1.0 + grid[:, None] * A2
+        shape = data.colour[i] + grid[:, None] * A2
         S = np.mean(power / shape, axis=1)
         cost = np.log(S) + np.mean(np.log(shape), axis=1)
         out[i] = grid[int(np.argmin(cost))]

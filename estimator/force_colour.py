@@ -1,0 +1,280 @@
+"""The spectrum of the inferred force: not white, shaped by a sensor, by a pedestal, or shared by the two bearings.
+
+Nothing here depends on the state of the rotor, so nothing here can be a force law. The mean power of the inferred
+force in narrow cells is compared, by the Whittle likelihood, with what each cause would give, k and c refitted for
+each (a shape near the resonance can hide in them).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from .effects import CATALOGUE
+from .estimate import Parameter
+from .model import Model
+from .suspect import Suspect
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+CELLS = 260
+LEVEL = 1e-3
+LEAST_DEPTH = 0.03  # rms of ln(power / model): less is within what filters and integrators leave behind
+NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Mean spectra of one place. power : (cells,) N^2/Hz mean |F|^2; n : bins; A : (cells,) tangent; w : rad/s."""
+
+    power: Array
+    n: Array
+    w: Array
+    A: NDArray[np.complex128]
+    colour: Array
+
+
+def cells_of(point: WorkingPoint, i: int) -> Cells:
+    """Cells about evenly spread in log frequency, fine at the resonance."""
+    data = point.data
+    Z = point.spectra[i].reshape(data.blocks, -1, 2)
+    power = np.einsum("bkc,bkc->k", Z, Z).astype(np.float64) / data.blocks / point.weighing.weight[i]
+    edges = np.unique(np.round(np.geomspace(12, power.size, CELLS)).astype(int))
+    first = np.concatenate([[0], edges[:-1]])
+    width = np.diff(np.append(first, power.size)).astype(np.float64)
+
+    def mean(z: Array) -> Array:
+        return np.asarray(np.add.reduceat(z, first) / width)
+
+    A = point.A[:, i, i]
+    colour = data.colour[i]
+    return Cells(
+        mean(power), width * data.blocks, mean(2 * np.pi * data.f_hz), mean(A.real) + 1j * mean(A.imag), mean(colour)
+    )
+
+
+def _exp(z: float) -> float:
+    """exp, kept finite on the way to the maximum."""
+    return float(np.exp(np.clip(z, -80.0, 20.0)))
+
+
+def base_model(c: Cells, u: Array) -> Array:
+    """u : ln S, ln(noise share), relative changes of k and c in units of 1 / w^2 and 1 / (i w)."""
+    A = c.A - u[2] / c.w**2 + u[3] / (1j * c.w)
+    S, noise = _exp(u[0]), _exp(u[1])
+    return np.asarray((S * c.colour + noise * np.abs(A) ** 2) * np.abs(c.A) ** 2 / np.abs(A) ** 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A cause: multiplier of the whole measured power, or of S, by its parameters in free form; starts in that form."""
+
+    effect: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    starts: tuple[tuple[float, ...], ...]
+    model: Callable[[Cells, Array], Array]
+    values: Callable[[Array], Array]
+
+
+def _coloured(place_peak: float) -> Shape:
+    def values(z: Array) -> Array:
+        return np.array([np.exp(np.clip(z[0], -6, 7)) - 0.985, np.exp(np.clip(z[1], 2, 12))])
+
+    def model(c: Cells, u: Array) -> Array:
+        gain, corner = values(u[4:])
+        factor = 1 + gain / (1 + (c.w / (2 * np.pi * corner)) ** 2)
+        A = c.A - u[2] / c.w**2 + u[3] / (1j * c.w)
+        return np.asarray(
+            (_exp(u[0]) * c.colour * factor + _exp(u[1]) * np.abs(A) ** 2) * np.abs(c.A) ** 2 / np.abs(A) ** 2
+        )
+
+    starts = tuple((g, float(np.log(place_peak * f))) for g in (0.6, 1.5, -0.5) for f in (0.4, 1.0, 2.5))
+    return Shape("coloured_excitation", ("gain", "corner"), ("1", "Hz"), starts, model, values)
+
+
+def _resonance(top: float) -> Shape:
+    def values(z: Array) -> Array:
+        return np.array([np.exp(np.clip(z[0], 3, 13)), np.exp(np.clip(z[1], -0.5, 5))])
+
+    def model(c: Cells, u: Array) -> Array:
+        f0, quality = values(u[4:])
+        r = c.w / (2 * np.pi * f0)
+        H2 = 1.0 / ((1 - r**2) ** 2 + (r / quality) ** 2)
+        A = c.A - u[2] / c.w**2 + u[3] / (1j * c.w)
+        A2 = np.abs(A) ** 2
+        return np.asarray((_exp(u[0]) * c.colour * H2 + _exp(u[1]) * A2) * np.abs(c.A) ** 2 / A2)
+
+    starts = tuple((float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4) for q in (4, 25))
+    return Shape("sensor_resonance", ("frequency", "quality"), ("Hz", "1"), starts, model, values)
+
+
+def _pedestal(mass: float, kL: float, c0: float, peak: float) -> Shape:
+    def values(z: Array) -> Array:
+        return np.array(
+            [mass * np.exp(np.clip(z[0], -2.3, 3)), np.exp(np.clip(z[1], 2, 11)), np.exp(np.clip(z[2], -6, -0.36))]
+        )
+
+    def model(c: Cells, u: Array) -> Array:
+        M, f0, zeta = values(u[4:])
+        w, w0 = c.w, 2 * np.pi * f0
+        k, damping = kL + u[2], c0 + u[3]
+        D = k + 1j * w * damping
+        below = M * (w0**2 - w**2 + 2j * zeta * w * w0)
+        A = c.A - u[2] / w**2 + u[3] / (1j * w) + (D * D / (below + D)) / w**2
+        A2 = np.abs(A) ** 2
+        return np.asarray((_exp(u[0]) * c.colour + _exp(u[1]) * A2) * np.abs(c.A) ** 2 / A2)
+
+    starts = tuple((m, float(np.log(peak * f)), -3.0) for m in (0.0, 1.5) for f in (0.5, 1.2, 2.0, 3.5))
+    return Shape("pedestal", ("mass", "frequency", "damping"), ("kg", "Hz", "1"), starts, model, values)
+
+
+def _maximum(
+    c: Cells, model: Callable[[Cells, Array], Array], starts: list[Array], scale: Array
+) -> tuple[float, Array, Array]:
+    """Largest Whittle likelihood, where, and the standard deviations there."""
+    from scipy.optimize import least_squares
+
+    root = np.sqrt(c.n)
+
+    def residual(z: Array) -> Array:
+        # deviance residuals: their squares add up to the Whittle likelihood ratio
+        ratio = c.power / np.maximum(model(c, z * scale), 1e-300)
+        return np.asarray(np.sign(ratio - 1) * root * np.sqrt(np.maximum(2 * (ratio - 1 - np.log(ratio)), 0.0)))
+
+    best: tuple[float, Array, Array] | None = None
+    for start in starts:
+        found = least_squares(residual, start / scale, x_scale=1.0, max_nfev=60)
+        if best is None or found.cost < best[0]:
+            J = np.asarray(found.jac)
+            H = J.T @ J
+            sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(H, rcond=1e-12)), 0.0))
+            best = (float(found.cost), found.x * scale, sd * scale)
+    if best is None:
+        raise ValueError("no start")
+    return -best[0], best[1], best[2]
+
+
+def find(model: Model, point: WorkingPoint) -> list[Suspect]:
+    """Shaped excitation, sensor resonance, pedestal and a noisy sensor, by place; and forces shared by the bearings."""
+    data = point.data
+    taken = {(u.name, place) for u in model.effects for place in u.parameters}
+    out: list[Suspect] = []
+    noise = np.zeros(len(data.places))
+    shaped: set[int] = set()
+    for i, place in enumerate(data.places):
+        c = cells_of(point, i)
+        scale = np.array([1.0, 1.0, point.kL[i] * 0.01, point.c[i] * 0.1 + 1e-9])
+        u0 = np.array([np.log(point.S[i]), np.log(max(point.nu[i], 1e-9) * point.S[i]), 0.0, 0.0])
+        quiet = u0.copy()
+        quiet[1] = np.log(point.S[i] * 1e-3 / np.mean(np.abs(c.A) ** 2))
+        level, u, _ = _maximum(c, base_model, [u0, quiet], scale)
+        noise[i] = _exp(u[1])
+        df = float(c.n.size - 4)
+        depth = float(np.sqrt(np.average(np.log(c.power / base_model(c, u)) ** 2, weights=c.n)))
+        if chi2.sf(-2 * level, df) * len(data.places) > LEVEL or depth < LEAST_DEPTH:
+            continue
+        shaped.add(i)
+        out += _shapes(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
+    out += [s for s in _noisy(model, point, noise) if data.places.index(s.at[0]) not in shaped]
+    return out + _shared(model, point)
+
+
+def _shapes(
+    point: WorkingPoint, i: int, c: Cells, u: Array, level: float, scale: Array, taken: set[str]
+) -> list[Suspect]:
+    data = point.data
+    place = data.places[i]
+    peak = float(np.sqrt(point.kL[i] / data.mass[i]) / (2 * np.pi))
+    out = []
+    r = c.power / base_model(c, u)
+    weight = c.n / c.n.sum()
+    # one-step prediction error of a process with spectrum r: what of it is predictable from its own past
+    predictable = float(1 - np.exp(weight @ np.log(r)) / (weight @ r)) * float(point.force[i].var())
+    for shape in (_coloured(peak), _resonance(data.band[1]), _pedestal(data.mass[i], point.kL[i], point.c[i], peak)):
+        if shape.effect in taken:
+            continue
+        starts = [np.concatenate([u, s]) for s in shape.starts]
+        full = np.concatenate([scale, np.full(len(shape.names), 0.3)])
+        found, z, sd = _maximum(c, shape.model, starts, full)
+        gain = found - level
+        q = len(shape.names)
+        values = shape.values(z[4:])
+        spread = np.abs(shape.values(z[4:] + 1e-3) - values) / 1e-3 * sd[4:]
+        settings = {
+            n: Parameter.judged(float(v), float(s), unit)
+            for n, v, s, unit in zip(shape.names, values, spread, shape.units, strict=True)
+        }
+        p = float(min(1.0, chi2.sf(2 * max(gain, 0.0), q) * 3 * len(data.places) * len(starts)))
+        out.append(
+            Suspect(
+                shape.effect, (place,), gain, q + 2, p, {i: predictable}, "frequency", _where(c, r), {place: settings}
+            )
+        )
+    return out
+
+
+def _where(c: Cells, r: Array) -> str:
+    k = int(np.argmax(np.abs(np.log(r)) * np.sqrt(c.n)))
+    return f"force spectrum {'above' if r[k] > 1 else 'below'} the model about {c.w[k] / 2 / np.pi:.0f} Hz"
+
+
+def _noisy(model: Model, point: WorkingPoint, noise: Array) -> list[Suspect]:
+    """A sensor whose noise floor stands out of its neighbours'."""
+    data = point.data
+    out = []
+    have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
+    for i, place in enumerate(data.places):
+        others = np.delete(noise, i)
+        if others.size == 0 or place in have:
+            continue
+        A2 = np.abs(point.A[:, i, i]) ** 2
+        floor = max(float(np.median(others)), 0.2 * point.S[i] / float(A2[0]))
+        if noise[i] < NOISE_RATIO * floor:
+            continue
+        rms = float(np.sqrt(noise[i] * data.rate_hz / 2))
+        gain = 0.5 * data.blocks * float(np.sum(np.log1p(noise[i] * A2 / point.S[i]) ** 2) / 2)
+        sd = rms / np.sqrt(2 * max(gain, 1.0))
+        name = next(c.name for c in model.channels if c.place == place)
+        out.append(
+            Suspect(
+                "sensor_noise", (place,), gain, 1, float(np.exp(-min(gain, 700.0))),
+                {i: float(noise[i] * np.mean(A2) * (data.band[1] - data.band[0]))}, "frequency",
+                f"noise floor of {name}: {rms:.2g} m/s^2 rms, {np.sqrt(noise[i] / floor):.1f} times its neighbours'",
+                {place: {"rms": Parameter(rms, float(sd), "m/s^2")}},
+            )
+        )  # fmt: skip
+    return out
+
+
+def _shared(model: Model, point: WorkingPoint) -> list[Suspect]:
+    """Coherence of the inferred forces at the two bearings, direction by direction."""
+    data = point.data
+    out = []
+    have = {p for u in model.effects if u.name == "correlated_force" for p in u.parameters}
+    for i, place in enumerate(data.places):
+        j = data.opposite(i)
+        if j is None or j < i or place in have:
+            continue
+        a, b = point.spectra[i], point.spectra[j]
+        n = float(a.size / 2)
+        rho = float(np.vdot(a, b) / np.sqrt(float(np.vdot(a, a)) * float(np.vdot(b, b))))
+        gain = -n * float(np.log(max(1 - rho**2, 1e-12)))
+        p = float(min(1.0, chi2.sf(2 * gain, 1) * len(data.places)))
+        if p > LEVEL or abs(rho) < 0.02:
+            continue
+        power = {k: rho**2 * float(point.force[k].var()) for k in (i, j)}
+        sd = (1 - rho**2) / np.sqrt(2 * n)
+        out.append(
+            Suspect(
+                "correlated_force", (place,), gain, 1, p, power, "other_bearing",
+                f"the forces at {place} and {data.places[j]} share {100 * rho:.0f} %",
+                {place: {"rho": Parameter(rho, float(sd), "1")}}, CATALOGUE["correlated_force"].distinguish,
+                (float(5 / np.sqrt(2 * n)), "1"),
+            )
+        )  # fmt: skip
+    return out

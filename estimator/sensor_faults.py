@@ -1,0 +1,55 @@
+"""Faults that show in the raw samples before any model: clipping."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .estimate import Parameter
+from .model import Model
+from .suspect import Suspect
+
+Array = NDArray[np.float64]
+
+
+def clipping_level(y: Array) -> tuple[float, int] | None:
+    """Level and number of samples at it, if the extremes of a channel pile up; None if they thin out as they should.
+
+    The density of any vibration falls towards its extremes. A limiter puts everything beyond it into a spike there,
+    blurred by what noise comes after. Both ends together.
+    """
+    size = np.abs(y[np.isfinite(y)])
+    if size.size < 1000:
+        return None
+    top = float(size.max())
+    edge = np.partition(size, -20)[-20:].mean()  # a spike in the noise does not make the level
+    at = int(np.sum(size > 0.993 * edge))
+    before = int(np.sum((size > 0.965 * edge) & (size <= 0.979 * edge)))
+    if at > 40 and at > 3 * before + 40 and top < 1.3 * edge:
+        return float(np.median(size[size > 0.993 * edge])), at
+    return None
+
+
+def find(model: Model, y: Array) -> list[Suspect]:
+    """Clipped channels."""
+    out = []
+    have = {p for u in model.effects if u.name == "sensor_clipping" for p in u.parameters}
+    for k, channel in enumerate(model.channels):
+        if channel.place in have or channel.place not in model.places or channel.kind == "force":
+            continue
+        found = clipping_level(y[:, k])
+        if found is None:
+            continue
+        level, count = found
+        share = 100 * count / len(y)
+        place = model.places.index(channel.place)
+        out.append(
+            Suspect(
+                "sensor_clipping", (channel.place,), float(count), 1, float(np.exp(-min(count / 4, 700.0))),
+                {place: 0.0},
+                "level", f"{channel.name} is limited to +-{level:.3g} in {share:.2g} % of its samples",
+                {channel.place: {"level": Parameter(level, level * 1e-3, "m/s^2")}},
+                "every other finding on this channel may follow from it: mend the range first",
+            )
+        )  # fmt: skip
+    return out

@@ -1,0 +1,55 @@
+"""A finding that is not a force law on the states: a line, a sensor fault, a shaped or shared excitation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from .estimate import Parameter
+
+
+@dataclass(frozen=True, slots=True)
+class Suspect:
+    """effect : catalogue name. at : canonical places (they become the keys of the model). gain : nats; df : parameters.
+
+    p_value : after counting what this search tried. power : N^2 by place index, its share of the missing force.
+    against, region : for the map of comparison. settings : by canonical place, parameter name -> Parameter.
+    """
+
+    effect: str
+    at: tuple[str, ...]
+    gain: float
+    df: int
+    p_value: float
+    power: dict[int, float]
+    against: str
+    region: str
+    settings: dict[str, dict[str, Parameter]] = field(default_factory=dict)
+    note: str = ""
+    detectable: tuple[float, str] | None = None
+
+
+SHAPES = ("coloured_excitation", "sensor_resonance", "pedestal", "sensor_noise")  # causes of one spectrum
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """A part of the missing force that no state explains: N^2 at a place, for the map."""
+
+    place: int
+    against: str
+    region: str
+    power: float
+
+
+def shares(suspects: list[Suspect]) -> list[Share]:
+    """Each part once: of several causes for one spectrum the likeliest counts."""
+    out: list[Share] = []
+    shaped: dict[int, tuple[float, Share]] = {}
+    for s in suspects:
+        for place, power in s.power.items():
+            share = Share(place, s.against, s.region, power)
+            if s.effect not in SHAPES:
+                out.append(share)
+            elif place not in shaped or s.gain > shaped[place][0]:
+                shaped[place] = (s.gain, share)
+    return [s for s in out + [v for _, v in shaped.values()] if s.power > 0]
