@@ -70,6 +70,7 @@ class Link:
         self._decoder = decoder
         self._lock = threading.Lock()
         self._closed = threading.Event()
+        self._closed.set()
         self._connected = False
         self._attempt = 0
         self._next_try_s = 0.0
@@ -80,8 +81,8 @@ class Link:
         with self._lock:
             if self._connected:
                 return
-            self._closed.clear()
             self._source.open()
+            self._closed.clear()
             self._connected = True
             self._last_data_s = time.monotonic()
 
