@@ -79,10 +79,11 @@ def _of_log(path: Path, rig: Rig, note: Callable[[str], None]) -> tuple[NDArray[
         note(f"{path}: {log.lost_samples} samples are missing in {real} gaps; they are left out, not bridged")
     counts = log.counts()
     scaling = Scaling(log.info, columns)
-    clipped = scaling.clipped(np.where(np.isnan(y).any(axis=1)[:, None], 0, counts[:, columns]))
+    there: NDArray[np.bool_] = np.isfinite(y)
+    clipped = scaling.clipped(np.where(there, counts[:, columns], 0))
     if clipped is not None:
         y[clipped] = np.nan
-        columns_hit = np.flatnonzero(np.any(clipped, axis=0)).tolist()
+        columns_hit: list[int] = np.flatnonzero(np.any(clipped, axis=0)).tolist()
         names = ", ".join(rig.model.channels[k].name for k in columns_hit)
         note(f"{path}: {int(clipped.sum())} samples of {names} are at full scale; they are left out")
     return y, log.rate_hz

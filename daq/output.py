@@ -94,15 +94,16 @@ class Output:
         if self.quiet or not sys.stderr.isatty():
             yield quiet_progress
             return
-        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
         from rich.progress import Progress as Bar
 
-        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
         with Bar(*columns, TimeElapsedColumn(), console=self.to_stderr, transient=True) as bar:
-            task = bar.add_task(what, total=1.0)
+            task = bar.add_task(what, total=None)
 
             def told(done: float, now: str = "", /) -> None:
-                bar.update(task, completed=min(max(done, 0.0), 1.0), description=f"{what}: {now}" if now else what)
+                text = f"{what}: {now}" if now else what
+                bar.update(task, total=1.0, completed=min(max(done, 0.0), 1.0), description=text)
 
             yield told
 

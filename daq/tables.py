@@ -29,8 +29,8 @@ def parameters_table(parameters: Mapping[str, Parameter], truth: Mapping[str, fl
             cells = ["-", "-", "-", p.unit, *known]
             remark = Text(f"not identifiable: {p.reason or 'the data cannot tell'}", style="yellow")
         else:
-            relative = "-" if not p.value or p.sd is None else f"{100 * p.sd / abs(p.value):.2g}"
-            cells = [number(p.value, p.sd), number(p.sd, p.sd), relative, p.unit, *known]
+            relative = "-" if not p.value or not p.sd else f"{100 * p.sd / abs(p.value):.2g}"
+            cells = [number(p.value, p.sd), number(p.sd or None, p.sd), relative, p.unit, *known]
             remark = Text(p.reason)
         table.add_row(Text(name), *(Text(c) for c in cells), remark)
     return table

@@ -178,6 +178,55 @@ def test_a_law_of_the_users_own_joins_the_effects() -> None:
     assert [stop.parameters[p]["k"].value for p in stop.at] == [2e6, 1e6]
 
 
+LAW = '[[model.custom]]\nname = "mine"\nexpression = "{}"\nparameters = {{ k = 1.0 }}\n'
+EFFECT = """
+from dataclasses import replace
+from estimator.effects.quintic import QUINTIC
+Mine = replace(QUINTIC, name="mine")
+other = 3
+"""
+
+
+@pytest.mark.parametrize(
+    ("expression", "said"),
+    [
+        ("k*gg", 'unknown name "gg"'),
+        ("k*(x", "column"),
+        ("__import__('os')", "column"),
+        ("x**3", "k is not used"),
+    ],
+)
+def test_a_wrong_expression_is_said_with_its_position(expression: str, said: str) -> None:
+    (line,) = problems(HEAD + LAW.format(expression) + CHANNELS)
+    assert ": model.custom[0].expression: " in line
+    assert said in line
+
+
+def test_a_law_from_a_module(tmp_path: Path) -> None:
+    (tmp_path / "laws.py").write_text(EFFECT)
+    law = '[[model.custom]]\nname = "mine"\nmodule = "laws.py:{}"\nparameters = {{ k5 = 1e30 }}\n'
+    (tmp_path / "rig.toml").write_text(HEAD + law.format("Mine") + CHANNELS)
+    rig = load_rig(tmp_path / "rig.toml")
+    (use,) = rig.model.effects
+    assert use.custom is not None
+    assert use.custom.effect is not None
+    assert use.custom.units == {"k5": "N/m^5"}
+    assert use.parameters["bearing1.x"]["k5"].value == 1e30
+    assert set(rig.attachments()) == {"rig.toml", "laws.py"}
+    for name, said in (("Yours", "its effects are QUINTIC, Mine"), ("other", "is a int, not")):
+        (tmp_path / "rig.toml").write_text(HEAD + law.format(name) + CHANNELS)
+        with pytest.raises(ConfigError, match=said):
+            load_rig(tmp_path / "rig.toml")
+    (tmp_path / "laws.py").write_text("1/0")
+    with pytest.raises(ConfigError, match="fails with ZeroDivisionError"):
+        load_rig(tmp_path / "rig.toml")
+
+
+def test_an_effect_of_the_disc_needs_a_shaft() -> None:
+    (line,) = problems(HEAD + '[model]\neffects = ["imbalance"]\n' + CHANNELS)
+    assert 'say rig.shaft = "chain" or "beam"' in line
+
+
 def test_masses_by_direction() -> None:
     rig = Rig.parse(HEAD + "[rig.mass]\nbearing1 = { x = 0.22, y = 0.245 }\nbearing2.x = 0.2\n" + CHANNELS)
     assert rig.model.mass == {"bearing1.x": 0.22, "bearing1.y": 0.245, "bearing2.x": 0.2}
