@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import LogError
+from .memory import bounded_memory
 
 Column = NDArray[Any]
 CSV_ROWS = 200_000  # parsed at a time
@@ -46,9 +47,13 @@ def read(path: Path, names: Sequence[str]) -> Columns:
     if not path.is_file():
         raise LogError(f"{path}: there is no such file; check the path")
     try:
-        return reader(path, names)
+        with bounded_memory() as bound:
+            return reader(path, names)
     except (LogError, KeyboardInterrupt):
         raise
+    except MemoryError as error:
+        text = f"reading it takes more than {bound / 1e9:.2g} GB of memory, half of what there is"
+        raise LogError(f"{path}: {text}; cut it into parts, or check that it is what it says") from error
     except Exception as error:  # a damaged file may raise anything in the library that reads it
         text = " ".join(str(error).split()) or type(error).__name__
         raise LogError(f"{path}: cannot be read as {path.suffix}: {text}; check how it was written") from error
@@ -135,7 +140,9 @@ def _mat(path: Path, names: Sequence[str]) -> Columns:
 def _mf4(path: Path, names: Sequence[str]) -> Columns:
     from asammdf import MDF
 
-    with MDF(path) as file:
+    from drivers.capture_files import opened_quietly
+
+    with opened_quietly(lambda: MDF(path)) as file:
         found = [n for n in names if n in file.channels_db]
         if not found:
             held = [n for n in file.channels_db if "time" not in n.lower()]

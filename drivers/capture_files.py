@@ -6,19 +6,22 @@ import gc
 import re
 import sys
 import traceback
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from drivers.can_frames import ERROR, EXTENDED, REMOTE, CanFrames
 from drivers.errors import LinkOpenError, LinkUnavailable
 
 BATCH = 4096  # frames
+LATEST_NS = 2**62  # the year 2116; later is damage, and would not fit
 SUFFIXES = (".log", ".blf", ".asc", ".mf4")
 _LINE = re.compile(
     r"\((\d+)\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})(?:#R(\d?)|##([0-9A-Fa-f])|#)([0-9A-Fa-f.]*)(?:\s+[RT])?"
 )
+
+Opened = TypeVar("Opened")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +72,15 @@ def _open_reader(file: Path, suffix: str) -> Any:
 
 
 def _open_mf4(file: Path) -> Any:
-    """asammdf's half-made object of a damaged file complains in its destructor: let it do so unheard."""
     import can
 
+    return opened_quietly(lambda: can.MF4Reader(file))
+
+
+def opened_quietly(make: Callable[[], Opened]) -> Opened:
+    """asammdf's half-made object of a damaged file complains in its destructor: let it do so unheard."""
     try:
-        return can.MF4Reader(file)
+        return make()
     except ImportError:
         raise
     except Exception as error:
@@ -102,7 +109,7 @@ def _candump(file: Path, bus: str | None) -> Generator[Batch, None, None]:
                 frame = _parse(match)
                 if frame is None:
                     damaged += 1
-                    why = why or f"line {number} has a wrong length"
+                    why = why or f"line {number} has a wrong length or time"
                 else:
                     frames.append(frame)
             if len(frames) >= BATCH:
@@ -128,6 +135,8 @@ def _parse(match: re.Match[str]) -> tuple[int, bytes, int] | None:
         identifier |= REMOTE
         digits = ""
     t_ns = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
+    if t_ns > LATEST_NS:
+        return None
     return identifier, bytes.fromhex(digits), t_ns
 
 
@@ -150,9 +159,13 @@ def _python_can(reader: Any, bus: str | None, file: Path) -> Generator[Batch, No
                     flags |= (REMOTE if message.is_remote_frame else 0) | (ERROR if message.is_error_frame else 0)
                     # seconds as a float carry microseconds for today's dates, no more
                     t_ns = round(message.timestamp * 1e6) * 1000
+                    if abs(t_ns) > LATEST_NS:
+                        damaged, why = damaged + 1, why or f"a frame at {message.timestamp:g} s"
+                        continue
                     frames.append((message.arbitration_id | flags, bytes(message.data), t_ns))
             except Exception as error:  # noqa: BLE001 - a damaged file: python-can raises whatever it trips over
-                ended, damaged, why = True, 1, f"{type(error).__name__}: {' '.join(str(error).split())}"
+                text = f"{type(error).__name__}: {' '.join(str(error).split())}"
+                ended, damaged, why = True, damaged + 1, why or text
             if ended and not damaged:
                 why = _cut(reader, file)
                 damaged = 1 if why else 0

@@ -1,0 +1,63 @@
+"""While a guard is on, this thread may write only below one folder, start, connect and unpickle nothing."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+_FORBIDDEN = (
+    "os.system", "os.exec", "os.posix_spawn", "os.fork", "subprocess.Popen", "pty.spawn", "socket.connect",
+    "socket.bind", "pickle.find_class", "ctypes.dlopen", "webbrowser.open", "shutil.rmtree",
+)  # fmt: skip
+_CHANGES = ("os.remove", "os.rename", "os.rmdir", "os.mkdir", "os.link", "os.symlink", "os.truncate", "os.chmod")
+_WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+_state = threading.local()
+_installed = False
+
+
+class Forbidden(BaseException):
+    """No handler of the code under test catches it."""
+
+
+@contextmanager
+def guarded(folder: os.PathLike[str] | str) -> Iterator[None]:
+    """Raise Forbidden in this thread for everything that reading a file has no business to do."""
+    global _installed
+    if not _installed:
+        sys.addaudithook(_hook)
+        _installed = True
+    before, tempfile.tempdir = tempfile.tempdir, os.fspath(folder)  # libraries may have their temporary files
+    _state.folder, _state.broken = os.path.realpath(folder), ""
+    try:
+        yield
+    finally:
+        _state.folder, tempfile.tempdir = None, before
+    if _state.broken:  # somebody swallowed it
+        raise Forbidden(_state.broken)
+
+
+def _hook(event: str, arguments: tuple[object, ...]) -> None:
+    folder = getattr(_state, "folder", None)
+    if folder is None:
+        return
+    if event in _FORBIDDEN:
+        _refuse(f"{event} {arguments!r}")
+    writing = event == "open" and isinstance(arguments[2], int) and arguments[2] & _WRITING
+    if writing or event in _CHANGES:
+        _check(event, arguments[0], folder)
+
+
+def _check(event: str, path: object, folder: str) -> None:
+    if isinstance(path, (str, bytes)):
+        real = os.path.realpath(os.fsdecode(path))
+        if not (real + os.sep).startswith(folder + os.sep):
+            _refuse(f"{event} {path!r}")
+
+
+def _refuse(text: str) -> None:
+    _state.broken = text
+    raise Forbidden(text)

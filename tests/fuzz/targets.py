@@ -1,0 +1,242 @@
+"""One function per thing that reads foreign bytes: it must return, whatever the bytes, or raise what it documents.
+
+Shared by run.py (atheris, millions of inputs) and test_fuzz.py (hypothesis and the kept cases, in the default suite).
+Each target takes bytes and a scratch folder; the folder is all that may be written to (see guard.py).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import zstandard
+from ramp_device import CHANNELS, ramp_device
+
+from daq import log_scan
+from daq.errors import ConfigError, LogError
+from daq.import_checks import checked
+from daq.import_formats import read
+from daq.log_reader import read_log
+from daq.rig import Rig, load_rig
+from drivers import cobs
+from drivers.can_decoder import CanDecoder
+from drivers.can_frames import EXTENDED, CanFrames
+from drivers.capture_files import open_capture
+from drivers.errors import LinkError
+from drivers.mapped import MappedDecoder
+from drivers.reading import Block, Gap, LinkStats, Reading
+from drivers.serial_decoder import SerialDecoder
+from drivers.slcan_codec import MAX_LINE, SlcanCodec
+from estimator.effects.expression import compile_law
+from estimator.errors import ModelError
+
+ROOT = Path(__file__).parents[2]
+RIG = load_rig(ROOT / "configs" / "tiwari_vyas_1997.toml")
+Target = Callable[[bytes, Path], None]
+
+
+def _start(layout: str) -> list[tuple[int, bytes]]:
+    frames = ramp_device(layout, 8000.0 if layout == "classic" else 25_600.0, None, rows=16).next(4)
+    return [(f.identifier, f.data) for f in frames]
+
+
+_STARTS = {layout: _start(layout) for layout in ("serial16", "fd16", "fd24", "classic")}
+
+
+def assert_axis(readings: list[Reading], at: int) -> int:
+    """Every sample in one block or one gap, in order; the index that follows."""
+    for reading in readings:
+        if isinstance(reading, Block):
+            assert reading.index == at
+            at += len(reading.counts)
+        elif isinstance(reading, Gap):
+            assert reading.index == at
+            assert reading.count > 0
+            at += reading.count
+    return at
+
+
+def cobs_codec(data: bytes, folder: Path) -> None:
+    """Any cut gives the same bodies, and the decoder keeps no more than a frame."""
+    cut = data[0] * len(data) // 256 if data else 0
+    parts, one = cobs.Deframer(), cobs.Deframer()
+    pieces = [parts.feed(data[:cut]), parts.feed(data[cut:])]
+    whole = one.feed(data)
+    assert len(parts._tail) <= cobs.MAX_FRAME
+    assert sum(len(p.stops) for p in pieces) == len(whole.stops)
+    assert b"".join(_bodies(p) for p in pieces) == _bodies(whole)
+
+
+def _bodies(found: cobs.Bodies) -> bytes:
+    good = [(a, b) for a, b in zip(found.starts.tolist(), found.stops.tolist(), strict=True) if b >= 0]
+    return b"".join(found.data[a:b].tobytes() + b"|" for a, b in good)
+
+
+def slcan_codec(data: bytes, folder: Path) -> None:
+    cut = data[0] * len(data) // 256 if data else 0
+    parts, one = SlcanCodec(), SlcanCodec()
+    a, b, whole = parts.feed(data[:cut], 0), parts.feed(data[cut:], 0), one.feed(data, 0)
+    assert len(parts._tail) <= MAX_LINE
+    assert [*a.frames.ids, *b.frames.ids] == [*whole.frames.ids]
+    assert a.frames.payload.tobytes() + b.frames.payload.tobytes() == whole.frames.payload.tobytes()
+
+
+def serial(data: bytes, folder: Path) -> None:
+    """Bodies with right check sums and any content, cut by lengths in the data; then plain bytes."""
+    decoder = SerialDecoder(LinkStats())
+    first = b"".join(cobs.encode(body) for _, body in _STARTS["serial16"])
+    at = assert_axis(decoder.feed(first, 0), 0)
+    t_ns, rest = 1_000_000, data
+    while rest:
+        length, kind, rest = rest[0], rest[1:2], rest[2:]
+        body, rest = rest[:length], rest[length:]
+        t_ns += 1_000_000 * (1 + length)
+        if kind < b"\x80" and body:  # a sample frame of the right shape, with a hostile head
+            body = b"\1\1\4" + body[:1].ljust(1, b"\1") + (body[1:].ljust(20, b"\0"))[:20] + bytes(8 * (body[0] or 1))
+        at = assert_axis(decoder.feed(cobs.encode(body) if kind < b"\xf0" else body, t_ns), at)
+
+
+def can_decoder(data: bytes, folder: Path) -> None:
+    """Frames of any identifier and content behind a good start, in each layout."""
+    layout = ("fd16", "fd24", "classic")[data[0] % 3] if data else "fd16"
+    decoder = CanDecoder(LinkStats())
+    good = [(i, d, 0) for i, d in _STARTS[layout]]
+    at = assert_axis(decoder.feed(CanFrames.build(good), 0), 0)
+    t_ns, rest = 1_000_000, data[1:]
+    while rest:
+        head, rest = rest[0], rest[1:]
+        length = (8, 64, 12, 64, 8, 64, rest[0] % 65 if rest else 0, 64)[head >> 5]
+        payload, rest = rest[:length], rest[length:]
+        t_ns += 1_000_000 << (head & 15)
+        frame = (0x2FF + head % 8, payload.ljust(length, b"\0"), t_ns)
+        at = assert_axis(decoder.feed(CanFrames.build([frame]), t_ns), at)
+
+
+_DBC = b"""VERSION ""
+BU_: A
+BO_ 256 M: 8 A
+ SG_ a : 0|16@1- (0.01,0) [0|0] "m/s^2" A
+ SG_ b : 16|32@1- (1,0) [0|0] "" A
+ SG_ c : 55|16@0+ (0.5,-3) [0|0] "" A
+BO_ 512 N: 8 A
+ SG_ d : 0|64@1- (1,0) [0|0] "" A
+SIG_VALTYPE_ 256 b : 1;
+"""
+
+
+def mapped(data: bytes, folder: Path) -> None:
+    """Other makers' frames: any content, any times."""
+    decoder = MappedDecoder(LinkStats(), _DBC, {"b1x": "M.a", "b1y": "M.b", "b2x": "M.c"}, None, 100.0)
+    frames, t_ns = [], 0
+    for k in range(0, len(data), 10):
+        step, piece = data[k : k + 2], data[k + 2 : k + 10]
+        t_ns += int.from_bytes(step, "little", signed=True) << (12 if len(step) > 1 and step[1] & 1 else 22)
+        frames.append((256 if k % 30 else (512 | EXTENDED), piece, t_ns))
+    at = 0
+    for part in (frames[: len(frames) // 2], frames[len(frames) // 2 :]):
+        at = assert_axis(decoder.feed(CanFrames.build(part), 0, final=part is not frames), at)
+
+
+def mcap(data: bytes, folder: Path) -> None:
+    """A file of any bytes; or any records behind a right check sum; or any messages in right records."""
+    path = folder / "a.mcap"
+    kind, rest = (data[0] % 3, data[1:]) if data else (0, b"")
+    if kind == 0:
+        path.write_bytes(rest)
+    else:
+        path.write_bytes(log_scan.MAGIC + _chunk(rest if kind == 1 else b"".join(_records(rest))))
+    with contextlib.suppress(LogError):
+        log = read_log(path)
+        with contextlib.suppress(LogError):
+            counts, samples = log.counts(), log.samples()
+            assert len(counts) == len(samples) == log.stop - log.first
+        at = None
+        for reading in log.readings():
+            if isinstance(reading, Block | Gap) and not (isinstance(reading, Gap) and not reading.count):
+                assert at is None or reading.index >= at
+                at = reading.index + (len(reading.counts) if isinstance(reading, Block) else reading.count)
+        for reading in log.readings(joined=False):
+            assert not isinstance(reading, Block) or len(reading.counts) > 0
+
+
+def _chunk(records: bytes) -> bytes:
+    packed = zstandard.compress(records)
+    head = log_scan.CHUNK_HEAD.pack(0, 0, len(records), zlib.crc32(records), 4, b"zstd")
+    content = head + log_scan.SIZE.pack(len(packed)) + packed
+    return log_scan.RECORD.pack(log_scan.CHUNK, len(content)) + content
+
+
+def _records(data: bytes) -> Iterator[bytes]:
+    """The session's opening messages, then messages with the data's channel numbers, lengths and content."""
+    from sessions import make_block, make_info
+
+    from daq import log_codec as codec
+
+    yield _message(codec.SESSION, codec.encode_session("dev", 0, {}))
+    yield _message(codec.INFO, codec.encode_info(make_info()))
+    yield _message(codec.RAW, codec.encode_blocks([make_block(0, 4)]))
+    while data:
+        channel, length, data = data[0] % 9, (data[1] if len(data) > 1 else 0), data[2:]
+        yield _message(channel, data[:length])
+        data = data[length:]
+
+
+def _message(channel: int, data: bytes) -> bytes:
+    return log_scan.RECORD.pack(log_scan.MESSAGE, 22 + len(data)) + struct.pack("<HIQQ", channel, 0, 0, 0) + data
+
+
+def rig(data: bytes, folder: Path) -> None:
+    with contextlib.suppress(ConfigError):
+        Rig.parse(data.decode("utf-8", "replace"), folder)
+
+
+_HARMLESS = {"math", "_power", "_square", "_sign", "_heaviside", "_clip", "_where", "float", "abs", "max", "min"}
+
+
+def expression(data: bytes, folder: Path) -> None:
+    """What is let through is called: it can only be arithmetic."""
+    with contextlib.suppress(ModelError):
+        law, used = compile_law.__wrapped__(data.decode("utf-8", "replace"), ("k", "g"))
+        assert set(law.__code__.co_names) <= _HARMLESS | set(dir(__import__("math"))), law.__code__.co_names
+        assert used <= {*"xvt", "xo", "vo", "phase", "k", "g", "pi", "e"}
+        with contextlib.suppress(ArithmeticError, ValueError, TypeError):  # plain Python is stricter than compiled code
+            value = law(0.5, -2.0, 0.25, 1.0, 3.0, 0.1, 1.0, np.array([2.0, 0.5]))
+            assert isinstance(value, float)
+
+
+def _import(suffix: str) -> Target:
+    def target(data: bytes, folder: Path) -> None:
+        path = folder / f"a{suffix}"
+        path.write_bytes(data)
+        names = [c.name for c in RIG.model.channels]
+        with contextlib.suppress(LogError):
+            record = checked(path, read(path, names), RIG, 25_600.0, lambda text: None, gaps=bool(len(data) % 2))
+            assert record.si().shape == (record.samples, 4)
+
+    return target
+
+
+def _capture(suffix: str) -> Target:
+    def target(data: bytes, folder: Path) -> None:
+        path = folder / f"a{suffix}"
+        path.write_bytes(data)
+        with contextlib.suppress(LinkError):
+            decoder = CanDecoder(LinkStats())
+            for batch in open_capture(str(path), None):
+                assert batch.damaged >= 0
+                decoder.feed(batch.frames, 0)
+
+    return target
+
+
+TARGETS: dict[str, Target] = {
+    "cobs": cobs_codec, "slcan": slcan_codec, "serial": serial, "can": can_decoder, "mapped": mapped, "mcap": mcap,
+    "rig": rig, "expression": expression, "csv": _import(".csv"), "npz": _import(".npz"), "wav": _import(".wav"),
+    "mat": _import(".mat"), "uff": _import(".uff"), "mf4": _import(".mf4"),
+    "candump": _capture(".log"), "blf": _capture(".blf"), "asc": _capture(".asc"),
+}  # fmt: skip
+assert tuple(c.name for c in RIG.model.channels) == CHANNELS

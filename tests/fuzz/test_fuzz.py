@@ -1,0 +1,112 @@
+"""Hostile input, a little of it every time: hypothesis on every target, and every case that a fuzzer ever found."""
+
+from __future__ import annotations
+
+import gc
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from asammdf import MDF, Signal
+from guard import Forbidden, guarded
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from seeds import seeds
+from targets import TARGETS
+
+from daq.errors import LogError
+from daq.import_formats import read
+
+CASES = sorted(path for path in (Path(__file__).parent / "cases").glob("*-*"))
+EXAMPLES = {"mf4": 15, "rig": 40, "uff": 40, "mapped": 40}
+
+
+@st.composite
+def damaged(draw: st.DrawFn, name: str) -> bytes:
+    """A good input with a few of its pieces overwritten, cut out or doubled; or any bytes."""
+    good = draw(st.sampled_from([*seeds(name), b""]))
+    if not good:
+        return draw(st.binary(max_size=400))
+    data = bytearray(good)
+    rng = random.Random(draw(st.integers(0, 2**32)))
+    for _ in range(draw(st.integers(1, 6))):
+        at, length = rng.randrange(len(data) + 1), rng.choice((1, 1, 2, 4, 8, 60))
+        how = rng.randrange(4)
+        if how == 0:
+            data[at : at + length] = rng.randbytes(length)
+        elif how == 1:
+            del data[at : at + length]
+        elif how == 2:
+            data[at:at] = data[at : at + length]
+        else:
+            data[at : at + length] = rng.choice((b"\xff", b"\0", b"\x7f")) * length
+    return bytes(data)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", TARGETS)
+def test_any_input_is_read_or_refused(name: str, tmp_path: Path) -> None:
+    for good in seeds(name):
+        TARGETS[name](good, tmp_path)  # imports and compiles
+
+    @settings(max_examples=EXAMPLES.get(name, 100), suppress_health_check=list(HealthCheck), database=None)
+    @given(damaged(name))
+    def try_it(data: bytes) -> None:
+        with guarded(tmp_path):
+            TARGETS[name](data, tmp_path)
+
+    try_it()
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("case", CASES, ids=lambda path: path.name)
+def test_what_a_fuzzer_found_stays_found(case: Path, tmp_path: Path) -> None:
+    with guarded(tmp_path):
+        TARGETS[case.name.split("-")[0]](case.read_bytes(), tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".mat", ".mf4"])
+def test_a_small_file_that_unpacks_to_much_is_refused(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """80 MB of zeros in a hundred kB, where 30 MB may be used."""
+    path = tmp_path / f"bomb{suffix}"
+    column = np.zeros(10**7)
+    if suffix == ".npz":
+        np.savez_compressed(path, b1x=column, rate_hz=1.0)
+    elif suffix == ".mat":
+        scipy.io.savemat(path, {"b1x": column}, do_compression=True)
+    else:
+        with MDF() as file:
+            file.append([Signal(column, np.arange(10**7) * 1e-4, name="b1x")])
+            file.save(path, compression=1)
+    del column
+    read(path, ["b1x"])  # and what is lazy is imported
+    gc.collect()
+    monkeypatch.setattr("daq.memory._free_bytes", lambda: 60_000_000)
+    with pytest.raises(LogError, match=r"takes more than 0.03 GB of memory.*; cut it into parts"):
+        read(path, ["b1x"])
+
+
+def test_a_pickle_is_refused(tmp_path: Path) -> None:
+    class Evil:
+        def __reduce__(self) -> tuple[object, tuple[str]]:
+            return eval, (f"open({str(tmp_path / 'owned')!r}, 'w')",)
+
+    np.savez(tmp_path / "a.npz", b1x=np.array([Evil()], dtype=object))
+    with pytest.raises(LogError, match="allow_pickle=False"):
+        read(tmp_path / "a.npz", ["b1x"])
+    assert not (tmp_path / "owned").exists()
+
+
+def test_the_guard_guards(tmp_path: Path) -> None:
+    import subprocess
+
+    with guarded(tmp_path):
+        (tmp_path / "a").write_text("allowed")
+    with pytest.raises(Forbidden, match="open"), guarded(tmp_path):
+        (tmp_path.parent / "b").write_text("elsewhere")
+    with pytest.raises(Forbidden, match="Popen"), guarded(tmp_path):
+        subprocess.run(["true"], check=False)
