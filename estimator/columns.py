@@ -110,11 +110,12 @@ class Columns:
                     wide = self.state(column.row, stretch)
                     states[key] = wide.finer() if law.rough else wide.inner()
                 effect = self.balance.laws[column.law].effect
-                out[k] = 0.0
+                total = np.zeros(states[key].x.size)
                 for p, weight in law.terms:
                     force, sums = law_force(effect, p, states[key], law.reads)
-                    out[k] += weight * (decimated(force) if law.rough else force)
+                    total += weight * force
                     tangents[k] += weight * sums / (FINER if law.rough else 1)
+                out[k] = decimated(total) if law.rough else total
                 if not np.isfinite(out[k]).all():
                     raise DataError(
                         f"the force of effect {effect.name} at {self.balance.places[column.row]} is not finite along "

@@ -55,17 +55,23 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
     held = build(model, start.sizes, known, search=False)
     searching = len(build(model, start.sizes, known).free) > len(held.free)
     bank = gather(record, held, start.widths, start.linear, seconds=SECONDS if searching else np.inf)
-    likelihood, local, converged = dress(record, start, bank, initial(held, start, known))
-    known |= dict(zip(held.names, local.point.beta.tolist(), strict=True))
+    local, converged = maximise(Likelihood(bank.evidence(start.nodes)), initial(held, start, known))
     if not searching:
+        likelihood, local, converged = dress(bank, start, local, pairs_of(record, start, bank, local), converged)
+        known |= dict(zip(held.names, local.point.beta.tolist(), strict=True))
         return Maximum(held, bank, likelihood, local, known, converged)
+    known |= dict(zip(held.names, local.point.beta.tolist(), strict=True))
+    pairs = None
     for rounds, seconds in ((ROUGH_ROUNDS, SECONDS), (ROUNDS, np.inf)):
         whole = not np.isfinite(seconds)
         for _ in range(rounds):
             balance = build(model, start.sizes, known)
             bank = gather(record, balance, start.widths, start.linear, seconds=seconds)
             point = replace(initial(balance, start, known), S=local.point.S, noise=local.point.noise)
-            likelihood, local, converged = dress(record, start, bank, point, rounds=2 if whole else 0)
+            local, converged = maximise(Likelihood(bank.evidence(start.nodes)), point)
+            if whole:
+                pairs = pairs_of(record, start, bank, local) if pairs is None else pairs
+                likelihood, local, converged = dress(bank, start, local, pairs, converged)
             moved = _move(balance, local, known, last=whole)
             if moved < SETTLED:
                 break
@@ -95,21 +101,28 @@ def _move(balance: Balance, local: Local, values: dict[str, float], last: bool) 
     return moved
 
 
-def dress(record: Record, start: Start, bank: Bank, point: Point, rounds: int = 2) -> tuple[Likelihood, Local, bool]:
-    """The maximum with the responses of the laws dressed (dressing.py), which depends on the parameters a little."""
-    evidence = bank.evidence(start.nodes)
-    likelihood = Likelihood(evidence)
-    local, converged = maximise(likelihood, point)
+def pairs_of(record: Record, start: Start, bank: Bank, local: Local) -> NDArray[np.complex128] | None:
+    """Self-energies of the laws (dressing.py) at a point; None if no law needs them."""
     balance, P = bank.balance, len(bank.balance.places)
-    if rounds == 0 or not any(law.effect.kind == "force" for law in balance.laws):
-        return likelihood, local, converged
+    if not any(law.effect.kind == "force" for law in balance.laws):
+        return None
     columns = Columns(balance, record.scales, start.widths, start.linear)
     B = balance.coefficients(local.point.beta)
     damping = np.array([B[i, P + i] + B[i] @ bank.tangents[:, 1] for i in range(P)])
-    pairs = self_energies(record, columns, start.linear, np.maximum(damping, 0.1 * start.c), start.nodes.f_hz)
-    for _ in range(rounds):
-        B = balance.coefficients(local.point.beta)
-        likelihood = Likelihood(replace(evidence, dressing=dressed(pairs, balance, B, start.nodes.f_hz)))
+    return self_energies(record, columns, start.linear, np.maximum(damping, 0.1 * start.c), start.nodes.f_hz)
+
+
+def dress(
+    bank: Bank, start: Start, local: Local, pairs: NDArray[np.complex128] | None, converged: bool
+) -> tuple[Likelihood, Local, bool]:
+    """The maximum with the responses of the laws dressed, which depends on the parameters a little."""
+    evidence = bank.evidence(start.nodes)
+    likelihood = Likelihood(evidence)
+    if pairs is None:
+        return likelihood, local, converged
+    for _ in range(2):
+        B = bank.balance.coefficients(local.point.beta)
+        likelihood = Likelihood(replace(evidence, dressing=dressed(pairs, bank.balance, B, start.nodes.f_hz)))
         local, converged = maximise(likelihood, local.point)
     return likelihood, local, converged
 
