@@ -149,7 +149,7 @@ def test_can_fd_decode() -> None:
     theirs_s, raw_s = best(theirs) / len(some), best(theirs_raw) / len(some)
     print(f"\nCAN FD decode, 7 x 4 int16 a frame, batches of 256: ours {1e6 * ours_s:.3f} us per frame; "
           f"cantools {1e6 * theirs_s:.1f} us, {1e6 * raw_s:.1f} us unscaled; ratio {theirs_s / ours_s:.0f}, "
-          f"{raw_s / ours_s:.0f} unscaled. Ours with identifiers, versions, continuity and gaps: {1e6 * whole_s:.3f} us")
+          f"{raw_s / ours_s:.0f} unscaled. With identifiers, versions, continuity and gaps: {1e6 * whole_s:.3f} us")
     assert raw_s / ours_s > 50
 
 
