@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from drivers.errors import LinkError
 from drivers.reading import Notice
 
 from .acquire import RunSummary, acquire
@@ -50,13 +51,19 @@ def run_rig(
 ) -> None:  # fmt: skip
     """Acquire from a link into a log and a viewer, and say what came of it."""
     driver = open_driver(link, rig)
+    existed = out is not None and out.exists()
     operator = Operator(output)
     with Stop() as stop:
         sinks = _sinks(output, out, rerun, live=driver.kind not in ("capture", "replay"))
         if metrics is not None:
             sinks.append(_metrics(output, metrics))
         metadata = {"command": command, "link": link or rig.link.url or ""}
-        summary = acquire(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=operator)
+        try:
+            summary = acquire(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=operator)
+        except (LinkError, ConfigError):
+            if out is not None and not existed:
+                out.unlink(missing_ok=True)  # nothing was acquired: an empty log would only be in the way
+            raise
     _report(output, summary, out, {"rig": rig.model.name})
     if operator.lost_log:
         raise LogError(operator.lost_log)

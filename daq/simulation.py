@@ -93,19 +93,27 @@ def _complete_use(model: Model, use: EffectUse, rate_hz: float, assumed: dict[st
 
 
 class Analogue:
-    """`source(n)` of a simulated device: the rig's motion and its sensors' own noise, SI, in the channels' order."""
+    """`source(n)` of a simulated device: the rig's motion and its sensors' own noise, SI.
+
+    columns : which channel of the model each one is. An axial one (z) has noise alone: the model does not move so.
+    """
 
     def __init__(self, model: Model, columns: list[int], noise: NDArray[np.float64], rate_hz: float, seed: int) -> None:
         from estimator.simulate import Simulator
 
-        self._simulator = Simulator(model, rate_hz, seed)
-        self._columns = columns
+        moving = [i for i, c in enumerate(model.channels) if c.direction != "z"]
+        self._simulator = Simulator(replace(model, channels=tuple(model.channels[i] for i in moving)), rate_hz, seed)
+        self._columns = [moving.index(c) if c in moving else -1 for c in columns]
         self._noise = noise
         self._rng = np.random.default_rng(np.random.SeedSequence((seed, 1)))
 
     def __call__(self, n: int) -> NDArray[np.float64]:
-        y = self._simulator.next(n)[:, self._columns]
-        return y + self._noise * self._rng.standard_normal(y.shape)
+        motion = self._simulator.next(n)
+        y = self._noise * self._rng.standard_normal((n, len(self._columns)))
+        for k, column in enumerate(self._columns):
+            if column >= 0:
+                y[:, k] += motion[:, column]
+        return y
 
 
 @dataclass(frozen=True, slots=True)
