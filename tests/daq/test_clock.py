@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,16 +89,17 @@ def coverage(cases: int) -> tuple[float, float, float]:
     return float((error <= bound).mean()), float(np.median(bound)), float(np.median(drift))
 
 
-def test_the_bound_holds_the_truth() -> None:
+def test_the_bound_holds_the_truth(record_property: Callable[[str, object], None]) -> None:
     held, bound_s, drift_ppm = coverage(150)
-    print(f"bound true in {100 * held:.1f} % of 150 devices; median {1e3 * bound_s:.2f} ms, {drift_ppm:.2f} ppm")
+    row = "clock | 150 simulated devices: 50 ppm, bursts of 16 ms, a busy host | the bound holds the truth in 99 %"
+    record_property("reliability", f"{row} | {100 * held:.1f} %; median bound {1e3 * bound_s:.1f} ms")
     assert held >= 0.99
 
 
 @pytest.mark.slow
 def test_the_bound_holds_the_truth_in_many() -> None:
-    held, bound_s, drift_ppm = coverage(2000)
-    print(f"bound true in {100 * held:.2f} % of 2000 devices; median bound {1e3 * bound_s:.2f} ms, {drift_ppm:.2f} ppm")
+    held, bound_s, drift_ppm = coverage(600)
+    print(f"bound true in {100 * held:.2f} % of 600 devices; median bound {1e3 * bound_s:.2f} ms, {drift_ppm:.2f} ppm")
     assert held >= 0.99
 
 

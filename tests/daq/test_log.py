@@ -123,6 +123,20 @@ def test_other_tools_read_it(tmp_path: Path) -> None:
     assert topics["/log"][0].message == "a frame was damaged"  # type: ignore[attr-defined]
 
 
+def test_rerun_plots_preview_and_notices_with_no_help(tmp_path: Path) -> None:
+    import subprocess
+
+    import rerun_cli
+
+    write_log(tmp_path / "a.mcap", make_stream(80))
+    rerun = str(Path(rerun_cli.__file__).parent / "rerun")
+    target = str(tmp_path / "a.rrd")
+    subprocess.run([rerun, "mcap", "convert", str(tmp_path / "a.mcap"), "-o", target], check=True, capture_output=True)
+    out = subprocess.run([rerun, "rrd", "print", target], check=True, capture_output=True, text=True).stdout
+    assert "- /preview - data columns: [Scalars:scalars]" in out
+    assert "- /log - data columns: [TextLog:level TextLog:text]" in out
+
+
 def test_the_preview_is_the_envelope(tmp_path: Path) -> None:
     stream = write_log(tmp_path / "a.mcap", make_stream(80))
     scale = np.array([s.scale for s in make_info().signals])

@@ -22,6 +22,7 @@ from daq.log_writer import LogWriter
 from drivers.reading import Notice
 
 ROWS = 256
+Property = Callable[[str, object], None]
 
 
 class Feeder:
@@ -82,7 +83,7 @@ def assert_right(path: Path, complete: bool) -> int:
     return log.n_samples
 
 
-def test_a_full_disk_that_gets_room_again_costs_nothing(tmp_path: Path) -> None:
+def test_a_full_disk_that_gets_room_again_costs_nothing(tmp_path: Path, record_property: Property) -> None:
     feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
     feeder.feed(100)
     with file_size_limit(400_000):
@@ -97,9 +98,11 @@ def test_a_full_disk_that_gets_room_again_costs_nothing(tmp_path: Path) -> None:
     assert [n.code for n in feeder.told] == ["log_fault", "log_recovered"]
     assert "File too large" in feeder.told[0].text
     assert assert_right(tmp_path / "a.mcap", complete=True) == feeder.index
+    row = "disk full, then room again | limit on the file's size (EFBIG) | acquisition goes on, told, nothing lost"
+    record_property("reliability", f"{row} | 0 samples lost; slowest call {1e3 * feeder.slowest_s:.1f} ms")
 
 
-def test_a_disk_full_for_long_costs_the_newest_by_name(tmp_path: Path) -> None:
+def test_a_disk_full_for_long_costs_the_newest_by_name(tmp_path: Path, record_property: Property) -> None:
     feeder = Feeder(LogWriter(tmp_path / "a.mcap", limit_bytes=1 << 20))
     with file_size_limit(300_000):
         feeder.until(lambda: feeder.heard("log_overflow"))
@@ -113,23 +116,31 @@ def test_a_disk_full_for_long_costs_the_newest_by_name(tmp_path: Path) -> None:
     assert {g.reason for g in log.gaps} == {"storage"}
     assert stored + log.lost_samples == feeder.index
     assert feeder.writer.health().dropped == log.lost_samples > 100_000
+    row = "disk full beyond the queue | limit on the file's size, queue of 1 MiB | newest dropped, exact gap `storage`"
+    measured = f"{log.lost_samples} of {feeder.index} samples not stored, all in gaps"
+    record_property("reliability", f"{row} | {measured}; slowest call {1e3 * feeder.slowest_s:.1f} ms")
     assert "samples from" in next(n.text for n in feeder.told if n.code == "log_overflow")
 
 
-def test_a_disk_that_stays_full_leaves_a_readable_log_and_a_quick_end(tmp_path: Path) -> None:
+def test_a_disk_that_stays_full_leaves_a_readable_log_and_a_quick_end(
+    tmp_path: Path, record_property: Property
+) -> None:
     feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
     with file_size_limit(500_000):
         feeder.until(lambda: feeder.heard("log_fault"))
         begin = time.monotonic()
         feeder.close()
-        assert time.monotonic() - begin < 2.0
+        took = time.monotonic() - begin
+        assert took < 2.0
         assert feeder.heard("log_incomplete")
+        row = "disk still full at the end | limit on the file's size | told, the log readable, the end within 2 s"
+        record_property("reliability", f"{row} | {took:.2f} s")
         stored = assert_right(tmp_path / "a.mcap", complete=False)
         assert stored > 30_000
         assert (tmp_path / "a.mcap").stat().st_size == 500_000
 
 
-def test_the_log_folder_is_removed(tmp_path: Path) -> None:
+def test_the_log_folder_is_removed(tmp_path: Path, record_property: Property) -> None:
     folder = tmp_path / "logs" / "today"
     folder.mkdir(parents=True)
     feeder = Feeder(LogWriter(folder / "a.mcap"))
@@ -139,6 +150,8 @@ def test_the_log_folder_is_removed(tmp_path: Path) -> None:
     feeder.feed(50, 0.002)
     feeder.close()
     assert assert_right(folder / "a.mcap", complete=True) == feeder.index
+    row = "log folder removed | rm -r while it is written | told, the log put back whole"
+    record_property("reliability", f"{row} | 0 samples lost")
 
 
 def test_the_log_is_removed_and_its_name_taken(tmp_path: Path) -> None:
@@ -190,7 +203,7 @@ class StalledFile(LogFile):
 
 @pytest.mark.parametrize("seconds", [1.5])
 def test_a_stalled_disk_never_makes_acquisition_wait(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, record_property: Property
 ) -> None:
     monkeypatch.setattr("daq.log_writer.LogFile", StalledFile)
     StalledFile.gate.clear()
@@ -204,7 +217,11 @@ def test_a_stalled_disk_never_makes_acquisition_wait(
     feeder.until(lambda: feeder.heard("log_resumed"))
     feeder.close()
     assert feeder.slowest_s < 0.2
-    assert assert_right(tmp_path / "a.mcap", complete=True) < feeder.index
+    stored = assert_right(tmp_path / "a.mcap", complete=True)
+    assert stored < feeder.index
+    row = f"disk stalls | a write that hangs for {seconds} s, queue of 1 MiB | the core loop never waits, exact gaps"
+    measured = f"slowest call {1e3 * feeder.slowest_s:.1f} ms; {feeder.index - stored} samples in gaps"
+    record_property("reliability", f"{row} | {measured}")
 
 
 def test_a_disk_stalled_at_the_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -240,12 +257,12 @@ def test_an_import_into_a_full_disk_fails_with_one_line(tmp_path: Path) -> None:
     for call in ("readings", "close"):
         writer = LogWriter(tmp_path / f"{call}.mcap", live=False, limit_bytes=1 << 20)
         feeder = Feeder(writer)
+        feeder.feed(200 if call == "close" else 0)
         with file_size_limit(200_000), pytest.raises(LogError, match="File too large; make room or choose another"):
-            feeder.feed(100_000 if call == "readings" else 200)
-            writer.close()
+            writer.close() if call == "close" else feeder.feed(100_000)
 
 
-def test_memory_stays_bounded_while_the_disk_is_full(tmp_path: Path) -> None:
+def test_memory_stays_bounded_while_the_disk_is_full(tmp_path: Path, record_property: Property) -> None:
     import psutil
 
     process = psutil.Process()
@@ -256,7 +273,8 @@ def test_memory_stays_bounded_while_the_disk_is_full(tmp_path: Path) -> None:
         feeder.feed(20_000)  # 5.1 M samples, 82 MB of counts
         grown = process.memory_info().rss - before
     feeder.close()
-    print(f"disk full for {20_000 * ROWS / RATE_HZ:.0f} s of data: memory grew by {grown / 1e6:.1f} MB")
+    row = f"disk full for {20_000 * ROWS / RATE_HZ:.0f} s of data | as above | memory bounded"
+    record_property("reliability", f"{row} | {grown / 1e6:+.1f} MB")
     assert grown < 12e6
 
 

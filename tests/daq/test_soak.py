@@ -1,0 +1,130 @@
+"""Two hours of data as fast as they go, and five devices at once: memory, handles, gaps, drift of the estimates."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from stand_ins import ScriptedDriver, info_of, paper_rig
+
+from daq.acquire import Device, RunSummary, acquire, acquire_all
+from daq.estimators import maker
+from daq.log_reader import read_log
+from daq.log_writer import LogWriter
+from daq.sink import Session, Status
+from drivers.reading import Block, Reading
+from estimator.estimate import Estimate
+
+pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600)]
+RIG = paper_rig()
+RATE_HZ = 25_600
+ROWS = 2048
+
+
+def noise(seconds: float, seed: int = 0) -> Iterator[list[Reading]]:
+    """Counts of a resonance at 1.1 kHz driven by noise, from a pool that repeats each 41 s."""
+    from scipy.signal import lfilter
+
+    rng = np.random.default_rng(seed)
+    pole = 0.995 * np.exp(2j * np.pi * 1100 / RATE_HZ)
+    drive = rng.standard_normal((512 * ROWS, 4))
+    motion = lfilter([1.0, -2.0, 1.0], [1.0, -2 * pole.real, abs(pole) ** 2], drive, axis=0)
+    pool = np.round(motion / motion.std() * 3000).astype(np.int32)
+    yield [info_of(RIG)]
+    for k in range(int(seconds * RATE_HZ / ROWS)):
+        at = k % 512 * ROWS
+        t_ns = 10**12 + round((k + 1) * ROWS * 1e9 / RATE_HZ)
+        yield [Block(k * ROWS, pool[at : at + ROWS], t_ns)]
+
+
+class Watch:
+    """A sink that notes memory, handles and the estimates each minute of data."""
+
+    def __init__(self) -> None:
+        self.mb: list[float] = []
+        self.handles: list[int] = []
+        self.values: list[dict[str, tuple[float, float]]] = []
+        self._last: Estimate | None = None
+        self._next = 0
+
+    def start(self, session: Session) -> None: ...
+
+    def readings(self, batch: Sequence[Reading]) -> None:
+        for reading in batch:
+            if isinstance(reading, Block) and reading.index >= self._next:
+                self._next += 60 * RATE_HZ
+                self.mb.append(psutil.Process().memory_info().rss / 1e6)
+                self.handles.append(len(os.listdir("/proc/self/fd")))
+                known = self._last.parameters.items() if self._last else ()
+                self.values.append({n: (p.value, p.sd or 0.0) for n, p in known if p.value is not None})
+
+    def estimate(self, estimate: Estimate) -> None:
+        self._last = estimate
+
+    def status(self, status: Status) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def test_two_hours(tmp_path: Path) -> None:
+    seconds = float(os.environ.get("ROTORSCOPE_SOAK_S", "7200"))
+    watch = Watch()
+    begin = time.monotonic()
+    summary = acquire(
+        RIG, ScriptedDriver(noise(seconds), "capture"), [LogWriter(tmp_path / "a.mcap", live=False), watch],
+        make=maker("score-matching", 60.0),
+    )  # fmt: skip
+    speed = seconds / (time.monotonic() - begin)
+    minutes = len(watch.mb)
+    growth = np.median(watch.mb[-5:]) - np.median(watch.mb[minutes // 8 : minutes // 8 + 5])
+    drift = [
+        abs(last[0] - early[0]) / max(early[1], 1e-12)
+        for name, last in watch.values[-1].items()
+        if (early := watch.values[minutes // 4].get(name))
+    ]
+    print(
+        f"\n{seconds / 3600:.1f} h of data at {speed:.0f} times real time: {summary.lost_samples} lost, memory "
+        f"{watch.mb[minutes // 8]:.0f} -> {watch.mb[-1]:.0f} MB ({growth:+.1f}), handles {min(watch.handles[2:])} to "
+        f"{max(watch.handles[2:])}, largest move of an estimate {max(drift, default=0.0):.2f} sd of {len(drift)}"
+    )
+    assert summary.samples == int(seconds * RATE_HZ / ROWS) * ROWS
+    assert summary.gaps == ()
+    assert growth < 5.0
+    assert max(watch.handles[2:]) - min(watch.handles[2:]) <= 1
+    assert speed > 20
+    assert all(d < 5 for d in drift)
+    log = read_log(tmp_path / "a.mcap")
+    assert log.complete
+    assert log.n_samples == summary.samples
+
+
+def test_five_devices_at_once_in_real_time(tmp_path: Path) -> None:
+    """Five devices of four channels at 25.6 kS/s in one process for 20 s: no gap, and each log replays."""
+
+    def paced(seed: int) -> Iterator[list[Reading]]:
+        begin = time.monotonic()
+        for batch in noise(20.0, seed):
+            for block in batch:
+                if isinstance(block, Block):
+                    time.sleep(max(0.0, begin + (block.index + ROWS) / RATE_HZ - time.monotonic()))
+            yield [Block(b.index, b.counts, time.monotonic_ns()) if isinstance(b, Block) else b for b in batch]
+
+    cpu, begin = time.process_time(), time.monotonic()
+    devices = [
+        Device(f"d{n}", RIG, ScriptedDriver(paced(n)), [LogWriter(tmp_path / f"{n}.mcap")]) for n in range(5)
+    ]
+    outcome = acquire_all(devices, make=maker("score-matching", 10.0))
+    cores = (time.process_time() - cpu) / (time.monotonic() - begin)
+    for n in range(5):
+        summary = outcome[f"d{n}"]
+        assert isinstance(summary, RunSummary)
+        assert summary.gaps == ()
+        log = read_log(tmp_path / f"{n}.mcap")
+        assert log.complete
+        assert log.n_samples == summary.samples
+    print(f"\nfive devices of 25.6 kS/s with estimators and logs: {cores:.2f} cores, no gap")
