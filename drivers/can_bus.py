@@ -80,6 +80,8 @@ class BusSource:
         self._bulk: BulkReceiver | None = None
         self._events: list[Event] = []
         self._spins = 0
+        self._lost = 0  # frames the kernel threw away, until we have read past that place
+        self._drained = False
 
     def open(self) -> None:
         self._bus = self._connect(self._config)
@@ -103,14 +105,23 @@ class BusSource:
     def receive(self, timeout_s: float) -> CanFrames | None:
         started_s, cpu_s = time.monotonic(), time.thread_time()
         frames = self._receive_all(timeout_s) if self._bulk is None else self._receive_bulk(self._bulk, timeout_s)
-        if self._queue is not None and (lost := self._queue.lost()):
-            text = f"the kernel's queue was full: {lost} frames of the bus lost because this host was too slow"
-            self._events.append(Event("error", "kernel_overflow", text, "overflow"))
+        if self._queue is not None:
+            self._look_for_losses(self._queue, 0 if frames is None else len(frames))
         if frames is not None:
             self._spins = 0
             return frames
         self._check_spin(time.monotonic() - started_s, time.thread_time() - cpu_s)
         return None
+
+    def _look_for_losses(self, queue: KernelQueue, received: int) -> None:
+        """What the kernel lost lies behind all that it held then: blame it until the queue has been empty."""
+        self._lost += queue.lost()
+        if self._lost and (received or not self._drained):
+            text = f"the kernel's queue was full: {self._lost} frames of the bus lost because this host was too slow"
+            self._events.append(Event("error", "kernel_overflow", text, "overflow"))
+        if self._drained and received:
+            self._lost = 0
+        self._drained = self._lost > 0 and (self._drained or queue.empty)
 
     def _receive_all(self, timeout_s: float) -> CanFrames | None:
         """What python-can's interface has, one message at a time."""

@@ -51,6 +51,7 @@ class KernelQueue:
             with contextlib.suppress(OSError):
                 self._socket.setsockopt(socket.SOL_SOCKET, option, QUEUE_BYTES)
                 break
+        self.empty = True  # when it was last looked at
         self._seen = self._drops()
 
     def lost(self) -> int:
@@ -64,6 +65,7 @@ class KernelQueue:
         except OSError:
             return 0
         values = struct.unpack(f"{len(told) // 4}I", told)
+        self.empty = values[0] == 0
         return int(values[_DROPS]) if len(values) > _DROPS else 0
 
 
