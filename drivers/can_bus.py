@@ -29,6 +29,9 @@ def open_bus(config: CanConfig) -> Any:
     if config.interface not in can.VALID_INTERFACES:
         known = ", ".join(sorted(can.VALID_INTERFACES))
         raise LinkOpenError(f"{config.target}: python-can has no interface {config.interface!r}; it has {known}")
+    if config.interface == "serial":
+        text = "python-can's serial interface has no check sum and loses its place after one lost byte"
+        raise LinkOpenError(f"{config.target}: {text}: use serial: with protocol v1, or slcan:")
     if config.interface == "socketcand":
         _probe(config)  # python-can tries for 10 s at full load when nobody listens
     if config.interface == "socketcan":
@@ -42,7 +45,7 @@ def open_bus(config: CanConfig) -> Any:
         return can.Bus(interface=config.interface, channel=config.channel, ignore_config=True, **arguments)
     except can.CanInterfaceNotImplementedError as error:
         raise LinkUnavailable(f"{config.target}: {_line(error)}: install what this interface needs") from error
-    except (can.CanError, OSError, ValueError, TypeError, TimeoutError, ImportError) as error:
+    except Exception as error:  # interfaces raise their vendors' own errors, down to NameError
         raise LinkOpenError(f"{config.target}: {_line(error)}: {_advice(config)}") from error
 
 

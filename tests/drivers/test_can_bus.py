@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import pty
 import socket
 import struct
 import threading
 import time
+import tty
 import uuid
 from collections.abc import Iterator
 
@@ -17,11 +20,12 @@ from ramp_device import Record, ramp_device, read_until
 from drivers.can_bus import BusSource
 from drivers.can_errors import describe_error
 from drivers.can_frames import EXTENDED, CanFrames
-from drivers.errors import LinkOpenError
+from drivers.errors import LinkError, LinkOpenError
 from drivers.link import LinkLost
 from drivers.links import CanConfig, VirtualConfig, make_driver, parse_link
 from drivers.reading import Driver
 from drivers.simulated import WireFrame
+from drivers.slcan_codec import encode_line
 from drivers.socketcan import BulkReceiver
 
 
@@ -189,6 +193,42 @@ def test_wrong_interface_and_wrong_channel_are_said() -> None:
         make_driver(parse_link("can:socketcan:nonesuch0")).open()
     with pytest.raises(LinkOpenError, match="host"):
         make_driver(parse_link("can:socketcand:can0")).open()
+
+
+def test_interfaces_whose_library_is_missing_are_said_in_one_line() -> None:
+    """Some of python-can's raise NameError. udp_multicast, which loses frames silently, needs a library of its own."""
+    for interface in ("kvaser", "pcan", "vector", "nican", "ixxat", "usb2can", "neovi", "udp_multicast"):
+        with pytest.raises(LinkError, match=f"can:{interface}:0") as caught:
+            make_driver(parse_link(f"can:{interface}:0")).open()
+        assert "\n" not in str(caught.value)
+
+
+def test_python_cans_serial_interface_is_refused() -> None:
+    """It has no check sum: after one lost byte 1 of 20 frames survived."""
+    with pytest.raises(LinkOpenError, match="use serial: with protocol v1"):
+        make_driver(parse_link("can:serial:/dev/ttyUSB0")).open()
+
+
+def test_python_cans_slcan_as_a_bus_survives_what_kills_its_notifier() -> None:
+    """Bad hex raises ValueError in recv(); a line a byte short arrives as dlc 8 with 7 bytes."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    device = ramp_device("fd16", seconds=None)
+    driver = make_driver(parse_link(f"can:slcan:{os.ttyname(slave)}?option.sleep_after_open=0"))
+    driver.open()
+    good = [encode_line(f.identifier, f.data, fd=True) for f in device.next(3)]
+    os.write(master, b"".join(good))
+    record = read_until(driver, Record(), lambda r: r.samples >= 21)
+    os.write(master, b"t3008112233445566778G\r")
+    read_until(driver, record, lambda r: {"link_lost", "link_back"} <= r.codes())
+    lines = [encode_line(f.identifier, f.data, fd=True) for f in device.next(3)]
+    os.write(master, lines[0] + lines[1][:-3] + b"\r" + lines[2])
+    read_until(driver, record, lambda r: r.samples >= 35)
+    driver.close()
+    os.close(master)
+    os.close(slave)
+    assert record.offset == 0
+    assert [(gap.count, gap.reason) for gap in record.gaps] == [(7, "crc")]
 
 
 def test_other_frames_on_the_bus_are_passed_over() -> None:
