@@ -78,7 +78,7 @@ class CanDecoder:
 
     def _announce(self, info: Info | None, out: list[Reading]) -> None:
         if info is not None:
-            self._axis.rate_hz = info.rate_hz
+            self._axis.describe(info.rate_hz)
             out.append(info)
 
     def _ours(self, flags: int, t_host_ns: int) -> bool:

@@ -47,6 +47,12 @@ class Continuity:
         self._causes: set[str] = set()
         self._holes: deque[tuple[int, int]] = deque(maxlen=64)
 
+    def describe(self, rate_hz: float) -> None:
+        """A new description of the device: what comes is not a continuation of what came."""
+        self.rate_hz = rate_hz
+        if self._anchor is not None:
+            self._anchor.epoch = -1
+
     def cause(self, reason: str) -> None:
         if self._anchor is not None:
             self._causes.add(reason)
@@ -89,7 +95,7 @@ class Continuity:
         time_us = None if f.time_us is None else int(f.time_us[start])
         if last is not None:
             if int(f.epoch[start]) != last.epoch:
-                self._restart("its start number changed", (stop - start) * rows, t_host_ns, out)
+                self._restart("another start number or description", (stop - start) * rows, t_host_ns, out)
             else:
                 time_us = self._unwrap(last, time_us, f.time_modulus, t_host_ns)
                 behind = self._join(last, f, start, stop, time_us, t_host_ns, out)

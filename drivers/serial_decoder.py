@@ -86,7 +86,7 @@ class SerialDecoder:
             for body in bodies:
                 info = self._device.record(body[8:].tobytes(), t_host_ns)
                 if info is not None:
-                    self._axis.rate_hz = info.rate_hz
+                    self._axis.describe(info.rate_hz)
                     out.append(info)
         elif kind in (KIND_SAMPLES16, KIND_SAMPLES24) and length >= _HEAD.itemsize:
             self._samples(bodies, SERIAL16 if kind == KIND_SAMPLES16 else SERIAL24, t_host_ns, out)

@@ -138,6 +138,18 @@ def test_restart_is_as_long_as_the_hosts_clock_says() -> None:
         assert record.lost("restart") == pytest.approx(away, rel=0.01)
 
 
+@pytest.mark.parametrize("layout", ["fd16", "serial16"])
+def test_another_description_begins_anew(layout: str) -> None:
+    """Another rate on the same line, counter and epoch alike: told, and never joined as if nothing had happened."""
+    wire = Wire(device_of(layout))
+    wire.run(100)
+    slow = ramp_device(layout, 12_800.0, None, rows=16)
+    wire.feed(slow.next(100))
+    assert [info.rate_hz for info in wire.record.infos] == [25_600.0, 12_800.0]
+    assert [gap.reason for gap in wire.record.gaps] == ["restart"]
+    assert wire.record.codes() == {"info_changed", "device_restart"}
+
+
 def test_restart_without_epochs_is_seen_by_the_clock() -> None:
     device = device_of("fd16", Fault("restart", 200, 100))
     device._epoch = 0
