@@ -7,12 +7,15 @@ and K = sum beta_k kappa_k, to second order
 
     < phi_j' G > = (<phi_j'> - Sigma_j) <G>,    Sigma_j(f) = FT[ C_jK(tau) g(tau) ],   tau > 0,
 
-C_jK the covariance of kappa_j with K a time tau before, g the impulse response. Over all frequencies Sigma_j adds
-nothing (causality), but it moves the response to a law from low to high frequencies: for Coulomb friction, whose
-tangent is a train of impulses, 5 % of it leaves a band of 8 kHz, and the friction would come out 15 % too high.
+C_jK the covariance of kappa_j with K a time tau before, g the impulse response, itself dressed by K. Over all
+frequencies Sigma_j adds nothing (causality), but it moves the response to a law from low to high frequencies: for
+Coulomb friction, whose tangent is a train of impulses, 5 % of it leaves a band of 8 kHz, and the friction would come
+out 15 % too high.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,14 +28,24 @@ from .record import Record, stretches
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 SECONDS = 8.0  # of the record that the covariances are taken from
+ROUNDS = 10  # of the self-consistent response
+
+
+@dataclass(frozen=True, slots=True)
+class Mean:
+    """The mean response at a place: m x'' + c x' + k x = F, effects included by their mean tangents. SI."""
+
+    m: float
+    c: float
+    k: float
 
 
 def self_energies(
-    record: Record, columns: Columns, linear: Floats, damping: Floats, f_hz: Floats, seconds: float = SECONDS
+    record: Record, columns: Columns, B: Floats, mean: list[Mean], f_hz: Floats, seconds: float = SECONDS
 ) -> Complexes:
     """(f, columns, columns) N/m, at f_hz, per pair of law columns at one place: Sigma_j is its sum over k times B_k.
 
-    linear : (places, 3) m, kL, c; damping : (places,) of the mean response, with that of the effects, N s/m.
+    B : (places, columns) coefficients of the balance; mean : of each place.
     """
     balance = columns.balance
     out = np.zeros((f_hz.size, len(balance.columns), len(balance.columns)), complex)
@@ -43,48 +56,62 @@ def self_energies(
             if c.kind == "law" and c.row == row and balance.laws[c.law].effect.kind == "force"
         ]
         if laws:
-            out[:, np.array(laws)[:, None], laws] = _at_place(
-                record, columns, laws, linear[row], damping[row], f_hz, seconds
-            )
+            C, dt = _covariances(record, columns, laws, mean[row], seconds)
+            pairs = _self_consistent(C, dt, B[row, laws], mean[row], f_hz)
+            out[:, np.array(laws)[:, None], laws] = pairs
     return out
 
 
-def _at_place(
-    record: Record, columns: Columns, laws: list[int], linear: Floats, damping: float, f_hz: Floats, seconds: float
-) -> Complexes:
-    grid = record.grid
-    m, kL, _ = linear
-    usable = valid_blocks(record.motion.valid, grid)[::2]  # each row once
-    usable = usable[: max(2, int(seconds * record.rate_hz / grid.size))]
+def _covariances(record: Record, columns: Columns, laws: list[int], mean: Mean, seconds: float) -> tuple[Floats, float]:
+    """(laws, laws, 2, 2, lags) <kappa_ja(t + lag) kappa_kb(t)>, a and b: along x and v; and the time step."""
+    usable = valid_blocks(record.motion.valid, record.grid)[::2]  # each row once
+    usable = usable[: max(2, int(seconds * record.rate_hz / record.grid.size))]
     series, factor = _series(record, columns, laws, usable)  # (laws, 2, blocks, n)
     dt = 1.0 / (factor * record.rate_hz)
     series -= series.mean(axis=(2, 3), keepdims=True)
-    length = min(series.shape[3], 1 << int(np.ceil(np.log2(14.0 * m / damping / dt))))
-    pieces = series[..., : series.shape[3] // length * length].reshape(len(laws), 2, -1, length)
-    Z = np.fft.rfft(pieces, 2 * length, axis=3)
-    tau = np.arange(length) * dt
-    decay, wd = damping / (2 * m), np.sqrt(max(kL / m - (damping / (2 * m)) ** 2, 1.0))
-    taper = np.exp(-((tau / (0.8 * tau[-1])) ** 8)) * dt
-    taper[0] *= 0.5
-    gx = np.exp(-decay * tau) * np.sin(wd * tau) / (m * wd) * taper
-    gv = np.exp(-decay * tau) * (np.cos(wd * tau) - decay / wd * np.sin(wd * tau)) / m * taper
-    g = np.stack([gx, gv])
-    f = np.fft.rfftfreq(2 * length, dt)
+    lags = min(series.shape[3], 1 << int(np.ceil(np.log2(14.0 * mean.m / mean.c / dt))))
+    pieces = series[..., : series.shape[3] // lags * lags].reshape(len(laws), 2, -1, lags)
+    Z = np.fft.rfft(pieces, 2 * lags, axis=3)
+    C = np.empty((len(laws), len(laws), 2, 2, lags))
+    for j, k, a, b in np.ndindex(C.shape[:4]):
+        if Z[j, a].any() and Z[k, b].any():
+            cross = np.einsum("bf,bf->f", Z[j, a], Z[k, b].conj()) / Z.shape[2]
+            C[j, k, a, b] = np.fft.irfft(cross, 2 * lags)[:lags] / (lags - np.arange(lags))
+        else:
+            C[j, k, a, b] = 0.0
+    return C, dt
+
+
+def _self_consistent(C: Floats, dt: float, B: Floats, mean: Mean, f_hz: Floats) -> Complexes:
+    """(f, laws, laws) self-energies, with the response in them dressed by their own sum (causal at any strength)."""
+    lags = C.shape[4]
+    tau, f = np.arange(lags) * dt, np.fft.rfftfreq(2 * lags, dt)
+    iw = 2j * np.pi * f
+    weight = np.exp(-((tau / (0.8 * tau[-1])) ** 8)) * dt
+    weight[0] *= 0.5
+    D = mean.k + iw * mean.c + iw**2 * mean.m
+    decay = mean.c / (2 * mean.m)
+    wd = np.sqrt(max(mean.k / mean.m - decay**2, 1.0))
+    bare = np.exp(-decay * tau) * np.sin(wd * tau) / (mean.m * wd)
+    bare_v = np.exp(-decay * tau) * (np.cos(wd * tau) - decay / wd * np.sin(wd * tau)) / mean.m
+
+    def transform(K: Floats, g: Floats) -> Complexes:
+        lagged = np.einsum("abt,at->bt", K, g * weight)
+        both = np.fft.rfft(lagged, 2 * lags, axis=1)
+        return np.asarray(both[0] + iw * both[1])
+
+    total = np.einsum("j,k,jkabt->abt", B, B, C)
+    sigma, g = np.zeros(f.size, complex), np.stack([bare, bare_v])
+    for _ in range(ROUNDS):
+        sigma = 0.5 * (sigma + transform(total, g))
+        change = 1.0 / (D - sigma) - 1.0 / D
+        g = np.stack([bare, bare_v]) + np.fft.irfft(np.stack([change, iw * change]), axis=1)[:, :lags] / dt
     keep = np.searchsorted(f, [f_hz[0], f_hz[-1]]) + np.array([-1, 1])
     part = slice(max(keep[0], 0), keep[1] + 1)
-    iw = 2j * np.pi * f[part]
-    out = np.empty((f_hz.size, len(laws), len(laws)), complex)
-    for j in range(len(laws)):
-        for k in range(len(laws)):
-            sigma = np.zeros(iw.size, complex)
-            for b in range(2):
-                lagged = np.zeros(length)
-                for a in range(2):
-                    cross = np.mean(Z[j, a] * Z[k, b].conj(), axis=0)
-                    C = np.fft.irfft(cross, 2 * length)[:length] / (length - np.arange(length))
-                    lagged += C * g[a]
-                sigma += np.fft.rfft(lagged, 2 * length)[part] * iw**b
-            out[:, j, k] = np.interp(f_hz, f[part], sigma.real) + 1j * np.interp(f_hz, f[part], sigma.imag)
+    out = np.empty((f_hz.size, B.size, B.size), complex)
+    for j, k in np.ndindex(B.size, B.size):
+        z = transform(C[j, k], g)[part]
+        out[:, j, k] = np.interp(f_hz, f[part], z.real) + 1j * np.interp(f_hz, f[part], z.imag)
     return out
 
 
@@ -103,6 +130,17 @@ def _series(record: Record, columns: Columns, laws: list[int], usable: NDArray[n
             for a, z in enumerate((kx, kv)):
                 out[j, a, b] = z if own == factor else np.interp(fine, np.arange(grid.size), z)
     return out, factor
+
+
+def mean_responses(balance: Balance, B: Floats, tangents: Floats) -> list[Mean]:
+    """Of each place, from the coefficients and the mean tangents (columns, 4); the shaft's springs are left out."""
+    P = len(balance.places)
+    out = []
+    for i in range(P):
+        law = np.array([c.kind == "law" and c.row == i for c in balance.columns])
+        k, c = (float(B[i, n * P + i] + B[i, law] @ tangents[law, a]) for n, a in ((2, 0), (1, 1)))
+        out.append(Mean(float(B[i, i]), c, k))
+    return out
 
 
 def dressed(pairs: Complexes, balance: Balance, B: Floats, f_hz: Floats) -> Complexes:

@@ -107,6 +107,14 @@ class Likelihood:
         gain = np.abs(A) ** 2 * self.noise_shape[:, None, :]
         return self.evidence.nodes.mean_by_cell(gain, self.evidence.grid.per_cell)
 
+    def damping(self, beta: Floats) -> Floats:
+        """(places,) N s/m, mean damping of each place, that of the effects included.
+
+        Only its sign matters here: the likelihood has a mirror image, as good as itself, at negative damping.
+        """
+        B, P = self.evidence.balance.coefficients(beta), len(self.evidence.balance.places)
+        return np.array([B[i, P + i] + B[i] @ self.evidence.tangents[:, 1] for i in range(P)])
+
     def power(self, beta: Floats) -> tuple[Floats, Floats]:
         """(cells, P) mean |F|^2 and (cells, P, P) gain of the sensor noise."""
         B = self.evidence.balance.coefficients(beta)
@@ -252,7 +260,8 @@ def maximise(likelihood: Likelihood, start: Point, iterations: int = 40, toleran
     for _ in range(iterations):
         step, decrement = _step(here, damping)
         trial = profiled(here.point.beta + step, here.point)
-        if np.isfinite(trial.nll) and trial.nll <= here.nll + 1e-9 * abs(here.nll):
+        stable = likelihood.damping(trial.point.beta).min() > 0 or likelihood.damping(here.point.beta).min() <= 0
+        if stable and np.isfinite(trial.nll) and trial.nll <= here.nll + 1e-9 * abs(here.nll):
             here, damping, tried = trial, damping / 8 if damping > 1e-4 else 0.0, damping
             if decrement < tolerance and tried == 0.0:
                 return here, True

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .balance import Balance, build
 from .columns import Columns
-from .dressing import dressed, self_energies
+from .dressing import dressed, mean_responses, self_energies
 from .likelihood import Likelihood, Local, Point, active, maximise
 from .model import Model
 from .record import Bank, Record, gather
@@ -19,6 +19,7 @@ from .start import Start
 Floats = NDArray[np.float64]
 SECONDS = 12.0  # of the record that shapes are sought on before all of it is used
 ROUGH_ROUNDS, ROUNDS = 8, 5
+DRESSINGS = 3
 SETTLED = 0.1  # of a standard deviation: a step that no longer matters
 REACH = 0.3  # largest step in a shape, of its value
 
@@ -103,28 +104,40 @@ def _move(balance: Balance, local: Local, values: dict[str, float], last: bool) 
 
 def pairs_of(record: Record, start: Start, bank: Bank, local: Local) -> NDArray[np.complex128] | None:
     """Self-energies of the laws (dressing.py) at a point; None if no law needs them."""
-    balance, P = bank.balance, len(bank.balance.places)
+    balance = bank.balance
     if not any(law.effect.kind == "force" for law in balance.laws):
         return None
-    columns = Columns(balance, record.scales, start.widths, start.linear)
     B = balance.coefficients(local.point.beta)
-    damping = np.array([B[i, P + i] + B[i] @ bank.tangents[:, 1] for i in range(P)])
-    return self_energies(record, columns, start.linear, np.maximum(damping, 0.1 * start.c), start.nodes.f_hz)
+    mean = mean_responses(balance, B, bank.tangents)
+    if any(m.c <= 0 or m.k <= 0 for m in mean):
+        return None
+    columns = Columns(balance, record.scales, start.widths, start.linear)
+    return self_energies(record, columns, B, mean, start.nodes.f_hz)
 
 
 def dress(
     bank: Bank, start: Start, local: Local, pairs: NDArray[np.complex128] | None, converged: bool
 ) -> tuple[Likelihood, Local, bool]:
-    """The maximum with the responses of the laws dressed, which depends on the parameters a little."""
+    """The maximum with the responses of the laws dressed, which depends on the parameters a little.
+
+    Where the nonlinearity is so strong that the second order does not settle, the mean tangents are kept.
+    """
     evidence = bank.evidence(start.nodes)
-    likelihood = Likelihood(evidence)
+    bare = Likelihood(evidence), local, converged
     if pairs is None:
-        return likelihood, local, converged
-    for _ in range(2):
+        return bare
+    sd = np.sqrt(np.diag(inverse(local))[: local.point.beta.size])
+    moves = []
+    likelihood = bare[0]
+    for _ in range(DRESSINGS):
         B = bank.balance.coefficients(local.point.beta)
         likelihood = Likelihood(replace(evidence, dressing=dressed(pairs, bank.balance, B, start.nodes.f_hz)))
+        before = local.point.beta
         local, converged = maximise(likelihood, local.point)
-    return likelihood, local, converged
+        moves.append(float(np.nanmax(np.abs(local.point.beta - before) / sd)))
+        if moves[-1] < SETTLED:
+            return likelihood, local, converged
+    return (likelihood, local, converged) if moves[-1] < 0.5 * moves[0] else bare
 
 
 def inverse(local: Local) -> Floats:

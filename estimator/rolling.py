@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from .balance import Balance, build, force_channels, motion_channels, shaft_response
 from .bandlimit import BandLimit, Motion
 from .columns import Columns
-from .dressing import dressed, self_energies
+from .dressing import dressed, mean_responses, self_energies
 from .errors import DataError
 from .estimate import Estimate
 from .features import MARGIN
@@ -206,14 +206,10 @@ class _Fitted:
         return initial(self.balance, self.start, values)
 
     def _dress(self, record: Record) -> None:
-        if any(law.effect.kind == "force" for law in self.balance.laws):
-            P = len(self.balance.places)
-            B = self.balance.coefficients(self.local.point.beta)
-            mean = self.slow.tangents[:, 1] / self.slow.rows
-            damping = np.maximum([B[i, P + i] + B[i] @ mean for i in range(P)], 0.1 * self.start.c)
-            self.pairs = self_energies(
-                record, self.columns, self.start.linear, damping, self.start.nodes.f_hz, WARM_UP_S
-            )
+        B = self.balance.coefficients(self.local.point.beta)
+        mean = mean_responses(self.balance, B, self.slow.tangents / self.slow.rows)
+        if any(law.effect.kind == "force" for law in self.balance.laws) and all(m.c > 0 and m.k > 0 for m in mean):
+            self.pairs = self_energies(record, self.columns, B, mean, self.start.nodes.f_hz, WARM_UP_S)
 
     def forget(self) -> None:
         self.slow.forget()
