@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 
 from rich.table import Table
@@ -10,7 +9,7 @@ from rich.text import Text
 
 from .log_reader import Recording, read_log
 from .output import Output
-from .tables import gap_lines
+from .tables import gap_lines, gap_reasons
 
 MOST_LINES = 10
 
@@ -33,9 +32,7 @@ def _rows(log: Recording) -> list[tuple[str, str]]:
         ("channels", ", ".join(f"{s.name} [{s.unit}]" for s in log.info.signals)),
     ]
     if log.lost_samples:
-        reasons = Counter(g.reason for g in log.gaps if g.count)
-        named = ", ".join(f"{n} by {reason}" for reason, n in reasons.items())
-        rows.append(("lost", f"{log.lost_samples} samples in {sum(reasons.values())} gaps: {named}"))
+        rows.append(("lost", f"{log.lost_samples} samples in {gap_reasons(log.gaps)}"))
         rows += [("", line) for line in gap_lines(log.gaps, log.first, log.rate_hz)]
     else:
         rows.append(("lost", "nothing"))

@@ -17,7 +17,7 @@ from .output import Output
 from .rig import Rig, load_rig
 from .sink import Sink
 from .stop import Stop
-from .tables import gap_lines, parameters_table
+from .tables import gap_lines, gap_reasons, parameters_table
 
 LOG_LOST = ("log_incomplete", "log_failed")
 
@@ -234,7 +234,7 @@ def _report(output: Output, summary: RunSummary, out: Path | None, more: dict[st
     elif estimate is not None:
         people.append(f"no estimate: {estimate.status}")
     people += gap_lines(summary.gaps)
-    lost = f", {summary.lost_samples} lost in {len(summary.gaps)} gaps" if summary.lost_samples else ", none lost"
+    lost = f", {summary.lost_samples} lost in {gap_reasons(summary.gaps)}" if summary.lost_samples else ", none lost"
     people.append(f"{summary.seconds:.3f} s, {summary.samples} samples of each channel{lost}")
     if out is not None:
         people.append(f"log: {out}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from rich.table import Table
@@ -63,6 +64,14 @@ def gap_lines(gaps: Sequence[Gap], first: int = 0, rate_hz: float | None = None,
         at = "" if rate_hz is None else f", t = {(g.index - first) / rate_hz:.6g} s"
         lines.append(f"gap: {g.count} samples from index {g.index} on{at} ({g.reason})")
     return [*lines, f"... and {len(real) - most} more gaps"] if len(real) > most else lines
+
+
+def gap_reasons(gaps: Sequence[Gap]) -> str:
+    """How many gaps by which reason: "3 gaps: 2 by crc, 1 by reconnect"."""
+    reasons = Counter(g.reason for g in gaps if g.count)
+    named = ", ".join(f"{n} by {reason}" for reason, n in reasons.items())
+    total = sum(reasons.values())
+    return f"{total} gap{'s' if total != 1 else ''}: {named}"
 
 
 def ladder_table(rows: list[dict[str, object]]) -> Table:

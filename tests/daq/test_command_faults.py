@@ -1,0 +1,273 @@
+"""`rotorscope run` against devices and cables that fail: each loss has a gap, a counter and a line at the end."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pty
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from ramp_device import PERIOD, ramp_device
+
+from daq.cli import main
+from daq.log_reader import Recording, read_log
+from drivers import cobs
+from drivers.faults import Fault
+from drivers.reading import Block
+from drivers.simulated import SimulatedDevice, WireFrame
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+Row = Callable[[str, object], None]
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    text = (CONFIGS / "tiwari_vyas_1997.toml").read_text()
+    path = tmp_path / "rig.toml"
+    path.write_text(text.replace('method = "spectral"', 'method = "score-matching"'))
+    return path
+
+
+def assert_ramp(log: Recording, pieces: int = 1) -> None:
+    """Every sample that is there lies where it should; the rest is gaps."""
+    assert log.complete, log.damage
+    counts = log.counts().astype(np.int64)
+    there = counts[:, 0] > np.iinfo(np.int32).min
+    assert int((~there).sum()) == log.lost_samples == sum(g.count for g in log.gaps)
+    shift = (counts[there][:, 0] + PERIOD // 2 - log.first - np.flatnonzero(there)) % PERIOD
+    assert len(np.unique(shift)) <= pieces
+
+
+# What a device or a link can do, when (in frames of 64 samples, 400 a second), and what the log then says.
+FAULTS = {
+    "sequence": Fault("drop", 200, 3),
+    "device_lost": Fault("device_lost", 260, 4),
+    "crc": Fault("flip", 320, 2),
+    "version": Fault("version", 380, 5),
+    "stuck": Fault("stuck", 440, 4),
+    "duplicate": Fault("duplicate", 500, 2),
+    "reordered": Fault("reorder", 560, 1),
+    "restart": Fault("restart", 1160, 40),
+}
+QUIET_S = 1.55, 2.75  # and nothing at all on the line: frames 620 to 1099
+CODES = {"crc", "other_version", "stuck_counter", "duplicate", "reordered", "silent", "device_restart"}
+
+
+class Talker:
+    """A device on TCP that begins when somebody connects."""
+
+    def __init__(self, device: SimulatedDevice) -> None:
+        self._device = device
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._talk)
+
+    def __enter__(self) -> str:
+        self._thread.start()
+        return f"serial:socket://127.0.0.1:{self._listener.getsockname()[1]}"
+
+    def __exit__(self, *error: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._listener.close()
+
+    def _talk(self) -> None:
+        client, _ = self._listener.accept()
+        begin, waiting = time.monotonic(), list[WireFrame]()
+        with client, contextlib.suppress(OSError):  # the reader leaves first
+            while not self._stop.wait(0.005):
+                waiting = waiting or self._device.next(8)
+                while waiting and waiting[0].due_s < time.monotonic() - begin:
+                    frame = waiting.pop(0)
+                    if not QUIET_S[0] <= frame.due_s < QUIET_S[1]:
+                        client.sendall(_damage(cobs.encode(frame.data), frame.damaged))
+
+
+def _damage(wire: bytes, how: str) -> bytes:
+    return wire[:30] + bytes((wire[30] ^ 1,)) + wire[31:] if how else wire
+
+
+def test_every_fault_of_a_device_is_in_log_status_and_summary(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], record_property: Row
+) -> None:
+    path, result = tmp_path / "a.mcap", tmp_path / "run.json"
+    with Talker(ramp_device("serial16", seconds=None, faults=tuple(FAULTS.values()))) as url:
+        command = ["run", str(rig), "--link", url, "--seconds", "3.4", "--out", str(path), "--json", str(result)]
+        assert main(command) == 0
+    said = capsys.readouterr().out
+    log, summary = read_log(path), json.loads(result.read_text())
+    assert_ramp(log, pieces=2)
+    lost = {reason: sum(g.count for g in log.gaps if g.reason == reason) for reason in {g.reason for g in log.gaps}}
+    wanted = {"device_lost": 256, "crc": 128, "version": 320, "stuck": 256}
+    assert {reason: lost[reason] for reason in wanted} == wanted
+    assert lost["sequence"] == (3 + 1) * 64  # dropped, and late
+    assert lost["silent"] == 480 * 64
+    assert 0 < lost["restart"] < 2 * 40 * 64  # only the host's clock can say, and this host may be busy
+    assert {n.code for n in log.notices} >= CODES
+    assert summary["lost_samples"] == log.lost_samples == sum(g["count"] for g in summary["gaps"])
+    assert summary["link"]["crc_errors"] == 2
+    assert summary["link"]["restarts"] == 1
+    status = log.last_status
+    assert status is not None
+    assert status.link.lost_samples == log.lost_samples
+    assert (status.link.crc_errors, status.link.restarts, status.link.duplicates) == (2, 1, 2)
+    assert status.link.other["other_version"] == 5
+    assert f"{log.lost_samples} lost in {len([g for g in log.gaps if g.count])} gaps: " in said
+    for reason in lost:
+        assert reason in said
+    how = "frames dropped, damaged, doubled, swapped, of another version; a stuck counter, silence, a restart"
+    promised = "each named in the log, a gap by reason, counted in status and summary"
+    measured = f"{len(log.gaps)} gaps of {log.lost_samples} samples, the others at their places"
+    record_property("reliability", f"faults of a device | {how} | {promised} | {measured}")
+
+
+class Cable:
+    """A pty behind a name that stays; a thread sends the device's frames at their pace while it is plugged in."""
+
+    def __init__(self, name: Path) -> None:
+        self.name = name
+        self._device = ramp_device("serial16", seconds=None)
+        self._lock = threading.Lock()
+        self._ends: tuple[int, int] | None = None
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._send)
+        self.plug()
+        self._thread.start()
+
+    def plug(self) -> None:
+        master, slave = pty.openpty()
+        tty.setraw(slave)
+        os.set_blocking(master, False)
+        with self._lock:
+            self._ends = master, slave
+        self.name.symlink_to(os.ttyname(slave))
+
+    def pull(self) -> None:
+        self.name.unlink()
+        with self._lock:
+            assert self._ends is not None
+            for fd in self._ends:
+                os.close(fd)
+            self._ends = None
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        if self._ends is not None:
+            self.pull()
+
+    def _send(self) -> None:
+        begin, held = time.monotonic(), b""
+        while not self._stop.wait(0.02):
+            n = (round((time.monotonic() - begin) * 25_600) - self._device.samples_made) // 64
+            frames = self._device.next(n) if n > 0 else []
+            with self._lock:
+                if self._ends is None:
+                    held = b""  # nothing there to send it to
+                    continue
+                held += b"".join(cobs.encode(frame.data) for frame in frames)
+                with contextlib.suppress(BlockingIOError):  # a busy host: later
+                    held = held[os.write(self._ends[0], held) :]
+
+
+@pytest.fixture
+def cable(tmp_path: Path) -> Iterator[Cable]:
+    cable = Cable(tmp_path / "ttyUSB")
+    yield cable
+    cable.close()
+
+
+def run(rig: Path, *arguments: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "daq", "run", str(rig), *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(path: Path, done: Callable[[Recording], bool], seconds: float = 40.0) -> Recording:
+    end = time.monotonic() + seconds
+    while True:
+        if path.exists() and path.stat().st_size > 20_000 and done(log := read_log(path)):
+            return log
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
+def stop(process: subprocess.Popen[str], path: Path) -> tuple[float, str]:
+    """SIGTERM; seconds until the log was closed, and what was said."""
+    process.send_signal(signal.SIGTERM)
+    asked, asked_s = time.monotonic(), time.time()
+    out, error = process.communicate(timeout=20)
+    assert process.returncode == 0, error
+    closed = path.stat().st_mtime - asked_s
+    print(f"log closed after {closed:.2f} s, process gone after {time.monotonic() - asked:.2f} s")
+    return closed, out
+
+
+def test_a_pulled_cable_costs_next_to_no_cpu_and_comes_back(
+    rig: Path, cable: Cable, tmp_path: Path, record_property: Row
+) -> None:
+    path = tmp_path / "a.mcap"
+    process = run(rig, "--link", f"serial:{cable.name}", "--out", str(path))
+    wait_for(path, lambda log: log.n_samples > 20_000)
+    cable.pull()
+    time.sleep(1.0)
+    watched, begin = psutil.Process(process.pid), time.monotonic()
+    used = sum(watched.cpu_times()[:2])
+    time.sleep(4.0)
+    share = (sum(watched.cpu_times()[:2]) - used) / (time.monotonic() - begin)
+    cable.plug()
+    back_ns = time.monotonic_ns()
+
+    def again(log: Recording) -> list[Block]:
+        return [r for r in log.readings(joined=False) if isinstance(r, Block) and r.t_host_ns > back_ns]
+
+    wait_for(path, lambda log: len(again(log)) > 10)
+    took, said = stop(process, path)
+    log = read_log(path)
+    returned = (again(log)[0].t_host_ns - back_ns) / 1e9
+    row = "pulled cable | pty closed for 5 s under `rotorscope run` | data within 5 s, under 2 % of a core meanwhile"
+    record_property("reliability", f"{row} | {returned:.2f} s, {100 * share:.2f} % of a core, closed in {took:.2f} s")
+    assert_ramp(log)
+    assert {"link_lost", "link_back"} <= {n.code for n in log.notices}
+    assert {g.reason for g in log.gaps if g.count > 64 * 400} == {"reconnect"}
+    assert "reconnect" in said
+    assert returned < 5.0
+    assert share < 0.02
+    assert took < 2.0
+
+
+def test_no_viewer_a_log_that_vanishes_and_acquisition_goes_on(
+    rig: Path, cable: Cable, tmp_path: Path, record_property: Row
+) -> None:
+    """Where the viewer should be nobody listens; the log's folder is removed while it is written."""
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        port = closed.getsockname()[1]
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    path = folder / "a.mcap"
+    viewer = f"rerun+http://127.0.0.1:{port}/proxy"
+    process = run(rig, "--link", f"serial:{cable.name}", "--out", str(path), "--rerun", viewer)
+    before = wait_for(path, lambda log: log.n_samples > 20_000).n_samples
+    path.unlink()
+    folder.rmdir()
+    wait_for(path, lambda log: log.n_samples > before + 40_000)
+    took, _ = stop(process, path)
+    log = read_log(path)
+    assert_ramp(log)
+    assert "log_restored" in {n.code for n in log.notices}
+    assert not log.gaps
+    row = "no viewer, log folder removed | at once, under `rotorscope run`"
+    measured = f"{log.n_samples} samples, 0 lost; closed in {took:.2f} s"
+    record_property("reliability", f"{row} | both told, no sample lost, quick end | {measured}")
+    assert took < 2.0
