@@ -29,6 +29,7 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 SECONDS = 8.0  # of the record that the covariances are taken from
 ROUNDS = 10  # of the self-consistent response
+STRONG = 0.6  # rms of the tangent stiffness over its mean, above which the second order does more harm than good
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +102,8 @@ def _self_consistent(C: Floats, dt: float, B: Floats, mean: Mean, f_hz: Floats) 
         return np.asarray(both[0] + iw * both[1])
 
     total = np.einsum("j,k,jkabt->abt", B, B, C)
+    if total[0, 0, 0] > (STRONG * mean.k) ** 2:
+        return np.zeros((f_hz.size, B.size, B.size), complex)
     sigma, g = np.zeros(f.size, complex), np.stack([bare, bare_v])
     for _ in range(ROUNDS):
         sigma = 0.5 * (sigma + transform(total, g))
