@@ -64,10 +64,18 @@ def _npz(path: Path, names: Sequence[str]) -> Columns:
         file = np.load(stream, allow_pickle=False)
         if not isinstance(file, np.lib.npyio.NpzFile):
             raise LogError(f"{path}: one array without a name; write it with numpy.savez(FILE, b1x=..., rate_hz=...)")
-        rate = float(file["rate_hz"]) if "rate_hz" in file.files else None
+        rate = _scalar(path, file["rate_hz"]) if "rate_hz" in file.files else None
         time = file["time"] if "time" in file.files and rate is None else None
         others = {k: np.empty(0) for k in file.files if k not in (*names, "rate_hz", "time")}  # for messages only
         return Columns({k: file[k] for k in file.files if k in names} | others, rate, time)
+
+
+def _scalar(path: Path, value: Any) -> float:
+    """rate_hz, whatever shape its one number has."""
+    numbers = np.ravel(value)
+    if numbers.size != 1 or numbers.dtype.kind not in "iuf":
+        raise LogError(f"{path}: rate_hz is {numbers.dtype} of shape {np.shape(value)}; one number is needed, in Hz")
+    return float(numbers[0])
 
 
 def _csv(path: Path, names: Sequence[str]) -> Columns:
@@ -134,7 +142,7 @@ def _mat(path: Path, names: Sequence[str]) -> Columns:
     rate = file.get("rate_hz", file.get("fs"))
     values = {k: np.asarray(v) for k, v in file.items() if not k.startswith("__") and np.ndim(v) >= 1}
     time = values.pop("time", None) if "time" not in names else None
-    return Columns(values, None if rate is None else float(rate), time if rate is None else None)
+    return Columns(values, None if rate is None else _scalar(path, rate), time if rate is None else None)
 
 
 def _mf4(path: Path, names: Sequence[str]) -> Columns:

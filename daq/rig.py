@@ -195,7 +195,7 @@ def _model(file: RigFile, base: Path, path: Path | None) -> tuple[Model, list[Pr
         mass=_masses(file),
         shaft_stiffness=spring.stiffness if spring else 0.0,
         shaft_damping=spring.damping if spring else 0.0,
-        speed_rpm=rig.speed_rpm,
+        speed_rpm=rig.speed_rpm or None,  # a shaft at rest has no angle
         ball_pass_order=rig.ball_pass_order,
         bearing=_bearing(rig.bearing),
         name=rig.name or (path.stem if path else "rig"),
