@@ -12,7 +12,6 @@ from estimator.errors import ModelError
 from estimator.model import Model
 
 from .errors import ConfigError
-
 from .output import Output
 from .rig import Rig, load_rig
 

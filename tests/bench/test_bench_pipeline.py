@@ -223,8 +223,8 @@ def test_replay_at_full_speed(tmp_path: Path, method: str) -> None:
     replay(log, RIG, make=Nothing)
     bare = time.process_time() - bare
     print(
-        f"\nreplay of {summary.seconds:.0f} s with {method}: {summary.seconds / took:.0f} times real time (asked: 100), "
-        f"{summary.seconds / cpu:.0f} per core; without an estimator {summary.seconds / bare:.0f} per core"
+        f"\nreplay of {summary.seconds:.0f} s with {method}: {summary.seconds / took:.0f} times real time (asked: 100),"
+        f" {summary.seconds / cpu:.0f} per core; without an estimator {summary.seconds / bare:.0f} per core"
     )
     assert summary.seconds / took > 100 / 2
 
