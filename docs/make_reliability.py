@@ -1,7 +1,10 @@
 """Makes docs/reliability.md from the suite's own output:
 
     pytest tests/daq tests/drivers tests/contracts -m "not bench and not guest and not soak" --junitxml=report.xml
-    python docs/make_reliability.py report.xml
+    pytest -n 0 -m soak --junitxml=soak.xml             # ten minutes
+    GUEST_XML=guest.xml tests/guest/run.sh              # five minutes
+    python tests/fuzz/campaign.py fuzz.xml              # an hour
+    python docs/make_reliability.py report.xml soak.xml guest.xml fuzz.xml
 
 A test adds a row with pytest's record_property("reliability", "fault | how it is provoked | promised | measured").
 """
@@ -42,7 +45,7 @@ for bit, and says what was lost. All reading commands take a cut log as it is.
 
 def main() -> None:
     rows: dict[str, None] = {}  # a property test records its row for every example
-    for case in ElementTree.parse(sys.argv[1]).getroot().iter("testcase"):
+    for case in (case for path in sys.argv[1:] for case in ElementTree.parse(path).getroot().iter("testcase")):
         failed = case.find("failure") is not None or case.find("error") is not None
         for item in case.iter("property"):
             if item.get("name") == "reliability":
@@ -50,7 +53,7 @@ def main() -> None:
                 measured = " **FAILED**" if failed else ""
                 rows[f"| {item.get('value')}{measured} | {test} |"] = None
     if not rows:
-        sys.exit(f"{sys.argv[1]}: no test recorded a row")
+        sys.exit(f"{' '.join(sys.argv[1:])}: no test recorded a row; give the reports of pytest --junitxml")
     Path(__file__).with_name("reliability.md").write_text(HEAD + "\n".join(rows) + "\n" + TAIL, encoding="utf-8")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +71,7 @@ class Watch:
     def close(self) -> None: ...
 
 
-def test_two_hours(tmp_path: Path) -> None:
+def test_two_hours(tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
     seconds = float(os.environ.get("ROTORSCOPE_SOAK_S", "7200"))
     watch = Watch()
     begin = time.monotonic()
@@ -87,11 +87,14 @@ def test_two_hours(tmp_path: Path) -> None:
         for name, last in watch.values[-1].items()
         if (early := watch.values[minutes // 4].get(name))
     ]
-    print(
-        f"\n{seconds / 3600:.1f} h of data at {speed:.0f} times real time: {summary.lost_samples} lost, memory "
-        f"{watch.mb[minutes // 8]:.0f} -> {watch.mb[-1]:.0f} MB ({growth:+.1f}), handles {min(watch.handles[2:])} to "
-        f"{max(watch.handles[2:])}, largest move of an estimate {max(drift, default=0.0):.2f} sd of {len(drift)}"
-    )
+    memory = f"memory {watch.mb[minutes // 8]:.0f} -> {watch.mb[-1]:.0f} MB ({growth:+.1f})"
+    handles = f"handles {min(watch.handles[2:])} to {max(watch.handles[2:])}"
+    moved = f"largest move of {len(drift)} estimates {max(drift, default=0.0):.2f} sd"
+    measured = f"{speed:.0f} times real time, {summary.lost_samples} lost, {memory}, {handles}, {moved}"
+    print(f"\n{seconds / 3600:.1f} h of data: {measured}")
+    how = f"{seconds / 3600:.1f} h of data of 4 x 25.6 kS/s through the pipeline into a log"
+    promised = "20 times real time or faster, no gap, memory and handles flat, no drift"
+    record_property("reliability", f"endurance | {how} | {promised} | {measured}")
     assert summary.samples == int(seconds * RATE_HZ / ROWS) * ROWS
     assert summary.gaps == ()
     assert growth < 5.0
@@ -103,7 +106,9 @@ def test_two_hours(tmp_path: Path) -> None:
     assert log.n_samples == summary.samples
 
 
-def test_five_devices_at_once_in_real_time(tmp_path: Path) -> None:
+def test_five_devices_at_once_in_real_time(
+    tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
     """Five devices of four channels at 25.6 kS/s in one process for 20 s: no gap, and each log replays."""
 
     def paced(seed: int) -> Iterator[list[Reading]]:
@@ -127,4 +132,6 @@ def test_five_devices_at_once_in_real_time(tmp_path: Path) -> None:
         log = read_log(tmp_path / f"{n}.mcap")
         assert log.complete
         assert log.n_samples == summary.samples
-    print(f"\nfive devices of 25.6 kS/s with estimators and logs: {cores:.2f} cores, no gap")
+    measured = f"{cores:.2f} cores, no gap"
+    print(f"\nfive devices of 25.6 kS/s with estimators and logs: {measured}")
+    record_property("reliability", f"load | five devices of 4 x 25.6 kS/s in one service, 20 s | no gap | {measured}")
