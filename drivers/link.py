@@ -9,11 +9,12 @@ from typing import Protocol, TypeVar
 
 from drivers.errors import LinkError
 from drivers.notices import Notices
-from drivers.reading import LinkStats, Reading
+from drivers.reading import Block, LinkStats, Reading
 
 SLICE_S = 0.1  # longest wait inside a source: closing takes no longer
 BACKOFF_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts to reopen, the last for ever
 SILENT_S = 1.0
+MUTE_S = 2.0  # frames come, but no samples; a device has this long to describe itself
 
 Data = TypeVar("Data")
 Out = TypeVar("Out", covariant=True)
@@ -76,6 +77,8 @@ class Link:
         self._next_try_s = 0.0
         self._last_data_s = 0.0
         self._silent = False
+        self._last_samples_s = 0.0
+        self._mute = False
 
     def open(self) -> None:
         with self._lock:
@@ -84,7 +87,7 @@ class Link:
             self._source.open()
             self._closed.clear()
             self._connected = True
-            self._last_data_s = time.monotonic()
+            self._last_data_s = self._last_samples_s = time.monotonic()
 
     def close(self) -> None:
         self._closed.set()
@@ -126,12 +129,24 @@ class Link:
                 self._decoder.cause(event.cause)
         if data is not None:
             self._last_data_s, self._attempt, self._silent = time.monotonic(), 0, False
-            return self._decoder.feed(data, now_ns)
+            out = self._decoder.feed(data, now_ns)
+            self._watch_samples(out, now_ns)
+            return out
         if not self._silent and time.monotonic() - self._last_data_s > SILENT_S:
             self._silent = True
             self._decoder.notices.add(now_ns, "warning", "silent", f"nothing from {self.target} for {SILENT_S:g} s")
             self._decoder.cause("silent")
         return list(self._decoder.notices.take())
+
+    def _watch_samples(self, out: list[Reading], now_ns: int) -> None:
+        """A device may describe itself, or others on its bus talk, while its samples stay away."""
+        if any(isinstance(reading, Block) for reading in out):
+            self._last_samples_s, self._mute = time.monotonic(), False
+        elif not self._mute and time.monotonic() - self._last_samples_s > MUTE_S:
+            self._mute = True
+            text = f"{self.target} is not silent, but sends no samples for {MUTE_S:g} s: check the device"
+            self._decoder.notices.add(now_ns, "warning", "no_samples", text)
+            self._decoder.cause("silent")
 
     def _lose(self, why: str) -> None:
         self._source.close()
@@ -155,7 +170,7 @@ class Link:
             self._back_off()
             return
         self._connected = True
-        self._last_data_s = time.monotonic()
+        self._last_data_s = self._last_samples_s = time.monotonic()
         self.stats.reconnects += 1
         self._decoder.notices.add(time.monotonic_ns(), "info", "link_back", f"{self.target} is open again")
 
