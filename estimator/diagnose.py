@@ -116,8 +116,7 @@ def _screen(model: Model, point: WorkingPoint, say: Progress) -> list[screen.Tri
     trials = []
     for number, (effect, spot) in enumerate(pairs):
         say(0.25 + 0.45 * number / len(pairs), f"{effect.name} at {spot}")
-        found = screen.best_at(small, model, effect, spot)
-        again = None if found is None else screen.again(point, model, found)
+        again = screen.tried(small, point, model, effect, spot)
         if again is not None:
             trials.append(again)
     trials.sort(key=lambda t: -t.gain)
@@ -152,8 +151,7 @@ def _another_explains(
         for spot in screen.spots(effect, model, point):
             if not any(p.startswith(spot) for p in where):
                 continue
-            found = screen.best_at(small, model, effect, spot)
-            full = None if found is None else screen.again(point, model, found)
+            full = screen.tried(small, point, model, effect, spot)
             on = acting(effect, spot, point.data)
             found_gain = sum(f.gain for r in left.residuals if r.place in on for f in r.found)
             if full is not None and full.gain > 0.8 * found_gain:

@@ -59,12 +59,9 @@ class Residual:
 
 def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) -> Residual:
     """Forward selection of groups at place i. tries : groups tested over all places, for the significance."""
-    parts, knots = [], {}
-    for g in reference.groups(point.data, i, orders):
-        parts.append(reference.columns(point, i, g))
-        if g.knots is not None:
-            knots[g.name] = g.knots
-    problem = subproblem(point, (i,), reference.join(parts))
+    columns, knots = reference.all_columns(point, i, orders)
+    problem = subproblem(point, (i,), columns)
+    del columns
     names: dict[str, tuple[str, ...]] = {}
     for n in problem.extra:
         names[n.split(".")[0]] = (*names.get(n.split(".")[0], ()), n)

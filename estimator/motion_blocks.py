@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,10 @@ class MotionBlocks:
     shaft: NDArray[np.complex128]  # (bins, places, places) N/m, shaft and disc as seen by the caps
     colour: Array  # (places, bins) shape of the force spectrum that the model has, mean about 1
     measured_force: bool = False
+    rms: Array = field(init=False)  # (2, places) of x and of v
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rms", np.stack([self.x.std(axis=1), self.v.std(axis=1)]))
 
     @property
     def blocks(self) -> int:

@@ -102,11 +102,10 @@ class Weighing:
         self._root = np.sqrt(self.weight * 2.0 / (self.data.rate_hz * self.data.block)).astype(np.float32)
 
     def spectrum(self, i: int, series: Array | Spectrum) -> Spectrum:
-        """(blocks, 2 bins) float32 of a series (n,) seen at place i; the mean is taken out."""
+        """(blocks, 2 bins) float32 of a series (n,) seen at place i, the bins of the band."""
         from scipy.fft import rfft
 
         z = series.reshape(self.data.blocks, self.data.block).astype(np.float32)
-        z -= z.mean(axis=1, keepdims=True)
         Z = rfft(z, axis=1, workers=2)[:, self.data.bins] * self._root[i]
         return np.ascontiguousarray(Z).view(np.float32)
 

@@ -79,7 +79,8 @@ def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | 
     o = data.other(i)
     zero = np.zeros_like(data.x[i])
     xo, vo = (zero, zero) if o is None else (data.x[o], data.v[o])
-    scale = np.array([z.std() for z in (data.x[i], data.v[i], xo, vo)])
+    rms = data.rms
+    scale = np.array([rms[0, i], rms[1, i], 0.0 if o is None else rms[0, o], 0.0 if o is None else rms[1, o]])
     h = np.where(depends(effect, p, np.maximum(scale, 1e-300)), 0.07 * scale, 0.0)
     out, sums = np.empty(data.x.shape[1]), np.zeros(4)
     law = np.uint64(address(effect.force))
@@ -158,13 +159,33 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
                 fd, sd, md = evaluate(placed, data, i, lin[i], down)
                 series[i], slopes[i] = (fu - fd) / (2 * step), (su - sd) / (2 * step)
                 memory = None if mu is None or md is None else (mu - md) / (2 * step)
-        rms = max(float(np.sqrt(np.mean([np.mean(z * z) for z in series.values()]))), 1e-300)
+        rms = max(float(np.sqrt(np.mean([z @ z / z.size for z in series.values()]))), 1e-300)
         out.append(Term(placed.name(k), q.unit, series, slopes, 1.0 / rms, memory))
     return out
 
 
-def orthogonal(term: Term, base: Sequence[Term], least: float = 1e-4) -> Term | None:
-    """The term without what the base terms already explain at each place, series and tangent alike.
+@dataclass(frozen=True, slots=True)
+class Span:
+    """What the base terms span at one place: B (k, n) scaled to rms 1, their Gram matrix and tangents."""
+
+    B: Array
+    gram: Array
+    slopes: Array  # (k, places, 2)
+
+
+STRIDE = 4  # of the samples that the projection is computed from; it need not be exact, only subtracted exactly
+
+
+def span(base: Sequence[Term], i: int) -> Span:
+    """The base at place i."""
+    own = [b for b in base if i in b.series]
+    B = np.stack([b.series[i] * b.scale for b in own])
+    part = np.ascontiguousarray(B[:, ::STRIDE])
+    return Span(B, part @ part.T, np.stack([b.tangent[i] * b.scale for b in own]))
+
+
+def orthogonal(term: Term, spans: Sequence[Span], least: float = 1e-4) -> Term | None:
+    """The term without what the base (by place) already explains there, series and tangent alike.
 
     The likelihood is the same function of the new parameter; what changes is that nearly equal columns keep their
     difference in single precision. None if less than `least` of its rms is left: the base says it all.
@@ -172,20 +193,17 @@ def orthogonal(term: Term, base: Sequence[Term], least: float = 1e-4) -> Term | 
     series, slopes = {}, term.tangent.copy()
     before = after = 0.0
     for i, z in term.series.items():
-        own = [(b.series[i] * b.scale, b.tangent[i] * b.scale) for b in base if i in b.series]
-        B = np.stack([s[::4] for s, _ in own])
-        d = np.sqrt(np.sum(B * B, axis=1))
-        weights = np.linalg.lstsq((B @ B.T) / np.multiply.outer(d, d), (B @ z[::4]) / d, rcond=1e-10)[0] / d
-        rest = z.copy()
-        for w, (s, slope) in zip(weights, own, strict=True):
-            rest -= w * s
-            slopes[i] -= w * slope
+        base = spans[i]
+        weights = np.linalg.lstsq(base.gram, base.B[:, ::STRIDE] @ z[::STRIDE], rcond=1e-10)[0]
+        rest = z - weights @ base.B
+        slopes[i] -= np.tensordot(weights, base.slopes, 1)
         series[i] = rest
-        before += float(np.mean(z * z))
-        after += float(np.mean(rest * rest))
+        before += float(z @ z)
+        after += float(rest @ rest)
     if not after > least**2 * before:
         return None
-    return replace(term, series=series, tangent=slopes, scale=1.0 / float(np.sqrt(after / len(series))))
+    n = next(iter(series.values())).size
+    return replace(term, series=series, tangent=slopes, scale=1.0 / float(np.sqrt(after / len(series) / n)))
 
 
 def linear_terms(data: MotionBlocks, i: int) -> list[Term]:

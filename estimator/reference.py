@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Series = NDArray[np.float32]
 GROUPS = ("displacement", "velocity", "level", "other_direction", "other_bearing", "time", "shaft_angle")
 X_STEP, V_STEP = 0.35, 0.5
+MOST = 90  # columns of one place, at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,7 @@ def hat_group(name: str, z: Array, place: int, which: int, places: int, step: fl
 def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> Iterator[Group]:
     """Every group of columns of place i, one at a time (they are large). orders : of shaft rotation, for stiffness."""
     P = len(data.places)
-    sx, sv = float(data.x[i].std()), float(data.v[i].std())
+    sx, sv = float(data.rms[0, i]), float(data.rms[1, i])
     u, w = (data.x[i] / sx).astype(np.float32), (data.v[i] / sv).astype(np.float32)
     yield hat_group("displacement", data.x[i], i, 0, P, X_STEP)
     yield hat_group("velocity", data.v[i], i, 1, P, V_STEP)
@@ -86,7 +87,7 @@ def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> Iterator[Gr
             t = np.zeros((P, 2))
             t[i] = du / sx, dw / sv
             if o is not None:
-                t[o] = duo / data.x[o].std(), dwo / data.v[o].std()
+                t[o] = duo / data.rms[0, o], dwo / data.rms[1, o]
             tangents.append(t)
         return Group(name, [c[0] for c in columns], tangents)
 
@@ -101,7 +102,7 @@ def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> Iterator[Gr
     ])  # fmt: skip
     o = data.other(i)
     if o is not None:
-        uo, wo = (data.x[o] / data.x[o].std()).astype(np.float32), (data.v[o] / data.v[o].std()).astype(np.float32)
+        uo, wo = (data.x[o] / data.rms[0, o]).astype(np.float32), (data.v[o] / data.rms[1, o]).astype(np.float32)
         columns = [
             (uo, 0.0, 0.0, 1.0, 0.0), (wo, 0.0, 0.0, 0.0, 1.0), (uo * uo, 0.0, 0.0, m(2 * uo), 0.0),
             (u * uo, m(uo), 0.0, m(u), 0.0), (uo**3, 0.0, 0.0, m(3 * uo * uo), 0.0),
@@ -119,8 +120,8 @@ def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> Iterator[Gr
     q = data.opposite(i)
     if q is not None:
         tx, tv = np.zeros((P, 2)), np.zeros((P, 2))
-        tx[q, 0], tv[q, 1] = 1.0 / data.x[q].std(), 1.0 / data.v[q].std()
-        up, wp = (data.x[q] / data.x[q].std()).astype(np.float32), (data.v[q] / data.v[q].std()).astype(np.float32)
+        tx[q, 0], tv[q, 1] = 1.0 / data.rms[0, q], 1.0 / data.rms[1, q]
+        up, wp = (data.x[q] / data.rms[0, q]).astype(np.float32), (data.v[q] / data.rms[1, q]).astype(np.float32)
         yield Group("other_bearing", [up, wp], [tx, tv])
     tau = (2 * (data.t - data.t[0]) / max(data.t[-1] - data.t[0], 1e-9) - 1).astype(np.float32)
     second = 1.5 * tau**2 - 0.5
@@ -139,7 +140,7 @@ def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> Iterator[Gr
 def columns(point: WorkingPoint, i: int, group: Group) -> Columns:
     """The group as weighted spectra, each column scaled to the rms of the inferred force."""
     spectra = np.stack([point.weighing.spectrum(i, z) for z in group.series])
-    power = np.sqrt(np.mean(spectra.astype(np.float32) ** 2, axis=(1, 2)))
+    power = np.sqrt(np.array([np.vdot(z, z) / z.size for z in spectra]))
     power = np.maximum(power, 1e-30)
     own = np.sqrt(np.mean(point.spectra[i] ** 2))
     scales = np.asarray(own / power, dtype=np.float64)
@@ -152,12 +153,29 @@ def columns(point: WorkingPoint, i: int, group: Group) -> Columns:
     return Columns(names, ("N",) * len(names), scales, tangents, {i: spectra}, {i: np.arange(len(names))})
 
 
-def join(parts: list[Columns]) -> Columns:
-    """Several columns of the same single place as one."""
-    place = next(iter(parts[0].spectra))
-    total = sum(len(c.names) for c in parts)
-    return Columns(
-        tuple(k for c in parts for k in c.names), tuple(u for c in parts for u in c.units),
-        np.concatenate([c.scales for c in parts]), np.concatenate([c.tangents for c in parts]),
-        {place: np.concatenate([c.spectra[place] for c in parts])}, {place: np.arange(total)},
-    )  # fmt: skip
+def all_columns(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Columns, dict[str, Array]]:
+    """Every group of place i as one set of columns, and the knots of the hat functions."""
+    data = point.data
+    rows = np.empty((MOST, data.blocks, point.spectra[i].shape[1]), np.float32)
+    used = 0
+    names: list[str] = []
+    scales, tangents, knots = [], [], {}
+    for g in groups(data, i, orders):
+        part = columns(point, i, g)
+        q = len(part.names)
+        rows[used : used + q] = part.spectra[i]
+        used += q
+        names += part.names
+        scales.append(part.scales)
+        tangents.append(part.tangents)
+        if g.knots is not None:
+            knots[g.name] = g.knots
+    joined = Columns(
+        tuple(names),
+        ("N",) * used,
+        np.concatenate(scales),
+        np.concatenate(tangents),
+        {i: rows[:used]},
+        {i: np.arange(used)},
+    )
+    return joined, knots

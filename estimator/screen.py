@@ -86,7 +86,7 @@ def grid(effect: Effect, model: Model, point: WorkingPoint, i: int, loose: list[
 
 def trial_columns(point: WorkingPoint, placed: Placed) -> Columns | None:
     """Columns of the amplitudes, freed from the base; None if nothing is left of one of them."""
-    made = [orthogonal(t, point.terms) for t in terms(placed, point.data, point.lin, linear_only=True)]
+    made = [orthogonal(t, point.spans) for t in terms(placed, point.data, point.lin, linear_only=True)]
     kept = [t for t in made if t is not None]
     return point.weighing.columns(kept) if kept else None
 
@@ -190,3 +190,11 @@ def again(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:
     )
     got = assess(point, placed)
     return None if got is None else _trial(found.effect, found.spot, (*got, placed), searched(found.effect, model))
+
+
+def tried(small: WorkingPoint, point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Trial | None:
+    """An effect at a spot, its searched parameters found on the part `small` of the record, judged on the whole."""
+    if not searched(effect, model):
+        return best_at(point, model, effect, spot)
+    found = best_at(small, model, effect, spot)
+    return None if found is None else again(point, model, found)

@@ -35,6 +35,7 @@ class WorkingPoint:
     fit: PathFit
     A: NDArray[np.complex128]  # (bins, places, places)
     slopes: Array  # (places, places, 2) mean tangent
+    spans: tuple[placing.Span, ...]  # of the model's own columns, by place
 
     @property
     def lin(self) -> Array:
@@ -143,7 +144,23 @@ def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) 
     blocks = np.bincount(data.fold, minlength=FOLDS).astype(np.float64)
     result = fit(G, jacobian, np.arange(FOLDS), blocks)
     return WorkingPoint(
-        data, kL, c, result.S, nu, tuple(uses), F, weighing, spectra, tuple(terms), columns, G, jacobian, result, A, D
+        data,
+        kL,
+        c,
+        result.S,
+        nu,
+        tuple(uses),
+        F,
+        weighing,
+        spectra,
+        tuple(terms),
+        columns,
+        G,
+        jacobian,
+        result,
+        A,
+        D,
+        tuple(placing.span(terms, i) for i in range(P)),
     )
 
 
