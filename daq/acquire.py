@@ -24,7 +24,9 @@ from .sink import Sink
 FINITE = ("capture", "replay", "simulated")  # kinds of link that wait for us; all others are live
 READ_S = 0.1
 GRACE_S = 2.0  # a live link may take this much longer than the seconds asked for, from its first sample on
-STOP_S = 0.6  # after a stop, this long for what was read but not yet taken
+STOP_S = 0.6  # after a stop, this long for the reader to end, and for the estimator to finish
+ESTIMATOR_S = 10.0  # at the end of the seconds or of the source, this long
+BUSY_S = 0.01
 VERSIONS = ("rotorscope", "numpy", "scipy", "numba", "mcap", "protobuf")
 
 Notify = Callable[[Notice], None]
@@ -100,8 +102,8 @@ def acquire(
         _warm_up(make, rig, rate_hz)
     about = _about(driver, clock) | dict(metadata or {})
     plan = Plan(rig.model, make, rate_hz, device, rig.attachments(), about, seconds)
-    pipeline = Pipeline(plan, sinks, clock, live=live, notify=notify)
     queue = ReadingQueue(live=live)
+    pipeline = Pipeline(plan, sinks, clock, live=live, notify=notify, wake=queue.wake if live else None)
     try:
         driver.open()
         reader = threading.Thread(target=_read, args=(driver, queue, stop), name=f"read {driver.kind}", daemon=True)
@@ -109,7 +111,10 @@ def acquire(
         begin_ns, flowing = clock.now_ns(), False
         try:
             while not (stop.is_set() or pipeline.done or queue.ended):
-                pipeline.step(queue.take(READ_S))
+                if pipeline.busy:
+                    stop.wait(BUSY_S)
+                else:
+                    pipeline.step(queue.take(READ_S))
                 pipeline.tick(driver.stats, {"reader": queue.dropped})
                 if not flowing and pipeline.ledger.first is not None:
                     begin_ns, flowing = clock.now_ns(), True
@@ -119,10 +124,10 @@ def acquire(
             queue.close()
             driver.close()
             reader.join(STOP_S)
-        if not pipeline.done:
-            _take_rest(pipeline, queue, clock)
+        while not pipeline.done and (rest := queue.take(0.0)):  # read before the stop: logged in any case
+            pipeline.step(rest)
     finally:
-        pipeline.finish(driver.stats, {"reader": queue.dropped})
+        pipeline.finish(driver.stats, {"reader": queue.dropped}, STOP_S if stop.is_set() else ESTIMATOR_S)
     return _summary(pipeline, driver, device)
 
 
@@ -139,18 +144,6 @@ def _read(driver: Driver, queue: ReadingQueue, stop: threading.Event) -> None:
     except BaseException as error:  # raised again in the core loop
         failure = error
     queue.end(failure)
-
-
-def _take_rest(pipeline: Pipeline, queue: ReadingQueue, clock: Clock) -> None:
-    """What was read before the stop; if the estimator is too slow for it, it is logged and named, not estimated."""
-    end_ns = clock.now_ns() + round(STOP_S * 1e9)
-    while not queue.ended:
-        readings = queue.take(0.0)
-        if not readings:
-            break
-        if clock.now_ns() > end_ns:
-            pipeline.stop_estimating()
-        pipeline.step(readings)
 
 
 def _warm_up(make: MakeEstimator, rig: Rig, rate_hz: float) -> None:

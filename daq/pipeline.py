@@ -16,6 +16,7 @@ from estimator.model import Model
 from .clock import Clock, DeviceClock
 from .errors import ConfigError
 from .estimation import Estimation
+from .estimator_runner import EstimatorRunner
 from .estimators import MakeEstimator
 from .ledger import Ledger
 from .scaling import Scaling
@@ -23,6 +24,7 @@ from .sink import Reporting, Session, Sink, Status
 
 STATUS_NS = 1_000_000_000
 CLIPPED_EVERY_S = 10.0
+STALE_S = 10.0  # to finish with the estimator of a rate that the device has left
 NEW_CLOCK = ("restart", "reconnect")  # after such a gap, index and host time go together in a new way
 # What the pipeline itself says; a replay says it again, so it is not taken from the log.
 OWN_CODES = frozenset(
@@ -48,17 +50,21 @@ class Pipeline:
 
     Order of things: sinks get the raw readings, then the ring, then the estimator, then sinks its estimates. A sink
     that raises OSError is reported and kept; one that raises anything else is reported and left out from then on.
+
+    wake : called from another thread when estimates wait for `tick`; with it the estimator has a thread of its own, so
+    that a long solution does not delay the log. The estimates are the same.
     """
 
     def __init__(
         self, plan: Plan, sinks: Iterable[Sink], clock: Clock, *,
-        live: bool = True, notify: Callable[[Notice], None] | None = None,
+        live: bool = True, notify: Callable[[Notice], None] | None = None, wake: Callable[[], None] | None = None,
     ) -> None:  # fmt: skip
         self._plan = plan
         self._sinks = list(sinks)
         self._clock = clock
         self._live = live
         self._notify = notify
+        self._wake = wake
         self._info: Info | None = None
         self._scaling: Scaling | None = None
         self._estimation: Estimation | None = None
@@ -81,6 +87,11 @@ class Pipeline:
         return self.ledger.full
 
     @property
+    def busy(self) -> bool:
+        """The estimator is ten seconds behind: better not step now."""
+        return self._estimation is not None and self._estimation.runner.busy
+
+    @property
     def rate_hz(self) -> float | None:
         return self._info.rate_hz if self._info else None
 
@@ -99,6 +110,7 @@ class Pipeline:
     def tick(self, stats: LinkStats, dropped: Mapping[str, int], *, final: bool = False) -> None:
         """Once in a while: hear the sinks, say what is unsaid, and once a second give the status."""
         self._hear_sinks()
+        self._collect()
         self._take([])
         now = self._clock.now_ns()
         if self._info is None or not (final or now - self._status_ns >= STATUS_NS):
@@ -118,15 +130,16 @@ class Pipeline:
         self._lag_s = {}
         self._each_sink("status", lambda sink: sink.status(status))
 
-    def stop_estimating(self) -> None:
-        """From now on samples are only logged: the session is being closed and there is no time."""
-        if self._estimation is not None and self._estimation.stop():
-            self._say("warning", "stopped_behind", "the last samples before the stop are logged, not estimated from")
+    def finish(self, stats: LinkStats, dropped: Mapping[str, int], estimator_s: float = 10.0) -> None:
+        """The last estimate and status; every sink is closed, whatever happens to the others.
 
-    def finish(self, stats: LinkStats, dropped: Mapping[str, int]) -> None:
-        """The last estimate and status; every sink is closed, whatever happens to the others."""
+        An estimator that needs more than `estimator_s` for what it has not done yet is not waited for.
+        """
         if self._estimation is not None:
-            self._estimate(self._estimation.final())
+            if not self._estimation.finish(estimator_s):
+                text = "the last samples before the stop are logged, not estimated from"
+                self._say("warning", "stopped_behind", text)
+            self._collect()
         if self._info is None:
             self._introduce(Info((), self._plan.rate_hz or 1.0))
         self.tick(stats, dropped, final=True)
@@ -161,7 +174,8 @@ class Pipeline:
             if self.device_clock is not None and reading.reason in NEW_CLOCK:
                 self.device_clock.restart()
             if reading.count:
-                self._estimate(self._estimator_at(reading.index).skip(reading.count))
+                self._estimator_at(reading.index).skip(reading.count)
+                self._collect()
         elif isinstance(reading, Notice):
             if reading.level == "error":
                 self.problems.append(reading.text)
@@ -182,21 +196,23 @@ class Pipeline:
             self._say_clipped(block.index, clipped)
         if self._live:
             self._lag("core", block.t_host_ns)
-        if self._estimate(estimation.append(rows)) and self._live:
-            self._lag("estimate", block.t_host_ns)
+        estimation.append(rows, block.t_host_ns)
+        self._collect()
 
-    def _estimate(self, estimates: Iterable[Estimate]) -> int:
-        """Hand on what is estimated; how many there were."""
-        count = 0
-        for estimate in estimates:
-            count += 1
-            self.last_estimate = estimate
-            self._each_sink("estimate", partial(_give, estimate=estimate))
-        failure = self._estimation.failure if self._estimation else None
-        if failure is not None and "estimator" not in self._reported:
+    def _collect(self) -> None:
+        """Hand on what is estimated."""
+        runner = self._estimation.runner if self._estimation else None
+        if runner is None:
+            return
+        for answer in runner.take():
+            self.last_estimate = answer.estimate
+            self._each_sink("estimate", partial(_give, estimate=answer.estimate))
+            if self._live and answer.stamp:
+                self._lag("estimate", answer.stamp)
+        if runner.failure is not None and "estimator" not in self._reported:
             self._reported.add("estimator")
-            self._say("error", "estimator_failed", f"the estimator has stopped: {failure!r}; acquisition goes on")
-        return count
+            text = f"the estimator has stopped: {runner.failure!r}; acquisition goes on"
+            self._say("error", "estimator_failed", text)
 
     # -- what the device is ---------------------------------------------------------------------------------------
 
@@ -209,7 +225,10 @@ class Pipeline:
         if info.signals:
             self._scaling = Scaling(info, self._columns(info))
         if before is None or (before.rate_hz, len(before.signals)) != (info.rate_hz, len(info.signals)):
-            self._estimation = None
+            if self._estimation is not None:
+                self._estimation.runner.close(STALE_S)
+                self._collect()
+                self._estimation = None
             self.device_clock = DeviceClock(info.rate_hz)
             if first and self._plan.limit_s is not None:
                 self.ledger = Ledger(round(self._plan.limit_s * info.rate_hz))
@@ -250,7 +269,8 @@ class Pipeline:
                     estimator = self._plan.make(self._plan.model, rate_hz)
                 except ValueError as error:
                     self._say("warning", "no_estimate", f"no rolling estimate: {error}")
-            self._estimation = Estimation(estimator, len(self._plan.model.channels), rate_hz, index)
+            runner = EstimatorRunner(estimator, self._wake)
+            self._estimation = Estimation(runner, len(self._plan.model.channels), rate_hz, index)
         return self._estimation
 
     # -- saying things --------------------------------------------------------------------------------------------

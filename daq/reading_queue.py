@@ -27,6 +27,7 @@ class ReadingQueue:
         self._bytes = 0
         self.open = True
         self._failure: BaseException | None = None
+        self._woken = False
         self.dropped = 0  # samples
 
     def put(self, readings: Sequence[Reading]) -> None:
@@ -46,6 +47,12 @@ class ReadingQueue:
             self.open, self._failure = False, failure or self._failure
             self._changed.notify_all()
 
+    def wake(self) -> None:
+        """From any thread: a `take` that waits returns now."""
+        with self._changed:
+            self._woken = True
+            self._changed.notify_all()
+
     def close(self) -> None:
         """The core loop wants nothing more: a `put` that waits goes on, and the reader sees `open` False."""
         with self._changed:
@@ -58,7 +65,8 @@ class ReadingQueue:
         Little at a time, so that a core loop with a backlog still hears of a stop.
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._items or not self.open, timeout_s)
+            self._changed.wait_for(lambda: self._items or self._woken or not self.open, timeout_s)
+            self._woken = False
             if not self._items and self._failure is not None:
                 failure, self._failure = self._failure, None
                 raise failure

@@ -13,6 +13,7 @@ from stand_ins import FakeClock, MomentEstimator, Recorder, info_of, paper_rig, 
 
 from daq.errors import ConfigError
 from daq.estimation import LONGEST_GAP_S, Estimation, block_rows
+from daq.estimator_runner import EstimatorRunner
 from daq.ledger import Ledger
 from daq.log_codec import encode_estimate
 from daq.pipeline import Pipeline, Plan
@@ -108,8 +109,9 @@ def test_an_estimate_says_which_sample_it_is_up_to() -> None:
 
 def test_at_least_two_estimates_a_second_at_any_rate() -> None:
     for rate_hz in (10.0, 100.0, 1000.0, 8000.0, 25_600.0, 51_200.0, 400_000.0):
-        estimation = Estimation(MomentEstimator(RIG.model, rate_hz), 4, rate_hz, 0)
-        due = [e.index for e in estimation.append(np.zeros((int(5 * rate_hz), 4)))]
+        runner = EstimatorRunner(MomentEstimator(RIG.model, rate_hz))
+        Estimation(runner, 4, rate_hz, 0).append(np.zeros((int(5 * rate_hz), 4)))
+        due = [answer.estimate.index for answer in runner.take()]
         assert np.diff([0, *due]).max() <= rate_hz / 2
 
 
