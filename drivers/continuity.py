@@ -109,7 +109,7 @@ class Continuity:
         counts = f.counts[start:stop].reshape(-1, f.counts.shape[2])
         out.append(Block(self.index, counts, t_host_ns, None if time_us is None else time_us * 1000))
         self.index += len(counts)
-        self._causes.clear()
+        self._causes &= {"overflow"}  # the queue that overflowed still held good frames: its hole comes later
         self._last_counts = f.counts[stop - 1]
         self._anchor = _Anchor(
             int(f.position[stop - 1]), rows, self.index - rows, final_us, t_host_ns,
@@ -191,7 +191,9 @@ class Continuity:
     def _missing(self, count: int, last: _Anchor, f: SampleFrames, start: int, out: list[Reading]) -> None:
         by_device = min(max(count, 0), (int(f.lost[start]) - last.lost) % 256 * f.counts.shape[1])
         self.lose(by_device, "device_lost", out)
-        self.lose(count - by_device, next((each for each in _CAUSES if each in self._causes), "sequence"), out)
+        if count > by_device:
+            self.lose(count - by_device, next((each for each in _CAUSES if each in self._causes), "sequence"), out)
+            self._causes.clear()
 
     def _restart(self, why: str, arrived: int, t_host_ns: int, out: list[Reading]) -> None:
         """The device began again: how long it was away only the host's clock can say."""

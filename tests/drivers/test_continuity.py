@@ -124,6 +124,14 @@ def test_damaged_frames_are_a_gap(layout: str) -> None:
     assert wire.stats.crc_errors == 3
 
 
+def test_an_overflow_is_blamed_for_the_hole_behind_the_frames_still_queued() -> None:
+    wire = Wire(device_of("fd16", Fault("drop", 200, 9), Fault("drop", 250, 2)))
+    wire.run(100)
+    wire.decoder.cause("overflow")
+    record = wire.run(200)
+    assert [(gap.count, gap.reason) for gap in record.gaps] == [(63, "overflow"), (14, "sequence")]
+
+
 def test_device_lost_and_link_loss_are_told_apart() -> None:
     wire = Wire(device_of("fd16", Fault("device_lost", 100, 2), Fault("drop", 102, 3)))
     record = wire.run(300)
