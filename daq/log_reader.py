@@ -21,6 +21,7 @@ from .scaling import Scaling
 from .sink import ClockState, Status
 
 LOST_IN_LOG = "log"  # reason of a gap that the log does not explain: the chunk that held these samples is damaged
+MOST_EVENTS = 2_000_000  # gaps, notices, estimates, damage: a few kB of a hostile file can unpack to any number
 LARGEST_SAMPLES = 64 << 30  # bytes of samples() or counts() that we are willing to allocate
 
 
@@ -312,6 +313,9 @@ def read_log(path: str | Path) -> Recording:
                     clocks.append((entry.index, entry.clock))
             case Head():
                 head = entry
+        if len(gaps) + len(notices) + len(estimates) + len(clocks) + len(findings.damage) > MOST_EVENTS:
+            text = f"holds more than {MOST_EVENTS} gaps, notices and estimates; it was not made by Rotorscope"
+            raise LogError(f"{path}: {text}")
     if info is None:
         what = "nothing in it is intact" if findings.damage else "it holds no session"
         raise LogError(f"{path}: no Rotorscope log can be read from it: {what}; check that it is the right file")

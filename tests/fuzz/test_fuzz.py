@@ -14,10 +14,14 @@ from guard import Forbidden, guarded
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from seeds import seeds
-from targets import TARGETS
+from targets import TARGETS, _chunk, _message, _records
 
+from daq import log_codec as codec
+from daq import log_scan
 from daq.errors import LogError
 from daq.import_formats import read
+from daq.log_reader import read_log
+from drivers.reading import Gap
 
 CASES = sorted(path for path in (Path(__file__).parent / "cases").glob("*-*"))
 EXAMPLES = {"mf4": 15, "rig": 40, "uff": 40, "mapped": 40}
@@ -88,6 +92,15 @@ def test_a_small_file_that_unpacks_to_much_is_refused(
     monkeypatch.setattr("daq.memory._free_bytes", lambda: 60_000_000)
     with pytest.raises(LogError, match=r"takes more than 0.03 GB of memory.*; cut it into parts"):
         read(path, ["b1x"])
+
+
+def test_a_log_of_countless_events_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daq.log_reader.MOST_EVENTS", 20_000)
+    data = b"".join(_records(b"")) + 30_000 * _message(codec.GAP, codec.encode_gap(Gap(4, 0, "")))
+    (tmp_path / "a.mcap").write_bytes(log_scan.MAGIC + _chunk(data))
+    assert (tmp_path / "a.mcap").stat().st_size < 2_000
+    with pytest.raises(LogError, match="more than 20000 gaps"):
+        read_log(tmp_path / "a.mcap")
 
 
 def test_a_pickle_is_refused(tmp_path: Path) -> None:
