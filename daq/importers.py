@@ -21,6 +21,7 @@ from drivers.reading import Block, Gap, Info, Reading, Signal
 from .errors import LogError
 from .import_checks import Record, checked
 from .import_formats import read
+from .memory import bounded_memory
 from .output import Output, Progress, quiet_progress
 from .rig import Rig, load_rig
 from .sink import Session
@@ -62,7 +63,8 @@ def _import_capture(output: Output, path: Path, rig: Rig, out: Path) -> None:
 
     if not path.is_file():
         raise LogError(f"{path}: there is no such file; check the path")
-    run_rig(output, rig, f"capture:{path}", out, command="import")
+    with bounded_memory():  # what cannot be unpacked in it is damage of the file
+        run_rig(output, rig, f"capture:{path}", out, command="import")
 
 
 def write_record(
