@@ -3,8 +3,8 @@
 Per block and frequency bin, in nats (constants left out):  F^H S^-1 F + log det S - log |det A|^2,  F = B Z,  A = B R,
 where R is what each column answers to the acceleration of each place: 1 for a, 1 / (i w) for v, -1 / w^2 for x, the
 mean tangents of a law times those. S = diag(S_i) + sensor noise seen through A. The factor 1/2 in front is the
-redundancy of the overlapping blocks (gram.py). Within a step the weights S^-1 are held: the score stays unbiased,
-because E[F F^H] = S at every frequency (the Jacobian is weighted alike where S varies within a cell).
+redundancy of the overlapping blocks (gram.py). Where S varies within a cell, the Jacobian is weighted as the
+quadratic form is, so that the score stays unbiased: E[F F^H] = S at every frequency.
 """
 
 from __future__ import annotations
@@ -138,15 +138,21 @@ class Likelihood:
         gram_rows = np.einsum("ci,ckl->ikl", 1 / spread, ev.gram)  # weighted Gram of each row
         quad_g, quad_h = self._quadratic(B, gram_rows)
         jac_g, jac_h = self._jacobian(A, point, spread)
-        g_beta = self.T @ (quad_g - ev.blocks * jac_g)
-        h_beta = self.T @ (quad_h - ev.blocks * jac_h) @ self.T.T
+        # the spread of a row depends on its entries through the noise that is seen through A
+        s, n, shift = spread[:, self.row], count[:, None], self._spread_slope(A, point)  # (cells, E)
+        excess = (n - diagonal[:, self.row] / s) / s
+        slope = np.einsum("cek,ek->ce", ev.gram[:, self.column], B[self.row])  # half of d F_rr / d entry, per cell
+        same = self.row[:, None] == self.row
+        mixed = np.einsum("ce,cf->ef", slope / s**2, shift)
+        noise_h = np.where(same, 0.5 * np.einsum("ce,cf->ef", n * shift / s**2, shift) - mixed - mixed.T, 0.0)
+        g_beta = self.T @ (quad_g - ev.blocks * jac_g + 0.5 * np.einsum("ce,ce->e", excess, shift))
+        h_beta = self.T @ (quad_h - ev.blocks * jac_h + noise_h) @ self.T.T
         # nuisances: log S and noise of each place
         P, p = point.S.size, point.beta.size
         D = self._nuisance(point, gain)  # (cells, 2P, P): d spread / d psi
         g_psi = 0.5 * np.einsum("cqi,ci->q", D, (count[:, None] - diagonal / spread) / spread)
         h_psi = 0.5 * np.einsum("cqi,cri,ci->qr", D, D, count[:, None] / spread**2)
-        slope = np.einsum("cek,ek->ce", ev.gram[:, self.column], B[self.row])  # half of d F_rr / d entry, per cell
-        cross = -np.einsum("ce,cqe->eq", slope / spread[:, self.row] ** 2, D[:, :, self.row])
+        cross = np.einsum("ce,cqe->eq", (0.5 * n * shift - slope) / s**2, D[:, :, self.row])
         hessian = np.zeros((p + 2 * P, p + 2 * P))
         hessian[:p, :p], hessian[p:, p:] = h_beta, h_psi
         hessian[:p, p:] = self.T @ cross
@@ -157,16 +163,26 @@ class Likelihood:
         """(folds, p + 2 P) gradient of each fold; grams (folds, cells, k, k), blocks (folds,)."""
         point, ev = local.point, self.evidence
         B = ev.balance.coefficients(point.beta)
-        jac_g, _ = self._jacobian(B @ self.R, point, local.spread, hessian=False)
+        A = B @ self.R
+        jac_g, _ = self._jacobian(A, point, local.spread, hessian=False)
+        shift = self._spread_slope(A, point)
         D = self._nuisance(point, local.floor)
         out = []
         for G, n in zip(grams, blocks, strict=True):
             rows = np.einsum("ci,ckl->ikl", 1 / local.spread, G)
-            g_beta = self.T @ (self._quadratic(B, rows, hessian=False)[0] - n * jac_g)
             diagonal = np.einsum("cii->ci", self.force_power(B, G))
             excess = (n * ev.grid.per_cell[:, None] - diagonal / local.spread) / local.spread
+            through_noise = 0.5 * np.einsum("ce,ce->e", excess[:, self.row], shift)
+            g_beta = self.T @ (self._quadratic(B, rows, hessian=False)[0] - n * jac_g + through_noise)
             out.append(np.concatenate([g_beta, 0.5 * np.einsum("cqi,ci->q", D, excess)]))
         return np.array(out)
+
+    def _spread_slope(self, A: Complexes, point: Point) -> Floats:
+        """(cells, E) derivative of the spread of its row by each entry."""
+        if not point.noise.any():
+            return np.zeros((self.evidence.grid.starts.size, self.row.size))
+        weighted = A[:, self.row].conj() * self.R[:, self.column] * self.noise_shape[:, None, :]
+        return self.evidence.nodes.mean_by_cell(2.0 * (weighted @ point.noise).real, self.evidence.grid.per_cell)
 
     def _nuisance(self, point: Point, gain: Floats) -> Floats:
         P = point.S.size
@@ -203,23 +219,25 @@ class Likelihood:
 def spectrum_of_force(power: Floats, floor: Floats, count: Floats, start: Point) -> tuple[Floats, Floats]:
     """(S, noise), each (places,), >= 0, that explain the cell powers best given the gain of the noise.
 
-    Fisher scoring of the gamma likelihood of mean |F|^2 in each cell. power : (cells, P); floor : (cells, P, P), see
-    Local; count : (cells,) independent bins.
+    The gamma likelihood of mean |F|^2 in each cell, S in closed form for every ratio noise / S, the ratio sought on a
+    grid that is refined: it may have two maxima. power : (cells, P); floor : (cells, P, P), see Local; count :
+    (cells,) independent bins.
     """
     S, noise = start.S.copy(), start.noise.copy()
-    for _ in range(4):
-        for i in range(S.size):
-            g = floor[:, i, i]
-            rest = floor[:, i] @ noise - g * noise[i]
-            y = power[:, i] - rest
-            weight = count / (S[i] + rest + g * noise[i]) ** 2
-            n, ng, ngg, ny, ngy = weight.sum(), weight @ g, weight @ (g * g), weight @ y, weight @ (g * y)
-            determinant = n * ngg - ng * ng
-            level, slope = (ny * ngg - ngy * ng, n * ngy - ng * ny) if determinant > 1e-9 * n * ngg else (0.0, 0.0)
-            if slope <= 0.0:
-                S[i], noise[i] = ny / n, 0.0
-            else:
-                S[i], noise[i] = max(level / determinant, 1e-3 * start.S[i]), slope / determinant
+    for i in range(S.size):
+        g = floor[:, i, i]
+        y = np.maximum(power[:, i] - floor[:, i] @ noise + g * noise[i], 1e-3 * power[:, i])
+        coarse = np.geomspace(1e-3 / g.max(), 1e4 / g.min(), 32)
+        ratios = np.concatenate([[0.0], coarse])
+        for narrow in (None, 0.3, 0.03, 0.003):
+            if narrow is not None:
+                if S[i] == 0.0 or noise[i] == 0.0:
+                    break
+                ratios = noise[i] / S[i] * np.exp(narrow * np.linspace(-1.3, 1.3, 13))
+            shape = 1.0 + ratios[:, None] * g
+            level = (count * y / shape).sum(axis=1) / count.sum()
+            best = int(np.argmin(count.sum() * np.log(level) + (count * np.log(shape)).sum(axis=1)))
+            S[i], noise[i] = level[best], level[best] * ratios[best]
     return S, noise
 
 

@@ -13,12 +13,13 @@ from .bandlimit import Motion, band_limit
 from .columns import Columns, Stretch
 from .errors import DataError
 from .features import MARGIN
-from .gram import Layout, Nodes, gram, layout, nodes, spectra, valid_blocks
+from .gram import CELLS, Layout, Nodes, gram, layout, nodes, spectra, valid_blocks
 from .likelihood import Evidence
 from .model import Model
 
 Floats = NDArray[np.float64]
 BLOCKS_PER_FOLD = 3
+CELLS_WITH_FORCE = 300  # what is left is sensor noise seen through A, which varies within a resonance
 _MEMORY = 4e7  # complex bins held at a time, about
 
 
@@ -88,7 +89,7 @@ def prepare(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None
     if phase is None:
         turns_per_s = (model.speed_rpm or 0.0) / 60.0
         phase = np.asarray(2 * np.pi * turns_per_s / rate_hz * np.arange(motion.rows), dtype=np.float64)
-    grid = layout(rate_hz, model.band, notches(model))
+    grid = layout(rate_hz, model.band, notches(model), CELLS if not forces else CELLS_WITH_FORCE)
     if valid_blocks(motion.valid, grid).size < 8:
         raise DataError(
             f"the record has {motion.valid.sum() / rate_hz:.2f} s of valid samples in a row, "
@@ -159,6 +160,8 @@ def gather(
     """The bank of a record, or of its first seconds. per_fold : blocks in a fold of time."""
     grid, k = record.grid, len(balance.columns)
     columns = Columns(balance, record.scales, widths, linear)
+    if record.force:
+        per_fold *= 4
     most = max(1, min(8, int(_MEMORY / (k * grid.size) / per_fold))) * per_fold
     grams, counts, starts = [], [], []
     tangents, weight = np.zeros((k, 4)), 0.0

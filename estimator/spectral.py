@@ -166,6 +166,8 @@ def messages(solution: Solution) -> tuple[str, ...]:
                 f"{place}: no mass is known, so only ratios are: resonance {hz:.1f} Hz, damping {100 * zeta:.2f} % "
                 "of critical; give [rig.mass] to have stiffness in N/m"
             )
+        if solution.record.force:  # what is left is the sensor's noise, not a force
+            continue
         excess = solution.local.power[:, i] / solution.local.spread[:, i] - 1.0
         count = 0.5 * solution.bank.blocks.sum() * solution.record.grid.per_cell
         z = excess * np.sqrt(count)

@@ -1,0 +1,124 @@
+"""Free-run simulation under a measured force: the fitted model driven by the force alone, beside the measurement.
+
+The force is known as band-limited samples. It is interpolated to the steps of the integration (a zero-order hold of
+the samples would cost more than most missing terms), and both sides are compared in the analysis band.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .balance import force_channels, motion_channels, resolve
+from .bandlimit import band_limit
+from .effects.places import at
+from .errors import DataError
+from .model import EffectUse, Model, Setting
+from .record import Record
+from .spectral import Solution
+
+Floats = NDArray[np.float64]
+OVERSAMPLE = 8
+SETTLE = 12.0  # decay times until the start from rest is forgotten
+CHUNK_S = 4.0
+
+
+def fitted_model(solution: Solution) -> Model:
+    """The model with every value of a solution filled in, ready for the simulator."""
+    model, balance, point, values = solution.record.model, solution.balance, solution.point, solution.values
+    linear, mass = {}, dict(model.mass)
+    for i, place in enumerate(balance.places):
+        given = dict(model.linear.get(place, {}))
+        new = {key: Setting(values[f"{place}.{key}"]) for key in ("kL", "c") if f"{place}.{key}" in values}
+        linear[place] = given | new | {"S": Setting(float(point.S[i]))}
+        if f"{place}.m" in values:
+            mass[place] = values[f"{place}.m"]
+    shapes = {law.name(j): float(p) for law in balance.laws for j, p in enumerate(law.p)}
+    uses = []
+    for use in model.effects:
+        effect = resolve(use)
+        parameters = {
+            key: {
+                q.name: Setting(values.get(name, shapes.get(name)))
+                for q in effect.parameters
+                for name in (f"{key}.{effect.name}.{q.name}",)
+            }
+            for key in at(effect, use, model)
+        }
+        uses.append(EffectUse(use.name, parameters, use.custom))
+    return replace(model, linear=linear, mass=mass, effects=tuple(uses))
+
+
+def resampled(z: Floats, size: int, shift: float) -> Floats:
+    """(..., size) band-limited rows of z (..., n), each taken `shift` of an output step later."""
+    Z = np.fft.rfft(z, axis=-1)
+    n = min(z.shape[-1], size) // 2 + 1
+    out = np.zeros((*z.shape[:-1], size // 2 + 1), complex)
+    out[..., :n] = Z[..., :n] * np.exp(2j * np.pi * np.arange(n) * shift / size)
+    return np.asarray(np.fft.irfft(out, size, axis=-1) * (size / z.shape[-1]))
+
+
+def free_run(model: Model, force: Floats, rate_hz: float) -> Floats:
+    """(places, n) motion in the kind that each place's channel measures, from rest, under (places, n) N.
+
+    model : every value given. Raises ModelError for an incomplete or unstable model.
+    """
+    from .simulate_plan import build
+    from .simulate_speed import Speed
+    from .simulate_step import Stepper
+
+    channels = tuple(model.channels[c] for c in motion_channels(model))
+    plan = build(replace(model, channels=channels))
+    speed = Speed(model.speed_rpm) if model.speed_rpm is not None else None
+    stepper = Stepper(plan, 1.0 / (rate_hz * OVERSAMPLE), "exponential", speed)
+    slots = stepper.slots.of_dof[[plan.rig.index(p) for p in model.places]]
+    out = np.empty_like(force)
+    pad, chunk = int(0.25 * rate_hz), int(CHUNK_S * rate_hz)
+    n = force.shape[1]
+    stepped: list[Floats] = []
+    for a in range(0, n, chunk):
+        lo, hi = max(a - pad, 0), min(a + chunk + pad, n)
+        fine = resampled(force[:, lo:hi], (hi - lo) * OVERSAMPLE, 0.5)
+        part = fine[:, (a - lo) * OVERSAMPLE : (min(a + chunk, n) - lo) * OVERSAMPLE]
+        F = np.zeros((part.shape[1], stepper.slots.count))
+        F[:, slots] = part.T
+        steps = np.empty((len(channels), part.shape[1]))
+        stepper.step(F, steps)
+        stepped.append(steps)
+    whole = np.concatenate(stepped, axis=1)
+    for a in range(0, n, chunk):
+        lo, hi = max(a - pad, 0), min(a + chunk + pad, n)
+        part = resampled(whole[:, lo * OVERSAMPLE : hi * OVERSAMPLE], hi - lo, -0.5 / OVERSAMPLE)
+        out[:, a : min(a + chunk, n)] = part[:, a - lo : min(a + chunk, n) - lo]
+    return out
+
+
+def simulation_rmse(solution: Solution, first: float = 0.0) -> dict[str, float]:
+    """Channel name -> rms in SI of measured minus simulated motion in the band, from the fraction `first` on.
+
+    Fit on the rows before, and simulate those after, for a held-out figure. Raises DataError without a measured force
+    at every place.
+    """
+    record: Record = solution.record
+    model, rate = record.model, record.rate_hz
+    P = len(model.places)
+    if len(force_channels(model)) < P:
+        raise DataError("a free run needs a measured force at every place: add channels of kind force")
+    lead = int(SETTLE * 2 * float(np.max(solution.start.m / solution.start.c)) * rate)
+    start = max(int(first * record.motion.rows) - lead, 0)
+    valid = record.motion.valid[start:]
+    force = np.where(valid, np.stack([record.force[i] for i in range(P)])[:, start:], 0.0)
+    y = free_run(fitted_model(solution), force, rate)
+    kinds = [model.channels[c].kind for c in motion_channels(model)]
+    simulated = band_limit(y.T, kinds, rate, model.band)
+    out = {}
+    for i, c in enumerate(motion_channels(model)):
+        name = {"acceleration": "a", "velocity": "v", "displacement": "x"}[kinds[i]]
+        measured = getattr(record.motion, name)[i, start:]
+        good = valid & simulated.valid
+        good[:lead] = False
+        error = getattr(simulated, name)[i, good] - measured[good]
+        out[model.channels[c].name] = float(np.sqrt(np.mean(error**2)))
+    return out

@@ -1,0 +1,53 @@
+"""A measured force as the known input: parameters at their own bound, and a free run of the fitted model."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimator import spectral
+from estimator.free_run import fitted_model, resampled, simulation_rmse
+from estimator.model import Channel, EffectUse, Model, Setting
+from estimator.record import prepare
+from estimator.simulate import simulate
+
+RATE, PLACES = 25600.0, ("bearing1.x", "bearing2.x")
+
+
+@pytest.fixture(scope="module")
+def truth() -> Model:
+    motion = tuple(Channel(f"a{i}", *p.split(".")) for i, p in enumerate(PLACES))
+    force = tuple(Channel(f"f{i}", *p.split("."), "force") for i, p in enumerate(PLACES))
+    linear = {p: {"kL": Setting(1e7), "c": Setting(60.0), "S": Setting(9e-5)} for p in PLACES}
+    cubic = EffectUse("cubic", {p: {"kNL": Setting(1.3e18)} for p in PLACES})
+    mass = {"disc": 0.515, "bearing1": 0.2, "bearing2": 0.2}
+    return Model(motion + force, (150.0, 8000.0), "chain", mass, 155e3, 0.5, linear=linear, effects=(cubic,))
+
+
+def test_a_measured_force_brings_the_parameters_to_its_own_bound(truth: Model) -> None:
+    y = simulate(truth, RATE, 8.0, seed=1)
+    blank = replace(truth, linear={}, effects=(EffectUse("cubic", {p: {} for p in PLACES}),))
+    solution = spectral.analyse(blank, y[: int(6 * RATE)], RATE)
+    parameters = spectral.report(solution)
+    for place in PLACES:
+        assert parameters[f"{place}.kL"].value == pytest.approx(1e7, rel=5e-4)
+        assert parameters[f"{place}.c"].value == pytest.approx(60.0, rel=5e-3)
+        assert parameters[f"{place}.cubic.kNL"].value == pytest.approx(1.3e18, rel=0.01)
+    filled = fitted_model(solution)
+    assert filled.linear["bearing1.x"]["kL"].value == parameters["bearing1.x.kL"].value
+    held = replace(solution, record=prepare(blank, y, RATE))
+    complete = simulation_rmse(held, first=0.75)
+    linear = replace(truth, linear={}, effects=())
+    lacking = replace(spectral.analyse(linear, y[: int(6 * RATE)], RATE), record=prepare(linear, y, RATE))
+    missing = simulation_rmse(lacking, first=0.75)
+    for name, rms in zip(("a0", "a1"), held.record.rms("a"), strict=True):
+        assert complete[name] < 0.04 * rms
+        assert missing[name] > 2.0 * complete[name]
+
+
+def test_resampling_of_a_band_limited_signal_is_exact() -> None:
+    n = 400
+    t = np.arange(n) / n
+    fine = (np.arange(8 * n) + 0.5) / (8 * n)
+    got = resampled(np.sin(2 * np.pi * 37 * t)[None], 8 * n, 0.5)[0]
+    assert np.allclose(got, np.sin(2 * np.pi * 37 * fine), atol=1e-9)
