@@ -1,0 +1,77 @@
+"""Smoothed laws against the integral they stand for; tangents; the finer grid against a dense one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from estimator.effects import CATALOGUE
+from estimator.features import MARGIN, State, decimated, depends, law_force, rough
+
+N, RATE = 20000, 25600.0
+
+
+def state(sx: float = 0.0, sv: float = 0.0, f: float = 1125.0) -> State:
+    t = np.arange(N) / RATE
+    rng = np.random.default_rng(0)
+    w = 2 * np.pi * f
+    a, b = rng.normal(size=2)
+    x = 1e-7 * (a * np.cos(w * t) + b * np.sin(w * 1.01 * t))
+    v = 1e-7 * w * (-a * np.sin(w * t) + 1.01 * b * np.cos(w * 1.01 * t))
+    h = np.sqrt(3) * np.array([sx, sv, 0.0, 0.0])
+    zero = np.zeros(N)
+    return State(x, v, zero, zero, t, zero, 1.0, h, np.ones(N, bool))
+
+
+def test_a_polynomial_is_smoothed_exactly() -> None:
+    s = state(sx=2e-8)
+    out, sums = law_force(CATALOGUE["cubic"], np.ones(1), s, np.array([True, False, False, False]))
+    assert np.allclose(out, s.x**3 + 3 * s.x * (2e-8) ** 2, rtol=1e-9)  # E (x + e)^3
+    assert sums[0] == pytest.approx(np.sum(3 * s.x**2 + 3 * (2e-8) ** 2), rel=1e-9)
+
+
+def test_a_step_gets_the_density_of_its_argument_as_its_mean_tangent() -> None:
+    sd = 5e-5
+    s = replace(state(sv=sd), v=np.random.default_rng(1).normal(size=N) * 1e-3)
+    sums = law_force(CATALOGUE["coulomb"], np.ones(1), s, np.array([False, True, False, False]))[1]
+    wanted = np.sum(2 / np.sqrt(2 * np.pi) / sd * np.exp(-0.5 * (s.v / sd) ** 2))  # sum of d/dv erf
+    assert sums[1] == pytest.approx(wanted, rel=0.1)
+    out = law_force(CATALOGUE["coulomb"], np.ones(1), s, np.array([False, True, False, False]))[0]
+    assert np.mean((out - erf(s.v / sd / np.sqrt(2))) ** 2) < 0.01
+
+
+def test_what_a_law_reads_and_whether_it_is_smooth() -> None:
+    scale = np.array([1e-7, 1e-3, 1e-7, 1e-3])
+    one = np.ones(1)
+    assert list(depends(CATALOGUE["cubic"], one, scale)) == [True, False, False, False]
+    assert list(depends(CATALOGUE["displacement_damping"], one, scale)) == [True, True, False, False]
+    assert list(depends(CATALOGUE["cross_coupling"], one, scale)) == [False, False, True, False]
+    assert not rough(CATALOGUE["cubic"], one, scale)
+    assert not rough(CATALOGUE["quadratic_damping"], one, scale)
+    assert rough(CATALOGUE["coulomb"], one, scale)
+    assert rough(CATALOGUE["clearance"], np.array([1.0, 1.5e-7]), scale)
+
+
+def test_the_finer_grid_takes_the_folded_harmonics_out() -> None:
+    """sgn of a tone: its harmonics above the Nyquist frequency may not come back into the band."""
+    f, dense = 1125.3, 64
+    s = state(f=f)
+    wide = State(*(np.ascontiguousarray(z) for z in (s.x, s.v, s.xo, s.vo, s.t, s.phase)), 1.0, s.h * 0, s.valid)
+    fine = wide.finer()
+    out = decimated(law_force(CATALOGUE["coulomb"], np.ones(1), fine, np.array([False, True, False, False]))[0])
+    assert out.size == N - 2 * MARGIN
+    inner = slice(MARGIN, N - MARGIN)
+    at = np.arange(N * dense) / (RATE * dense)
+    w, rng = 2 * np.pi * f, np.random.default_rng(0)
+    a, b = rng.normal(size=2)
+    v = -a * np.sin(w * at) + 1.01 * b * np.cos(w * 1.01 * at)
+    true = np.fft.irfft(np.fft.rfft(np.sign(v))[: N // 2 + 1] / dense, N)[inner]
+    window = np.hanning(out.size)
+    keep = np.fft.rfftfreq(out.size, 1 / RATE) < 8000
+
+    def error(z: np.ndarray) -> float:
+        difference = np.fft.rfft((z - true) * window)[keep]
+        return float(np.linalg.norm(difference) / np.linalg.norm(np.fft.rfft(true * window)[keep]))
+
+    assert error(out) < 0.3 * error(np.sign(s.v)[inner])
