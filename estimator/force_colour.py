@@ -175,7 +175,8 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
         level, u, _ = _maximum(c, base_model, [u0, quiet], scale)
         noise[i] = _exp(u[1])
         df = float(c.n.size - 4)
-        depth = float(np.sqrt(np.average(np.log(c.power / base_model(c, u)) ** 2, weights=c.n)))
+        off = np.average(np.log(c.power / base_model(c, u)) ** 2 - 1.0 / c.n, weights=c.n)  # without its own scatter
+        depth = float(np.sqrt(max(float(off), 0.0)))
         if chi2.sf(-2 * level, df) * len(data.places) > LEVEL or depth < LEAST_DEPTH:
             continue
         shaped.add(i)

@@ -27,7 +27,8 @@ from .working_point import WorkingPoint, tangent_at
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-NEIGHBOURS = 60  # bins either side for the local noise
+NEIGHBOURS = 240  # bins either side for the local noise
+SURE = 1.3  # the local noise is known to about a tenth: so much more is asked of a line
 LEVEL = 1e-4  # chance of one false line in a record, in a blind search
 KNOWN_LEVEL = 1e-4  # at an order that is looked at on purpose
 
@@ -91,7 +92,7 @@ def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Su
     for hz in known:
         usable &= np.abs(s.f_hz - hz) > width
     Z[:, ~usable] = 0.0
-    threshold = float(np.log(Z.size / LEVEL))
+    threshold = SURE * float(np.log(Z.size / LEVEL))
     lines = _peaks(s, Z, threshold)
     out: list[Suspect] = []
     rotation = (model.speed_rpm or 0.0) / 60.0

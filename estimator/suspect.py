@@ -28,6 +28,7 @@ class Suspect:
     detectable: tuple[float, str] | None = None
 
 
+CLAIMED = 1e-3  # p-value above which nothing is counted as missing
 SHAPES = ("coloured_excitation", "sensor_resonance", "pedestal", "sensor_noise")  # causes of one spectrum
 
 
@@ -46,6 +47,8 @@ def shares(suspects: list[Suspect]) -> list[Share]:
     out: list[Share] = []
     shaped: dict[int, tuple[float, Share]] = {}
     for s in suspects:
+        if s.p_value > CLAIMED:
+            continue
         for place, power in s.power.items():
             share = Share(place, s.against, s.region, power)
             if s.effect not in SHAPES:
