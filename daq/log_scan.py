@@ -88,6 +88,8 @@ def _scan(file: BinaryIO, size: int, findings: Findings) -> Iterator[list[Messag
             return
         else:
             problem = _attachment(file.read(length), findings) if op == ATTACHMENT else ""
+            if op != ATTACHMENT and _next_chunk(file, at + 1, end) is not None:
+                problem = "has a record that swallows a chunk"  # its length has no checksum: never trust it that far
             if not problem:
                 at = end
                 continue
@@ -191,9 +193,14 @@ def _next_chunk(file: BinaryIO, at: int, size: int) -> int | None:
         found = piece.find(SIGNATURE)
         while found >= 0:
             start = seek + found - SIGNATURE_AT
+            if start >= size:
+                return None
             file.seek(start)
-            if file.read(1) == bytes([CHUNK]):
-                return start
+            head = file.read(RECORD.size + CHUNK_HEAD.size + SIZE.size)
+            if head[:1] == bytes([CHUNK]) and len(head) == RECORD.size + CHUNK_HEAD.size + SIZE.size:
+                length, packed = SIZE.unpack_from(head, 1)[0], SIZE.unpack_from(head, len(head) - SIZE.size)[0]
+                if length == CHUNK_HEAD.size + SIZE.size + packed:
+                    return start
             found = piece.find(SIGNATURE, found + 1)
         seek += STEP
     return None

@@ -114,6 +114,16 @@ def test_cut_anywhere(tmp_path: Path, whole: Bytes, record_property: Property, s
     assert samples >= (len(COUNTS) - 107) * (length / len(whole) - 0.2)
 
 
+def test_a_record_of_false_length_swallows_no_chunk(tmp_path: Path, whole: Bytes) -> None:
+    damaged = bytearray(whole)
+    damaged[55] ^= 1
+    damaged[8 + 1 + 2] ^= 1  # 64 KiB longer: the header's length has no checksum
+    log = read(tmp_path / "a.mcap", bytes(damaged))
+    assert log is not None
+    assert not log.complete
+    assert assert_only_truth(log) >= (len(COUNTS) - 107) * 0.8
+
+
 @settings(max_examples=250, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_bits_flipped(
