@@ -228,7 +228,7 @@ def test_a_hanging_estimator_does_not_hold_the_stop(
     record_property("reliability", f"{row} and named | {took:.2f} s")
     log = read_log(path)
     assert log.complete
-    assert log.n_samples == summary.samples > 300_000
+    assert log.n_samples == summary.samples > 100_000  # four times what was estimated from
     assert "stopped_behind" in [n.code for n in log.notices]
     assert replay(log, check=True, make=MomentEstimator).identical
 
