@@ -1,0 +1,96 @@
+"""Hidden effects: the data come from the simulator, the diagnosis sees samples and a rig without the effect."""
+
+from __future__ import annotations
+
+import jsonschema
+import numpy as np
+import pytest
+from hidden_effects import RATE, ROOT, SECONDS, one_bearing, record, schema
+
+from daq.rig import load_rig
+from estimator.diagnose import diagnose
+from estimator.effects import CATALOGUE
+from estimator.effects.strength import size, strengths
+from estimator.errors import DataError
+from estimator.improve import improve
+from estimator.model import Model
+from estimator.simulate import simulate
+
+
+@pytest.fixture(scope="module")
+def rig() -> Model:
+    return one_bearing()
+
+
+def test_a_complete_model_is_called_complete_and_stays_as_it_is(rig: Model) -> None:
+    y = simulate(rig, RATE, SECONDS, seed=5, noise=0.02, full_scale=490.5)
+    ladder = improve(rig, y, RATE)
+    assert ladder.last.verdict == "complete"
+    assert len(ladder.rungs) == 1
+    value, low, _ = ladder.rungs[0].missing
+    assert low == 0.0
+    assert value < 0.3
+    jsonschema.validate(ladder.to_json(), schema("improve"))
+    jsonschema.validate(ladder.last.to_json(), schema("diagnose"))
+
+
+def test_a_hidden_quadratic_stiffness_is_named_added_and_nothing_is_left(rig: Model) -> None:
+    ladder = improve(rig, record(rig, "quadratic", 0.06), RATE)
+    assert [r.effects for r in ladder.rungs] == [("cubic",), ("cubic", "quadratic")]
+    assert ladder.rungs[1].heldout_nll < ladder.rungs[0].heldout_nll
+    assert ladder.rungs[1].missing[0] < 0.2 * ladder.rungs[0].missing[0]
+    truth = strengths(CATALOGUE["quadratic"], size(rig, "bearing1.x", RATE), 0.06, rig, SECONDS)["kq"]
+    for direction in "xy":
+        found = ladder.parameters[f"bearing1.{direction}.quadratic.kq"]
+        assert found.value == pytest.approx(truth, rel=0.1)
+        assert found.sd is not None
+        assert abs(found.value - truth) < 4 * found.sd
+
+
+@pytest.mark.parametrize("effect", ["coulomb", "line"])
+def test_named_first(rig: Model, effect: str) -> None:
+    found = diagnose(rig, record(rig, effect, 0.06), RATE)
+    assert found.verdict == effect
+    assert found.ranking[0].at == ("bearing1",)
+    assert found.ranking[0].p_value < 1e-3
+    jsonschema.validate(found.to_json(), schema("diagnose"))
+
+
+def test_a_faulty_sensor_is_not_reported_as_rotor_physics(rig: Model) -> None:
+    found = diagnose(rig, record(rig, "sensor_clipping", 0.06), RATE)
+    assert found.verdict == "sensor_clipping"
+
+
+def test_too_short_a_record_is_refused(rig: Model) -> None:
+    with pytest.raises(DataError, match="record longer"):
+        diagnose(rig, np.random.default_rng(0).standard_normal((4000, 2)), RATE)
+
+
+def test_a_dead_channel_is_refused_by_name(rig: Model) -> None:
+    y = np.random.default_rng(0).standard_normal((60000, 2))
+    y[:, 1] = 0.0
+    with pytest.raises(DataError, match="b1y"):
+        diagnose(rig, y, RATE)
+
+
+def test_gaps_are_left_out_and_the_effect_is_still_named(rig: Model) -> None:
+    y = record(rig, "quadratic", 0.06)
+    y[60000:60500] = np.nan
+    assert diagnose(rig, y, RATE).verdict == "quadratic"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("strength", [0.02, 0.06])
+@pytest.mark.parametrize("effect", [e for e in CATALOGUE if e not in ("cubic", "sensor_gain", "sensor_skew")])
+def test_catalogue(effect: str, strength: float) -> None:
+    model = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    assert diagnose(model, record(model, effect, strength, seconds=60.0), RATE).verdict == effect
+
+
+@pytest.mark.slow
+def test_false_alarms_are_rare() -> None:
+    from daq.confusion import COMPLETE, Case, run
+
+    model = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    verdicts = [run(model, Case(COMPLETE, "-", "-", seed), 20.0)["verdict"] for seed in range(40)]
+    assert sum(v != COMPLETE for v in verdicts) <= 2, verdicts
