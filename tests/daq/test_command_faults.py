@@ -271,3 +271,27 @@ def test_no_viewer_a_log_that_vanishes_and_acquisition_goes_on(
     measured = f"{log.n_samples} samples, 0 lost; closed in {took:.2f} s"
     record_property("reliability", f"{row} | both told, no sample lost, quick end | {measured}")
     assert took < 2.0
+
+
+def test_what_listens_does_so_on_loopback_and_says_where(rig: Path, tmp_path: Path) -> None:
+    """A served device and the metrics, each in a process of its own, neither told where to listen."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    serving = [sys.executable, "-m", "daq", "simulate", str(rig), "--serve", "serial:socket://:0"]
+    with subprocess.Popen(serving, stdout=subprocess.PIPE, text=True) as device:
+        assert device.stdout is not None
+        url = device.stdout.readline().split()[-1]
+        session = run(rig, "--link", url, "--out", str(tmp_path / "a.mcap"), "--metrics", str(port))
+        wait_for(tmp_path / "a.mcap", lambda log: log.n_samples > 10_000)
+        open_at = [
+            (c.laddr.ip, f"socket://127.0.0.1:{c.laddr.port}" in url or c.laddr.port == port)
+            for process in (device, session)
+            for c in psutil.Process(process.pid).net_connections()
+            if c.status == psutil.CONN_LISTEN
+        ]
+        session.send_signal(signal.SIGTERM)
+        _, said = session.communicate(timeout=20)
+        device.send_signal(signal.SIGTERM)
+        device.communicate(timeout=20)
+    assert open_at == [("127.0.0.1", True)] * 2
+    assert f"127.0.0.1:{port}" in said
