@@ -23,7 +23,7 @@ from .effects.places import kinematic
 from .model import Model
 from .path_fit import PathFit
 from .subproblem import Subproblem, subproblem
-from .suspect import Share, Suspect, shares
+from .suspect import SHAPES, Share, Suspect, shares
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -198,8 +198,8 @@ def survey(
     """Every place (or some; the rest count as explained); `others` are findings that no state explains."""
     places = range(len(point.data.places)) if only is None else only
     tries = len(point.data.places) * len(reference.GROUPS)
-    return Survey(
-        tuple(explain(point, i, orders_of(model), tries) for i in places),
-        point.bearing_force,
-        tuple(shares(list(others))),
-    )
+    residuals = tuple(explain(point, i, orders_of(model), tries) for i in places)
+    by_state = {r.place: sum(f.gain for f in r.found) for r in residuals}
+    # a law that is missing also bends the spectrum of the inferred force: not a second finding
+    kept = [s for s in others if s.effect not in SHAPES or all(s.gain > by_state.get(i, 0.0) for i in s.power)]
+    return Survey(residuals, point.bearing_force, tuple(shares(kept)))
