@@ -47,11 +47,14 @@ class Columns:
     """Evaluates the columns of a balance.
 
     rms : (places, 2) of x and v. widths : (places, 2) sd of what the band leaves out of x and v. linear : (places, 3)
-    m, kL, c for effects with a memory.
+    m, kL, c for effects with a memory. fine : only the first so many laws get the finer grid where they need it.
     """
 
-    def __init__(self, balance: Balance, rms: Floats, widths: Floats, linear: Floats | None = None) -> None:
+    def __init__(
+        self, balance: Balance, rms: Floats, widths: Floats, linear: Floats | None = None, fine: int | None = None
+    ) -> None:
         self.balance, self.widths = balance, widths
+        self.fine = len(balance.laws) if fine is None else fine
         self.linear = np.ones((len(balance.places), 3)) if linear is None else linear
         self._laws: dict[int, _Law] = {}
         for k, column in enumerate(balance.columns):
@@ -79,7 +82,7 @@ class Columns:
         if law.effect.kind == "memory":
             return _Law(terms, np.zeros(4, bool), False)
         reads = np.any([depends(law.effect, p, scale) for p, _ in terms], axis=0)
-        return _Law(terms, reads, rough(law.effect, terms[0][0], scale))
+        return _Law(terms, reads, column.law < self.fine and rough(law.effect, terms[0][0], scale))
 
     def state(self, row: int, stretch: Stretch) -> State:
         """What the laws at a place see."""

@@ -156,10 +156,11 @@ def gather(
     linear: Floats | None = None,
     per_fold: int = BLOCKS_PER_FOLD,
     seconds: float = np.inf,
+    fine: int | None = None,
 ) -> Bank:
     """The bank of a record, or of its first seconds. per_fold : blocks in a fold of time."""
     grid, k = record.grid, len(balance.columns)
-    columns = Columns(balance, record.scales, widths, linear)
+    columns = Columns(balance, record.scales, widths, linear, fine)
     if record.force:
         per_fold *= 4
     most = max(1, min(8, int(_MEMORY / (k * grid.size) / per_fold))) * per_fold

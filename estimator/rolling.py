@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .balance import Balance, build, force_channels, motion_channels, shaft_response
+from .balance import Balance, build, force_channels, motion_channels, restrict, shaft_response
 from .bandlimit import BandLimit, Motion
 from .columns import Columns
 from .dressing import dressed, mean_responses, self_energies
@@ -28,6 +28,7 @@ from .model import Model
 from .record import Record, as_record, gather, notches
 from .spectral import judged
 from .start import Start, linear_start
+from .watch import CANDIDATES, look, with_candidates
 
 Floats = NDArray[np.float64]
 WARM_UP_S = 4.0
@@ -70,12 +71,14 @@ class Memory:
 class RollingSpectral:
     """OnlineEstimator by the spectral likelihood. Estimates are renewed about twice a second.
 
-    watch : catalogue effects whose force is looked for in what the model leaves over, besides the model's own: the
-        rolling `missing_force_percent` (rms of the part of the inferred excitation that they predict, over the rms
-        linear bearing force).
+    watch : catalogue effects whose force is looked for in what the model leaves over (watch.py). The estimate's
+        `extra` then holds missing_force_percent, rms of the force that all of them together would explain over the
+        rms linear bearing force, and missing_force_percent_NAME for each one that is certain. None: half the cost.
     """
 
-    def __init__(self, model: Model, rate_hz: float, time_constant_s: float, watch: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, model: Model, rate_hz: float, time_constant_s: float, watch: tuple[str, ...] = CANDIDATES
+    ) -> None:
         if time_constant_s <= 0:
             raise ValueError(f"time constant {time_constant_s} s: it must be positive")
         self.model, self.rate_hz, self.time_constant_s, self.watch = model, rate_hz, time_constant_s, watch
@@ -145,7 +148,7 @@ class RollingSpectral:
         """Fit what is kept as a record, or say why it cannot be."""
         record = self._record()
         try:
-            self._fitted = _Fitted.begin(record, self.model, self.time_constant_s)
+            self._fitted = _Fitted.begin(record, self.model, self.time_constant_s, self.watch)
         except DataError as e:
             self._estimate = Estimate(self._seen, {}, 0.0, status=str(e))
             return
@@ -165,17 +168,20 @@ class RollingSpectral:
         fitted.solve()
         parameters = judged(fitted.balance, fitted.local.point, fitted.covariance(), self.model)
         samples = fitted.slow.n**2 / fitted.slow.n2 * self._grid.hop
-        self._estimate = Estimate(self._seen, parameters, samples, -fitted.local.nll)
+        self._estimate = Estimate(self._seen, parameters, samples, -fitted.local.nll, extra=fitted.missing())
 
 
 class _Fitted:
-    """Balance, memories and the point of a rolling fit."""
+    """Balances, memories and the point of a rolling fit. `wide` is the balance with the candidates, `balance` without;
+    the memories hold the Gram matrices of `wide`, of which `own` are the columns of `balance`."""
 
     def __init__(
-        self, start: Start, balance: Balance, columns: Columns, grid: Layout, keep: float, fast: float
+        self, start: Start, wide: Balance, laws: int, columns: Columns, grid: Layout, keep: float, fast: float
     ) -> None:
-        self.start, self.balance, self.columns, self.grid = start, balance, columns, grid
-        k = len(balance.columns)
+        self.start, self.wide, self.columns, self.grid = start, wide, columns, grid
+        self.balance, own = restrict(wide, set(range(laws)))
+        self.own = np.array(own, dtype=np.intp)
+        k = len(wide.columns)
         self.slow, self.fast = (Memory(a, np.zeros((grid.starts.size, k, k)), np.zeros((k, 4))) for a in (keep, fast))
         self.pairs: NDArray[np.complex128] | None = None
         self.local: Local
@@ -183,18 +189,19 @@ class _Fitted:
         self.shared = 0.0  # sum of the products of the two memories' weights
 
     @classmethod
-    def begin(cls, record: Record, model: Model, time_constant_s: float) -> _Fitted:
+    def begin(cls, record: Record, model: Model, time_constant_s: float, watch: tuple[str, ...]) -> _Fitted:
         start = linear_start(record)
         values = {}
         if len(build(model, start.sizes).free) > len(build(model, start.sizes, search=False).free):
             values = maximum(record, start, model).values  # the shapes as the first seconds have them
-        balance = build(model, start.sizes, values, search=False)
-        bank = gather(record, balance, start.widths, start.linear, per_fold=1)
-        columns = Columns(balance, record.scales, start.widths, start.linear)
+        own = build(model, start.sizes, values, search=False)
+        wide = build(with_candidates(model, watch), start.sizes, values, search=False)
+        bank = gather(record, wide, start.widths, start.linear, per_fold=1, fine=len(own.laws))
+        columns = Columns(wide, record.scales, start.widths, start.linear, fine=len(own.laws))
         hop_s = record.grid.hop / record.rate_hz
         watching = max(FAST * time_constant_s, 10 * hop_s)
         keeps = (float(np.exp(-hop_s / t)) for t in (time_constant_s, watching))
-        fitted = cls(start, balance, columns, record.grid, *keeps)
+        fitted = cls(start, wide, len(own.laws), columns, record.grid, *keeps)
         for G in bank.grams:
             fitted.forget()
             fitted.add(G, bank.tangents * record.grid.size, record.grid.size)
@@ -207,9 +214,10 @@ class _Fitted:
 
     def _dress(self, record: Record) -> None:
         B = self.balance.coefficients(self.local.point.beta)
-        mean = mean_responses(self.balance, B, self.slow.tangents / self.slow.rows)
+        mean = mean_responses(self.balance, B, self.slow.tangents[self.own] / self.slow.rows)
         if any(law.effect.kind == "force" for law in self.balance.laws) and all(m.c > 0 and m.k > 0 for m in mean):
-            self.pairs = self_energies(record, self.columns, B, mean, self.start.nodes.f_hz, WARM_UP_S)
+            columns = Columns(self.balance, record.scales, self.start.widths, self.start.linear)
+            self.pairs = self_energies(record, columns, B, mean, self.start.nodes.f_hz, WARM_UP_S)
 
     def forget(self) -> None:
         self.slow.forget()
@@ -226,8 +234,24 @@ class _Fitted:
         if self.pairs is not None and beta is not None:
             B = self.balance.coefficients(beta)
             dressing = dressed(self.pairs, self.balance, B, self.start.nodes.f_hz)
-        mean = memory.tangents / memory.rows
-        return Evidence(self.balance, self.grid, memory.gram, memory.n, mean, self.start.nodes, dressing)
+        mean = memory.tangents[self.own] / memory.rows
+        own = memory.gram[:, self.own[:, None], self.own]
+        return Evidence(self.balance, self.grid, own, memory.n, mean, self.start.nodes, dressing)
+
+    def missing(self) -> dict[str, float] | None:
+        """Force that candidates would explain, per cent of the rms linear bearing force; None without candidates."""
+        if len(self.wide.laws) == len(self.balance.laws):
+            return None
+        slow, dressing = self.slow, self._evidence(self.slow, self.local.point.beta).dressing
+        if dressing is not None:
+            whole = np.zeros((dressing.shape[0], len(self.wide.columns)), complex)
+            whole[:, self.own] = dressing
+            dressing = whole
+        mean = slow.tangents / slow.rows
+        wide = Evidence(self.wide, self.grid, slow.gram, slow.n, mean, self.start.nodes, dressing)
+        found = look(wide, self.balance, self.local.point, slow.n2 / slow.n)
+        sure = {f"missing_force_percent_{name}": percent for name, percent in found.sure.items()}
+        return {"missing_force_percent": found.total} | sure
 
     def _maximise(self, point: Point) -> tuple[Likelihood, Local, bool]:
         likelihood = Likelihood(self._evidence(self.slow, point.beta))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from reference_rig import PLACES, RATE, TRUTH, rig_model, rig_record
+from reference_rig import COULOMB, PLACES, RATE, TRUTH, rig_model, rig_record
 
 from estimator import spectral
 from estimator.estimate import Estimate
@@ -79,3 +79,18 @@ def test_a_change_of_two_per_cent_is_followed_within_two_time_constants() -> Non
     z = [(e.parameters["bearing1.x.kL"].value - changed[0]) / e.parameters["bearing1.x.kL"].sd for e in at]
     assert np.mean(np.abs(z) < 2.5) > 0.9
     assert at[0].parameters["bearing1.x.kL"].value > 1.01 * TRUTH["kL"][0]
+
+
+def test_what_is_missing_is_seen_and_named_as_it_rolls(record: np.ndarray) -> None:
+    model, friction = rig_model("cubic"), np.zeros((4, 7))
+    friction[:, COULOMB] = 0.06
+    complete = run(RollingSpectral(model, RATE, 10.0), record)[-1].extra
+    lacking = run(RollingSpectral(model, RATE, 10.0), rig_record(10.0, seed=5, hidden=friction))[-1].extra
+    assert complete is not None
+    assert lacking is not None
+    assert complete["missing_force_percent"] < 0.5
+    assert len(complete) == 1
+    assert lacking["missing_force_percent"] > 1.0
+    named = [k for k in lacking if k.startswith("missing_force_percent_")]
+    assert named[0] == "missing_force_percent_coulomb"
+    assert run(RollingSpectral(model, RATE, 10.0, watch=()), record[: int(6 * RATE)])[-1].extra is None
