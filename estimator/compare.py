@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from . import missing_force
 from .estimate import Parameter
 from .fitted import fitted_model, parameters
-from .heldout import heldout_nll, reference_nll
+from .heldout import heldout_nll, heldout_rmse, reference_nll
 from .model import Model
 from .model_uses import placed_of
 from .preparation import prepare
@@ -110,5 +110,6 @@ def compare_point(model: Model, point: WorkingPoint, y: Array, say: Progress) ->
         densities=beside.densities,
         orbits=beside.orbits,
         parameters=parameters(point),
+        simulation_rmse=heldout_rmse(model, y, point.data.rate_hz),
         messages=(beside.message,) if beside.message else (),
     )

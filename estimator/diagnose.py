@@ -77,7 +77,7 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
     before = missing_force.survey(point, model, others=others)
     trials = _screen(model, point, say)
     entries = evidence.entries(model, point, trials, before, others)
-    if not entries or entries[0].p_value > SIGNIFICANT:
+    if not entries or entries[0].p_value > SIGNIFICANT or _negligible(entries[0]):
         return _nothing(point, before, tuple(entries))
     say(0.85, f"does {entries[0].effect} explain it?")
     best = entries[0]
@@ -98,6 +98,11 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
             ),
         )
     return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries))
+
+
+def _negligible(best: Entry) -> bool:
+    """Whether a force law, however certain, explains less than any simulation or filter leaves behind."""
+    return bool(best.placed) and best.explained_percent < 100 * missing_force.NEGLIGIBLE
 
 
 def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[Entry, ...]) -> Diagnosis:

@@ -38,6 +38,7 @@ class Entry:
     after_percent: float
     parameters: dict[str, Parameter]
     score: float
+    explained_percent: float = 100.0  # rms of the effect's own part of the force over the bearing force
     placed: tuple[Placed, ...] = ()
     detectable: tuple[float, str] | None = None
     settings: dict[str, dict[str, Parameter]] = field(default_factory=dict)  # of an effect that is no force law
@@ -99,6 +100,7 @@ def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: Survey) ->
         after_percent=left,
         parameters={k: v for t in used for k, v in _parameters(point, t).items()},
         score=gain - COST * df if heldout > -3.0 else -np.inf,
+        explained_percent=100 * float(np.sqrt(power / scale)),
         placed=tuple(t.placed for t in used),
         detectable=_detectable(used),
     )

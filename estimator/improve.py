@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from .diagnose import Diagnosis, diagnose_point
 from .estimate import Parameter
 from .evidence import Entry
 from .fitted import fitted_model, parameters
-from .heldout import heldout_nll
+from .heldout import heldout_nll, heldout_rmse
 from .missing_force import survey
 from .model import EffectUse, Model, Setting
 from .model_uses import placed_of
@@ -42,10 +42,12 @@ class Rung:
     effects: tuple[str, ...]
     heldout_nll: float
     missing: tuple[float, float, float]
+    simulation_rmse: dict[str, float] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         value, low, high = self.missing
-        return {
+        more = {"simulation_rmse": self.simulation_rmse} if self.simulation_rmse else {}
+        return more | {
             "effects": list(self.effects),
             "heldout_nll": self.heldout_nll,
             "missing_force_percent": {"value": value, "low": low, "high": high},
@@ -127,11 +129,10 @@ def with_settings(model: Model, entry: Entry) -> Model:
 
 
 def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:
-    return Rung(
-        tuple(u.name for u in model.effects),
-        heldout_nll(point),
-        survey(point, model, others=suspects(model, point, y)).interval(),
-    )
+    """A model's place on the ladder."""
+    missing = survey(point, model, others=suspects(model, point, y)).interval()
+    rmse = heldout_rmse(model, y, point.data.rate_hz)
+    return Rung(tuple(u.name for u in model.effects), heldout_nll(point), missing, rmse)
 
 
 def idle(point: WorkingPoint) -> list[str]:

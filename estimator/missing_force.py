@@ -28,6 +28,7 @@ from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 LEVEL = 1e-3  # of a group at a place, after counting the groups and places tried
+NEGLIGIBLE = 1.2e-3  # of the rms bearing force: below it lie the band limit and the integrators of any simulation
 RIDGE = 1e-3  # of a column's own information: keeps hat functions that nothing visits at zero
 
 
@@ -90,10 +91,13 @@ def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) 
                 best = (gained, name, trial, fit, p)
         if best is None or min(1.0, best[4] * tries) > LEVEL:
             break
-        gained, name, current, fitted, p = best
+        gained, name, current_new, fitted_new, p = best
+        total, _ = power_of(point, current_new, fitted_new, i)
+        if total - power < (NEGLIGIBLE * point.bearing_force[i]) ** 2:
+            break
+        current, fitted = current_new, fitted_new
         chosen.append(name)
         level += gained
-        total, _ = power_of(point, current, fitted, i)
         found.append(Found(i, name, max(total - power, 0.0), gained, min(1.0, p * tries)))
         power = max(total, power)
     P, sd = power_of(point, current, fitted, i) if chosen else (0.0, 0.0)

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 def suspects(model: Model, point: WorkingPoint, y: Array) -> list[Suspect]:
     """Lines, shaped or shared forces, sensor faults, strongest first; of a clipped channel nothing else."""
     clipped = sensor_faults.find(model, y)
+    if point.data.measured_force:
+        return clipped  # what is left of a known force has no spectrum of its own to judge
     bad = {p for s in clipped for p in s.at}
     rest = line_forces.find(model, point, y, point.data.rate_hz) + force_colour.find(model, point)
     kept = [s for s in rest if not (set(s.at) & bad)]
