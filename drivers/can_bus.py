@@ -17,6 +17,7 @@ from drivers.links import CanConfig
 from drivers.socketcan import BulkReceiver, KernelQueue, check_up
 
 MAX_BATCH = 1024
+BLAME_S = 1.0  # a host that was too slow is so several times in a row
 SPIN_SHARE = 0.15  # of a wait for nothing spent computing: the interface spins on a dead connection
 
 
@@ -84,7 +85,7 @@ class BusSource:
         self._events: list[Event] = []
         self._spins = 0
         self._lost = 0  # frames the kernel threw away, until we have read past that place
-        self._drained = False
+        self._blamed_until_s = 0.0
 
     def open(self) -> None:
         self._bus = self._connect(self._config)
@@ -117,14 +118,17 @@ class BusSource:
         return None
 
     def _look_for_losses(self, queue: KernelQueue, received: int) -> None:
-        """What the kernel lost lies behind all that it held then: blame it until the queue has been empty."""
-        self._lost += queue.lost()
-        if self._lost and (received or not self._drained):
+        """What the kernel lost lies behind all that it held then: blame it until a second after the queue was empty."""
+        now_s = time.monotonic()
+        lost = queue.lost()
+        self._lost += lost
+        if lost or (self._lost and not queue.empty):
+            self._blamed_until_s = now_s + BLAME_S
+        elif now_s > self._blamed_until_s:
+            self._lost = 0
+        if self._lost and received:
             text = f"the kernel's queue was full: {self._lost} frames of the bus lost because this host was too slow"
             self._events.append(Event("error", "kernel_overflow", text, "overflow"))
-        if self._drained and received:
-            self._lost = 0
-        self._drained = self._lost > 0 and (self._drained or queue.empty)
 
     def _receive_all(self, timeout_s: float) -> CanFrames | None:
         """What python-can's interface has, one message at a time."""

@@ -65,10 +65,32 @@ def _open_reader(file: Path, suffix: str) -> Any:
         return _open_mf4(file)
     handle = file.open("rb") if suffix == ".blf" else file.open("r", encoding="utf-8", errors="replace")
     try:
-        return can.BLFReader(handle) if suffix == ".blf" else can.ASCReader(handle)
+        return _open_blf(handle) if suffix == ".blf" else can.ASCReader(handle)
     except Exception:
         handle.close()
         raise
+
+
+def _open_blf(handle: Any) -> Any:
+    """python-can's loop never gets past an object that claims to have no length: such a container is damage."""
+    import can
+
+    class Reader(can.BLFReader):  # type: ignore[misc]
+        def _parse_container(self, data: bytes) -> Any:
+            _check_objects(bytes(self._tail) + data)
+            return super()._parse_container(data)
+
+    return Reader(handle)
+
+
+def _check_objects(data: bytes) -> None:
+    """Raise ValueError unless each object of an unpacked container is at least as long as its header."""
+    at = 0
+    while (at := data.find(b"LOBJ", at, at + 8)) >= 0 and at + 16 <= len(data):
+        size = int.from_bytes(data[at + 8 : at + 12], "little")
+        if size < 16:
+            raise ValueError(f"an object of {size} bytes")
+        at += size
 
 
 def _open_mf4(file: Path) -> Any:
