@@ -31,6 +31,7 @@ TAIL = """
 | queue | bound | when full | told by |
 |---|---|---|---|
 | reader to core loop | 32 MiB of readings | the oldest samples go; the reader never waits | gap `overflow` with exact indices, `dropped.reader` in the status, exit summary |
+| core loop to estimator | 250 blocks (10 s) or 32 MiB | nothing is dropped: the core loop takes no more, and the reader's queue fills | `lag_s.estimate` in the status |
 | core loop to disk | 64 MiB of readings, 16 MiB of file | the newest samples are not stored; the core loop never waits | gap `storage`, notices `log_overflow` and `log_resumed`, `dropped.LogWriter` |
 | core loop to viewer | see `daq/rerun_sink.py` | the oldest samples are not shown | notice, `dropped.RerunSink` |
 
