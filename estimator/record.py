@@ -36,6 +36,7 @@ class Record:
     force: dict[int, Floats]
     phase: Floats
     grid: Layout
+    lines: tuple[tuple[float, float], ...] = ()  # Hz, stretches left out of the grid (lines.py)
 
     @property
     def seconds(self) -> float:

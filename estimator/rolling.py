@@ -23,11 +23,12 @@ from .estimate import Estimate
 from .features import MARGIN
 from .gram import Layout, gram, layout, spectra
 from .likelihood import Evidence, Likelihood, Local, Point, active, maximise
+from .lines import begin
 from .maximum import initial, inverse, maximum
 from .model import Model
 from .record import Record, as_record, gather, notches
 from .spectral import judged
-from .start import Start, linear_start
+from .start import Start
 from .watch import CANDIDATES, look, with_candidates
 
 Floats = NDArray[np.float64]
@@ -148,7 +149,9 @@ class RollingSpectral:
         """Fit what is kept as a record, or say why it cannot be."""
         record = self._record()
         try:
-            self._fitted = _Fitted.begin(record, self.model, self.time_constant_s, self.watch)
+            record, start = begin(record, longest=1)
+            self._grid = record.grid
+            self._fitted = _Fitted.begin(record, start, self.model, self.time_constant_s, self.watch)
         except DataError as e:
             self._estimate = Estimate(self._seen, {}, 0.0, status=str(e))
             return
@@ -189,9 +192,10 @@ class _Fitted:
         self.shared = 0.0  # sum of the products of the two memories' weights
 
     @classmethod
-    def begin(cls, record: Record, model: Model, time_constant_s: float, watch: tuple[str, ...]) -> _Fitted:
-        start = linear_start(record)
-        values = {}
+    def begin(
+        cls, record: Record, start: Start, model: Model, time_constant_s: float, watch: tuple[str, ...]
+    ) -> _Fitted:
+        values: dict[str, float] = {}
         if len(build(model, start.sizes).free) > len(build(model, start.sizes, search=False).free):
             values = maximum(record, start, model).values  # the shapes as the first seconds have them
         own = build(model, start.sizes, values, search=False)

@@ -13,15 +13,16 @@ from .checks import check_record
 from .columns import Columns
 from .estimate import Parameter
 from .fit_result import Fit
-from .gram import spectra, valid_blocks
+from .gram import spectra, taper, valid_blocks
 from .likelihood import Likelihood, Local, Point, active
+from .lines import begin, describe
 from .maximum import inverse, maximum
 from .model import UNITS, Model
 from .record import Bank, Record, prepare, stretches
-from .start import Start, linear_start
+from .start import Start
 
 Floats = NDArray[np.float64]
-OVERLAP = 1.0 / 6.0  # correlation of the energies of neighbouring blocks under the sine window
+OVERLAP = 0.106  # correlation of the energies of neighbouring blocks (sums of w^2 w'^2 over w^4, gram.taper)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,7 @@ class Solution:
 def analyse(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) -> Solution:
     """Fit a model to (n, channels) rows in SI. Raises DataError."""
     record = prepare(model, check_record(model, y, rate_hz), rate_hz, phase)
-    return solve(record, linear_start(record), model)
+    return solve(*begin(record), model)
 
 
 def solve(record: Record, start: Start, model: Model, values: Mapping[str, float] | None = None) -> Solution:
@@ -92,11 +93,11 @@ def inferred_force(solution: Solution) -> Floats:
     columns = Columns(balance, record.scales, solution.start.widths, solution.start.linear)
     B = balance.coefficients(solution.point.beta)
     out, weight = np.zeros((len(balance.places), record.motion.rows)), np.zeros(record.motion.rows)
-    w = np.sin(np.pi * (np.arange(grid.size) + 0.5) / grid.size)
+    w = taper(grid.size)
     for group in stretches(valid_blocks(record.motion.valid, grid), 8):
         at = int(group[0]) * grid.hop
         z, _ = columns.evaluate(record.stretch(at, int(group[-1]) * grid.hop + grid.size))
-        Z = spectra(B @ z, group - group[0], grid) / grid.window[0] * w[0]
+        Z = spectra(B @ z, group - group[0], grid) * (w[grid.hop] / grid.window[grid.hop])
         full = np.zeros((*Z.shape[:2], grid.size // 2 + 1), complex)
         full[:, :, grid.bins] = Z
         series = np.fft.irfft(full, grid.size, axis=2)
@@ -156,6 +157,9 @@ def messages(solution: Solution) -> tuple[str, ...]:
     point, places = solution.point, solution.balance.places
     if not solution.converged:
         out.append("the likelihood was not brought to its maximum: values are provisional")
+    record = solution.record
+    if record.lines:
+        out.append(f"left out as lines: {describe(record.lines, record.model.speed_rpm)}")
     values, sd = solution.values, np.sqrt(np.diag(solution.covariance))
     for i, place in enumerate(places):
         name = f"{place}.m"

@@ -85,10 +85,11 @@ def rig_record(
     step: float = 490.5 / 32768,
     steps: int = 10,
     change: tuple[float, NDArray[np.float64]] | None = None,
+    tones: tuple[tuple[float, float], ...] = (),
 ) -> NDArray[np.float64]:
     """(n, 4) m/s^2. hidden : (4, 7) see above; level : factor on the force; step : of the quantiser.
 
-    change : (s, (4,) N/m) when the stiffnesses change, and to what.
+    change : (s, (4,) N/m) when the stiffnesses change, and to what. tones : (Hz, N) of forces at every place.
     """
     rng = np.random.default_rng(seed)
     H = np.zeros((4, 7)) if hidden is None else hidden.copy()
@@ -96,10 +97,14 @@ def rig_record(
     fs = RATE * steps
     taps = _taps(steps)
     x, v = np.zeros(6), np.zeros(6)
-    wanted = int(seconds * RATE)
+    wanted, done = int(seconds * RATE), 0
     tail, pieces, count, chunk = np.empty((0, 4)), [], 0, 8192
     while count < wanted:
         F = rng.normal(size=(chunk * steps, 4)) * level * np.sqrt(TRUTH["S"] / 2 * fs)
+        at = (done + np.arange(len(F))) / fs
+        done += len(F)
+        for hz, amplitude in tones:
+            F += amplitude * np.cos(2 * np.pi * hz * at[:, None] + np.arange(4))
         out = np.empty_like(F)
         k = change[1] if change is not None and count >= change[0] * RATE else TRUTH["kL"]
         _integrate(F, x, v, 1 / fs, k, TRUTH["c"], H, out)

@@ -1,0 +1,119 @@
+"""Lines in the inferred force: shaft orders, mains and other tones, found and left out of the likelihood.
+
+A tone is no part of a Gaussian force, and a rotor's tones stand on its resonances. They are seen in the force, which is
+otherwise smooth, so that a resonance is not taken for one: a bin that stands out from those three and four bins away.
+Its neighbourhood is taken out of the Gram matrices and of the Jacobian alike, which costs a little information and no
+bias, and needs no knowledge of the speed. The tone's motion stays in the displacement that the effects see.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .balance import build
+from .columns import Columns
+from .gram import CELLS, layout, spectra, valid_blocks
+from .record import CELLS_WITH_FORCE, Record, notches, stretches
+from .start import Start, linear_start
+
+Floats = NDArray[np.float64]
+FALSE_ALARM = 1e-5  # of a record
+LONGER, FEWEST = 4, 60  # blocks as much longer as leave this many, to resolve lines
+STRONG = 8.0  # over its surroundings: no resonance rises so within four bins
+
+
+def spectrum_by_bin(record: Record, B: Floats | None, start: Start | None) -> tuple[Floats, float]:
+    """(bins, places) mean |F|^2 of the force of the linear balance B, and the number of blocks; without B: of a."""
+    balance = build(replace(record.model, effects=()))
+    P = len(balance.places)
+    columns = Columns(balance, record.scales, np.zeros((P, 2)) if start is None else start.widths)
+    if B is None:
+        B = np.eye(P, len(balance.columns))
+    blocks = valid_blocks(record.motion.valid, record.grid)
+    power = np.zeros((record.grid.bins.size, P))
+    for group in stretches(blocks, 24):
+        first, last = int(group[0]) * record.grid.hop, int(group[-1]) * record.grid.hop + record.grid.size
+        z, _ = columns.evaluate(record.stretch(first, last))
+        F = spectra(B @ z, group - group[0], record.grid)
+        power += np.einsum("ibf,ibf->fi", F, F.conj()).real
+    return power / blocks.size, float(blocks.size)
+
+
+def linear_balance(record: Record, start: Start) -> Floats:
+    """(places, columns) coefficients of the linear start."""
+    balance = build(replace(record.model, effects=()))
+    values: dict[str, float] = {}
+    for i, place in enumerate(balance.places):
+        values |= {f"{place}.m": start.m[i], f"{place}.c": start.c[i], f"{place}.kL": start.kL[i]}
+    return balance.coefficients(np.array([values.get(f.name, f.start) for f in balance.free]))
+
+
+def find_lines(power: Floats, blocks: float, f_hz: Floats, least: float = 1.0) -> tuple[tuple[float, float], ...]:
+    """Stretches (f1, f2) in Hz to leave out. power : (bins, places); f_hz : (bins,) evenly spaced but for notches.
+
+    least : ratio to the surroundings that a line must have, at least.
+    """
+    from scipy.stats import f as f_ratio
+
+    n, independent = power.shape[0], max(blocks * 0.75, 1.0)  # neighbouring blocks share half their rows
+    limit = max(f_ratio.isf(FALSE_ALARM / power.size, 2 * independent, 4 * 2 * independent), least)
+    padded = np.pad(power, ((5, 5), (0, 0)), mode="reflect")
+    around = np.stack([padded[5 + d : 5 + d + n] for d in (-5, -4, 4, 5)])
+    # of four neighbours the larger ones: the side of a steep spectrum is no line
+    ratio = power / np.maximum(around.mean(axis=0), np.sort(around, axis=0)[2])
+    spacing = float(np.min(np.diff(f_hz)))
+    found: list[tuple[float, float]] = []
+    for k in np.flatnonzero((ratio > limit).any(axis=1)):
+        strength = float(ratio[k].max())
+        half = (3.5 if strength < 300.0 else 4.5 if strength < 1e5 else 10.5) * spacing  # out to 3 % or less of S
+        a, b = float(f_hz[k] - half), float(f_hz[k] + half)
+        if found and a <= found[-1][1]:
+            found[-1] = (found[-1][0], max(b, found[-1][1]))
+        else:
+            found.append((a, b))
+    return tuple(found)
+
+
+def begin(record: Record, longest: int = LONGER) -> tuple[Record, Start]:
+    """The record with its lines left out, and its linear start. Raises DataError as `linear_start` does.
+
+    Strong lines are taken out of the acceleration first, so that the start is sound; then what stands out of the force.
+    longest : how much longer the blocks may be made, to resolve lines.
+    """
+    strong = find_lines(*spectrum_by_bin(record, None, None), record.grid.f_hz, least=STRONG)
+    if strong:
+        blocks, longer = valid_blocks(record.motion.valid, record.grid).size, 1
+        while 2 * longer <= longest and blocks / (2 * longer) >= FEWEST:
+            longer *= 2
+        if longer > 1:
+            record = _leave_out(record, (), longer)
+            strong = find_lines(*spectrum_by_bin(record, None, None), record.grid.f_hz, least=STRONG)
+        record = _leave_out(record, strong, longer)
+    start = linear_start(record)
+    power, count = spectrum_by_bin(record, linear_balance(record, start), start)
+    more = find_lines(power, count, record.grid.f_hz)
+    if not more:
+        return record, start
+    record = _leave_out(record, tuple(sorted((*strong, *more))), record.grid.longer)
+    return record, linear_start(record)
+
+
+def _leave_out(record: Record, lines: tuple[tuple[float, float], ...], longer: int) -> Record:
+    cells = CELLS_WITH_FORCE if record.force else CELLS
+    grid = layout(record.rate_hz, record.model.band, (*notches(record.model), *lines), cells, longer)
+    return replace(record, grid=grid, lines=lines)
+
+
+def describe(lines: tuple[tuple[float, float], ...], speed_rpm: float | None, most: int = 6) -> str:
+    """The middles of the stretches, as orders of the shaft where they are."""
+    words = []
+    for a, b in lines[:most]:
+        f, shaft = 0.5 * (a + b), (speed_rpm or 0.0) / 60.0
+        order = round(f / shaft) if shaft else 0
+        resolved = shaft > 2 * (b - a) and abs(f - order * shaft) < 0.25 * (b - a)
+        words.append(f"{f:.0f} Hz ({order}X)" if resolved else f"{f:.0f} Hz")
+    more = f" and {len(lines) - most} more" if len(lines) > most else ""
+    return ", ".join(words) + more
