@@ -47,12 +47,12 @@ def read(path: Path, names: Sequence[str]) -> Columns:
     if not path.is_file():
         raise LogError(f"{path}: there is no such file; check the path")
     try:
-        with bounded_memory() as bound:
+        with bounded_memory(path.stat().st_size) as bound:
             return reader(path, names)
     except (LogError, KeyboardInterrupt):
         raise
     except MemoryError as error:
-        text = f"reading it takes more than {bound / 1e9:.2g} GB of memory, half of what there is"
+        text = f"reading it takes more than {bound / 1e9:.2g} GB of memory"
         raise LogError(f"{path}: {text}; cut it into parts, or check that it is what it says") from error
     except Exception as error:  # a damaged file may raise anything in the library that reads it
         text = " ".join(str(error).split()) or type(error).__name__

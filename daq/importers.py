@@ -63,7 +63,7 @@ def _import_capture(output: Output, path: Path, rig: Rig, out: Path) -> None:
 
     if not path.is_file():
         raise LogError(f"{path}: there is no such file; check the path")
-    with bounded_memory():  # what cannot be unpacked in it is damage of the file
+    with bounded_memory(path.stat().st_size):  # what cannot be unpacked in it is damage of the file
         run_rig(output, rig, f"capture:{path}", out, command="import")
 
 

@@ -8,16 +8,19 @@ from contextlib import contextmanager
 from pathlib import Path
 
 SHARE = 0.5  # of the memory that is free
+LEAST_BYTES, FACTOR = 1 << 30, 100  # enough for any sound file: a gigabyte, and a hundred times its size
 UNKNOWN_BYTES = 4 << 30  # free memory where the system does not say
 
 
 @contextmanager
-def bounded_memory() -> Iterator[int]:
-    """Within it, allocating more than half of the free memory raises MemoryError (on Linux). Yields that many bytes.
+def bounded_memory(file_bytes: int) -> Iterator[int]:
+    """Within it, allocating more than a file of this size deserves raises MemoryError (on Linux). Yields the bound.
+
+    It is 1 GB and a hundred times the file's size, but never more than half of the free memory.
 
     The bound is the whole process's: for commands that do one thing, not for a live session.
     """
-    bound = int(SHARE * _free_bytes())
+    bound = min(int(SHARE * _free_bytes()), LEAST_BYTES + FACTOR * file_bytes)
     try:
         import resource
 
