@@ -26,6 +26,7 @@ from estimator.diagnose import diagnose
 from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.effects.strength import size, strengths, with_effect
+from estimator.errors import ModelError
 from estimator.model import Model, Setting
 from estimator.simulate import simulate
 
@@ -161,7 +162,11 @@ def main(arguments: list[str] | None = None) -> int:
     for case in cases(effects, given.strengths.split(","), given.at.split(","), given.seeds, given.complete):
         if case.key in known:
             continue
-        result = run(model, case, given.seconds)
+        try:
+            result = run(model, case, given.seconds)
+        except ModelError as problem:  # not every strength of every effect leaves the rotor standing
+            os.write(1, f"{case.key}: not simulated: {problem}\n".encode())
+            continue
         done.append(result)
         with path.open("a") as out:
             out.write(json.dumps(result) + "\n")

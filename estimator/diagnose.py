@@ -23,7 +23,8 @@ Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 SIGNIFICANT = 1e-3  # p-value, after counting all that was tried, below which an effect is claimed
 SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same state means another law
-SEARCH_SECONDS = 8.0
+SEARCH_SECONDS = 6.0
+REFINE_SECONDS = 20.0
 FAMILY = {
     "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
     "quadratic": "even in x", "stop": "even in x",
@@ -126,8 +127,9 @@ def _screen(model: Model, point: WorkingPoint, say: Progress) -> list[screen.Tri
             trials.append(again)
     trials.sort(key=lambda t: -t.gain)
     say(0.7, "refining the best")
-    promising = [t for t in trials[:12] if searched(t.effect, model) and t.gain > max(4.0, 0.5 * trials[0].gain)]
-    better = {id(t): screen.refined(point, model, t) for t in promising[:8]}
+    middle = thinned(point, REFINE_SECONDS)
+    promising = [t for t in trials[:12] if searched(t.effect, model) and t.gain > max(4.0, 0.6 * trials[0].gain)]
+    better = {id(t): screen.refined(middle, point, model, t) for t in promising[:6]}
     return [better.get(id(t), t) for t in trials]
 
 

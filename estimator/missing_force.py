@@ -24,10 +24,11 @@ from .model import Model
 from .path_fit import PathFit
 from .subproblem import Subproblem, subproblem
 from .suspect import SHAPES, Share, Suspect, shares
-from .working_point import WorkingPoint
+from .working_point import WorkingPoint, thinned
 
 Array = NDArray[np.float64]
 LEVEL = 1e-3  # of a group at a place, after counting the groups and places tried
+SURVEY_SECONDS = 24.0  # of a long record: enough to see a thousandth of the bearing force
 NEGLIGIBLE = 1.2e-3  # of the rms bearing force: below it lie the band limit and the integrators of any simulation
 RIDGE = 1e-3  # of a column's own information: keeps hat functions that nothing visits at zero
 
@@ -200,6 +201,7 @@ def survey(
     point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None, others: Sequence[Suspect] = ()
 ) -> Survey:
     """Every place (or some; the rest count as explained); `others` are findings that no state explains."""
+    point = thinned(point, SURVEY_SECONDS)
     places = range(len(point.data.places)) if only is None else only
     tries = len(point.data.places) * len(reference.GROUPS)
     residuals = tuple(explain(point, i, orders_of(model), tries) for i in places)

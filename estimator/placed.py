@@ -168,7 +168,7 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
 class Span:
     """What the base terms span at one place: B (k, n) scaled to rms 1, their Gram matrix and tangents."""
 
-    B: Array
+    B: NDArray[np.float32]
     gram: Array
     slopes: Array  # (k, places, 2)
 
@@ -179,8 +179,8 @@ STRIDE = 4  # of the samples that the projection is computed from; it need not b
 def span(base: Sequence[Term], i: int) -> Span:
     """The base at place i."""
     own = [b for b in base if i in b.series]
-    B = np.stack([b.series[i] * b.scale for b in own])
-    part = np.ascontiguousarray(B[:, ::STRIDE])
+    B = np.stack([(b.series[i] * b.scale).astype(np.float32) for b in own])
+    part = B[:, ::STRIDE].astype(np.float64)
     return Span(B, part @ part.T, np.stack([b.tangent[i] * b.scale for b in own]))
 
 
@@ -194,8 +194,10 @@ def orthogonal(term: Term, spans: Sequence[Span], least: float = 1e-4) -> Term |
     before = after = 0.0
     for i, z in term.series.items():
         base = spans[i]
-        weights = np.linalg.lstsq(base.gram, base.B[:, ::STRIDE] @ z[::STRIDE], rcond=1e-10)[0]
-        rest = z - weights @ base.B
+        weights = np.linalg.lstsq(base.gram, base.B[:, ::STRIDE].astype(np.float64) @ z[::STRIDE], rcond=1e-10)[0]
+        rest = z.copy()
+        for w, b in zip(weights, base.B, strict=True):
+            rest -= w * b
         slopes[i] -= np.tensordot(weights, base.slopes, 1)
         series[i] = rest
         before += float(z @ z)

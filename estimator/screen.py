@@ -20,7 +20,7 @@ from .subproblem import Subproblem, heldout_gain, subproblem
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
-GRID = {1: 7, 2: 4, 3: 3}  # points per searched parameter, by their number
+GRID = {1: 6, 2: 4, 3: 3}  # points per searched parameter, by their number
 EVERYTHING = np.arange(6)
 
 
@@ -168,18 +168,14 @@ def _refined(
     return best
 
 
-def refined(point: WorkingPoint, model: Model, trial: Trial) -> Trial:
-    """The trial with its searched parameters refined."""
+def refined(part: WorkingPoint, point: WorkingPoint, model: Model, trial: Trial) -> Trial:
+    """The trial with its searched parameters refined on part of the record and judged on the whole."""
     loose = searched(trial.effect, model)
-    if not loose or trial.problem is None or trial.fit is None:
+    if not loose:
         return trial
-    p = np.where([q.linear for q in trial.effect.parameters], 1.0, trial.placed.p)
-    placed = Placed(
-        trial.effect, trial.placed.key, trial.placed.at, p, tuple(q.linear for q in trial.effect.parameters)
-    )
-    return _trial(
-        trial.effect, trial.spot, _refined(point, (trial.gain, trial.problem, trial.fit, placed), loose), loose
-    )
+    here = best_at(part, model, trial.effect, trial.spot, refine=True)
+    full = None if here is None else again(point, model, here)
+    return full if full is not None and full.gain > trial.gain else trial
 
 
 def again(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:

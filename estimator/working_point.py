@@ -13,6 +13,7 @@ from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing
 from .placed import Placed
 
 Array = NDArray[np.float64]
+FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +59,11 @@ def fit_model(
     """Fit kL, c, S and every free parameter of the effects, from a start that needs no values of the linear part."""
     P = len(data.places)
     if start is None:
+        part = part_of(data, FIRST_SECONDS)
+        if part is not data:
+            start = fit_model(part, uses, rounds=rounds)
+            uses, rounds = list(start.placed), 2
+    if start is None:
         kL, c = _first_linear(data)
         nu = np.zeros(P)
     else:
@@ -66,25 +72,31 @@ def fit_model(
     for round_ in range(rounds):
         point = _at(data, kL, c, nu, uses)
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
-        kL, c, uses = _moved(point, kL, c)
         nu_old, nu = nu, _noise(point)
+        if moved.max(initial=0.0) < 1e-3 and np.allclose(nu, nu_old, rtol=0.05, atol=1e-12):
+            return point
+        kL, c, uses = _moved(point, kL, c)
         if moved.max(initial=0.0) < 0.05 and np.allclose(nu, nu_old, rtol=0.2, atol=1e-9) and round_ > 0:
             break
     return _at(data, kL, c, nu, uses)
 
 
-def thinned(point: WorkingPoint, seconds: float) -> WorkingPoint:
-    """The same model on part of the record, some consecutive blocks of every fold: for searching, not for deciding."""
-    data = point.data
+def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
+    """Some consecutive blocks of every time fold, about `seconds` in all; the data themselves if they are no longer."""
     per_fold = max(2, int(seconds * data.rate_hz / data.block / FOLDS))
-    if data.blocks <= per_fold * FOLDS:
-        return point
+    if data.blocks <= 1.25 * per_fold * FOLDS:
+        return data
     pick = np.concatenate([np.flatnonzero(data.fold == f)[:per_fold] for f in range(FOLDS)])
     rows = (pick[:, None] * data.block + np.arange(data.block)).ravel()
     a, v, x, known = (np.ascontiguousarray(z[:, rows]) for z in (data.a, data.v, data.x, data.known))
-    part = replace(data, start=data.start[pick], fold=data.fold[pick], t=data.t[rows], phase=data.phase[rows],
+    return replace(data, start=data.start[pick], fold=data.fold[pick], t=data.t[rows], phase=data.phase[rows],
                    a=a, v=v, x=x, known=known)  # fmt: skip
-    return _at(part, point.kL, point.c, point.nu, list(point.placed))
+
+
+def thinned(point: WorkingPoint, seconds: float) -> WorkingPoint:
+    """The same model on part of the record: for searching, and for pictures."""
+    part = part_of(point.data, seconds)
+    return point if part is point.data else _at(part, point.kL, point.c, point.nu, list(point.placed))
 
 
 def _first_linear(data: MotionBlocks) -> tuple[Array, Array]:
