@@ -9,7 +9,7 @@ quadratic form is, so that the score stays unbiased: E[F F^H] = S at every frequ
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,6 +183,21 @@ class Likelihood:
             return np.zeros((self.evidence.grid.starts.size, self.row.size))
         weighted = A[:, self.row].conj() * self.R[:, self.column] * self.noise_shape[:, None, :]
         return self.evidence.nodes.mean_by_cell(2.0 * (weighted @ point.noise).real, self.evidence.grid.per_cell)
+
+    def with_slope_of_dressing(self, local: Local, pairs: Complexes) -> Local:
+        """The Hessian as it is when the dressing follows the parameters, which the steps to the maximum hold.
+
+        pairs : (nodes, columns, columns) self-energies, see dressing.py.
+        """
+        ev, w2 = self.evidence, (2 * np.pi * self.evidence.nodes.f_hz) ** 2
+        A = ev.balance.coefficients(local.point.beta) @ self.R
+        own = np.einsum("fii->fi", np.linalg.inv(A))[:, self.row]  # (f, E) response of each entry's own place
+        slope = pairs[:, self.column[:, None], self.column] / w2[:, None, None]
+        change = np.einsum("fab,fa,f->ab", slope, own, ev.nodes.weight).real
+        change = np.where(self.row[:, None] == self.row, change, 0.0)
+        hessian, p = local.hessian.copy(), local.point.beta.size
+        hessian[:p, :p] -= ev.blocks * self.T @ (0.5 * (change + change.T)) @ self.T.T
+        return replace(local, hessian=hessian)
 
     def _nuisance(self, point: Point, gain: Floats) -> Floats:
         P = point.S.size

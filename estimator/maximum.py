@@ -136,8 +136,10 @@ def dress(
         local, converged = maximise(likelihood, local.point)
         moves.append(float(np.nanmax(np.abs(local.point.beta - before) / sd)))
         if moves[-1] < SETTLED:
-            return likelihood, local, converged
-    return (likelihood, local, converged) if moves[-1] < 0.5 * moves[0] else bare
+            break
+    if moves[-1] >= max(0.5 * moves[0], SETTLED):
+        return bare
+    return likelihood, likelihood.with_slope_of_dressing(local, pairs), converged
 
 
 def inverse(local: Local) -> Floats:
