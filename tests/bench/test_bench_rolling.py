@@ -1,0 +1,53 @@
+"""CPU time of the rolling estimator per second of data, and of a fit, on one core.
+
+    OPENBLAS_NUM_THREADS=1 pytest -m bench -s tests/bench/test_bench_rolling.py
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "estimator"))
+
+from reference_rig import RATE, rig_model, rig_record
+
+from estimator import spectral
+from estimator.rolling import RollingSpectral
+from estimator.watch import CANDIDATES
+
+pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
+
+
+@pytest.mark.parametrize(("watch", "limit"), [((), 0.05), (CANDIDATES, 0.25)], ids=["own effects", "with candidates"])
+def test_share_of_a_core(watch: tuple[str, ...], limit: float) -> None:
+    y = rig_record(32.0, seed=1)
+    rolling = RollingSpectral(rig_model("cubic"), RATE, 10.0, watch=watch)
+    blocks = np.split(y, np.arange(1280, len(y), 1280))
+    warm = int(8 * RATE / 1280)  # start and compilation
+    worst = 0.0
+    for block in blocks[:warm]:
+        rolling.update(block)
+    begin = time.process_time()
+    for block in blocks[warm:]:
+        one = time.perf_counter()
+        rolling.update(block)
+        rolling.snapshot()
+        worst = max(worst, time.perf_counter() - one)
+    share = (time.process_time() - begin) / (24.0)
+    cost = f"{100 * share:.1f} % of a core at 25.6 kS/s, 4 channels; longest update {1e3 * worst:.0f} ms"
+    print(f"\n{len(watch)} candidates: {cost}")
+    assert share < 3 * limit
+
+
+@pytest.mark.parametrize("seconds", [15.0, 30.0, 60.0])
+def test_time_of_a_fit(seconds: float) -> None:
+    y = rig_record(seconds, seed=1)
+    spectral.fit(rig_model("cubic"), y[: int(8 * RATE)], RATE)
+    begin, cpu = time.perf_counter(), time.process_time()
+    spectral.fit(rig_model("cubic"), y, RATE)
+    print(f"\nfit of {seconds:g} s: {time.perf_counter() - begin:.2f} s, {time.process_time() - cpu:.2f} s of CPU")
