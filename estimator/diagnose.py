@@ -87,7 +87,7 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
     after_point = fit_model(point.data, [*point.placed, *best.placed], start=point, rounds=3)
     after = missing_force.survey(after_point, model, only=before.places_found())
     entries[0] = best = replace(best, after_percent=after.percent(point))
-    left = _same_state_left(before, after, best, point)
+    left = _same_state_left(before, after, best)
     if left > SAME_SHAPE and not _another_explains(model, after_point, after, best, say):
         return Diagnosis(
             "unknown",
@@ -133,15 +133,25 @@ def _screen(model: Model, point: WorkingPoint, say: Progress) -> list[screen.Tri
     return [better.get(id(t), t) for t in trials]
 
 
-def _same_state_left(
-    before: missing_force.Survey, after: missing_force.Survey, best: Entry, point: WorkingPoint
-) -> float:
-    """rms left over rms before, in the states where the effect acts at its places: 0 if its law has the right shape."""
+def _same_state_left(before: missing_force.Survey, after: missing_force.Survey, best: Entry) -> float:
+    """rms left over rms before, in the state where the effect explains most: 0 if its law has the right shape.
+
+    States that it does not touch belong to something else that is missing too.
+    """
     places = {i for p in best.placed for i in p.at}
-    was = sum(r.P for r in before.residuals if r.place in places)
-    groups = {(r.place, f.group) for r in before.residuals for f in r.found[:1]}
-    rest = sum(f.power for r in after.residuals if r.place in places for f in r.found if (r.place, f.group) in groups)
-    return float(np.sqrt(max(rest, 0.0) / was)) if was > 0 else 0.0
+    was, rest = _by_state(before, places), _by_state(after, places)
+    if not was:
+        return 0.0
+    state = max(was, key=lambda g: was[g] - rest.get(g, 0.0))
+    return float(np.sqrt(min(max(rest.get(state, 0.0), 0.0) / was[state], 1.0))) if was[state] > 0 else 0.0
+
+
+def _by_state(found: missing_force.Survey, places: set[int]) -> dict[str, float]:
+    out: dict[str, float] = {}
+    for r in found.residuals:
+        for f in r.found if r.place in places else ():
+            out[f.group] = out.get(f.group, 0.0) + f.power
+    return out
 
 
 def _another_explains(

@@ -21,6 +21,7 @@ from scipy.stats import chi2
 from . import reference
 from .effects.places import kinematic
 from .model import Model
+from .model_uses import not_judged
 from .path_fit import PathFit
 from .subproblem import Subproblem, subproblem
 from .suspect import SHAPES, Share, Suspect, shares
@@ -202,7 +203,8 @@ def survey(
 ) -> Survey:
     """Every place (or some; the rest count as explained); `others` are findings that no state explains."""
     point = thinned(point, SURVEY_SECONDS)
-    places = range(len(point.data.places)) if only is None else only
+    left_out = not_judged(model, point.data.places)
+    places = [i for i in (range(len(point.data.places)) if only is None else only) if i not in left_out]
     tries = len(point.data.places) * len(reference.GROUPS)
     residuals = tuple(explain(point, i, orders_of(model), tries) for i in places)
     by_state = {r.place: sum(f.gain for f in r.found) for r in residuals}

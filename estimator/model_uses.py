@@ -93,3 +93,9 @@ def _settings(use: EffectUse, canonical: str):  # type: ignore[no-untyped-def]
         if node in ("shaft", "disc")
         else next((v for k, v in use.parameters.items() if k.split(".")[0] == node), {})
     )
+
+
+def not_judged(model: Model, places: tuple[str, ...]) -> frozenset[int]:
+    """Places whose channel the model calls clipped: what a limiter does to the states is not the rotor's doing."""
+    clipped = {p for u in model.effects if u.name == "sensor_clipping" for p in u.parameters}
+    return frozenset(i for i, p in enumerate(places) if p in clipped or p.split(".")[0] in clipped)

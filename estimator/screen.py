@@ -13,7 +13,7 @@ from .effect import Effect
 from .effects.places import places as canonical_places
 from .effects.strength import search_range
 from .model import Model
-from .model_uses import FORCES, PERIODIC, acting, searched, size, start
+from .model_uses import FORCES, PERIODIC, acting, not_judged, searched, size, start
 from .path_fit import Columns, PathFit
 from .placed import Placed, orthogonal, terms
 from .subproblem import Subproblem, heldout_gain, subproblem
@@ -52,10 +52,13 @@ def spots(effect: Effect, model: Model, point: WorkingPoint) -> list[str]:
     if effect.kind not in FORCES or effect.name in PERIODIC or effect.name == "pedestal":
         return []
     taken = {u.key for u in point.placed}
+    left_out = not_judged(model, point.data.places)
     return [
         s
         for s in canonical_places(effect, model)
-        if f"{s}.{effect.name}" not in taken and acting(effect, s, point.data)
+        if f"{s}.{effect.name}" not in taken
+        and acting(effect, s, point.data)
+        and not left_out.intersection(acting(effect, s, point.data))
     ]
 
 
