@@ -11,8 +11,11 @@ from typing import Annotated, Any
 
 import typer
 
-from . import cli_analyse, cli_demo, cli_files, cli_live, cli_model
-from .errors import RotorscopeError
+# our matrices are small: a threaded BLAS only makes threads wait (diagnose on a busy machine: 4 times)
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from . import cli_analyse, cli_demo, cli_files, cli_live, cli_model  # noqa: E402
+from .errors import RotorscopeError  # noqa: E402
 
 INTERRUPTED = 130
 ABOUT = "Acquire bearing vibration, identify the rotor's stiffness from it, and learn which physics the model lacks."

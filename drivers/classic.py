@@ -32,7 +32,7 @@ class ClassicWindow:
 
     def add(self, payload: protocol.U8) -> None:
         """(n, 64) sample payloads."""
-        if self._start is None:
+        if self._start is None or len(payload) == 0:
             return
         self._payload.append(payload[:, :8].copy())
         self._held += len(payload)
@@ -48,6 +48,8 @@ class ClassicWindow:
         if start is None or start[1] != epoch or not held:
             return None
         counter, counts = protocol.unpack_classic(np.concatenate(held), channels)
+        if not len(counter):  # frames too short to hold a sample
+            return None
         again = np.zeros(len(counter), np.bool_)
         again[1:] = (np.diff(counter) == 0) & (np.diff(counts, axis=0) == 0).all(axis=1)
         if again.any():
