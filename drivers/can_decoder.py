@@ -101,6 +101,8 @@ class CanDecoder:
         if layout is CLASSIC:
             whole = lengths >= 8
             self.stats.frames += int(whole.sum())
+            if not whole.all():
+                self._refuse(True, payload[~whole], t_host_ns)
             self._classic.add(payload[whole])
             return
         # 0 good, 1 too short, 2 another version; both FD layouts have the flags in byte 3
