@@ -102,4 +102,3 @@ def _failed(text: str, status: int, verbose: bool) -> int:
     for line in text.splitlines() or [""]:
         print(f"rotorscope: {line}", file=sys.stderr)  # noqa: T201
     return status
-

@@ -19,8 +19,6 @@ RigOption = Annotated[Path, typer.Option("--rig", metavar="RIG", help="Rig file 
 LogArgument = Annotated[
     Path, typer.Argument(metavar="LOG", help="Log (.mcap), or a file that `rotorscope import` reads.")
 ]
-HtmlOption = Annotated[
-    Path | None, typer.Option("--html", metavar="FILE", help="Write a self-contained report page.")
-]
+HtmlOption = Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Write a self-contained report page.")]
 
 __all__ = ["HtmlOption", "Json", "LogArgument", "Output", "Quiet", "RigArgument", "RigOption", "Verbose"]

@@ -151,9 +151,7 @@ def _replay(output: Output, log: Path) -> None:
     output.say(f"replayed: all {summary.compared} logged estimates come again, bit for bit")
 
 
-def _improve(
-    output: Output, rig: Rig, truth: Rig, log: Path, out: Path
-) -> tuple[list[dict[str, Any]], list[Path]]:
+def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tuple[list[dict[str, Any]], list[Path]]:
     """Compare, diagnose, add, compare: the ladder of errors and the files written."""
     from estimator.compare import compare
     from estimator.diagnose import diagnose

@@ -42,9 +42,9 @@ def open_driver(url: str | None, rig: Rig, *, seed: int = 1, seconds: float | No
     signals = {c: rig.link.signals[c] for c in rig.units if c in rig.link.signals} or None
     text = _dbc(Path(dbc) if dbc else rig.dbc) if signals else None
     if signals is None and dbc:
-        raise ConfigError(f"{name}: a DBC needs [link.signals] in the rig file: channel = \"MESSAGE.SIGNAL\" for each")
+        raise ConfigError(f'{name}: a DBC needs [link.signals] in the rig file: channel = "MESSAGE.SIGNAL" for each')
     if signals is not None and (left := [c for c in rig.units if c not in signals]):
-        raise ConfigError(f"link.signals: no signal for {', '.join(left)}; add {left[0]} = \"MESSAGE.SIGNAL\"")
+        raise ConfigError(f'link.signals: no signal for {", ".join(left)}; add {left[0]} = "MESSAGE.SIGNAL"')
     return make_driver(config, dbc=text, signals=signals, expected=expected)
 
 

@@ -239,5 +239,3 @@ def _report(output: Output, summary: RunSummary, out: Path | None, more: dict[st
     if out is not None:
         people.append(f"log: {out}")
     output.result(summary.to_json() | more | ({"log": str(out)} if out else {}), *people)
-
-

@@ -109,9 +109,7 @@ def paper_model(shaft_stiffness: float) -> tuple[Model, float]:
     return model, temperature
 
 
-def run_case(
-    name: str, title: str, shaft: float, seconds: float, seed: int, progress: Callable[[float], None]
-) -> Case:
+def run_case(name: str, title: str, shaft: float, seconds: float, seed: int, progress: Callable[[float], None]) -> Case:
     """Simulate one rig: fourth-order Runge-Kutta, force held over the step, started from the stationary density."""
     model, temperature = paper_model(shaft)
     source = Simulator(model, RATE_HZ, seed, OVERSAMPLE, scheme="rk4")

@@ -26,7 +26,7 @@ class Problem:
         return next((lines[self.path[:n]] for n in range(len(self.path), 0, -1) if self.path[:n] in lines), 0)
 
     def line(self, where: str, lines: dict[Path, int]) -> str:
-        """"FILE:12: channel[2].unit: what is wrong and what to do"."""
+        """ "FILE:12: channel[2].unit: what is wrong and what to do"."""
         at = self.line_number(lines)
         return f"{where}{f':{at}' if at else ''}: {dotted(self.path)}: {self.text}".replace(": : ", ": ")
 

@@ -155,7 +155,12 @@ def machine(
     fields: dict[str, object] = {"seconds": seconds, "seed": seed} | dict(config or {})
     try:
         device = DeviceConfig(
-            rate_hz, names, rig.si_units, tuple(full_scale.tolist()), layout or "fd16", **fields  # type: ignore[arg-type]
+            rate_hz,
+            names,
+            rig.si_units,
+            tuple(full_scale.tolist()),
+            layout or "fd16",
+            **fields,  # type: ignore[arg-type]
         )
     except ValueError as error:
         raise ConfigError(f"{rig.path or 'rig file'}: a simulated device: {error}") from error
@@ -219,4 +224,3 @@ class FrameSource:
             return None
         frames = [f for f in self._device.next(FRAMES) if not f.damaged]
         return CanFrames.build([(f.identifier, f.data, round(1e9 * f.due_s)) for f in frames])
-

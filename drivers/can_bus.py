@@ -167,5 +167,3 @@ class BusSource:
         self._spins = self._spins + 1 if cpu_s > SPIN_SHARE * waited_s else 0
         if self._spins >= 3:
             raise LinkLost("the interface returns at once with nothing: its server has closed the connection")
-
-

@@ -57,9 +57,7 @@ class CanDecoder:
                 self._run(kind, frames.payload[start:stop], frames.lengths[start:stop], t_host_ns, out)
         return out + self.notices.take()
 
-    def _run(
-        self, kind: int, payload: protocol.U8, lengths: protocol.U8, t_host_ns: int, out: list[Reading]
-    ) -> None:
+    def _run(self, kind: int, payload: protocol.U8, lengths: protocol.U8, t_host_ns: int, out: list[Reading]) -> None:
         if kind in protocol.SAMPLE_ID.values():
             self._samples(kind, payload, lengths, t_host_ns, out)
             return

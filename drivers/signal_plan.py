@@ -132,7 +132,7 @@ def compile_plan(dbc: bytes, signals: Mapping[str, str]) -> SignalPlan:
         text = " ".join(str(error).split())
         raise LinkError(f"the DBC file cannot be read: {text}: check link.dbc") from error
     if not signals:
-        raise LinkError("the signal map is empty: give channel = \"Message.Signal\" for each channel")
+        raise LinkError('the signal map is empty: give channel = "Message.Signal" for each channel')
     found: dict[str, tuple[Any, list[tuple[int, Field]]]] = {}
     for column, (channel, path) in enumerate(signals.items()):
         message, signal = _look_up(database, channel, path)

@@ -86,7 +86,7 @@ def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Su
     """Every periodic force that the model does not have yet, by cause."""
     s = spectrum_of(model, y, rate_hz)
     known = known_lines(model)
-    Z = (np.abs(s.Y) ** 2 / s.noise)
+    Z = np.abs(s.Y) ** 2 / s.noise
     usable = (s.f_hz > max(3.0, 20 / s.seconds)) & (s.f_hz < 0.47 * rate_hz)
     width = 3.0 / s.seconds
     for hz in known:

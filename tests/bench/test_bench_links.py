@@ -112,8 +112,10 @@ def test_slcan_receive(tmp_path: Path) -> None:
             got += 1
         theirs = (time.thread_time() - begin) / n_theirs
         bus.shutdown()
-    print(f"\nslcan receive, 64-byte frames on a pty: ours {1e6 * ours:.2f} us of CPU per frame, to samples and gaps "
-          f"({n / wall:.0f} frames/s); python-can {1e6 * theirs:.1f} us, to messages; ratio {theirs / ours:.0f}")
+    print(
+        f"\nslcan receive, 64-byte frames on a pty: ours {1e6 * ours:.2f} us of CPU per frame, to samples and gaps "
+        f"({n / wall:.0f} frames/s); python-can {1e6 * theirs:.1f} us, to messages; ratio {theirs / ours:.0f}"
+    )
     assert theirs / ours > 100
 
 
@@ -147,9 +149,11 @@ def test_can_fd_decode() -> None:
 
     ours_s, whole_s = best(ours) / len(batch), best(whole) / len(batch)
     theirs_s, raw_s = best(theirs) / len(some), best(theirs_raw) / len(some)
-    print(f"\nCAN FD decode, 7 x 4 int16 a frame, batches of 256: ours {1e6 * ours_s:.3f} us per frame; "
-          f"cantools {1e6 * theirs_s:.1f} us, {1e6 * raw_s:.1f} us unscaled; ratio {theirs_s / ours_s:.0f}, "
-          f"{raw_s / ours_s:.0f} unscaled. With identifiers, versions, continuity and gaps: {1e6 * whole_s:.3f} us")
+    print(
+        f"\nCAN FD decode, 7 x 4 int16 a frame, batches of 256: ours {1e6 * ours_s:.3f} us per frame; "
+        f"cantools {1e6 * theirs_s:.1f} us, {1e6 * raw_s:.1f} us unscaled; ratio {theirs_s / ours_s:.0f}, "
+        f"{raw_s / ours_s:.0f} unscaled. With identifiers, versions, continuity and gaps: {1e6 * whole_s:.3f} us"
+    )
     assert raw_s / ours_s > 50
 
 
@@ -165,8 +169,10 @@ def test_cobs_and_crc() -> None:
                 deframer.feed(piece)
 
         seconds = best(deframe)
-        print(f"\nCOBS + CRC-32 in pieces of {chunk} B: {len(wire) / seconds / 1e6:.0f} MB/s, "
-              f"{1e6 * seconds / len(frames):.2f} us per frame of {len(wire) / len(frames):.0f} B")
+        print(
+            f"\nCOBS + CRC-32 in pieces of {chunk} B: {len(wire) / seconds / 1e6:.0f} MB/s, "
+            f"{1e6 * seconds / len(frames):.2f} us per frame of {len(wire) / len(frames):.0f} B"
+        )
     assert len(wire) / seconds > 100e6
     zeros = np.zeros((ROWS, 4), np.int32)
     body = protocol.pack_int24(zeros.reshape(1, -1)).tobytes()
@@ -193,7 +199,9 @@ def test_serial_pty_ingest(tmp_path: Path) -> None:
             got += sum(len(r.counts) for r in readings if isinstance(r, Block))
         wall = time.monotonic() - started
         driver.close()
-    print(f"\nserial pty, 4 channels int16, 64 rows a frame: {rows / wall / 1e3:.0f} k rows/s "
-          f"({4 * rows / wall / 1e3:.0f} k values/s) without a gap; reader's CPU {1e6 * cpu / rows:.3f} us per row, "
-          f"{100 * cpu / rows * 400e3:.0f} % of a core at 400 k rows/s, {100 * cpu / rows * 60e3:.1f} % at 60 k rows/s")
+    print(
+        f"\nserial pty, 4 channels int16, 64 rows a frame: {rows / wall / 1e3:.0f} k rows/s "
+        f"({4 * rows / wall / 1e3:.0f} k values/s) without a gap; reader's CPU {1e6 * cpu / rows:.3f} us per row, "
+        f"{100 * cpu / rows * 400e3:.0f} % of a core at 400 k rows/s, {100 * cpu / rows * 60e3:.1f} % at 60 k rows/s"
+    )
     assert rows / wall > 400e3

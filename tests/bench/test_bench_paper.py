@@ -1,6 +1,6 @@
 """Accuracy of the paper's method and of score matching over 20 seeds. Prints the tables of docs/paper.md.
 
-    pytest tests/bench/test_bench_paper.py -m bench -s
+pytest tests/bench/test_bench_paper.py -m bench -s
 """
 
 from __future__ import annotations
@@ -47,9 +47,7 @@ def table(errors: dict[str, list[np.ndarray]], covered: dict[str, list[np.ndarra
     print(f"\n{'':28s}" + "".join(f"{n:>26s}" for n in NAMES[:columns]) + "     covered")
     for method, rows in errors.items():
         e = 100.0 * np.concatenate(rows)
-        cells = "".join(
-            f"{np.mean(c):+9.2f} {np.sqrt(np.mean(c**2)):7.2f} {np.max(np.abs(c)):8.2f}" for c in e.T
-        )
+        cells = "".join(f"{np.mean(c):+9.2f} {np.sqrt(np.mean(c**2)):7.2f} {np.max(np.abs(c)):8.2f}" for c in e.T)
         print(f"{method:28s}{cells}{100 * np.mean(covered[method]):9.1f} %")
     print("per cent: mean error, rms error, worst of all seeds and caps; share of 95 % intervals that cover")
 
@@ -137,9 +135,7 @@ def test_records_of_the_rig() -> None:
                 if method.startswith("eq"):
                     values, cov = fokker_planck.estimate(plane, x[:, columns], v[:, columns], "response", 60)
                 else:
-                    values, cov = score(
-                        plane, x[:, columns], v[:, columns], method.split()[1], a[:, columns], edge
-                    )
+                    values, cov = score(plane, x[:, columns], v[:, columns], method.split()[1], a[:, columns], edge)
                 found = np.array(list(values.values()))
                 errors[method].append((found / truth - 1.0).reshape(2, 3))
                 covered[method].append(np.abs(found - truth) < 1.96 * np.sqrt(np.diag(cov)))

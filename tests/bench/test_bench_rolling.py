@@ -1,6 +1,6 @@
 """CPU time of the rolling estimator per second of data, and of a fit, on one core.
 
-    OPENBLAS_NUM_THREADS=1 pytest -m bench -s tests/bench/test_bench_rolling.py
+OPENBLAS_NUM_THREADS=1 pytest -m bench -s tests/bench/test_bench_rolling.py
 """
 
 from __future__ import annotations

@@ -126,9 +126,7 @@ def test_a_record_of_false_length_swallows_no_chunk(tmp_path: Path, whole: Bytes
 
 @settings(max_examples=250, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_any_bits_flipped(
-    tmp_path: Path, whole: Bytes, record_property: Property, data: st.DataObject
-) -> None:
+def test_any_bits_flipped(tmp_path: Path, whole: Bytes, record_property: Property, data: st.DataObject) -> None:
     record_property("reliability", f"flipped bits | 1 to 4 bits flipped, 250 times | {PROMISED} | held")
     damaged = bytearray(whole)
     for at in data.draw(st.lists(st.integers(0, len(whole) - 1), min_size=1, max_size=4)):

@@ -107,7 +107,7 @@ def test_everything_wrong_is_said_at_once_with_line_path_and_remedy() -> None:
         (('["cubic"]', '["cubic"]\n[model.cubic]\nat = "bearing3"'), 'cannot act at "bearing3"'),
         (('["cubic"]', '["cubic"]\n[model.cubic]\nkNL = { value = 2.0, min = 3.0 }'), "beyond min"),
         (('["cubic"]', '["cubic"]\n[model.cubic]\nkNL = { fixed = true }'), "fixed without a value"),
-        (('["cubic"]', '[]\n[model.cubic]\nkNL = 1.0'), "add it to model.effects"),
+        (('["cubic"]', "[]\n[model.cubic]\nkNL = 1.0"), "add it to model.effects"),
         (('["cubic"]', '[]\n[[model.custom]]\nname = "mine"'), "give expression or module"),
         (('["cubic"]', '[]\n[[model.custom]]\nname = "cubic"\nexpression = "x"'), "give the law another"),
         (("preload_um = 0.3", "preload_um = "), "not a TOML file"),

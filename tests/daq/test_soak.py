@@ -108,9 +108,7 @@ def test_two_hours(tmp_path: Path, record_property: Callable[[str, object], None
     assert log.n_samples == summary.samples
 
 
-def test_five_devices_at_once_in_real_time(
-    tmp_path: Path, record_property: Callable[[str, object], None]
-) -> None:
+def test_five_devices_at_once_in_real_time(tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
     """Five devices of four channels at 25.6 kS/s in one process for 20 s: no gap, and each log replays."""
 
     def paced(seed: int) -> Iterator[list[Reading]]:
@@ -122,9 +120,7 @@ def test_five_devices_at_once_in_real_time(
             yield [Block(b.index, b.counts, time.monotonic_ns()) if isinstance(b, Block) else b for b in batch]
 
     cpu, begin = time.process_time(), time.monotonic()
-    devices = [
-        Device(f"d{n}", RIG, ScriptedDriver(paced(n)), [LogWriter(tmp_path / f"{n}.mcap")]) for n in range(5)
-    ]
+    devices = [Device(f"d{n}", RIG, ScriptedDriver(paced(n)), [LogWriter(tmp_path / f"{n}.mcap")]) for n in range(5)]
     outcome = acquire_all(devices, make=maker("score-matching", 10.0))
     cores = (time.process_time() - cpu) / (time.monotonic() - begin)
     for n in range(5):

@@ -173,9 +173,7 @@ def test_too_wide_is_refused() -> None:
 
 def test_live_on_a_bus() -> None:
     """The same path for a live device: 200 frames a second of an ifm sensor on a virtual bus."""
-    driver = make_driver(
-        CanConfig("virtual", "ifm"), dbc=DBC, signals={"x": "JN2300.X"}, expected=Expected(200.0)
-    )
+    driver = make_driver(CanConfig("virtual", "ifm"), dbc=DBC, signals={"x": "JN2300.X"}, expected=Expected(200.0))
     driver.open()
     sender = can.Bus("ifm", interface="virtual", preserve_timestamps=True)
     for k in range(500):  # a gap is certain when nothing has caught up for a second

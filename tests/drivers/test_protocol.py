@@ -21,9 +21,7 @@ from drivers.simulated import DeviceConfig
 from drivers.slcan_codec import encode_line
 
 ROOT = Path(__file__).parents[2]
-RECORD = InfoRecord(
-    1, 4, 2, 16, 0x52530001, 25600.0, Signal("b2x", "m/s^2", 0.015625), 511.984375, epoch=3, firmware=7
-)
+RECORD = InfoRecord(1, 4, 2, 16, 0x52530001, 25600.0, Signal("b2x", "m/s^2", 0.015625), 511.984375, epoch=3, firmware=7)
 FLAGS = np.array([0x34], np.uint8)
 
 

@@ -91,9 +91,7 @@ def test_simulated_rig_on_vcan_through_the_command_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("layout", "sender", "receiver"), [("classic", "can1", "can0"), ("fd16", "can3", "can2")])
-def test_a_clean_stream_loses_nothing(
-    tmp_path: Path, layout: str, sender: str, receiver: str, report: Report
-) -> None:
+def test_a_clean_stream_loses_nothing(tmp_path: Path, layout: str, sender: str, receiver: str, report: Report) -> None:
     (up if layout == "classic" else up_fd)(sender, receiver)
     session = Session(tmp_path, f"can:socketcan:{receiver}")
     with Device(tmp_path, sender, layout):
