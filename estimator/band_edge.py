@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from .bandlimit import passband
 
 Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Number = complex | Complexes
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,19 +52,20 @@ class BandEdge:
         middle = np.add.reduceat(hz * measure, groups) / weight
         return cls(middle, weight, float(np.sum(gain) * df), 0.5 * rate_hz)
 
-    def work(self, k: complex, m: float, xx: complex, vv: complex, aa: complex) -> complex:
+    def work(self, k: Number, m: float, xx: Number, vv: Number, aa: Number) -> Complexes:
         """beta in N m for stiffness k N/m (shaft included), mass m kg, mean squares of x, v, a; 0 where c is not > 0.
 
-        Analytic in its complex arguments, for a complex-step derivative.
+        Analytic in its complex arguments, arrays of one shape, for a complex-step derivative.
         """
-        residual = m * m * aa - 2.0 * m * k * vv + k * k * xx
-        inner = (2.0 * m * self.width) ** 2 - residual / vv
-        if not (residual.real > 0.0 and inner.real > 0.0):
-            return 0.0
-        c = 2.0 * m * self.width - np.sqrt(inner)
+        k = np.asarray(k, complex)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            residual = m * m * aa - 2.0 * m * k * vv + k * k * xx
+            inner = (2.0 * m * self.width) ** 2 - residual / vv
+            valid = (residual.real > 0.0) & (inner.real > 0.0)
+            c = 2.0 * m * self.width - np.sqrt(np.where(valid, inner, 1.0))
         S = 4.0 * c * m * vv
         w = 2.0 * math.pi * self.hz
-        stiff = k - m * w**2
-        real = stiff / (stiff**2 + (c * w) ** 2)
+        stiff = k[..., None] - m * w**2
+        real = stiff / (stiff * stiff + (c[..., None] * w) ** 2)
         tail = -1.0 / (m * (2.0 * math.pi) ** 2 * self.above)
-        return complex(-S * (np.sum(self.measure * real) + tail))
+        return np.where(valid, -S * (real @ self.measure + tail), 0.0)

@@ -58,23 +58,23 @@ class BlockMoments:
         return np.asarray(spread / self.rows**2 * (groups / (groups - 1.0)))
 
 
-def propagate(function: Callable[[NDArray[np.complex128]], NDArray[np.complex128]], moments: BlockMoments) -> Array:
-    """Covariance of function(mean), by the delta method with an exact complex-step derivative.
+def propagate(
+    function: Callable[[NDArray[np.complex128]], NDArray[np.complex128]], moments: BlockMoments
+) -> tuple[Array, Array]:
+    """function(mean) (P,), and its covariance by the delta method with an exact complex-step derivative.
 
-    function : (K,) complex -> (P,) complex, analytic. Returns (P, P) float64, infinite for fewer than two blocks.
+    function : (..., K) complex -> (..., P) complex, analytic; called once, for all K directions. The covariance is
+    (P, P) float64, infinite for fewer than two blocks.
     """
     covariance = moments.covariance()
     mean = moments.mean.astype(complex)
     if not np.isfinite(covariance).all():
-        size = function(mean).size
-        return np.full((size, size), np.inf)
+        value = function(mean).real
+        return value, np.full((value.size, value.size), np.inf)
     scale = np.sqrt(np.abs(np.diag(covariance)))
     scale[scale == 0.0] = 1.0
     step = 1e-30
-    columns = []
-    for k, s in enumerate(scale):
-        point = mean.copy()
-        point[k] += 1j * step * s
-        columns.append(function(point).imag / step)
-    jacobian = np.stack(columns, axis=1)
-    return np.asarray(jacobian @ (covariance / np.multiply.outer(scale, scale)) @ jacobian.T)
+    moved = function(mean + np.diag(1j * step * scale))
+    jacobian = moved.imag.T / step
+    spread = covariance / np.multiply.outer(scale, scale)
+    return moved[0].real, np.asarray(jacobian @ spread @ jacobian.T)

@@ -17,7 +17,7 @@ twentieth of the scatter (docs/paper.md); on independent samples of the density 
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 from .band_edge import BandEdge
 from .estimate import Parameter
 from .moments import BlockMoments, propagate
-from .planes import Plane
+from .planes import Cap, Plane
 
 Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 Form = Literal["velocity", "density"]
 
 
@@ -45,6 +46,7 @@ class PlaneMoments:
         self.edge = edge
         self._joint = plane.scale_from_shaft and not plane.masses_known
         self._slices: list[slice] = []
+        self._upper = [np.triu_indices(len(cap.powers)) for cap in plane.caps]
         at = 0
         for cap in plane.caps:
             p = len(cap.powers)
@@ -54,35 +56,38 @@ class PlaneMoments:
         self.moments = BlockMoments(at + 1)
         self.names = plane.names()
 
-    def series(self, x: Array, v: Array, a: Array | None = None) -> list[Array]:
-        """The K columns of the series, each (n,), for displacement, velocity, acceleration (n, caps), SI."""
+    def sums(self, x: Array, v: Array, a: Array | None = None) -> Array:
+        """(K,) the sum over the rows of the series, for displacement, velocity, acceleration (n, caps), SI."""
         plane = self.plane
-        xs, vs = [np.ascontiguousarray(z) for z in x.T], [np.ascontiguousarray(z) for z in v.T]
-        shaft = [plane.a * z for z in xs]
+        xs = np.ascontiguousarray(x.T)
+        shaft = plane.a * xs
         if len(xs) == 2:
-            shaft = [shaft[0] + plane.b * xs[1], shaft[1] + plane.b * xs[0]]
-        columns: list[Array] = []
-        for i, cap in enumerate(plane.caps):
-            power = [np.ones_like(xs[i]), xs[i]]
-            while len(power) <= cap.powers[-1]:
-                power.append(power[-1] * xs[i])  # x ** 3 costs fifty times as much
-            f = [power[q] for q in cap.powers]
-            slope = [q * power[q - 1] for q in cap.powers]
-            square = vs[i] * vs[i]
-            columns += [f[j] * f[k] for j in range(len(f)) for k in range(j, len(f))]
-            columns += [s * square for s in slope]
-            columns += slope
-            columns += [g * shaft[i] for g in f]
-            columns.append(np.zeros(len(x)) if a is None else np.ascontiguousarray(a[:, i]) ** 2)
-        columns.append(sum((z * z for z in shaft[1:]), shaft[0] * shaft[0]))
-        return columns
+            shaft += plane.b * xs[::-1]
+        out: list[Array] = []
+        shaft_square = 0.0
+        for i, (cap, (first, second)) in enumerate(zip(plane.caps, self._upper, strict=True)):
+            # 1, x, x^2 ... , v^2, shaft, a: every column is a product of two of them, so one matrix product sums all
+            top = cap.powers[-1]
+            z = np.empty((top + 4, len(x)))
+            z[0] = 1.0
+            for q in range(1, top + 1):
+                np.multiply(z[q - 1], xs[i], out=z[q])  # x ** 3 costs fifty times as much
+            np.multiply(v[:, i], v[:, i], out=z[top + 1])
+            z[top + 2] = shaft[i]
+            z[top + 3] = 0.0 if a is None else a[:, i]
+            product = z @ z.T
+            f = np.array(cap.powers)
+            weighted, plain = f * product[f - 1, top + 1], f * product[f - 1, 0]
+            out += [product[f[first], f[second]], weighted, plain, product[f, top + 2], product[-1:, -1]]
+            shaft_square += product[top + 2, top + 2]
+        return np.concatenate([*out, [shaft_square]])
 
     def add(self, x: Array, v: Array, a: Array | None = None, forget: float = 1.0) -> None:
         """Take one block, (n, caps) each; rows with NaN are left out. a is needed if there is a band edge."""
         keep = np.isfinite(x).all(axis=1) & np.isfinite(v).all(axis=1)
         if not keep.all():
             x, v, a = x[keep], v[keep], None if a is None else a[keep]
-        self.moments.add(np.array([column.sum() for column in self.series(x, v, a)]), len(x), forget)
+        self.moments.add(self.sums(x, v, a), len(x), forget)
 
     def parameters(self) -> dict[str, Parameter]:
         """The estimate: contract names -> Parameter, each judged for identifiability."""
@@ -98,8 +103,8 @@ class PlaneMoments:
 
     def values(self) -> tuple[dict[str, float], Array]:
         """Estimate without verdict, and its covariance (P, P) in the order of `names`."""
-        solved = self._solve(self.moments.mean.astype(complex)).real
-        return dict(zip(self.names, solved.tolist(), strict=True)), propagate(self._solve, self.moments)
+        values, covariance = propagate(self._solve, self.moments)
+        return dict(zip(self.names, values.tolist(), strict=True)), covariance
 
     def _constant(self) -> str:
         mean = self.moments.mean
@@ -108,76 +113,83 @@ class PlaneMoments:
                 return f"{cap.place} does not move in the band: check the sensor and the band"
         return "" if self.moments.rows > 0 else "no valid sample yet"
 
-    def _split(self, u: NDArray[np.complex128], index: int) -> tuple[NDArray[np.complex128], ...]:
-        """E[f f'], E[f' v^2], E[f shaft], E[v^2] of one cap from the mean series, for unit mass and all of the band."""
+    def _split(self, u: Complexes, index: int) -> tuple[Complexes, ...]:
+        """E[f f'] (..., p, p), E[f' v^2] and E[f shaft] (..., p), E[v^2] (...) of one cap from the mean series
+        u (..., K), for unit mass and all of the band."""
         cap = self.plane.caps[index]
         p = len(cap.powers)
-        part = u[self._slices[index]]
-        gram = np.zeros((p, p), complex)
-        upper = np.triu_indices(p)
-        gram[upper] = part[: len(upper[0])]
-        gram.T[upper] = gram[upper]
-        weighted, plain, shaft = part[len(upper[0]) : -1].reshape(3, p)
-        right = weighted if self.form == "velocity" else plain * weighted[0]
+        part = u[..., self._slices[index]]
+        first, second = self._upper[index]
+        gram = np.empty((*u.shape[:-1], p, p), complex)
+        gram[..., first, second] = gram[..., second, first] = part[..., : len(first)]
+        weighted, plain, shaft = (part[..., len(first) + k * p : len(first) + (k + 1) * p] for k in range(3))
+        square = weighted[..., 0]
+        right = weighted if self.form == "velocity" else plain * square[..., None]
         if self.edge is not None:
             mass = 1.0 if cap.mass is None else cap.mass
-            scale = np.sqrt(gram[0, 0].real) ** np.array(cap.powers, dtype=float)
-            stiffness = _solve_scaled(gram, mass * right, scale)[0]  # of bearing and shaft together
+            stiffness = _solve_scaled(gram, mass * right, _scale(gram, cap))[..., 0]  # of bearing and shaft together
             # for Gaussian x, E[f F] = E[f'] E[x F]
-            right = right + plain * (self.edge.work(stiffness, mass, gram[0, 0], weighted[0], part[-1]) / mass)
-        return gram, right, shaft, weighted[0]
+            work = self.edge.work(stiffness, mass, gram[..., 0, 0], square, part[..., -1])
+            right = right + plain * (work / mass)[..., None]
+        return gram, right, shaft, square
 
-    def _solve(self, u: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """Parameters in the order of `names` from the mean series; analytic, for the complex-step derivative."""
+    def _solve(self, u: Complexes) -> Complexes:
+        """(..., P) parameters in the order of `names` from the mean series (..., K); analytic, for the complex step."""
         plane = self.plane
         parts = [self._split(u, i) for i in range(len(plane.caps))]
-        joint = _joint_solution(plane, parts, u[-1]) if self._joint else None
-        out: list[Any] = []
+        joint = _joint_solution(plane, parts, u[..., -1]) if self._joint else None
+        out: list[Complexes] = []
         for i, cap in enumerate(plane.caps):
             gram, right, shaft, square = parts[i]
-            scale = np.sqrt(gram[0, 0].real) ** np.array(cap.powers, dtype=float)
             if cap.mass is not None:
-                k = _solve_scaled(gram, cap.mass * right - plane.ks * shaft, scale)
+                k = _solve_scaled(gram, cap.mass * right - plane.ks * shaft, _scale(gram, cap))
             elif joint is not None:
                 k = joint[1][i]
             else:
-                k = _solve_scaled(gram, right, scale)
+                k = _solve_scaled(gram, right, _scale(gram, cap))
             if plane.solvable(cap):
-                out += list(k)
+                out += list(np.moveaxis(k, -1, 0))
             if 3 in cap.powers:
-                out.append(k[cap.powers.index(3)] / k[0])
+                out.append(k[..., cap.powers.index(3)] / k[..., 0])
             if cap.mass is None and joint is not None:
                 out.append(joint[0] / square)
-        return np.array(out)
+        return np.stack(out, axis=-1) if out else np.empty((*u.shape[:-1], 0), complex)
 
 
-def _solve_scaled(gram: NDArray[np.complex128], right: NDArray[np.complex128], scale: Array) -> NDArray[np.complex128]:
-    return np.asarray(np.linalg.solve(gram / np.multiply.outer(scale, scale), right / scale) / scale, complex)
+def _scale(gram: Complexes, cap: Cap) -> Array:
+    """(..., p) rms of x to the powers of the cap."""
+    return np.asarray(np.sqrt(gram[..., :1, 0].real) ** np.array(cap.powers, dtype=float))
+
+
+def _solve_scaled(gram: Complexes, right: Complexes, scale: Array) -> Complexes:
+    scaled = gram / (scale[..., :, None] * scale[..., None, :])
+    return np.asarray(np.linalg.solve(scaled, (right / scale)[..., None])[..., 0] / scale, complex)
 
 
 def _joint_solution(
-    plane: Plane, parts: list[tuple[NDArray[np.complex128], ...]], shaft_square: complex
-) -> tuple[complex, list[NDArray[np.complex128]]]:
-    """Temperature and coefficients of each cap when a mass is unknown: the shaft's own coefficient ks/T sets the scale.
+    plane: Plane, parts: list[tuple[Complexes, ...]], shaft_square: Complexes
+) -> tuple[Complexes, list[Complexes]]:
+    """Temperature (...) and coefficients (..., p) of each cap when a mass is unknown: the shaft's own coefficient ks/T
+    sets the scale.
 
     Both caps are taken to be at one temperature (the paper's hypothesis).
     """
     sizes = [len(cap.powers) for cap in plane.caps]
     n = sum(sizes)
-    gram = np.zeros((n + 1, n + 1), complex)
-    right = np.zeros(n + 1, complex)
-    scale = np.ones(n + 1)
+    gram = np.zeros((*shaft_square.shape, n + 1, n + 1), complex)
+    right = np.zeros((*shaft_square.shape, n + 1), complex)
+    scale = np.ones((*shaft_square.shape, n + 1))
     at = 0
     for cap, (own, slope, shaft, square) in zip(plane.caps, parts, strict=True):
         here = slice(at, at + len(cap.powers))
-        gram[here, here] = own
-        gram[here, n] = gram[n, here] = shaft
-        right[here] = slope / square
-        scale[here] = np.sqrt(own[0, 0].real) ** np.array(cap.powers, dtype=float)
+        gram[..., here, here] = own
+        gram[..., here, n] = gram[..., n, here] = shaft
+        right[..., here] = slope / square[..., None]
+        scale[..., here] = _scale(own, cap)
         at = here.stop
-    gram[n, n] = shaft_square
-    right[n] = 2.0 * plane.a
-    scale[n] = np.sqrt(shaft_square.real)
+    gram[..., n, n] = shaft_square
+    right[..., n] = 2.0 * plane.a
+    scale[..., n] = np.sqrt(shaft_square.real)
     theta = _solve_scaled(gram, right, scale)
-    temperature = plane.ks / theta[n]
-    return temperature, list(np.split(theta[:n] * temperature, np.cumsum(sizes)[:-1]))
+    temperature = plane.ks / theta[..., n]
+    return temperature, np.split(theta[..., :n] * temperature[..., None], np.cumsum(sizes)[:-1], axis=-1)

@@ -112,24 +112,20 @@ def _blocks(rows: Array, blocks: int = BLOCKS) -> BlockMoments:
 
 
 def _statistic(
-    rows: Array, function: Callable[[Complexes], complex], name: str, expected: float, meaning: str
+    rows: Array, function: Callable[[Complexes], Complexes], name: str, expected: float, meaning: str
 ) -> Diagnostic:
-    moments = _blocks(rows)
-
-    def vector(u: Complexes) -> Complexes:
-        return np.array([function(u)])
-
-    value = float(vector(moments.mean.astype(complex))[0].real)
-    return Diagnostic(name, value, expected, float(np.sqrt(max(propagate(vector, moments)[0, 0], 0.0))), meaning)
+    """function : of the means of the columns of rows (n, K), each an array of any shape."""
+    (value,), covariance = propagate(lambda u: function(np.moveaxis(u, -1, 0))[..., None], _blocks(rows))
+    return Diagnostic(name, float(value), expected, float(np.sqrt(max(covariance[0, 0], 0.0))), meaning)
 
 
 def _kurtosis(v: Array, name: str, meaning: str) -> Diagnostic:
     v = v / np.std(v)
     rows = np.stack([v, v**2, v**3, v**4], axis=1)
 
-    def function(u: Complexes) -> complex:
+    def function(u: Complexes) -> Complexes:
         fourth = u[3] - 4.0 * u[0] * u[2] + 6.0 * u[0] ** 2 * u[1] - 3.0 * u[0] ** 4
-        return complex(fourth / (u[1] - u[0] ** 2) ** 2)
+        return np.asarray(fourth / (u[1] - u[0] ** 2) ** 2)
 
     return _statistic(rows, function, name, 3.0, meaning)
 
@@ -137,7 +133,7 @@ def _kurtosis(v: Array, name: str, meaning: str) -> Diagnostic:
 def _correlation(p: Array, q: Array, name: str, meaning: str) -> Diagnostic:
     p, q = p / np.std(p), q / np.std(q)
     rows = np.stack([p * q, p**2, q**2], axis=1)
-    return _statistic(rows, lambda u: complex(u[0] / np.sqrt(u[1] * u[2])), name, 0.0, meaning)
+    return _statistic(rows, lambda u: u[0] / np.sqrt(u[1] * u[2]), name, 0.0, meaning)
 
 
 def plane_diagnostics(plane: Plane, x: Array, v: Array) -> tuple[Diagnostic, ...]:
@@ -162,7 +158,7 @@ def _equipartition(one: Cap, two: Cap, v: Array) -> Diagnostic:
     ratio = (one.mass or 0.0) / (two.mass or 1.0)
     return _statistic(
         v**2 / scale,
-        lambda u: complex(ratio * u[0] / u[1]),
+        lambda u: np.asarray(ratio * u[0] / u[1]),
         f"m v^2 of {one.place} over {two.place}",
         1.0,
         "noise-to-damping ratios differ between the caps (or a mass or gain is wrong)",
@@ -175,7 +171,7 @@ def circulation(node: str, x: Array, y: Array, vx: Array, vy: Array) -> Diagnost
     scale = np.array([np.sqrt(np.mean(rows[:, 1]) * np.mean(rows[:, 2])), np.mean(rows[:, 1]), np.mean(rows[:, 2])])
     meaning = "the orbit circulates: a cross-coupled (follower) force or a rotating one"
     name = f"{node}: circulation"
-    return _statistic(rows / scale, lambda u: complex(u[0] / np.sqrt(u[1] * u[2])), name, 0.0, meaning)
+    return _statistic(rows / scale, lambda u: u[0] / np.sqrt(u[1] * u[2]), name, 0.0, meaning)
 
 
 def messages(plane: Plane, x: Array, v: Array, limit: float = 4.0) -> list[str]:

@@ -181,7 +181,9 @@ def test_delta_method_against_the_textbook_ratio() -> None:
     moments = BlockMoments(2)
     for block in rows.reshape(-1, 500, 2):
         moments.add(block.sum(axis=0), len(block))
-    sd = np.sqrt(propagate(lambda u: np.array([u[1] / u[0]]), moments)[0, 0])
+    value, covariance = propagate(lambda u: u[..., 1:] / u[..., :1], moments)
+    sd = np.sqrt(covariance[0, 0])
+    assert value[0] == moments.mean[1] / moments.mean[0]
     exact = 2.5 * np.sqrt((0.5 / 2.0) ** 2 + (1.0 / 5.0) ** 2) / np.sqrt(len(rows))
     assert sd == pytest.approx(exact, rel=0.15)
 
