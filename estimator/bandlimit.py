@@ -146,23 +146,35 @@ class BandLimit:
             self._filters[kind] = np.fft.rfft(taps, self._size, axis=1)
         # as if the record were preceded by missing samples
         self._held = np.full((len(self.kinds), self.half), np.nan)
+        self._fresh: list[Floats] = []  # (n, channels) rows behind those held, too few for a block yet
+        self._count = self.half  # of both
         self._next = 0
 
     def push(self, y: Floats) -> Motion:
         """The rows that became available by these (n, channels) rows, perhaps none."""
         if y.ndim != 2 or y.shape[1] != len(self.kinds):
             raise ValueError(f"expected rows of {len(self.kinds)} channels, got an array of shape {y.shape}")
-        self._held = np.concatenate([self._held, np.asarray(y, np.float64).T], axis=1)
+        self._fresh.append(np.array(y, np.float64))
+        self._count += len(y)
+        if self._count < self._size:
+            return self._join([])
+        self._collect()
         parts = []
         used = 0
         while self._held.shape[1] - used >= self._size:
             parts.append(self._block(self._held[:, used : used + self._size]))
             used += self._hop
         self._held = self._held[:, used:].copy()
+        self._count = self._held.shape[1]
         return self._join(parts)
+
+    def _collect(self) -> None:
+        self._held = np.concatenate([self._held, *(y.T for y in self._fresh)], axis=1)
+        self._fresh = []
 
     def flush(self) -> Motion:
         """The rows still held back; those within `half` of the end are invalid. Ends the stream."""
+        self._collect()
         count = self._held.shape[1] - self.half
         if count <= 0:
             return self._join([])
@@ -179,12 +191,15 @@ class BandLimit:
     def _block(self, y: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """(outputs, channels, hop) and (hop,) validity from (channels, size) samples."""
         finite = np.isfinite(y)
-        spectra = np.fft.rfft(np.where(finite, y, 0.0), axis=1)
+        whole = bool(finite.all())
+        spectra = np.fft.rfft(y if whole else np.where(finite, y, 0.0), axis=1)
         out = np.zeros((self._outputs, len(self.kinds), self._hop))
         for k, kind in enumerate(self.kinds):
             filters = self._filters[kind]
             series = np.fft.irfft(filters * spectra[k], self._size, axis=1)
             out[: len(filters), k] = series[:, 2 * self.half :]
+        if whole:
+            return out, np.ones(self._hop, bool)
         missing = np.concatenate([[0], np.cumsum(~finite.all(axis=0))])
         valid = missing[2 * self.half + 1 :] == missing[: -2 * self.half - 1]
         return out, valid
@@ -193,8 +208,8 @@ class BandLimit:
         start = self._next
         if not parts:
             parts = [(np.empty((self._outputs, len(self.kinds), 0)), np.empty(0, bool))]
-        out = np.concatenate([p[0] for p in parts], axis=2)
-        valid = np.concatenate([p[1] for p in parts])
+        out = parts[0][0] if len(parts) == 1 else np.concatenate([p[0] for p in parts], axis=2)
+        valid = parts[0][1] if len(parts) == 1 else np.concatenate([p[1] for p in parts])
         self._next += valid.size
         u = out[3] if self._outputs == 4 else np.empty((0, valid.size))
         return Motion(start, out[0], out[1], out[2], u, valid)

@@ -56,7 +56,7 @@ class RollingScoreMatching:
         self._planes = [(PlaneMoments(p, edge=edge), place_columns(model, p.direction)) for p in planes(model)]
         self._rows = max(256, round(time_constant_s * rate_hz / 100.0))
         self._forget = math.exp(-self._rows / (time_constant_s * rate_hz))
-        self._held = np.empty((3, 0, len(kinds)))
+        self._held = np.empty((3, len(kinds), 0))
         self._rate_hz, self._orders = rate_hz, synchronous_orders(model)
         self._index = 0
 
@@ -65,26 +65,27 @@ class RollingScoreMatching:
         motion = self._stream.push(block[:, self._columns])
         if not motion.rows:
             return
-        fresh = np.stack([motion.x.T, motion.v.T, motion.a.T])
-        fresh[:, ~motion.valid] = np.nan
-        self._held = np.concatenate([self._held, fresh], axis=1)
+        fresh = np.stack([motion.x, motion.v, motion.a])
+        if not motion.valid.all():
+            fresh[:, :, ~motion.valid] = np.nan
+        self._held = np.concatenate([self._held, fresh], axis=2)
         used = 0
-        while self._held.shape[1] - used >= self._rows:
-            x, v, a = self._motion(self._held[:, used : used + self._rows])
+        while self._held.shape[2] - used >= self._rows:
+            x, v, a = self._motion(self._held[:, :, used : used + self._rows])
             for moments, columns in self._planes:
-                moments.add(x[:, columns], v[:, columns], a[:, columns], self._forget)
+                moments.add(x[columns].T, v[columns].T, a[columns].T, self._forget)
             used += self._rows
-        self._held = self._held[:, used:].copy()
+        self._held = self._held[:, :, used:].copy()
         self._index += used
 
     def _motion(self, block: Array) -> Array:
-        """x, v, a of one block (3, rows, places), without the lines that the model's effects say are there."""
+        """x, v, a of one block (3, places, rows), without the lines that the model's effects say are there."""
         if not self._orders or self.model.speed_rpm is None:
             return block
-        flat = np.concatenate(list(block), axis=1)
+        flat = block.reshape(-1, block.shape[-1]).T
         hz = self.model.speed_rpm / 60.0
         flat = flat - lines(flat, self._rate_hz, hz, self._orders, len(flat) / self._rate_hz)
-        return np.stack(np.split(flat, 3, axis=1))
+        return flat.T.reshape(block.shape)
 
     def snapshot(self) -> Estimate:
         """The estimate as of the last complete internal block."""
