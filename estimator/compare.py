@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import missing_force
+from .curves import Law, curves
 from .estimate import Parameter
 from .fitted import fitted_model, parameters
 from .heldout import heldout_nll, heldout_rmse, reference_nll
 from .model import Model
 from .model_uses import placed_of
 from .preparation import prepare
-from .shape import Shape, curve
+from .shape import Shape
 from .suspects import suspects
 from .twin import twin
 from .where import Where, where_of
@@ -30,7 +31,7 @@ Progress = Callable[[float, str], None]
 class Comparison:
     """As schemas/compare.json; missing : value, low, high in per cent of the rms bearing force, 95 %.
 
-    curves : residual force against displacement and velocity of every channel, for pictures.
+    curves : residual force against the states of every channel; laws : restoring force, measured and the model's.
     """
 
     heldout_nll: float
@@ -41,6 +42,7 @@ class Comparison:
     where: tuple[Where, ...]
     adequate: bool
     curves: tuple[Shape, ...] = ()
+    laws: tuple[Law, ...] = ()
     spectra: dict[str, Any] = field(default_factory=dict)
     densities: dict[str, Any] = field(default_factory=dict)
     orbits: dict[str, Any] = field(default_factory=dict)
@@ -60,6 +62,7 @@ class Comparison:
             "where": [w.to_json() for w in self.where],
             "adequate": self.adequate,
             "curves": [c.to_json() for c in self.curves],
+            "laws": [law.to_json() for law in self.laws],
             "spectra": self.spectra,
             "densities": self.densities,
             "orbits": self.orbits,
@@ -91,11 +94,7 @@ def compare_point(model: Model, point: WorkingPoint, y: Array, say: Progress) ->
     say(0.85, "simulated twin")
     beside = twin(fitted_model(model, point), point)
     channel = {p: next(c.name for c in model.channels if c.place == p) for p in point.data.places}
-    curves = tuple(
-        curve(point, r, group, channel[point.data.places[r.place]])
-        for r in found.residuals
-        for group in ("displacement", "velocity")
-    )
+    drawn, laws = curves(point, found, channel, missing_force.orders_of(model))
     say(1.0, "done")
     return Comparison(
         heldout_nll=nll,
@@ -105,7 +104,8 @@ def compare_point(model: Model, point: WorkingPoint, y: Array, say: Progress) ->
         pdf_distance=beside.pdf_distance,
         where=where_of(point, found, channel),
         adequate=not found.any_found(),
-        curves=curves,
+        curves=drawn,
+        laws=laws,
         spectra=beside.spectra,
         densities=beside.densities,
         orbits=beside.orbits,

@@ -58,7 +58,7 @@ class Rung:
 class Ladder:
     """rungs : the model as it was, and after each effect added. model : the last, with fitted values.
 
-    last : the diagnosis that ended it.
+    diagnoses : what was said of every model, in order; last : the one that ended it.
     """
 
     rungs: tuple[Rung, ...]
@@ -66,6 +66,7 @@ class Ladder:
     parameters: dict[str, Parameter]
     last: Diagnosis
     messages: tuple[str, ...] = ()
+    diagnoses: tuple[Diagnosis, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """As schemas/improve.json."""
@@ -85,6 +86,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     point = fit_model(data, placed_of(model, data))
     rungs = [rung(model, point, y)]
     messages: list[str] = []
+    diagnoses: list[Diagnosis] = []
     for step in range(MOST):
         start = step / (step + 1.0)
 
@@ -92,6 +94,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             say(start + fraction * (1 - start) / 2, text)
 
         found = diagnose_point(model, point, y, inner)
+        diagnoses.append(found)
         best = found.ranking[0] if found.ranking else None
         if found.verdict in ("complete", "unknown") or best is None:
             break
@@ -111,7 +114,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         rungs.append(new)
     messages += idle(point)
     say(1.0, "done")
-    return Ladder(tuple(rungs), fitted_model(model, point), parameters(point), found, tuple(messages))
+    return Ladder(tuple(rungs), fitted_model(model, point), parameters(point), found, tuple(messages), tuple(diagnoses))
 
 
 def with_settings(model: Model, entry: Entry) -> Model:

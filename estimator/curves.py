@@ -1,0 +1,183 @@
+"""What a person looks at to see where a model fails: force against the states, with 95 % bands.
+
+Two kinds, both from the joint fit of the model's own parameters and of smooth columns of a state (reference.py).
+Residual: what the model leaves over, freed from what its own parameters could take over. Law: the whole restoring
+force, model and residual together, freed from a straight line. The residual of a dead zone under a fitted cubic looks
+like a high polynomial; its law is flat in the middle with straight flanks, and is known far better than its parts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import reference
+from .missing_force import Residual, Survey, ridged
+from .path_fit import PathFit
+from .shape import Shape
+from .working_point import WorkingPoint, part_of
+
+Array = NDArray[np.float64]
+SECONDS = 5.0  # of the record that conditional means are taken over
+STATES = ("displacement", "velocity", "shaft_angle", "other_direction")
+INNER = 0.75  # rms of displacement that the straight line of small motion is drawn through
+TURNS = (1.0, 2.0)  # orders that repeat with every turn
+ANGLES = np.arange(0.0, 361.0, 15.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """Restoring force in N against a state without its straight line: measured with its band, and the model's."""
+
+    channel: str
+    against: str
+    at: Array
+    measured: Array
+    band_low: Array
+    band_high: Array
+    model: Array
+
+    def to_json(self) -> dict[str, object]:
+        keys = ("at", "measured", "band_low", "band_high", "model")
+        named = {"channel": self.channel, "against": self.against}
+        return named | {k: [float(z) for z in getattr(self, k)] for k in keys}
+
+
+def curves(
+    point: WorkingPoint, found: Survey, channel: dict[str, str], orders: tuple[float, ...]
+) -> tuple[tuple[Shape, ...], tuple[Law, ...]]:
+    """Residuals against every state and laws against displacement and velocity, place by place.
+
+    channel : name by place. orders : of the shaft, as the survey had them.
+    """
+    data = part_of(point.data, SECONDS)
+    rows = _rows(point, data.start)
+    shapes: list[Shape] = []
+    laws: list[Law] = []
+    for residual in found.residuals:
+        i, name = residual.place, channel[point.data.places[residual.place]]
+        groups = {g.name: g for g in reference.groups(data, i, orders)}
+        for state in STATES:
+            if state not in groups:
+                continue
+            fit, names = _fit(residual, state)
+            if state == "displacement" or state == "velocity":
+                z = data.x[i] if state == "displacement" else data.v[i]
+                shape, law = _of_hats(point, residual, fit, names, state, z, rows, name)
+                shapes.append(shape)
+                laws.append(law)
+            elif state == "shaft_angle":
+                shapes.append(_against_angle(fit, names, orders, name))
+            else:
+                o = data.other(i)
+                if o is not None:
+                    shapes.append(_against_other(fit, names, groups[state], data.x[o], name))
+    return tuple(shapes), tuple(laws)
+
+
+def _rows(point: WorkingPoint, starts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rows of the point's series that lie in some of its blocks."""
+    block = point.data.block
+    pick = np.flatnonzero(np.isin(point.data.start, starts))
+    return np.asarray((pick[:, None] * block + np.arange(block)).ravel(), dtype=np.int64)
+
+
+def _fit(residual: Residual, group: str) -> tuple[PathFit, list[str]]:
+    """The joint fit that holds a group; where others are found too, their part is taken out by it."""
+    names = [n for n in residual.pool.extra if n.split(".")[0] == group]
+    fit = residual.fit if names[0] in residual.fit.names else ridged(residual.pool.only(tuple(names)))
+    return fit, names
+
+
+def on_hats(z: Array, knots: Array, series: Array) -> tuple[Array, Array]:
+    """(k, m) least-squares projection of series (m, n) on hat functions of z with these knots; (k,) visits."""
+    step, last = knots[1] - knots[0], knots.size - 2
+    u = (z - knots[0]) / step
+    inside = (u >= 0) & (u <= last + 1)
+    u, series = u[inside], series[:, inside]
+    j = np.minimum(u.astype(np.intp), last)
+    f = u - j
+    k = knots.size
+    low, high = 1.0 - f, f
+    H = np.diag(np.bincount(j, low * low, k) + np.bincount(j + 1, high * high, k))
+    off = np.bincount(j, low * high, k)[:-1]
+    H += np.diag(off, 1) + np.diag(off, -1)
+    right = np.stack([np.bincount(j, low * s, k) + np.bincount(j + 1, high * s, k) for s in series], axis=1)
+    H += 1e-9 * np.trace(H) / k * np.eye(k)
+    visits = np.bincount(j, low, k) + np.bincount(j + 1, high, k)
+    return np.linalg.solve(H, right), np.asarray(visits, dtype=np.float64)
+
+
+def _of_hats(
+    point: WorkingPoint, residual: Residual, fit: PathFit, names: list[str], state: str, z: Array,
+    rows: NDArray[np.int64], channel: str,
+) -> tuple[Shape, Law]:  # fmt: skip
+    """Residual and law against displacement or velocity. z : (n,) the state in these rows."""
+    i = residual.place
+    knots = residual.knots[state]
+    # x and v of one instant do not depend on each other: the other one's linear force only adds noise to a mean
+    x_state = state == "displacement"
+    idle, amount = ("c", point.c[i] * point.data.v[i]) if x_state else ("kL", point.kL[i] * point.data.x[i])
+    aside = f"{point.data.places[i]}.{idle}"
+    base = [t for t in point.terms if i in t.series and t.name in fit.names and t.name != aside]
+    own = (point.force[i] - point.data.known[i] - amount)[rows]
+    means, visits = on_hats(z, knots, np.stack([own, *(t.series[i][rows] for t in base)]))
+    model, D = means[:, 0], means[:, 1:]
+    at = np.array([fit.names.index(n) for n in [*(t.name for t in base), *names]])
+    units = fit.scales[at]
+    values, cov = fit.delta[at] * units, fit.covariance[np.ix_(at, at)] * np.multiply.outer(units, units)
+    to_total = np.concatenate([D, np.eye(knots.size)], axis=1)
+    to_hats = np.concatenate([np.zeros_like(D), np.eye(knots.size)], axis=1)
+    rms = float(z.std())
+    inside = (np.abs(knots) <= min(3.5 * rms, float(np.quantile(np.abs(z), 0.9995)))) & (visits > 0)
+
+    freed = _without(np.column_stack([np.ones_like(knots), D]), visits) @ to_hats
+    force, sd = (freed @ values)[inside], _sd(freed, cov)[inside]
+    x = knots[inside]
+    shape = Shape(channel, state, x, force, force - 1.96 * sd, force + 1.96 * sd)
+
+    near = np.where(np.abs(knots) <= INNER * rms, visits, 0.0) if x_state else visits
+    line = _without(np.column_stack([np.ones_like(knots), knots]), near)
+    total = line @ to_total
+    whole, sd = (line @ model + total @ values)[inside], _sd(total, cov)[inside]
+    return shape, Law(channel, state, x, whole, whole - 1.96 * sd, whole + 1.96 * sd, (line @ model)[inside])
+
+
+def _without(D: Array, weight: Array) -> Array:
+    """The projection that takes the columns of D out of a curve, by weighted least squares."""
+    D = D / np.maximum(np.sqrt((weight[:, None] * D**2).sum(axis=0)), 1e-300)
+    return np.asarray(np.eye(len(D)) - D @ np.linalg.pinv(D.T @ (weight[:, None] * D), rcond=1e-8) @ (D.T * weight))
+
+
+def _sd(A: Array, cov: Array) -> Array:
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", A, cov, A), 0.0)))
+
+
+def _linear(fit: PathFit, names: list[str], A: Array, at: Array, channel: str, against: str) -> Shape:
+    """A (points, columns) times the amplitudes of the columns, with its band."""
+    k = np.array([fit.names.index(n) for n in names])
+    units = fit.scales[k]
+    force = A @ (fit.delta[k] * units)
+    sd = _sd(A, fit.covariance[np.ix_(k, k)] * np.multiply.outer(units, units))
+    return Shape(channel, against, at, force, force - 1.96 * sd, force + 1.96 * sd)
+
+
+def _against_angle(fit: PathFit, names: list[str], orders: tuple[float, ...], channel: str) -> Shape:
+    """Force at one rms of displacement, over a turn: a stiffness that turns with the shaft."""
+    angle = np.radians(ANGLES)
+    kept = [k for k, order in enumerate(orders) if order in TURNS]
+    A = np.column_stack([w(orders[k] * angle) for k in kept for w in (np.cos, np.sin)])
+    own = [names[2 * k + j] for k in kept for j in (0, 1)]
+    return _linear(fit, own, A, ANGLES, channel, "shaft_angle")
+
+
+def _against_other(fit: PathFit, names: list[str], group: reference.Group, z: Array, channel: str) -> Shape:
+    """Mean force at a displacement z of the other direction."""
+    rms = float(z.std())
+    knots = np.asarray(np.arange(-9, 10) * 0.35 * rms, dtype=np.float64)
+    A, visits = on_hats(z, knots, np.stack(group.series).astype(np.float64))
+    inside = np.abs(knots) <= min(3.0 * rms, float(np.quantile(np.abs(z), 0.9995)))
+    inside &= visits > 0
+    return _linear(fit, names, A[inside], knots[inside], channel, "other_direction")
