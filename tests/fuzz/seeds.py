@@ -42,8 +42,9 @@ def _can() -> list[bytes]:
 
 def _mcap() -> list[bytes]:
     import tempfile
+    from dataclasses import replace
 
-    from sessions import make_estimate, make_status, make_stream, write_log
+    from sessions import make_block, make_estimate, make_status, make_stream, write_log
 
     from daq import log_codec as codec
     from drivers.reading import Gap, Notice
@@ -52,12 +53,15 @@ def _mcap() -> list[bytes]:
         path = Path(folder) / "a.mcap"
         write_log(path, make_stream(4, 20))
         raw = path.read_bytes()
+    good = make_estimate(7)
+    short = replace(good, parameters=dict(list(good.parameters.items())[::2]))  # a length of one byte
+    blocks = [(codec.RAW, codec.encode_blocks([make_block(k, 4)])) for k in range(11, 60, 5)]  # a hole after each
     messages = [
-        (codec.GAP, codec.encode_gap(Gap(4, 7, "crc"))), (codec.ESTIMATE, codec.encode_estimate(make_estimate(7))),
+        (codec.GAP, codec.encode_gap(Gap(4, 7, "crc"))), (codec.ESTIMATE, codec.encode_estimate(short)), *blocks,
         (codec.STATUS, codec.encode_status(make_status(7))),
         (codec.NOTICE, codec.encode_notice(Notice(1, "info", "a", "b"), 5)),
     ]  # fmt: skip
-    return [b"\0" + raw, b"\2" + b"".join(bytes((c, len(d) % 256)) + d[:255] for c, d in messages)]
+    return [b"\0" + raw, b"\2" + b"".join(bytes((c, len(d))) + d for c, d in messages)]
 
 
 def _rig() -> list[bytes]:

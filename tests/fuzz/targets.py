@@ -90,14 +90,17 @@ def serial(data: bytes, folder: Path) -> None:
     decoder = SerialDecoder(LinkStats())
     first = b"".join(cobs.encode(body) for _, body in _STARTS["serial16"])
     at = assert_axis(decoder.feed(first, 0), 0)
-    t_ns, rest = 1_000_000, data
-    while rest:
-        length, kind, rest = rest[0], rest[1:2], rest[2:]
-        body, rest = rest[:length], rest[length:]
+    t_ns, start, wire = 1_000_000, 0, b""
+    while start < len(data):
+        length, kind = data[start], data[start + 1] if start + 1 < len(data) else 0
+        body = data[start + 2 : start + 2 + length]
+        start += 2 + length
         t_ns += 1_000_000 * (1 + length)
-        if kind < b"\x80" and body:  # a sample frame of the right shape, with a hostile head
+        if kind < 0x80 and body:  # a sample frame of the right shape, with a hostile head
             body = b"\1\1\4" + body[:1].ljust(1, b"\1") + (body[1:].ljust(20, b"\0"))[:20] + bytes(8 * (body[0] or 1))
-        at = assert_axis(decoder.feed(cobs.encode(body) if kind < b"\xf0" else body, t_ns), at)
+        wire += cobs.encode(body) if kind < 0xF0 else body
+        if kind & 1 or start >= len(data):  # else one read brings more than one frame
+            at, wire = assert_axis(decoder.feed(wire, t_ns), at), b""
 
 
 def can_decoder(data: bytes, folder: Path) -> None:
@@ -106,14 +109,16 @@ def can_decoder(data: bytes, folder: Path) -> None:
     decoder = CanDecoder(LinkStats())
     good = [(i, d, 0) for i, d in _STARTS[layout]]
     at = assert_axis(decoder.feed(CanFrames.build(good), 0), 0)
-    t_ns, rest = 1_000_000, data[1:]
-    while rest:
-        head, rest = rest[0], rest[1:]
-        length = (8, 64, 12, 64, 8, 64, rest[0] % 65 if rest else 0, 64)[head >> 5]
-        payload, rest = rest[:length], rest[length:]
+    t_ns, start, frames = 1_000_000, 1, list[tuple[int, bytes, int]]()
+    while start < len(data):
+        head, more = data[start], data[start + 1] if start + 1 < len(data) else 0
+        length = (8, 64, 12, 64, 8, 64, more % 65, 64)[head >> 5]
+        payload = data[start + 1 : start + 1 + length]
+        start += 1 + length
         t_ns += 1_000_000 << (head & 15)
-        frame = (0x2FF + head % 8, payload.ljust(length, b"\0"), t_ns)
-        at = assert_axis(decoder.feed(CanFrames.build([frame]), t_ns), at)
+        frames.append((0x2FF + head % 8, payload.ljust(length, b"\0"), t_ns))
+        if not head & 16 or start >= len(data):  # else one read brings more than one frame
+            at, frames = assert_axis(decoder.feed(CanFrames.build(frames), t_ns), at), []
 
 
 _DBC = b"""VERSION ""
