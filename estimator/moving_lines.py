@@ -1,0 +1,105 @@
+"""Lines that move: tones of the force that the likelihood leaves out block by block, wherever they are now.
+
+A run-up carries the orders of the shaft through the band. A tone is seen in the inferred force of a block, summed over
+the places: a bin that stands out from those four to ten bins away on both sides, which no resonance does. Weak ones are
+seen in the average over the last blocks: by frequency, or by order of the shaft where a tacho gives its speed, so that
+a line stands still in it while the speed changes. The bins of a line are left out; those beside it count for them, so
+that the sums stay those of a smooth spectrum and the likelihood, with its Jacobian, needs to know nothing.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+FALSE_ALARM = 1e-4  # of a block
+NEAR, FAR = 4, 10  # bins away, where the surroundings are
+AVERAGED = 5.0  # blocks
+INDEPENDENT = 0.5  # of neighbouring bins under the window, and of neighbouring blocks
+
+
+@cache
+def _limit(bins: int, places: int, blocks: float) -> float:
+    """Ratio of a bin to the larger of its two sides that noise reaches in one block of `1 / FALSE_ALARM`."""
+    from scipy.stats import f
+
+    own = 2.0 * places * max(1.0, 1.5 * INDEPENDENT * blocks)
+    return float(f.isf(FALSE_ALARM / bins, own, own * (FAR - NEAR + 1) * INDEPENDENT))
+
+
+def stand_out(power: Floats, places: int, blocks: float) -> Floats:
+    """(bins,) ratio of each bin to its surroundings where that is a line's, else 0. power : mean over `blocks`."""
+    n, reach = power.size, FAR - NEAR + 1
+    padded = np.pad(power, FAR, mode="reflect")
+    sums = np.concatenate([[0.0], np.cumsum(padded)])
+    sides = (sums[reach:] - sums[:-reach]) / reach  # sides[k] : mean of padded[k ... k + reach - 1]
+    around = np.maximum(sides[:n], sides[FAR + NEAR : FAR + NEAR + n])
+    ratio = power / np.maximum(around, 1e-300)
+    return np.where(ratio > _limit(n, places, blocks), ratio, 0.0)
+
+
+def left_out(ratio: Floats) -> NDArray[np.bool_]:
+    """(bins,) the bins to leave out about those that stand out: as far as the window carries such a line."""
+    out = np.zeros(ratio.size, bool)
+    for k in np.flatnonzero(ratio):
+        half = 3 if ratio[k] < 300.0 else 4 if ratio[k] < 1e5 else 10
+        out[max(k - half, 0) : k + half + 1] = True
+    return out
+
+
+def weights(out: NDArray[np.bool_]) -> Floats:
+    """(bins,) 0 for what is left out; what lies beside it on both sides counts for it, the sum stays."""
+    w = np.ones(out.size)
+    w[out] = 0.0
+    kept = np.flatnonzero(~out)
+    if kept.size == 0:
+        return w
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], out, [False]]).astype(np.int8)))
+    for a, b in edges.reshape(-1, 2):
+        at, half = int(np.searchsorted(kept, a)), -(-(b - a) // 2)
+        beside = kept[max(at - half, 0) : at + half]
+        w[beside] += (b - a) / beside.size
+    return w
+
+
+class MovingLines:
+    """What to leave out of the next block. orders : the average is by order of the shaft, not by frequency."""
+
+    def __init__(self, f_hz: Floats, orders: bool = False) -> None:
+        self._f_hz, self._orders = f_hz, orders
+        self._mean = np.zeros(f_hz.size)
+        self._blocks = 0.0
+        self._speed_hz = 0.0  # that the axis of the average is scaled to
+
+    def restart(self) -> None:
+        """Forget the average: the blocks to come do not follow on."""
+        self._mean[:] = 0.0
+        self._blocks = 0.0
+
+    def __call__(self, force: Complexes, speed_hz: float | None = None) -> Floats | None:
+        """(bins,) weights for the block with this force spectrum (places, bins); None if nothing is left out.
+
+        speed_hz : of the shaft during the block, where a tacho gives it.
+        """
+        each = np.abs(force) ** 2
+        power = (each / np.maximum(each.mean(axis=1, keepdims=True), 1e-300)).sum(axis=0)
+        places = len(force)
+        out = left_out(stand_out(power, places, 1.0))
+        scale = 1.0
+        if self._orders and speed_hz is not None and speed_hz > 0.0:
+            self._speed_hz = self._speed_hz or speed_hz
+            scale = speed_hz / self._speed_hz
+        # a strong line of this block must not stay in the average where it no longer is
+        by_order = power if scale == 1.0 else np.interp(self._f_hz * scale, self._f_hz, power)
+        keep = 1.0 - 1.0 / AVERAGED
+        self._mean = keep * self._mean + by_order
+        self._blocks = keep * self._blocks + 1.0
+        if self._blocks > 0.5 * AVERAGED:
+            averaged = left_out(stand_out(self._mean / self._blocks, places, 2.0 * self._blocks - 1.0))
+            if averaged.any():
+                out |= averaged if scale == 1.0 else np.interp(self._f_hz / scale, self._f_hz, averaged) > 0.0
+        return weights(out) if out.any() else None
