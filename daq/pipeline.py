@@ -69,6 +69,7 @@ class Pipeline:
         self._scaling: Scaling | None = None
         self._estimation: Estimation | None = None
         self._early: list[Reading] = []  # before the device said what it is
+        self._told_early: list[Notice] = []
         self._unsaid: list[Reading] = []
         self._reported: set[str] = set()
         self._status_ns = clock.now_ns()
@@ -154,6 +155,9 @@ class Pipeline:
     def _accept(self, reading: Reading) -> list[Reading]:
         if self._info is None and not isinstance(reading, Info):
             self._early.append(reading)
+            if isinstance(reading, Notice):  # the log has to wait for the device, the operator has not
+                self._tell(reading)
+                self._told_early.append(reading)
             return []
         return self.ledger.accept(reading)
 
@@ -177,10 +181,16 @@ class Pipeline:
                 self._estimator_at(reading.index).skip(reading.count)
                 self._collect()
         elif isinstance(reading, Notice):
-            if reading.level == "error":
-                self.problems.append(reading.text)
-            if self._notify is not None:
-                self._notify(reading)
+            if reading in self._told_early:
+                self._told_early.remove(reading)
+            else:
+                self._tell(reading)
+
+    def _tell(self, notice: Notice) -> None:
+        if notice.level == "error":
+            self.problems.append(notice.text)
+        if self._notify is not None:
+            self._notify(notice)
 
     def _block(self, block: Block) -> None:
         estimation = self._estimator_at(block.index)

@@ -301,3 +301,16 @@ def test_the_ledger_lets_nothing_through_twice_and_leaves_no_hole(
     assert (ledger.samples, ledger.lost) == (samples, lost)
     assert limit is None or samples + lost <= limit
     assert ledger.lost == sum(g.count for g in ledger.gaps)
+
+
+def test_what_is_said_before_the_device_is_known_is_told_at_once_and_logged_later() -> None:
+    sink, told = Recorder(), list[Notice]()
+    pipeline = Pipeline(PLAN, [sink], FakeClock(), notify=told.append)
+    silent = Notice(1, "warning", "silent", "nothing for 1 s")
+    pipeline.step([silent])
+    assert told == [silent]
+    pipeline.step([INFO, vibration(0, 256)])
+    pipeline.finish(LinkStats(), {})
+    assert told == [silent]
+    logged = [r for batch in sink.of("readings") for r in batch if isinstance(r, Notice)]  # type: ignore[attr-defined]
+    assert logged == [silent]
