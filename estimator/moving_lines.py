@@ -85,15 +85,14 @@ class MovingLines:
 
         speed_hz : of the shaft during the block, where a tacho gives it.
         """
-        each = np.abs(force) ** 2
-        power = (each / np.maximum(each.mean(axis=1, keepdims=True), 1e-300)).sum(axis=0)
+        each = force.real**2 + force.imag**2
+        power = (1.0 / np.maximum(each.mean(axis=1), 1e-300)) @ each
         places = len(force)
         out = left_out(stand_out(power, places, 1.0))
         scale = 1.0
         if self._orders and speed_hz is not None and speed_hz > 0.0:
             self._speed_hz = self._speed_hz or speed_hz
             scale = speed_hz / self._speed_hz
-        # a strong line of this block must not stay in the average where it no longer is
         by_order = power if scale == 1.0 else np.interp(self._f_hz * scale, self._f_hz, power)
         keep = 1.0 - 1.0 / AVERAGED
         self._mean = keep * self._mean + by_order

@@ -8,7 +8,7 @@ honest.
 
 Lines that were there at the start are left out of the grid for good, those that come or move block by block
 (moving_lines.py); a tacho channel gives the angle of the shaft. The candidates of watch.py have a memory of their own,
-of every third block, and are looked at every two seconds. What is computed when depends on the data alone.
+of every third block, and are looked at every three seconds. What is computed when depends on the data alone.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ FAST = 0.25  # time constant of the watching memory over that of the long one
 CHANGE = 5.0  # standard deviations
 CHECKED_EVERY = 2  # solutions, for a change
 WATCHED_EVERY = 3  # blocks: every other one at most, so that no two share rows
-LOOKED_EVERY = 5  # solutions
+LOOKED_EVERY = 8  # solutions
 FEWEST_WATCHED = 6  # blocks
-CLOSE = 0.1  # nats: one Newton step from there leaves less than a tenth of it undone
+CLOSE = 10.0  # nats: a standard deviation or so of each parameter; one Newton step from there leaves a few per cent
 
 
 @dataclass(slots=True)
@@ -313,9 +313,12 @@ class _Fitted:
         count: Floats = 0.5 * self.slow.n * self.grid.per_cell
         S, noise = spectrum_of_force(*likelihood.power(point.beta), count, point)
         local = likelihood.at(Point(point.beta, S, noise))
-        step, _, decrement = _newton(local)
-        beta = point.beta + step
+        step, decrement = _newton(local)[::2]
+        p, P = point.beta.size, S.size
+        beta = point.beta + step[:p]
         if decrement < CLOSE and likelihood.damping(beta).min() > 0.0:
+            # S and noise are best for the old beta: along the step they fall as a parabola, half its first slope
+            S, noise = S * np.exp(0.5 * step[p : p + P]), np.maximum(noise + 0.5 * step[p + P :], 0.0)
             self.local = replace(local, point=Point(beta, S, noise))
         else:
             self.local, _ = maximise(likelihood, point, iterations=8, tolerance=1e-3)
@@ -323,7 +326,7 @@ class _Fitted:
     def _changed(self) -> bool:
         """Whether one Newton step on the recent memory leads away from the point of the long one."""
         recent = self._likelihood(self.fast, self.local.point.beta).at(self.local.point)
-        step, variance, _ = _newton(recent, everything=True)
+        step, variance, _ = _newton(recent)
         f, s = self.fast, self.slow
         spread = f.n2 / f.n**2 + s.n2 / s.n**2 - 2 * self.shared / (f.n * s.n)  # the memories share recent blocks
         return bool(np.any(np.abs(step) > CHANGE * np.sqrt(variance * f.n * max(spread, 1e-9))))
@@ -359,18 +362,11 @@ class _Fitted:
         return inverse(self.local) * (self.slow.n2 / self.slow.n)
 
 
-def _newton(local: Local, everything: bool = False) -> tuple[Floats, Floats, float]:
-    """Newton step, variances (both without what the data leave free) and decrement in nats.
-
-    everything : of S and noise too, else the step and the variances are those of beta (zeros where it is free).
-    """
-    V, used, p = inverse(local), active(local.point), local.point.beta.size
+def _newton(local: Local) -> tuple[Floats, Floats, float]:
+    """Newton step and variances (p + 2 P,) as in `Local`, zero for what the data leave free; decrement in nats."""
+    V, used = inverse(local), active(local.point)
     used = used[np.isfinite(np.diag(V)[used])]
     V, g = V[np.ix_(used, used)], local.gradient[used]
-    step, variance = -V @ g, np.diag(V)
-    if everything:
-        return step, variance, float(g @ -step)
-    beta, sd2 = np.zeros(p), np.zeros(p)
-    own = used < p
-    beta[used[own]], sd2[used[own]] = step[own], variance[own]
-    return beta, sd2, float(g @ -step)
+    step, variance = np.zeros(local.gradient.size), np.zeros(local.gradient.size)
+    step[used], variance[used] = -V @ g, np.diag(V)
+    return step, variance, -float(g @ step[used])
