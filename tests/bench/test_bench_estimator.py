@@ -2,6 +2,7 @@
 
     ROTORSCOPE_SEEDS=50 pytest -m bench -s tests/bench/test_bench_estimator.py
 
+With ROTORSCOPE_RECORDS=DIR and ROTORSCOPE_RESULTS=FILE records and results are kept and a run can be continued.
 Records come from the integrator of tests/estimator/reference_rig.py, which shares nothing with the package. The bound
 is that of the whole path observed without noise (Girsanov): the information in T seconds is T E[psi psi^T] / Q with
 psi = (x, v, forces of the effects per unit) and Q = S / 2 the intensity of the force, known; moments from equipartition
@@ -10,6 +11,7 @@ m <v^2> = S / (4 c) = kL <x^2> + 3 kNL <x^2>^2. It uses no part of the estimator
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time
@@ -20,13 +22,22 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "estimator"))
 
-from reference_rig import COULOMB, MASS, PLACES, QUADRATIC_DAMPING, RATE, TRUTH, rig_model, rig_record
+sys.path.insert(0, str(Path(__file__).parent))
+from kept_records import KNL, kept
+from reference_rig import MASS, PLACES, RATE, TRUTH, rig_model
 
 from estimator import spectral
 
 SEEDS = int(os.environ.get("ROTORSCOPE_SEEDS", "4"))
 SECONDS = float(os.environ.get("ROTORSCOPE_SECONDS", "60"))
-KNL = 1.3e18
+RESULTS = os.environ.get("ROTORSCOPE_RESULTS")
+CASES = {  # case -> effects of the model; all but the first have the cubic term
+    "linear": (),
+    "cubic": ("cubic",),
+    "coulomb": ("cubic", "coulomb"),
+    "quadratic_damping": ("cubic", "quadratic_damping"),
+}
+HIDDEN = {"coulomb": 0.07, "quadratic_damping": 1e4}  # N, N s^2/m^2
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
 
@@ -41,7 +52,7 @@ def moments(i: int, kNL: float, extra_damping: float = 0.0) -> tuple[float, floa
 
 def bound(i: int, kNL: float, effect: str | None) -> dict[str, float]:
     """Relative Cramer-Rao sd of each parameter of a place, Gaussian moments."""
-    amplitude = {"coulomb": 0.07, "quadratic_damping": 1e4, None: 0.0}[effect]
+    amplitude = HIDDEN.get(effect or "", 0.0)
     c = 0.0
     for _ in range(50):  # mean extra damping of the effect at the level that it leaves
         x2, v2, Q = moments(i, kNL, c)
@@ -65,103 +76,75 @@ def bound(i: int, kNL: float, effect: str | None) -> dict[str, float]:
     return {key: float(s / truth[key]) for key, s in zip(psi, sd, strict=True)}
 
 
-@pytest.mark.parametrize(
-    ("effects", "kNL", "column", "value"),
-    [
-        ((), 0.0, None, 0.0),
-        (("cubic",), KNL, None, 0.0),
-        (("cubic", "coulomb"), KNL, COULOMB, 0.07),
-        (("cubic", "quadratic_damping"), KNL, QUADRATIC_DAMPING, 1e4),
-    ],
-    ids=["linear", "cubic", "coulomb", "quadratic damping"],
-)
-def test_bias_scatter_coverage(effects: tuple[str, ...], kNL: float, column: int | None, value: float) -> None:
-    hidden = np.zeros((4, 7))
-    if column is not None:
-        hidden[:, column] = value
-    truth = {"kNL": KNL, "fc": value, "cq": value}
-    errors: dict[str, list[tuple[float, float, float]]] = {}
-    took = []
-    extra = next((e for e in effects if e != "cubic"), None)
-    bounds = [bound(i, kNL, extra) for i in range(4)]
+Errors = dict[str, list[tuple[float, float]]]  # parameter -> (error, sd given) of each place, relative to the truth
+
+
+def errors_of(case: str, seed: int) -> tuple[Errors, float]:
+    """Errors of the fit of one record, and the seconds that it took."""
+    y = kept(case, seed, SECONDS)
+    begin = time.perf_counter()
+    solution = spectral.analyse(rig_model(*CASES[case]), y, RATE)
+    took = time.perf_counter() - begin
+    truth = {"kNL": KNL, "fc": HIDDEN.get(case, 0.0), "cq": HIDDEN.get(case, 0.0)}
+    sd, names, out = np.sqrt(np.diag(solution.covariance)), solution.balance.names, Errors()
+    for j, name in enumerate(names):
+        i, key = next(i for i, p in enumerate(PLACES) if name.startswith(p)), name.split(".")[-1]
+        true = float(TRUTH[key][i]) if key in TRUTH else truth[key]
+        out.setdefault(key, []).append((solution.values[name] / true - 1, float(sd[j]) / true))
+    for i in range(4):
+        out.setdefault("S", []).append((float(solution.point.S[i] / TRUTH["S"][i]) - 1, float(sd[len(names) + i])))
+    return out, took
+
+
+def all_errors(case: str) -> list[tuple[Errors, float]]:
+    """Of every seed, from the file of results where it is there."""
+    done: dict[str, tuple[Errors, float]] = {}
+    if RESULTS is not None and Path(RESULTS).is_file():
+        for row in map(json.loads, Path(RESULTS).read_text().splitlines()):
+            done[row["key"]] = (row["errors"], row["seconds"])
+    out = []
     for seed in range(SEEDS):
-        y = rig_record(SECONDS, seed=1000 + seed, kNL=kNL, hidden=hidden)
-        begin = time.perf_counter()
-        solution = spectral.analyse(rig_model(*effects), y, RATE)
-        took.append(time.perf_counter() - begin)
-        sd = np.sqrt(np.diag(solution.covariance))
-        for j, name in enumerate(solution.balance.names):
-            i, key = next(i for i, p in enumerate(PLACES) if name.startswith(p)), name.split(".")[-1]
-            true = TRUTH[key][i] if key in TRUTH else truth[key]
-            errors.setdefault(key, []).append((solution.values[name] / true - 1, sd[j] / true, bounds[i][key]))
-        for i in range(4):
-            log_sd = sd[len(solution.balance.names) + i]
-            errors.setdefault("S", []).append((solution.point.S[i] / TRUTH["S"][i] - 1, log_sd, np.nan))
-    name = " + ".join(effects) or "linear"
-    print(f"\n{name}: {SEEDS} records of {SECONDS:g} s, 4 places; fit {np.median(took):.2f} s")
-    print("            bias %  scatter %  sd given %  bound %  ratio  covers")
-    for key, rows in errors.items():
-        e, s, b = 100 * np.array(rows).T
-        scatter = np.sqrt(np.mean((e / b) ** 2)) if np.isfinite(b).all() else np.nan
-        print(
-            f"{key:4s} {e.mean():7.3f} +-{e.std() / np.sqrt(e.size):5.3f} {e.std():10.3f} {np.median(s):11.3f} "
-            f"{np.median(b):8.3f} {scatter:6.2f} {np.mean(np.abs(e) < 1.96 * s):7.2f}"
-        )
-        assert abs(e.mean()) < 5 * e.std() / np.sqrt(e.size) + {"kL": 0.3, "kNL": 3.0, "c": 2.0}.get(key, 10.0)
-
-
-def regression(y: np.ndarray) -> dict[str, float]:
-    """Least squares of m a on v, x, x^3 in the band: what sparse regression on derivatives does at best."""
-    from estimator.bandlimit import band_limit
-
-    motion = band_limit(y, ["acceleration"] * 4, RATE, (150.0, 8000.0))
-    out = {}
-    for i, place in enumerate(PLACES):
-        a, v, x = (getattr(motion, n)[i, motion.valid] for n in "avx")
-        columns = np.stack([x / x.std(), v / v.std(), x**3 / x.std() ** 3])
-        solved = np.linalg.solve(columns @ columns.T, columns @ (-MASS * a))
-        out |= {f"{place}.kL": solved[0] / x.std(), f"{place}.c": solved[1] / v.std()}
-        out[f"{place}.cubic.kNL"] = solved[2] / x.std() ** 3
+        key = f"{case}/{SECONDS:g}/{seed}"
+        if key not in done:
+            done[key] = errors_of(case, seed)
+            if RESULTS is not None:
+                errors, took = done[key]
+                with Path(RESULTS).open("a") as f:
+                    f.write(json.dumps({"key": key, "errors": errors, "seconds": took}) + "\n")
+        out.append(done[key])
     return out
 
 
-def test_beside_other_methods_on_the_same_records() -> None:
-    """The two-bearing rig, cubic: errors of kL, c, kNL by each method of this repository and a plain regression."""
-    from estimator import fokker_planck, score_matching
+def row(key: str, e: np.ndarray, s: np.ndarray, b: np.ndarray) -> str:
+    """A row of the table from errors, sd given and bounds, all in %."""
+    known = np.isfinite(b).all()
+    ratio = f"{np.sqrt(np.mean((e / b) ** 2)):.2f}" if known else ""
+    bound = f"{np.median(b):.3g}" if known else ""
+    return (
+        f"| {key} | {e.mean():.3f} +- {e.std() / np.sqrt(e.size):.3f} | {e.std():.3g} | {np.median(s):.3g} | {bound} | "
+        f"{ratio} | {100 * np.mean(np.abs(e) < 1.96 * s):.1f} |"
+    )
 
-    def values(parameters: dict) -> dict[str, float]:
-        return {k: (np.nan if p.value is None else p.value) for k, p in parameters.items()}
 
-    methods = {
-        "spectral": lambda y: values(dict(spectral.fit(rig_model("cubic"), y, RATE).parameters)),
-        "score matching": lambda y: values(dict(score_matching.fit(rig_model("cubic"), y, RATE).parameters)),
-        "eq. (36)": lambda y: values(dict(fokker_planck.fit(rig_model("cubic"), y, RATE).parameters)),
-        "regression": regression,
-    }
-    print(f"\n{max(2, SEEDS // 2)} records of {SECONDS:g} s; rms error over places and records, %")
-    errors: dict[str, dict[str, list[float]]] = {m: {} for m in methods}
-    took = dict.fromkeys(methods, 0.0)
-    for seed in range(max(2, SEEDS // 2)):
-        y = rig_record(SECONDS, seed=2000 + seed, kNL=KNL)
-        for method, run in methods.items():
-            begin = time.perf_counter()
-            try:
-                found = run(y)
-            except ValueError as e:
-                print(f"{method}: {e}")
-                found = {}
-            took[method] += time.perf_counter() - begin
-            for i, place in enumerate(PLACES):
-                for key, true in (("kL", TRUTH["kL"][i]), ("c", TRUTH["c"][i]), ("cubic.kNL", KNL)):
-                    errors[method].setdefault(key, []).append(100 * (found.get(f"{place}.{key}", np.nan) / true - 1))
-    for method, by in errors.items():
-        words = [
-            f"{key} {np.sqrt(np.nanmean(np.square(e))) if np.isfinite(e).any() else np.nan:8.2f}"
-            for key, e in by.items()
-        ]
-        print(f"{method:15s} {'  '.join(words)}   {took[method] / max(2, SEEDS // 2):6.2f} s")
-    ours = {k: np.sqrt(np.nanmean(np.square(e))) for k, e in errors["spectral"].items()}
-    for method, by in errors.items():
-        if method != "spectral":
-            for key, e in by.items():
-                assert not np.isfinite(e).any() or ours[key] <= np.sqrt(np.nanmean(np.square(e)))
+@pytest.mark.parametrize("case", list(CASES))
+def test_bias_scatter_coverage(case: str) -> None:
+    kNL = 0.0 if case == "linear" else KNL
+    bounds = [bound(i, kNL, case if case in HIDDEN else None) for i in range(4)]
+    results = all_errors(case)
+    print(
+        f"\n{case}: {len(results)} records of {SECONDS:g} s, 4 places; fit {np.median([t for _, t in results]):.2f} s"
+    )
+    print("| parameter | bias % | scatter % | sd given % | bound % | rms / bound | 95 % covers |")
+    print("|---|---|---|---|---|---|---|")
+    for key in results[0][0]:
+        e, s = 100 * np.array([errors[key] for errors, _ in results]).transpose(2, 0, 1)  # (records, places)
+        b = 100 * np.broadcast_to([z.get(key, np.nan) for z in bounds], e.shape)
+        print(row(key, e.ravel(), s.ravel(), b.ravel()))
+        if key == "kNL":  # one value for the four places: their mean by precision
+            w = 1 / s**2
+            one = (w * e).sum(axis=1) / w.sum(axis=1)
+            print(row("kNL, one for all places", one, w.sum(axis=1) ** -0.5, (1 / b**2).sum(axis=1) ** -0.5))
+        assert abs(e.mean()) < 5 * e.std() / np.sqrt(e.size) + {"kL": 0.3, "kNL": 3.0, "c": 2.0}.get(key, 10.0)
+    if kNL:
+        cubic = [np.sqrt(15) * kNL * moments(i, kNL)[0] / TRUTH["kL"][i] for i in range(4)]
+        print(f"rms of the cubic force over that of the linear one: {', '.join(f'{100 * z:.2f} %' for z in cubic)}")

@@ -22,7 +22,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "estimator")]
+sys.path.insert(0, str(Path(__file__).parents[1] / "estimator"))
+sys.path.insert(0, str(Path(__file__).parent))
 
 import rivals
 import test_bench_duffing as duffing
