@@ -201,6 +201,8 @@ def acquire_all(
             )  # fmt: skip
         except Exception as error:
             outcome[device.name] = error
+            if tell is not None:
+                tell(Notice(SystemClock().now_ns(), "error", "device_failed", str(error) or repr(error)))
 
     threads = [threading.Thread(target=run, args=(d,), name=f"core {d.name}", daemon=True) for d in devices]
     for thread in threads:

@@ -15,7 +15,7 @@ import typer
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from . import cli_analyse, cli_demo, cli_files, cli_live, cli_model  # noqa: E402
-from .errors import RotorscopeError  # noqa: E402
+from .errors import RotorscopeError, exit_status  # noqa: E402
 
 INTERRUPTED = 130
 ABOUT = "Acquire bearing vibration, identify the rotor's stiffness from it, and learn which physics the model lacks."
@@ -80,20 +80,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except RotorscopeError as error:
         return _failed(str(error), error.exit_status, verbose)
     except Exception as error:
-        status = _status_of(error)
+        status = exit_status(error)
         if status is not None:
             return _failed(str(error), status, verbose)
         text = f"unexpected {type(error).__name__}: {error}; run it again with --verbose and report what it prints"
         return _failed(text, 1, verbose)
-
-
-def _status_of(error: Exception) -> int | None:
-    """The status of an error of the parts below, which know no command line."""
-    from drivers.errors import LinkError
-    from estimator.errors import DataError, ModelError
-
-    table: dict[type[Exception], int] = {LinkError: 3, DataError: 4, ModelError: 2}
-    return next((status for kind, status in table.items() if isinstance(error, kind)), None)
 
 
 def _failed(text: str, status: int, verbose: bool) -> int:

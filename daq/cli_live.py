@@ -17,10 +17,14 @@ Seconds = Annotated[float | None, typer.Option("--seconds", min=0.0, metavar="S"
 
 
 def run(
-    rig: RigArgument,
+    rigs: Annotated[
+        list[str], typer.Argument(metavar="RIG[=LINK]...", help="Rig file (TOML); several for several devices.")
+    ],
     link: Annotated[str | None, typer.Option("--link", metavar="LINK", help=f"{LINKS} (default: the rig's)")] = None,
     seconds: Seconds = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="LOG.mcap", help="Write a log.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="LOG.mcap", help="Write a log; of several devices: a folder.")
+    ] = None,
     rerun: Annotated[
         str | None, typer.Option("--rerun", metavar="WHERE", help="FILE.rrd, spawn, or the URL of a viewer.")
     ] = None,
@@ -35,10 +39,12 @@ def run(
     """Live acquisition and rolling estimation.
 
     Ctrl-C ends a run with a complete log and status 130; SIGTERM does so with status 0.
+    Several devices, each with its own link, clock and log: `run press.toml fan.toml=slcan:/dev/ttyACM1 --out logs`.
+    One that fails is told, tried again, and disturbs no other; the exit status is the worst of theirs.
     """
     from .live import run as body
 
-    body(Output(json, quiet, verbose), rig, link, seconds, out, rerun, strict, metrics)
+    body(Output(json, quiet, verbose), rigs, link, seconds, out, rerun, strict, metrics)
 
 
 def simulate(

@@ -23,3 +23,14 @@ class LogError(RotorscopeError):
     """A log or data file is missing, unreadable, cut, or does not fit the rig."""
 
     exit_status = 4
+
+
+def exit_status(error: Exception) -> int | None:
+    """Of an error that says one line; also of the parts below, which know no command line. None: a defect."""
+    from drivers.errors import LinkError
+    from estimator.errors import DataError, ModelError
+
+    if isinstance(error, RotorscopeError):
+        return error.exit_status
+    table: dict[type[Exception], int] = {LinkError: 3, DataError: 4, ModelError: 2}
+    return next((status for kind, status in table.items() if isinstance(error, kind)), None)

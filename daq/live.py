@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from drivers.errors import LinkError
 from drivers.reading import Notice
@@ -19,30 +19,54 @@ from .sink import Sink
 from .stop import Stop
 from .tables import gap_lines, gap_reasons, parameters_table
 
+if TYPE_CHECKING:
+    from .metrics import MetricsServer
+
 LOG_LOST = ("log_incomplete", "log_failed")
 
 
 class Operator:
-    """Says notices as they come; remembers what makes the log worthless."""
+    """Says notices as they come, behind the name of one of several devices; remembers what makes the log worthless."""
 
-    def __init__(self, output: Output) -> None:
+    def __init__(self, output: Output, device: str = "") -> None:
         self._output = output
+        self._device = f"{device}: " if device else ""
         self.lost_log = ""
 
     def __call__(self, notice: Notice) -> None:
         if notice.code in LOG_LOST:
             self.lost_log = notice.text
         if notice.level == "info":
-            self._output.detail(notice.text)
+            self._output.detail(f"{self._device}{notice.text}")
         else:
-            self._output.note(f"{notice.level}: {notice.text}")
+            self._output.note(f"{self._device}{notice.level}: {notice.text}")
 
 
 def run(
-    output: Output, rig_path: Path, link: str | None, seconds: float | None, out: Path | None, rerun: str | None,
+    output: Output, rigs: Sequence[str], link: str | None, seconds: float | None, out: Path | None, rerun: str | None,
     strict: bool, metrics: int | None = None,
 ) -> None:  # fmt: skip
-    run_rig(output, load_rig(rig_path), link, out, seconds=seconds, rerun=rerun, strict=strict, metrics=metrics)
+    """rigs : RIG or RIG=LINK, several for several devices."""
+    asked = [rig_and_link(text) for text in rigs]
+    if link is not None and (len(asked) > 1 or asked[0][1] is not None):
+        raise ConfigError("--link is for one rig without a link of its own; say RIG=LINK for each of several")
+    options = {"seconds": seconds, "rerun": rerun, "strict": strict, "metrics": metrics}
+    if len(asked) > 1:
+        from .live_devices import run_devices
+
+        run_devices(output, asked, out, **options)  # type: ignore[arg-type]
+    else:
+        run_rig(output, load_rig(asked[0][0]), link or asked[0][1], out, **options)  # type: ignore[arg-type]
+
+
+def rig_and_link(text: str) -> tuple[Path, str | None]:
+    """RIG or RIG=LINK; a file of that name is a rig, whatever is in its name."""
+    path, equals, link = text.partition("=")
+    if not equals or Path(text).exists():
+        return Path(text), None
+    if not link:
+        raise ConfigError(f"{text}: no link behind the =; say {path}=LINK, or {path} alone for the rig's own")
+    return Path(path), link
 
 
 def run_rig(
@@ -54,9 +78,9 @@ def run_rig(
     existed = out is not None and out.exists()
     operator = Operator(output)
     with Stop() as stop:
-        sinks = _sinks(output, out, rerun, live=driver.kind not in ("capture", "replay"))
+        sinks = make_sinks(output, out, rerun, live=driver.kind not in ("capture", "replay"))
         if metrics is not None:
-            sinks.append(_metrics(output, metrics))
+            sinks.append(serve_metrics(output, metrics).sink())
         metadata = {"command": command, "link": link or rig.link.url or ""}
         try:
             summary = acquire(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=operator)
@@ -65,14 +89,20 @@ def run_rig(
                 out.unlink(missing_ok=True)  # nothing was acquired: an empty log would only be in the way
             raise
     _report(output, summary, out, {"rig": rig.model.name})
-    if operator.lost_log:
-        raise LogError(operator.lost_log)
-    if stop.interrupted:
+    if stop.interrupted and not operator.lost_log:
         raise KeyboardInterrupt
+    wrong = what_is_wrong(summary, operator, strict, link or rig.link.url or "")
+    if wrong is not None:
+        raise wrong
+
+
+def what_is_wrong(summary: RunSummary, operator: Operator, strict: bool, link: str) -> Exception | None:
+    """Why a session that came to its end failed nevertheless."""
+    if operator.lost_log:
+        return LogError(operator.lost_log)
     if strict and summary.lost_samples:
-        raise CheckFailed(f"{summary.lost_samples} samples were lost; --strict asks for none")
-    if not summary.samples:
-        raise _nothing(summary, link or rig.link.url or "")
+        return CheckFailed(f"{summary.lost_samples} samples were lost; --strict asks for none")
+    return None if summary.samples else _nothing(summary, link)
 
 
 def _nothing(summary: RunSummary, link: str) -> Exception:
@@ -127,7 +157,7 @@ def simulate(
             from drivers.links import VirtualConfig, make_driver
 
             driver = make_driver(VirtualConfig(pace), device=simulated.device)  # type: ignore[assignment]
-        sinks = _sinks(output, out, None, live=pace is not None)
+        sinks = make_sinks(output, out, None, live=pace is not None)
         metadata = {"command": "simulate", "link": "virtual:", "seed": str(seed)}
         operator = Operator(output)
         summary = acquire(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=operator)
@@ -154,7 +184,7 @@ def replay(
     rig = Rig.parse(recording.rig_text, where=f"{log}: rig.toml") if rig_path is None else load_rig(rig_path)
     operator = Operator(output)
     with Stop() as stop:
-        sinks = _sinks(output, out, rerun, live=False, wall_offset_ns=recording.head.wall_offset_ns)
+        sinks = make_sinks(output, out, rerun, live=False, wall_offset_ns=recording.head.wall_offset_ns)
         summary = replay_log(recording, rig, sinks, speed=pace, check=check, stop=stop.event, notify=operator)
     _report(output, summary, out, {})
     if operator.lost_log:
@@ -183,9 +213,10 @@ def _speed(text: str) -> float | None:
     return value
 
 
-def _sinks(
-    output: Output, out: Path | None, rerun: str | None, live: bool, wall_offset_ns: int | None = None
-) -> list[Sink]:
+def make_sinks(
+    output: Output, out: Path | None, rerun: str | None, live: bool, wall_offset_ns: int | None = None,
+    table: bool = True,
+) -> list[Sink]:  # fmt: skip
     """wall_offset_ns : Unix time minus the monotonic time of the readings, where they are not of now."""
     sinks: list[Sink] = []
     if out is not None:
@@ -196,19 +227,19 @@ def _sinks(
         from .rerun_sink import RerunSink
 
         sinks.append(RerunSink(rerun, live=live, wall_offset_ns=wall_offset_ns))
-    if sys.stderr.isatty() and not output.quiet:
+    if table and sys.stderr.isatty() and not output.quiet:
         from .live_table import LiveTable
 
         sinks.append(LiveTable(output.to_stderr))
     return sinks
 
 
-def _metrics(output: Output, port: int) -> Sink:
+def serve_metrics(output: Output, port: int) -> MetricsServer:
     from .metrics import MetricsServer
 
     server = MetricsServer(port)
     output.note(f"metrics at {server.url}")
-    return server.sink()
+    return server
 
 
 def _serving(output: Output, url: str) -> None:
@@ -227,6 +258,11 @@ def _write_truth(rig: Rig, assumed: Any, path: Path) -> None:
 
 
 def _report(output: Output, summary: RunSummary, out: Path | None, more: dict[str, Any]) -> None:
+    output.result(summary.to_json() | more | ({"log": str(out)} if out else {}), *in_words(summary, out))
+
+
+def in_words(summary: RunSummary, out: Path | None) -> list[Any]:
+    """What came of a session, for people."""
     people: list[Any] = []
     estimate = summary.last_estimate
     if estimate is not None and estimate.parameters:
@@ -238,4 +274,4 @@ def _report(output: Output, summary: RunSummary, out: Path | None, more: dict[st
     people.append(f"{summary.seconds:.3f} s, {summary.samples} samples of each channel{lost}")
     if out is not None:
         people.append(f"log: {out}")
-    output.result(summary.to_json() | more | ({"log": str(out)} if out else {}), *people)
+    return people

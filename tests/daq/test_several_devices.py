@@ -1,0 +1,144 @@
+"""`rotorscope run` with several rigs: real ptys, one process; what happens to one device does not happen to another."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from cable import Cable
+from ramp_device import PERIOD
+
+from daq.cli import main
+from daq.log_reader import read_log
+
+ROOT = Path(__file__).parents[2]
+SCHEMA = json.loads((ROOT / "tests" / "data" / "schemas" / "run.json").read_text())
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    text = (ROOT / "configs" / "tiwari_vyas_1997.toml").read_text()
+    path = tmp_path / "press.toml"
+    path.write_text(text.replace('method = "spectral"', 'method = "score-matching"'))
+    return path
+
+
+@pytest.fixture
+def cables(tmp_path: Path) -> Iterator[list[Cable]]:
+    both = [Cable(tmp_path / name) for name in ("ttyA", "ttyB")]
+    yield both
+    for cable in both:
+        cable.close()
+
+
+def start(*arguments: str | Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "daq", "run", *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(done: Callable[[], bool], seconds: float = 40.0) -> None:
+    end = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
+def rows(path: Path) -> int:
+    return read_log(path).n_samples if path.exists() and path.stat().st_size > 20_000 else 0
+
+
+def test_one_is_pulled_one_comes_late_one_never(
+    rig: Path, cables: list[Cable], tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    """Two devices of one rig file and a third that is not there; the second is plugged in late, and pulled."""
+    logs, result = tmp_path / "logs", tmp_path / "run.json"
+    cables[1].pull()
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    devices = [f"{rig}=serial:{cables[0].name}", f"{rig}=serial:{cables[1].name}", f"{rig}=serial:{tmp_path}/ttyC"]
+    session = start(*devices, "--out", logs, "--json", result, "--metrics", str(port))
+    first, second = logs / "press.mcap", logs / "press-2.mcap"
+    wait_for(lambda: rows(first) > 20_000)
+    cables[1].plug()
+    wait_for(lambda: rows(second) > 20_000)
+    served = urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5).read().decode()
+    cables[1].pull()
+    before = rows(first)
+    wait_for(lambda: rows(first) > before + 40_000)
+    asked = time.time()
+    session.send_signal(signal.SIGTERM)
+    out, said = session.communicate(timeout=30)
+    took = max(path.stat().st_mtime for path in (first, second)) - asked
+    assert session.returncode == 3, said
+    assert 'rotorscope_samples_total{device="press"}' in served
+    assert 'rotorscope_samples_total{device="press-2"}' in served
+    for path, name in ((first, "press"), (second, "press-2")):
+        log = read_log(path)
+        assert log.complete, log.damage
+        assert log.head.device == name
+        counts = log.counts()[:, 0].astype(np.int64)
+        there = counts > np.iinfo(np.int32).min
+        assert len(np.unique((counts[there] + PERIOD // 2 - log.first - np.flatnonzero(there)) % PERIOD)) == 1
+    assert not read_log(first).gaps
+    assert "link_lost" in {n.code for n in read_log(second).notices}
+    assert sorted(os.listdir(logs)) == ["press-2.mcap", "press.mcap"]
+    value = json.loads(result.read_text())
+    assert [d["exit_status"] for d in value["devices"]] == [0, 0, 3]
+    for one in value["devices"]:
+        jsonschema.validate(one, SCHEMA)
+    assert [d["device"] for d in value["devices"]] == ["press", "press-2", "press-3"]
+    lines = said.splitlines()
+    assert sum(line.startswith("rotorscope: press-3: error: ") for line in lines) == 1
+    assert lines[-1].startswith("rotorscope: press-3: ")
+    assert "press-2 (serial:" in out
+    row = "several devices | `rotorscope run` with three: one comes late and is pulled, one never comes"
+    promised = "the first has no gap, each its own log, exit status of the worst"
+    record_property("reliability", f"{row} | {promised} | no gap; all closed in {took:.2f} s; status 3")
+    assert took < 2.0
+
+
+def test_all_well_and_ctrl_c(rig: Path, cables: list[Cable], tmp_path: Path) -> None:
+    fan = tmp_path / "fan.toml"
+    fan.write_text(re.sub(r"(?m)^url = .*$", f'url = "serial:{cables[1].name}"', rig.read_text()))
+    devices = (f"{rig}=serial:{cables[0].name}", fan)
+    session = start(*devices, "--out", tmp_path / "logs", "--seconds", "1", "--json", "-")
+    out, said = session.communicate(timeout=60)
+    assert session.returncode == 0, said
+    assert [(d["device"], d["samples"]) for d in json.loads(out)["devices"]] == [("press", 25_600), ("fan", 25_600)]
+    session = start(*devices, "--out", tmp_path / "logs")
+    wait_for(lambda: rows(tmp_path / "logs" / "fan.mcap") > 40_000)
+    session.send_signal(signal.SIGINT)
+    _, said = session.communicate(timeout=30)
+    assert session.returncode == 130
+    assert all(read_log(tmp_path / "logs" / f"{name}.mcap").complete for name in ("press", "fan"))
+
+
+def test_mistakes_are_told_before_anything_begins(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    two = [f"{rig}=virtual:", str(rig)]
+    for arguments, text in (
+        ([*two, "--link", "virtual:"], "RIG=LINK for each"),
+        ([*two, "--out", str(tmp_path / "a.mcap")], "give a folder"),
+        ([f"{rig}=virtual:", f"{rig}=nonsense:x", "--out", str(tmp_path / "logs")], "nonsense"),
+        ([f"{rig}=virtual:", f"{tmp_path}/no.toml"], "no.toml"),
+        ([f"{rig}="], "no link behind"),
+        ([f"{rig}=virtual:", "--link", "virtual:"], "RIG=LINK"),
+    ):
+        assert main(["run", *arguments]) in (2, 3)
+        said = capsys.readouterr().err
+        assert text in said, said
+        assert len(said.splitlines()) == 1
+    assert not list((tmp_path / "logs").glob("*"))
