@@ -18,7 +18,7 @@ Seconds = Annotated[float | None, typer.Option("--seconds", min=0.0, metavar="S"
 
 def run(
     rigs: Annotated[
-        list[str], typer.Argument(metavar="RIG[=LINK]...", help="Rig file (TOML); several for several devices.")
+        list[str], typer.Argument(metavar="RIG", help="Rig file (TOML); several devices: RIG or RIG=LINK of each.")
     ],
     link: Annotated[str | None, typer.Option("--link", metavar="LINK", help=f"{LINKS} (default: the rig's)")] = None,
     seconds: Seconds = None,
