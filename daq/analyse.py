@@ -56,16 +56,20 @@ def _likelihood(result: Fit) -> str:
     return "" if result.log_likelihood is None else f", log-likelihood {result.log_likelihood:.6g}"
 
 
-def compare(output: Output, log: Path, rig_path: Path, html: Path | None) -> None:
-    from estimator.compare import compare as compare_model
-
+def compare(output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None) -> None:
+    pages = Pages(html, rerun)
     rig = load_rig(rig_path)
     data = measure(log, rig, output.note)
+    value = _compared(output, rig, data)
+    pages.write(rig, data, comparison=value)
+    output.result(value, *comparison_text(value), *pages.said())
+
+
+def _compared(output: Output, rig: Rig, data: Measurement) -> dict[str, Any]:
+    from estimator.compare import compare as compare_model
+
     with output.progress("comparing") as progress:
-        value = compare_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
-    if html is not None:
-        _report(html, rig, data, comparison=value)
-    output.result(value, *comparison_text(value), *_written(html))
+        return compare_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
 
 
 def comparison_text(value: Mapping[str, Any]) -> list[Any]:
@@ -94,20 +98,49 @@ def comparison_text(value: Mapping[str, Any]) -> list[Any]:
     return people
 
 
-def diagnose(output: Output, log: Path, rig_path: Path, html: Path | None) -> None:
+def diagnose(output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None) -> None:
     from estimator.diagnose import diagnose as diagnose_model
 
+    pages = Pages(html, rerun)
     rig = load_rig(rig_path)
     data = measure(log, rig, output.note)
     with output.progress("diagnosing") as progress:
         value = diagnose_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
-    if html is not None:
-        from estimator.compare import compare as compare_model
+    if pages:
+        now = _compared(output, rig, data)
+        better = with_verdict(rig, value)
+        if better is None:
+            pages.write(rig, data, comparison=now, diagnoses=[value])
+        else:
+            after = _compared(output, better, data)
+            ladder = [step(rig, now), step(better, after)]
+            pages.write(better, data, comparison=after, before=now, diagnoses=[value], ladder=ladder)
+    output.result(value, *diagnosis_text(value), *pages.said())
 
-        with output.progress("comparing") as progress:
-            comparison = compare_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
-        _report(html, rig, data, comparison=comparison, diagnosis=value)
-    output.result(value, *diagnosis_text(value), *_written(html))
+
+def with_verdict(rig: Rig, diagnosis: Mapping[str, Any]) -> Rig | None:
+    """The rig with the effect that a diagnosis names, as found; None if it names none."""
+    row = next((r for r in diagnosis["ranking"] if r["effect"] == diagnosis["verdict"]), None)
+    if row is None:
+        return None
+    values: dict[str, dict[str, float]] = {}
+    for name, p in row["parameters"].items():
+        if p["value"] is not None:
+            place, _, parameter = name.replace(f".{row['effect']}.", "\0").partition("\0")
+            values.setdefault(place, {})[parameter] = p["value"]
+    known = next((u.at for u in rig.model.effects if u.name == row["effect"]), ())
+    new = [place for place in values if place not in known]
+    try:
+        text = with_effect(rig, row["effect"], new or row["at"], {p: values[p] for p in new})
+        return Rig.parse(text, rig.base, rig.path)
+    except ConfigError:  # there already, and named again for another reason
+        return None
+
+
+def step(rig: Rig, comparison: Mapping[str, Any]) -> dict[str, Any]:
+    """The rung of a ladder that a comparison makes."""
+    keys = ("heldout_nll", "missing_force_percent")
+    return {"effects": [use.name for use in rig.model.effects]} | {k: comparison[k] for k in keys}
 
 
 def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
@@ -139,9 +172,10 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     return [*people, f"verdict: {value['verdict']}", verdict]
 
 
-def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | None) -> None:
+def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | None, rerun: str | None) -> None:
     from estimator.improve import improve as improve_model
 
+    pages = Pages(html, rerun)
     rig = load_rig(rig_path)
     data = measure(log, rig, output.note)
     with output.progress("improving") as progress:
@@ -149,18 +183,28 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
     value = ladder.to_json()
     text, better = improved(rig, ladder)
     write_whole(out, text)
-    if html is not None:
-        from estimator.compare import compare as compare_model
-
-        with output.progress("comparing") as progress:
-            before = compare_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
-            now = compare_model(better.model, data.y, data.rate_hz, progress=progress).to_json()
-        _report(html, better, data, comparison=now, before=before, ladder=value["ladder"])
+    if pages:
+        before = _compared(output, rig, data)
+        now = _compared(output, better, data) if len(ladder.rungs) > 1 else None
+        pages.write(
+            better, data, comparison=now or before, before=now and before, ladder=value["ladder"],
+            diagnoses=[d.to_json() for d in ladder.diagnoses], notes=ladder.messages,
+        )  # fmt: skip
     added = [u.name for u in better.model.effects if u.name not in [v.name for v in rig.model.effects]]
     said = f"added: {', '.join(added)}" if added else "nothing more is earned: the model stays as it is"
     notes = [f"note: {message}" for message in ladder.messages]
-    files = [f"{out}: the improved rig file", *_written(html)]
-    output.result(value, ladder_table(value["ladder"]), "", *notes, said, *files)
+    files = [f"{out}: the improved rig file", *pages.said()]
+    output.result(value, ladder_table(value["ladder"]), "", *notes, said, ending(ladder.last.to_json()), *files)
+
+
+def ending(last: Mapping[str, Any]) -> str:
+    """Why an improvement stops, from its last diagnosis."""
+    verdict = last["verdict"]
+    if verdict == "complete":
+        return "the last model is complete: nothing of the catalogue predicts the record better than chance would"
+    if verdict == "unknown":
+        return "something is left that the catalogue does not hold; type a law of your own into the rig file"
+    return f"the last diagnosis names {verdict}, which was not added"
 
 
 def improved(rig: Rig, ladder: Ladder) -> tuple[str, Rig]:
@@ -233,12 +277,37 @@ def reproduce(output: Output, out: Path) -> None:
     output.result(value, f"{out}/index.html: tables 1 to 3 and figures 4 to 19; numbers in {out}/numbers.json")
 
 
-def _report(path: Path, rig: Rig, data: Measurement, **parts: Any) -> None:
-    from .report import write_report
+class Pages:
+    """Where a comparison is to be shown: a report page, a Rerun recording or viewer, both or neither."""
 
-    facts = {"rig": rig.model.name} | data.facts
-    write_report(path, f"Rotorscope: {rig.model.name}", facts=facts, rig_text=rig.text, **parts)
+    def __init__(self, html: Path | None, rerun: str | None) -> None:
+        """Raises ConfigError for a place that cannot be written, before the work is done."""
+        if html is not None and not html.absolute().parent.is_dir():
+            raise ConfigError(f"--html {html}: folder {html.parent} does not exist; create it first")
+        if rerun is not None:
+            from .rerun_process import viewer_target
 
+            rerun = viewer_target(rerun)
+        self._html, self._rerun = html, rerun
 
-def _written(html: Path | None) -> list[str]:
-    return [] if html is None else [f"report: {html}"]
+    def __bool__(self) -> bool:
+        return self._html is not None or self._rerun is not None
+
+    def write(self, rig: Rig, data: Measurement, **parts: Any) -> None:
+        """Parts as `report.render` names them."""
+        title = f"Rotorscope: {rig.model.name}"
+        if self._html is not None:
+            from .report import write_report
+
+            facts = {"rig": rig.model.name} | data.facts
+            write_report(self._html, title, facts=facts, rig_text=rig.text, **parts)
+        if self._rerun is not None:
+            from .rerun_comparison import log_comparison
+
+            log_comparison(self._rerun, title=title, **parts)
+
+    def said(self) -> list[str]:
+        out = [] if self._html is None else [f"report: {self._html}"]
+        if self._rerun is None:
+            return out
+        return [*out, f"look at it: rerun {self._rerun}" if self._rerun.endswith(".rrd") else f"shown: {self._rerun}"]

@@ -1,4 +1,4 @@
-"""fit, compare, diagnose, improve, theory, reproduce: what the data say about the model."""
+"""fit, compare, diagnose, improve, theory, reproduce, confusion: what the data say about the model."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from .cli_options import HtmlOption, Json, LogArgument, Output, Quiet, RigArgument, RigOption, Verbose
+from .cli_options import HtmlOption, Json, LogArgument, Output, Quiet, RerunOption, RigArgument, RigOption, Verbose
 
 
 class Method(StrEnum):
@@ -39,6 +39,7 @@ def compare(
     log: LogArgument,
     rig: RigOption,
     html: HtmlOption = None,
+    rerun: RerunOption = None,
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -46,13 +47,14 @@ def compare(
     """Model against measurement, on held-out data; where it fails."""
     from .analyse import compare as body
 
-    body(Output(json, quiet, verbose), log, rig, html)
+    body(Output(json, quiet, verbose), log, rig, html, rerun)
 
 
 def diagnose(
     log: LogArgument,
     rig: RigOption,
     html: HtmlOption = None,
+    rerun: RerunOption = None,
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -60,7 +62,7 @@ def diagnose(
     """Which effect is missing, ranked, with evidence; or "complete"; or "unknown" with the shape of what is missing."""
     from .analyse import diagnose as body
 
-    body(Output(json, quiet, verbose), log, rig, html)
+    body(Output(json, quiet, verbose), log, rig, html, rerun)
 
 
 def improve(
@@ -68,6 +70,7 @@ def improve(
     rig: RigOption,
     out: Annotated[Path, typer.Option("--out", metavar="RIG2", help="Where to write the improved rig file.")],
     html: HtmlOption = None,
+    rerun: RerunOption = None,
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -75,7 +78,7 @@ def improve(
     """Compare, diagnose, add, refit until nothing more is earned; prints the ladder of errors."""
     from .analyse import improve as body
 
-    body(Output(json, quiet, verbose), log, rig, out, html)
+    body(Output(json, quiet, verbose), log, rig, out, html, rerun)
 
 
 def theory(
@@ -102,6 +105,28 @@ def reproduce(
     body(Output(json, quiet, verbose), out)
 
 
+def confusion(
+    rig: RigArgument,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder for the runs and the matrix; a second call goes on.")
+    ],
+    effects: Annotated[str, typer.Option("--effects", metavar="A,B,..", help="Effects to hide; all if empty.")] = "",
+    strengths: Annotated[str, typer.Option("--strengths", help="weak, strong or both, with a comma.")] = "weak,strong",
+    at: Annotated[str, typer.Option("--at", help="bearing1, both, or the two with a comma.")] = "bearing1",
+    seeds: Annotated[int, typer.Option("--seeds", min=0, help="Runs of each effect and strength.")] = 1,
+    complete: Annotated[int, typer.Option("--complete", min=0, help="Runs with nothing hidden.")] = 4,
+    seconds: Annotated[float, typer.Option("--seconds", min=1.0, help="Length of each record.")] = 20.0,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """For developers: hide every effect in simulated records of a rig, and count what diagnose calls it."""
+    from .confusion import confusion as body
+
+    given = (effects.split(",") if effects else [], strengths.split(","), at.split(","))
+    body(Output(json, quiet, verbose), rig, out, *given, seeds, complete, seconds)
+
+
 def register(app: typer.Typer) -> None:
-    for command in (fit, compare, diagnose, improve, theory, reproduce):
+    for command in (fit, compare, diagnose, improve, theory, reproduce, confusion):
         app.command(rich_help_panel="Identify")(command)

@@ -21,4 +21,8 @@ LogArgument = Annotated[
 ]
 HtmlOption = Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Write a self-contained report page.")]
 
-__all__ = ["HtmlOption", "Json", "LogArgument", "Output", "Quiet", "RigArgument", "RigOption", "Verbose"]
+RerunOption = Annotated[
+    str | None, typer.Option("--rerun", metavar="WHERE", help="Show it: FILE.rrd, spawn, or the URL of a viewer.")
+]
+
+__all__ = ["HtmlOption", "Json", "LogArgument", "Output", "Quiet", "RerunOption", "RigArgument", "RigOption", "Verbose"]

@@ -1,6 +1,6 @@
 """The confusion matrix of the diagnosis: hidden effects by our own simulator, what is named, in Markdown and JSON.
 
-    python -m daq.confusion --rig configs/tiwari_vyas_1997.toml --out build/confusion --seconds 20 --seeds 1
+    rotorscope confusion configs/tiwari_vyas_1997.toml --out build/confusion --seconds 20 --seeds 1
 
 One line of JSON per run is appended to OUT/runs.jsonl, so an interrupted matrix goes on where it stopped. The truth is
 known only to this file; the diagnosis sees samples and the rig without the effect.
@@ -8,17 +8,13 @@ known only to this file; the diagnosis sees samples and the rig without the effe
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only wait for each other
 
 import numpy as np
 
@@ -30,11 +26,15 @@ from estimator.errors import ModelError
 from estimator.model import Model, Setting
 from estimator.simulate import simulate
 
+from .errors import ConfigError
+from .output import Output, write_whole
 from .rig import load_rig
+from .rig_problems import did_you_mean
 
 RATE_HZ = 25600.0
 FRACTIONS = {"weak": 0.02, "strong": 0.06}
 COMPLETE = "complete"
+AT = ("bearing1", "both")
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +108,7 @@ def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
         "strength": case.strength,
         "at": case.at,
         "seed": case.seed,
+        "seconds": seconds,
         "verdict": found.verdict,
         "named_at": list(top.at) if top else [],
         "gain": top.gain if top else 0.0,
@@ -119,7 +120,7 @@ def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
     }
 
 
-def markdown(runs: list[Mapping[str, Any]], seconds: float) -> str:
+def markdown(runs: Sequence[Mapping[str, Any]], seconds: float) -> str:
     """The matrix as a table: hidden effect by strength, how often it was named, and what else was said."""
     lines = [
         f"{len(runs)} runs of {seconds:g} s at {RATE_HZ:g} Hz, int16 counts, sensor noise.",
@@ -141,44 +142,57 @@ def markdown(runs: list[Mapping[str, Any]], seconds: float) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run what is missing of the matrix, then write OUT/confusion.md and OUT/confusion.json."""
-    parser = argparse.ArgumentParser(prog="python -m daq.confusion", description=__doc__.splitlines()[0])
-    parser.add_argument("--rig", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--effects", default=",".join(CATALOGUE), help="names with commas")
-    parser.add_argument("--strengths", default="weak,strong")
-    parser.add_argument("--at", default="bearing1")
-    parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--complete", type=int, default=0, help="runs with nothing hidden")
-    parser.add_argument("--seconds", type=float, default=20.0)
-    given = parser.parse_args(arguments)
-    model = load_rig(given.rig).model
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / "runs.jsonl"
-    done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+def confusion(
+    output: Output, rig_path: Path, out: Path, effects: Sequence[str], strengths_: Sequence[str], at: Sequence[str],
+    seeds: int, complete: int, seconds: float,
+) -> None:  # fmt: skip
+    """Run what is missing of the matrix in the folder `out`, then write confusion.md and confusion.json there."""
+    for given, there, what in (
+        (effects, list(CATALOGUE), "effect"), (strengths_, list(FRACTIONS), "strength"), (at, list(AT), "place"),
+    ):  # fmt: skip
+        for name in given:
+            if name not in there:
+                raise ConfigError(f'"{name}" is no {what}; {did_you_mean(name, there, "there are")}')
+    model = load_rig(rig_path).model
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be made: {error.strerror}; choose another --out") from error
+    path = out / "runs.jsonl"
+    done = read_runs(path, seconds)
     known = {r["key"] for r in done}
-    effects = [e for e in given.effects.split(",") if e]
-    for case in cases(effects, given.strengths.split(","), given.at.split(","), given.seeds, given.complete):
-        if case.key in known:
-            continue
+    todo = [c for c in cases(effects or CATALOGUE, strengths_, at, seeds, complete) if c.key not in known]
+    if done:
+        output.note(f"{path}: {len(done)} runs are there already; {len(todo)} to do")
+    with output.progress("confusion matrix") as progress:
+        for number, case in enumerate(todo):
+            progress(number / len(todo), f"{case.key} ({number + 1} of {len(todo)})")
+            try:
+                result = run(model, case, seconds)
+            except ModelError as problem:  # not every strength of every effect leaves the rotor standing
+                output.note(f"{case.key}: not simulated: {problem}")
+                continue
+            done.append(result)
+            with path.open("a", encoding="utf-8") as lines:
+                lines.write(json.dumps(result) + "\n")
+    text = markdown(done, seconds)
+    write_whole(out / "confusion.md", text)
+    value = {"schema": 1, "seconds": seconds, "runs": done}
+    write_whole(out / "confusion.json", json.dumps(value, indent=1) + "\n")
+    output.result(value, text)
+
+
+def read_runs(path: Path, seconds: float) -> list[dict[str, Any]]:
+    """The runs of an earlier call; ConfigError if they are of another length or cannot be read."""
+    if not path.exists():
+        return []
+    runs = []
+    for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
         try:
-            result = run(model, case, given.seconds)
-        except ModelError as problem:  # not every strength of every effect leaves the rotor standing
-            os.write(1, f"{case.key}: not simulated: {problem}\n".encode())
-            continue
-        done.append(result)
-        with path.open("a") as out:
-            out.write(json.dumps(result) + "\n")
-        os.write(
-            1, f"{case.key}: {result['verdict']} {result['gain']:.0f} nats, {result['cpu_seconds']:.0f} s\n".encode()
-        )
-    (given.out / "confusion.md").write_text(markdown(done, given.seconds))
-    (given.out / "confusion.json").write_text(
-        json.dumps({"schema": 1, "seconds": given.seconds, "runs": done}, indent=1)
-    )
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+            one: dict[str, Any] = json.loads(line)
+            if one.get("seconds", seconds) != seconds:
+                raise ConfigError(f"{path}, line {number}: a run of {one['seconds']:g} s; choose another --out")
+            runs.append(one)
+        except (ValueError, AttributeError) as problem:
+            raise ConfigError(f"{path}, line {number}: not a run: {problem}; remove the line") from problem
+    return runs

@@ -156,7 +156,7 @@ def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tupl
     from estimator.compare import compare
     from estimator.diagnose import diagnose
 
-    from .analyse import diagnosis_text, fitted
+    from .analyse import diagnosis_text, fitted, step
     from .measurement import measure
     from .report import write_report
     from .rerun_comparison import log_comparison
@@ -168,7 +168,7 @@ def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tupl
     with output.progress("diagnosing") as progress:
         diagnosis = diagnose(rig.model, data.y, data.rate_hz, progress=progress).to_json()
     output.say(*diagnosis_text(diagnosis, most=3))
-    steps = [_step(rig, before)]
+    steps = [step(rig, before)]
     verdict = diagnosis["verdict"]
     if verdict in ("complete", "unknown"):
         return steps, []
@@ -181,16 +181,16 @@ def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tupl
     better = load_rig(improved)
     output.say(parameters_table(fit.parameters, known_values(truth)))
     after = _compared(output, compare, better, data)
-    steps.append(_step(better, after))
+    steps.append(step(better, after))
     output.say(Rule("the error falls"), ladder_table(steps))
     report = out / "report.html"
     facts = {"rig": rig.model.name} | data.facts
     write_report(
-        report, "Rotorscope demo", facts=facts, comparison=after, before=before, diagnosis=diagnosis, ladder=steps,
+        report, "Rotorscope demo", facts=facts, comparison=after, before=before, diagnoses=[diagnosis], ladder=steps,
         rig_text=better.text,
     )  # fmt: skip
     view = out / "comparison.rrd"
-    log_comparison(view, after, before, diagnosis, steps, "Rotorscope demo")
+    log_comparison(str(view), after, before, [diagnosis], steps, "Rotorscope demo")
     return steps, [improved, report, view]
 
 
@@ -201,8 +201,3 @@ def _compared(output: Output, compare: Any, rig: Rig, data: Measurement) -> dict
         value: dict[str, Any] = compare(rig.model, data.y, data.rate_hz, progress=progress).to_json()
     output.say(*comparison_text(value))
     return value
-
-
-def _step(rig: Rig, comparison: Mapping[str, Any]) -> dict[str, Any]:
-    keys = ("heldout_nll", "missing_force_percent")
-    return {"effects": [use.name for use in rig.model.effects]} | {k: comparison[k] for k in keys}

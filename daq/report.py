@@ -6,6 +6,7 @@ The page needs no network and no script; pictures are inline SVG. It works from 
 comparison
     curves : [{channel, against, at, force, band_low, band_high}], residual force in N with its 95 % band, `at` in m,
         m/s, deg ... (report_figures.AGAINST)
+    laws : [{channel, against, at, measured, band_low, band_high, model}], restoring force without a straight line
     spectra : {channel: {frequency_hz, measured, model}}, one-sided PSD in the channel's unit squared per Hz
     densities : {channel: {at, measured, model}}, of the displacement in m, 1/m
     orbits : {bearing: {measured: [x, y], model: [x, y]}}, displacements in m
@@ -22,6 +23,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from . import report_curves as curves
 from . import report_figures as figures
 from . import report_numbers as numbers
 from . import report_words as words
@@ -32,25 +34,9 @@ NOTHING: Json = {}
 FEWEST, MOST = 3, 10  # rows of the ranking that are shown
 
 
-def write_report(
-    path: Path,
-    title: str,
-    *,
-    facts: Mapping[str, str] = NOTHING,
-    comparison: Json | None = None,
-    before: Json | None = None,
-    diagnosis: Json | None = None,
-    ladder: Sequence[Json] = (),
-    rig_text: str = "",
-) -> None:
-    """Write the page. Raises LogError if the file cannot be written.
-
-    comparison : of the model as it is now; before : of the model before anything was added; facts : log, rig, length
-    of the record ... as the head of the page shows them.
-    """
-    page = render(
-        title, facts=facts, comparison=comparison, before=before, diagnosis=diagnosis, ladder=ladder, rig_text=rig_text
-    )
+def write_report(path: Path, title: str, **parts: Any) -> None:
+    """Write the page that `render` makes of the same arguments. Raises LogError if the file cannot be written."""
+    page = render(title, **parts)
     try:
         path.write_text(page, encoding="utf-8")
     except OSError as problem:
@@ -63,11 +49,17 @@ def render(
     facts: Mapping[str, str] = NOTHING,
     comparison: Json | None = None,
     before: Json | None = None,
-    diagnosis: Json | None = None,
+    diagnoses: Sequence[Json] = (),
     ladder: Sequence[Json] = (),
+    notes: Sequence[str] = (),
     rig_text: str = "",
 ) -> str:
-    """The page as text."""
+    """The page as text.
+
+    comparison : of the model as it is now; before : of the model before anything was added; diagnoses : of every model
+    of the ladder, in order; notes : what the improvement said; facts : log, rig, length of the record ... as the head
+    of the page shows them.
+    """
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -83,52 +75,67 @@ def render(
     }
     template = environment.from_string(Path(__file__).with_name("report.html").read_text(encoding="utf-8"))
     now, old = comparison or NOTHING, before or NOTHING
+    said = [*now.get("messages", ()), *notes, *(m for d in diagnoses for m in d.get("messages", ()))]
     return template.render(
         title=title,
         facts=dict(facts) | {"made by": f"rotorscope {version()}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"},
-        summary=words.summary(comparison, diagnosis, ladder),
-        pictures=pictures(now, old, diagnosis, ladder),
+        summary=words.summary(comparison, diagnoses, ladder),
+        pictures=pictures(now, old, ladder, before is not None),
         comparison=comparison,
-        diagnosis=diagnosis,
+        where=words.regions(before, comparison),
+        findings=[finding(d, k, len(diagnoses), ladder) for k, d in enumerate(diagnoses)],
         ladder=ladder,
-        ranking=worth_showing(diagnosis),
-        limits=[r for r in diagnosis["ranking"] if r.get("detectable_from")] if diagnosis else [],
-        runner_up=words.runner_up(diagnosis) if diagnosis and diagnosis["ranking"] else None,
-        effects=described(diagnosis),
-        messages=[*now.get("messages", ()), *(diagnosis or NOTHING).get("messages", ())],
+        messages=list(dict.fromkeys(said)),
         parameters=now.get("parameters", {}),
         rig_text=rig_text,
     )
 
 
-def pictures(now: Json, old: Json, diagnosis: Json | None, ladder: Sequence[Json]) -> dict[str, str | None]:
-    """SVG by name, None where there is nothing to show."""
-    ranking = worth_showing(diagnosis)
+def pictures(now: Json, old: Json, ladder: Sequence[Json], two: bool) -> dict[str, str | None]:
+    """SVG by name, None where there is nothing to show. two : whether there is a model before."""
     return {
         "ladder": figures.ladder(ladder) if ladder else None,
-        "residuals": figures.residuals(now.get("curves", ()), old.get("curves", ())),
-        "where": figures.where_map(now.get("where", ()), old.get("where", ())),
+        "laws": curves.laws(now.get("laws", ()), old.get("laws", ())),
+        "residuals": curves.residuals(now.get("curves", ()), old.get("curves", ())),
+        "where": figures.where_map(now.get("where", ()), old.get("where", ()) if two else None),
         "spectra": figures.spectra(now.get("spectra", {}), old.get("spectra", {}), now.get("psd_distance_db", {})),
         "densities": figures.densities(now.get("densities", {}), old.get("densities", {}), now.get("pdf_distance", {})),
         "orbits": figures.orbits(now.get("orbits", {})),
-        "ranking": figures.ranking(ranking) if ranking else None,
-        "shape": figures.shape(diagnosis["shape"]) if diagnosis and diagnosis.get("shape") else None,
     }
 
 
-def worth_showing(diagnosis: Json | None) -> list[Json]:
+def finding(diagnosis: Json, number: int, of: int, ladder: Sequence[Json]) -> dict[str, Any]:
+    """What the page shows of one diagnosis. number : on the ladder, from 0."""
+    past = number + 1 < len(ladder)
+    rows = worth_showing(diagnosis)
+    headings = {True: "What was missing", False: "What is left" if number else "What is missing"}
+    return {
+        "heading": headings[past] + (f": step {number + 1}" if past and of > 2 else ""),
+        "model": figures.model_name(ladder[number]["effects"]) if number < len(ladder) else "",
+        "past": past,
+        "diagnosis": diagnosis,
+        "verdict": diagnosis["verdict"],
+        "effect": described(diagnosis["verdict"]),
+        "ranking": rows,
+        "runner_up": words.runner_up(diagnosis) if diagnosis["ranking"] else None,
+        # of an improvement, those of the last model: the others may have hidden them
+        "limits": [r for r in diagnosis["ranking"] if r.get("detectable_from")] if number == of - 1 else [],
+        "picture": figures.ranking(rows, number) if rows else None,
+        "shape": curves.shape(diagnosis["shape"], number) if diagnosis.get("shape") else None,
+    }
+
+
+def worth_showing(diagnosis: Json) -> list[Json]:
     """The first few effects of the ranking, and those after them that gain anything."""
-    rows = list(diagnosis["ranking"])[:MOST] if diagnosis else []
+    rows = list(diagnosis["ranking"])[:MOST]
     return [r for k, r in enumerate(rows) if k < FEWEST or r["heldout_gain"] > 1.0]
 
 
-def described(diagnosis: Json | None) -> dict[str, Any]:
-    """The catalogue's entry of every effect that the ranking shows."""
-    if diagnosis is None:
-        return {}
+def described(verdict: str) -> Any:
+    """The catalogue's entry of a verdict; None if it is not an effect of the catalogue."""
     from estimator.effects import CATALOGUE
 
-    return {r["effect"]: CATALOGUE[r["effect"]] for r in diagnosis["ranking"][:MOST] if r["effect"] in CATALOGUE}
+    return CATALOGUE.get(verdict)
 
 
 def version() -> str:

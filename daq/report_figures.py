@@ -33,7 +33,7 @@ AGAINST = {
     "time": ("time", "s"),
     "level": ("vibration level", "m"),
 }
-FIRST = ("displacement", "velocity", "shaft_angle")  # always drawn; the others where they carry something
+FIRST = ("displacement", "velocity", "shaft_angle", "other_direction")  # of which curves are drawn
 
 
 def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **more: Any) -> tuple[Figure, list[Axes]]:
@@ -103,51 +103,11 @@ def model_name(effects: Sequence[str]) -> str:
     return "linear" + "".join(f" + {name}" for name in effects)
 
 
-def force_reach(curves: Sequence[Json]) -> float:
-    """How far the force axis goes, in N: all of the curves, and their bands but for where data are few."""
-    tallest = max((float(np.nanmax(np.abs(floats(c["force"])), initial=0)) for c in curves), default=0.0)
-    widths = [floats(c["band_high"]) - floats(c["band_low"]) for c in curves]
-    usual = max((float(np.nanmedian(w)) for w in widths if np.isfinite(w).any()), default=0.0)
-    return 1.15 * max(tallest, usual) or 1.0
-
-
-def residuals(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
-    """Residual force against displacement, velocity, shaft angle ..., one row a channel, with its band."""
-    curves = [*before, *after]
-    channels = list(dict.fromkeys(c["channel"] for c in curves))
-    present = {c["against"] for c in curves}
-    against = [a for a in FIRST if a in present] or [a for a in AGAINST if a in present][:3]
-    if not channels or not against:
-        return None
-    gain, unit = prefix(force_reach(curves), "N")
-    size = (3.5 * len(against), 2.3 * len(channels) + 0.3)
-    figure, axes = new_figure(*size, len(channels), len(against), sharey="row")
-    for k, ax in enumerate(axes):
-        channel, kind = channels[k // len(against)], against[k % len(against)]
-        name, base = AGAINST[kind]
-        mine = [c for c in curves if c["channel"] == channel and c["against"] == kind]
-        reach = max((float(np.nanmax(np.abs(floats(c["at"])), initial=0)) for c in mine), default=0)
-        factor, x_unit = prefix(reach, base) if base not in ("deg", "Hz", "s") else (1.0, base)
-        ax.axhline(0, color="#888888", linewidth=0.8)
-        for group, colour, dashes, text in ((before, BEFORE, (4, 2), "before"), (after, MODEL, (), "this model")):
-            for c in group:
-                if c["channel"] == channel and c["against"] == kind:
-                    x = floats(c["at"]) * factor
-                    low, high = floats(c["band_low"]) * gain, floats(c["band_high"]) * gain
-                    ax.fill_between(x, low, high, color=colour, alpha=0.22, linewidth=0)
-                    ax.plot(x, floats(c["force"]) * gain, color=colour, linewidth=1.5, dashes=dashes, label=text)
-        top = gain * force_reach([c for c in curves if c["channel"] == channel])
-        ax.set_ylim(-top, top)
-        first_row, first_column = k < len(against), k % len(against) == 0
-        label_axes(ax, f"{name}, {x_unit}", f"{channel}: residual force, {unit}" if first_column else "")
-        if first_row and first_column and before and after:
-            ax.legend(fontsize=8, frameon=False)
-    return svg(figure, "residuals")
-
-
-def where_map(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
-    """Share of the missing force, channels by what it is a function of; the model before beside it."""
-    maps = {name: rows for name, rows in (("before", before), ("this model", after)) if rows}
+def where_map(after: Sequence[Json], before: Sequence[Json] | None = None) -> str | None:
+    """Share of the missing force, channels by what it is a function of; the model before (None: there is none)
+    beside it."""
+    maps = {"this model": after} if before is None else {"before": before, "this model": after}
+    before = before or ()
     everything = [*before, *after]
     channels = sorted({r["channel"] for r in everything})
     against = [a for a in AGAINST if any(r["against"] == a for r in everything)]
@@ -162,10 +122,18 @@ def where_map(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
         ax.imshow(share, cmap="Blues", vmin=0, vmax=100, aspect="auto")
         for i, j in np.ndindex(*share.shape):
             tone = "white" if share[i, j] > 60 else "black"
-            ax.text(j, i, f"{share[i, j]:.0f} %", ha="center", va="center", fontsize=8.5, color=tone)
+            ax.text(
+                j,
+                i,
+                f"{share[i, j]:.0f} %" if share[i, j] else "\N{EN DASH}",
+                ha="center",
+                va="center",
+                fontsize=8.5,
+                color=tone,
+            )
         ax.set_yticks(range(len(channels)), [plain(c) for c in channels])
         ax.set_xticks(range(len(against)), [a.replace("_", "\n") for a in against])
-        label_axes(ax, "the missing force as a function of ...", "channel", name if before else "")
+        label_axes(ax, "the missing force as a function of ...", "channel", name if len(maps) > 1 else "")
     return svg(figure, "where")
 
 
@@ -259,25 +227,7 @@ def orbits(pairs: Json) -> str | None:
     return svg(figure, "orbits")
 
 
-def shape(found: Json) -> str:
-    """What an unknown effect looks like: force against the state that explains most."""
-    name, base = AGAINST.get(found["against"], (found["against"], ""))
-    at, force = floats(found["at"]), floats(found["force"])
-    x_gain, x_unit = (
-        prefix(float(np.nanmax(np.abs(at), initial=0)), base) if base not in ("deg", "Hz", "s") else (1, base)
-    )
-    y_gain, y_unit = prefix(float(np.nanmax(np.abs(force), initial=0)), "N")
-    figure, (ax,) = new_figure(6.4, 3.0)
-    ax.axhline(0, color="#888888", linewidth=0.8)
-    if found.get("band_low") and found.get("band_high"):
-        low, high = floats(found["band_low"]) * y_gain, floats(found["band_high"]) * y_gain
-        ax.fill_between(at * x_gain, low, high, color=BEFORE, alpha=0.22, linewidth=0)
-    ax.plot(at * x_gain, force * y_gain, color=BEFORE, linewidth=1.6)
-    label_axes(ax, f"{name}, {x_unit}", f"unexplained force, {y_unit}", str(found.get("channel", "")))
-    return svg(figure, "shape")
-
-
-def ranking(rows: Sequence[Json]) -> str:
+def ranking(rows: Sequence[Json], number: int = 0) -> str:
     """Held-out gain of the best few effects."""
     figure, (ax,) = new_figure(7.6, 0.9 + 0.34 * len(rows))
     gains = [r["heldout_gain"] for r in rows]
@@ -286,4 +236,4 @@ def ranking(rows: Sequence[Json]) -> str:
     ax.set_yticks(range(len(rows)), [plain(f"{r['effect']} at {', '.join(r['at'])}") for r in rows])
     ax.invert_yaxis()
     label_axes(ax, "gain in log-likelihood on held-out data, nats", "")
-    return svg(figure, "ranking")
+    return svg(figure, f"ranking{number}")

@@ -11,8 +11,8 @@ Json = Mapping[str, Any]
 AS_GOOD = 1e-4  # nats per sample
 
 
-def summary(comparison: Json | None, diagnosis: Json | None, ladder: Sequence[Json]) -> list[str]:
-    """Two to five sentences, the most important first."""
+def summary(comparison: Json | None, diagnoses: Sequence[Json], ladder: Sequence[Json]) -> list[str]:
+    """Two to six sentences, the most important first. diagnoses : of the models of the ladder, in order."""
     said: list[str] = []
     if len(ladder) > 1:
         first, last = ladder[0]["missing_force_percent"]["value"], ladder[-1]["missing_force_percent"]["value"]
@@ -22,12 +22,21 @@ def summary(comparison: Json | None, diagnosis: Json | None, ladder: Sequence[Js
             f"{percent(last)} of the bearing force, on data that no model was fitted to."
         )
     elif len(ladder) == 1:
-        said.append("No effect of the catalogue earns its place: the model stays as it is.")
+        said.append("Nothing was added: the model stays as it is.")
     if comparison is not None:
         said += about_comparison(comparison)
-    if diagnosis is not None:
-        said += about_diagnosis(diagnosis, past=len(ladder) > 1)
+    for step, diagnosis in enumerate(diagnoses):
+        said += about_diagnosis(diagnosis, past=step + 1 < len(ladder))
     return said
+
+
+def regions(before: Json | None, now: Json | None) -> list[tuple[str, Json]]:
+    """Rows of the map with the name of their model, largest share first; of each the most important."""
+    out: list[tuple[str, Json]] = []
+    for name, comparison in (("before", before), ("this model", now)):
+        rows = sorted(comparison["where"], key=lambda r: -r["share_percent"]) if comparison else []
+        out += [(name, r) for r in rows if r["share_percent"] >= 0.5][:12]
+    return out
 
 
 def about_comparison(comparison: Json) -> list[str]:

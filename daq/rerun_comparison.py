@@ -7,21 +7,24 @@ the last step the model now.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import report_words as words
+from drivers.errors import LinkError
+
 from . import rerun_plane as plane
-from .report_figures import AGAINST, FIRST, floats, force_reach, model_name
-from .report_numbers import fixed, percent, prefix, unit_text
+from .report_curves import force_reach, scaled
+from .report_figures import AGAINST, FIRST, floats
+from .report_numbers import unit_text
 from .rerun_layout import part
+from .rerun_text import documents
 
 Json = Mapping[str, Any]
 Series = tuple[NDArray[np.float64], NDArray[np.float64], tuple[int, int, int]]
 MEASURED, MODEL, BEFORE = (200, 200, 200), (86, 180, 233), (230, 159, 0)
+DARK = (95, 95, 95)
 BAND = {MODEL: (45, 85, 110), BEFORE: (105, 80, 25)}
 STEP = "model"
 
@@ -35,18 +38,20 @@ class Picture(NamedTuple):
 
 
 def log_comparison(
-    path: Path,
+    target: str,
     comparison: Json,
     before: Json | None = None,
-    diagnosis: Json | None = None,
+    diagnoses: Sequence[Json] = (),
     ladder: Sequence[Json] = (),
     title: str = "comparison",
+    notes: Sequence[str] = (),
 ) -> None:
-    """Write the comparison to an .rrd file with its layout. before : of the model before anything was added."""
+    """Show the comparison with its layout. target : an .rrd file, "spawn" or a viewer's URL (viewer_target); before :
+    of the model before anything was added. Raises LinkError if there is no viewer at the URL."""
     import rerun as rr
 
     recording = rr.RecordingStream("rotorscope_comparison")
-    recording.save(path)
+    _connect(recording, target)
     rr.set_log_time_enabled(False, recording=recording)
     rr.set_log_tick_enabled(False, recording=recording)
     recording.send_recording_name(title)
@@ -59,11 +64,35 @@ def log_comparison(
             for name, drawing in picture.frame.frame():
                 recording.log(f"{entity}/{name}", drawing)
             recording.log(f"{entity}/curves", plane.curves(picture.frame, picture.series))
-    text = document(title, comparison, diagnosis, ladder)
-    recording.log("summary", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
-    recording.send_blueprint(layout(drawn))
+    texts = documents(title, comparison, before, diagnoses, ladder, notes)
+    for name, text in texts.items():
+        page = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+        recording.log(name.lower(), page, static=True)
+    recording.send_blueprint(layout(drawn, list(texts)))
     recording.flush(timeout_sec=10)
     recording.disconnect()
+
+
+def _connect(recording: Any, target: str) -> None:
+    """To a file, or to a viewer that is there or is started."""
+    import time
+
+    from .rerun_process import START_S, VIEWER_PORT, answers, start_viewer
+
+    url = target
+    if target == "spawn":
+        url = f"rerun+http://127.0.0.1:{VIEWER_PORT}/proxy"
+        if not answers(url):
+            start_viewer()
+            until = time.monotonic() + START_S
+            while not answers(url) and time.monotonic() < until:
+                time.sleep(0.2)
+    if "://" not in url:
+        recording.save(url)
+    elif answers(url):
+        recording.connect_grpc(url)
+    else:
+        raise LinkError(f"--rerun {target}: no viewer answers at {url}; start one with `rerun`, or give FILE.rrd")
 
 
 def planes(steps: Sequence[Json], now: int) -> dict[str, Picture]:
@@ -71,11 +100,43 @@ def planes(steps: Sequence[Json], now: int) -> dict[str, Picture]:
 
     Frames fit all the steps, so that scrubbing moves the curves and not the axes.
     """
-    return residuals(steps, now) | spectra(steps, now) | densities(steps, now) | orbits(steps[now], tone(steps, now))
+    return (
+        laws(steps, now)
+        | residuals(steps, now)
+        | spectra(steps, now)
+        | densities(steps, now)
+        | orbits(steps[now], tone(steps, now))
+    )
 
 
 def tone(steps: Sequence[Json], k: int) -> tuple[int, int, int]:
     return MODEL if k == len(steps) - 1 else BEFORE
+
+
+def laws(steps: Sequence[Json], now: int) -> dict[str, Picture]:
+    """Restoring force beyond a straight line: measured with its band, the model's, and that of the step before."""
+    found: dict[str, Picture] = {}
+    for law in steps[now].get("laws", ()):
+        channel, against = law["channel"], law["against"]
+        alike = [k for s in steps for k in s.get("laws", ()) if (k["channel"], k["against"]) == (channel, against)]
+        name, base = AGAINST[against]
+        x_gain, x_unit = scaled((k["at"] for k in alike), base)
+        as_curves = [{**k, "force": k[key]} for k in alike for key in ("measured", "model")]
+        reach = force_reach(as_curves)
+        y_gain, y_unit = scaled([[reach]], "N")
+        high = plane.round_up(reach * y_gain)
+        frame = plane.Plane(
+            span((k["at"] for k in alike), x_gain, f"{name}, {x_unit}"), plane.Axis(-high, high, y_unit)
+        )
+        at = floats(law["at"]) * x_gain
+        series: list[Series] = [(at, floats(law[key]) * y_gain, DARK) for key in ("band_low", "band_high")]
+        series.append((at, floats(law["measured"]) * y_gain, MEASURED))
+        for k in range(now + 1):
+            for c in steps[k].get("laws", ()):
+                if (c["channel"], c["against"]) == (channel, against):
+                    series.append((floats(c["at"]) * x_gain, floats(c["model"]) * y_gain, tone(steps, k)))
+        found[f"law/{part(channel)}/{part(against)}"] = Picture(frame, series, f"{channel} against {name} [{y_unit}]")
+    return found
 
 
 def residuals(steps: Sequence[Json], now: int) -> dict[str, Picture]:
@@ -146,13 +207,6 @@ def orbits(step: Json, colour: tuple[int, int, int]) -> dict[str, Picture]:
     return found
 
 
-def scaled(many: Iterable[Sequence[float]], unit: str) -> tuple[float, str]:
-    """Factor and unit for values in `unit`; angles, Hz and s stay as they are."""
-    if unit in ("deg", "Hz", "s"):
-        return 1.0, unit
-    return prefix(max((float(np.nanmax(np.abs(floats(v)), initial=0)) for v in many), default=0), unit)
-
-
 def span(many: Iterable[Sequence[float]], gain: float, label: str) -> plane.Axis:
     """An axis that holds all the values: symmetric if they have both signs."""
     values = np.concatenate([floats(v) for v in many] or [np.zeros(1)]) * gain
@@ -161,21 +215,8 @@ def span(many: Iterable[Sequence[float]], gain: float, label: str) -> plane.Axis
     return plane.Axis(-high if (values < 0).any() else 0.0, high, label)
 
 
-def document(title: str, comparison: Json, diagnosis: Json | None, ladder: Sequence[Json]) -> str:
-    """The summary and the ladder in Markdown."""
-    lines = [f"# {title}", *words.summary(comparison, diagnosis, ladder)]
-    if ladder:
-        rows = ["| model | held-out NLL | missing force |", "|---|---|---|"]
-        for step in ladder:
-            missing = percent(step["missing_force_percent"]["value"])
-            rows.append(f"| {model_name(step['effects'])} | {fixed(step['heldout_nll'])} | {missing} |")
-        lines.append("\n".join(rows))
-    lines.append("Blue: the model now. Orange: the model before (step back on the time line). Grey: measured.")
-    return "\n\n".join(lines)
-
-
-def layout(drawn: Mapping[str, str]) -> Any:
-    """Tabs of planes beside the summary."""
+def layout(drawn: Mapping[str, str], texts: Sequence[str] = ("Summary",)) -> Any:
+    """Tabs of planes beside tabs of words."""
     import rerun.blueprint as rrb
 
     def view(entity: str, name: str) -> rrb.Spatial2DView:
@@ -184,15 +225,22 @@ def layout(drawn: Mapping[str, str]) -> Any:
         return rrb.Spatial2DView(origin=entity, name=name, visual_bounds=bounds)
 
     per_row = len({entity.rsplit("/", 1)[1] for entity in drawn if entity.startswith("residual/")})
-    kinds = {"residual": "Residual force", "spectrum": "Spectra", "density": "Densities", "orbit": "Orbits"}
+    kinds = {
+        "law": "Law",
+        "residual": "Residual force",
+        "spectrum": "Spectra",
+        "density": "Densities",
+        "orbit": "Orbits",
+    }
     tabs = []
     for kind, name in kinds.items():
         views = [view(entity, text) for entity, text in drawn.items() if entity.startswith(kind + "/")]
         if views:
             tabs.append(rrb.Grid(*views, grid_columns=per_row if kind == "residual" else 2, name=name))
-    summary = rrb.TextDocumentView(origin="summary", name="Summary")
+    pages = [rrb.TextDocumentView(origin=name.lower(), name=name) for name in texts]
+    words = rrb.Tabs(*pages, active_tab=0)
     return rrb.Blueprint(
-        rrb.Horizontal(summary, rrb.Tabs(*tabs, active_tab=0), column_shares=[2, 5]) if tabs else summary,
+        rrb.Horizontal(words, rrb.Tabs(*tabs, active_tab=0), column_shares=[2, 5]) if tabs else words,
         rrb.TimePanel(timeline=STEP, state="collapsed", play_state="following"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),

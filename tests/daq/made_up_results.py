@@ -25,6 +25,12 @@ def compared(missing: float, dead_zone: float) -> dict[str, Any]:
                 {"channel": channel, "against": against, "at": at.tolist(), "force": force.tolist()}
                 | {"band_low": (force - wide).tolist(), "band_high": (force + wide).tolist()}
             )
+    laws = [
+        {"channel": c["channel"], "against": c["against"], "at": c["at"], "measured": c["force"]}
+        | {"band_low": c["band_low"], "band_high": c["band_high"], "model": [0.0] * len(c["at"])}
+        for c in curves
+        if c["against"] in ("displacement", "velocity")
+    ]
     f = np.geomspace(150, 8000, 300)
     spectra = {}
     for k, c in enumerate(CHANNELS):
@@ -52,6 +58,7 @@ def compared(missing: float, dead_zone: float) -> dict[str, Any]:
         + [{"channel": c, "against": "velocity", "region": "all", "share_percent": 3.0} for c in CHANNELS],
         "adequate": missing < 1,
         "curves": curves,
+        "laws": laws,
         "spectra": spectra,
         "densities": {c: {"at": x.tolist(), "measured": p.tolist(), "model": (p * 1.02).tolist()} for c in CHANNELS},
         "orbits": {b: {"measured": orbit, "model": orbit[::-1]} for b in ("bearing1", "bearing2")},
@@ -89,7 +96,8 @@ def made_up() -> dict[str, Any]:
         "facts": {"log": "run.mcap", "rig": "rig.toml", "record": "60 s, 4 channels at 25600 Hz"},
         "comparison": compared(0.6, 0.02),
         "before": compared(12.1, 1.0),
-        "diagnosis": diagnosed(),
+        "diagnoses": [diagnosed(), diagnosed("complete")],
         "ladder": ladder,
+        "notes": ["improvement stops here"],
         "rig_text": "schema = 1\n",
     }

@@ -23,7 +23,7 @@ PAPER = ROOT / "configs" / "tiwari_vyas_1997.toml"
 SCHEMAS = ROOT / "tests" / "data" / "schemas"
 COMMANDS = [
     "demo", "run", "simulate", "replay", "fit", "compare", "diagnose", "improve", "theory", "reproduce", "add",
-    "remove", "effects", "check", "schema", "import", "export", "recover", "info", "ports",
+    "confusion", "remove", "effects", "check", "schema", "import", "export", "recover", "info", "ports",
 ]  # fmt: skip
 
 

@@ -55,12 +55,12 @@ class Page(HTMLParser):
 
 def test_the_whole_story_is_on_the_page() -> None:
     page = Page(story())
-    assert page.tags.count("svg") == 7
+    assert page.tags.count("svg") == 8
     for text in (
         "from 12 % to 0.6 %", "can be seen from",
         "200 kN/m", "linear + cubic + clearance", "clearance", "stop", "run.mcap", "not identifiable",
         "|x| > 40 nm", "residual force, mN", "frequency, Hz", "displacement, nm", "10.300 ± 0.078 MN/m",
-        "near full scale",
+        "near full scale", "What was missing", "What is left", "What to check on the machine", "improvement stops here",
     ):  # fmt: skip
         assert text in page.text, text
 
@@ -81,7 +81,7 @@ def test_ids_are_unique_across_pictures() -> None:
 
 @pytest.mark.parametrize("verdict", ["clearance", "complete", "unknown"])
 def test_every_verdict_and_every_part_alone(verdict: str) -> None:
-    page = Page(render("t", diagnosis=diagnosed(verdict)))
+    page = Page(render("t", diagnoses=[diagnosed(verdict)]))
     assert verdict in page.text
     assert ("shape of what is missing" in page.text) == (verdict == "unknown")
 
@@ -96,7 +96,7 @@ def test_only_the_contract_keys() -> None:
             "t",
             comparison=bare | {"where": []},
             ladder=made_up()["ladder"],
-            diagnosis={"schema": 1, "verdict": "complete", "ranking": []},
+            diagnoses=[{"schema": 1, "verdict": "complete", "ranking": []}],
         )
     )
 

@@ -13,18 +13,20 @@ from daq.rerun_comparison import log_comparison
 def test_everything_that_the_report_draws(tmp_path: Path) -> None:
     parts = made_up()
     out = tmp_path / "comparison.rrd"
-    log_comparison(out, parts["comparison"], parts["before"], parts["diagnosis"], parts["ladder"], parts["title"])
+    log_comparison(str(out), parts["comparison"], parts["before"], parts["diagnoses"], parts["ladder"], parts["title"])
     rows = entities(out)
     for channel in CHANNELS:
-        for path in (f"residual/{channel}/displacement", f"spectrum/{channel}", f"density/{channel}"):
+        drawn = (f"law/{channel}/velocity", f"residual/{channel}/displacement")
+        for path in (*drawn, f"spectrum/{channel}", f"density/{channel}"):
             assert rows[f"{path}/curves"] == 2, "one row a step of the ladder"
     assert rows["orbit/bearing1/measured/curves"] == 2
-    assert rows["summary"] == 1
+    for page in ("summary", "map", "diagnosis", "parameters"):
+        assert rows[page] == 1
 
 
 def test_only_the_contract_keys(tmp_path: Path) -> None:
     bare = {k: v for k, v in made_up()["comparison"].items() if k not in ("curves", "spectra", "densities", "orbits")}
-    log_comparison(tmp_path / "bare.rrd", bare)
+    log_comparison(str(tmp_path / "bare.rrd"), bare)
     assert "summary" in entities(tmp_path / "bare.rrd")
 
 
@@ -33,5 +35,5 @@ def test_any_names(tmp_path: Path) -> None:
     for curve in parts["comparison"]["curves"]:
         curve["channel"] = "a/b c$"
     parts["comparison"]["spectra"] = {"a/b c$": parts["comparison"]["spectra"]["b1x"]}
-    log_comparison(tmp_path / "names.rrd", parts["comparison"])
+    log_comparison(str(tmp_path / "names.rrd"), parts["comparison"])
     assert r"spectrum/a\/b\ c\$/curves" in entities(tmp_path / "names.rrd")

@@ -1,0 +1,52 @@
+"""The confusion matrix by a command: it goes on where it stopped, and says what it cannot do."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from daq import confusion as subject
+from daq.cli import main
+from daq.confusion import Case, cases
+
+PAPER = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
+
+
+def test_every_case_once_and_what_has_one_place_not_at_both() -> None:
+    asked = cases(["cubic", "gyroscopic", "sensor_skew"], ["weak", "strong"], ["bearing1", "both"], 2, 3)
+    keys = [c.key for c in asked]
+    assert len(set(keys)) == len(keys)
+    assert sum(c.effect == "complete" for c in asked) == 3
+    assert {c.at for c in asked if c.effect == "cubic"} == {"bearing1", "both"}
+    assert {c.at for c in asked if c.effect == "sensor_skew"} == {"bearing1"}
+
+
+def test_a_second_call_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran: list[str] = []
+
+    def run(model: object, case: Case, seconds: float) -> dict[str, object]:
+        ran.append(case.key)
+        named = {"key": case.key, "effect": case.effect, "strength": case.strength, "at": case.at, "seconds": seconds}
+        return named | {"verdict": case.effect}
+
+    monkeypatch.setattr(subject, "run", run)  # the statistics are slow; the bookkeeping is the subject
+    command = ["confusion", str(PAPER), "--out", str(tmp_path / "m"), "--strengths", "strong", "--quiet"]
+    assert main([*command, "--effects", "stop", "--complete", "1", "--seconds", "5"]) == 0
+    assert main([*command, "--effects", "stop,rub", "--complete", "1", "--seconds", "5"]) == 0
+    assert ran == ["complete/-/-/0", "stop/strong/bearing1/0", "rub/strong/bearing1/0"]
+    assert len(json.loads((tmp_path / "m" / "confusion.json").read_text())["runs"]) == 3
+    assert "| rub | strong | bearing1 | 1/1 |" in (tmp_path / "m" / "confusion.md").read_text()
+    assert main([*command, "--effects", "stop", "--seconds", "6"]) == 2, "another length needs another folder"
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [("--effects", "clearence"), ("--strengths", "enormous"), ("--at", "bearing3")],
+)
+def test_a_wrong_name_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, said: str) -> None:
+    assert main(["confusion", str(PAPER), "--out", str(tmp_path), option, said]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
