@@ -63,6 +63,30 @@ def self_energies(
     return out
 
 
+def flutter(record: Record, columns: Columns, seconds: float = SECONDS) -> Floats | None:
+    """(places, columns, columns) covariance of the tangents along x of the laws at a place, (N/m)^2 per unit of each.
+
+    The noise e of a displacement sensor enters the force of a law as phi'(x) e. Its mean tangent is seen through A; by
+    what the tangent fluctuates it adds white noise to the column of the law, which least squares would bend the law to
+    shrink; its mean square, this times the noise's PSD, is taken out of the Gram matrix.
+    None where no sensor is one of displacement: integrated, the noise of others is small where tangents fluctuate.
+    """
+    balance = columns.balance
+    out = np.zeros((len(balance.places), len(balance.columns), len(balance.columns)))
+    usable = valid_blocks(record.motion.valid, record.grid)[::2]
+    usable = usable[: max(2, int(seconds * record.rate_hz / record.grid.size))]
+    for row, kind in enumerate(balance.kinds):
+        laws = [
+            k
+            for k, c in enumerate(balance.columns)
+            if c.kind == "law" and c.row == row and balance.laws[c.law].effect.kind == "force"
+        ]
+        if laws and kind == "displacement":
+            tangents = _series(record, columns, laws, usable)[0][:, 0].reshape(len(laws), -1)
+            out[row, np.array(laws)[:, None], laws] = np.cov(tangents).reshape(len(laws), len(laws))
+    return out if out.any() else None
+
+
 def _covariances(record: Record, columns: Columns, laws: list[int], mean: Mean, seconds: float) -> tuple[Floats, float]:
     """(laws, laws, 2, 2, lags) <kappa_ja(t + lag) kappa_kb(t)>, a and b: along x and v; and the time step."""
     usable = valid_blocks(record.motion.valid, record.grid)[::2]  # each row once

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .balance import Balance, build
 from .columns import Columns
-from .dressing import dressed, mean_responses, self_energies
+from .dressing import dressed, flutter, mean_responses, self_energies
 from .likelihood import Likelihood, Local, Point, active, maximise
 from .model import Model
 from .record import Bank, Record, gather
@@ -58,11 +58,13 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
     bank = gather(record, held, start.widths, start.linear, seconds=SECONDS if searching else np.inf)
     local, converged = maximise(Likelihood(bank.evidence(start.nodes)), initial(held, start, known))
     if not searching:
-        likelihood, local, converged = dress(bank, start, local, pairs_of(record, start, bank, local), converged)
+        tangents = tangents_of(record, start, bank, local)
+        bank = without_flutter(bank, local, tangents)
+        likelihood, local, converged = dress(bank, start, local, tangents, converged)
         known |= dict(zip(held.names, local.point.beta.tolist(), strict=True))
         return Maximum(held, bank, likelihood, local, known, converged)
     known |= dict(zip(held.names, local.point.beta.tolist(), strict=True))
-    pairs = None
+    tangents = None
     for rounds, seconds in ((ROUGH_ROUNDS, SECONDS), (ROUNDS, np.inf)):
         whole = not np.isfinite(seconds)
         for _ in range(rounds):
@@ -71,8 +73,9 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
             point = replace(initial(balance, start, known), S=local.point.S, noise=local.point.noise)
             local, converged = maximise(Likelihood(bank.evidence(start.nodes)), point)
             if whole:
-                pairs = pairs_of(record, start, bank, local) if pairs is None else pairs
-                likelihood, local, converged = dress(bank, start, local, pairs, converged)
+                tangents = tangents_of(record, start, bank, local) if tangents is None else tangents
+                bank = without_flutter(bank, local, tangents)
+                likelihood, local, converged = dress(bank, start, local, tangents, converged)
             moved = _move(balance, local, known, last=whole)
             if moved < SETTLED:
                 break
@@ -102,8 +105,16 @@ def _move(balance: Balance, local: Local, values: dict[str, float], last: bool) 
     return moved
 
 
-def pairs_of(record: Record, start: Start, bank: Bank, local: Local) -> NDArray[np.complex128] | None:
-    """Self-energies of the laws (dressing.py) at a point; None if no law needs them."""
+@dataclass(frozen=True, slots=True)
+class Tangents:
+    """What fluctuating tangents do (dressing.py). pairs : (nodes, columns, columns); flutter : of the Gram matrix."""
+
+    pairs: NDArray[np.complex128]
+    flutter: Floats | None
+
+
+def tangents_of(record: Record, start: Start, bank: Bank, local: Local) -> Tangents | None:
+    """What the fluctuating tangents of the laws do at a point; None if no law has any."""
     balance = bank.balance
     if not any(law.effect.kind == "force" for law in balance.laws):
         return None
@@ -112,11 +123,21 @@ def pairs_of(record: Record, start: Start, bank: Bank, local: Local) -> NDArray[
     if any(m.c <= 0 or m.k <= 0 for m in mean):
         return None
     columns = Columns(balance, record.scales, start.widths, start.linear)
-    return self_energies(record, columns, B, mean, start.nodes.f_hz)
+    pairs = self_energies(record, columns, B, mean, start.nodes.f_hz)
+    return Tangents(pairs, flutter(record, columns) if local.point.noise.any() else None)
+
+
+def without_flutter(bank: Bank, local: Local, tangents: Tangents | None) -> Bank:
+    """The bank without what the noise of displacement sensors adds to the squares of the laws (dressing.flutter)."""
+    if tangents is None or tangents.flutter is None:
+        return bank
+    per_bin = np.einsum("i,ikl->kl", local.point.noise, tangents.flutter)
+    count = bank.blocks[:, None, None, None] * bank.grid.per_cell[:, None, None]
+    return replace(bank, grams=bank.grams - count * per_bin)
 
 
 def dress(
-    bank: Bank, start: Start, local: Local, pairs: NDArray[np.complex128] | None, converged: bool
+    bank: Bank, start: Start, local: Local, tangents: Tangents | None, converged: bool
 ) -> tuple[Likelihood, Local, bool]:
     """The maximum with the responses of the laws dressed, which depends on the parameters a little.
 
@@ -124,8 +145,12 @@ def dress(
     """
     evidence = bank.evidence(start.nodes)
     bare = Likelihood(evidence), local, converged
-    if pairs is None:
+    if tangents is None:
         return bare
+    pairs = tangents.pairs
+    if tangents.flutter is not None:
+        bare = bare[0], *maximise(bare[0], local.point)
+        local = bare[1]
     sd = np.sqrt(np.diag(inverse(local))[: local.point.beta.size])
     moves = []
     likelihood = bare[0]

@@ -1,0 +1,59 @@
+"""The noise of a displacement sensor in a nonlinear law: what it adds to the Gram matrix, and that it is taken out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter, welch
+
+from estimator.balance import build
+from estimator.columns import Columns
+from estimator.dressing import flutter
+from estimator.maximum import Tangents, without_flutter
+from estimator.model import Channel, EffectUse, Model
+from estimator.record import gather, prepare
+from estimator.spectral import analyse
+
+RATE, SIGMA = 1000.0, 0.3
+
+
+def oscillation(kind: str) -> tuple[Model, np.ndarray]:
+    """60 s of a linear 50 Hz resonance of rms SIGMA, exactly sampled, seen by a sensor of `kind`."""
+    w, zeta = 2 * np.pi * 50.0, 0.03
+    pole = np.exp((-zeta + 1j * np.sqrt(1 - zeta**2)) * w / RATE)
+    x = lfilter([1.0], [1.0, -2 * pole.real, abs(pole) ** 2], np.random.default_rng(2).normal(size=60000))
+    cubic = (EffectUse("cubic", {"bearing1.x": {}}),)
+    model = Model((Channel("d", "bearing1", "x", kind),), (10.0, 300.0), "none", {"bearing1": 1.0}, effects=cubic)
+    return model, SIGMA * x / x.std()
+
+
+def test_noise_adds_the_variance_of_the_tangent_times_its_psd() -> None:
+    model, x = oscillation("displacement")
+    noise = 0.02 * np.random.default_rng(3).normal(size=x.size) * SIGMA
+    psd = (0.02 * SIGMA) ** 2 / (RATE / 2)
+
+    record = prepare(model, x[:, None], RATE)
+    columns = Columns(build(model), record.scales, 1e-9 * np.ones((1, 2)))
+    C = flutter(record, columns, 60.0)
+    assert C is not None
+    k = len(columns.balance.columns) - 1
+    seen, e = record.motion.x[0], prepare(model, noise[:, None], RATE).motion.x[0]
+    tangent = 3 * seen**2
+    assert C[0, k, k] == pytest.approx(np.var(tangent[record.motion.valid]), rel=0.05)
+    f, power = welch((tangent - tangent.mean()) * e, RATE, nperseg=1024)
+    assert power[(f > 20) & (f < 250)].mean() == pytest.approx(C[0, k, k] * psd, rel=0.15)
+
+
+def test_it_is_taken_out_of_displacements_only() -> None:
+    for kind, some in (("displacement", True), ("velocity", False)):
+        model, x = oscillation(kind)
+        y = x + 0.05 * SIGMA * np.random.default_rng(3).normal(size=x.size)
+        solution = analyse(model, y[:, None], RATE)
+        columns = Columns(solution.balance, solution.record.scales, solution.start.widths)
+        C = flutter(solution.record, columns)
+        assert (C is not None) == some
+        bank = gather(solution.record, solution.balance, solution.start.widths)
+        local = replace(solution.local, point=replace(solution.point, noise=np.array([1e-6])))
+        less = without_flutter(bank, local, Tangents(np.zeros((1, 4, 4), complex), C))
+        assert np.allclose(less.grams[..., :-1, :-1], bank.grams[..., :-1, :-1])
+        assert np.any(less.grams < bank.grams) == some
