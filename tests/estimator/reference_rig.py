@@ -86,10 +86,12 @@ def rig_record(
     steps: int = 10,
     change: tuple[float, NDArray[np.float64]] | None = None,
     tones: tuple[tuple[float, float], ...] = (),
+    run_up: tuple[float, float, float] | None = None,
 ) -> NDArray[np.float64]:
     """(n, 4) m/s^2. hidden : (4, 7) see above; level : factor on the force; step : of the quantiser.
 
     change : (s, (4,) N/m) when the stiffnesses change, and to what. tones : (Hz, N) of forces at every place.
+    run_up : Hz at the start, Hz at the end, N of one more such force whose frequency rises steadily.
     """
     rng = np.random.default_rng(seed)
     H = np.zeros((4, 7)) if hidden is None else hidden.copy()
@@ -105,6 +107,8 @@ def rig_record(
         done += len(F)
         for hz, amplitude in tones:
             F += amplitude * np.cos(2 * np.pi * hz * at[:, None] + np.arange(4))
+        if run_up is not None:
+            F += run_up[2] * np.cos(run_up_angle(run_up, seconds, at)[:, None] + np.arange(4))
         out = np.empty_like(F)
         k = change[1] if change is not None and count >= change[0] * RATE else TRUTH["kL"]
         _integrate(F, x, v, 1 / fs, k, TRUTH["c"], H, out)
@@ -118,3 +122,8 @@ def rig_record(
     y = np.concatenate(pieces)[:wanted]
     y = y + noise * rng.normal(size=y.shape)
     return np.round(y / step) * step if step else y
+
+
+def run_up_angle(run_up: tuple[float, float, float], seconds: float, at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) rad at the times `at`, s."""
+    return 2 * np.pi * (run_up[0] * at + 0.5 * (run_up[1] - run_up[0]) / seconds * at**2)

@@ -1,0 +1,237 @@
+"""The memories of a rolling fit, and how its point is renewed from them (rolling.py)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .balance import Balance, build, restrict
+from .columns import Columns, Stretch
+from .dressing import dressed, mean_responses, self_energies
+from .gram import gram, spectra, valid_blocks
+from .likelihood import Evidence, Likelihood, Local, Point, active, maximise, spectrum_of_force
+from .maximum import initial, inverse, maximum
+from .model import Model
+from .moving_lines import MovingLines
+from .record import Record, gather
+from .spectral import OVERLAP
+from .start import Start
+from .watch import look, with_candidates
+
+Floats = NDArray[np.float64]
+WARM_UP_S = 4.0
+FAST = 0.25  # time constant of the watching memory over that of the long one
+CHANGE = 5.0  # standard deviations
+CHECKED_EVERY = 2  # solutions, for a change
+WATCHED_EVERY = 3  # blocks: every other one at most, so that no two share rows
+LOOKED_EVERY = 8  # solutions
+FEWEST_WATCHED = 6  # blocks
+CLOSE = 10.0  # nats: a standard deviation or so of each parameter; one Newton step from there leaves a few per cent
+
+
+@dataclass(slots=True)
+class Memory:
+    """Exponentially forgetting sums. n : blocks; n2 : sum of squared weights; tangents : of `rows` rows."""
+
+    keep: float  # what is left after one block
+    gram: Floats
+    tangents: Floats
+    n: float = 0.0
+    n2: float = 0.0
+    rows: float = 0.0
+
+    def forget(self) -> None:
+        factor = self.keep
+        self.gram *= factor
+        self.tangents *= factor
+        self.n *= factor
+        self.n2 *= factor**2
+        self.rows *= factor
+
+    def add(self, gram: Floats, tangents: Floats, rows: int, square: float = 1.0) -> None:
+        """square : mean square of the weights of the bins, whose mean is 1."""
+        self.gram += gram
+        self.tangents += tangents
+        self.n += 1.0
+        self.n2 += square
+        self.rows += rows
+
+    def copy_from(self, other: Memory) -> None:
+        self.gram, self.tangents = other.gram.copy(), other.tangents.copy()
+        self.n, self.n2, self.rows = other.n, other.n2, other.rows
+
+
+class RollingFit:
+    """Balances, memories and the point of a rolling fit. `wide` is the balance with the candidates, `balance` without;
+    `own` are the columns of `balance` among those of `wide`. Memories: `slow` and `fast` of `balance`, `seen` of
+    `wide`."""
+
+    def __init__(
+        self, record: Record, start: Start, wide: Balance, laws: int, time_constant_s: float, columns: Columns
+    ) -> None:
+        grid = record.grid
+        self.start, self.wide, self.wide_columns, self.grid = start, wide, columns, grid
+        self.balance, own = restrict(wide, set(range(laws)))
+        self.own = np.array(own, dtype=np.intp)
+        self.columns = Columns(self.balance, record.scales, start.widths, start.linear)
+        hop_s = grid.hop / record.rate_hz
+        watching = max(FAST * time_constant_s, 10 * hop_s)
+        self.slow, self.fast, self.seen = (
+            Memory(float(np.exp(-hop_s / t)), np.zeros((grid.starts.size, k, k)), np.zeros((k, 4)))
+            for t, k in ((time_constant_s, len(own)), (watching, len(own)), (time_constant_s, len(wide.columns)))
+        )
+        self.lines = MovingLines(grid.f_hz, any(c.kind == "tacho" for c in record.model.channels))
+        self.pairs: NDArray[np.complex128] | None = None
+        self.local: Local
+        self.suspicions = 0
+        self.shared = 0.0  # sum of the products of the two memories' weights
+        self.turn = 0  # blocks taken
+        self.solved = 0
+        self.missing: dict[str, float] | None = None
+
+    @classmethod
+    def begin(
+        cls, record: Record, start: Start, model: Model, time_constant_s: float, watch: tuple[str, ...]
+    ) -> RollingFit:
+        values: dict[str, float] = {}
+        if len(build(model, start.sizes).free) > len(build(model, start.sizes, search=False).free):
+            values = maximum(record, start, model).values  # the shapes as the first seconds have them
+        own = build(model, start.sizes, values, search=False)
+        wide = build(with_candidates(model, watch), start.sizes, values, search=False)
+        columns = Columns(wide, record.scales, start.widths, start.linear, fine=len(own.laws))
+        fitted = cls(record, start, wide, len(own.laws), time_constant_s, columns)
+        bank = gather(record, own, start.widths, start.linear)
+        first = Evidence(own, record.grid, bank.grams.sum(axis=0), bank.blocks.sum(), bank.tangents, start.nodes)
+        fitted.local, _ = maximise(Likelihood(first), initial(own, start, values))
+        # once more block by block, now that the force is known in which moving lines are seen
+        grid, measured = record.grid, any(c.kind == "tacho" for c in model.channels)
+        for block in valid_blocks(record.motion.valid, grid):
+            fitted.forget()
+            fitted.take(record.stretch(block * grid.hop, block * grid.hop + grid.size), measured)
+        fitted.local, _ = maximise(fitted._likelihood(fitted.slow, None), fitted.local.point)
+        fitted._dress(record)
+        return fitted
+
+    def _dress(self, record: Record) -> None:
+        B = self.balance.coefficients(self.local.point.beta)
+        mean = mean_responses(self.balance, B, self.slow.tangents / self.slow.rows)
+        if any(law.effect.kind == "force" for law in self.balance.laws) and all(m.c > 0 and m.k > 0 for m in mean):
+            self.pairs = self_energies(record, self.columns, B, mean, self.start.nodes.f_hz, WARM_UP_S)
+
+    def forget(self) -> None:
+        for memory in (self.slow, self.fast, self.seen):
+            memory.forget()
+        self.shared *= self.slow.keep * self.fast.keep
+
+    def take(self, stretch: Stretch, measured: bool) -> None:
+        """Add a block, its lines left out. measured : the stretch's angle is that of a tacho."""
+        watches = len(self.wide.laws) > len(self.balance.laws) and self.turn % WATCHED_EVERY == 0
+        z, tangents = (self.wide_columns if watches else self.columns).evaluate(stretch)
+        Z = spectra(z, np.zeros(1, np.intp), self.grid)
+        B = self.balance.coefficients(self.local.point.beta)
+        speed_hz = None
+        if measured:
+            speed_hz = float(stretch.phase[-1] - stretch.phase[0]) / (2 * np.pi * (stretch.t[-1] - stretch.t[0]))
+        weights = self.lines(B @ (Z[self.own, 0] if watches else Z[:, 0]), speed_hz)
+        if weights is not None:
+            Z = Z * np.sqrt(weights)
+        G, square = gram(Z, self.grid), 1.0 if weights is None else float(np.mean(weights**2))
+        rows = self.grid.size
+        if watches:
+            self.seen.add(G, tangents, rows, square)
+            G, tangents = G[:, self.own[:, None], self.own], tangents[self.own]
+        self.turn += 1
+        self.slow.add(G, tangents, rows, square)
+        self.fast.add(G, tangents, rows, square)
+        self.shared += square
+
+    def _likelihood(self, memory: Memory, beta: Floats | None) -> Likelihood:
+        """Of the balance's own columns. beta : where the responses are dressed; None: they are not."""
+        gram, mean = memory.gram, memory.tangents / memory.rows
+        if memory is self.seen:
+            gram, mean = gram[:, self.own[:, None], self.own], mean[self.own]
+        nodes, dressing = self.start.nodes, self._dressing(beta)
+        return Likelihood(Evidence(self.balance, self.grid, gram, memory.n, mean, nodes, dressing))
+
+    def _dressing(self, beta: Floats | None) -> NDArray[np.complex128] | None:
+        if self.pairs is None or beta is None:
+            return None
+        return dressed(self.pairs, self.balance, self.balance.coefficients(beta), self.start.nodes.f_hz)
+
+    def solve(self) -> None:
+        """Renew the point from the memory, and the memory if the recent data contradict it."""
+        self._renew()
+        if self.solved % CHECKED_EVERY == 0:
+            self.suspicions = self.suspicions + 1 if self._changed() else 0
+            if self.suspicions >= 2:
+                self._replace()
+        if self.solved % LOOKED_EVERY == 0:
+            self.missing = self._look()
+        self.solved += 1
+
+    def _renew(self) -> None:
+        """One Newton step from the last point, which is never far; from farther away, to the maximum."""
+        point = self.local.point
+        likelihood = self._likelihood(self.slow, point.beta)
+        count = np.asarray(0.5 * self.slow.n * self.grid.per_cell, np.float64)
+        S, noise = spectrum_of_force(*likelihood.power(point.beta), count, point)
+        local = likelihood.at(Point(point.beta, S, noise))
+        step, decrement = _newton(local)[::2]
+        p, P = point.beta.size, S.size
+        beta = point.beta + step[:p]
+        if decrement < CLOSE and likelihood.damping(beta).min() > 0.0:
+            # S and noise are best for the old beta: along the step they fall as a parabola, half its first slope
+            level = np.asarray(S * np.exp(0.5 * step[p : p + P]), np.float64)
+            self.local = replace(local, point=Point(beta, level, np.maximum(noise + 0.5 * step[p + P :], 0.0)))
+        else:
+            self.local, _ = maximise(likelihood, point, iterations=8, tolerance=1e-3)
+
+    def _changed(self) -> bool:
+        """Whether one Newton step on the recent memory leads away from the point of the long one."""
+        recent = self._likelihood(self.fast, self.local.point.beta).at(self.local.point)
+        step, variance, _ = _newton(recent)
+        f, s = self.fast, self.slow
+        spread = f.n2 / f.n**2 + s.n2 / s.n**2 - 2 * self.shared / (f.n * s.n)  # the memories share recent blocks
+        return bool(np.any(np.abs(step) > CHANGE * np.sqrt(variance * f.n * max(spread, 1e-9))))
+
+    def _replace(self) -> None:
+        """The recent memory in place of the long one; of the candidates nothing recent enough is kept."""
+        self.slow.copy_from(self.fast)
+        self.shared, self.suspicions = self.fast.n2, 0
+        self.seen.copy_from(Memory(self.seen.keep, np.zeros_like(self.seen.gram), np.zeros_like(self.seen.tangents)))
+        self.missing = None
+        self.local, _ = maximise(self._likelihood(self.slow, self.local.point.beta), self.local.point, 8, 1e-3)
+
+    def _look(self) -> dict[str, float] | None:
+        """Force that candidates would explain, per cent of the rms linear bearing force; None if it is not known."""
+        seen, beta = self.seen, self.local.point.beta
+        if len(self.wide.laws) == len(self.balance.laws) or seen.n < FEWEST_WATCHED:
+            return None
+        local, _ = maximise(self._likelihood(seen, beta), self.local.point, iterations=4, tolerance=1e-2)
+        dressing = self._dressing(beta)
+        if dressing is not None:
+            whole = np.zeros((dressing.shape[0], len(self.wide.columns)), complex)
+            whole[:, self.own] = dressing
+            dressing = whole
+        mean = seen.tangents / seen.rows
+        wide = Evidence(self.wide, self.grid, seen.gram, seen.n, mean, self.start.nodes, dressing)
+        # blocks that share no rows vary less than the likelihood's count of them says
+        found = look(wide, self.balance, local.point, seen.n2 / seen.n / (1.0 + 2.0 * OVERLAP))
+        sure = {f"missing_force_percent_{name}": percent for name, percent in found.sure.items()}
+        return {"missing_force_percent": found.total} | sure
+
+    def covariance(self) -> Floats:
+        """H^-1 for weights that forget: the score varies by n2 / n of what the Hessian says."""
+        return inverse(self.local) * (self.slow.n2 / self.slow.n)
+
+
+def _newton(local: Local) -> tuple[Floats, Floats, float]:
+    """Newton step and variances (p + 2 P,) as in `Local`, zero for what the data leave free; decrement in nats."""
+    V, used = inverse(local), active(local.point)
+    used = used[np.isfinite(np.diag(V)[used])]
+    V, g = V[np.ix_(used, used)], local.gradient[used]
+    step, variance = np.zeros(local.gradient.size), np.zeros(local.gradient.size)
+    step[used], variance[used] = -V @ g, np.diag(V)
+    return step, variance, -float(g @ step[used])
