@@ -11,7 +11,7 @@ from .balance import build
 from .errors import DataError
 from .features import NEAREST
 from .gram import Nodes, nodes
-from .likelihood import Evidence, Likelihood, Point, maximise
+from .likelihood import Evidence, Likelihood, Point, maximise, responses
 from .record import Record, gather
 
 Floats = NDArray[np.float64]
@@ -101,8 +101,26 @@ def linear_start(record: Record) -> Start:
         }
         for i, place in enumerate(balance.places)
     }  # fmt: skip
-    at = nodes(record.grid, np.sqrt(kL / m) / (2 * np.pi), c / m / (2 * np.pi))
+    coupled = resonances(evidence, B)  # with a stiff shaft far from those of each place alone
+    alone = np.sqrt(kL / m) / (2 * np.pi), c / m / (2 * np.pi)
+    at = nodes(record.grid, *(np.concatenate(pair) for pair in zip(coupled, alone, strict=True)))
     return Start(m, c, kL, local.point.S, local.point.noise, widths, sizes, at)
+
+
+def resonances(evidence: Evidence, B: Floats) -> tuple[Floats, Floats]:
+    """Hz: peaks of the response of the balance B, all places together, and their half-power widths."""
+    f = evidence.grid.f_hz
+    A = B @ responses(evidence.balance, evidence.tangents, f)
+    power = np.sum(np.abs(np.linalg.inv(A)) ** 2, axis=(1, 2)) / f**4  # of the displacement, which has a peak
+    inner = power[1:-1]
+    peaks = np.flatnonzero((inner >= power[:-2]) & (inner >= power[2:])) + 1
+    widths = []
+    for k in peaks:
+        below = power < 0.5 * power[k]
+        right, left = np.argmax(below[k:]), np.argmax(below[k::-1])
+        steps = [int(n) for n in (left, right) if n > 0]
+        widths.append(2.0 * min(steps, default=f.size) * (f[1] - f[0]))
+    return f[peaks], np.asarray(widths, dtype=np.float64)
 
 
 def _judge(place: str, m: float, c: float, kL: float, record: Record) -> None:

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
-from reference_rig import MASS, PLACES, RATE, TRUTH, rig_model, rig_record
+from reference_rig import DISC, MASS, PLACES, RATE, TRUTH, rig_model, rig_record
 
 from estimator import spectral
 from estimator.errors import DataError
+from estimator.model import Setting
+from estimator.simulate import simulate
 
 
 @pytest.fixture(scope="module")
@@ -62,3 +64,22 @@ def test_what_cannot_be_estimated_is_refused_in_one_line(record: np.ndarray) -> 
         with pytest.raises(DataError, match=word) as e:
             spectral.fit(m, y, RATE)
         assert "\n" not in str(e.value)
+
+
+def test_a_stiff_shaft_moves_the_resonances_and_biases_nothing() -> None:
+    linear = {p: {k: Setting(float(TRUTH[k][i])) for k in ("kL", "c", "S")} for i, p in enumerate(PLACES)}
+    model = rig_model(shaft_stiffness=1e7, linear=linear)
+    y = simulate(model, RATE, 20.0, seed=5)
+    for mass in ({"disc": DISC, "bearing1": MASS, "bearing2": MASS}, {"disc": DISC}):  # the shaft sets the scale
+        fit = spectral.fit(rig_model(shaft_stiffness=1e7, mass=mass), y, RATE)
+        z = []
+        for i, place in enumerate(PLACES):
+            for key, true in (("kL", TRUTH["kL"][i]), ("c", TRUTH["c"][i]), ("m", MASS)):
+                p = fit.parameters[f"{place}.{key}"]
+                assert p.identifiable
+                assert p.value is not None
+                assert p.sd is not None
+                if p.sd > 0:
+                    z.append((p.value - true) / p.sd)
+        assert np.max(np.abs(z)) < 4.0
+        assert np.sqrt(np.mean(np.square(z))) < 1.7
