@@ -15,6 +15,7 @@ from .balance import force_channels, motion_channels, resolve
 from .bandlimit import band_limit
 from .effects.places import at
 from .errors import DataError
+from .gram import spectra, valid_blocks
 from .model import EffectUse, Model, Setting
 from .record import Record
 from .spectral import Solution
@@ -98,6 +99,7 @@ def free_run(model: Model, force: Floats, rate_hz: float) -> Floats:
 def simulation_rmse(solution: Solution, first: float = 0.0) -> dict[str, float]:
     """Channel name -> rms in SI of measured minus simulated motion in the band, from the fraction `first` on.
 
+    The bins of the fit count: below the band the disc on its shaft rings on for minutes from where it happened to be.
     Fit on the rows before, and simulate those after, for a held-out figure. Raises DataError without a measured force
     at every place.
     """
@@ -119,6 +121,10 @@ def simulation_rmse(solution: Solution, first: float = 0.0) -> dict[str, float]:
         measured = getattr(record.motion, name)[i, start:]
         good = valid & simulated.valid
         good[:lead] = False
-        error = getattr(simulated, name)[i, good] - measured[good]
-        out[model.channels[c].name] = float(np.sqrt(np.mean(error**2)))
+        error = getattr(simulated, name)[i] - measured
+        blocks = valid_blocks(good, record.grid)
+        if not blocks.size:
+            raise DataError(f"the record is too short for a free run of {lead / rate:.1f} s and what is compared after")
+        psd = np.mean(np.abs(spectra(error[None], blocks, record.grid)) ** 2, axis=(0, 1))
+        out[model.channels[c].name] = float(np.sqrt(psd.sum() * rate / record.grid.size))
     return out

@@ -41,8 +41,8 @@ def test_a_measured_force_brings_the_parameters_to_its_own_bound(truth: Model) -
     lacking = replace(spectral.analyse(linear, y[: int(6 * RATE)], RATE), record=prepare(linear, y, RATE))
     missing = simulation_rmse(lacking, first=0.75)
     for name, rms in zip(("a0", "a1"), held.record.rms("a"), strict=True):
-        assert complete[name] < 0.04 * rms
-        assert missing[name] > 2.0 * complete[name]
+        assert complete[name] < 0.005 * rms
+        assert missing[name] > 5.0 * complete[name]
 
 
 def test_resampling_of_a_band_limited_signal_is_exact() -> None:
