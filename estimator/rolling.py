@@ -34,6 +34,7 @@ from .watch import CANDIDATES
 
 Floats = NDArray[np.float64]
 SHOW_EVERY_S = 0.45
+STILL = 1e-6  # of what a place usually moves, or of what the others do: it does not move
 
 
 class RollingSpectral:
@@ -63,6 +64,8 @@ class RollingSpectral:
         self._status = "warming up"
         self._fitted: RollingFit | None = None
         self._retry_at = 0
+        self._moves = np.zeros(0)  # (places,) rms acceleration at the start, m/s^2
+        self._still = ""  # the place that does not move of late
         self._estimate = Estimate(0, {}, 0.0, status="warming up")
 
     def update(self, block: Floats) -> None:
@@ -105,7 +108,8 @@ class RollingSpectral:
         while self._next + grid.size + MARGIN <= end:
             at = self._next - first
             fitted.forget()
-            if record.motion.valid[at : at + grid.size].all():
+            self._still = self._standing(record.motion.a[:, at : at + grid.size])
+            if record.motion.valid[at : at + grid.size].all() and not self._still:
                 fitted.take(record.stretch(at, at + grid.size), self._shaft.measured)
             else:
                 fitted.lines.restart()
@@ -113,6 +117,17 @@ class RollingSpectral:
         self._trim(min(self._next - MARGIN, end - max(int(WARM_UP_S * self.rate_hz), 24 * grid.hop)))
         if self._since_solved >= SHOW_EVERY_S * self.rate_hz * 0.8:
             self._solve()
+
+    def _standing(self, a: Floats) -> str:
+        """What to tell about a place whose acceleration (places, n) is none."""
+        rms = np.sqrt(np.mean(a * a, axis=1)) if a.size else np.zeros(len(a))
+        usual = self._moves if self._moves.any() else np.full(len(a), rms.max(initial=0.0))
+        still = np.flatnonzero(rms <= STILL * usual)
+        return (
+            f"{self.model.places[still[0]]} does not move in the band: check the sensor and the band"
+            if len(still)
+            else ""
+        )
 
     def _trim(self, needed: int) -> None:
         while len(self._kept) > 1 and self._kept[1].start <= needed:
@@ -122,6 +137,12 @@ class RollingSpectral:
     def _begin(self) -> None:
         """Fit what is kept as a record, or say why it cannot be."""
         record = self._record()
+        self._moves = np.zeros(len(record.motion.a))
+        self._still = self._standing(record.motion.a[:, record.motion.valid])
+        if self._still:
+            self._estimate = Estimate(self._seen, {}, 0.0, status=self._still)
+            return
+        self._moves = record.rms("a")
         try:
             record, start = begin(record, longest=1)
             self._grid = record.grid
@@ -139,6 +160,9 @@ class RollingSpectral:
             return
         self._since_solved = 0
         hop_s = self._grid.hop / self.rate_hz
+        if self._still:
+            self._estimate = Estimate(self._seen, {}, 0.0, status=self._still)
+            return
         if fitted.slow.n < 6 or fitted.slow.n * hop_s < 0.1 * min(self.time_constant_s, WARM_UP_S):
             self._estimate = Estimate(self._seen, {}, 0.0, status="too few valid samples of late")
             return

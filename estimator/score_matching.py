@@ -7,6 +7,7 @@ The mathematics, and the two forms of the estimating equation, are in plane_mome
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from .synchronous import lines, synchronous_message, synchronous_orders
 Array = NDArray[np.float64]
 MOTION = ("acceleration", "velocity", "displacement")
 FEWEST_ROWS = 4096
+CHECKED_S = 0.5  # of motion, for a resonance
 FIT_BLOCKS = 64  # the sd of a fit is itself known to 9 %
 
 
@@ -57,6 +59,8 @@ class RollingScoreMatching:
         self._rows = max(256, round(time_constant_s * rate_hz / 100.0))
         self._forget = math.exp(-self._rows / (time_constant_s * rate_hz))
         self._held = np.empty((3, len(kinds), 0))
+        self._recent: deque[Array] = deque(maxlen=max(1, round(CHECKED_S * rate_hz / self._rows)))
+        self._missing = "warming up"  # what is said while no resonance has been seen
         self._rate_hz, self._orders = rate_hz, synchronous_orders(model)
         self._index = 0
 
@@ -74,9 +78,28 @@ class RollingScoreMatching:
             x, v, a = self._motion(self._held[:, :, used : used + self._rows])
             for moments, columns in self._planes:
                 moments.add(x[columns].T, v[columns].T, a[columns].T, self._forget)
+            if self._missing:
+                self._look_for_resonance(v)
             used += self._rows
         self._held = self._held[:, :, used:].copy()
         self._index += used
+
+    def _look_for_resonance(self, v: Array) -> None:
+        """Once in a while, until there is one; v : (places, rows) of one block."""
+        if not np.isfinite(v).all():
+            return
+        self._recent.append(v)
+        if len(self._recent) < (self._recent.maxlen or 1):
+            return
+        recent, band = np.concatenate(self._recent, axis=1), density_band(self.model)[0]
+        self._recent.clear()
+        try:
+            for speed, column in zip(recent, self._columns, strict=True):
+                if speed.any():  # else it is said that it does not move
+                    check_resonance(speed, self._rate_hz, band, self.model.channels[column].name)
+            self._missing = ""
+        except DataError as e:
+            self._missing = str(e)
 
     def _motion(self, block: Array) -> Array:
         """x, v, a of one block (3, places, rows), without the lines that the model's effects say are there."""
@@ -93,6 +116,8 @@ class RollingScoreMatching:
         rows = min((m.moments.rows for m, _ in self._planes), default=0.0)
         if min((m.moments.blocks for m, _ in self._planes), default=0.0) < 8.0 or rows < FEWEST_ROWS / 4:
             return Estimate(self._index, parameters, rows, status="warming up")
+        if self._missing:
+            return Estimate(self._index, parameters, rows, status=self._missing)
         for moments, _ in self._planes:
             parameters |= moments.parameters()
         stopped = [p.reason for p in parameters.values() if "does not move" in p.reason]

@@ -94,3 +94,17 @@ def test_what_is_missing_is_seen_and_named_as_it_rolls(record: np.ndarray) -> No
     named = [k for k in lacking if k.startswith("missing_force_percent_")]
     assert named[0] == "missing_force_percent_coulomb"
     assert run(RollingSpectral(model, RATE, 10.0, watch=()), record[: int(6 * RATE)])[-1].extra is None
+
+
+@pytest.mark.parametrize("dead", ["all", "one", "later"])
+def test_a_place_that_does_not_move_is_named(record: np.ndarray, dead: str) -> None:
+    y = record[: int(9 * RATE)].copy()
+    if dead == "all":
+        y[:] = 0.0
+    elif dead == "one":
+        y[:, 1] = 9.81
+    else:
+        y[int(6 * RATE) :, 1] = 0.0
+    last = run(RollingSpectral(rig_model(), RATE, 5.0, watch=()), y)[-1]
+    assert not last.parameters
+    assert f"{PLACES[0 if dead == 'all' else 1]} does not move" in last.status

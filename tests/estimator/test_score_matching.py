@@ -137,3 +137,12 @@ def test_what_the_method_cannot_know_is_said(record: np.ndarray) -> None:
     assert any("left out: stop" in message for message in found.messages)
     unequal = record * [1.0, 1.3]  # a wrong gain looks like unequal temperatures
     assert any("m v^2" in message for message in fit(rig(), unequal, RATE).messages)
+
+
+def test_noise_without_a_resonance_gives_no_rolling_estimate() -> None:
+    y = np.random.default_rng(0).normal(size=(int(4 * RATE), 4))
+    rolling = RollingScoreMatching(rig(), RATE, 5.0)
+    rolling.update(y)
+    last = rolling.snapshot()
+    assert not last.parameters
+    assert "no resonance" in last.status
