@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .balance import Balance, build
 from .columns import Columns
 from .dressing import dressed, flutter, mean_responses, self_energies
+from .errors import DataError
 from .likelihood import Likelihood, Local, Point, active, maximise
 from .model import Model
 from .record import Bank, Record, gather
@@ -56,7 +57,10 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
     held = build(model, start.sizes, known, search=False)
     searching = len(build(model, start.sizes, known).free) > len(held.free)
     bank = gather(record, held, start.widths, start.linear, seconds=SECONDS if searching else np.inf)
-    local, converged = maximise(Likelihood(bank.evidence(start.nodes)), initial(held, start, known))
+    first = initial(held, start, known)
+    if values is None:
+        _refuse_unstable(held, bank, first)
+    local, converged = maximise(Likelihood(bank.evidence(start.nodes)), first)
     if not searching:
         tangents = tangents_of(record, start, bank, local)
         bank = without_flutter(bank, local, tangents)
@@ -80,6 +84,24 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
             if moved < SETTLED:
                 break
     return Maximum(balance, bank, likelihood, local, known, converged and moved < SETTLED)
+
+
+def _refuse_unstable(balance: Balance, bank: Bank, point: Point) -> None:
+    """Raises DataError if the given values of the effects make a place's mean stiffness or damping negative."""
+    mean = mean_responses(balance, balance.coefficients(point.beta), bank.tangents)
+    for place, m in zip(balance.places, mean, strict=True):
+        for value, word in ((m.k, "stiffness"), (m.c, "damping")):
+            if value <= 0:
+                own = (place, place.split(".")[0])
+                given = [
+                    f"{f.name} = {b:g}"
+                    for f, b in zip(balance.free, point.beta.tolist(), strict=True)
+                    if b and f.name.count(".") > 2 and f.name.rsplit(".", 2)[0] in own
+                ]
+                raise DataError(
+                    f"the model is unstable: {', '.join(given) or 'its effects'} gives {place} a mean {word} of "
+                    f"{value:.3g} along the measured motion; give a smaller value or none"
+                )
 
 
 def _move(balance: Balance, local: Local, values: dict[str, float], last: bool) -> float:

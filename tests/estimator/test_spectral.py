@@ -6,7 +6,7 @@ from reference_rig import DISC, MASS, PLACES, RATE, TRUTH, rig_model, rig_record
 
 from estimator import spectral
 from estimator.errors import DataError
-from estimator.model import Setting
+from estimator.model import EffectUse, Setting
 from estimator.simulate import simulate
 
 
@@ -49,6 +49,7 @@ def test_what_cannot_be_estimated_is_refused_in_one_line(record: np.ndarray) -> 
     stuck[:, 1] = 3.0
     clipped[:, 2] = np.clip(clipped[:, 2], -15, 15)
     noise = np.random.default_rng(0).normal(size=record.shape)
+    escaping = EffectUse("cubic", {"bearing1.x": {"kNL": Setting(-1e22)}})
     cases = [
         (model, dead, "b1y"),
         (model, stuck, "constant"),
@@ -59,6 +60,8 @@ def test_what_cannot_be_estimated_is_refused_in_one_line(record: np.ndarray) -> 
         (model, noise, "resonance"),
         (model, record[:, :3], "channels"),
         (model, [[1.0, 2.0], [3.0]], "unequal"),
+        (rig_model(linear={"bearing1.x": {"kL": Setting(-1e7)}}), record, "unstable: bearing1.x.kL"),
+        (rig_model(effects=(escaping,)), record, "unstable: bearing1.x.cubic.kNL = -1e.22"),
     ]
     for m, y, word in cases:
         with pytest.raises(DataError, match=word) as e:
