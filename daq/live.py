@@ -78,7 +78,8 @@ def run_rig(
     existed = out is not None and out.exists()
     operator = Operator(output)
     with Stop() as stop:
-        sinks = make_sinks(output, out, rerun, live=driver.kind not in ("capture", "replay"))
+        live = driver.kind not in ("capture", "replay")
+        sinks = [*make_sinks(output, out, rerun, live=live), *naming(rig, live)]
         if metrics is not None:
             sinks.append(serve_metrics(output, metrics).sink())
         metadata = {"command": command, "link": link or rig.link.url or ""}
@@ -185,6 +186,7 @@ def replay(
     operator = Operator(output)
     with Stop() as stop:
         sinks = make_sinks(output, out, rerun, live=False, wall_offset_ns=recording.head.wall_offset_ns)
+        sinks += naming(rig, live=False)
         summary = replay_log(recording, rig, sinks, speed=pace, check=check, stop=stop.event, notify=operator)
     _report(output, summary, out, {})
     if operator.lost_log:
@@ -232,6 +234,13 @@ def make_sinks(
 
         sinks.append(LiveTable(output.to_stderr))
     return sinks
+
+
+def naming(rig: Rig, live: bool) -> list[Sink]:
+    """What names a force that begins to be missing, if the rolling estimate looks for one."""
+    from .naming import Naming
+
+    return [Naming(rig, live)] if rig.estimator.method == "spectral" else []
 
 
 def serve_metrics(output: Output, port: int) -> MetricsServer:

@@ -13,7 +13,7 @@ from drivers.patient import Patient
 from .acquire import FINITE, Device, RunSummary, acquire_all
 from .errors import ConfigError, RotorscopeError, exit_status
 from .links import open_driver
-from .live import Operator, in_words, make_sinks, serve_metrics, what_is_wrong
+from .live import Operator, in_words, make_sinks, naming, serve_metrics, what_is_wrong
 from .output import Output
 from .rerun_process import VIEWER_PORT
 from .rig import load_rig
@@ -58,6 +58,7 @@ def run_devices(
             if log is not None and new_log:
                 undo.callback(log.unlink, missing_ok=True)
             sinks = make_sinks(output, log, _viewer(rerun, name, first=not devices), live=live, table=False)
+            sinks += naming(rig, live)
             for sink in sinks:
                 undo.callback(sink.close)
             if server is not None:

@@ -29,6 +29,7 @@ NEW_CLOCK = ("restart", "reconnect")  # after such a gap, index and host time go
 # What the pipeline itself says; a replay says it again, so it is not taken from the log.
 OWN_CODES = frozenset(
     {"clipped", "no_estimate", "estimator_failed", "sink_failed", "rate_differs", "channels_by_order", "stopped_behind"}
+    | {"missing_force", "parameters_changed", "effect_named", "model_complete", "effect_unknown"}  # naming.py
 )
 
 

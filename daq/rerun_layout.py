@@ -79,7 +79,7 @@ def layout(
     tabs = [tabbed(group) for group in (linear, nonlinear, missing) if group]
     left = [rrb.Vertical(*waveforms)] if waveforms else []
     left += [rrb.Horizontal(*tabs)] if tabs else []
-    left += [rrb.StateTimelineView(origin="state", name="Link, gaps, sensors, estimator")]
+    left += [rrb.StateTimelineView(origin="state", name="Link, gaps, sensors, estimator, model")]
     health = rrb.Tabs(
         rrb.TextLogView(origin="log", name="Log"),
         series("health/lost", "Lost and damaged, running total"),

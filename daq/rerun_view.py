@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.reading import Block, Gap, Info, Notice, Reading, Signal
-from estimator.estimate import Estimate
+from estimator.estimate import MISSING, Estimate, certain
 
 from .report_numbers import unit_text
 from .rerun_layout import BAD, DEVICE_TIME, GOOD, HOST_TIME, IDLE, colour, layout, part
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 LAST_S = 9e9  # times are int64 nanoseconds: a gap may claim more than that
 PREVIEW_HZ = 500.0  # rows a second of a waveform, two of them a bin; slower signals are shown whole
 ROWS = 64  # a call to the recording: 50 to 100 times cheaper than one row each
+NOTHING_MISSING, A_FORCE = "no force missing", "a force is missing"
 LEVELS = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
 
 
@@ -59,11 +60,17 @@ class RerunView:
         self._exponents: dict[str, int] = {}
         self._kinds: dict[str, str] = {}  # of parameters, for the layout
         self._missing_force = False
+        self._sure: set[str] = set()  # effects that the estimator was certain of at some time
         self._states: dict[str, str] = {}
         self._begin(session.info)
         self._to.send_recording_name(session.name)
         self._text("rig", session.rig, "\n".join(f"- {k}: {v}" for k, v in session.facts.items()))
-        for lane, good in (("link", "receiving"), ("sensors", "in range"), ("estimator", "ok")):
+        for lane, good in (
+            ("link", "receiving"),
+            ("sensors", "in range"),
+            ("estimator", "ok"),
+            ("model", NOTHING_MISSING),
+        ):
             self._lane(lane, good)
         self._state("link", "waiting")
 
@@ -218,11 +225,19 @@ class RerunView:
             sd = math.nan if p.sd is None else p.sd * scale
             band = rr.Measurements(values=[value], variances=[sd * sd], names=[place], colors=[self._tint(place)])
             self._to.log(f"estimate/{part(kind)}/{part(place)}", band)
-        for name, extra in (estimate.extra or {}).items():
-            if name.startswith("missing_force"):
-                new |= not self._missing_force
-                self._missing_force = True
-                self._to.log(f"missing_force/{part(name)}", rr.Scalars(extra))
+        extra = estimate.extra or {}
+        if MISSING in extra:
+            new |= not self._missing_force
+            self._missing_force = True
+            sure = certain(extra)
+            for k, name in enumerate(dict.fromkeys(["all candidates", *sorted(self._sure), *sure])):
+                value = extra.get(
+                    MISSING if not k else f"{MISSING}_{name}", math.nan
+                )  # NaN ends the line of what is over
+                style = rr.SeriesLines(names=name)
+                self._to.log(f"missing_force/{part(name)}", rr.Scalars(value), style)
+            self._sure.update(sure)
+            self._state("model", A_FORCE if sure else NOTHING_MISSING, estimate.index)
         self._state("estimator", estimate.status, estimate.index)
         if new:
             self._lay_out()
@@ -263,8 +278,9 @@ class RerunView:
             self._to.log(entity, self._rr.Scalars(float(value)), style)
 
     def _lane(self, lane: str, good: str) -> None:
-        values = [good, "waiting", "warming up", "silent", *(f"gap: {r}" for r in ("sequence", "crc", "device_lost"))]
-        colours = [GOOD, IDLE, IDLE, BAD, BAD, BAD, BAD]
+        bad = [A_FORCE] + [f"gap: {r}" for r in ("sequence", "crc", "device_lost")]
+        values = [good, "waiting", "warming up", "silent", *bad]
+        colours = [GOOD, IDLE, IDLE, BAD, *[BAD] * len(bad)]
         style = self._rr.StateConfiguration(values=values, colors=colours)
         self._to.log(f"state/{lane}", style, static=True)
 

@@ -45,6 +45,15 @@ class Estimate:
     extra: Mapping[str, float] | None = None  # e.g. missing_force_percent of the rolling comparison
 
 
+MISSING = "missing_force_percent"  # in `extra`: of all candidates; with _NAME behind it: of one that is certain
+
+
+def certain(extra: Mapping[str, float]) -> list[str]:
+    """The candidate effects that an estimate is certain to be missing, strongest first."""
+    names = [n for n in extra if n.startswith(MISSING + "_")]
+    return [n.removeprefix(MISSING + "_") for n in sorted(names, key=lambda n: -extra[n])]
+
+
 class OnlineEstimator(Protocol):
     """Fed fixed-size consecutive blocks (live and replay agree bit for bit); deterministic; never raises on data.
 

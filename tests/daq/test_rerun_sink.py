@@ -113,8 +113,8 @@ def test_file_has_everything(tmp_path: Path) -> None:
         assert rows[f"waveform/0/{name}"] > 500 * 2.4
     for path in (
         "spectrum/0/curves", "spectrum/0/grid", "scope/0/curves", "orbit/bearing1/curves", "orbit/bearing2/curves",
-        "estimate/kL/bearing1.x", "missing_force/missing_force_percent", "state/link", "state/sensors",
-        "state/estimator", "log", "rig", "health/clock/drift, ppm", "health/lag/estimator",
+        "estimate/kL/bearing1.x", "missing_force/all candidates", "state/link", "state/sensors",
+        "state/estimator", "state/model", "log", "rig", "health/clock/drift, ppm", "health/lag/estimator",
     ):  # fmt: skip
         assert any(path == p.replace("\\", "") for p in rows), path
     assert "estimate/cubic.kNL/bearing1.x" not in rows
