@@ -40,6 +40,7 @@ WINDOWS = 240  # one minute of them
 FEWEST = 8
 TRANSIT_S = 1e-3  # the least time from a frame's last sample to our stamp, beyond the frame's own length on the wire
 SLOPE_Z = 3.3  # 99.9 % of the slope's interval
+REAL_TIME = 0.2  # a device whose seconds last longer or shorter by more does not run in real time
 
 
 class DeviceClock:
@@ -87,12 +88,14 @@ class DeviceClock:
             self._minima.append((*self._best, self._rows))
 
     def state(self) -> ClockState | None:
-        """The mapping now; None in the first two seconds."""
+        """The mapping now; None in the first two seconds, and of a source that does not run in real time."""
         n = len(self._minima)
         if n < FEWEST or self._origin is None:
             return None
         s, late, rows = np.array(self._minima).T
         slope, low, high = theil_sen(s, late)
+        if abs(slope) > REAL_TIME:
+            return None
         residual = late - slope * s
         floor = float(residual.min())
         scatter = float(np.median(residual)) - floor

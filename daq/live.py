@@ -117,7 +117,7 @@ def simulate(
     output: Output, rig_path: Path, out: Path | None, serve: str | None, seconds: float | None, seed: int,
     truth_path: Path | None, speed: str | None, device: Mapping[str, object], faults: Sequence[str],
 ) -> None:  # fmt: skip
-    from .simulation import FrameSource, fault_rates, machine
+    from .simulation import at_full_speed, fault_rates, machine
 
     if (out is None) == (serve is None):
         raise ConfigError("say --out LOG.mcap to simulate into a log, or --serve LINK to be a device; one of the two")
@@ -146,14 +146,9 @@ def simulate(
         if stop.interrupted:
             raise KeyboardInterrupt
         return
-    from drivers.can_decoder import CanDecoder
-    from drivers.link import Link
-    from drivers.reading import LinkStats
-
     with Stop() as stop:
         if pace is None:
-            decoder = CanDecoder(LinkStats(), simulated.device.config.base_id)
-            driver = Link("simulated", "simulated device", FrameSource(simulated.device), decoder)
+            driver = at_full_speed(simulated.device)
         else:
             from drivers.links import VirtualConfig, make_driver
 

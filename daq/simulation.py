@@ -9,15 +9,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.can_decoder import CanDecoder
 from drivers.can_frames import CanFrames
 from drivers.faults import KINDS
-from drivers.link import Event
+from drivers.link import Event, Link
+from drivers.reading import LinkStats, Reading
 from drivers.simulated import DeviceConfig, SimulatedDevice
 from estimator.effect import Effect
 from estimator.effects import CATALOGUE
 from estimator.estimate import Parameter
 from estimator.model import UNITS, EffectUse, Model, Setting
 
+from .clock import Clock, SystemClock
 from .errors import ConfigError
 from .rig import Rig
 
@@ -224,3 +227,24 @@ class FrameSource:
             return None
         frames = [f for f in self._device.next(FRAMES) if not f.damaged]
         return CanFrames.build([(f.identifier, f.data, round(1e9 * f.due_s)) for f in frames])
+
+
+class OnDeviceTime:
+    """A CAN decoder to which the host's time is that of the frames: nothing else says when a made-up sample was."""
+
+    def __init__(self, decoder: CanDecoder, start_ns: int) -> None:
+        self.stats, self.notices = decoder.stats, decoder.notices
+        self._decoder, self._start_ns = decoder, start_ns
+
+    def feed(self, frames: CanFrames, t_host_ns: int) -> list[Reading]:
+        return self._decoder.feed(frames, self._start_ns + int(frames.t_ns[-1]) if len(frames) else t_host_ns)
+
+    def cause(self, reason: str) -> None:
+        self._decoder.cause(reason)
+
+
+def at_full_speed(device: SimulatedDevice, clock: Clock | None = None) -> Link:
+    """A driver for the device without a bus and without waiting; its samples are dated as if it had run from now on."""
+    decoder = CanDecoder(LinkStats(), device.config.base_id)
+    start_ns = (clock or SystemClock()).now_ns()
+    return Link("simulated", "simulated device", FrameSource(device), OnDeviceTime(decoder, start_ns))

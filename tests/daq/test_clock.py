@@ -152,3 +152,11 @@ def test_the_system_clock() -> None:
     clock = SystemClock()
     assert clock.now_ns() <= clock.now_ns()
     assert abs(clock.wall_offset_ns() - clock.wall_offset_ns()) < 10**9
+
+
+def test_a_source_faster_than_time_has_no_clock() -> None:
+    """A simulated bus at full speed: ten seconds of data in one."""
+    clock = DeviceClock(25_600.0)
+    for k in range(1, 4000):
+        clock.feed(64 * k, 10**12 + k * 250_000, 64)
+    assert clock.state() is None

@@ -5,9 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.acquire import acquire
 from daq.errors import ConfigError
+from daq.estimators import maker
+from daq.log_reader import read_log
+from daq.log_writer import LogWriter
 from daq.rig import Rig, load_rig
-from daq.simulation import complete, fault_rates, machine
+from daq.simulation import at_full_speed, complete, fault_rates, machine
 from estimator.effects import CATALOGUE
 from estimator.simulate import simulate
 
@@ -91,3 +95,13 @@ def test_words_for_faults() -> None:
     for wrong in ("drop", "drop:2", "drop:x", "dorp:0.1"):
         with pytest.raises(ConfigError, match="KIND is one of drop"):
             fault_rates([wrong])
+
+
+def test_a_log_made_at_full_speed_has_the_clock_of_its_device(tmp_path: Path) -> None:
+    log = tmp_path / "a.mcap"
+    device = machine(load_rig(PAPER), seconds=5.0, config={"clock_ppm": 40.0}).device
+    acquire(load_rig(PAPER), at_full_speed(device), [LogWriter(log, live=False)], make=maker("score-matching", 10.0))
+    clock = read_log(log).clock
+    assert clock is not None
+    assert clock.drift_ppm == pytest.approx(40.0, abs=1.0)
+    assert clock.bound_ns < 60e6
