@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from estimator.improve import Ladder
 
 from .edit import with_effect, with_values
-from .errors import ConfigError
+from .errors import ConfigError, LogError
 from .measurement import Measurement, measure
 from .output import Output, write_whole
 from .rig import Rig, load_rig
@@ -26,9 +27,8 @@ NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is miss
 
 
 def fit(output: Output, log: Path, rig_path: Path, method: str, out: Path | None) -> None:
-    rig = load_rig(rig_path)
-    data = measure(log, rig, output.note)
-    with output.progress(f"fitting ({method})"):
+    rig, data = given(output, log, rig_path)
+    with output.progress(f"fitting ({method})"), about(log):
         result = fitted(rig, data, method)
     if out is not None:
         write_whole(out, with_values(rig, result.parameters))
@@ -38,6 +38,26 @@ def fit(output: Output, log: Path, rig_path: Path, method: str, out: Path | None
     if out is not None:
         people.append(f"{out}: the rig file with the fitted values")
     output.result(result.to_json(), *people)
+
+
+def given(output: Output, log: Path, rig_path: Path) -> tuple[Rig, Measurement]:
+    """Model and measurement of a command, checked."""
+    from .check import check_laws
+
+    rig = load_rig(rig_path)
+    check_laws(rig, rig_path)
+    return rig, measure(log, rig, output.note)
+
+
+@contextmanager
+def about(log: Path) -> Iterator[None]:
+    """Say which record it is that cannot answer."""
+    from estimator.errors import DataError
+
+    try:
+        yield
+    except DataError as problem:
+        raise LogError(f"{log}: {problem}") from problem
 
 
 def fitted(rig: Rig, data: Measurement, method: str) -> Fit:
@@ -58,9 +78,9 @@ def _likelihood(result: Fit) -> str:
 
 def compare(output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None) -> None:
     pages = Pages(html, rerun)
-    rig = load_rig(rig_path)
-    data = measure(log, rig, output.note)
-    value = _compared(output, rig, data)
+    rig, data = given(output, log, rig_path)
+    with about(log):
+        value = _compared(output, rig, data)
     pages.write(rig, data, comparison=value)
     output.result(value, *comparison_text(value), *pages.said())
 
@@ -102,9 +122,8 @@ def diagnose(output: Output, log: Path, rig_path: Path, html: Path | None, rerun
     from estimator.diagnose import diagnose as diagnose_model
 
     pages = Pages(html, rerun)
-    rig = load_rig(rig_path)
-    data = measure(log, rig, output.note)
-    with output.progress("diagnosing") as progress:
+    rig, data = given(output, log, rig_path)
+    with output.progress("diagnosing") as progress, about(log):
         value = diagnose_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
     if pages:
         now = _compared(output, rig, data)
@@ -176,9 +195,8 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
     from estimator.improve import improve as improve_model
 
     pages = Pages(html, rerun)
-    rig = load_rig(rig_path)
-    data = measure(log, rig, output.note)
-    with output.progress("improving") as progress:
+    rig, data = given(output, log, rig_path)
+    with output.progress("improving") as progress, about(log):
         ladder = improve_model(rig.model, data.y, data.rate_hz, progress=progress)
     value = ladder.to_json()
     text, better = improved(rig, ladder)

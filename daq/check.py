@@ -14,24 +14,35 @@ from estimator.model import Model
 from .errors import ConfigError
 from .output import Output
 from .rig import Rig, load_rig
+from .rig_problems import line_numbers
 
 SHAFTS = {"chain": "chain (caps joined through the disc)", "beam": "free-free beam", "none": "none: caps uncoupled"}
 
 
 def check(output: Output, path: Path) -> None:
     rig = load_rig(path)
+    check_laws(rig, path)
+    remarks = _remarks(rig)
+    notes = [f"note: {text}" for text in remarks]
+    value = {"schema": 1, "valid": True, "summary": _facts(rig), "notes": remarks}
+    output.result(value, _summary(rig), "", *notes, f"{path}: valid")
+
+
+def check_laws(rig: Rig, path: Path) -> None:
+    """ConfigError with its line for a law of the user's that is not finite."""
     for use in rig.model.effects:
         if use.custom is not None:
             from estimator.effects.custom import custom_effect
 
             try:
                 custom_effect(use)
-            except ModelError as error:  # the law is not finite
-                raise ConfigError(f"{path}: {error}; correct it, or give values within its range") from error
-    remarks = _remarks(rig)
-    notes = [f"note: {text}" for text in remarks]
-    value = {"schema": 1, "valid": True, "summary": _facts(rig), "notes": remarks}
-    output.result(value, _summary(rig), "", *notes, f"{path}: valid")
+            except ModelError as error:
+                number = next((k for k, c in enumerate(rig.file.model.custom) if c.name == use.name), 0)
+                key = "module" if use.custom.expression is None else "expression"
+                line = line_numbers(rig.text).get(("model", "custom", number, key))
+                where = f"{path}:{line}: " if line else f"{path}: "
+                text = f"model.custom[{number}].{key}: {error}; correct it, or give values within its range"
+                raise ConfigError(where + text) from error
 
 
 def _facts(rig: Rig) -> dict[str, Any]:

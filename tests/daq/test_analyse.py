@@ -1,0 +1,75 @@
+"""compare, diagnose, improve as commands: what is refused before the work and how; what is shown after."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.analyse import with_verdict
+from daq.cli import main
+from daq.rig import load_rig
+
+PAPER = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
+
+
+@pytest.mark.parametrize("command", ["fit", "compare", "diagnose"])
+def test_a_law_that_is_not_finite_is_said_with_its_line_before_anything_is_read(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = tmp_path / "rig.toml"
+    law = (
+        '\n[[model.custom]]\nname = "own"\nexpression = "k*log(x)"\nparameters = { k = { value = 1.0, unit = "N" } }\n'
+    )
+    rig.write_text(PAPER.read_text() + law)
+    line = rig.read_text().splitlines().index('expression = "k*log(x)"') + 1
+    assert main([command, str(tmp_path / "none.mcap"), "--rig", str(rig)]) == 2
+    err = capsys.readouterr().err
+    assert f"rig.toml:{line}: model.custom[0].expression" in err
+    assert "not finite" in err
+
+
+def test_a_record_that_cannot_answer_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    short = tmp_path / "short.npz"
+    rng = np.random.default_rng(0)
+    np.savez(short, rate_hz=25600.0, **{n: rng.standard_normal(4000) for n in ("b1x", "b1y", "b2x", "b2y")})
+    assert main(["compare", str(short), "--rig", str(PAPER)]) == 4
+    assert f"{short}: only" in capsys.readouterr().err
+
+
+def test_where_to_show_it_is_checked_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["compare", str(tmp_path / "none.mcap"), "--rig", str(PAPER)]
+    assert main([*command, "--rerun", "picture.png"]) == 2
+    assert main([*command, "--html", str(tmp_path / "no" / "r.html")]) == 2
+    assert "create it first" in capsys.readouterr().err
+
+
+def test_the_model_with_the_verdict_has_what_was_found() -> None:
+    rig = load_rig(PAPER)
+    k = {"value": 1.4e6, "sd": 1e5, "unit": "N/m", "identifiable": True}
+    found = {f"bearing1.{d}.clearance.{n}": k | {"value": v} for d in "xy" for n, v in (("k", 1.4e6), ("gap", 2e-7))}
+    row = {"effect": "clearance", "at": ["bearing1"], "parameters": found}
+    better = with_verdict(rig, {"verdict": "clearance", "ranking": [row]})
+    assert better is not None
+    use = better.model.effects[-1]
+    assert (use.name, use.at) == ("clearance", ("bearing1.x", "bearing1.y"))
+    assert use.parameters["bearing1.y"]["gap"].value == 2e-7
+    assert with_verdict(rig, {"verdict": "complete", "ranking": [row]}) is None
+
+
+@pytest.mark.slow
+def test_a_page_and_a_recording_of_every_command(tmp_path: Path) -> None:
+    from test_report import Page
+
+    log, page, view = tmp_path / "log.mcap", tmp_path / "p.html", tmp_path / "v.rrd"
+    linear = tmp_path / "linear.toml"
+    linear.write_text(PAPER.read_text())
+    assert main(["remove", "cubic", "--rig", str(PAPER), "--out", str(linear)]) == 0
+    assert main(["simulate", str(PAPER), "--out", str(log), "--seconds", "10", "--quiet"]) == 0
+    shown = ["--html", str(page), "--rerun", str(view), "--quiet"]
+    for command in (["compare"], ["diagnose"], ["improve", "--out", str(tmp_path / "better.toml")]):
+        assert main([command[0], str(log), "--rig", str(linear), *command[1:], *shown]) == 0
+        text = Page(page.read_text("utf-8")).text
+        assert view.stat().st_size > 10_000
+        assert ("The ladder" in text) == (command[0] != "compare")
