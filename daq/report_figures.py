@@ -103,17 +103,17 @@ def model_name(effects: Sequence[str]) -> str:
     return "linear" + "".join(f" + {name}" for name in effects)
 
 
-def where_map(after: Sequence[Json], before: Sequence[Json] | None = None) -> str | None:
+def where_map(after: Sequence[Json], before: Sequence[Json] | None = None, channels: Sequence[str] = ()) -> str | None:
     """Share of the missing force, channels by what it is a function of; the model before (None: there is none)
-    beside it."""
+    beside it. channels : those looked at, also where nothing was found."""
     maps = {"this model": after} if before is None else {"before": before, "this model": after}
     before = before or ()
     everything = [*before, *after]
-    channels = sorted({r["channel"] for r in everything})
-    against = [a for a in AGAINST if any(r["against"] == a for r in everything)]
-    if not channels or not against:
+    channels = list(dict.fromkeys([*channels, *(r["channel"] for r in everything)]))
+    against = list(AGAINST)
+    if not channels or not everything:
         return None
-    figure, axes = new_figure(max(3.4, 1.6 + 0.8 * len(against)) * len(maps), 1.4 + 0.4 * len(channels), 1, len(maps))
+    figure, axes = new_figure(5.4 * len(maps) if len(maps) > 1 else 7.6, 1.3 + 0.36 * len(channels), 1, len(maps))
     for ax, (name, rows) in zip(axes, maps.items(), strict=True):
         share = np.zeros((len(channels), len(against)))
         for r in rows:
@@ -132,7 +132,7 @@ def where_map(after: Sequence[Json], before: Sequence[Json] | None = None) -> st
                 color=tone,
             )
         ax.set_yticks(range(len(channels)), [plain(c) for c in channels])
-        ax.set_xticks(range(len(against)), [a.replace("_", "\n") for a in against])
+        ax.set_xticks(range(len(against)), [a.replace("_", "\n") for a in against], fontsize=6.5)
         label_axes(ax, "the missing force as a function of ...", "channel", name if len(maps) > 1 else "")
     return svg(figure, "where")
 

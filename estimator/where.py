@@ -66,6 +66,11 @@ def region(point: WorkingPoint, residual: Residual, group: str) -> str:
     }.get(group, group)
 
 
+def _round(value: float) -> str:
+    """Two figures, without a power of ten."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def _stretches(at: np.ndarray, weight: np.ndarray, unit: str) -> str:
     """The stretches that hold 70 % of the weight."""
     order = np.argsort(-weight)
@@ -76,7 +81,7 @@ def _stretches(at: np.ndarray, weight: np.ndarray, unit: str) -> str:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
     factor, prefix = next((f, p) for f, p in PREFIX if np.abs(at).max() >= f or f == PREFIX[-1][0])
     parts = [
-        f"{(at[a] - step) / factor:.2g} to {(at[b - 1] + step) / factor:.2g}"
+        f"{_round((at[a] - step) / factor)} to {_round((at[b - 1] + step) / factor)}"
         for a, b in zip(edges[::2], edges[1::2], strict=True)
     ]
     return " and ".join(parts) + f" {prefix}{unit}"
