@@ -27,9 +27,9 @@ from .record import Record, stretches
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-SECONDS = 8.0  # of the record that the covariances are taken from
+SECONDS, DECAYS = 8.0, 1000.0  # of the record that the covariances are taken from: the longer of the two
 ROUNDS = 10  # of the self-consistent response
-STRONG = 0.6  # rms of the tangent stiffness over its mean, above which the second order does more harm than good
+STRONG = 1.0  # rms of the tangent stiffness over its mean, above which the second order is not used
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,16 +63,28 @@ def self_energies(
     return out
 
 
-def flutter(record: Record, columns: Columns, seconds: float = SECONDS) -> Floats | None:
-    """(places, columns, columns) covariance of the tangents along x of the laws at a place, (N/m)^2 per unit of each.
+@dataclass(frozen=True, slots=True)
+class Flutter:
+    """What the noise e of displacement sensors does in the laws, per unit of each law.
 
-    The noise e of a displacement sensor enters the force of a law as phi'(x) e. Its mean tangent is seen through A; by
-    what the tangent fluctuates it adds white noise to the column of the law, which least squares would bend the law to
-    shrink; its mean square, this times the noise's PSD, is taken out of the Gram matrix.
-    None where no sensor is one of displacement: integrated, the noise of others is small where tangents fluctuate.
+    covariance : (places, columns, columns) of the tangents at a place, (N/m)^2. bend : (places, columns) N/m^3, half
+    the curvature of the tangent, from its regression on x^2; both 0 for other columns and sensors.
+    """
+
+    covariance: Floats
+    bend: Floats
+
+
+def flutter(record: Record, columns: Columns, seconds: float = SECONDS) -> Flutter | None:
+    """What noise does in the laws; None where no sensor is one of displacement (integrated, that of others is small).
+
+    The noise enters the force of a law as phi'(x) e + phi''(x) e^2 / 2. The mean tangent is seen through A; by what it
+    fluctuates it adds white noise to the column of the law, which least squares would bend the law to shrink. The
+    second part has the mean <e^2> phi'' / 2, which looks like a stiffness.
     """
     balance = columns.balance
-    out = np.zeros((len(balance.places), len(balance.columns), len(balance.columns)))
+    covariance = np.zeros((len(balance.places), len(balance.columns), len(balance.columns)))
+    bend = np.zeros((len(balance.places), len(balance.columns)))
     usable = valid_blocks(record.motion.valid, record.grid)[::2]
     usable = usable[: max(2, int(seconds * record.rate_hz / record.grid.size))]
     for row, kind in enumerate(balance.kinds):
@@ -82,14 +94,20 @@ def flutter(record: Record, columns: Columns, seconds: float = SECONDS) -> Float
             if c.kind == "law" and c.row == row and balance.laws[c.law].effect.kind == "force"
         ]
         if laws and kind == "displacement":
-            tangents = _series(record, columns, laws, usable)[0][:, 0].reshape(len(laws), -1)
-            out[row, np.array(laws)[:, None], laws] = np.cov(tangents).reshape(len(laws), len(laws))
-    return out if out.any() else None
+            series, factor = _series(record, columns, laws, usable)
+            tangents = series[:, 0, :, ::factor].reshape(len(laws), -1)
+            first = usable * record.grid.hop
+            square = np.concatenate([record.motion.x[row, a : a + record.grid.size] for a in first]) ** 2
+            square -= square.mean()
+            covariance[row, np.array(laws)[:, None], laws] = np.cov(tangents).reshape(len(laws), len(laws))
+            bend[row, laws] = tangents @ square / (square @ square)
+    return Flutter(covariance, bend) if covariance.any() else None
 
 
 def _covariances(record: Record, columns: Columns, laws: list[int], mean: Mean, seconds: float) -> tuple[Floats, float]:
     """(laws, laws, 2, 2, lags) <kappa_ja(t + lag) kappa_kb(t)>, a and b: along x and v; and the time step."""
     usable = valid_blocks(record.motion.valid, record.grid)[::2]  # each row once
+    seconds = max(seconds, DECAYS * 2 * mean.m / mean.c)
     usable = usable[: max(2, int(seconds * record.rate_hz / record.grid.size))]
     series, factor = _series(record, columns, laws, usable)  # (laws, 2, blocks, n)
     dt = 1.0 / (factor * record.rate_hz)

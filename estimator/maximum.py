@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .balance import Balance, build
+from .bandlimit import passband
 from .columns import Columns
-from .dressing import dressed, flutter, mean_responses, self_energies
+from .dressing import Flutter, dressed, flutter, mean_responses, self_energies
 from .errors import DataError
 from .likelihood import Likelihood, Local, Point, active, maximise
 from .model import Model
@@ -20,7 +21,7 @@ from .start import Start
 Floats = NDArray[np.float64]
 SECONDS = 12.0  # of the record that shapes are sought on before all of it is used
 ROUGH_ROUNDS, ROUNDS = 8, 5
-DRESSINGS = 3
+DRESSINGS = 10
 SETTLED = 0.1  # of a standard deviation: a step that no longer matters
 REACH = 0.3  # largest step in a shape, of its value
 
@@ -63,7 +64,7 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
     local, converged = maximise(Likelihood(bank.evidence(start.nodes)), first)
     if not searching:
         tangents = tangents_of(record, start, bank, local)
-        bank = without_flutter(bank, local, tangents)
+        bank = without_flutter(record, bank, local, tangents)
         likelihood, local, converged = dress(bank, start, local, tangents, converged)
         known |= dict(zip(held.names, local.point.beta.tolist(), strict=True))
         return Maximum(held, bank, likelihood, local, known, converged)
@@ -78,7 +79,7 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
             local, converged = maximise(Likelihood(bank.evidence(start.nodes)), point)
             if whole:
                 tangents = tangents_of(record, start, bank, local) if tangents is None else tangents
-                bank = without_flutter(bank, local, tangents)
+                bank = without_flutter(record, bank, local, tangents)
                 likelihood, local, converged = dress(bank, start, local, tangents, converged)
             moved = _move(balance, local, known, last=whole)
             if moved < SETTLED:
@@ -129,10 +130,10 @@ def _move(balance: Balance, local: Local, values: dict[str, float], last: bool) 
 
 @dataclass(frozen=True, slots=True)
 class Tangents:
-    """What fluctuating tangents do (dressing.py). pairs : (nodes, columns, columns); flutter : of the Gram matrix."""
+    """What fluctuating tangents do (dressing.py). pairs : (nodes, columns, columns); flutter : what noise does."""
 
     pairs: NDArray[np.complex128]
-    flutter: Floats | None
+    flutter: Flutter | None
 
 
 def tangents_of(record: Record, start: Start, bank: Bank, local: Local) -> Tangents | None:
@@ -149,13 +150,20 @@ def tangents_of(record: Record, start: Start, bank: Bank, local: Local) -> Tange
     return Tangents(pairs, flutter(record, columns) if local.point.noise.any() else None)
 
 
-def without_flutter(bank: Bank, local: Local, tangents: Tangents | None) -> Bank:
-    """The bank without what the noise of displacement sensors adds to the squares of the laws (dressing.flutter)."""
+def without_flutter(record: Record, bank: Bank, local: Local, tangents: Tangents | None) -> Bank:
+    """The bank without what the noise of displacement sensors adds to the laws and their squares (dressing.flutter)."""
     if tangents is None or tangents.flutter is None:
         return bank
-    per_bin = np.einsum("i,ikl->kl", local.point.noise, tangents.flutter)
+    noise, P = local.point.noise, len(bank.balance.places)
+    f = np.linspace(0.0, 0.5 * record.rate_hz, 2000)
+    variance = noise * np.trapezoid(passband(f, record.rate_hz, record.model.band) ** 2, f)
+    straight = np.eye(len(bank.balance.columns))
+    straight[:, 2 * P : 3 * P] -= (variance[:, None] * tangents.flutter.bend).T
+    per_bin = np.einsum("i,ikl->kl", noise, tangents.flutter.covariance)
     count = bank.blocks[:, None, None, None] * bank.grid.per_cell[:, None, None]
-    return replace(bank, grams=bank.grams - count * per_bin)
+    slope = bank.tangents.copy()
+    slope[:, 0] -= variance @ tangents.flutter.bend
+    return replace(bank, grams=straight @ (bank.grams - count * per_bin) @ straight.T, tangents=slope)
 
 
 def dress(

@@ -34,12 +34,14 @@ def test_noise_adds_the_variance_of_the_tangent_times_its_psd() -> None:
 
     record = prepare(model, x[:, None], RATE)
     columns = Columns(build(model), record.scales, 1e-9 * np.ones((1, 2)))
-    C = flutter(record, columns, 60.0)
-    assert C is not None
+    found = flutter(record, columns, 60.0)
+    assert found is not None
+    C = found.covariance
     k = len(columns.balance.columns) - 1
     seen, e = record.motion.x[0], prepare(model, noise[:, None], RATE).motion.x[0]
     tangent = 3 * seen**2
     assert C[0, k, k] == pytest.approx(np.var(tangent[record.motion.valid]), rel=0.05)
+    assert found.bend[0, k] == pytest.approx(3.0)  # (x + e)^3 is x^3 + 3 <e^2> x in the mean
     f, power = welch((tangent - tangent.mean()) * e, RATE, nperseg=1024)
     assert power[(f > 20) & (f < 250)].mean() == pytest.approx(C[0, k, k] * psd, rel=0.15)
 
@@ -50,10 +52,11 @@ def test_it_is_taken_out_of_displacements_only() -> None:
         y = x + 0.05 * SIGMA * np.random.default_rng(3).normal(size=x.size)
         solution = analyse(model, y[:, None], RATE)
         columns = Columns(solution.balance, solution.record.scales, solution.start.widths)
-        C = flutter(solution.record, columns)
-        assert (C is not None) == some
+        found = flutter(solution.record, columns)
+        assert (found is not None) == some
         bank = gather(solution.record, solution.balance, solution.start.widths)
         local = replace(solution.local, point=replace(solution.point, noise=np.array([1e-6])))
-        less = without_flutter(bank, local, Tangents(np.zeros((1, 4, 4), complex), C))
+        less = without_flutter(solution.record, bank, local, Tangents(np.zeros((1, 4, 4), complex), found))
         assert np.allclose(less.grams[..., :-1, :-1], bank.grams[..., :-1, :-1])
         assert np.any(less.grams < bank.grams) == some
+        assert less.tangents[-1, 0] == pytest.approx(bank.tangents[-1, 0] - (3e-6 * 340 if some else 0.0), rel=1e-3)
