@@ -98,7 +98,7 @@ def acquire(
     live = driver.kind not in FINITE
     make = make or maker(rig.estimator.method, rig.estimator.time_constant_s)
     rate_hz = rig.acquisition.rate_hz if rig.acquisition else None
-    if rate_hz:
+    if rate_hz and live:  # nobody waits for a log
         _warm_up(make, rig, rate_hz)
     about = _about(driver, clock) | dict(metadata or {})
     plan = Plan(rig.model, make, rate_hz, device, rig.attachments(), about, seconds)

@@ -61,7 +61,8 @@ class RollingSpectral:
         self._seen = 0  # rows taken in
         self._next = 0  # first row of the next block
         self._since_solved = 0
-        self._status = "warming up"
+        self._since_taken = False
+        self._ahead: Record | None = None  # what the next blocks are cut from
         self._fitted: RollingFit | None = None
         self._retry_at = 0
         self._moves = np.zeros(0)  # (places,) rms acceleration at the start, m/s^2
@@ -76,7 +77,11 @@ class RollingSpectral:
         motion = self._filter.push(block[:, self._used])
         if motion.rows:
             self._kept.append(motion)
-            self._advance()
+            self._ahead = None
+        if self._fitted is not None:
+            self._advance(self._fitted, 1 + len(block) // self._grid.hop)
+        elif motion.rows:
+            self._start()
 
     def snapshot(self) -> Estimate:
         """The estimate as of the last update."""
@@ -93,20 +98,23 @@ class RollingSpectral:
         angle = self._shaft.angle(record.motion.start, record.motion.start + record.motion.rows)
         return record if angle is None else replace(record, phase=angle)
 
-    def _advance(self) -> None:
+    def _start(self) -> None:
+        """Begin, once there is enough to fit."""
         end = self._kept[-1].start + self._kept[-1].rows
-        if self._fitted is None:
-            wanted = max(int(WARM_UP_S * self.rate_hz), 24 * self._grid.hop)
-            if end - self._kept[0].start >= wanted and end >= self._retry_at:
-                self._begin()
-                self._retry_at = end + wanted // 2
-                self._trim(end - wanted)
-            return
-        fitted, grid = self._fitted, self._grid
-        record = self._record(self._next - MARGIN)
-        first = record.motion.start
-        while self._next + grid.size + MARGIN <= end:
-            at = self._next - first
+        wanted = max(int(WARM_UP_S * self.rate_hz), 24 * self._grid.hop)
+        if end - self._kept[0].start >= wanted and end >= self._retry_at:
+            self._begin()
+            self._retry_at = end + wanted // 2
+            self._trim(end - wanted)
+
+    def _advance(self, fitted: RollingFit, most: int) -> None:
+        """Take the next blocks, `most` at a time, and solve when there is none: no call has much to do, so that none
+        is late. A whole record given at once is worked through at once."""
+        grid, end = self._grid, self._kept[-1].start + self._kept[-1].rows
+        taken = 0
+        while taken < most and self._next + grid.size + MARGIN <= end:
+            record = self._ahead = self._ahead or self._record(self._next - MARGIN)
+            at = self._next - record.motion.start
             fitted.forget()
             self._still = self._standing(record.motion.a[:, at : at + grid.size])
             if record.motion.valid[at : at + grid.size].all() and not self._still:
@@ -114,9 +122,14 @@ class RollingSpectral:
             else:
                 fitted.lines.restart()
             self._next += grid.hop
-        self._trim(min(self._next - MARGIN, end - max(int(WARM_UP_S * self.rate_hz), 24 * grid.hop)))
-        if self._since_solved >= SHOW_EVERY_S * self.rate_hz * 0.8:
-            self._solve()
+            taken += 1
+        if taken:
+            self._since_taken = True
+        if self._since_taken and self._next + grid.size + MARGIN > end and (most > 1 or not taken):
+            self._trim(min(self._next - MARGIN, end - max(int(WARM_UP_S * self.rate_hz), 24 * grid.hop)))
+            self._since_taken = False
+            if self._since_solved >= SHOW_EVERY_S * self.rate_hz * 0.6:
+                self._solve()
 
     def _standing(self, a: Floats) -> str:
         """What to tell about a place whose acceleration (places, n) is none."""
