@@ -170,6 +170,8 @@ class Naming:
                 self._level = max(self._level, extra[MISSING])
             return
         self._level = extra[MISSING]
+        if self._asked is not None and now.index - self._asked < CALM_S * self._rate_hz:
+            return  # the diagnosis after a jump has just told of it
         if self._since is None:
             self._since = now.index  # what is before may be of a time when nothing was missing
         best, *others = sure

@@ -60,6 +60,7 @@ class RerunView:
         self._exponents: dict[str, int] = {}
         self._kinds: dict[str, str] = {}  # of parameters, for the layout
         self._missing_force = False
+        self._force_colours: dict[str, int] = {}
         self._sure: set[str] = set()  # effects that the estimator was certain of at some time
         self._states: dict[str, str] = {}
         self._begin(session.info)
@@ -234,13 +235,17 @@ class RerunView:
                 value = extra.get(
                     MISSING if not k else f"{MISSING}_{name}", math.nan
                 )  # NaN ends the line of what is over
-                style = rr.SeriesLines(names=name)
+                style = rr.SeriesLines(names=name, colors=[self._series_colour(name)])
                 self._to.log(f"missing_force/{part(name)}", rr.Scalars(value), style)
             self._sure.update(sure)
             self._state("model", A_FORCE if sure else NOTHING_MISSING, estimate.index)
         self._state("estimator", estimate.status, estimate.index)
         if new:
             self._lay_out()
+
+    def _series_colour(self, name: str) -> tuple[int, int, int]:
+        """Of a line of the missing force: the same for a name all along."""
+        return colour(self._force_colours.setdefault(name, len(self._force_colours)))
 
     def _tint(self, place: str) -> tuple[int, int, int]:
         """The colour of the channel at that place."""

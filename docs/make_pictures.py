@@ -1,8 +1,8 @@
 """Makes the pictures of the documentation: `python docs/make_pictures.py [rerun] [comparison] [report]`.
 
 rerun.png : the live view, of a session run through the real chain (simulated device, CAN FD frames on a virtual bus,
-core loop, estimator, Rerun sink), with one gap provoked. comparison.png and report.png : made by
-`rotorscope demo`. Needs xvfb-run and a Vulkan driver for Rerun (Debian: xvfb, xauth, mesa-vulkan-drivers,
+core loop, estimator, naming, Rerun sink), with an effect that the model lacks and one gap provoked. comparison.png and
+report.png : made by `rotorscope demo`. Needs xvfb-run and a Vulkan driver for Rerun (Debian: xvfb, xauth, mesa-vulkan-drivers,
 libxkbcommon-x11-0, libx11-xcb1, libxcursor1, libxi6, libxrandr2) and chromium for the report.
 """
 
@@ -17,7 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
-RIG = DOCS.parent / "configs" / "tiwari_vyas_1997.toml"
+RIG = DOCS.parent / "daq" / "demo_rig.toml"
 SIZE = (1600, 1000)
 SECONDS = 24.0
 
@@ -38,18 +38,22 @@ def main(wanted: list[str]) -> int:
 def rerun(folder: Path) -> Path:
     """The live view at the end of a session."""
     from daq.acquire import acquire
+    from daq.demo import truth_text
+    from daq.naming import Naming
     from daq.rerun_sink import RerunSink
-    from daq.rig import load_rig
+    from daq.rig import Rig, load_rig
     from daq.simulation import machine
     from drivers.faults import Fault
     from drivers.links import VirtualConfig, make_driver
 
     rig = load_rig(RIG)
     lost = Fault("drop", at=round(0.7 * SECONDS * 25600 / 7), count=900)  # frames of seven samples: a quarter second
-    device = machine(rig, seed=3, seconds=SECONDS, config={"faults": (lost,), "clock_ppm": 35.0}).device
+    truth = Rig.parse(truth_text(rig))
+    device = machine(rig, truth=truth, seed=3, seconds=SECONDS, config={"faults": (lost,), "clock_ppm": 35.0}).device
     recording = folder / "session.rrd"
     driver = make_driver(VirtualConfig(), device=device)
-    acquire(rig, driver, [RerunSink(str(recording))], SECONDS, metadata={"command": "docs/make_pictures.py"})
+    sinks = [RerunSink(str(recording)), Naming(rig, live=False)]
+    acquire(rig, driver, sinks, SECONDS, metadata={"command": "docs/make_pictures.py"})
     return screenshot(recording, DOCS / "rerun.png")
 
 

@@ -92,6 +92,13 @@ def test_a_jump_of_the_parameters_is_said_and_a_gap_is_none() -> None:
     assert told.feed(20, SOUND, 5_000.0) == []
 
 
+def test_what_was_named_after_a_jump_is_not_told_twice() -> None:
+    told = Told()
+    told.feed(20, SOUND, 20_000.0)
+    assert told.feed(10, {}, 5_000.0, kL=1.1e7) == ["parameters_changed", "effect_named"]
+    assert told.feed(30, OPEN) == []
+
+
 def test_missing_samples_are_missing_in_the_question() -> None:
     told = Told()
     told.feed(1, OPEN)
