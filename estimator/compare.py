@@ -18,6 +18,7 @@ from .model import Model
 from .model_uses import placed_of
 from .preparation import prepare
 from .shape import Shape
+from .side_by_side import both
 from .suspects import suspects
 from .twin import twin
 from .where import Where, where_of
@@ -88,11 +89,14 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
 def compare_point(model: Model, point: WorkingPoint, y: Array, say: Progress) -> Comparison:
     """The same from a model already fitted."""
     say(0.4, "what can still be predicted")
-    found = missing_force.survey(point, model, others=suspects(model, point, y))
+    (others, beside), found = both(
+        lambda: (suspects(model, point, y), twin(fitted_model(model, point), point)),
+        lambda: missing_force.survey(point, model),
+    )
+    found = found.beside(others)
+    say(0.85, "held-out likelihood")
     nll = heldout_nll(point)
     reference = reference_nll(point, found, nll)
-    say(0.85, "simulated twin")
-    beside = twin(fitted_model(model, point), point)
     channel = {p: next(c.name for c in model.channels if c.place == p) for p in point.data.places}
     drawn, laws = curves(point, found, channel, missing_force.orders_of(model))
     say(1.0, "done")

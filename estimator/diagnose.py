@@ -16,6 +16,7 @@ from .model import Model
 from .model_uses import acting, placed_of, searched
 from .preparation import prepare
 from .shape import Shape, shape_of
+from .side_by_side import each
 from .suspects import suspects
 from .working_point import WorkingPoint, fit_model, thinned
 
@@ -119,18 +120,20 @@ def _screen(model: Model, point: WorkingPoint, say: Progress) -> list[screen.Tri
     """The best trial of every force effect at every spot; searched parameters refined for the promising ones."""
     small = thinned(point, SEARCH_SECONDS)
     pairs = [(e, s) for e in CATALOGUE.values() for s in screen.spots(e, model, point)]
-    trials = []
-    for number, (effect, spot) in enumerate(pairs):
-        say(0.25 + 0.45 * number / len(pairs), f"{effect.name} at {spot}")
-        again = screen.tried(small, point, model, effect, spot)
-        if again is not None:
-            trials.append(again)
+
+    def said(done: int) -> None:
+        effect, spot = pairs[done - 1]
+        say(0.25 + 0.45 * done / len(pairs), f"{effect.name} at {spot}")
+
+    tried = each(lambda pair: screen.tried(small, point, model, *pair), pairs, said)
+    trials = [t for t in tried if t is not None]
     trials.sort(key=lambda t: -t.gain)
     say(0.7, "refining the best")
     middle = thinned(point, REFINE_SECONDS)
     promising = [t for t in trials[:12] if searched(t.effect, model) and t.gain > max(4.0, 0.6 * trials[0].gain)]
-    better = {id(t): screen.refined(middle, point, model, t) for t in promising[:6]}
-    return [better.get(id(t), t) for t in trials]
+    better = each(lambda t: screen.refined(middle, point, model, t), promising[:6])
+    instead = {id(t): new for t, new in zip(promising, better, strict=False)}
+    return [instead.get(id(t), t) for t in trials]
 
 
 def _same_state_left(before: missing_force.Survey, after: missing_force.Survey, best: Entry) -> float:

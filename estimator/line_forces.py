@@ -42,16 +42,20 @@ class Spectrum:
     Y: Complexes
     noise: Array
     seconds: float
-    y: Array
+    windowed: Array  # (places, n) accelerations under the window
     rate_hz: float
     model: Model
 
     def at(self, hz: float) -> tuple[Complexes, Array]:
         """(places,) complex amplitudes (phase at t = 0) at any frequency, and their noise."""
-        n = self.y.shape[1]
-        t = np.arange(n) / self.rate_hz
-        window = np.hanning(n)
-        amplitude = 2 * (self.y * window) @ np.exp(-2j * np.pi * hz * t) / window.sum()
+        P, n = self.windowed.shape
+        w = -2j * np.pi * hz / self.rate_hz
+        step = 2048
+        whole = n // step * step
+        inner = self.windowed[:, :whole].reshape(P, -1, step) @ np.exp(w * np.arange(step))
+        total = inner @ np.exp(w * step * np.arange(whole // step))
+        total = total + self.windowed[:, whole:] @ np.exp(w * np.arange(whole, n))
+        amplitude = 2 * total / (0.5 * (n - 1))
         k = int(np.clip(round(hz * self.seconds), 1, self.f_hz.size - 1))
         return amplitude, self.noise[:, k]
 
@@ -66,17 +70,17 @@ def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
     keep = rows.shape[1]
     while next_fast_len(keep, real=True) != keep:
         keep -= 1
-    rows = np.ascontiguousarray(rows[:, :keep])
+    windowed = rows[:, :keep] * np.hanning(keep)
+    del rows
     f: Array = np.asarray(np.fft.rfftfreq(keep, 1 / rate_hz), dtype=np.float64)
-    window = np.hanning(keep)
-    Y = 2 * rfft(rows * window, axis=1, workers=2) / window.sum()
+    Y = 2 * rfft(windowed, axis=1, workers=2) / (0.5 * (keep - 1))
     thin = 4  # the median need not be known at every bin
     noise = np.empty(Y.shape)
-    for i in range(len(rows)):
+    for i in range(len(Y)):
         power = np.abs(Y[i]) ** 2
         local = median_filter(power[::thin], 2 * NEIGHBOURS // thin + 1, mode="nearest") / np.log(2)
         noise[i] = np.maximum(np.repeat(local, thin)[: power.size], 1e-300)
-    return Spectrum(f, Y, noise, keep / rate_hz, rows, rate_hz, model)
+    return Spectrum(f, Y, noise, keep / rate_hz, windowed, rate_hz, model)
 
 
 _POWER = {"acceleration": 0, "velocity": 1, "displacement": 2}

@@ -12,7 +12,7 @@ with Q the Gram matrix of the found columns per second, freed from what the mode
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from .effects.places import kinematic
 from .model import Model
 from .model_uses import not_judged
 from .path_fit import PathFit
+from .side_by_side import each
 from .subproblem import Subproblem, subproblem
 from .suspect import SHAPES, Share, Suspect, shares
 from .working_point import WorkingPoint, thinned
@@ -171,6 +172,13 @@ class Survey:
     bearing: Array
     shares: tuple[Share, ...] = ()
 
+    def beside(self, others: Sequence[Suspect]) -> Survey:
+        """The survey with findings that no state explains."""
+        by_state = {r.place: sum(f.gain for f in r.found) for r in self.residuals}
+        # a law that is missing also bends the spectrum of the inferred force: not a second finding
+        kept = [s for s in others if s.effect not in SHAPES or all(s.gain > by_state.get(i, 0.0) for i in s.power)]
+        return replace(self, shares=tuple(shares(kept)))
+
     def any_found(self) -> bool:
         return bool(self.shares) or any(r.found for r in self.residuals)
 
@@ -206,8 +214,5 @@ def survey(
     left_out = not_judged(model, point.data.places)
     places = [i for i in (range(len(point.data.places)) if only is None else only) if i not in left_out]
     tries = len(point.data.places) * len(reference.GROUPS)
-    residuals = tuple(explain(point, i, orders_of(model), tries) for i in places)
-    by_state = {r.place: sum(f.gain for f in r.found) for r in residuals}
-    # a law that is missing also bends the spectrum of the inferred force: not a second finding
-    kept = [s for s in others if s.effect not in SHAPES or all(s.gain > by_state.get(i, 0.0) for i in s.power)]
-    return Survey(residuals, point.bearing_force, tuple(shares(kept)))
+    residuals = tuple(each(lambda i: explain(point, i, orders_of(model), tries), places))
+    return Survey(residuals, point.bearing_force).beside(others)

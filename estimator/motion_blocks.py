@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .bandlimit import band_limit
+from .bandlimit import Motion, band_limit
 from .errors import DataError
 from .model import Model
 from .rotor import shaft_at_caps
+from .side_by_side import each
 
 Array = NDArray[np.float64]
 FOLDS = 6
@@ -119,8 +120,13 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
             raise DataError(f"channel {model.channels[k].name} is zero all along: check the sensor and the link")
     while block > 1024 and y.shape[0] < 24 * block:
         block //= 2
-    motion = band_limit(y[:, columns], [model.channels[k].kind for k in columns], rate_hz, model.band, _beta(model))
-    starts = _valid_starts(motion.valid, block)
+    kinds = [model.channels[k].kind for k in columns]
+
+    def limited(part: list[int]) -> Motion:
+        return band_limit(y[:, [columns[k] for k in part]], [kinds[k] for k in part], rate_hz, model.band, _beta(model))
+
+    motions = each(limited, [[k] for k in range(len(columns))])
+    starts = _valid_starts(np.logical_and.reduce([m.valid for m in motions]), block)
     if starts.size < 2 * FOLDS:
         raise DataError(
             f"only {starts.size * block / rate_hz:.2f} s of valid samples in unbroken stretches; "
@@ -128,11 +134,15 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
         )
     rows = (starts[:, None] + np.arange(block)).ravel()
     P = len(places)
-    a, v, x = (np.ascontiguousarray(z[:P, rows]) for z in (motion.a, motion.v, motion.x))
+    runs = _runs(starts, block)
+    a, v, x = (np.empty((P, rows.size)) for _ in range(3))
+    for i, m in enumerate(motions[:P]):
+        for out, z in ((a, m.a), (v, m.v), (x, m.x)):
+            np.concatenate([z[0, run] for run in runs], out=out[i])
     mass = np.array([model.cap_mass(p) or 1.0 for p in places])
     known = mass[:, None] * a
-    if motion.u.size:
-        u = motion.u[:P, rows]
+    if motions[0].u.size:
+        u = [np.concatenate([m.u[0, run] for run in runs]) for m in motions[:P]]
         for i, p in enumerate(places):
             for j, q in enumerate(places):
                 if p.split(".")[1] == q.split(".")[1]:
@@ -140,7 +150,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
         if model.shaft == "chain":
             known += model.shaft_stiffness * x + model.shaft_damping * v
     for k, p in enumerate(q for q in places if q in forced):
-        known[places.index(p)] -= motion.a[P + k, rows]
+        known[places.index(p)] -= motions[P + k].a[0, rows]
     t = rows / rate_hz
     speed = 2 * np.pi * (model.speed_rpm or 0.0) / 60
     fold = np.minimum(np.arange(starts.size) * FOLDS // starts.size, FOLDS - 1)
@@ -188,6 +198,12 @@ def _beta(model: Model) -> Callable[[Array], NDArray[np.complex128]] | None:
         return np.asarray(caps[:, 0, 1])
 
     return response
+
+
+def _runs(starts: NDArray[np.int64], block: int) -> list[slice]:
+    """The rows of all blocks, neighbours joined."""
+    cuts = np.flatnonzero(np.diff(starts) != block) + 1
+    return [slice(int(s[0]), int(s[-1]) + block) for s in np.split(starts, cuts)]
 
 
 def _valid_starts(valid: NDArray[np.bool_], block: int) -> NDArray[np.int64]:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .motion_blocks import FOLDS, MotionBlocks
+from .side_by_side import each
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -106,20 +107,23 @@ class Weighing:
         from scipy.fft import rfft
 
         z = series.reshape(self.data.blocks, self.data.block).astype(np.float32)
-        Z = rfft(z, axis=1, workers=2)[:, self.data.bins] * self._root[i]
+        Z = rfft(z, axis=1)[:, self.data.bins] * self._root[i]
         return np.ascontiguousarray(Z).view(np.float32)
 
     def columns(self, terms: list[Term]) -> Columns:
-        spectra: dict[int, list[Spectrum]] = {}
         index: dict[int, list[int]] = {}
         for k, term in enumerate(terms):
-            for i, series in term.series.items():
-                spectra.setdefault(i, []).append(self.spectrum(i, series * term.scale))
+            for i in term.series:
                 index.setdefault(i, []).append(k)
+
+        def at(i: int) -> Spectrum:
+            return np.stack([self.spectrum(i, terms[k].series[i] * terms[k].scale) for k in index[i]])
+
+        spectra = dict(zip(index, each(at, index), strict=True))
         tangents = np.array([term_response(t, self.data) for t in terms])
         return Columns(
             tuple(t.name for t in terms), tuple(t.unit for t in terms), np.array([t.scale for t in terms]), tangents,
-            {i: np.stack(z) for i, z in spectra.items()}, {i: np.array(k) for i, k in index.items()},
+            spectra, {i: np.array(k) for i, k in index.items()},
         )  # fmt: skip
 
 
@@ -132,7 +136,8 @@ def gram(weighing: Weighing, force: dict[int, Spectrum], *columns: Columns) -> G
     n = np.zeros((P, FOLDS))
     bins = weighing.weight.shape[1]
     log_weight = np.zeros((P, FOLDS))
-    for i in range(P):
+
+    def at_place(i: int) -> None:
         rows = [0]
         stacks = [force[i][None]]
         offset = 1
@@ -149,6 +154,8 @@ def gram(weighing: Weighing, force: dict[int, Spectrum], *columns: Columns) -> G
             G[i, f][at[:, None], at] = Z @ Z.T
             n[i, f] = here.size * bins
             log_weight[i, f] = here.size * np.log(weighing.weight[i]).sum()
+
+    each(at_place, range(P))
     return Gram(
         G, n, log_weight, np.concatenate([c.tangents for c in columns]), np.concatenate([c.scales for c in columns]),
         tuple(k for c in columns for k in c.names), tuple(u for c in columns for u in c.units),

@@ -169,8 +169,21 @@ class Span:
     """What the base terms span at one place: B (k, n) scaled to rms 1, their Gram matrix and tangents."""
 
     B: NDArray[np.float32]
+    part: NDArray[np.float32]  # (k, n / STRIDE) of B
     gram: Array
     slopes: Array  # (k, places, 2)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _less(z, B, weights):  # type: ignore[no-untyped-def]
+    """z - weights @ B, (n,), in one pass, double precision."""
+    out = np.empty(z.size)
+    for i in range(z.size):
+        total = z[i]
+        for k in range(B.shape[0]):
+            total -= weights[k] * B[k, i]
+        out[i] = total
+    return out
 
 
 STRIDE = 4  # of the samples that the projection is computed from; it need not be exact, only subtracted exactly
@@ -180,11 +193,24 @@ def span(base: Sequence[Term], i: int) -> Span:
     """The base at place i."""
     own = [b for b in base if i in b.series]
     B = np.stack([(b.series[i] * b.scale).astype(np.float32) for b in own])
-    part = B[:, ::STRIDE].astype(np.float64)
-    return Span(B, part @ part.T, np.stack([b.tangent[i] * b.scale for b in own]))
+    part = np.ascontiguousarray(B[:, ::STRIDE])
+    wide = part.astype(np.float64)
+    return Span(B, part, wide @ wide.T, np.stack([b.tangent[i] * b.scale for b in own]))
 
 
-def orthogonal(term: Term, spans: Sequence[Span], least: float = 1e-4) -> Term | None:
+class Spans:
+    """The base's span at every place, made when it is first asked for."""
+
+    def __init__(self, base: Sequence[Term]) -> None:
+        self._base, self._made = base, dict[int, Span]()
+
+    def __getitem__(self, i: int) -> Span:
+        if i not in self._made:
+            self._made[i] = span(self._base, i)
+        return self._made[i]
+
+
+def orthogonal(term: Term, spans: Spans, least: float = 1e-4) -> Term | None:
     """The term without what the base (by place) already explains there, series and tangent alike.
 
     The likelihood is the same function of the new parameter; what changes is that nearly equal columns keep their
@@ -194,10 +220,8 @@ def orthogonal(term: Term, spans: Sequence[Span], least: float = 1e-4) -> Term |
     before = after = 0.0
     for i, z in term.series.items():
         base = spans[i]
-        weights = np.linalg.lstsq(base.gram, base.B[:, ::STRIDE].astype(np.float64) @ z[::STRIDE], rcond=1e-10)[0]
-        rest = z.copy()
-        for w, b in zip(weights, base.B, strict=True):
-            rest -= w * b
+        weights = np.linalg.lstsq(base.gram, base.part @ z[::STRIDE], rcond=1e-10)[0]
+        rest = _less(z, base.B, weights)
         slopes[i] -= np.tensordot(weights, base.slopes, 1)
         series[i] = rest
         before += float(z @ z)

@@ -137,12 +137,13 @@ def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> Iterator[Gr
         yield group("shaft_angle", columns)
 
 
-def columns(point: WorkingPoint, i: int, group: Group) -> Columns:
-    """The group as weighted spectra, each column scaled to the rms of the inferred force."""
-    spectra = np.stack([point.weighing.spectrum(i, z) for z in group.series])
+def columns(point: WorkingPoint, i: int, group: Group, spectra: Series) -> Columns:
+    """The group as weighted spectra, filled into `spectra`, each column scaled to the rms of the inferred force."""
+    for k, z in enumerate(group.series):
+        spectra[k] = point.weighing.spectrum(i, z)
     power = np.sqrt(np.array([np.vdot(z, z) / z.size for z in spectra]))
     power = np.maximum(power, 1e-30)
-    own = np.sqrt(np.mean(point.spectra[i] ** 2))
+    own = float(np.sqrt(np.vdot(point.spectra[i], point.spectra[i]) / point.spectra[i].size))
     scales = np.asarray(own / power, dtype=np.float64)
     spectra *= scales[:, None, None].astype(np.float32)
     P = len(point.data.places)
@@ -161,9 +162,8 @@ def all_columns(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple
     names: list[str] = []
     scales, tangents, knots = [], [], {}
     for g in groups(data, i, orders):
-        part = columns(point, i, g)
-        q = len(part.names)
-        rows[used : used + q] = part.spectra[i]
+        q = len(g.series)
+        part = columns(point, i, g, rows[used : used + q])
         used += q
         names += part.names
         scales.append(part.scales)

@@ -11,6 +11,7 @@ from . import placed as placing
 from .motion_blocks import FOLDS, MotionBlocks
 from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing, fit, gram
 from .placed import Placed
+from .side_by_side import each
 
 Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
@@ -36,7 +37,7 @@ class WorkingPoint:
     fit: PathFit
     A: NDArray[np.complex128]  # (bins, places, places)
     slopes: Array  # (places, places, 2) mean tangent
-    spans: tuple[placing.Span, ...]  # of the model's own columns, by place
+    spans: placing.Spans  # of the model's own columns, by place
 
     @property
     def lin(self) -> Array:
@@ -70,6 +71,7 @@ def fit_model(
         kL, c, nu = start.kL.copy(), start.c.copy(), start.nu.copy()
     point: WorkingPoint | None = None
     for round_ in range(rounds):
+        point = None  # its columns are large: let go before the next are made
         point = _at(data, kL, c, nu, uses)
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
         nu_old, nu = nu, _noise(point)
@@ -78,6 +80,7 @@ def fit_model(
         kL, c, uses = _moved(point, kL, c)
         if moved.max(initial=0.0) < 0.05 and np.allclose(nu, nu_old, rtol=0.2, atol=1e-9) and round_ > 0:
             break
+    point = None
     return _at(data, kL, c, nu, uses)
 
 
@@ -121,13 +124,17 @@ def _forces(data: MotionBlocks, kL: Array, c: Array, uses: list[Placed]) -> tupl
     D[np.arange(P), np.arange(P), 0] = kL
     D[np.arange(P), np.arange(P), 1] = c
     lin = np.stack([data.mass, kL, c], axis=1)
-    for use in uses:
-        for i in use.at:
-            f, slope, memory = placing.evaluate(use, data, i, lin[i])
-            F[i] += f
-            D[i] += slope
-            if memory is not None:
-                M[:, i, i] += memory
+
+    def add(i: int) -> None:
+        for use in uses:
+            if i in use.at:
+                f, slope, memory = placing.evaluate(use, data, i, lin[i])
+                F[i] += f
+                D[i] += slope
+                if memory is not None:
+                    M[:, i, i] += memory
+
+    each(add, range(P))
     w = 2 * np.pi * data.f_hz[:, None, None]
     return F, np.diag(data.mass)[None] - (data.shaft + M + D[..., 0]) / w**2 + D[..., 1] / (1j * w), D
 
@@ -145,11 +152,11 @@ def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) 
     P = len(data.places)
     A2 = np.stack([np.sum(np.abs(A[:, i, :]) ** 2, axis=1) for i in range(P)])
     weighing = Weighing(data, 1.0 / (data.colour + nu[:, None] * A2))
-    spectra = {i: weighing.spectrum(i, F[i]) for i in range(P)}
+    spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
     lin = np.stack([data.mass, kL, c], axis=1)
     terms = [t for i in range(P) for t in placing.linear_terms(data, i)]
-    for use in uses:
-        terms += placing.terms(use, data, lin)
+    for made in each(lambda use: placing.terms(use, data, lin), uses):
+        terms += made
     columns = weighing.columns(terms)
     G = gram(weighing, spectra, columns)
     jacobian = Jacobian(A)
@@ -172,7 +179,7 @@ def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) 
         result,
         A,
         D,
-        tuple(placing.span(terms, i) for i in range(P)),
+        placing.Spans(terms),
     )
 
 
