@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .balance import Balance, force_channels, motion_channels, shaft_notch, shaft_response
-from .bandlimit import Motion, band_limit
+from .bandlimit import Motion
 from .columns import Columns, Stretch
 from .errors import DataError
 from .features import MARGIN
+from .filtered import Filtered
 from .gram import CELLS, Layout, Nodes, gram, layout, nodes, spectra, valid_blocks
 from .likelihood import Evidence
 from .model import Model
@@ -32,7 +33,7 @@ class Record:
 
     model: Model
     rate_hz: float
-    motion: Motion
+    motion: Motion | Filtered
     force: dict[int, Floats]
     phase: Floats
     grid: Layout
@@ -45,6 +46,8 @@ class Record:
 
     def rms(self, name: str) -> Floats:
         """(places,) rms of a, v or x."""
+        if isinstance(self.motion, Filtered):
+            return np.asarray(self.motion.rms["avx".index(name)])
         valid, z = self.motion.valid, getattr(self.motion, name)
         return np.asarray(np.sqrt(np.array([np.dot(row * valid, row) for row in z]) / valid.sum()))
 
@@ -59,15 +62,19 @@ class Record:
         lo, hi = max(start - MARGIN, 0), min(stop + MARGIN, n)
         pad = (lo - start + MARGIN, stop + MARGIN - hi)
 
-        def cut(z: Floats) -> Floats:
-            z = z[..., lo:hi]
+        def padded(z: Floats) -> Floats:
             return np.pad(z, [(0, 0)] * (z.ndim - 1) + [pad]) if any(pad) else z
 
         t = (m.start + np.arange(start - MARGIN, stop + MARGIN)) / self.rate_hz
         valid = np.pad(m.valid[lo:hi], pad)
-        force = {i: cut(f) for i, f in self.force.items()}
+        force = {i: padded(f[lo:hi]) for i, f in self.force.items()}
         phase = np.pad(self.phase[lo:hi], pad, mode="edge") if any(pad) else self.phase[lo:hi]
-        return Stretch(cut(m.a), cut(m.v), cut(m.x), cut(m.u), valid, force, t, phase, self.rate_hz)
+        if isinstance(m, Filtered):
+            z = padded(m.cut(lo, hi))
+            a, v, x, u = z[0], z[1], z[2], z[3] if len(z) > 3 else z[0, :0]
+        else:
+            a, v, x, u = (padded(z[:, lo:hi]) for z in (m.a, m.v, m.x, m.u))
+        return Stretch(a, v, x, u, valid, force, t, phase, self.rate_hz)
 
 
 def notches(model: Model) -> tuple[tuple[float, float], ...]:
@@ -84,9 +91,17 @@ def prepare(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None
     motions, forces = motion_channels(model), force_channels(model)
     used = [*motions, *forces.values()]
     kinds = [model.channels[c].kind for c in used]
-    both = band_limit(y[:, used], kinds, rate_hz, model.band, shaft_response(model))
-    P = len(motions)
-    motion = Motion(0, both.a[:P], both.v[:P], both.x[:P], both.u[:P], both.valid)
+    P, force = len(motions), {}
+    motion: Motion | Filtered
+    filtered = Filtered(
+        y if used == [*range(y.shape[1])] else y[:, used], kinds, rate_hz, model.band, shaft_response(model)
+    )
+    if filtered.large and not forces:
+        motion = filtered
+    else:
+        both = filtered.whole()
+        motion = Motion(0, both.a[:P], both.v[:P], both.x[:P], both.u[:P], both.valid)
+        force = {row: both.a[P + i] for i, row in enumerate(forces)}
     if phase is None:
         turns_per_s = (model.speed_rpm or 0.0) / 60.0
         phase = np.asarray(2 * np.pi * turns_per_s / rate_hz * np.arange(motion.rows), dtype=np.float64)
@@ -96,7 +111,6 @@ def prepare(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None
             f"the record has {motion.valid.sum() / rate_hz:.2f} s of valid samples in a row, "
             f"at least {6 * grid.size / rate_hz:.1f} s are needed for band.low {model.band[0]:g} Hz: record longer"
         )
-    force = {row: both.a[P + i] for i, row in enumerate(forces)}
     return Record(model, rate_hz, motion, force, np.asarray(phase, np.float64), grid)
 
 

@@ -1,0 +1,96 @@
+"""The band limit of a whole record, block by block where it is asked for: the same bits as a stream of its pieces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .bandlimit import BandLimit, Motion
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+LARGE = 3e8  # bytes of motion above which it is computed where it is asked for, every time
+
+
+class Filtered(BandLimit):
+    """Motion of (n, channels) rows that holds no more than the rows and a few blocks. The face of `Motion`."""
+
+    start = 0
+
+    def __init__(
+        self,
+        y: Floats,
+        kinds: Sequence[str],
+        rate_hz: float,
+        band: tuple[float, float],
+        extra: Callable[[Floats], Complexes] | None = None,
+    ) -> None:
+        super().__init__(kinds, rate_hz, band, extra)
+        self._y = y
+        missing = np.concatenate([[0], np.cumsum(~np.isfinite(y).all(axis=1))])
+        self.valid: NDArray[np.bool_] = np.zeros(len(y), bool)
+        if len(y) > 2 * self.half:
+            inner = missing[2 * self.half + 1 :] == missing[: -2 * self.half - 1]
+            self.valid[self.half : self.half + inner.size] = inner
+        self._recent: dict[int, Floats] = {}
+
+    @property
+    def rows(self) -> int:
+        return len(self._y)
+
+    @property
+    def large(self) -> bool:
+        return self._outputs * self._y.nbytes > LARGE
+
+    def _filtered(self, b: int) -> Floats:
+        """(outputs, channels, hop) of the rows b hop ... of the grid that a stream has."""
+        first = b * self._hop - self.half
+        lo, hi = max(first, 0), min(first + self._size, self.rows)
+        y = self._y[lo:hi].T
+        if y.shape[1] < self._size:
+            y = np.pad(y, [(0, 0), (lo - first, first + self._size - hi)], constant_values=np.nan)
+        return self._block(np.ascontiguousarray(y))[0]
+
+    def cut(self, lo: int, hi: int) -> Floats:
+        """(outputs, channels, hi - lo) of rows lo ... hi - 1: a, v, x and the extra output."""
+        blocks = range(lo // self._hop, (hi - 1) // self._hop + 1)
+        self._recent = {b: self._recent[b] if b in self._recent else self._filtered(b) for b in blocks}
+        out = np.empty((self._outputs, len(self.kinds), hi - lo))
+        for b, z in self._recent.items():
+            a, e = max(lo, b * self._hop), min(hi, (b + 1) * self._hop)
+            out[:, :, a - lo : e - lo] = z[:, :, a - b * self._hop : e - b * self._hop]
+        return out
+
+    def whole(self) -> Motion:
+        """All of it, held."""
+        out = np.empty((self._outputs, len(self.kinds), self.rows))
+        for b in range(-(-self.rows // self._hop)):
+            part = out[:, :, b * self._hop : (b + 1) * self._hop]
+            part[:] = self._filtered(b)[:, :, : part.shape[2]]
+        u = out[3] if self._outputs == 4 else np.empty((0, self.rows))
+        return Motion(0, out[0], out[1], out[2], u, self.valid)
+
+    @cached_property
+    def rms(self) -> Floats:
+        """(outputs, channels) of the valid rows."""
+        total = np.zeros((self._outputs, len(self.kinds)))
+        for b in range(-(-self.rows // self._hop)):
+            valid = self.valid[b * self._hop : (b + 1) * self._hop]
+            z = self._filtered(b)[:, :, : valid.size]
+            total += np.einsum("ocn,ocn,n->oc", z, z, valid, optimize=False)
+        return np.asarray(np.sqrt(total / max(int(self.valid.sum()), 1)))
+
+    @property
+    def a(self) -> Floats:
+        return np.asarray(self.cut(0, self.rows)[0])
+
+    @property
+    def v(self) -> Floats:
+        return np.asarray(self.cut(0, self.rows)[1])
+
+    @property
+    def x(self) -> Floats:
+        return np.asarray(self.cut(0, self.rows)[2])

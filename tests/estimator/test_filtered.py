@@ -1,0 +1,45 @@
+"""A record filtered where it is asked for: the same bits, the same fit, without holding the motion."""
+
+import numpy as np
+import pytest
+from reference_rig import PLACES, RATE, rig_model, rig_record
+
+from estimator import filtered, spectral
+from estimator.bandlimit import band_limit
+from estimator.filtered import Filtered
+
+KINDS, BAND = ["acceleration", "displacement"], (150.0, 8000.0)
+
+
+def shaft(f: np.ndarray) -> np.ndarray:
+    return np.asarray(1e5 / (1e5 - f**2 + 1j * f))
+
+
+@pytest.mark.parametrize("extra", [None, shaft])
+def test_every_piece_has_the_bits_of_the_stream(extra: object) -> None:
+    rng = np.random.default_rng(0)
+    y = rng.normal(size=(60001, 2))
+    y[20000:20007, 1] = np.nan
+    whole = band_limit(y, KINDS, RATE, BAND, extra)  # type: ignore[arg-type]
+    pieces = Filtered(y, KINDS, RATE, BAND, extra)  # type: ignore[arg-type]
+    assert np.array_equal(pieces.valid, whole.valid)
+    held = pieces.whole()
+    for lo, hi in ((0, 60001), (0, 1), (59990, 60001), (19000, 21000), (8191, 40000)):
+        z = pieces.cut(lo, hi)
+        for k, name in enumerate("avxu" if extra else "avx"):
+            assert np.array_equal(z[k], getattr(whole, name)[:, lo:hi])
+            assert np.array_equal(getattr(held, name), getattr(whole, name))
+    rms = np.sqrt(np.mean(whole.x[:, whole.valid] ** 2, axis=1))
+    assert np.allclose(pieces.rms[2], rms, rtol=1e-12)
+
+
+def test_a_large_record_is_fitted_without_its_motion_held(monkeypatch: pytest.MonkeyPatch) -> None:
+    y = rig_record(8.0, seed=1)
+    small = spectral.analyse(rig_model("cubic"), y, RATE)
+    monkeypatch.setattr(filtered, "LARGE", 1e6)
+    large = spectral.analyse(rig_model("cubic"), y, RATE)
+    assert isinstance(large.record.motion, Filtered)
+    for place in PLACES:
+        for name in (f"{place}.kL", f"{place}.c", f"{place}.cubic.kNL"):
+            assert large.values[name] == pytest.approx(small.values[name], rel=1e-9)
+    assert np.allclose(spectral.inferred_force(large), spectral.inferred_force(small), rtol=1e-6, equal_nan=True)
