@@ -2,8 +2,8 @@
 
 rerun.png : the live view, of a session run through the real chain (simulated device, CAN FD frames on a virtual bus,
 core loop, estimator, naming, Rerun sink), with an effect that the model lacks and one gap provoked. comparison.png and
-report.png : made by `rotorscope demo`. Needs xvfb-run and a Vulkan driver for Rerun (Debian: xvfb, xauth, mesa-vulkan-drivers,
-libxkbcommon-x11-0, libx11-xcb1, libxcursor1, libxi6, libxrandr2) and chromium for the report.
+report.png : made by `rotorscope demo`. Needs xvfb-run and a Vulkan driver for Rerun (Debian: xvfb, xauth,
+mesa-vulkan-drivers, libxkbcommon-x11-0, libx11-xcb1, libxcursor1, libxi6, libxrandr2) and chromium for the report.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def report(folder: Path) -> Path:
     out = DOCS / "report.png"
     browser = shutil.which("chromium") or shutil.which("google-chrome") or "chromium"
     command = [browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
-    run([*command, "--window-size=1150,1900", f"--screenshot={out}", page.as_uri()])
+    run([*command, "--window-size=1150,1530", f"--screenshot={out}", page.as_uri()])
     return out
 
 
