@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .bandlimit import BandLimit, Motion
+from .side_by_side import each
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -57,9 +58,11 @@ class Filtered(BandLimit):
     def cut(self, lo: int, hi: int) -> Floats:
         """(outputs, channels, hi - lo) of rows lo ... hi - 1: a, v, x and the extra output."""
         blocks = range(lo // self._hop, (hi - 1) // self._hop + 1)
-        self._recent = {b: self._recent[b] if b in self._recent else self._filtered(b) for b in blocks}
+        known = self._recent
+        recent = {b: known[b] if b in known else self._filtered(b) for b in blocks}
+        self._recent = recent  # whole, so that it may be called from two threads
         out = np.empty((self._outputs, len(self.kinds), hi - lo))
-        for b, z in self._recent.items():
+        for b, z in recent.items():
             a, e = max(lo, b * self._hop), min(hi, (b + 1) * self._hop)
             out[:, :, a - lo : e - lo] = z[:, :, a - b * self._hop : e - b * self._hop]
         return out
@@ -67,20 +70,25 @@ class Filtered(BandLimit):
     def whole(self) -> Motion:
         """All of it, held."""
         out = np.empty((self._outputs, len(self.kinds), self.rows))
-        for b in range(-(-self.rows // self._hop)):
+
+        def fill(b: int) -> None:
             part = out[:, :, b * self._hop : (b + 1) * self._hop]
             part[:] = self._filtered(b)[:, :, : part.shape[2]]
+
+        each(fill, range(-(-self.rows // self._hop)))
         u = out[3] if self._outputs == 4 else np.empty((0, self.rows))
         return Motion(0, out[0], out[1], out[2], u, self.valid)
 
     @cached_property
     def rms(self) -> Floats:
         """(outputs, channels) of the valid rows."""
-        total = np.zeros((self._outputs, len(self.kinds)))
-        for b in range(-(-self.rows // self._hop)):
+
+        def squares(b: int) -> Floats:
             valid = self.valid[b * self._hop : (b + 1) * self._hop]
-            z = self._filtered(b)[:, :, : valid.size]
-            total += np.einsum("ocn,ocn,n->oc", z, z, valid, optimize=False)
+            z = self._filtered(b)[:, :, : valid.size] * valid
+            return np.asarray(np.einsum("ocn,ocn->oc", z, z))
+
+        total = np.sum(each(squares, range(-(-self.rows // self._hop))), axis=0)
         return np.asarray(np.sqrt(total / max(int(self.valid.sum()), 1)))
 
     @property

@@ -17,6 +17,7 @@ from .filtered import Filtered
 from .gram import CELLS, Layout, Nodes, gram, layout, nodes, spectra, valid_blocks
 from .likelihood import Evidence
 from .model import Model
+from .side_by_side import each
 
 Floats = NDArray[np.float64]
 BLOCKS_PER_FOLD = 3
@@ -179,18 +180,21 @@ def gather(
     if record.force:
         per_fold *= 4
     most = max(1, min(8, int(_MEMORY / (k * grid.size) / per_fold))) * per_fold
-    grams, counts, starts = [], [], []
-    tangents, weight = np.zeros((k, 4)), 0.0
     usable = valid_blocks(record.motion.valid, grid)
     usable = usable[: max(8, int(min(usable.size, seconds * record.rate_hz / grid.hop)))]
-    for group in stretches(usable, most):
+
+    def part(group: NDArray[np.intp]) -> tuple[list[tuple[Floats, int, float]], Floats, int]:
+        """Gram matrix, number of blocks and start of each fold; sums of tangents and the rows that they are over."""
         first, last = int(group[0]) * grid.hop, int(group[-1]) * grid.hop + grid.size
         z, sums = columns.evaluate(record.stretch(first, last))
-        tangents += sums
-        weight += last - first
-        for i in range(0, group.size, per_fold):
-            part = group[i : i + per_fold]
-            grams.append(gram(spectra(z, part - group[0], grid), grid))
-            counts.append(part.size)
-            starts.append(part[0] * grid.hop / record.rate_hz)
-    return Bank(balance, grid, np.array(grams), np.array(counts, float), np.array(starts), tangents / weight)
+        folds = [group[i : i + per_fold] for i in range(0, group.size, per_fold)]
+        return (
+            [(gram(spectra(z, f - group[0], grid), grid), f.size, f[0] * grid.hop / record.rate_hz) for f in folds],
+            sums,
+            last - first,
+        )
+
+    parts = each(part, stretches(usable, most))
+    grams, counts, starts = zip(*(fold for folds, _, _ in parts for fold in folds), strict=True)
+    tangents = np.sum([sums for _, sums, _ in parts], axis=0) / sum(rows for _, _, rows in parts)
+    return Bank(balance, grid, np.array(grams), np.array(counts, float), np.array(starts), tangents)
