@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
 
@@ -23,12 +24,13 @@ from .output import Output, write_whole
 from .rig import Rig, load_rig
 from .tables import ladder_table, number, parameters_table
 
+BROKEN = 1e-4  # of the samples missing: it may be that which leaves too few stretches
 NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is missing"
 
 
 def fit(output: Output, log: Path, rig_path: Path, method: str, out: Path | None) -> None:
     rig, data = given(output, log, rig_path)
-    with output.progress(f"fitting ({method})"), about(log):
+    with output.progress(f"fitting ({method})"), about(log, data):
         result = fitted(rig, data, method)
     if out is not None:
         write_whole(out, with_values(rig, result.parameters))
@@ -50,14 +52,16 @@ def given(output: Output, log: Path, rig_path: Path) -> tuple[Rig, Measurement]:
 
 
 @contextmanager
-def about(log: Path) -> Iterator[None]:
+def about(log: Path, data: Measurement) -> Iterator[None]:
     """Say which record it is that cannot answer."""
     from estimator.errors import DataError
 
     try:
         yield
     except DataError as problem:
-        raise LogError(f"{log}: {problem}") from problem
+        holes = float(np.mean(np.isnan(data.y).any(axis=1)))
+        why = f" ({100 * holes:.2g} % of it is missing or at full scale: mend the link, or use a larger range)"
+        raise LogError(f"{log}: {problem}{why if holes > BROKEN else ''}") from problem
 
 
 def fitted(rig: Rig, data: Measurement, method: str) -> Fit:
@@ -79,7 +83,7 @@ def _likelihood(result: Fit) -> str:
 def compare(output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None) -> None:
     pages = Pages(html, rerun)
     rig, data = given(output, log, rig_path)
-    with about(log):
+    with about(log, data):
         value = _compared(output, rig, data)
     pages.write(rig, data, comparison=value)
     output.result(value, *comparison_text(value), *pages.said())
@@ -123,7 +127,7 @@ def diagnose(output: Output, log: Path, rig_path: Path, html: Path | None, rerun
 
     pages = Pages(html, rerun)
     rig, data = given(output, log, rig_path)
-    with output.progress("diagnosing") as progress, about(log):
+    with output.progress("diagnosing") as progress, about(log, data):
         value = diagnose_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
     if pages:
         now = _compared(output, rig, data)
@@ -196,7 +200,7 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
 
     pages = Pages(html, rerun)
     rig, data = given(output, log, rig_path)
-    with output.progress("improving") as progress, about(log):
+    with output.progress("improving") as progress, about(log, data):
         ladder = improve_model(rig.model, data.y, data.rate_hz, progress=progress)
     value = ladder.to_json()
     text, better = improved(rig, ladder)

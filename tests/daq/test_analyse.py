@@ -73,3 +73,18 @@ def test_a_page_and_a_recording_of_every_command(tmp_path: Path) -> None:
         text = Page(page.read_text("utf-8")).text
         assert view.stat().st_size > 10_000
         assert ("The ladder" in text) == (command[0] != "compare")
+
+
+def test_a_record_in_pieces_says_so(tmp_path: Path) -> None:
+    from daq.analyse import about
+    from daq.errors import LogError
+    from daq.measurement import Measurement
+    from estimator.errors import DataError
+
+    y = np.zeros((1000, 2))
+    with pytest.raises(LogError, match=r"a\.mcap: too short$"), about(Path("a.mcap"), Measurement(y, 1e3, {})):
+        raise DataError("too short")
+    y[::20, 1] = np.nan
+    broken = pytest.raises(LogError, match=r"too short \(5 % of it is missing or at full scale")
+    with broken, about(Path("a.mcap"), Measurement(y, 1e3, {})):
+        raise DataError("too short")

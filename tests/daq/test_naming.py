@@ -164,3 +164,20 @@ def test_a_clearance_that_opens_at_60_s_is_flagged_and_named_within_20_s(tmp_pat
     verdict = next(n for n in said if n.code == "effect_named")
     assert verdict.text.startswith("clearance at bearing1")
     assert 60 < asked[0] <= 80
+
+
+def test_the_live_table_shows_the_force_and_the_name() -> None:
+    from io import StringIO
+
+    from rich.console import Console
+
+    from daq.live_table import LiveTable
+
+    table = LiveTable(Console(file=StringIO(), width=120))
+    table.estimate(Estimate(0, {"bearing1.x.kL": Parameter(1e7, 1e4, "N/m")}, 10.0, extra=OPEN))
+    table.readings([Notice(0, "warning", "effect_named", "clearance at bearing1 is missing")])
+    console = Console(file=StringIO(), width=120)
+    console.print(table._draw())
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "missing force 0.80 %" in text
+    assert "clearance at bearing1 is missing" in text
