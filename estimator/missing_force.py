@@ -11,11 +11,14 @@ with Q the Gram matrix of the found columns per second, freed from what the mode
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermeval
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.stats import chi2
 
 from . import reference
@@ -32,6 +35,7 @@ Array = NDArray[np.float64]
 LEVEL = 1e-3  # of a group at a place, after counting the groups and places tried
 SURVEY_SECONDS = 24.0  # of a long record: enough to see a thousandth of the bearing force
 NEGLIGIBLE = 1.2e-3  # of the rms bearing force: below it lie the band limit and the integrators of any simulation
+DEGREE = 9  # of the smooth curves
 RIDGE = 1e-3  # of a column's own information: keeps hat functions that nothing visits at zero
 
 
@@ -62,7 +66,10 @@ class Residual:
 
 
 def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) -> Residual:
-    """Forward selection of groups at place i. tries : groups tested over all places, for the significance."""
+    """Forward selection of groups at place i. tries : groups tested over all places, for the significance.
+
+    Hat functions of a state are tried free, and bound to a smooth curve.
+    """
     columns, knots = reference.all_columns(point, i, orders)
     problem = subproblem(point, (i,), columns)
     del columns
@@ -72,6 +79,7 @@ def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) 
     plain = problem.without_extra()
     base = plain.fit()
     everything = np.arange(point.fold_blocks.size)
+    tries += len(point.data.places) * len(knots)  # the smooth curves
     level = plain.likelihood(base, everything)
     chosen: list[str] = []
     found: list[Found] = []
@@ -79,32 +87,67 @@ def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) 
     current = plain
     upper = 0.0
     while len(chosen) < len(names):
-        best: tuple[float, str, Subproblem, PathFit, float] | None = None
+        best: tuple[float, str, Subproblem, PathFit, float, float] | None = None
         for name in names:
             if name in chosen:
                 continue
             trial = problem.only(tuple(n for g in [*chosen, name] for n in names[g]))
             fit = ridged(trial)
-            gained = trial.likelihood(fit, everything) - level
-            df = _effective(trial, fit, names[name])
-            p = float(chi2.sf(2 * max(gained, 0.0), df))
+            reached = trial.likelihood(fit, everything)
+            gained, p = reached - level, odds(trial, fit, names[name], reached - level)
             if not chosen:
                 upper = max(upper, _hidden(point, trial, fit, i))
+            if name in knots:
+                bound, curve, own = smooth(trial, names[name], knots[name])
+                again = bound.likelihood(curve, everything) - level
+                bound_p = odds(bound, curve, own, again)
+                if bound_p < p:
+                    gained, p, fit = again, bound_p, unbound(trial, bound, curve, names[name], knots[name])
             if best is None or (p, -gained) < (best[4], -best[0]):
-                best = (gained, name, trial, fit, p)
+                best = (gained, name, trial, fit, p, reached)
         if best is None or min(1.0, best[4] * tries) > LEVEL:
             break
-        gained, name, current_new, fitted_new, p = best
+        gained, name, current_new, fitted_new, p, reached = best
         total, _ = power_of(point, current_new, fitted_new, i)
         if total - power < (NEGLIGIBLE * point.bearing_force[i]) ** 2:
             break
         current, fitted = current_new, fitted_new
         chosen.append(name)
-        level += gained
+        level = reached
         found.append(Found(i, name, max(total - power, 0.0), gained, min(1.0, p * tries)))
         power = max(total, power)
     P, sd = power_of(point, current, fitted, i) if chosen else (0.0, 0.0)
     return Residual(i, tuple(found), P, sd, current, fitted, knots, problem, upper)
+
+
+def odds(problem: Subproblem, fit: PathFit, names: tuple[str, ...], gained: float) -> float:
+    """p-value of the nats gained by some columns."""
+    return float(chi2.sf(2 * max(gained, 0.0), _effective(problem, fit, names)))
+
+
+def smooth(problem: Subproblem, names: tuple[str, ...], knots: Array) -> tuple[Subproblem, PathFit, tuple[str, ...]]:
+    """The last extra columns, hat functions of one state, bound to a polynomial of degree 2 to DEGREE; its fit; names.
+
+    Few parameters see a weak smooth law that is lost among the noise of free hat functions.
+    """
+    weights = _polynomials(problem, names, knots)
+    bound = problem.combined(weights)
+    return bound, ridged(bound), bound.extra[len(problem.extra) - len(names) :]
+
+
+def unbound(problem: Subproblem, bound: Subproblem, fit: PathFit, names: tuple[str, ...], knots: Array) -> PathFit:
+    """The fit of the bound problem in terms of the hat functions."""
+    M = block_diag(np.eye(len(problem.base)), _polynomials(problem, names, knots))
+    delta, covariance = fit.delta @ M, M.T @ fit.covariance @ M
+    return PathFit(problem.gram.names, delta, covariance, fit.S, fit.log_likelihood, problem.gram.scales)
+
+
+def _polynomials(problem: Subproblem, names: tuple[str, ...], knots: Array) -> Array:
+    """(before + DEGREE - 1, extra) the earlier extra columns as they are, then polynomials of the hat functions."""
+    u = 3.7 * knots / knots[-1]  # about in rms
+    rows = [hermeval(u, np.eye(DEGREE + 1)[d]) / math.sqrt(math.factorial(d)) for d in range(2, DEGREE + 1)]
+    own = np.stack(rows) / problem.gram.scales[-len(names) :]
+    return np.asarray(block_diag(np.eye(len(problem.extra) - len(names)), own))
 
 
 def ridged(problem: Subproblem) -> PathFit:
@@ -124,13 +167,14 @@ def ridge_of(problem: Subproblem) -> float:
 def _effective(problem: Subproblem, fit: PathFit, names: tuple[str, ...]) -> float:
     """Degrees of freedom of some columns: those that the base does not already span."""
     Q, _, index = metric(problem, fit)
+    whole = np.einsum("ifkk->k", problem.gram.G)[1 + len(problem.base) :]
     at = [index.index(n) for n in names if n in index]
     others = [k for k in range(len(index)) if k not in at]
     A = Q[np.ix_(at, at)]
     if others:
         B = Q[np.ix_(at, others)]
         A = A - B @ np.linalg.pinv(Q[np.ix_(others, others)], rcond=1e-6) @ B.T
-    d = np.sqrt(np.maximum(np.diag(Q)[at], 1e-300))
+    d = np.sqrt(np.maximum(whole[at], 1e-300))
     e = np.linalg.eigvalsh(A / np.multiply.outer(d, d))
     return float(max(1.0, np.sum(np.maximum(e, 0) / (np.maximum(e, 0) + RIDGE))))
 
@@ -207,10 +251,14 @@ def orders_of(model: Model) -> tuple[float, ...]:
 
 
 def survey(
-    point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None, others: Sequence[Suspect] = ()
-) -> Survey:
-    """Every place (or some; the rest count as explained); `others` are findings that no state explains."""
-    point = thinned(point, SURVEY_SECONDS)
+    point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None, others: Sequence[Suspect] = (),
+    seconds: float = SURVEY_SECONDS,
+) -> Survey:  # fmt: skip
+    """Every place (or some; the rest count as explained); `others` are findings that no state explains.
+
+    seconds : of the record to look at.
+    """
+    point = thinned(point, seconds)
     left_out = not_judged(model, point.data.places)
     places = [i for i in (range(len(point.data.places)) if only is None else only) if i not in left_out]
     tries = len(point.data.places) * len(reference.GROUPS)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from .motion_blocks import FOLDS, MotionBlocks
 from .side_by_side import each
@@ -88,6 +89,16 @@ class Gram:
         rows = np.array([0] + [1 + k for k in at])
         return Gram(self.G[:, :, rows[:, None], rows], self.n, self.log_weight, self.tangents[at], self.scales[at],
                     tuple(names), tuple(self.units[k] for k in at))  # fmt: skip
+
+    def combined(self, names: tuple[str, ...], weights: Array) -> Gram:
+        """The same with the last q terms replaced by `names`, weights (len(names), q) sums of them, scaled units."""
+        first = len(self.names) - weights.shape[1]
+        M = block_diag(np.eye(1 + first), weights)
+        G = np.einsum("ab,ifbc,dc->ifad", M, self.G, M, optimize=True)
+        tangents = np.concatenate([self.tangents[:first], np.tensordot(weights, self.tangents[first:], 1)])
+        scales = np.concatenate([self.scales[:first], np.ones(len(names))])
+        units = self.units[:first] + ("1",) * len(names)
+        return Gram(G, self.n, self.log_weight, tangents, scales, self.names[:first] + names, units)
 
 
 @dataclass

@@ -31,6 +31,11 @@ class Subproblem:
     def only(self, extra: tuple[str, ...]) -> Subproblem:
         return Subproblem(self.places, self.gram.keep(self.base + extra), self.jacobian, self.blocks, self.base, extra)
 
+    def combined(self, weights: Array) -> Subproblem:
+        """With weights (k, extra) sums of the extra terms in their place."""
+        names = tuple(f"sum.{k}" for k in range(len(weights)))
+        return Subproblem(self.places, self.gram.combined(names, weights), self.jacobian, self.blocks, self.base, names)
+
     def fit(self, folds: NDArray[np.int64] | None = None, ridge: float = 0.0, steps: int = 30) -> PathFit:
         """Maximum likelihood; `ridge` is a prior information on the scaled extra terms."""
         penalty = np.concatenate([np.zeros(len(self.base)), np.full(len(self.extra), ridge)])

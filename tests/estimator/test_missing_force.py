@@ -1,0 +1,49 @@
+"""The missing force: free hat functions of a state, and the same bound to a smooth curve."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hidden_effects import RATE, one_bearing, record
+
+from estimator import missing_force, reference
+from estimator.model_uses import placed_of
+from estimator.preparation import prepare
+from estimator.subproblem import Subproblem, subproblem
+from estimator.working_point import WorkingPoint, fit_model
+
+Hats = tuple[WorkingPoint, Subproblem, tuple[str, ...], np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def hats() -> Hats:
+    """A quintic of 1.5 % that the model lacks, seen by hat functions of displacement in 10 s."""
+    rig = one_bearing()
+    data = prepare(rig, record(rig, "quintic", 0.015), RATE)
+    point = fit_model(data, placed_of(rig, data))
+    columns, knots = reference.all_columns(point, 0, (1.0, 2.0))
+    names = tuple(n for n in columns.names if n.startswith("displacement."))
+    return point, subproblem(point, (0,), columns).only(names), names, knots["displacement"]
+
+
+def test_a_bound_fit_is_the_same_force_in_terms_of_hat_functions(hats: Hats) -> None:
+    _, problem, names, knots = hats
+    bound, fit, _ = missing_force.smooth(problem, names, knots)
+    back = missing_force.unbound(problem, bound, fit, names, knots)
+    everything = np.arange(len(problem.blocks))
+    assert problem.likelihood(back, everything) == pytest.approx(bound.likelihood(fit, everything), abs=1e-3)
+    power, _ = missing_force.power_of(hats[0], problem, back, 0)
+    again, _ = missing_force.power_of(hats[0], bound, fit, 0)
+    assert power == pytest.approx(again, rel=0.02)
+
+
+def test_a_smooth_curve_sees_a_weaker_law_than_free_hat_functions(hats: Hats) -> None:
+    _, problem, names, knots = hats
+    everything = np.arange(len(problem.blocks))
+    plain = problem.without_extra()
+    level = plain.likelihood(plain.fit(), everything)
+    free = missing_force.ridged(problem)
+    bound, fit, own = missing_force.smooth(problem, names, knots)
+    p_free = missing_force.odds(problem, free, names, problem.likelihood(free, everything) - level)
+    p_bound = missing_force.odds(bound, fit, own, bound.likelihood(fit, everything) - level)
+    assert p_bound < 0.1 * p_free
