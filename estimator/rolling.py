@@ -34,6 +34,8 @@ from .watch import CANDIDATES
 
 Floats = NDArray[np.float64]
 SHOW_EVERY_S = 0.45
+FEWEST_BLOCKS = 6
+CATCH_UP = 3  # times as many blocks in a call until the first ones have been taken
 STILL = 1e-6  # of what a place usually moves, or of what the others do: it does not move
 
 
@@ -105,14 +107,15 @@ class RollingSpectral:
         if end - self._kept[0].start >= wanted and end >= self._retry_at:
             self._begin()
             self._retry_at = end + wanted // 2
-            self._trim(end - wanted)
+            if self._fitted is None:
+                self._trim(end - wanted)
 
     def _advance(self, fitted: RollingFit, most: int) -> None:
         """Take the next blocks, `most` at a time, and solve when there is none: no call has much to do, so that none
         is late. A whole record given at once is worked through at once."""
         grid, end = self._grid, self._kept[-1].start + self._kept[-1].rows
-        taken = 0
-        while taken < most and self._next + grid.size + MARGIN <= end:
+        at_once, taken = most > 1, 0
+        while taken < (most if fitted.settled else CATCH_UP * most) and self._next + grid.size + MARGIN <= end:
             record = self._ahead = self._ahead or self._record(self._next - MARGIN)
             at = self._next - record.motion.start
             fitted.forget()
@@ -125,7 +128,9 @@ class RollingSpectral:
             taken += 1
         if taken:
             self._since_taken = True
-        if self._since_taken and self._next + grid.size + MARGIN > end and (most > 1 or not taken):
+        if self._since_taken and self._next + grid.size + MARGIN > end and (at_once or not taken):
+            if not fitted.settled and not self._settle(fitted):
+                return
             self._trim(min(self._next - MARGIN, end - max(int(WARM_UP_S * self.rate_hz), 24 * grid.hop)))
             self._since_taken = False
             if self._since_solved >= SHOW_EVERY_S * self.rate_hz * 0.6:
@@ -163,9 +168,16 @@ class RollingSpectral:
         except DataError as e:
             self._estimate = Estimate(self._seen, {}, 0.0, status=str(e))
             return
-        blocks = (record.motion.rows - self._grid.size) // self._grid.hop + 1
-        self._next = self._kept[0].start + blocks * self._grid.hop
-        self._solve()
+        self._next, self._ahead = record.motion.start, None
+
+    def _settle(self, fitted: RollingFit) -> bool:
+        """All of the first rows have been taken; False if too little of them was of use, and a new start is due."""
+        if fitted.slow.n < FEWEST_BLOCKS:
+            self._fitted = None
+            return False
+        fitted.settle(self._record())
+        self._since_solved = self._seen
+        return True
 
     def _solve(self) -> None:
         fitted = self._fitted
@@ -176,7 +188,7 @@ class RollingSpectral:
         if self._still:
             self._estimate = Estimate(self._seen, {}, 0.0, status=self._still)
             return
-        if fitted.slow.n < 6 or fitted.slow.n * hop_s < 0.1 * min(self.time_constant_s, WARM_UP_S):
+        if fitted.slow.n < FEWEST_BLOCKS or fitted.slow.n * hop_s < 0.1 * min(self.time_constant_s, WARM_UP_S):
             self._estimate = Estimate(self._seen, {}, 0.0, status="too few valid samples of late")
             return
         fitted.solve()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .balance import Balance, build, restrict
 from .columns import Columns, Stretch
 from .dressing import dressed, mean_responses, self_energies
-from .gram import gram, spectra, valid_blocks
+from .gram import gram, spectra
 from .likelihood import Evidence, Likelihood, Local, Point, active, maximise, spectrum_of_force
 from .maximum import initial, inverse, maximum
 from .model import Model
@@ -89,6 +89,7 @@ class RollingFit:
         self.shared = 0.0  # sum of the products of the two memories' weights
         self.turn = 0  # blocks taken
         self.solved = 0
+        self.settled = False
         self.missing: dict[str, float] | None = None
 
     @classmethod
@@ -105,14 +106,13 @@ class RollingFit:
         bank = gather(record, own, start.widths, start.linear)
         first = Evidence(own, record.grid, bank.grams.sum(axis=0), bank.blocks.sum(), bank.tangents, start.nodes)
         fitted.local, _ = maximise(Likelihood(first), initial(own, start, values))
-        # once more block by block, now that the force is known in which moving lines are seen
-        grid, measured = record.grid, any(c.kind == "tacho" for c in model.channels)
-        for block in valid_blocks(record.motion.valid, grid):
-            fitted.forget()
-            fitted.take(record.stretch(block * grid.hop, block * grid.hop + grid.size), measured)
-        fitted.local, _ = maximise(fitted._likelihood(fitted.slow, None), fitted.local.point)
-        fitted._dress(record)
         return fitted
+
+    def settle(self, record: Record) -> None:
+        """The first blocks have been taken (once more, now that the force is known in which moving lines are seen)."""
+        self.local, _ = maximise(self._likelihood(self.slow, None), self.local.point)
+        self._dress(record)
+        self.settled = True
 
     def _dress(self, record: Record) -> None:
         B = self.balance.coefficients(self.local.point.beta)

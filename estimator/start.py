@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,13 +51,19 @@ def scan(evidence: Evidence, row: int, mass: float, band: tuple[float, float]) -
         mass * mass * G[0, 0] + c * c * G[1, 1] + k * k * G[2, 2]
         + 2 * (mass * c * G[0, 1] + mass * k * G[0, 2] + c * k * G[1, 2])
     )  # fmt: skip
-    w = 2 * np.pi * grid.f_hz[:: max(1, grid.bins.size // 1500)]
-    r = (w0[:, None] / w) ** 2
-    logs = np.stack([np.log((1 - r) ** 2 + 4 * z * z * r).mean(axis=1) for z in zeta], axis=1)
+    f = grid.f_hz[:: max(1, grid.bins.size // 1500)]
+    logs = _mean_logs(w0.tobytes(), zeta.tobytes(), f.tobytes())
     value = np.log(np.maximum(Q, 1e-300)) - logs  # per bin; the mass is the same for all
     i, j = np.unravel_index(int(np.argmin(value)), value.shape)
     n = evidence.blocks * grid.bins.size
     return float(c[i, j]), float(k[i, j]), float(Q[i, j] / n)
+
+
+@lru_cache(maxsize=4)
+def _mean_logs(w0: bytes, zeta: bytes, f_hz: bytes) -> Floats:
+    """(resonances, dampings) mean over frequency of log |det A|^2 per mass: the same for every place."""
+    r = (np.frombuffer(w0)[:, None] / (2 * np.pi * np.frombuffer(f_hz))) ** 2
+    return np.stack([np.log((1 - r) ** 2 + 4 * z * z * r).mean(axis=1) for z in np.frombuffer(zeta)], axis=1)
 
 
 def left_out(m: Floats, c: Floats, kL: Floats, S: Floats, record: Record) -> Floats:
