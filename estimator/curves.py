@@ -85,10 +85,11 @@ def _rows(point: WorkingPoint, starts: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _fit(residual: Residual, group: str) -> tuple[PathFit, list[str]]:
-    """The joint fit that holds a group; where others are found too, their part is taken out by it."""
+    """The joint fit of a group and of all that was found, whose part is thereby taken out."""
     names = [n for n in residual.pool.extra if n.split(".")[0] == group]
-    fit = residual.fit if names[0] in residual.fit.names else ridged(residual.pool.only(tuple(names)))
-    return fit, names
+    if names[0] in residual.fit.names:
+        return residual.fit, names
+    return ridged(residual.pool.only((*residual.problem.extra, *names))), names
 
 
 def on_hats(z: Array, knots: Array, series: Array) -> tuple[Array, Array]:
