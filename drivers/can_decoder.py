@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,17 +18,33 @@ from drivers.reading import Info, LinkStats, Reading
 SYNC_FRESH_NS = 500_000_000
 
 
-class CanDecoder:
-    """One device at identifiers base .. base + 5; frames of other identifiers are counted and passed over."""
+@dataclass(frozen=True, slots=True)
+class _Sync:
+    index: int
+    time_us: int
+    epoch: int
+    t_host_ns: int
 
-    def __init__(self, stats: LinkStats, base_id: int = protocol.BASE_ID, expected: Expected | None = None) -> None:
+
+class CanDecoder:
+    """One device at identifiers base .. base + 6; frames of other identifiers are counted and passed over.
+
+    unchecked : the link has no check sum (slcan): FD frames that their neighbours contradict are dropped.
+    """
+
+    def __init__(
+        self, stats: LinkStats, base_id: int = protocol.BASE_ID, expected: Expected | None = None, *,
+        unchecked: bool = False,
+    ) -> None:  # fmt: skip
         self.stats = stats
         self.notices = Notices()
         self._base = base_id
         self._device = DeviceInfo(self.notices, expected)
         self._axis = Continuity(stats, self.notices)
         self._classic = ClassicWindow(stats, self.notices)
-        self._sync: tuple[int, int, int] | None = None  # fd24: index, device time and host time of the last sync frame
+        self._unchecked = unchecked
+        self._doubted: _Sync | None = None  # a sync frame that contradicts the last one
+        self._sync: _Sync | None = None  # the last sync frame
 
     def cause(self, reason: str) -> None:
         """Why samples may be missing before the next frame (see Continuity)."""
@@ -72,7 +88,7 @@ class CanDecoder:
             elif kind == protocol.ID_SYNC_FD and length >= 12:
                 index, flags, time_us = protocol.unpack_sync_fd(data)
                 if self._ours(flags, t_host_ns):
-                    self._sync = (index, time_us, t_host_ns)
+                    self._synchronise(_Sync(index, time_us, flags >> 4, t_host_ns))
 
     def _announce(self, info: Info | None, out: list[Reading]) -> None:
         if info is not None:
@@ -116,7 +132,26 @@ class CanDecoder:
                 frames = protocol.unpack_fd16(payload[start:stop], len(info.signals))
             else:
                 frames = self._timed(protocol.unpack_fd24(payload[start:stop], len(info.signals)), info, t_host_ns)
-            out.extend(self._axis.feed(frames, t_host_ns))
+            place = self._axis.feed_unchecked if self._unchecked else self._axis.feed
+            out.extend(place(frames, t_host_ns))
+
+    def _synchronise(self, new: _Sync, modulus: int = protocol.NO_MODULUS) -> bool:
+        """Take a sync frame; on a link without check sums not before another one agrees with it."""
+        known = [old for old in (self._sync, self._doubted) if old is not None]
+        if self._unchecked and known and not any(self._agree(old, new, modulus) for old in known):
+            self._doubted = new
+            return False
+        self._sync, self._doubted = new, None
+        return True
+
+    def _agree(self, old: _Sync, new: _Sync, modulus: int) -> bool:
+        info = self._device.info
+        if info is None:
+            return True
+        elapsed_us = (new.time_us - old.time_us) % protocol.TIME_MODULUS_US
+        counted_us = (new.index - old.index) % modulus * 1e6 / info.rate_hz
+        # one oscillator drives both
+        return old.epoch == new.epoch and abs(elapsed_us - counted_us) <= 50 + 1e-4 * elapsed_us
 
     def _refuse(self, short: bool, payload: protocol.U8, t_host_ns: int) -> None:
         if short:
@@ -129,9 +164,9 @@ class CanDecoder:
 
     def _timed(self, frames: SampleFrames, info: Info, t_host_ns: int) -> SampleFrames:
         """Frames without a stamp of their own take the last sync frame's, if that is fresh."""
-        if self._sync is None or t_host_ns - self._sync[2] > SYNC_FRESH_NS or len(frames) == 0:
+        if self._sync is None or t_host_ns - self._sync.t_host_ns > SYNC_FRESH_NS or len(frames) == 0:
             return frames
-        index, time_us, _ = self._sync
+        index, time_us = self._sync.index, self._sync.time_us
         ahead = (frames.position - index) % frames.modulus
         if int(ahead.max()) > frames.modulus // 2:
             return frames
@@ -142,6 +177,8 @@ class CanDecoder:
         info = self._device.info
         if info is None or self._device.layout is not CLASSIC or not self._ours(flags, t_host_ns):
             return
+        if not self._synchronise(_Sync(index, time_us, flags >> 4, t_host_ns), protocol.SYNC_MODULUS):
+            return  # the next one closes this window too, if it was this one that is wrong
         self._axis.begin(index, flags >> 4, time_us, t_host_ns)
         frames = self._classic.sync(index, flags >> 4, time_us, info.rate_hz, len(info.signals), t_host_ns)
         if frames is not None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.neighbours import Neighbours, follows
 from drivers.notices import Notices
 from drivers.protocol import SampleFrames
 from drivers.reading import Block, Gap, LinkStats, Reading
@@ -46,6 +47,7 @@ class Continuity:
         self._last_counts: NDArray[np.int32] | None = None
         self._causes: set[str] = set()
         self._holes: deque[tuple[int, int]] = deque(maxlen=64)
+        self._neighbours = Neighbours()
 
     def describe(self, rate_hz: float) -> None:
         """A new description of the device: what comes is not a continuation of what came."""
@@ -54,6 +56,8 @@ class Continuity:
             self._anchor.epoch = -1
 
     def cause(self, reason: str) -> None:
+        if reason == "reconnect":
+            self._neighbours = Neighbours()
         if self._anchor is not None:
             self._causes.add(reason)
 
@@ -62,18 +66,24 @@ class Continuity:
         if self._anchor is None:
             self._anchor = _Anchor(position, 0, 0, time_us, t_host_ns, epoch, 0)
 
+    def feed_unchecked(self, frames: SampleFrames, t_host_ns: int) -> list[Reading]:
+        """The same for a link without check sums: a frame that its neighbours contradict is dropped, by reason crc."""
+        out: list[Reading] = []
+        for k, piece in enumerate(self._neighbours.plausible(frames, self.rate_hz)):
+            if k:
+                self._stats.crc_errors += 1
+                self.cause("crc")
+                text = "frames whose counter or clock contradicts their neighbours': dropped"
+                self._notices.add(t_host_ns, "warning", "crc", text)
+            out += self.feed(piece, t_host_ns)
+        return out
+
     def feed(self, frames: SampleFrames, t_host_ns: int) -> list[Reading]:
         """Blocks and gaps of these frames; t_host_ns is when their last byte was read."""
         n = len(frames)
         if n == 0:
             return []
-        rows = frames.counts.shape[1]
-        good = np.diff(frames.position) % frames.modulus == rows
-        good &= (frames.lost[1:] == frames.lost[:-1]) & (frames.epoch[1:] == frames.epoch[:-1])
-        if frames.time_us is not None:
-            step_us = rows * 1e6 / self.rate_hz
-            late = np.abs(np.diff(frames.time_us) % frames.time_modulus - step_us)
-            good &= late <= 0.5 * step_us + 200
+        good = follows(frames, self.rate_hz, slack_us=200) & (frames.lost[1:] == frames.lost[:-1])
         out: list[Reading] = []
         starts = [0, *(np.flatnonzero(~good) + 1).tolist(), n]
         for start, stop in zip(starts[:-1], starts[1:], strict=True):

@@ -160,7 +160,7 @@ def make_driver(
     if isinstance(config, SlcanConfig):
         from drivers.slcan import SlcanDecoder, slcan_source
 
-        inner = _can_decoder(config.base_id, stats, dbc, signals, expected)
+        inner = _can_decoder(config.base_id, stats, dbc, signals, expected, unchecked=True)
         return Link("slcan", config.target, slcan_source(config), SlcanDecoder(inner))
     if isinstance(config, SerialConfig):
         from drivers.byte_port import PortSource
@@ -176,12 +176,13 @@ def make_driver(
 
 
 def _can_decoder(
-    base_id: int, stats: LinkStats, dbc: bytes | None, signals: Mapping[str, str] | None, expected: Expected | None
-) -> CanDecoder | MappedDecoder:
+    base_id: int, stats: LinkStats, dbc: bytes | None, signals: Mapping[str, str] | None, expected: Expected | None,
+    unchecked: bool = False,
+) -> CanDecoder | MappedDecoder:  # fmt: skip
     if signals is None or dbc is None:
         from drivers.can_decoder import CanDecoder
 
-        return CanDecoder(stats, base_id, expected)
+        return CanDecoder(stats, base_id, expected, unchecked=unchecked)
     from drivers.mapped import MappedDecoder
 
     return MappedDecoder(stats, dbc, signals, expected)
