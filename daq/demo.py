@@ -18,6 +18,7 @@ from estimator.estimate import Estimate, Parameter
 
 from .edit import with_effect, with_values
 from .errors import CheckFailed, ConfigError
+from .live_table import missing_text
 from .measurement import Measurement
 from .output import Output, write_whole
 from .rig import Rig, load_rig
@@ -55,7 +56,8 @@ def demo(output: Output, out: Path) -> None:
         Rule("1  acquire"),
         f"A simulated rig has a {HIDDEN} at {HIDDEN_AT} ({values}), which the model in {rig_path} lacks.",
         f"{SECONDS:g} s of four channels at 25.6 kHz go over a virtual CAN FD bus into driver, ring, estimator, "
-        "MCAP and Rerun log, faster than real time. The stiffness of the sound bearing meanwhile:",
+        "MCAP and Rerun log, faster than real time. The stiffness of the sound bearing, and the force that the model "
+        "lacks, meanwhile:",
     )
     log, recording = out / "measurement.mcap", out / "measurement.rrd"
     _acquire(output, rig, truth, log, recording)
@@ -112,7 +114,7 @@ def known_values(rig: Rig) -> dict[str, float]:
 
 
 class Watch:
-    """A sink that says now and then how far the rolling estimate is from the truth."""
+    """A sink that says now and then how far the rolling estimate is from the truth, and what force is missing."""
 
     def __init__(self, output: Output, truth: Mapping[str, float]) -> None:
         self._output, self._truth = output, truth
@@ -134,7 +136,8 @@ class Watch:
             if p is not None and p.value is not None and p.sd is not None:
                 off = 100 * (p.value / truth - 1)
                 said.append(f"{place}.kL {p.value:.4g} +- {p.sd:.1g} N/m ({off:+.2f} % from the truth)")
-        self._output.say(f"  {seconds:4.1f} s   " + ("   ".join(said) or estimate.status))
+        said.append(missing_text(estimate.extra or {}))
+        self._output.say(f"  {seconds:4.1f} s   " + ("   ".join(filter(None, said)) or estimate.status))
 
     def readings(self, batch: Sequence[Reading]) -> None: ...
     def status(self, status: Status) -> None: ...
