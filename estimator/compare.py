@@ -15,14 +15,14 @@ from .estimate import Parameter
 from .fitted import fitted_model, parameters
 from .heldout import heldout_nll, heldout_rmse, reference_nll
 from .model import Model
-from .model_uses import placed_of
 from .preparation import prepare
+from .search_start import fit_record
 from .shape import Shape
 from .side_by_side import both
 from .suspects import suspects
 from .twin import twin
 from .where import Where, where_of
-from .working_point import WorkingPoint, fit_model
+from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -82,7 +82,7 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     say(0.0, "band limit")
     data = prepare(model, y, rate_hz)
     say(0.15, "fit")
-    point = fit_model(data, placed_of(model, data))
+    point = fit_record(model, data)
     return compare_point(model, point, y, say)
 
 

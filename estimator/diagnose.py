@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import evidence, missing_force, screen
+from . import adequacy, evidence, missing_force, screen
 from .effects import CATALOGUE
 from .evidence import Entry
 from .model import Model
-from .model_uses import acting, placed_of, searched
+from .model_uses import acting, searched
 from .preparation import prepare
+from .search_start import fit_record
 from .shape import Shape, shape_of
 from .side_by_side import each
 from .suspects import suspects
@@ -68,7 +69,7 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
     say(0.0, "band limit")
     data = prepare(model, y, rate_hz)
     say(0.05, "fit of the model as it is")
-    point = fit_model(data, placed_of(model, data))
+    point = fit_record(model, data)
     return diagnose_point(model, point, y, say)
 
 
@@ -88,8 +89,11 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
     after_point = fit_model(point.data, [*point.placed, *best.placed], start=point, rounds=3)
     after = missing_force.survey(after_point, model, only=before.places_found())
     entries[0] = best = replace(best, after_percent=after.percent(point))
-    left = _same_state_left(before, after, best)
-    if left > SAME_SHAPE and not _another_explains(model, after_point, after, best, say):
+    smooth = adequacy.left(point, after_point, best.effect, {i for p in best.placed for i in p.at})
+    left = _same_state_left(before, after, best) if smooth is None else smooth
+    if left > adequacy.most_left(best.effect, SAME_SHAPE) and not _another_explains(
+        model, after_point, after, best, say
+    ):
         return Diagnosis(
             "unknown",
             tuple(entries),

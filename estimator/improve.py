@@ -16,8 +16,8 @@ from .fitted import fitted_model, parameters
 from .heldout import heldout_nll, heldout_rmse
 from .missing_force import survey
 from .model import EffectUse, Model, Setting
-from .model_uses import placed_of
 from .preparation import prepare
+from .search_start import fit_record
 from .suspects import suspects
 from .working_point import WorkingPoint, fit_model
 
@@ -83,7 +83,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     """Add what the diagnosis names, as long as the held-out likelihood improves. y : (n, channels), SI."""
     say = progress or (lambda fraction, text: None)
     data = prepare(model, y, rate_hz)
-    point = fit_model(data, placed_of(model, data))
+    point = fit_record(model, data)
     rungs = [rung(model, point, y)]
     messages: list[str] = []
     diagnoses: list[Diagnosis] = []
@@ -104,7 +104,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         else:
             bigger = with_settings(fitted_model(model, point), best)
             data = prepare(bigger, y, rate_hz)
-            richer = fit_model(data, placed_of(bigger, data))
+            richer = fit_record(bigger, data)
             bigger = fitted_model(bigger, richer)
         new = rung(bigger, richer, y)
         if best.effect not in UNSCORED and new.heldout_nll >= rungs[-1].heldout_nll:

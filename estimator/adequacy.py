@@ -1,0 +1,73 @@
+"""Whether a named law has the right shape: smooth terms of its own state, of rising order, beside it.
+
+Hat functions see any curve but pay for twenty parameters, and narrow ones of the velocity turn faster than the band can
+follow. A law that is nearly right leaves a smooth rest that a few Hermite polynomials of its state catch.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial.hermite_e import HermiteE
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from .missing_force import power_of
+from .path_fit import Term
+from .placed import orthogonal
+from .subproblem import gain, subproblem
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+ODD = (3, 5, 7, 9)
+STATE = {  # even terms beside an odd law belong to another one
+    "cubic": ("x", ODD), "quintic": ("x", ODD), "clearance": ("x", ODD), "hertz": ("x", ODD),
+    "quadratic": ("x", tuple(range(2, 10))), "stop": ("x", tuple(range(2, 10))),
+    "coulomb": ("v", ODD[:3]), "quadratic_damping": ("v", ODD[:3]),
+}  # fmt: skip
+LEVEL = 1e-3
+MOST = {"x": 0.1, "v": 0.2}  # rms left beside the right law; of the velocity the band leaves out more
+
+
+def most_left(effect: str, otherwise: float) -> float:
+    """What `left` may be beside the right law."""
+    return MOST[STATE[effect][0]] if effect in STATE else otherwise
+
+
+def left(before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int]) -> float | None:
+    """rms of the force that smooth terms still explain beside the law, over what they explained without it.
+
+    0 if it is not significant. None for effects of no single state.
+    """
+    if effect not in STATE:
+        return None
+    state, orders = STATE[effect]
+    was = rest = gained = 0.0
+    df = 0
+    for i in sorted(places):
+        was += _smooth(before, i, state, orders)[0]
+        power, nats, count = _smooth(after, i, state, orders)
+        rest, gained, df = rest + max(power, 0.0), gained + nats, df + count
+    if was <= 0.0 or df == 0 or chi2.sf(2 * max(gained, 0.0), df) > LEVEL:
+        return 0.0
+    return float(np.sqrt(min(rest / was, 1.0)))
+
+
+def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) -> tuple[float, float, int]:
+    """Mean square in N^2 explained by the polynomials of a state at place i, nats gained, number of terms."""
+    data = point.data
+    z = (data.x if state == "x" else data.v)[i]
+    rms = float(z.std())
+    terms = []
+    for order in orders:
+        polynomial = HermiteE.basis(order)
+        slopes = np.zeros((len(data.places),) * 2 + (2,))
+        slopes[i, i, 0 if state == "x" else 1] = float(np.mean(polynomial.deriv()(z / rms))) / rms
+        series = np.asarray(polynomial(z / rms), dtype=np.float64)
+        made = orthogonal(Term(f"smooth.{order}", "N", {i: series}, slopes), point.spans, least=1e-3)
+        if made is not None:
+            terms.append(made)
+    if not terms:
+        return 0.0, 0.0, 0
+    problem = subproblem(point, (i,), point.weighing.columns(terms))
+    nats, fit = gain(problem, steps=6)
+    return power_of(point, problem, fit, i)[0], nats, len(terms)

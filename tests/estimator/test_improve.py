@@ -1,0 +1,102 @@
+"""The ladder: two effects hidden together, and laws that are in no catalogue until the user types them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_effects import RATE, SECONDS, one_bearing
+from numpy.typing import NDArray
+
+from estimator.compare import compare
+from estimator.diagnose import diagnose
+from estimator.effects import CATALOGUE
+from estimator.effects.places import places
+from estimator.effects.strength import size, strengths, with_effect
+from estimator.improve import improve
+from estimator.model import CustomLaw, EffectUse, Model, Setting
+from estimator.simulate import simulate
+
+NOISE, FULL_SCALE = 0.02, 490.5
+
+
+@pytest.fixture(scope="module")
+def rig() -> Model:
+    return one_bearing()
+
+
+def hidden_together(rig: Model, first: str, second: str, fraction: float, seconds: float) -> NDArray[np.float64]:
+    truth = rig
+    for name in (first, second):
+        e = CATALOGUE[name]
+        values = strengths(e, size(rig, "bearing1.x", RATE), fraction, rig, seconds)
+        truth = with_effect(truth, e, values, *[p for p in places(e, rig) if p.startswith("bearing1")])
+    return simulate(truth, RATE, seconds, seed=4, noise=NOISE, full_scale=FULL_SCALE)
+
+
+def own(name: str, expression: str, **parameters: tuple[float, str]) -> EffectUse:
+    """A law of the user at both directions of bearing 1."""
+    law = CustomLaw(expression, None, {n: unit for n, (_, unit) in parameters.items()})
+    values = {n: Setting(v) for n, (v, _) in parameters.items()}
+    return EffectUse(name, {p: dict(values) for p in ("bearing1.x", "bearing1.y")}, law)
+
+
+def having(rig: Model, use: EffectUse) -> Model:
+    return replace(rig, effects=(*rig.effects, use))
+
+
+def test_two_effects_hidden_together_are_found_in_two_steps(rig: Model) -> None:
+    ladder = improve(rig, hidden_together(rig, "quadratic", "coulomb", 0.06, SECONDS), RATE)
+    assert set(ladder.rungs[-1].effects) == {"cubic", "quadratic", "coulomb"}
+    assert len(ladder.rungs) == 3
+    assert ladder.last.verdict == "complete"
+    assert ladder.rungs[-1].missing[0] < 0.2 * ladder.rungs[0].missing[0]
+    assert ladder.rungs[0].heldout_nll > ladder.rungs[1].heldout_nll > ladder.rungs[2].heldout_nll
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("first", "second"), [("clearance", "cross_coupling"), ("quintic", "displacement_damping"), ("stop", "anisotropy")]
+)
+def test_other_pairs(rig: Model, first: str, second: str) -> None:
+    ladder = improve(rig, hidden_together(rig, first, second, 0.06, 30.0), RATE)
+    assert set(ladder.rungs[-1].effects) == {"cubic", first, second}
+    assert len(ladder.rungs) == 3
+
+
+def unlisted(rig: Model, name: str) -> tuple[EffectUse, EffectUse]:
+    """(what is hidden, what the user types: the same law with values far from the truth)."""
+    there = size(rig, "bearing1.x", RATE)
+    x, force = there.x, there.kL * there.x
+    if name == "tanh":
+        law = "k*(g*tanh(x/g) - x)"
+        true, typed = {"k": (0.8 * force / x, "N/m"), "g": (1.0 * x, "m")}, {"k": (1e5, "N/m"), "g": (2.5 * x, "m")}
+    elif name == "ripple":
+        law = "a*sin(x/g)"
+        true, typed = {"a": (0.12 * force, "N"), "g": (0.6 * x, "m")}, {"a": (0.01, "N"), "g": (0.75 * x, "m")}
+    else:  # a smooth odd curve drawn at random, the user knows where it bends
+        b, c, d = np.random.default_rng(5).uniform(0.6, 1.6, 3) * x
+        law = f"a*sin(x/{b:.6g}) + q*x/(1 + (x/{c:.6g})**4) + h*tanh((x/{d:.6g})**3)"
+        true = {"a": (0.1 * force, "N"), "q": (-0.2 * force / x, "N/m"), "h": (0.1 * force, "N")}
+        typed = {"a": (0.01, "N"), "q": (1e3, "N/m"), "h": (0.01, "N")}
+    return own("mine", law, **true), own("mine", law, **typed)
+
+
+@pytest.mark.parametrize(
+    "name", ["tanh", pytest.param("ripple", marks=pytest.mark.slow), pytest.param("random", marks=pytest.mark.slow)]
+)
+def test_a_law_of_no_catalogue_is_unknown_and_explained_when_the_user_types_it(rig: Model, name: str) -> None:
+    true, typed = unlisted(rig, name)
+    y = simulate(having(rig, true), RATE, 2 * SECONDS, seed=6, noise=NOISE, full_scale=FULL_SCALE)
+    found = diagnose(rig, y, RATE)
+    if name == "random" and found.verdict != "unknown":  # a curve drawn at random may come close to a law
+        assert found.ranking[0].after_percent < 0.2 * found.ranking[0].before_percent
+    else:
+        assert found.verdict == "unknown"
+        assert found.shape is not None
+        assert found.shape.against == "displacement"
+    before, after = compare(rig, y, RATE), compare(having(rig, typed), y, RATE)
+    assert before.missing[0] > 0.3
+    assert after.missing[0] < 0.2 * before.missing[0]
+    assert after.heldout_nll < before.heldout_nll
