@@ -35,7 +35,7 @@ from .watch import CANDIDATES
 Floats = NDArray[np.float64]
 SHOW_EVERY_S = 0.45
 FEWEST_BLOCKS = 6
-CATCH_UP = 3  # times as many blocks in a call until the first ones have been taken
+CATCH_UP = 2  # times as many blocks in a call until the first ones have been taken
 STILL = 1e-6  # of what a place usually moves, or of what the others do: it does not move
 
 
@@ -129,7 +129,7 @@ class RollingSpectral:
         if taken:
             self._since_taken = True
         if self._since_taken and self._next + grid.size + MARGIN > end and (at_once or not taken):
-            if not fitted.settled and not self._settle(fitted):
+            if not fitted.settled and not (self._settle(fitted) and at_once):
                 return
             self._trim(min(self._next - MARGIN, end - max(int(WARM_UP_S * self.rate_hz), 24 * grid.hop)))
             self._since_taken = False

@@ -167,7 +167,7 @@ class RollingFit:
             self.suspicions = self.suspicions + 1 if self._changed() else 0
             if self.suspicions >= 2:
                 self._replace()
-        if self.solved % LOOKED_EVERY == 0:
+        if self.solved % LOOKED_EVERY == 1:
             self.missing = self._look()
         self.solved += 1
 
