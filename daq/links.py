@@ -22,9 +22,11 @@ def open_driver(url: str | None, rig: Rig, *, seed: int = 1, seconds: float | No
 
     Raises LinkError for a name that means nothing, ConfigError if there is none or its DBC cannot be read.
     """
-    name = url or rig.link.url
+    name = rig.link.url if url is None else url
     if name is None:
         raise ConfigError("no link: say --link LINK, or put url = into [link] of the rig file; rotorscope ports lists")
+    if not name.strip():  # --link "$PORT" without a PORT must not fall back on the rig's link
+        raise ConfigError("the link is empty; say --link LINK, such as slcan:/dev/ttyACM0; rotorscope ports lists")
     name, dbc = _without_dbc(name)
     config = parse_link(name)
     if isinstance(config, ReplayConfig):

@@ -56,7 +56,7 @@ def run(
 
         run_devices(output, asked, out, **options)  # type: ignore[arg-type]
     else:
-        run_rig(output, load_rig(asked[0][0]), link or asked[0][1], out, **options)  # type: ignore[arg-type]
+        run_rig(output, load_rig(asked[0][0]), asked[0][1] if link is None else link, out, **options)  # type: ignore[arg-type]
 
 
 def rig_and_link(text: str) -> tuple[Path, str | None]:

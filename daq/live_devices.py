@@ -92,8 +92,8 @@ def _report(
         if isinstance(result, RunSummary):
             wrong = what_is_wrong(result, each.operator, strict, each.link)
             value = result.to_json() | value | ({"log": str(each.log)} if each.log else {})
-            people += ["", f"{name} ({each.link})", *in_words(result, each.log)]
             nothing = not result.samples
+            people += ["", f"{name} ({each.link})", *in_words(result, None if nothing and each.new_log else each.log)]
         else:
             wrong, nothing = result, True
         if nothing and each.new_log and each.log is not None:

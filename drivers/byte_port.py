@@ -121,6 +121,10 @@ def _send(port: Any, data: bytes) -> None:
 
 
 def _line(error: Exception) -> str:
+    if isinstance(error, OSError) and (error.errno or 0) > 0:  # pyserial says it twice
+        return os.strerror(error.errno or 0)
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
     return " ".join(str(error).split()) or type(error).__name__
 
 
@@ -140,10 +144,10 @@ def _connect(target: str, name: str, baud: int) -> Any:
         return serial.Serial(name, baudrate=baud, timeout=0, write_timeout=1.0, exclusive=True)
     except Exception as error:
         text = _line(error)
-        if "Permission denied" in text:
+        if isinstance(error, PermissionError) or "Permission denied" in text:
             text = f"{target}: no permission: add yourself to the group that owns the port (often dialout)"
             raise LinkUnavailable(text) from error
-        if "exclusively lock" in text or "busy" in text:
+        if "exclusively lock" in str(error) or "busy" in text:
             raise LinkOpenError(f"{target}: another program holds the port: close it") from error
         raise LinkOpenError(f"{target}: {text}: check the name with `rotorscope ports`") from error
 

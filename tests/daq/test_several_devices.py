@@ -135,6 +135,8 @@ def test_mistakes_are_told_before_anything_begins(
         ([f"{rig}=virtual:", f"{rig}=nonsense:x", "--out", str(tmp_path / "logs")], "nonsense"),
         ([f"{rig}=virtual:", f"{tmp_path}/no.toml"], "no.toml"),
         ([f"{rig}="], "no link behind"),
+        ([str(rig), "--link", ""], "the link is empty"),
+        ([str(rig), "--link", "serial:/dev/ttyNOPE"], "serial:/dev/ttyNOPE: No such file or directory: check the name"),
         ([f"{rig}=virtual:", "--link", "virtual:"], "RIG=LINK"),
     ):
         assert main(["run", *arguments]) in (2, 3)
