@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from .balance import build
 from .columns import Columns
 from .gram import CELLS, layout, spectra, valid_blocks
+from .maximum import initial
 from .record import CELLS_WITH_FORCE, Record, notches, stretches
 from .start import Start, linear_start
 
@@ -45,10 +46,7 @@ def spectrum_by_bin(record: Record, B: Floats | None, start: Start | None) -> tu
 def linear_balance(record: Record, start: Start) -> Floats:
     """(places, columns) coefficients of the linear start."""
     balance = build(replace(record.model, effects=()))
-    values: dict[str, float] = {}
-    for i, place in enumerate(balance.places):
-        values |= {f"{place}.m": start.m[i], f"{place}.c": start.c[i], f"{place}.kL": start.kL[i]}
-    return balance.coefficients(np.array([values.get(f.name, f.start) for f in balance.free]))
+    return balance.coefficients(initial(balance, start, {}).beta)
 
 
 def find_lines(power: Floats, blocks: float, f_hz: Floats, least: float = 1.0) -> tuple[tuple[float, float], ...]:

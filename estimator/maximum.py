@@ -42,7 +42,8 @@ def initial(balance: Balance, start: Start, values: Mapping[str, float]) -> Poin
     """The point that the linear start gives; effects at their given values."""
     at: dict[str, float] = {}
     for i, place in enumerate(balance.places):
-        at |= {f"{place}.m": start.m[i], f"{place}.c": start.c[i], f"{place}.kL": start.kL[i]}
+        own = balance.fixed[i, i :: len(balance.places)]  # the shaft's part of what the start has
+        at |= {f"{place}.m": start.m[i], f"{place}.c": start.c[i] - own[1], f"{place}.kL": start.kL[i] - own[2]}
     beta = [0.0 if f.searched else values.get(f.name, at.get(f.name, f.start)) for f in balance.free]
     return Point(np.array(beta, float), start.S.copy(), start.noise.copy())
 

@@ -12,11 +12,13 @@ from .balance import build
 from .errors import DataError
 from .features import NEAREST
 from .gram import Nodes, nodes
-from .likelihood import Evidence, Likelihood, Point, maximise, responses
+from .likelihood import Evidence, Likelihood, Local, Point, maximise, responses
+from .model import Model
 from .record import Record, gather
 
 Floats = NDArray[np.float64]
 SECONDS = 20.0  # of the record that the start is taken from
+MASSES = np.array([0.05, 0.15, 0.5, 1.5])  # of the disc, that unknown cap masses are started from
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +96,7 @@ def linear_start(record: Record) -> Start:
         S[i] = scanned[2]
         for j, f in enumerate(balance.free):
             beta[j] = {f"{place}.m": 1.0, f"{place}.c": scanned[0], f"{place}.kL": scanned[1]}.get(f.name, beta[j])
-    local, _ = maximise(Likelihood(evidence), Point(beta, S, np.zeros(P)))
+    local = _best(Likelihood(evidence), Point(beta, S, np.zeros(P)), model)
     B = balance.coefficients(local.point.beta)
     m, c, kL = (np.diag(B[:, i * P : (i + 1) * P]).copy() for i in range(3))
     x, v, a = record.rms("x"), record.rms("v"), record.rms("a")
@@ -112,6 +114,23 @@ def linear_start(record: Record) -> Start:
     alone = np.sqrt(kL / m) / (2 * np.pi), c / m / (2 * np.pi)
     at = nodes(record.grid, *(np.concatenate(pair) for pair in zip(coupled, alone, strict=True)))
     return Start(m, c, kL, local.point.S, local.point.noise, widths, sizes, at)
+
+
+def _best(likelihood: Likelihood, first: Point, model: Model) -> Local:
+    """The highest of the maxima found. Where the shaft is to set the scale of unknown masses there are several."""
+    balance = likelihood.evidence.balance
+    unknown = {p for p in balance.places if model.cap_mass(p) is None}
+    if balance.common is None or not unknown:
+        return maximise(likelihood, first)[0]
+    scaled = np.array([f.name.rsplit(".", 1)[0] in unknown for f in balance.free])
+    power = np.array([p in unknown for p in balance.places])
+    found = []
+    for mass in MASSES * model.mass["disc"]:
+        beta, S = np.where(scaled, mass * first.beta, first.beta), np.where(power, mass**2 * first.S, first.S)
+        local, _ = maximise(likelihood, Point(beta, S, first.noise))
+        if np.isfinite(local.nll):
+            found.append(local)
+    return min(found, key=lambda z: z.nll)
 
 
 def resonances(evidence: Evidence, B: Floats) -> tuple[Floats, Floats]:
