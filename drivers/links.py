@@ -136,8 +136,7 @@ def make_driver(
 
     dbc, signals : the frames of a device that does not speak protocol v1, and channel -> "Message.Signal" in the order
     of the channels. expected : what the rig file says; differences become notices. device : what `virtual:` connects.
-    Raises LinkError for a combination that makes no sense. A `replay:` driver is made from a log's readings
-    (drivers.replay.Replay), which is the log reader's business.
+    Raises LinkError for a combination that makes no sense. A `replay:` driver is the log reader's business.
     """
     from drivers.link import Link
 
@@ -172,7 +171,7 @@ def make_driver(
         from drivers.capture import Capture
 
         return Capture(config, stats, dbc, signals, expected)
-    raise LinkError(f"replay:{config.path}: a replay is made from the log's readings, see drivers.replay")
+    raise LinkError(f"replay:{config.path}: a replay is made from the log, by the log reader")
 
 
 def _can_decoder(

@@ -11,16 +11,19 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import can
 import numpy as np
 import pytest
 from ramp_device import Record, Served, ramp_device
+from sessions import make_block, write_log
 
+from daq.log_reader import read_log
+from daq.replay import ReplayDriver
 from drivers import links
 from drivers.links import CanConfig, CaptureConfig, SerialConfig, SlcanConfig, VirtualConfig, make_driver, parse_link
-from drivers.reading import Block, Driver, Info, LinkStats, Reading, Signal
-from drivers.replay import Replay
+from drivers.reading import Driver, LinkStats
 from drivers.slcan_codec import encode_line
 
 Make = Callable[[], AbstractContextManager[Driver]]
@@ -100,11 +103,10 @@ def capture() -> Iterator[Driver]:
 
 @contextmanager
 def replay() -> Iterator[Driver]:
-    info = Info((Signal("a", "m/s^2", 1.0),), 1000.0)
-    blocks: list[tuple[list[Reading], int]] = [
-        ([Block(10 * k, np.zeros((10, 1), np.int32), k)], k * 1_000_000) for k in range(50)
-    ]
-    yield Replay(lambda: [([info], 0), *blocks], 1.0)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "a.mcap"
+        write_log(path, [make_block(256 * k, 256) for k in range(50)])
+        yield ReplayDriver(read_log(path), 1.0)
 
 
 DRIVERS: dict[str, Make] = {
