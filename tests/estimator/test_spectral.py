@@ -71,10 +71,11 @@ def test_what_cannot_be_estimated_is_refused_in_one_line(record: np.ndarray) -> 
 
 def test_a_stiff_shaft_moves_the_resonances_and_biases_nothing() -> None:
     linear = {p: {k: Setting(float(TRUTH[k][i])) for k in ("kL", "c", "S")} for i, p in enumerate(PLACES)}
-    model = rig_model(shaft_stiffness=1e7, linear=linear)
-    y = simulate(model, RATE, 20.0, seed=5)
-    for mass in ({"disc": DISC, "bearing1": MASS, "bearing2": MASS}, {"disc": DISC}):  # the shaft sets the scale
-        fit = spectral.fit(rig_model(shaft_stiffness=1e7, mass=mass), y, RATE)
+    known = {"disc": DISC, "bearing1": MASS, "bearing2": MASS}
+    for stiffness, mass in ((1e7, known), (1e6, {"disc": DISC})):  # the shaft sets the scale of unknown masses
+        y = simulate(rig_model(shaft_stiffness=stiffness, linear=linear), RATE, 15.0, seed=5)
+        fit = spectral.fit(rig_model(shaft_stiffness=stiffness, mass=mass), y, RATE)
+        assert not any("not white" in message for message in fit.messages)
         z = []
         for i, place in enumerate(PLACES):
             for key, true in (("kL", TRUTH["kL"][i]), ("c", TRUTH["c"][i]), ("m", MASS)):
