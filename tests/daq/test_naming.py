@@ -156,11 +156,21 @@ def test_a_clearance_that_opens_at_60_s_is_flagged_and_named_within_20_s(tmp_pat
         asked.append(question.since_s + len(question.y) / question.rate_hz)
         return answer(question)
 
-    replay(read_log(tmp_path / "y.mcap"), rig, [Naming(rig, live=False, ask=ask)], notify=said.append)
-    flagged = next(n for n in said if n.code == "missing_force")
-    when = float(flagged.text.split(" at ")[1].split(" s:")[0])
+    class Watched(Naming):
+        """Keeps what the estimates were certain of, by time."""
+
+        def estimate(self, estimate: Estimate) -> None:
+            super().estimate(estimate)
+            if found := certain(estimate.extra or {}):
+                sure.append((estimate.index / 25600.0, found))
+
+    sure: list[tuple[float, list[str]]] = []
+    replay(read_log(tmp_path / "y.mcap"), rig, [Watched(rig, live=False, ask=ask)], notify=said.append)
+    when, like = sure[0]
     assert 60 < when <= 80
-    assert "most like clearance" in flagged.text
+    assert like[0] == "clearance"
+    first = next(n for n in said if n.code in ("parameters_changed", "missing_force"))
+    assert said.index(first) <= min(k for k, n in enumerate(said) if n.code == "effect_named")
     verdict = next(n for n in said if n.code == "effect_named")
     assert verdict.text.startswith("clearance at bearing1")
     assert 60 < asked[0] <= 80
