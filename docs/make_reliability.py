@@ -3,7 +3,8 @@
     pytest tests/daq tests/drivers tests/contracts -m "not bench and not guest and not soak" --junitxml=report.xml
     pytest -n 0 -m soak --junitxml=soak.xml             # ten minutes
     GUEST_XML=guest.xml tests/guest/run.sh              # five minutes
-    python tests/fuzz/campaign.py fuzz.xml              # an hour
+    python tests/fuzz/mass.py tally.json                # hours, in pieces if need be
+    python tests/fuzz/mass.py tally.json --report fuzz.xml
     python docs/make_reliability.py report.xml soak.xml guest.xml fuzz.xml
 
 A test adds a row with pytest's record_property("reliability", "fault | how it is provoked | promised | measured").

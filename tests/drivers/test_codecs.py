@@ -203,6 +203,7 @@ def test_slcan_lines_equal_what_python_can_sends(frames: list) -> None:
     bus = can.Bus("loop://", interface="slcan", sleep_after_open=0, bitrate=None)
     try:
         bus.serialPortOrig.reset_input_buffer()
+        bus.serialPortOrig.timeout = 10.0  # python-can's is 0.1 s, which a busy machine exceeds
         for identifier, extended, fd, length, random in frames:
             data = random.randbytes(length if fd else min(length, 8))
             bus.send(can.Message(arbitration_id=identifier, is_extended_id=extended, data=data, is_fd=fd,

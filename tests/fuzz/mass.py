@@ -255,7 +255,7 @@ def report(tally: dict[str, dict[str, float]], path: Path) -> None:
     for name, mine in tally.items():
         kind = KINDS[name]
         case = ElementTree.SubElement(suite, "testcase", classname="mass", name=name)
-        how = f"damaged {kind.what}" + (f", {kind.many} in a stream" if kind.many > 1 else "")
+        how = f"damaged {kind.what}" + (f", {kind.many} in a stream, 3 of 10 whole" if kind.many > 1 else "")
         promised = "read or refused, memory bounded, no hang, no write elsewhere, nothing executed"
         value = f"{mine['inputs']:.0f} inputs, at most {mine['peak_mb']:.0f} MB"
         row = f"hostile input: {name} | {how} | {promised} | {value}"
