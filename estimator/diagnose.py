@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import adequacy, evidence, missing_force, screen
+from . import adequacy, amplitude, evidence, missing_force, screen
 from .effects import CATALOGUE
 from .evidence import Entry
 from .model import Model
@@ -27,6 +27,7 @@ SIGNIFICANT = 1e-3  # p-value, after counting all that was tried, below which an
 SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same state means another law
 SEARCH_SECONDS = 6.0
 REFINE_SECONDS = 20.0
+FOREMOST = 3  # of the ranking, judged on the largest amplitudes too
 FAMILY = {
     "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
     "quadratic": "even in x", "stop": "even in x",
@@ -80,6 +81,8 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
     before = missing_force.survey(point, model, others=others)
     trials = _screen(model, point, say)
     entries = evidence.entries(model, point, trials, before, others)
+    say(0.8, "largest amplitudes")
+    entries = _extrapolating(point, entries)
     if not entries or entries[0].p_value > SIGNIFICANT or _negligible(entries[0]):
         return _nothing(point, before, tuple(entries))
     say(0.85, f"does {entries[0].effect} explain it?")
@@ -104,6 +107,23 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
             ),
         )
     return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries))
+
+
+def _extrapolating(point: WorkingPoint, entries: list[Entry]) -> list[Entry]:
+    """The ranking after the laws in front were judged on the largest amplitudes; those refused go to its end."""
+    passed: list[Entry] = []
+    refused: list[Entry] = []
+    for number, entry in enumerate(entries):
+        on_trial = number < FOREMOST and entry.p_value < SIGNIFICANT and amplitude.judged(entry.effect)
+        found = amplitude.extrapolated(point, entry.placed) if on_trial and entry.placed else None
+        if found is None:
+            passed.append(entry)
+        elif found.refused:
+            note = f"refused: fitted to the smaller motion it makes the largest worse by {-found.gain:.0f} nats"
+            refused.append(replace(entry, amplitude_gain=found.gain, notes=(*entry.notes, note)))
+        else:
+            passed.append(replace(entry, amplitude_gain=found.gain))
+    return passed + refused
 
 
 def _negligible(best: Entry) -> bool:

@@ -43,6 +43,7 @@ class Entry:
     detectable: tuple[float, str] | None = None
     settings: dict[str, dict[str, Parameter]] = field(default_factory=dict)  # of an effect that is no force law
     notes: tuple[str, ...] = ()
+    amplitude_gain: float | None = None  # nats on the largest amplitudes by parameters fitted to the smaller
 
     def to_json(self) -> dict[str, Any]:
         out: dict[str, Any] = {
@@ -56,6 +57,8 @@ class Entry:
         }
         if self.detectable is not None:
             out["detectable_from"] = {"value": self.detectable[0], "unit": self.detectable[1]}
+        if self.amplitude_gain is not None:
+            out["heldout_amplitude_gain"] = self.amplitude_gain
         return out | ({"notes": list(self.notes)} if self.notes else {})
 
 

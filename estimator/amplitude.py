@@ -1,0 +1,156 @@
+"""Held-out amplitudes: a law of displacement fitted to the smaller motion, judged on the largest.
+
+Windows of WINDOW samples are ranked by their rms displacement; parameters fitted to the lower ones predict the upper.
+Choosing windows by their amplitude is not innocent: where motion is large the force has put energy in, so F v is above
+its mean there and every damping law would be judged wrongly (measured on complete models: -8 to -120 nats). F g(x) is
+untouched: the choice is symmetric in time, x is even and v odd under reversal, and the reversed path of a linear rotor
+is driven by F - 2 c v. So only laws of displacement are judged here; damping laws keep the time folds.
+
+A law fitted to the lower part has an uncertainty there, and loses by it in the upper part even if it is right: about
+tr(I_up I_low^-1) / 2 nats. It is refused only if it makes the upper part worse by more than that uncertainty permits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from .adequacy import STATE
+from .path_fit import Gram, Jacobian, PathFit, Term, fit, log_likelihood, term_response
+from .placed import Placed, linear_terms, terms
+from .side_by_side import each
+from .subproblem import component
+from .working_point import WorkingPoint, thinned
+
+Array = NDArray[np.float64]
+UPPER = 0.2  # of the samples
+WINDOW = 1024  # samples; blocks are a multiple of it
+SECONDS = 24.0
+LEVEL = 1e-3
+MARGIN = 3.0  # nats
+
+
+@dataclass(frozen=True, slots=True)
+class Extrapolation:
+    """gain : nats on the upper part, by parameters of the lower. allowed : the loss, in nats, that chance explains."""
+
+    gain: float
+    allowed: float
+
+    @property
+    def refused(self) -> bool:
+        return self.gain < -self.allowed
+
+
+def upper_part(point: WorkingPoint, i: int) -> NDArray[np.bool_]:
+    """(n,) samples of place i in the windows of largest rms displacement."""
+    data = point.data
+    level = np.mean(data.x[i].reshape(-1, WINDOW) ** 2, axis=1)
+    return np.asarray(np.repeat(level > np.quantile(level, 1.0 - UPPER), WINDOW), dtype=np.bool_)
+
+
+def judged(effect: str) -> bool:
+    """Whether an effect is a law of displacement, which alone can be judged so."""
+    return effect in STATE and STATE[effect][0] == "x"
+
+
+def extrapolated(point: WorkingPoint, placed: tuple[Placed, ...]) -> Extrapolation | None:
+    """How laws with given searched parameters do on the largest amplitudes. None if the lower part says nothing."""
+    point = thinned(point, SECONDS)
+    total, allowed = 0.0, MARGIN
+    for one in placed:
+        found = _one(point, one)
+        if found is None:
+            return None
+        total, allowed = total + found[0], allowed + found[1]
+    return Extrapolation(total, allowed)
+
+
+def _one(point: WorkingPoint, placed: Placed) -> tuple[float, float] | None:
+    linear = np.array([q.linear for q in placed.effect.parameters])
+    placed = placed.with_values(np.where(linear, 1.0, placed.p))
+    used = tuple(q.linear and placed.p[k] != 0.0 for k, q in enumerate(placed.effect.parameters))
+    at = component(point, placed.at)
+    extra = terms(replace(placed, free=used), point.data, point.lin, linear_only=True)
+    uses = [u for u in point.placed if set(u.at) & set(at)]
+    base = [t for i in at for t in linear_terms(point.data, i)]
+    base += [t for u in uses for t in terms(u, point.data, point.lin)]
+    masks = each(lambda i: upper_part(point, i), at)
+    parts = []
+    for upper in (False, True):
+        parts.append(_gram(point, at, [*base, *extra], [m == upper for m in masks], uses, placed, used))
+    names = tuple(t.name for t in base)
+    (low, n_low), (high, n_high) = parts
+    here = np.array([0])
+    full, plain = _fitted(point, at, low, n_low), _fitted(point, at, low.keep(names), n_low)
+    gain = _nats(point, at, high, n_high, full, here) - _nats(point, at, high.keep(names), n_high, plain, here)
+    q = len(extra)
+    cov_low, cov_high = full.covariance[-q:, -q:], _fitted(point, at, high, n_high).covariance[-q:, -q:]
+    try:
+        loss = float(np.trace(np.linalg.solve(cov_high, cov_low)))
+    except np.linalg.LinAlgError:
+        return None
+    return gain, 0.5 * loss * float(chi2.isf(LEVEL, q)) / q
+
+
+def _gram(
+    point: WorkingPoint, at: tuple[int, ...], all_terms: list[Term], masks: list[NDArray[np.bool_]],
+    uses: list[Placed], placed: Placed, used: tuple[bool, ...],
+) -> tuple[Gram, float]:  # fmt: skip
+    """Gram matrices of force and terms over the samples marked, tangents of those samples; its number of blocks."""
+    data = point.data
+    k = len(all_terms)
+    G = np.zeros((len(at), 1, 1 + k, 1 + k))
+    n = np.zeros((len(at), 1))
+    tangents: dict[str, Array] = {}
+    for row, (i, mask) in enumerate(zip(at, masks, strict=True)):
+        own = [j for j, t in enumerate(all_terms) if i in t.series]
+        spectra = [point.spectra[i], *(point.weighing.spectrum(i, all_terms[j].series[i] * all_terms[j].scale)
+                                       for j in own)]  # fmt: skip
+        Z = np.stack([_in_band(point, z)[mask] for z in spectra])
+        rows = np.array([0] + [1 + j for j in own])
+        G[row, 0][rows[:, None], rows] = Z @ Z.T
+        n[row, 0] = mask.mean() * point.gram.n[i].sum()
+        a, v, x, known = (z[:, mask] for z in (data.a, data.v, data.x, data.known))
+        seen = replace(data, a=a, v=v, x=x, known=known, t=data.t[mask], phase=data.phase[mask])
+        made = [t for u in uses if i in u.at for t in terms(replace(u, at=(i,)), seen, point.lin)]
+        if i in placed.at:
+            made += terms(replace(placed, at=(i,), free=used), seen, point.lin, linear_only=True)
+        for t in made:
+            tangents[t.name] = tangents.get(t.name, 0.0) + t.tangent
+    index = np.array(at)
+    responses = [
+        term_response(replace(t, tangent=tangents.get(t.name, t.tangent)), data)[index][:, index] for t in all_terms
+    ]
+    names, scales = tuple(t.name for t in all_terms), np.array([t.scale for t in all_terms])
+    units = tuple(t.unit for t in all_terms)
+    blocks = float(np.mean([m.mean() for m in masks])) * data.blocks
+    return Gram(G, n, np.zeros_like(n), np.stack(responses), scales, names, units), blocks
+
+
+def _in_band(point: WorkingPoint, spectrum: NDArray[np.float32]) -> Array:
+    """(n,) the series of a weighted spectrum; the sum of its squares is that of the spectrum."""
+    from scipy.fft import irfft
+
+    block = point.data.block
+    Z = np.zeros((point.data.blocks, block // 2 + 1), np.complex64)
+    Z[:, point.data.bins] = spectrum.view(np.complex64)
+    return np.asarray(irfft(Z, block, axis=1).ravel() * np.sqrt(block / 2.0), dtype=np.float64)
+
+
+def _jacobian(point: WorkingPoint, at: tuple[int, ...]) -> Jacobian:
+    index = np.array(at)
+    return Jacobian(point.A[:, index[:, None], index])
+
+
+def _fitted(point: WorkingPoint, at: tuple[int, ...], gram: Gram, blocks: float) -> PathFit:
+    return fit(gram, _jacobian(point, at), np.array([0]), np.array([blocks]), steps=8)
+
+
+def _nats(
+    point: WorkingPoint, at: tuple[int, ...], gram: Gram, blocks: float, found: PathFit, here: NDArray[np.int64]
+) -> float:
+    return log_likelihood(gram, _jacobian(point, at), found.delta, found.S, here, np.array([blocks]))
