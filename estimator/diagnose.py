@@ -28,6 +28,7 @@ SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same 
 SEARCH_SECONDS = 6.0
 REFINE_SECONDS = 20.0
 FOREMOST = 3  # of the ranking, judged on the largest amplitudes too
+REFINED, NEAR = 12, 0.5  # trials refined at most; share of the best gain at the bearing that earns it
 FAMILY = {
     "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
     "quadratic": "even in x", "stop": "even in x",
@@ -154,10 +155,21 @@ def _screen(model: Model, point: WorkingPoint, say: Progress) -> list[screen.Tri
     trials.sort(key=lambda t: -t.gain)
     say(0.7, "refining the best")
     middle = thinned(point, REFINE_SECONDS)
-    promising = [t for t in trials[:12] if searched(t.effect, model) and t.gain > max(4.0, 0.6 * trials[0].gain)]
-    better = each(lambda t: screen.refined(middle, point, model, t), promising[:6])
+    promising = [t for t in _promising(trials) if searched(t.effect, model)][:REFINED]
+    better = each(lambda t: screen.refined(middle, point, model, t), promising)
     instead = {id(t): new for t, new in zip(promising, better, strict=False)}
     return [instead.get(id(t), t) for t in trials]
+
+
+def _promising(trials: list[screen.Trial]) -> list[screen.Trial]:
+    """Those of effects that come near the best one at their bearing, all directions of it together."""
+    sums: dict[tuple[str, str], float] = {}
+    for t in trials:
+        key = t.spot.split(".")[0], t.effect.name
+        sums[key] = sums.get(key, 0.0) + max(t.gain, 0.0)
+    best = {node: max(g for (n, _), g in sums.items() if n == node) for node, _ in sums}
+    near = {key for key, g in sums.items() if g > max(4.0, NEAR * best[key[0]])}
+    return [t for t in trials if t.gain > 2.0 and (t.spot.split(".")[0], t.effect.name) in near]
 
 
 def _same_state_left(before: missing_force.Survey, after: missing_force.Survey, best: Entry) -> float:
