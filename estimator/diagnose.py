@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from . import adequacy, amplitude, evidence, missing_force, screen
 from .effects import CATALOGUE
 from .evidence import Entry
+from .fitted import parameters
 from .model import Model
 from .model_uses import acting, searched
 from .preparation import prepare
@@ -92,7 +93,9 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
         return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries), messages=best.notes)
     after_point = fit_model(point.data, [*point.placed, *best.placed], start=point, rounds=3)
     after = missing_force.survey(after_point, model, only=before.places_found())
-    entries[0] = best = replace(best, after_percent=after.percent(point))
+    joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
+    values = {k: joint.get(k, p) for k, p in best.parameters.items()}
+    entries[0] = best = replace(best, after_percent=after.percent(point), parameters=values)
     smooth = adequacy.left(point, after_point, best.effect, {i for p in best.placed for i in p.at})
     left = _same_state_left(before, after, best) if smooth is None else smooth
     if left > adequacy.most_left(best.effect, SAME_SHAPE) and not _another_explains(
