@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 CELLS = 260
 LEVEL = 1e-3
 LEAST_DEPTH = 0.03  # rms of ln(power / model): less is within what filters and integrators leave behind
+EXPLAINED = 0.5  # of the misfit beyond chance: a cause that leaves more is not the cause
 NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
 
 
@@ -203,6 +204,8 @@ def _shapes(
         full = np.concatenate([scale, np.full(len(shape.names), 0.3)])
         found, z, sd = _maximum(c, shape.model, starts, full)
         gain = found - level
+        if gain < EXPLAINED * (-level - 0.5 * (c.n.size - 4)):
+            continue
         q = len(shape.names)
         values = shape.values(z[4:])
         spread = np.abs(shape.values(z[4:] + 1e-3) - values) / 1e-3 * sd[4:]
