@@ -25,7 +25,7 @@ STATE = {  # even terms beside an odd law belong to another one
     "coulomb": ("v", ODD[:3]), "quadratic_damping": ("v", ODD[:3]),
 }  # fmt: skip
 LEVEL = 1e-3
-MOST = {"x": 0.1, "v": 0.2}  # rms left beside the right law; of the velocity the band leaves out more
+MOST = {"x": 0.1, "v": 0.3}  # rms left beside the right law; of the velocity the band leaves out more
 
 
 def most_left(effect: str, otherwise: float) -> float:

@@ -90,7 +90,7 @@ def compare_point(model: Model, point: WorkingPoint, y: Array, say: Progress) ->
     """The same from a model already fitted."""
     say(0.4, "what can still be predicted")
     (others, beside), found = both(
-        lambda: (suspects(model, point, y), twin(fitted_model(model, point), point)),
+        lambda: (suspects(model, point, y), twin(fitted_model(model, point), point, y)),
         lambda: missing_force.survey(point, model),
     )
     found = found.beside(others)

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import ModelError
+from .errors import DataError, ModelError
+from .free_run import free_run
 from .model import Model
 from .motion_blocks import cut
 from .simulate import simulate
@@ -16,6 +17,7 @@ from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 SECONDS = 5.0
+SETTLE = 2.0  # from rest, under a measured force
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,20 +32,28 @@ class Twin:
     message: str = ""
 
 
-def twin(model: Model, point: WorkingPoint) -> Twin:
-    """Simulate the model (all values given) for some seconds and hold it against the record.
+def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
+    """Simulate the model (all values given) for some seconds and hold it against the record (n, channels).
+
+    The twin is driven by random forces of the model's S, or by the measured force where every place has one.
 
     psd distance: rms over the band of 10 lg (model / measured). pdf distance: largest difference of the two
     distribution functions of displacement (Kolmogorov), 0 to 1. A model that cannot be simulated gives no numbers.
     """
     data = point.data
     try:
-        y = simulate(model, data.rate_hz, SECONDS, seed=11)
+        if data.measured_force:
+            y = _driven(model, record, data.rate_hz)
+        else:
+            y = simulate(model, data.rate_hz, SECONDS, seed=11)
     except ModelError as problem:
         return Twin({}, {}, {}, {}, {}, f"no simulated twin: {problem}")
     if not np.isfinite(y).all():
         return Twin({}, {}, {}, {}, {}, "no simulated twin: the simulation of this model diverges")
-    own = cut(model, y, data.rate_hz, data.block)
+    try:
+        own = cut(model, y, data.rate_hz, data.block)
+    except DataError as problem:
+        return Twin({}, {}, {}, {}, {}, f"no simulated twin: {problem}")
     psd: dict[str, float] = {}
     pdf: dict[str, float] = {}
     spectra: dict[str, Any] = {}
@@ -78,6 +88,20 @@ def twin(model: Model, point: WorkingPoint) -> Twin:
                 k: [z[j][:2000].tolist() for j in pair] for k, z in (("measured", data.x), ("model", own.x))
             }
     return Twin(psd, pdf, spectra, densities, orbits)
+
+
+def _driven(model: Model, record: Array, rate_hz: float) -> Array:
+    """(n, channels) of the rig from rest under the measured force, the first seconds of it left out."""
+    force = {c.place: k for k, c in enumerate(model.channels) if c.kind == "force"}
+    if not force.keys() >= set(model.places):
+        raise ModelError("a force is measured at some places only")
+    whole = np.isfinite(record).all(axis=1)
+    rows = int((SETTLE + SECONDS) * rate_hz)
+    longest = max(np.split(np.arange(len(record)), np.flatnonzero(~whole)), key=len)[-rows:]
+    y = record[longest[np.isfinite(record[longest]).all(axis=1)]].copy()
+    moving = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind != "force") for p in model.places]
+    y[:, moving] = free_run(model, np.ascontiguousarray(y[:, [force[p] for p in model.places]].T), rate_hz).T
+    return y[int(SETTLE * rate_hz) :]
 
 
 def spectrum(series: Array, block: int, rate_hz: float) -> tuple[Array, Array]:
