@@ -56,13 +56,14 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
     """Mean square in N^2 explained by the polynomials of a state at place i, nats gained, number of terms."""
     data = point.data
     z = (data.x if state == "x" else data.v)[i]
-    rms = float(z.std())
+    rms = float(data.rms[0 if state == "x" else 1, i])
+    u = z / rms
     terms = []
     for order in orders:
         polynomial = HermiteE.basis(order)
         slopes = np.zeros((len(data.places),) * 2 + (2,))
-        slopes[i, i, 0 if state == "x" else 1] = float(np.mean(polynomial.deriv()(z / rms))) / rms
-        series = np.asarray(polynomial(z / rms), dtype=np.float64)
+        slopes[i, i, 0 if state == "x" else 1] = float(np.mean(polynomial.deriv()(u))) / rms
+        series = np.asarray(polynomial(u), dtype=np.float64)
         made = orthogonal(Term(f"smooth.{order}", "N", {i: series}, slopes), point.spans, least=1e-3)
         if made is not None:
             terms.append(made)

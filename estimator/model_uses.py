@@ -27,8 +27,8 @@ def effect_of(use: EffectUse) -> Effect:
 def size(data: MotionBlocks, i: int, kL: float) -> Size:
     """Natural sizes at a place, measured."""
     return Size(
-        x=float(data.x[i].std()), v=float(data.v[i].std()), m=float(data.mass[i]), kL=float(kL),
-        a=float(data.a[i].std()), rate_hz=data.rate_hz, band_hz=data.band[1],
+        x=float(data.rms[0, i]), v=float(data.rms[1, i]), m=float(data.mass[i]), kL=float(kL),
+        a=float(data.rms[2, i]), rate_hz=data.rate_hz, band_hz=data.band[1],
     )  # fmt: skip
 
 

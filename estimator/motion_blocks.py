@@ -45,10 +45,10 @@ class MotionBlocks:
     shaft: NDArray[np.complex128]  # (bins, places, places) N/m, shaft and disc as seen by the caps
     colour: Array  # (places, bins) shape of the force spectrum that the model has, mean about 1
     measured_force: bool = False
-    rms: Array = field(init=False)  # (2, places) of x and of v
+    rms: Array = field(init=False)  # (3, places) of x, of v and of a
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rms", np.stack([self.x.std(axis=1), self.v.std(axis=1)]))
+        object.__setattr__(self, "rms", np.stack([z.std(axis=1) for z in (self.x, self.v, self.a)]))
 
     @property
     def blocks(self) -> int:

@@ -13,6 +13,7 @@ places with one parameter. A(w) is the mean tangent of the whole model over the 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +39,7 @@ class Term:
 
     name: str
     unit: str
-    series: dict[int, Array]
+    series: dict[int, NDArray[Any]]
     tangent: Array
     scale: float = 1.0
     memory: Complexes | None = None

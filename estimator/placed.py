@@ -164,6 +164,11 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
     return out
 
 
+def light(term: Term) -> Term:
+    """The term for keeping: its own series in single precision, views of the record as they are."""
+    return replace(term, series={i: z if z.base is not None else z.astype(np.float32) for i, z in term.series.items()})
+
+
 @dataclass(frozen=True, slots=True)
 class Span:
     """What the base terms span at one place: B (k, n) scaled to rms 1, their Gram matrix and tangents."""

@@ -162,6 +162,7 @@ def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) 
     jacobian = Jacobian(A)
     blocks = np.bincount(data.fold, minlength=FOLDS).astype(np.float64)
     result = fit(G, jacobian, np.arange(FOLDS), blocks)
+    light = tuple(placing.light(t) for t in terms)
     return WorkingPoint(
         data,
         kL,
@@ -172,14 +173,14 @@ def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) 
         F,
         weighing,
         spectra,
-        tuple(terms),
+        light,
         columns,
         G,
         jacobian,
         result,
         A,
         D,
-        placing.Spans(terms),
+        placing.Spans(light),
     )
 
 
