@@ -116,7 +116,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         (["run"], 2, "Missing argument 'RIG'"),
         (["check", "none.toml"], 2, "no such rig file"),
         (["run", "RIG", "--link", "virtul:"], 3, "did you mean 'virtual'?"),
-        (["run", "RIG", "--link", "serial:/dev/none"], 3, "could not open port"),
+        (["run", "RIG", "--link", "serial:/dev/none"], 3, "check the name with `rotorscope ports`"),
         (["run", "RIG", "--link", "capture:none.log"], 3, "none.log"),
         (["run", "RIG", "--link", "virtual:", "--out", "/none/a.mcap"], 4, "/none/a.mcap"),
         (["simulate", "RIG"], 2, "say --out LOG.mcap"),
