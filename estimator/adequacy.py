@@ -28,6 +28,11 @@ LEVEL = 1e-3
 MOST = {"x": 0.1, "v": 0.3}  # rms left beside the right law; of the velocity the band leaves out more
 
 
+def state_of(effect: str) -> str:
+    """The state that the law's own misfit is drawn against."""
+    return {"x": "displacement", "v": "velocity"}[STATE[effect][0] if effect in STATE else "x"]
+
+
 def most_left(effect: str, otherwise: float) -> float:
     """What `left` may be beside the right law."""
     return MOST[STATE[effect][0]] if effect in STATE else otherwise

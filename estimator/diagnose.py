@@ -104,7 +104,7 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
         return Diagnosis(
             "unknown",
             tuple(entries),
-            shape_of(point, before),
+            shape_of(point, before, (best.placed[0].at[0], adequacy.state_of(best.effect))),
             messages=(
                 f"{best.effect} comes nearest but leaves {100 * left:.0f} % of the missing force in the same state: "
                 "no law of the catalogue has this shape",

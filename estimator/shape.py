@@ -55,9 +55,14 @@ def curve(point: WorkingPoint, residual: Residual, group: str, channel: str) -> 
     return Shape(channel, group, at_knots, force, force - 1.96 * sd, force + 1.96 * sd)
 
 
-def shape_of(point: WorkingPoint, found: Survey) -> Shape | None:
-    """The curve against the state that explains most, where it is one of displacement or velocity."""
+def shape_of(point: WorkingPoint, found: Survey, otherwise: tuple[int, str] | None = None) -> Shape | None:
+    """The curve against the state that explains most, where it is one of displacement or velocity.
+
+    otherwise : place and state to draw if the survey alone finds neither.
+    """
     best = [(f.gain, r, f.group) for r in found.residuals for f in r.found if f.group in ("displacement", "velocity")]
+    if not best and otherwise is not None:
+        best = [(0.0, r, otherwise[1]) for r in found.residuals if r.place == otherwise[0]]
     if not best:
         return None
     _, residual, group = max(best, key=lambda z: z[0])
