@@ -15,6 +15,7 @@ from drivers.can_frames import ERROR, EXTENDED, REMOTE, CanFrames
 from drivers.errors import LinkOpenError, LinkUnavailable
 
 BATCH = 4096  # frames
+LARGEST_ID = 0x1FFF_FFFF
 LATEST_NS = 2**62  # the year 2116; later is damage, and would not fit
 SUFFIXES = (".log", ".blf", ".asc", ".mf4")
 _LINE = re.compile(
@@ -183,6 +184,10 @@ def _python_can(reader: Any, bus: str | None, file: Path) -> Generator[Batch, No
                     t_ns = round(message.timestamp * 1e6) * 1000
                     if abs(t_ns) > LATEST_NS:
                         damaged, why = damaged + 1, why or f"a frame at {message.timestamp:g} s"
+                        continue
+                    if not 0 <= message.arbitration_id <= LARGEST_ID or len(message.data) > 64:
+                        what = f"a frame of identifier {message.arbitration_id:X} with {len(message.data)} bytes"
+                        damaged, why = damaged + 1, why or what
                         continue
                     frames.append((message.arbitration_id | flags, bytes(message.data), t_ns))
             except Exception as error:  # noqa: BLE001 - a damaged file: python-can raises whatever it trips over

@@ -59,6 +59,10 @@ def _hook(event: str, arguments: tuple[object, ...]) -> None:
 
 
 def _check(event: str, path: object, folder: str) -> None:
+    if isinstance(path, str) and path[: len(folder) + 1] == folder + os.sep:
+        name = path[len(folder) + 1 :]
+        if name not in ("", ".", "..") and os.sep not in name and not os.path.islink(path):
+            return  # straight in it: no need to resolve anything
     if isinstance(path, (str, bytes)):
         real = os.path.realpath(os.fsdecode(path))
         if not (real + os.sep).startswith(folder + os.sep):

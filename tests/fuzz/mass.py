@@ -19,168 +19,35 @@ import time
 import warnings
 import xml.etree.ElementTree as ElementTree
 import zlib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parents[1])]
 
 from guard import guarded  # noqa: E402
-from seeds import seeds  # noqa: E402
-from targets import TARGETS  # noqa: E402
+from kinds import KINDS, Kind  # noqa: E402
+from targets import TARGETS, Target  # noqa: E402
+
+from daq import import_formats  # noqa: E402
+from daq.memory import bounded_memory  # noqa: E402
 
 HANG_S = 20
 SAVE_S = 5.0
-ODD = (
-    b"\0",
-    b"\xff",
-    b"\x7f",
-    b"\x80",
-    b"\r",
-    b"\n",
-    b",",
-    b"0",
-    b"-",
-    b"\xff\xff\xff\xff",
-    b"\0\0\0\x80",
-    b"nan",
-    b"9e9",
-)
+GROUP = 64  # single inputs between two looks at the clock
 
 
-@dataclass(frozen=True, slots=True)
-class Kind:
-    """How a target's inputs are made. split : a good file -> its inputs; pack : an input -> its part of the stream;
-    many : inputs in one stream.
-
-    head : what comes before them; first, last : which of the good files.
-    """
-
-    what: str
-    many: int = 1
-    split: Callable[[bytes], list[bytes]] = lambda data: [data]
-    pack: Callable[[bytes], bytes] = lambda piece: piece
-    head: tuple[bytes, ...] = (b"",)
-    target: str = ""
-    first: int = 0
-    last: int | None = None
-
-    def pools(self, name: str) -> list[tuple[bytes, list[bytes]]]:
-        """(head, good pieces): one for each head, if a head belongs to each good file."""
-        good = seeds(name)[self.first : self.last]
-        heads = self.head if len(self.head) == len(good) else self.head * len(good)
-        files = [self.split(data.removeprefix(head)) for head, data in zip(heads, good, strict=True)]
-        if len(self.head) == len(files):
-            return list(zip(self.head, files, strict=True))
-        return [(self.head[0], [piece for pieces in files for piece in pieces])]
-
-
-def _after(end: bytes) -> Callable[[bytes], list[bytes]]:
-    return lambda data: [piece + end for piece in data.split(end) if piece]
-
-
-def _sized(at: int) -> Callable[[bytes], list[bytes]]:
-    """Pieces of two bytes and a body; byte `at` is the body's length and is left out here."""
-
-    def split(data: bytes) -> list[bytes]:
-        out = []
-        while len(data) > 2:
-            stop = 2 + data[at]
-            out.append(data[1 - at : 2 - at] + data[2:stop])
-            data = data[stop:]
-        return out
-
-    return split
-
-
-def _with_size(at: int) -> Callable[[bytes], bytes]:
-    def pack(piece: bytes) -> bytes:
-        size = bytes((min(max(len(piece) - 1, 0), 255),))
-        one = piece[:1] or b"\0"
-        return (size + one if at == 0 else one + size) + piece[1:256]
-
-    return pack
-
-
-def _frames(data: bytes) -> list[bytes]:
-    """Of the target "can": a head whose top bits tell the length."""
-    out = []
-    while data:
-        stop = 1 + (64 if data[0] >> 5 else 8)
-        out.append(bytes((data[0] | 16,)) + data[1:stop])
-        data = data[stop:]
-    return out
-
-
-def _frame(piece: bytes) -> bytes:
-    head = piece[0] if piece else 0
-    length = (8, 64, 12, 64, 8, 64, 0, 64)[head >> 5]
-    if head >> 5 == 6:  # of any length; the first byte tells
-        body = piece[1:65] or b"\0"
-        return bytes((head, len(body))) + body[1:]
-    return bytes((head,)) + piece[1 : 1 + length].ljust(length, b"\0")
-
-
-def _tens(data: bytes) -> list[bytes]:
-    return [data[k : k + 10] for k in range(0, len(data), 10)]
-
-
-def _ten(piece: bytes) -> bytes:
-    return piece[:10].ljust(10, b"\0")
-
-
-KINDS = {
-    "cobs": Kind("frames", 500, _after(b"\0")),
-    "slcan": Kind("lines", 500, _after(b"\r")),
-    "serial": Kind("frames", 250, _sized(0), _with_size(0)),
-    "can": Kind("frames", 250, _frames, _frame, head=(b"\0", b"\1", b"\2")),
-    "messages": Kind("messages of a log", 250, _sized(1), _with_size(1), head=(b"\2",), target="mcap", first=1),
-    "expression": Kind("texts"),
-    "mapped": Kind("frames", 300, _tens, _ten),
-    "candump": Kind("lines", 250, _after(b"\n")),
-    "rig": Kind("files"),
-    "csv": Kind("files"),
-    "wav": Kind("files"),
-    "uff": Kind("files"),
-    "npz": Kind("files"),
-    "mcap": Kind("files", last=1),
-    "asc": Kind("files"),
-    "blf": Kind("files"),
-}
-
-
-def damaged(data: bytes, rng: random.Random) -> bytes:
-    """One to four pieces overwritten, cut out, doubled or flipped."""
-    out = bytearray(data)
-    for _ in range(1 + int(rng.random() * rng.random() * 4)):
-        at, how = int(rng.random() ** 2 * (len(out) + 1)), int(rng.random() * 8)  # heads more often
-        if how < 3 and at < len(out):
-            out[at] = int(rng.random() * 256)
-        elif how == 3 and at < len(out):
-            out[at] ^= 1 << int(rng.random() * 8)
-        elif how == 4:
-            del out[at : at + 1 + int(rng.random() * rng.random() * 16)]
-        elif how == 5:
-            out[at:at] = out[at : at + 1 + int(rng.random() * 16)]
-        elif how == 6:
-            odd = ODD[int(rng.random() * len(ODD))]
-            out[at : at + len(odd)] = odd
-        else:
-            out[at:at] = ODD[int(rng.random() * len(ODD))]
-    return bytes(out)
-
-
-def _batch(good: list[bytes], many: int, rng: random.Random) -> list[bytes]:
+def _batch(kind: Kind, good: list[bytes], rng: random.Random) -> list[bytes]:
     """Inputs of one stream: of any order, or one after the other; some of them whole."""
-    if many == 1:
-        return [damaged(rng.choice(good), rng)]
+    if kind.many == 1:
+        return [kind.damage(rng.choice(good), rng)]
     if rng.random() < 0.5:
-        pieces = rng.choices(good, k=many)
+        pieces = rng.choices(good, k=kind.many)
     else:
         start = int(rng.random() * len(good))
-        pieces = [good[(start + k) % len(good)] for k in range(many)]
-    return [piece if rng.random() < 0.3 else damaged(piece, rng) for piece in pieces]
+        pieces = [good[(start + k) % len(good)] for k in range(kind.many)]
+    return [kind.pack(piece if rng.random() < 0.3 else kind.damage(piece, rng)) for piece in pieces]
 
 
 class _Hang(BaseException):
@@ -191,28 +58,45 @@ def _alarm(*_: object) -> None:
     raise _Hang(f"no answer within {HANG_S} s")
 
 
+@contextmanager
+def _bounded_once() -> Iterator[None]:
+    """The bound on memory that an importer sets for each file, set for many: it is not what is tried here."""
+    with bounded_memory(0) as bound:
+        before = import_formats.bounded_memory
+        import_formats.bounded_memory = lambda size: nullcontext(bound)  # type: ignore[assignment]
+        try:
+            yield
+        finally:
+            import_formats.bounded_memory = before
+
+
 def fuzz(name: str, tally: dict[str, dict[str, float]], wanted: int, save: Callable[[], None]) -> str:
     """Go on to the wanted number; what broke, or ""."""
     kind, mine = KINDS[name], tally.setdefault(name, {"inputs": 0, "cpu_s": 0.0, "peak_mb": 0.0})
-    target = TARGETS[kind.target or name]
+    target, tails = TARGETS[kind.target or name], kind.tails() if kind.tails else [b""]
     pools = kind.pools(kind.target or name)
     base = "/dev/shm" if Path("/dev/shm").is_dir() else None
     rng = random.Random(f"{name} {mine['inputs']:.0f}")
     with tempfile.TemporaryDirectory(dir=base) as scratch:
         folder = Path(scratch)
         for head, good in pools:
-            target(head + b"".join(map(kind.pack, good)), folder)  # imports and compiles
+            target(head + b"".join(map(kind.pack, good)) + tails[0], folder)  # imports and compiles
         saved, cpu = time.monotonic(), time.process_time()
         while mine["inputs"] < wanted:
-            head, good = rng.choice(pools)
-            batch = [kind.pack(piece) for piece in _batch(good, kind.many, rng)]
-            problem = _tried(target, head, batch, folder)
+            streams = []
+            for _ in range(GROUP if kind.many == 1 else 1):
+                head, good = pools[int(rng.random() * len(pools))]
+                tail = tails[int(rng.random() * len(tails))]
+                tail = tail if not tail or rng.random() < 0.5 else kind.damage(tail, rng)
+                streams.append((head, _batch(kind, good, rng), tail))
+            broken, problem = _tried(target, streams, folder)
             if problem:
-                case = head + b"".join(_smaller(target, head, batch, folder))
+                head, batch, tail = streams[broken]
+                case = head + b"".join(_smaller(target, head, batch, tail, folder)) + tail
                 path = HERE / "cases" / f"{kind.target or name}-mass-{zlib.crc32(case):08x}"
                 path.write_bytes(case)
                 return f"{path.name}: {problem}"
-            mine["inputs"] += kind.many
+            mine["inputs"] += kind.many * len(streams)
             if time.monotonic() - saved > SAVE_S or mine["inputs"] >= wanted:
                 mine["cpu_s"] += time.process_time() - cpu
                 mine["peak_mb"] = max(mine["peak_mb"], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
@@ -221,28 +105,34 @@ def fuzz(name: str, tally: dict[str, dict[str, float]], wanted: int, save: Calla
     return ""
 
 
-def _tried(target: Callable[[bytes, Path], None], head: bytes, batch: list[bytes], folder: Path) -> str:
+Stream = tuple[bytes, list[bytes], bytes]
+
+
+def _tried(target: Target, streams: list[Stream], folder: Path) -> tuple[int, str]:
+    """Which of them breaks a promise, and how; or -1 and ""."""
+    at = -1
     signal.alarm(HANG_S)
     try:
-        with guarded(folder):
-            target(head + b"".join(batch), folder)
+        with guarded(folder), _bounded_once():
+            for at, (head, batch, tail) in enumerate(streams):  # noqa: B007 - which one is told
+                target(head + b"".join(batch) + tail, folder)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a Forbidden or a hang, too
-        return repr(error)
+        return at, repr(error)
     finally:
         signal.alarm(0)
-    return ""
+    return -1, ""
 
 
-def _smaller(target: Callable[[bytes, Path], None], head: bytes, batch: list[bytes], folder: Path) -> list[bytes]:
+def _smaller(target: Target, head: bytes, batch: list[bytes], tail: bytes, folder: Path) -> list[bytes]:
     """The batch without what it does not need to fail."""
     step = len(batch) // 2
     while step:
         at = 0
         while at < len(batch):
             less = batch[:at] + batch[at + step :]
-            if _tried(target, head, less, folder):
+            if _tried(target, [(head, less, tail)], folder)[1]:
                 batch = less
             else:
                 at += step

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import io
+import struct
+import tempfile
+import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from targets import _STARTS, CHANNELS, ROOT
+from sessions import make_block, make_estimate, make_info, make_status, make_stream, write_log
+from targets import _STARTS, ROOT, _chunk, _message
 
+from daq import log_codec as codec
+from daq import log_scan
 from drivers import cobs
+from drivers.reading import Gap, Notice
 from drivers.slcan_codec import encode_line
 
-_ROWS = np.arange(40.0).reshape(10, 4)
+_ROWS = np.arange(12.0).reshape(6, 2)
+_PAIR = ("b1x", "b1y")  # the rig of the importers' target
 
 
 def seeds(name: str) -> list[bytes]:
@@ -40,33 +49,75 @@ def _can() -> list[bytes]:
     return out
 
 
-def _mcap() -> list[bytes]:
-    import tempfile
-    from dataclasses import replace
+LOG_HEAD = b"\0" + log_scan.MAGIC  # for the target "mcap": a file
 
-    from sessions import make_block, make_estimate, make_status, make_stream, write_log
 
-    from daq import log_codec as codec
-    from drivers.reading import Gap, Notice
-
+def _whole_log() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.mcap"
         write_log(path, make_stream(4, 20))
-        raw = path.read_bytes()
-    good = make_estimate(7)
-    short = replace(good, parameters=dict(list(good.parameters.items())[::2]))  # a length of one byte
+        return path.read_bytes()
+
+
+def _mcap() -> list[bytes]:
     blocks = [(codec.RAW, codec.encode_blocks([make_block(k, 4)])) for k in range(11, 60, 5)]  # a hole after each
-    messages = [
-        (codec.GAP, codec.encode_gap(Gap(4, 7, "crc"))), (codec.ESTIMATE, codec.encode_estimate(short)), *blocks,
-        (codec.STATUS, codec.encode_status(make_status(7))),
+    messages = [(codec.GAP, codec.encode_gap(Gap(4, 7, "crc"))), *_events(7), *blocks]
+    return [b"\0" + _whole_log(), b"\2" + b"".join(bytes((c, len(d))) + d for c, d in messages)]
+
+
+def _events(index: int) -> list[tuple[int, bytes]]:
+    good = make_estimate(index)
+    short = replace(good, parameters=dict(list(good.parameters.items())[::2]))  # a length of one byte
+    return [
+        (codec.ESTIMATE, codec.encode_estimate(short)), (codec.STATUS, codec.encode_status(make_status(index))),
         (codec.NOTICE, codec.encode_notice(Notice(1, "info", "a", "b"), 5)),
     ]  # fmt: skip
-    return [b"\0" + raw, b"\2" + b"".join(bytes((c, len(d))) + d for c, d in messages)]
+
+
+def small_logs() -> list[bytes]:
+    """What a log begins with, and many chunks of one or two messages; all that comes before the end."""
+    raw = _whole_log()
+    first = raw[len(log_scan.MAGIC) : raw.index(log_scan.SIGNATURE) - log_scan.SIGNATURE_AT]
+    start = [(codec.SESSION, codec.encode_session("dev", 0, {})), (codec.INFO, codec.encode_info(make_info()))]
+    chunks = [start + [(codec.RAW, codec.encode_blocks([make_block(0, 4)]))]]
+    for k in range(4, 400, 4):
+        if k % 40 == 0:
+            chunks += [[event] for event in _events(k)]
+        gap = [(codec.GAP, codec.encode_gap(Gap(k, 2, "crc")))] if k % 28 == 0 else []
+        block = make_block(k + 2 * len(gap), 4 - 2 * len(gap))
+        chunks.append([*gap, (codec.RAW, codec.encode_blocks([block]))])
+    return [LOG_HEAD + first + b"".join(_chunk(b"".join(_message(c, d) for c, d in chunk)) for chunk in chunks)]
+
+
+def log_ends() -> list[bytes]:
+    """Index and footer."""
+    raw = _whole_log()
+    data_end = log_scan.RECORD.pack(0x0F, 4)
+    return [raw[raw.index(data_end) :], raw[-37:]]
 
 
 def _rig() -> list[bytes]:
     return [path.read_bytes() for path in sorted((ROOT / "configs").glob("*.toml"))] + [_CUSTOM]
 
+
+def small_rigs() -> list[bytes]:
+    """A table or two each, since the time goes with the length."""
+    start = b"schema = 1\n[band]\nlow = 20\nhigh = 900.0\n"
+    cap = b'[[channel]]\nname = "b1x"\nnode = "bearing1"\ndirection = "x"\nkind = "acceleration"\nunit = "g"\n'
+    spare = b'[[channel]]\nname = "f"\nnode = "bearing1"\ndirection = "y"\nkind = "force"\nunit = "N"\n'
+    return [start + cap + part for part in (spare, *_TABLES)]
+
+
+_TABLES: tuple[bytes, ...] = (
+    b"[acquisition]\nrate_hz = 2e4\nfull_scale = 50\nnoise = 0.1\n",
+    b'[rig]\nname = "a"\nshaft = "none"\nspeed_rpm = 900.5\nmass = { disc = 2.0, bearing1 = { x = 1, y = 1.5 } }\n',
+    b"[rig.bearing]\nballs = 8\nball_diameter_mm = 4.8\npitch_diameter_mm = 19\ngroove_radius_mm = 2.5\n",
+    b"[model.linear.bearing1.x]\nkL = { value = 1e7, min = 1, max = 1e9 }\nc = 20\nS = 0.1\n",
+    b'[model]\neffects = ["quintic", "cubic"]\n[model.cubic]\nat = ["bearing1.x"]\nkNL = { value = 1e9, min = 0 }\n',
+    b'[[model.custom]]\nname = "s"\nexpression = "k*x**3"\nparameters = { k = { value = 1e6, unit = "N/m^3" } }\n',
+    b'[link]\nurl = "can:socketcan:can0"\nsignals = { b1x = "M.a" }\ndbc = "a.dbc"\n',
+    b'[estimator]\nmethod = "spectral"\n',
+)
 
 _CUSTOM = b"""schema = 1
 [band]
@@ -101,15 +152,15 @@ def _expression() -> list[bytes]:
 
 
 def _csv() -> list[bytes]:
-    lines = ["time," + ",".join(CHANNELS)] + [f"{k / 25600:.9f},{k},1,-2.5e3,0" for k in range(10)]
-    return ["\n".join(lines).encode(), b"# x\nb1x [m/s^2];b1y;b2x;b2y\n1;2;3;4\n5;6;7;nan\n"]
+    lines = ["time,b1x,b1y"] + [f"{k / 25600:.9f},{k},-2.5e3" for k in range(6)]
+    return ["\n".join(lines).encode(), b"# x\nb1x [g];b1y;b2x\n1;2;3\n5;6;nan\n", b"b1y\tb1x\nnan\tnan\n1\t2\n3\t4\n"]
 
 
 def _npz() -> list[bytes]:
     out = []
     for save in (np.savez, np.savez_compressed):
         buffer = io.BytesIO()
-        save(buffer, rate_hz=25600.0, **{n: _ROWS[:, k] for k, n in enumerate(CHANNELS)})
+        save(buffer, rate_hz=25600.0, **{n: _ROWS[:, k] for k, n in enumerate(_PAIR)})
         out.append(buffer.getvalue())
     return out
 
@@ -131,7 +182,7 @@ def _mat() -> list[bytes]:
     out = []
     for options in ({"format": "4"}, {}, {"do_compression": True}):
         buffer = io.BytesIO()
-        values = {n: _ROWS[:, k] for k, n in enumerate(CHANNELS)}
+        values = {n: _ROWS[:, k] for k, n in enumerate(_PAIR)}
         savemat(buffer, values | {"rate_hz": 25600.0}, **options)  # type: ignore[arg-type]
         out.append(buffer.getvalue())
     return out
@@ -142,44 +193,62 @@ def _file(pattern: str, write: object = None) -> list[bytes]:
 
 
 def _uff() -> list[bytes]:
-    import tempfile
-
     import pyuff
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.uff"
-        for k, name in enumerate(CHANNELS):
+        for k, name in enumerate(_PAIR):
             data = pyuff.prepare_58(
                 binary=0, func_type=1, ver_num=1, load_case_id=0, rsp_ent_name=name, rsp_node=1, rsp_dir=1,
-                ref_ent_name="NONE", ref_node=0, ref_dir=0, data=_ROWS[:, k], x=np.arange(10) / 25600, id1=name,
+                ref_ent_name="NONE", ref_node=0, ref_dir=0, data=_ROWS[:, k], x=np.arange(6) / 25600, id1=name,
                 id2="", id3="", id4="", id5="", ord_data_type=4, orddenom_spec_data_type=0, z_axis_spec_data_type=0,
-                abscissa_spacing=1, abscissa_min=0.0, abscissa_inc=1 / 25600, num_pts=10,
+                abscissa_spacing=1, abscissa_min=0.0, abscissa_inc=1 / 25600, num_pts=6,
             )  # fmt: skip
             pyuff.UFF(str(path)).write_sets(data, mode="add")
-        return [path.read_bytes()]
+        both = path.read_bytes()
+        return [both, both[: len(both) // 2]]
 
 
 def _mf4() -> list[bytes]:
-    import tempfile
-
     from asammdf import MDF, Signal
 
-    t = np.arange(10) / 25600
+    t = np.arange(6) / 25600
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.mf4"
         with MDF() as file:
-            file.append([Signal(_ROWS[:, k], t, name=n, unit="m/s^2") for k, n in enumerate(CHANNELS)])
+            file.append([Signal(_ROWS[:, k], t, name=n, unit="g") for k, n in enumerate(_PAIR)])
             file.save(path, compression=1)
         return [path.read_bytes()]
 
 
-_ASC = b"""date Mon Jan 1 00:00:00 2024
-base hex timestamps absolute
- 0.1 1 300 Rx d 8 00 01 02 03 04 05 06 07
-"""
+def _blf() -> list[bytes]:
+    """The start of a real one; and two frames behind a packed and a bare container's head."""
+    import can
+
+    buffer = io.BytesIO()
+    buffer.close = lambda: None  # type: ignore[method-assign]
+    writer = can.BLFWriter(buffer)
+    for identifier, data in _STARTS["fd16"][:2]:
+        message = can.Message(timestamp=1.7e9, arbitration_id=identifier, data=data, is_fd=len(data) > 8)
+        writer.on_message_received(message)
+    writer.stop()
+    packed = buffer.getvalue()
+    size = int.from_bytes(packed[152:156], "little")  # of the container, behind the file's head of 144 bytes
+    objects = zlib.decompress(packed[176 : 144 + size])
+    bare = packed[:152] + struct.pack("<II", 32 + len(objects), 10) + struct.pack("<H6xI4x", 0, len(objects)) + objects
+    return [*_file("canedge_imu/*.blf"), packed, bare]
+
+
+_ASC_HEAD = b"date Mon Jan 1 00:00:00 2024\nbase hex timestamps absolute\ninternal events logged\n"
+_ASC = (
+    b" 0.1 1 300 Rx d 8 00 01 02 03 04 05 06 07\n",
+    b" 0.2 CANFD 1 Rx 301 1 0 9 12 00 01 02 03 04 05 06 07 08 09 0a 0b\n",
+    b" 0.3 1 18FF0001x Rx r 8\n",
+    b" 0.4 1 ErrorFrame\n",
+)
 _MAKERS = {
     "cobs": _cobs, "slcan": _slcan, "serial": _serial, "can": _can, "mapped": lambda: [bytes(range(60))],
     "mcap": _mcap, "rig": _rig, "expression": _expression, "csv": _csv, "npz": _npz, "wav": _wav, "mat": _mat,
-    "uff": _uff, "mf4": _mf4, "candump": lambda: _file("canedge_imu/*.log"), "blf": lambda: _file("canedge_imu/*.blf"),
-    "asc": lambda: [_ASC],
+    "uff": _uff, "mf4": _mf4, "candump": lambda: _file("canedge_imu/*.log"), "blf": _blf,
+    "asc": lambda: [_ASC_HEAD + b"".join(_ASC), *(_ASC_HEAD[-23:] + line for line in _ASC)],
 }  # fmt: skip
