@@ -55,7 +55,7 @@ class Findings:
 def scan(path: Path, findings: Findings) -> Iterator[list[Message]]:
     """The messages of each intact chunk, in the file's order. Raises LogError if the file cannot be read."""
     try:
-        with path.open("rb") as file:
+        with path.open("rb", STEP) as file:
             yield from _scan(file, path.stat().st_size, findings)
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror or error}; check the path") from error
@@ -186,10 +186,10 @@ def _closed(file: BinaryIO, footer_at: int, size: int, findings: Findings) -> bo
 
 def _next_chunk(file: BinaryIO, at: int, size: int) -> int | None:
     """Where the next chunk after `at` may begin."""
-    seek = at + SIGNATURE_AT
-    while seek < size:
+    seek, stop = at + SIGNATURE_AT, size + SIGNATURE_AT  # of a chunk that begins before `size`
+    while seek < stop:
         file.seek(seek)
-        piece = file.read(STEP + len(SIGNATURE))
+        piece = file.read(min(STEP, stop - seek) + len(SIGNATURE))
         found = piece.find(SIGNATURE)
         while found >= 0:
             start = seek + found - SIGNATURE_AT

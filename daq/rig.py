@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from math import radians
 from pathlib import Path
 from types import MappingProxyType
@@ -122,7 +122,7 @@ def _tables(data: dict[str, Any], base: Path) -> list[Problem]:
             if field.is_required():
                 problems.append(Problem((key,), _MISSING[key]))
             continue
-        table: TypeAdapter[Any] = TypeAdapter(field.rebuild_annotation())
+        table = _adapter(name)
         try:
             parts[key] = table.validate_python(data[key])
         except ValidationError as error:
@@ -136,6 +136,12 @@ def _tables(data: dict[str, Any], base: Path) -> list[Problem]:
         if key not in known:
             problems.append(Problem((key,), f"unknown key; {did_you_mean(key, known, 'the keys here are')}"))
     return problems + _together(data, parts, base)
+
+
+@cache
+def _adapter(name: str) -> TypeAdapter[Any]:
+    """Of one table; building one takes longer than checking with it."""
+    return TypeAdapter(RigFile.model_fields[name].rebuild_annotation())
 
 
 _MISSING = {
