@@ -104,27 +104,43 @@ class Columns:
                 out[k] = stretch.force[column.row][inner]
             elif column.kind != "law":
                 out[k] = getattr(stretch, column.kind)[column.row, inner]
-            elif self.balance.laws[column.law].effect.kind == "memory":
-                out[k], tangents[k] = self._memory(k, stretch, inner)
             else:
-                law = self._laws[k]
-                key = (column.row, law.rough)
-                if key not in states:
-                    wide = self.state(column.row, stretch)
-                    states[key] = wide.finer() if law.rough else wide.inner()
-                effect = self.balance.laws[column.law].effect
-                total = np.zeros(states[key].x.size)
-                for p, weight in law.terms:
-                    force, sums = law_force(effect, p, states[key], law.reads)
-                    total += weight * force
-                    tangents[k] += weight * sums / (FINER if law.rough else 1)
-                out[k] = decimated(total) if law.rough else total
+                out[k], tangents[k] = self.law(k, stretch, states)
                 if not np.isfinite(out[k]).all():
-                    raise DataError(
-                        f"the force of effect {effect.name} at {self.balance.places[column.row]} is not finite along "
-                        "the measured motion: check its expression and limits"
-                    )
+                    raise self.not_finite(k)
         return out, tangents
+
+    def law(self, k: int, stretch: Stretch, states: dict[tuple[int, bool], State]) -> tuple[Floats, Floats]:
+        """(rows,) force of law column k and (4,) sums of its tangents over the valid rows.
+
+        states : what the laws of this stretch have seen, by place and grid; filled here.
+        """
+        column, law = self.balance.columns[k], self._laws[k]
+        effect = self.balance.laws[column.law].effect
+        if effect.kind == "memory":
+            return self._memory(k, stretch, slice(MARGIN, MARGIN + stretch.rows))
+        key = (column.row, law.rough)
+        if key not in states:
+            wide = self.state(column.row, stretch)
+            states[key] = wide.finer() if law.rough else wide.inner()
+        total, tangents = law_force(effect, law.terms[0][0], states[key], law.reads)
+        first = law.terms[0][1]
+        if first != 1.0:
+            total *= first
+            tangents *= first
+        for p, weight in law.terms[1:]:
+            force, sums = law_force(effect, p, states[key], law.reads)
+            total += weight * force
+            tangents += weight * sums
+        return (decimated(total), tangents / FINER) if law.rough else (total, tangents)
+
+    def not_finite(self, k: int) -> DataError:
+        """What is wrong where the force of law column k is not a number."""
+        column = self.balance.columns[k]
+        return DataError(
+            f"the force of effect {self.balance.laws[column.law].effect.name} at {self.balance.places[column.row]} "
+            "is not finite along the measured motion: check its expression and limits"
+        )
 
     def tangent_series(self, k: int, stretch: Stretch) -> tuple[Floats, Floats, int]:
         """Tangents of column k along x and v, and how many rows there are to a row of the stretch."""

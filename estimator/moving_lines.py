@@ -12,10 +12,11 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+Complexes = NDArray[np.complex128] | NDArray[np.complex64]
 FALSE_ALARM = 1e-4  # of a block
 NEAR, FAR = 4, 10  # bins away, where the surroundings are
 AVERAGED = 5.0  # blocks
@@ -31,15 +32,26 @@ def _limit(bins: int, places: int, blocks: float) -> float:
     return float(f.isf(FALSE_ALARM / bins, own, own * (FAR - NEAR + 1) * INDEPENDENT))
 
 
+@njit(cache=True, error_model="numpy", nogil=True)
+def _stand_out(power, limit, out):  # type: ignore[no-untyped-def]
+    """Fill out (n,) with what `stand_out` gives; the sides are running sums, mirrored at the ends."""
+    n, reach = power.size, FAR - NEAR + 1
+    sums = np.empty(n + 2 * FAR + 1)
+    sums[0] = 0.0
+    for i in range(n + 2 * FAR):
+        k = abs(i - FAR)
+        sums[i + 1] = sums[i] + power[k if k < n else 2 * (n - 1) - k]
+    for i in range(n):
+        below, above = sums[i + reach] - sums[i], sums[i + 2 * FAR + 1] - sums[i + FAR + NEAR]
+        ratio = power[i] / max(max(below, above) / reach, 1e-300)
+        out[i] = ratio if ratio > limit else 0.0
+
+
 def stand_out(power: Floats, places: int, blocks: float) -> Floats:
     """(bins,) ratio of each bin to its surroundings where that is a line's, else 0. power : mean over `blocks`."""
-    n, reach = power.size, FAR - NEAR + 1
-    padded = np.pad(power, FAR, mode="reflect")
-    sums = np.concatenate([[0.0], np.cumsum(padded)])
-    sides = (sums[reach:] - sums[:-reach]) / reach  # sides[k] : mean of padded[k ... k + reach - 1]
-    around = np.maximum(sides[:n], sides[FAR + NEAR : FAR + NEAR + n])
-    ratio = power / np.maximum(around, 1e-300)
-    return np.where(ratio > _limit(n, places, blocks), ratio, 0.0)
+    out = np.empty(power.size)
+    _stand_out(power, _limit(power.size, places, blocks), out)
+    return out
 
 
 def left_out(ratio: Floats) -> NDArray[np.bool_]:
@@ -85,7 +97,7 @@ class MovingLines:
 
         speed_hz : of the shaft during the block, where a tacho gives it.
         """
-        each = force.real**2 + force.imag**2
+        each = np.square(force.real, dtype=np.float64) + np.square(force.imag, dtype=np.float64)
         power = (1.0 / np.maximum(each.mean(axis=1), 1e-300)) @ each
         places = len(force)
         out = left_out(stand_out(power, places, 1.0))

@@ -123,7 +123,7 @@ class RollingSpectral:
             if record.motion.valid[at : at + grid.size].all() and not self._still:
                 fitted.take(record.stretch(at, at + grid.size), self._shaft.measured)
             else:
-                fitted.lines.restart()
+                fitted.skip()
             self._next += grid.hop
             taken += 1
         if taken:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .balance import Balance, build, restrict
+from .block_spectra import BlockSpectra
 from .columns import Columns, Stretch
 from .dressing import dressed, mean_responses, self_energies
-from .gram import gram, spectra
 from .likelihood import Evidence, Likelihood, Local, Point, active, maximise, spectrum_of_force
 from .maximum import initial, inverse, maximum
 from .model import Model
@@ -72,10 +72,11 @@ class RollingFit:
         self, record: Record, start: Start, wide: Balance, laws: int, time_constant_s: float, columns: Columns
     ) -> None:
         grid = record.grid
-        self.start, self.wide, self.wide_columns, self.grid = start, wide, columns, grid
+        self.start, self.wide, self.grid = start, wide, grid
         self.balance, own = restrict(wide, set(range(laws)))
         self.own = np.array(own, dtype=np.intp)
         self.columns = Columns(self.balance, record.scales, start.widths, start.linear)
+        self.spectra = BlockSpectra(columns, self.own, grid)
         hop_s = grid.hop / record.rate_hz
         watching = max(FAST * time_constant_s, 10 * hop_s)
         self.slow, self.fast, self.seen = (
@@ -125,19 +126,22 @@ class RollingFit:
             memory.forget()
         self.shared *= self.slow.keep * self.fast.keep
 
+    def skip(self) -> None:
+        """The next block does not follow on the last one."""
+        self.lines.restart()
+        self.spectra.restart()
+
     def take(self, stretch: Stretch, measured: bool) -> None:
         """Add a block, its lines left out. measured : the stretch's angle is that of a tacho."""
         watches = len(self.wide.laws) > len(self.balance.laws) and self.turn % WATCHED_EVERY == 0
-        z, tangents = (self.wide_columns if watches else self.columns).evaluate(stretch)
-        Z = spectra(z, np.zeros(1, np.intp), self.grid)
+        Z, tangents = self.spectra.take(stretch, watches)
+        own = self.own if watches else np.arange(self.own.size)
         B = self.balance.coefficients(self.local.point.beta)
         speed_hz = None
         if measured:
             speed_hz = float(stretch.phase[-1] - stretch.phase[0]) / (2 * np.pi * (stretch.t[-1] - stretch.t[0]))
-        weights = self.lines(B @ (Z[self.own, 0] if watches else Z[:, 0]), speed_hz)
-        if weights is not None:
-            Z = Z * np.sqrt(weights)
-        G, square = gram(Z, self.grid), 1.0 if weights is None else float(np.mean(weights**2))
+        weights = self.lines(Z.force(B, own), speed_hz)
+        G, square = Z.gram(self.grid, weights), 1.0 if weights is None else float(np.mean(weights**2))
         rows = self.grid.size
         if watches:
             self.seen.add(G, tangents, rows, square)
