@@ -77,7 +77,10 @@ def _column(path: Path, columns: Columns, name: str, rig: Rig) -> NDArray[Any]:
 def _rate(path: Path, columns: Columns, given: float | None, samples: int) -> float:
     said = columns.rate_hz
     if said is None and columns.time is not None:
-        said = _uniform(path, np.squeeze(np.asarray(columns.time, dtype=np.float64)), samples)
+        time = np.squeeze(np.asarray(columns.time))
+        if time.dtype.kind not in "iuf":
+            raise LogError(f"{path}: the time column holds {time.dtype}, not real numbers; give seconds")
+        said = _uniform(path, time.astype(np.float64), samples)
     if said is not None and not (np.isfinite(said) and said > 0):
         raise LogError(f"{path}: a rate of {said:g} Hz; correct rate_hz")
     if said is not None and given is not None and abs(given / said - 1) > RATE_TOLERANCE:

@@ -72,11 +72,16 @@ def _plain(value: NDArray[Any]) -> NDArray[Any]:
     return value if value.dtype.kind in "biufc" else np.zeros(value.shape[:1], "S1")
 
 
+def _text(value: Any) -> NDArray[np.uint8]:
+    """JSON as bytes: an array of characters may hold what is none."""
+    return np.frombuffer(json.dumps(value).encode(), np.uint8)
+
+
 def main(arguments: Sequence[str]) -> int:
     path, out, *names = arguments
     try:
         found = READERS[Path(path).suffix.lower()](Path(path), names)
-        arrays: dict[str, Any] = {"names": json.dumps(list(found.values)), "units": json.dumps(found.units)}
+        arrays: dict[str, Any] = {"names": _text(list(found.values)), "units": _text(found.units)}
         arrays |= {f"column {k}": _plain(v) for k, v in enumerate(found.values.values())}
         extra = {"rate": found.rate, "time": found.time}
         np.savez(out, **arrays, **{k: _plain(v) for k, v in extra.items() if v is not None})  # type: ignore[arg-type]

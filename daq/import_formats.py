@@ -143,18 +143,24 @@ def _elsewhere(path: Path, names: Sequence[str]) -> Columns:
         out = Path(folder) / "columns.npz"
         command = [sys.executable, "-P", "-m", "daq.import_child", str(path.resolve()), str(out), *names]
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
-        last = done.stderr.strip().rpartition("\n")[2]
-        if done.returncode == import_child.TOLD:
-            raise LogError(f"{path}: {last}")
-        if done.returncode == import_child.REFUSED:
-            raise MemoryError if last.startswith("MemoryError") else ValueError(last)
-        if done.returncode:
-            raise ValueError(f"the library that reads it crashed (status {done.returncode})")
-        with np.load(out, allow_pickle=False) as file:
-            values = {name: file[f"column {k}"] for k, name in enumerate(json.loads(str(file["names"])))}
-            rate = _scalar(path, file["rate"]) if "rate" in file.files else None
-            time = file["time"] if "time" in file.files else None
-            return Columns(values, rate, time, json.loads(str(file["units"])))
+        return answered(path, out, done.returncode, done.stderr)
+
+
+def answered(path: Path, out: Path, status: int, said: str) -> Columns:
+    """What the child process answered: its file of columns, or why there is none."""
+    last = said.strip().rpartition("\n")[2]
+    if status == import_child.TOLD:
+        raise LogError(f"{path}: {last}")
+    if status == import_child.REFUSED:
+        raise MemoryError if last.startswith("MemoryError") else ValueError(last)
+    if status:
+        raise ValueError(f"the library that reads it crashed (status {status})")
+    with np.load(out, allow_pickle=False) as file:
+        values = {str(name): file[f"column {k}"] for k, name in enumerate(json.loads(file["names"].tobytes()))}
+        units = {str(name): str(unit) for name, unit in json.loads(file["units"].tobytes()).items()}
+        rate = _scalar(path, file["rate"]) if "rate" in file.files else None
+        time = file["time"] if "time" in file.files else None
+        return Columns(values, rate, time, units)
 
 
 def _uff(path: Path, names: Sequence[str]) -> Columns:

@@ -64,7 +64,7 @@ def scan(path: Path, findings: Findings) -> Iterator[list[Message]]:
 def _scan(file: BinaryIO, size: int, findings: Findings) -> Iterator[list[Message]]:
     if file.read(len(MAGIC)) != MAGIC:
         findings.damage.append("the first 8 bytes are not those of an MCAP file")
-    at, budget = len(MAGIC), 4 * size + LARGEST
+    at, budget, unpacker = len(MAGIC), 4 * size + LARGEST, zstandard.ZstdDecompressor()
     while at < size:
         file.seek(at)
         head = file.read(RECORD.size)
@@ -73,7 +73,7 @@ def _scan(file: BinaryIO, size: int, findings: Findings) -> Iterator[list[Messag
         if not 1 <= op <= 0x0F or end > size:
             problem = "ends inside a record" if end > size or len(head) < RECORD.size else "is not a record"
         elif op == CHUNK:
-            chunk = _chunk(file.read(length)) if length <= LARGEST else "is a chunk too large to be ours"
+            chunk = _chunk(file.read(length), unpacker) if length <= LARGEST else "is a chunk too large to be ours"
             if not isinstance(chunk, str):
                 messages = list(_messages(chunk, findings))
                 findings.chunks += 1
@@ -100,7 +100,7 @@ def _scan(file: BinaryIO, size: int, findings: Findings) -> Iterator[list[Messag
         at = found
 
 
-def _chunk(content: bytes) -> bytes | str:
+def _chunk(content: bytes, unpacker: zstandard.ZstdDecompressor) -> bytes | str:
     """The records of a chunk, or what is wrong with it."""
     if len(content) < CHUNK_HEAD.size + SIZE.size:
         return "has a chunk that is too short"
@@ -112,7 +112,7 @@ def _chunk(content: bytes) -> bytes | str:
     try:
         if zstandard.frame_content_size(data) != unpacked:
             return "has a damaged chunk"
-        records = zstandard.decompress(data, unpacked)
+        records = unpacker.decompress(data, unpacked)
     except zstandard.ZstdError:
         return "has a damaged chunk"
     return records if len(records) == unpacked and zlib.crc32(records) == crc else "has a damaged chunk"

@@ -82,6 +82,13 @@ def damaged_zip(data: bytes, rng: random.Random) -> bytes:
     return _zipped(members)
 
 
+def damaged_answer(data: bytes, rng: random.Random) -> bytes:
+    """A status byte, then an archive or a text."""
+    if data[1:3] != b"PK" or rng.random() < 0.1:
+        return damaged(data, rng)
+    return data[:1] + damaged_zip(data[1:], rng)
+
+
 _unzipped: dict[bytes, list[tuple[bytes, bytes]]] = {}
 
 

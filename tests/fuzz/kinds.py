@@ -6,7 +6,7 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from damage import damaged, damaged_evenly, damaged_text, damaged_zip
+from damage import damaged, damaged_answer, damaged_evenly, damaged_text, damaged_zip
 from seeds import LOG_HEAD, log_ends, seeds, small_logs, small_rigs
 
 
@@ -124,5 +124,8 @@ KINDS = {
     "uff": Kind("files", damage=damaged_evenly),
     "asc": Kind("files", damage=damaged_evenly),
     "blf": Kind("files", first=1),
+    "answer": Kind("answers of the process that reads .mat and .mf4", damage=damaged_answer),
+    "mat-parse": Kind("files, parsed by scipy in a process that lives on"),
+    "mf4-parse": Kind("files, parsed by asammdf in a process that lives on"),
     "mcap": Kind("files", last=1),
 }

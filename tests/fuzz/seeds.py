@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import struct
 import tempfile
 import zlib
@@ -165,6 +166,18 @@ def _npz() -> list[bytes]:
     return out
 
 
+def _answer() -> list[bytes]:
+    """A status and what comes with it, see targets.py."""
+    out = [b"\3\nMemoryError", b"\3\ntruncated", b"\4\nb1y was not sampled at the same times as b1x; resample them"]
+    for extra in ({"rate": np.array(25600.0)}, {"time": np.arange(6) / 25600}):
+        buffer = io.BytesIO()
+        columns = {f"column {k}": _ROWS[:, k] for k in range(2)}
+        names, units = (np.frombuffer(json.dumps(v).encode(), np.uint8) for v in (_PAIR, {"b1x": "g"}))
+        np.savez(buffer, names=names, units=units, **columns, **extra)
+        out += [b"\0" + buffer.getvalue()] * 3
+    return out
+
+
 def _wav() -> list[bytes]:
     from scipy.io import wavfile
 
@@ -249,6 +262,7 @@ _ASC = (
 _MAKERS = {
     "cobs": _cobs, "slcan": _slcan, "serial": _serial, "can": _can, "mapped": lambda: [bytes(range(60))],
     "mcap": _mcap, "rig": _rig, "expression": _expression, "csv": _csv, "npz": _npz, "wav": _wav, "mat": _mat,
-    "uff": _uff, "mf4": _mf4, "candump": lambda: _file("canedge_imu/*.log"), "blf": _blf,
+    "uff": _uff, "mf4": _mf4, "answer": _answer, "mat-parse": _mat, "mf4-parse": _mf4,
+    "candump": lambda: _file("canedge_imu/*.log"), "blf": _blf,
     "asc": lambda: [_ASC_HEAD + b"".join(_ASC), *(_ASC_HEAD[-23:] + line for line in _ASC)],
 }  # fmt: skip

@@ -9,14 +9,15 @@ from __future__ import annotations
 import contextlib
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import zstandard
+from parsers import Parser
 from ramp_device import CHANNELS, ramp_device
 
-from daq import log_scan
+from daq import import_child, import_formats, log_scan
 from daq.errors import ConfigError, LogError
 from daq.import_checks import checked
 from daq.import_formats import read
@@ -254,6 +255,34 @@ def _import(suffix: str) -> Target:
     return target
 
 
+def _answered(path: Path, names: Sequence[str]) -> import_formats.Columns:
+    """A file of a status, and what the process that reads .mat and .mf4 said or wrote with it."""
+    data, out = path.read_bytes(), path.with_suffix(".npz")
+    status = (0, 0, 0, import_child.REFUSED, import_child.TOLD, 1, -11, 0)[data[0] % 8] if data else 0
+    out.write_bytes(data[1:])
+    return import_formats.answered(path, out, status, data[1:].decode("utf-8", "replace"))
+
+
+import_formats.READERS[".answer"] = _answered
+
+
+def _parse(suffix: str) -> Target:
+    """The library, and what comes of its answer; with a child process that lives on."""
+    imported = _import(".answer")
+
+    def target(data: bytes, folder: Path) -> None:
+        path, out = folder / f"b{suffix}", folder / "c.npz"
+        path.write_bytes(data)
+        status = PARSER.parse(path, out)
+        if status == 0:
+            imported(b"\0" + out.read_bytes(), folder)
+
+    return target
+
+
+PARSER = Parser()
+
+
 def _capture(suffix: str) -> Target:
     def target(data: bytes, folder: Path) -> None:
         path = folder / f"a{suffix}"
@@ -271,6 +300,7 @@ TARGETS: dict[str, Target] = {
     "cobs": cobs_codec, "slcan": slcan, "serial": serial, "can": can_decoder, "mapped": mapped, "mcap": mcap,
     "rig": rig, "expression": expression, "csv": _import(".csv"), "npz": _import(".npz"), "wav": _import(".wav"),
     "mat": _import(".mat"), "uff": _import(".uff"), "mf4": _import(".mf4"),
+    "answer": _import(".answer"), "mat-parse": _parse(".mat"), "mf4-parse": _parse(".mf4"),
     "candump": _capture(".log"), "blf": _capture(".blf"), "asc": _capture(".asc"),
 }  # fmt: skip
 assert tuple(c.name for c in RIG.model.channels) == CHANNELS

@@ -14,7 +14,7 @@ from guard import Forbidden, guarded
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from seeds import seeds
-from targets import TARGETS, _chunk, _message, _records
+from targets import PARSER, TARGETS, _chunk, _message, _records
 
 from daq import log_codec as codec
 from daq import log_scan
@@ -62,6 +62,7 @@ def test_any_input_is_read_or_refused(name: str, tmp_path: Path) -> None:
             TARGETS[name](data, tmp_path)
 
     try_it()
+    PARSER.close()
 
 
 @pytest.mark.filterwarnings("ignore")
