@@ -213,16 +213,24 @@ class RollingFit:
         seen, beta = self.seen, self.local.point.beta
         if len(self.wide.laws) == len(self.balance.laws) or seen.n < FEWEST_WATCHED:
             return None
-        local, _ = maximise(self._likelihood(seen, beta), self.local.point, iterations=4, tolerance=1e-2)
         dressing = self._dressing(beta)
         if dressing is not None:
             whole = np.zeros((dressing.shape[0], len(self.wide.columns)), complex)
             whole[:, self.own] = dressing
             dressing = whole
         mean = seen.tangents / seen.rows
-        wide = Evidence(self.wide, self.grid, seen.gram, seen.n, mean, self.start.nodes, dressing)
+        wide = Likelihood(Evidence(self.wide, self.grid, seen.gram, seen.n, mean, self.start.nodes, dressing))
         # blocks that share no rows vary less than the likelihood's count of them says
-        found = look(wide, self.balance, local.point, seen.n2 / seen.n / (1.0 + 2.0 * OVERLAP))
+        redundancy = seen.n2 / seen.n / (1.0 + 2.0 * OVERLAP)
+        own = self._likelihood(seen, beta)
+        count = np.asarray(0.5 * seen.n * self.grid.per_cell, np.float64)
+        point = Point(beta, *spectrum_of_force(*own.power(beta), count, self.local.point))
+        found = look(wide, self.balance, point, redundancy)
+        if found is None:
+            point = maximise(own, self.local.point, iterations=4, tolerance=1e-2)[0].point
+            found = look(wide, self.balance, point, redundancy)
+        if found is None:
+            return None
         sure = {f"missing_force_percent_{name}": percent for name, percent in found.sure.items()}
         return {"missing_force_percent": found.total} | sure
 

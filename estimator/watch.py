@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .balance import Balance
 from .effects import CATALOGUE
-from .likelihood import Evidence, Likelihood, Point
+from .likelihood import Likelihood, Point
 from .model import EffectUse, Model
 
 Floats = NDArray[np.float64]
@@ -24,6 +24,7 @@ CANDIDATES = (
     "cross_coupling", "anisotropy",
 )  # fmt: skip
 SURE = 1e-6  # of a false alarm, per look and candidate
+CLOSE = 10.0  # nats, as far as one Newton step is good
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,44 +49,56 @@ def with_candidates(model: Model, names: tuple[str, ...]) -> Model:
     return replace(model, effects=model.effects + tuple(added))
 
 
-def look(wide: Evidence, own: Balance, point: Point, redundancy: float) -> Missing:
-    """What the candidates of `wide`, a balance that holds all of `own`, would explain at own's fitted point.
+def look(wide: Likelihood, own: Balance, point: Point, redundancy: float) -> Missing | None:
+    """What the candidates of `wide`, of a balance that holds all of `own`, would explain near own's fitted point.
 
+    The step to own's maximum on the same evidence is taken along. None if that is more than `CLOSE` nats away.
     redundancy : variance of a score over what the Hessian says, for weights that forget.
     """
     from scipy.stats import chi2
 
-    balance, p = wide.balance, len(wide.balance.free)
+    evidence = wide.evidence
+    balance, p, P = evidence.balance, len(evidence.balance.free), point.S.size
     at = dict(zip(own.names, point.beta.tolist(), strict=True))
     beta = np.array([at.get(f.name, 0.0) for f in balance.free])
-    local = Likelihood(wide).at(Point(beta, point.S, point.noise))
+    local = wide.at(Point(beta, point.S, point.noise))
     scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(local.hessian)[:p]), 1e-300))
     H, g = local.hessian[:p, :p] * scale * scale[:, None], local.gradient[:p] * scale
     mine = np.array([f.name in at for f in balance.free])
-    P = len(balance.places)
+    inverse = _inverse(H[np.ix_(mine, mine)])
+    if g[mine] @ inverse @ g[mine] > CLOSE:
+        return None
+    follow = -inverse @ H[np.ix_(mine, ~mine)]  # what own's parameters do when a candidate's is moved
+    H = H[np.ix_(~mine, ~mine)] + H[np.ix_(~mine, mine)] @ follow
+    g = g[~mine] + follow.T @ g[mine]
+    gram = evidence.gram.sum(axis=0)
     B = balance.coefficients(beta)
-    linear = np.array([B[i, 2 * P + i] ** 2 * wide.gram[:, 2 * P + i, 2 * P + i].sum() for i in range(P)]).sum()
+    linear = sum(float(B[i, 2 * P + i] ** 2 * gram[2 * P + i, 2 * P + i]) for i in range(P))
 
-    def explained(candidates: NDArray[np.bool_]) -> tuple[float, float]:
-        """Chi-squared of the candidates over their number, and their share of force, less what chance explains."""
-        used = np.flatnonzero(mine | candidates)
-        w, V = np.linalg.eigh(H[np.ix_(used, used)])
-        keep = w > 1e-7 * w.max()
-        step = -(V[:, keep] / w[keep]) @ (V[:, keep].T @ np.where(mine, 0.0, g)[used])
-        statistic = float(-step @ np.where(mine, 0.0, g)[used]) / redundancy
+    def explained(members: NDArray[np.intp]) -> tuple[float, float]:
+        """Chi-squared of these candidates and their share of force, less what chance explains."""
+        step = -_inverse(H[np.ix_(members, members)]) @ g[members]
+        statistic = float(-step @ g[members]) / redundancy
         moved = np.zeros(p)
-        moved[used] = step * scale[used]
-        change = balance.coefficients(moved) - balance.fixed
-        force = np.einsum("ik,ckl,il->ci", change, wide.gram, change)
-        chance = redundancy * candidates.sum() * float(np.mean(point.S)) * 2.0
-        return statistic, max(float(force.sum()) - chance, 0.0) / linear
+        moved[np.flatnonzero(~mine)[members]] = step
+        moved[mine] = follow[:, members] @ step
+        change = balance.coefficients(moved * scale) - balance.fixed
+        chance = redundancy * members.size * float(np.mean(point.S)) * 2.0
+        return statistic, max(float(np.sum((change @ gram) * change)) - chance, 0.0) / linear
 
-    names = {f.name: f.name.rsplit(".", 2)[1] for f, m in zip(balance.free, mine, strict=True) if not m}
+    names = [f.name.rsplit(".", 2)[1] for f, m in zip(balance.free, mine, strict=True) if not m]
     sure = {}
-    for effect in dict.fromkeys(names.values()):
-        members = np.array([names.get(f.name) == effect for f in balance.free])
+    for effect in dict.fromkeys(names):
+        members = np.flatnonzero([name == effect for name in names])
         statistic, share = explained(members)
-        if statistic > chi2.isf(SURE, int(members.sum())):
+        if statistic > chi2.isf(SURE, members.size):
             sure[effect] = 100.0 * float(np.sqrt(share))
-    total = 100.0 * float(np.sqrt(explained(~mine)[1]))
+    total = 100.0 * float(np.sqrt(explained(np.arange(len(names)))[1]))
     return Missing(total, dict(sorted(sure.items(), key=lambda item: -item[1])))
+
+
+def _inverse(H: Floats) -> Floats:
+    """Of a symmetric matrix of unit diagonal, or smaller; zero along what the data do not tell."""
+    w, V = np.linalg.eigh(H)
+    keep = w > 1e-7 * max(float(w.max()), 1.0)
+    return np.asarray((V[:, keep] / w[keep]) @ V[:, keep].T)
