@@ -8,6 +8,7 @@ import sys
 import traceback
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -60,13 +61,11 @@ def open_capture(path: str, bus: str | None) -> Generator[Batch, None, None]:
 
 def _open_reader(file: Path, suffix: str) -> Any:
     """python-can's reader, on a handle of ours: its own stays open when a file is not what it seems."""
-    import can
-
     if suffix == ".mf4":
         return _open_mf4(file)
     handle = file.open("rb") if suffix == ".blf" else file.open("r", encoding="utf-8", errors="replace")
     try:
-        return _open_blf(handle) if suffix == ".blf" else can.ASCReader(handle)
+        return _open_blf(handle) if suffix == ".blf" else _open_asc(handle)
     except Exception:
         handle.close()
         raise
@@ -82,6 +81,36 @@ def _open_blf(handle: Any) -> Any:
             return super()._parse_container(data)
 
     return Reader(handle)
+
+
+def _open_asc(handle: Any) -> Any:
+    """python-can reads the head at the start of each loop, and a line too much; here a loop may begin anew behind a
+    damaged line, and the line behind the head is read."""
+    import can
+
+    class Reader(can.ASCReader):  # type: ignore[misc]
+        goes_on = True
+        _begun = False
+
+        def _extract_header(self) -> None:
+            if self._begun:
+                return
+            self._begun = True
+            last: list[str] = []
+            self.file = _remembered(_bounded(handle), last)
+            super()._extract_header()
+            self.file = chain(last, _bounded(handle))
+
+        def stop(self) -> None:
+            handle.close()
+
+    return Reader(handle)
+
+
+def _remembered(lines: Iterator[str], last: list[str]) -> Iterator[str]:
+    for line in lines:
+        last[:] = [line]
+        yield line
 
 
 def _check_objects(data: bytes) -> None:
@@ -192,7 +221,9 @@ def _python_can(reader: Any, bus: str | None, file: Path) -> Generator[Batch, No
                     frames.append((message.arbitration_id | flags, bytes(message.data), t_ns))
             except Exception as error:  # noqa: BLE001 - a damaged file: python-can raises whatever it trips over
                 text = f"{type(error).__name__}: {' '.join(str(error).split())}"
-                ended, damaged, why = True, damaged + 1, why or text
+                damaged, why = damaged + 1, why or text
+                ended = not getattr(reader, "goes_on", False)
+                messages = messages if ended else iter(reader)  # at the next line
             if ended and not damaged:
                 why = _cut(reader, file)
                 damaged = 1 if why else 0

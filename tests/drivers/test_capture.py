@@ -12,6 +12,7 @@ import pytest
 from asammdf import MDF
 from ramp_device import Record, read_all
 
+from drivers.capture_files import open_capture
 from drivers.errors import LinkError, LinkOpenError
 from drivers.links import CaptureConfig, make_driver
 from drivers.reading import Info
@@ -93,6 +94,16 @@ def test_cut_mf4_of_an_unfinished_recording_is_read_to_its_end(tmp_path: Path) -
     path = tmp_path / "cut.mf4"  # the logger writes no lengths: where it ends is where it ended
     path.write_bytes((DATA / FILES[2]).read_bytes()[:1_000_000])
     assert capture(path).samples > 1000
+
+
+def test_a_damaged_asc_line_costs_that_line_alone(tmp_path: Path) -> None:
+    lines = [f" {0.01 * k:.4f} 1  300x Rx   d 2 {k:02X} 00" for k in range(1, 6)]
+    lines[2] = lines[2].replace(" 03 ", " 0Z ")
+    path = tmp_path / "a.asc"
+    path.write_text("date Mon Jan 1 00:00:00 2024\nbase hex timestamps absolute\n" + "\n".join(lines))
+    batches = list(open_capture(str(path), None))
+    assert [int(b) for batch in batches for b in batch.frames.payload[:, 0]] == [1, 2, 4, 5]  # the first line, too
+    assert [(batch.damaged, "0Z" in batch.why) for batch in batches if batch.damaged] == [(1, True)]
 
 
 def test_cut_mf4_of_a_finished_recording_does_not_open(tmp_path: Path) -> None:

@@ -122,7 +122,7 @@ KINDS = {
     "npz": Kind("files", damage=damaged_zip),
     "wav": Kind("files"),
     "uff": Kind("files", damage=damaged_evenly),
-    "asc": Kind("files", damage=damaged_evenly),
+    "asc": Kind("lines", 100, _after(b"\n"), damage=damaged_evenly),
     "blf": Kind("files", first=1),
     "answer": Kind("answers of the process that reads .mat and .mf4", damage=damaged_answer),
     "mat-parse": Kind("files, parsed by scipy in a process that lives on"),

@@ -264,5 +264,5 @@ _MAKERS = {
     "mcap": _mcap, "rig": _rig, "expression": _expression, "csv": _csv, "npz": _npz, "wav": _wav, "mat": _mat,
     "uff": _uff, "mf4": _mf4, "answer": _answer, "mat-parse": _mat, "mf4-parse": _mf4,
     "candump": lambda: _file("canedge_imu/*.log"), "blf": _blf,
-    "asc": lambda: [_ASC_HEAD + b"".join(_ASC), *(_ASC_HEAD[-23:] + line for line in _ASC)],
+    "asc": lambda: [_ASC_HEAD + b"".join(_ASC)],
 }  # fmt: skip
