@@ -50,7 +50,7 @@ def _stand_out(power, limit, out):  # type: ignore[no-untyped-def]
 def stand_out(power: Floats, places: int, blocks: float) -> Floats:
     """(bins,) ratio of each bin to its surroundings where that is a line's, else 0. power : mean over `blocks`."""
     out = np.empty(power.size)
-    _stand_out(power, _limit(power.size, places, blocks), out)
+    _stand_out(power, _limit(power.size, places, round(blocks, 1)), out)
     return out
 
 

@@ -11,7 +11,8 @@ from .balance import Balance, build, restrict
 from .block_spectra import BlockSpectra
 from .columns import Columns, Stretch
 from .dressing import dressed, mean_responses, self_energies
-from .likelihood import Evidence, Likelihood, Local, Point, active, maximise, spectrum_of_force
+from .jacobian import levels, log_determinant, noise_slope
+from .likelihood import Complexes, Evidence, Likelihood, Local, Point, active, maximise
 from .maximum import initial, inverse, maximum
 from .model import Model
 from .moving_lines import MovingLines
@@ -61,6 +62,21 @@ class Memory:
     def copy_from(self, other: Memory) -> None:
         self.gram, self.tangents = other.gram.copy(), other.tangents.copy()
         self.n, self.n2, self.rows = other.n, other.n2, other.rows
+
+
+class Swift(Likelihood):
+    """The same likelihood, its sums over frequency in one compiled pass each."""
+
+    def _jacobian(self, A: Complexes, point: Point, spread: Floats, hessian: bool = True) -> tuple[Floats, Floats]:
+        nodes = self.evidence.nodes
+        inside = point.S + (np.abs(A) ** 2 * self.noise_shape[:, None, :]) @ point.noise
+        kappa = inside / spread[nodes.cell] * nodes.weight[:, None]
+        return log_determinant(A, self.R, self.row, self.column, kappa, hessian)
+
+    def _spread_slope(self, A: Complexes, point: Point) -> Floats:
+        nodes, per_cell = self.evidence.nodes, self.evidence.grid.per_cell
+        psd = self.noise_shape * point.noise
+        return noise_slope(A, self.R, self.row, self.column, psd, nodes.weight, nodes.cell, per_cell)
 
 
 class RollingFit:
@@ -151,13 +167,13 @@ class RollingFit:
         self.fast.add(G, tangents, rows, square)
         self.shared += square
 
-    def _likelihood(self, memory: Memory, beta: Floats | None) -> Likelihood:
+    def _likelihood(self, memory: Memory, beta: Floats | None) -> Swift:
         """Of the balance's own columns. beta : where the responses are dressed; None: they are not."""
         gram, mean = memory.gram, memory.tangents / memory.rows
         if memory is self.seen:
             gram, mean = gram[:, self.own[:, None], self.own], mean[self.own]
         nodes, dressing = self.start.nodes, self._dressing(beta)
-        return Likelihood(Evidence(self.balance, self.grid, gram, memory.n, mean, nodes, dressing))
+        return Swift(Evidence(self.balance, self.grid, gram, memory.n, mean, nodes, dressing))
 
     def _dressing(self, beta: Floats | None) -> NDArray[np.complex128] | None:
         if self.pairs is None or beta is None:
@@ -180,7 +196,7 @@ class RollingFit:
         point = self.local.point
         likelihood = self._likelihood(self.slow, point.beta)
         count = np.asarray(0.5 * self.slow.n * self.grid.per_cell, np.float64)
-        S, noise = spectrum_of_force(*likelihood.power(point.beta), count, point)
+        S, noise = levels(*likelihood.power(point.beta), count, point.S, point.noise)
         local = likelihood.at(Point(point.beta, S, noise))
         step, decrement = _newton(local)[::2]
         p, P = point.beta.size, S.size
@@ -219,12 +235,12 @@ class RollingFit:
             whole[:, self.own] = dressing
             dressing = whole
         mean = seen.tangents / seen.rows
-        wide = Likelihood(Evidence(self.wide, self.grid, seen.gram, seen.n, mean, self.start.nodes, dressing))
+        wide = Swift(Evidence(self.wide, self.grid, seen.gram, seen.n, mean, self.start.nodes, dressing))
         # blocks that share no rows vary less than the likelihood's count of them says
         redundancy = seen.n2 / seen.n / (1.0 + 2.0 * OVERLAP)
         own = self._likelihood(seen, beta)
         count = np.asarray(0.5 * seen.n * self.grid.per_cell, np.float64)
-        point = Point(beta, *spectrum_of_force(*own.power(beta), count, self.local.point))
+        point = Point(beta, *levels(*own.power(beta), count, self.local.point.S, self.local.point.noise))
         found = look(wide, self.balance, point, redundancy)
         if found is None:
             point = maximise(own, self.local.point, iterations=4, tolerance=1e-2)[0].point

@@ -1,0 +1,61 @@
+"""Compiled sums over frequency: the same as the ones written with arrays, and a gradient by differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from reference_rig import RATE, rig_model, rig_record
+
+from estimator.jacobian import levels, log_determinant
+from estimator.likelihood import Likelihood, Point, spectrum_of_force
+from estimator.record import Record, gather, prepare
+from estimator.rolling_fit import Swift
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    return prepare(rig_model("cubic", "coulomb", "cross_coupling"), rig_record(3.0, seed=6), RATE)
+
+
+@pytest.mark.parametrize("noise", [0.0, 3e-7])
+def test_value_gradient_and_hessian_are_those_of_the_likelihood(record: Record, noise: float) -> None:
+    from estimator.balance import build
+
+    balance = build(record.model, search=False)
+    evidence = gather(record, balance, 0.05 * record.scales).evidence()
+    rng = np.random.default_rng(1)
+    beta = np.array([{"kL": 1e7, "c": 60.0}.get(f.name.rsplit(".", 1)[-1], 0.1) for f in balance.free])
+    point = Point(beta * rng.uniform(0.9, 1.1, beta.size), np.full(4, 9e-5), np.full(4, noise))
+    a, b = Likelihood(evidence).at(point), Swift(evidence).at(point)
+    assert b.nll == pytest.approx(a.nll, rel=1e-13)
+    assert b.gradient == pytest.approx(a.gradient, rel=1e-9, abs=1e-9 * np.abs(a.gradient).max())
+    size = np.sqrt(np.abs(np.diag(a.hessian)) + (np.diag(a.hessian) == 0))
+    assert b.hessian / np.outer(size, size) == pytest.approx(a.hessian / np.outer(size, size), abs=1e-10)
+
+
+def test_gradient_of_the_log_determinant_by_differences() -> None:
+    rng = np.random.default_rng(2)
+    R = rng.normal(size=(5, 6, 2)) + 1j * rng.normal(size=(5, 6, 2))
+    B, kappa = rng.normal(size=(2, 6)), np.ones((5, 2))
+    row, column = np.repeat([0, 1], 6), np.tile(np.arange(6), 2)
+
+    def value(step: np.ndarray) -> float:
+        return float(np.log(np.abs(np.linalg.det((B + step.reshape(2, 6)) @ R))).sum())
+
+    g, h = log_determinant(B @ R, R, row, column, kappa)
+    e = 1e-4 * np.eye(12)
+    assert g == pytest.approx([(value(d) - value(-d)) / 2e-4 for d in e], rel=1e-5, abs=1e-5)
+    second = [[(value(d + k) - value(d - k) - value(k - d) + value(-d - k)) / 4e-8 for k in e] for d in e]
+    assert h == pytest.approx(np.array(second), rel=1e-3, abs=1e-3)
+
+
+def test_levels_are_those_of_the_array_form() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        floor = np.exp(rng.normal(size=(24, 3, 3))) * np.geomspace(1e-2, 1e2, 24)[:, None, None]
+        count = rng.integers(4, 400, 24).astype(float)
+        S, noise = np.exp(rng.normal(size=3)), rng.choice([0.0, 0.1, 1.0], 3)
+        power = (S + floor @ noise) * (1 + rng.normal(size=(24, 3)) / np.sqrt(count)[:, None] / 3)
+        start = Point(np.zeros(0), np.ones(3), np.full(3, 0.05))
+        exact = np.array(spectrum_of_force(power, floor, count, start))
+        assert np.array(levels(power, floor, count, start.S, start.noise)) == pytest.approx(exact, rel=1e-9)
