@@ -1,0 +1,29 @@
+"""Where the program begins: an interrupt while Python still imports ends it quietly."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+INTERRUPTED = 130
+
+
+def main() -> int:
+    """Run the command line; its exit status."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.default_int_handler:  # not ignored, as it is for a shell's background jobs
+        signal.signal(signal.SIGINT, _leave)
+    from .cli import main as run
+
+    try:
+        signal.signal(signal.SIGINT, before)
+        return run()
+    except KeyboardInterrupt:
+        _leave()
+        raise
+
+
+def _leave(*_: object) -> None:
+    """Nothing has begun that would have to be closed."""
+    os.write(2, b"rotorscope: interrupted\n")
+    os._exit(INTERRUPTED)

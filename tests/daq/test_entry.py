@@ -1,0 +1,29 @@
+"""Ctrl-C before there is anything to close."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
+BEGIN = "import sys; from daq.entry import main; print(flush=True); sys.exit(main())"
+
+
+@pytest.mark.parametrize("after_s", [0.005, 0.02, 0.05, 0.1, 0.2, 0.3])
+def test_an_interrupt_while_python_imports_ends_quietly(after_s: float, tmp_path: Path) -> None:
+    """Timed from the program's own start: what Python itself does before that is not ours."""
+    command = [sys.executable, "-c", BEGIN, "run", str(RIG), "--link", "virtual:", "--out", str(tmp_path / "a.mcap")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "\n"
+        time.sleep(after_s)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=30)
+    assert process.returncode == 130, said
+    assert "Traceback" not in said
+    assert len(said.splitlines()) <= 1
