@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from drivers.patient import Patient
+from drivers.reading import Notice
 
 from .acquire import FINITE, Device, RunSummary, acquire_all
 from .errors import ConfigError, RotorscopeError, exit_status
@@ -18,6 +20,9 @@ from .output import Output
 from .rerun_process import VIEWER_PORT
 from .rig import load_rig
 from .stop import Stop
+
+if TYPE_CHECKING:
+    from .live_devices_table import DevicesTable
 
 
 class DevicesFailed(RotorscopeError):
@@ -49,7 +54,9 @@ def run_devices(
     with Stop() as stop, ExitStack() as undo:
         server = None if metrics is None else serve_metrics(output, metrics)
         devices: list[_Asked] = []
-        for name, (path, link) in zip(_names([path for path, _ in asked]), asked, strict=True):
+        names = _names([path for path, _ in asked])
+        table = _table(output, names)
+        for name, (path, link) in zip(names, asked, strict=True):
             rig = load_rig(path)
             driver = open_driver(link, rig)
             live = driver.kind not in FINITE
@@ -63,19 +70,34 @@ def run_devices(
                 undo.callback(sink.close)
             if server is not None:
                 sinks.append(server.sink())
+            if table is not None:
+                sinks.append(table.rows[name])
             url = link or rig.link.url or ""
             device = Device(name, rig, Patient(driver) if live else driver, sinks, {"command": "run", "link": url})
             devices.append(_Asked(device, url, log, new_log, Operator(output, name)))
         undo.pop_all()
         operators = {each.device.name: each.operator for each in devices}
-        outcome = acquire_all(
-            [each.device for each in devices], seconds, stop.event, notify=lambda name, notice: operators[name](notice)
-        )
+
+        def tell(name: str, notice: Notice) -> None:
+            operators[name](notice)
+            if table is not None:
+                table.rows[name].notice(notice)
+
+        with table or nullcontext():
+            outcome = acquire_all([each.device for each in devices], seconds, stop.event, notify=tell)
     failed = _report(output, devices, outcome, strict)
     if stop.interrupted and not any(operator.lost_log for operator in operators.values()):
         raise KeyboardInterrupt
     if failed:
         raise DevicesFailed(failed)
+
+
+def _table(output: Output, names: Sequence[str]) -> DevicesTable | None:
+    if output.quiet or not sys.stderr.isatty():
+        return None
+    from .live_devices_table import DevicesTable
+
+    return DevicesTable(output.to_stderr, names)
 
 
 def _report(

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from sessions import RATE_HZ, counts_at, feed, make_block, make_estimate, make_session, make_status, make_stream
 
+from daq.live_devices_table import DeviceRow
 from daq.log_reader import read_log
 from daq.log_writer import LogWriter
 from daq.metrics import MetricsServer
@@ -44,6 +45,7 @@ SINKS: dict[str, Callable[[Path], Sink]] = {
     "metrics": lambda folder: MetricsServer(0).sink(),
     "check": estimate_check,
     "table": live_table,
+    "row of a table": lambda folder: DeviceRow("press"),
 }
 LIVE = [name for name in SINKS if name != "log, waiting"]
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
+import pty
 import re
 import signal
 import socket
+import struct
 import subprocess
 import sys
+import termios
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -144,3 +148,34 @@ def test_mistakes_are_told_before_anything_begins(
         assert text in said, said
         assert len(said.splitlines()) == 1
     assert not list((tmp_path / "logs").glob("*"))
+
+
+def test_a_terminal_shows_a_row_for_each(rig: Path, tmp_path: Path) -> None:
+    """Standard error is a real terminal, 160 columns wide."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 160, 0, 0))
+    devices = [f"{rig}=virtual:", f"{rig}=virtual:", f"{rig}=serial:{tmp_path}/ttyC"]
+    command = [sys.executable, "-m", "daq", "run", *devices, "--seconds", "3"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=theirs, env=os.environ | {"TERM": "xterm"}
+    ) as session:
+        os.close(theirs)
+        shown = b""
+        while True:
+            try:
+                piece = os.read(ours, 65536)
+            except OSError:  # the other end is closed
+                break
+            if not piece:
+                break
+            shown += piece
+    os.close(ours)
+    assert session.returncode == 3
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode())
+    assert re.search(r"device +seconds +samples/s +gaps +lost +CRC errors +lag +estimate", text)
+    drawn = {name: re.findall(rf"(?m)^{name} +(\S+) +(\S+) +\d+ +(\d+) ", text) for name in ("press", "press-2")}
+    for rows_of_one in drawn.values():
+        assert max(float(seconds) for seconds, _, _ in rows_of_one if seconds != "-") > 1.0
+        assert any(rate != "-" and abs(float(rate) - 25_600) < 3_000 for _, rate, _ in rows_of_one)
+        assert {lost for _, _, lost in rows_of_one} == {"0"}
+    assert re.search(r"press-3 .*waits for its link", text)
