@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 import re
 import sys
 import traceback
@@ -61,6 +62,10 @@ def open_capture(path: str, bus: str | None) -> Generator[Batch, None, None]:
 
 def _open_reader(file: Path, suffix: str) -> Any:
     """python-can's reader, on a handle of ours: its own stays open when a file is not what it seems."""
+    for library in ("can", "asammdf"):  # what they log about each frame would fill the terminal: damage is counted
+        log = logging.getLogger(library)
+        if not log.handlers:
+            log.addHandler(logging.NullHandler())
     if suffix == ".mf4":
         return _open_mf4(file)
     handle = file.open("rb") if suffix == ".blf" else file.open("r", encoding="utf-8", errors="replace")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import can
@@ -90,6 +92,17 @@ def test_cut_blf_ends_with_a_notice(tmp_path: Path) -> None:
     assert "capture_damaged" in record.codes()
 
 
+def test_a_library_that_complains_of_every_frame_is_not_heard(tmp_path: Path) -> None:
+    """In a process of its own: pytest listens to all logs."""
+    path = tmp_path / "a.asc"
+    path.write_text("base hex timestamps absolute\n" + 9 * " 0.2 CANFD 1 Rx 301 1 0 9 2 00 01\n")
+    script = (
+        f"from drivers.capture_files import open_capture; print(len(next(open_capture({str(path)!r}, None)).frames))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("9\n", "")
+
+
 def test_cut_mf4_of_an_unfinished_recording_is_read_to_its_end(tmp_path: Path) -> None:
     path = tmp_path / "cut.mf4"  # the logger writes no lengths: where it ends is where it ended
     path.write_bytes((DATA / FILES[2]).read_bytes()[:1_000_000])
@@ -104,6 +117,17 @@ def test_a_damaged_asc_line_costs_that_line_alone(tmp_path: Path) -> None:
     batches = list(open_capture(str(path), None))
     assert [int(b) for batch in batches for b in batch.frames.payload[:, 0]] == [1, 2, 4, 5]  # the first line, too
     assert [(batch.damaged, "0Z" in batch.why) for batch in batches if batch.damaged] == [(1, True)]
+
+
+def test_a_library_that_complains_of_every_frame_is_not_heard(tmp_path: Path) -> None:
+    """In a process of its own: pytest listens to all logs."""
+    path = tmp_path / "a.asc"
+    path.write_text("base hex timestamps absolute\n" + 9 * " 0.2 CANFD 1 Rx 301 1 0 9 2 00 01\n")
+    script = (
+        f"from drivers.capture_files import open_capture; print(len(next(open_capture({str(path)!r}, None)).frames))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("9\n", "")
 
 
 def test_cut_mf4_of_a_finished_recording_does_not_open(tmp_path: Path) -> None:
