@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .balance import Balance
 from .effects.compiled import memory_array
 from .errors import DataError
-from .features import FINER, HALF, MARGIN, State, decimated, depends, law_force, rough
+from .features import FINER, HALF, MARGIN, State, decimated, depends, law_force, ready, rough
 
 Floats = NDArray[np.float64]
 
@@ -81,6 +81,7 @@ class Columns:
             terms = ((up, 0.5 / d), (down, -0.5 / d))
         if law.effect.kind == "memory":
             return _Law(terms, np.zeros(4, bool), False)
+        ready(law.effect)  # here, before several threads ask for it
         reads = np.any([depends(law.effect, p, scale) for p, _ in terms], axis=0)
         return _Law(terms, reads, column.law < self.fine and rough(law.effect, terms[0][0], scale))
 

@@ -11,12 +11,16 @@ is evaluated on a grid finer by `FINER` and brought back through a low-pass filt
 
 from __future__ import annotations
 
+import inspect
+import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numba import njit
+from numba.extending import overload
 from numpy.typing import NDArray
 
 from .effect import Effect
@@ -30,46 +34,53 @@ MARGIN = 2 * HALF  # rows needed on either side of those that come out
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _smoothed(law, p, x, v, xo, vo, t, phase, s, valid, h, out, sums, kx, kv):  # type: ignore[no-untyped-def]
-    """Fill out (n,); add to sums (4,) the tangents along x, v, xo, vo over the valid rows. h (4,): 0 leaves out.
-
-    kx, kv : (n,) tangents along x and v, or arrays of no length.
-    """
-    series = kx.size > 0
+def _by_address(law, p, x, v, xo, vo, t, phase, shift, s, out):  # type: ignore[no-untyped-def]
     for i in range(x.size):
-        f = call_force(law, x[i], v[i], xo[i], vo[i], t[i], phase[i], s, p)
-        y = f
-        if h[0] > 0.0:
-            a = call_force(law, x[i] + h[0], v[i], xo[i], vo[i], t[i], phase[i], s, p)
-            b = call_force(law, x[i] - h[0], v[i], xo[i], vo[i], t[i], phase[i], s, p)
-            y += (a + b - 2.0 * f) / 6.0
-            d = (a - b) / (2.0 * h[0])
-            if valid[i]:
-                sums[0] += d
-            if series:
-                kx[i] = d
-        if h[1] > 0.0:
-            a = call_force(law, x[i], v[i] + h[1], xo[i], vo[i], t[i], phase[i], s, p)
-            b = call_force(law, x[i], v[i] - h[1], xo[i], vo[i], t[i], phase[i], s, p)
-            y += (a + b - 2.0 * f) / 6.0
-            d = (a - b) / (2.0 * h[1])
-            if valid[i]:
-                sums[1] += d
-            if series:
-                kv[i] = d
-        if h[2] > 0.0:
-            a = call_force(law, x[i], v[i], xo[i] + h[2], vo[i], t[i], phase[i], s, p)
-            b = call_force(law, x[i], v[i], xo[i] - h[2], vo[i], t[i], phase[i], s, p)
-            y += (a + b - 2.0 * f) / 6.0
-            if valid[i]:
-                sums[2] += (a - b) / (2.0 * h[2])
-        if h[3] > 0.0:
-            a = call_force(law, x[i], v[i], xo[i], vo[i] + h[3], t[i], phase[i], s, p)
-            b = call_force(law, x[i], v[i], xo[i], vo[i] - h[3], t[i], phase[i], s, p)
-            y += (a + b - 2.0 * f) / 6.0
-            if valid[i]:
-                sums[3] += (a - b) / (2.0 * h[3])
-        out[i] = y
+        out[i] = call_force(
+            law, x[i] + shift[0], v[i] + shift[1], xo[i] + shift[2], vo[i] + shift[3], t[i], phase[i], s, p
+        )
+
+
+@cache
+def _along(law: Callable[..., float]) -> Callable[..., None]:
+    """What fills out (n,) with a law along signals moved by shift (4,): (p, x, v, xo, vo, t, phase, shift, s, out).
+
+    A law of the catalogue is compiled into the loop, which is several times faster than calls by address, and kept on
+    disk beside this file; one that no module holds (made from an expression, say) is called by its address.
+    """
+    module = sys.modules.get(law.__module__)
+    try:
+        source = inspect.getsource(module) if module and getattr(module, law.__name__, None) is law else ""
+    except (OSError, TypeError):
+        source = ""
+    if not source:
+        at = np.uint64(address(law))
+        return lambda *arguments: _by_address(at, *arguments)
+    version = crc32(source.encode())  # belongs to what is kept on disk: a changed law is compiled anew
+    overload(law, strict=False, jit_options={"error_model": "numpy"})(lambda x, v, xo, vo, t, phase, s, p: law)
+    one = "float64[::1]"
+
+    @njit(f"void({', '.join([one] * 8)}, float64, {one})", cache=True, error_model="numpy", nogil=True)
+    def along(p, x, v, xo, vo, t, phase, shift, s, out):  # type: ignore[no-untyped-def]
+        dx, dv, dxo, dvo = shift[0], shift[1], shift[2], shift[3]
+        for i in range(x.size if version >= 0 else 0):
+            out[i] = law(x[i] + dx, v[i] + dv, xo[i] + dxo, vo[i] + dvo, t[i], phase[i], s, p)
+
+    return along  # type: ignore[no-any-return]
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
+def _smooth(f, a, b, h, valid, out, tangent):  # type: ignore[no-untyped-def]
+    """Add to out (n,) what the mean over +-h has over f, from a and b, the law there; the sum of (a - b) / 2 h over the
+    valid rows. tangent : (n,) to be filled with it, or of no length."""
+    total = 0.0
+    for i in range(f.size):
+        out[i] += (a[i] + b[i] - 2.0 * f[i]) / 6.0
+        d = (a[i] - b[i]) / (2.0 * h)
+        total += d if valid[i] else 0.0
+    for i in range(tangent.size):
+        tangent[i] = (a[i] - b[i]) / (2.0 * h)
+    return total
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
@@ -191,13 +202,33 @@ def law_force(
 
     series : arrays to fill with the tangents along x and v.
     """
-    out, sums = np.empty_like(state.x), np.zeros(4)
-    h = np.where(reads, state.h, 0.0)
-    law: Any = np.uint64(address(effect.force))
-    columns = (state.x, state.v, state.xo, state.vo, state.t, state.phase)
-    kx, kv = (np.empty(0), np.empty(0)) if series is None else series
-    _smoothed(law, np.ascontiguousarray(p), *columns, state.s, state.valid, h, out, sums, kx, kv)
+    along, p, sums = ready(effect), np.ascontiguousarray(p), np.zeros(4)
+    signals = (state.x, state.v, state.xo, state.vo, state.t, state.phase)
+    f, up, down = (np.empty_like(state.x) for _ in range(3))
+    along(p, *signals, np.zeros(4), state.s, f)
+    out = f
+    for k, h in enumerate(np.where(reads, state.h, 0.0).tolist()):
+        if h <= 0.0:
+            continue
+        if out is f:
+            out = f.copy()
+        shift = np.zeros(4)
+        for sign, moved in ((1.0, up), (-1.0, down)):
+            shift[k] = sign * h
+            along(p, *signals, shift, state.s, moved)
+        tangent = _NONE if series is None or k > 1 else series[k]
+        sums[k] = _smooth(f, up, down, h, state.valid, out, tangent)
     return out, sums
+
+
+_NONE = np.empty(0)
+
+
+def ready(effect: Effect) -> Callable[..., None]:
+    """The law of an effect, compiled (`_along`). Raises ValueError if the effect has none."""
+    if effect.force is None:
+        raise ValueError(f"{effect.name}: no force law (kind {effect.kind})")
+    return _along(effect.force)
 
 
 def decimated(force: Floats) -> Floats:

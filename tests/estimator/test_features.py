@@ -7,6 +7,7 @@ import pytest
 from scipy.special import erf
 
 from estimator.effects import CATALOGUE
+from estimator.effects.compiled import force_array
 from estimator.features import MARGIN, State, decimated, depends, law_force, rough
 
 N, RATE = 20000, 25600.0
@@ -75,3 +76,27 @@ def test_the_finer_grid_takes_the_folded_harmonics_out() -> None:
         return float(np.linalg.norm(difference) / np.linalg.norm(np.fft.rfft(true * window)[keep]))
 
     assert error(out) < 0.3 * error(np.sign(s.v)[inner])
+
+
+@pytest.mark.parametrize("name", ["cubic", "hertz", "rub", "ball_pass", "gyroscopic"])
+def test_a_law_in_its_loop_is_the_law_called_by_its_address(name: str) -> None:
+    s = state()
+    effect = CATALOGUE[name]
+    p = np.array([q.default * (1e-7 if q.scale == "x" else 1.0) for q in effect.parameters])
+    p[[q.linear for q in effect.parameters]] = 1.0
+    out, _ = law_force(effect, p, replace(s, xo=s.x[::-1].copy(), vo=s.v[::-1].copy()), np.zeros(4, bool))
+    assert np.array_equal(out, force_array(effect, p, s.x, s.v, s.x[::-1], s.v[::-1], s.t, s.phase))
+
+
+def test_a_law_that_no_module_holds() -> None:
+    def force(x, v, xo, vo, t, phase, s, p):  # type: ignore[no-untyped-def]
+        return p[0] * x * x * x
+
+    s = state(sx=2e-8)
+    reads = np.array([True, False, False, False])
+    kx = np.empty(N), np.empty(N)
+    own, sums = law_force(replace(CATALOGUE["cubic"], force=force), np.ones(1), s, reads, kx)
+    out, others = law_force(CATALOGUE["cubic"], np.ones(1), s, reads)
+    assert np.allclose(own, out, rtol=1e-12)
+    assert sums == pytest.approx(others)
+    assert kx[0].sum() == pytest.approx(sums[0])
