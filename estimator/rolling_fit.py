@@ -88,6 +88,10 @@ class RollingFit:
         self, record: Record, start: Start, wide: Balance, laws: int, time_constant_s: float, columns: Columns
     ) -> None:
         grid = record.grid
+        if wide.common is not None:  # it depends on frequency alone
+            at, reaction = start.nodes.f_hz, wide.common
+            held = reaction(at)
+            wide = replace(wide, common=lambda f_hz: held if f_hz is at else reaction(f_hz))
         self.start, self.wide, self.grid = start, wide, grid
         self.balance, own = restrict(wide, set(range(laws)))
         self.own = np.array(own, dtype=np.intp)
