@@ -12,6 +12,7 @@ from estimator.estimate import Estimate
 
 from . import log_codec as codec
 from .envelope import Envelope, Extremes
+from .log_index import PackedIndex
 from .log_schema import FLOAT64_MULTI_ARRAY, descriptor_set
 from .sink import Session, Status
 
@@ -33,6 +34,7 @@ class LogEncoder:
 
     def __init__(self, output: Output) -> None:
         self._mcap = Writer(output, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._mcap._Writer__chunk_indices = PackedIndex()  # it has no way to be told
         self._mcap.start(PROFILE)
         self._ids = [0, *(self._register(topic) for topic in codec.TOPICS)]
         self._wall_offset_ns = 0
