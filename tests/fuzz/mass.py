@@ -28,7 +28,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parents[1])]
 
 from guard import guarded  # noqa: E402
 from kinds import KINDS, Kind  # noqa: E402
-from targets import TARGETS, Target  # noqa: E402
+from targets import PARSER, TARGETS, Target  # noqa: E402
 
 from daq import import_formats  # noqa: E402
 from daq.memory import bounded_memory  # noqa: E402
@@ -99,9 +99,14 @@ def fuzz(name: str, tally: dict[str, dict[str, float]], wanted: int, save: Calla
             mine["inputs"] += kind.many * len(streams)
             if time.monotonic() - saved > SAVE_S or mine["inputs"] >= wanted:
                 mine["cpu_s"] += time.process_time() - cpu
-                mine["peak_mb"] = max(mine["peak_mb"], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+                peaks = [resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+                mine["peak_mb"] = max(mine["peak_mb"], max(peaks) / 1024)
+                if PARSER.crashes:
+                    mine["crashes"] = mine.get("crashes", 0) + PARSER.crashes
+                    PARSER.crashes = 0
                 saved, cpu = time.monotonic(), time.process_time()
                 save()
+    PARSER.close()
     return ""
 
 
@@ -148,6 +153,8 @@ def report(tally: dict[str, dict[str, float]], path: Path) -> None:
         how = f"damaged {kind.what}" + (f", {kind.many} in a stream, 3 of 10 whole" if kind.many > 1 else "")
         promised = "read or refused, memory bounded, no hang, no write elsewhere, nothing executed"
         value = f"{mine['inputs']:.0f} inputs, at most {mine['peak_mb']:.0f} MB"
+        if "crashes" in mine:
+            value += f"; the library crashed in its process {mine['crashes']:.0f} times, which is told"
         row = f"hostile input: {name} | {how} | {promised} | {value}"
         ElementTree.SubElement(ElementTree.SubElement(case, "properties"), "property", name="reliability", value=row)
     ElementTree.ElementTree(suite).write(path)
