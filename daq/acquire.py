@@ -96,7 +96,7 @@ def acquire(
     """
     clock, stop = clock or SystemClock(), stop or threading.Event()
     live = driver.kind not in FINITE
-    make = make or maker(rig.estimator.method, rig.estimator.time_constant_s)
+    make = make or maker(rig.estimator.method, rig.estimator.time_constant_s, rig.estimator.watch)
     rate_hz = rig.acquisition.rate_hz if rig.acquisition else None
     if rate_hz and live:  # nobody waits for a log
         _warm_up(make, rig, rate_hz)

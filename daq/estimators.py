@@ -19,12 +19,18 @@ LONGEST_WARM_UP_S = 10.0  # of made-up data
 MakeEstimator = Callable[[Model, float], OnlineEstimator]
 
 
-def maker(method: str, time_constant_s: float) -> MakeEstimator:
-    """What makes the estimator called `method` for a model and a rate. Imported when first made: it is heavy."""
+def maker(method: str, time_constant_s: float, watch: str = "usual") -> MakeEstimator:
+    """What makes the estimator called `method` for a model and a rate. Imported when first made: it is heavy.
+
+    watch : the effects that the spectral one looks for beside the model: usual | catalogue | none.
+    """
     module, name = METHODS[method]
 
     def make(model: Model, rate_hz: float) -> OnlineEstimator:
-        estimator: OnlineEstimator = getattr(import_module(module), name)(model, rate_hz, time_constant_s)
+        made, more = getattr(import_module(module), name), {}
+        if method == "spectral" and watch != "usual":
+            more["watch"] = import_module("estimator.watch").every() if watch == "catalogue" else ()
+        estimator: OnlineEstimator = made(model, rate_hz, time_constant_s, **more)
         return estimator
 
     return make

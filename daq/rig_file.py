@@ -166,6 +166,7 @@ class AcquisitionTable(Table):
 class EstimatorTable(Table):
     method: Literal["spectral", "score-matching"] = "spectral"
     time_constant_s: Positive = 10.0
+    watch: Literal["usual", "catalogue", "none"] = "usual"
 
 
 class LinearTable(Table):

@@ -23,17 +23,27 @@ CANDIDATES = (
     "cubic", "quintic", "quadratic", "clearance", "coulomb", "quadratic_damping", "displacement_damping",
     "cross_coupling", "anisotropy",
 )  # fmt: skip
+PASSING = ("line", "stiffness_drift")  # a frequency or a time scale would have to be searched first
 SURE = 1e-6  # of a false alarm, per look and candidate
 CLOSE = 10.0  # nats, as far as one Newton step is good
 
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """Per cent of the rms linear bearing force. total : by all candidates together; sure : by those that are certain,
-    strongest first."""
+    """Per cent of the rms linear bearing force. total : by all candidates together, at least by the certain ones
+    together; sure : by those that are certain, strongest first."""
 
     total: float
     sure: dict[str, float]
+
+
+def every() -> tuple[str, ...]:
+    """All effects of the catalogue whose force is an amplitude times a law of the state or the shaft angle."""
+    return tuple(
+        name
+        for name, effect in CATALOGUE.items()
+        if effect.kind == "force" and name not in PASSING and any(p.linear for p in effect.parameters)
+    )
 
 
 def with_candidates(model: Model, names: tuple[str, ...]) -> Model:
@@ -93,7 +103,8 @@ def look(wide: Likelihood, own: Balance, point: Point, redundancy: float) -> Mis
         statistic, share = explained(members)
         if statistic > chi2.isf(SURE, members.size):
             sure[effect] = 100.0 * float(np.sqrt(share))
-    total = 100.0 * float(np.sqrt(explained(np.arange(len(names)))[1]))
+    certain = np.flatnonzero([name in sure for name in names])  # chance does not eat these up, however many others
+    total = 100.0 * float(np.sqrt(max(explained(m)[1] for m in (np.arange(len(names)), certain) if m.size)))
     return Missing(total, dict(sorted(sure.items(), key=lambda item: -item[1])))
 
 

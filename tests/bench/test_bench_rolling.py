@@ -5,6 +5,7 @@ OPENBLAS_NUM_THREADS=1 pytest -m bench -s tests/bench/test_bench_rolling.py
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -18,12 +19,19 @@ from reference_rig import RATE, rig_model, rig_record
 
 from estimator import spectral
 from estimator.rolling import RollingSpectral
-from estimator.watch import CANDIDATES
+from estimator.watch import CANDIDATES, PASSING, every
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
 
 
-@pytest.mark.parametrize(("watch", "limit"), [((), 0.05), (CANDIDATES, 0.25)], ids=["own effects", "with candidates"])
+COLUMNS = (*every(), *PASSING, "bouc_wen")  # every effect of the catalogue that is an amplitude times a column
+
+
+@pytest.mark.parametrize(
+    ("watch", "limit"),
+    [((), 0.05), (CANDIDATES, 0.25), (every(), 0.25), (COLUMNS, 0.25)],
+    ids=["own effects", "with candidates", "with the catalogue", "with every column"],
+)
 def test_share_of_a_core(watch: tuple[str, ...], limit: float) -> None:
     y = rig_record(32.0, seed=1)
     rolling = RollingSpectral(rig_model("cubic"), RATE, 10.0, watch=watch)
@@ -39,9 +47,10 @@ def test_share_of_a_core(watch: tuple[str, ...], limit: float) -> None:
         rolling.snapshot()
         worst = max(worst, time.perf_counter() - one)
     share = (time.process_time() - begin) / (24.0)
+    assert rolling.snapshot().parameters
     cost = f"{100 * share:.1f} % of a core at 25.6 kS/s, 4 channels; longest update {1e3 * worst:.0f} ms"
-    print(f"\n{len(watch)} candidates: {cost}")
-    assert share < 3 * limit
+    print(f"\n{len(watch)} candidates: {cost}; load {os.getloadavg()[0]:.1f}")
+    assert share < limit * (3 if limit < 0.1 else 1)
 
 
 @pytest.mark.parametrize("seconds", [15.0, 30.0, 60.0])
