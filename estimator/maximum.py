@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -155,16 +155,32 @@ def without_flutter(record: Record, bank: Bank, local: Local, tangents: Tangents
     """The bank without what the noise of displacement sensors adds to the laws and their squares (dressing.flutter)."""
     if tangents is None or tangents.flutter is None:
         return bank
-    noise, P = local.point.noise, len(bank.balance.places)
-    f = np.linspace(0.0, 0.5 * record.rate_hz, 2000)
-    variance = noise * np.trapezoid(passband(f, record.rate_hz, record.model.band) ** 2, f)
-    straight = np.eye(len(bank.balance.columns))
-    straight[:, 2 * P : 3 * P] -= (variance[:, None] * tangents.flutter.bend).T
-    per_bin = np.einsum("i,ikl->kl", noise, tangents.flutter.covariance)
     count = bank.blocks[:, None, None, None] * bank.grid.per_cell[:, None, None]
-    slope = bank.tangents.copy()
-    slope[:, 0] -= variance @ tangents.flutter.bend
-    return replace(bank, grams=straight @ (bank.grams - count * per_bin) @ straight.T, tangents=slope)
+    still = without_noise(tangents.flutter, local.point.noise, record.rate_hz, record.model.band)
+    grams, slope = still(bank.grams, count, bank.tangents)
+    return replace(bank, grams=grams, tangents=slope)
+
+
+def without_noise(
+    flutter: Flutter, noise: Floats, rate_hz: float, band: tuple[float, float]
+) -> Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]:
+    """What takes it out of Gram matrices (..., k, k) of `count` bins and of mean tangents (k, 4): (gram, count, mean).
+
+    noise : (places,) one-sided PSD of the sensors.
+    """
+    P, k = flutter.bend.shape
+    f = np.linspace(0.0, 0.5 * rate_hz, 2000)
+    variance = noise * np.trapezoid(passband(f, rate_hz, band) ** 2, f)
+    straight = np.eye(k)
+    straight[:, 2 * P : 3 * P] -= (variance[:, None] * flutter.bend).T
+    per_bin = np.einsum("i,ikl->kl", noise, flutter.covariance)
+
+    def still(gram: Floats, count: Floats, mean: Floats) -> tuple[Floats, Floats]:
+        slope = mean.copy()
+        slope[:, 0] -= variance @ flutter.bend
+        return straight @ (gram - count * per_bin) @ straight.T, slope
+
+    return still
 
 
 def dress(

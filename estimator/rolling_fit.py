@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,11 @@ from .columns import Columns, Stretch
 from .dressing import dressed, mean_responses, self_energies
 from .jacobian import levels, log_determinant, noise_slope
 from .likelihood import Complexes, Evidence, Likelihood, Local, Point, active, maximise
-from .maximum import initial, inverse, maximum
+from .maximum import initial, inverse, maximum, without_noise
 from .model import Model
 from .moving_lines import MovingLines
 from .record import Record, gather
+from .rolling_memory import FlutterSums, Memory
 from .spectral import OVERLAP
 from .start import Start
 from .watch import look, with_candidates
@@ -30,38 +31,6 @@ WATCHED_EVERY = 3  # blocks: every other one at most, so that no two share rows
 LOOKED_EVERY = 8  # solutions
 FEWEST_WATCHED = 6  # blocks
 CLOSE = 10.0  # nats: a standard deviation or so of each parameter; one Newton step from there leaves a few per cent
-
-
-@dataclass(slots=True)
-class Memory:
-    """Exponentially forgetting sums. n : blocks; n2 : sum of squared weights; tangents : of `rows` rows."""
-
-    keep: float  # what is left after one block
-    gram: Floats
-    tangents: Floats
-    n: float = 0.0
-    n2: float = 0.0
-    rows: float = 0.0
-
-    def forget(self) -> None:
-        factor = self.keep
-        self.gram *= factor
-        self.tangents *= factor
-        self.n *= factor
-        self.n2 *= factor**2
-        self.rows *= factor
-
-    def add(self, gram: Floats, tangents: Floats, rows: int, square: float = 1.0) -> None:
-        """square : mean square of the weights of the bins, whose mean is 1."""
-        self.gram += gram
-        self.tangents += tangents
-        self.n += 1.0
-        self.n2 += square
-        self.rows += rows
-
-    def copy_from(self, other: Memory) -> None:
-        self.gram, self.tangents = other.gram.copy(), other.tangents.copy()
-        self.n, self.n2, self.rows = other.n, other.n2, other.rows
 
 
 class Swift(Likelihood):
@@ -99,10 +68,13 @@ class RollingFit:
         self.spectra = BlockSpectra(columns, self.own, grid)
         hop_s = grid.hop / record.rate_hz
         watching = max(FAST * time_constant_s, 10 * hop_s)
+        self.own_flutter, self.wide_flutter = FlutterSums(self.columns), FlutterSums(columns)
+        sizes = (len(own), self.own_flutter.size), (len(wide.columns), self.wide_flutter.size)
         self.slow, self.fast, self.seen = (
-            Memory(float(np.exp(-hop_s / t)), np.zeros((grid.starts.size, k, k)), np.zeros((k, 4)))
-            for t, k in ((time_constant_s, len(own)), (watching, len(own)), (time_constant_s, len(wide.columns)))
+            Memory(float(np.exp(-hop_s / t)), np.zeros((grid.starts.size, k, k)), np.zeros((k, 4)), np.zeros(m))
+            for t, (k, m) in ((time_constant_s, sizes[0]), (watching, sizes[0]), (time_constant_s, sizes[1]))
         )
+        self.rate_hz, self.band = record.rate_hz, record.model.band
         self.lines = MovingLines(grid.f_hz, any(c.kind == "tacho" for c in record.model.channels))
         self.pairs: NDArray[np.complex128] | None = None
         self.local: Local
@@ -164,20 +136,31 @@ class RollingFit:
         G, square = Z.gram(self.grid, weights), 1.0 if weights is None else float(np.mean(weights**2))
         rows = self.grid.size
         if watches:
-            self.seen.add(G, tangents, rows, square)
+            self.seen.add(G, tangents, self.wide_flutter.of(stretch), rows, square)
             G, tangents = G[:, self.own[:, None], self.own], tangents[self.own]
         self.turn += 1
-        self.slow.add(G, tangents, rows, square)
-        self.fast.add(G, tangents, rows, square)
+        motion = self.own_flutter.of(stretch)
+        self.slow.add(G, tangents, motion, rows, square)
+        self.fast.add(G, tangents, motion, rows, square)
         self.shared += square
 
     def _likelihood(self, memory: Memory, beta: Floats | None) -> Swift:
         """Of the balance's own columns. beta : where the responses are dressed; None: they are not."""
-        gram, mean = memory.gram, memory.tangents / memory.rows
+        gram, mean = self._still(memory)
         if memory is self.seen:
             gram, mean = gram[:, self.own[:, None], self.own], mean[self.own]
         nodes, dressing = self.start.nodes, self._dressing(beta)
         return Swift(Evidence(self.balance, self.grid, gram, memory.n, mean, nodes, dressing))
+
+    def _still(self, memory: Memory) -> tuple[Floats, Floats]:
+        """Gram matrices and mean tangents without what the noise of displacement sensors does in the laws."""
+        gram, mean = memory.gram, memory.tangents / memory.rows
+        noise = self.local.point.noise
+        if memory.motion.size == 0 or not noise.any():
+            return gram, mean
+        sums = self.wide_flutter if memory is self.seen else self.own_flutter
+        still = without_noise(sums.flutter(memory.motion), noise, self.rate_hz, self.band)
+        return still(gram, np.asarray(memory.n * self.grid.per_cell[:, None, None], np.float64), mean)
 
     def _dressing(self, beta: Floats | None) -> NDArray[np.complex128] | None:
         if self.pairs is None or beta is None:
@@ -224,7 +207,7 @@ class RollingFit:
         """The recent memory in place of the long one; of the candidates nothing recent enough is kept."""
         self.slow.copy_from(self.fast)
         self.shared, self.suspicions = self.fast.n2, 0
-        self.seen.copy_from(Memory(self.seen.keep, np.zeros_like(self.seen.gram), np.zeros_like(self.seen.tangents)))
+        self.seen.clear()
         self.missing = None
         self.local, _ = maximise(self._likelihood(self.slow, self.local.point.beta), self.local.point, 8, 1e-3)
 
@@ -238,8 +221,8 @@ class RollingFit:
             whole = np.zeros((dressing.shape[0], len(self.wide.columns)), complex)
             whole[:, self.own] = dressing
             dressing = whole
-        mean = seen.tangents / seen.rows
-        wide = Swift(Evidence(self.wide, self.grid, seen.gram, seen.n, mean, self.start.nodes, dressing))
+        gram, mean = self._still(seen)
+        wide = Swift(Evidence(self.wide, self.grid, gram, seen.n, mean, self.start.nodes, dressing))
         # blocks that share no rows vary less than the likelihood's count of them says
         redundancy = seen.n2 / seen.n / (1.0 + 2.0 * OVERLAP)
         own = self._likelihood(seen, beta)

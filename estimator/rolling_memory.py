@@ -1,0 +1,101 @@
+"""What a rolling fit remembers: sums over blocks that forget exponentially."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .columns import Columns, Stretch
+from .dressing import Flutter
+from .features import MARGIN
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class Memory:
+    """n : blocks; n2 : sum of squared weights; tangents : of `rows` rows; motion : what FlutterSums wants to know."""
+
+    keep: float  # what is left after one block
+    gram: Floats
+    tangents: Floats
+    motion: Floats = field(default_factory=lambda: np.zeros(0))
+    n: float = 0.0
+    n2: float = 0.0
+    rows: float = 0.0
+
+    def forget(self) -> None:
+        factor = self.keep
+        self.gram *= factor
+        self.tangents *= factor
+        self.motion *= factor
+        self.n *= factor
+        self.n2 *= factor**2
+        self.rows *= factor
+
+    def add(self, gram: Floats, tangents: Floats, motion: Floats, rows: int, square: float = 1.0) -> None:
+        """square : mean square of the weights of the bins, whose mean is 1."""
+        self.gram += gram
+        self.tangents += tangents
+        self.motion += motion
+        self.n += 1.0
+        self.n2 += square
+        self.rows += rows
+
+    def copy_from(self, other: Memory) -> None:
+        self.gram, self.tangents, self.motion = other.gram.copy(), other.tangents.copy(), other.motion.copy()
+        self.n, self.n2, self.rows = other.n, other.n2, other.rows
+
+    def clear(self) -> None:
+        for sums in (self.gram, self.tangents, self.motion):
+            sums[:] = 0.0
+        self.n = self.n2 = self.rows = 0.0
+
+
+class FlutterSums:
+    """dressing.flutter from sums over blocks: of the tangents of the laws where the sensor is one of displacement, of
+    the square of that, and of all their products. `size` is 0 where no such law is."""
+
+    def __init__(self, columns: Columns) -> None:
+        self._columns = columns
+        balance = columns.balance
+        self._laws = {
+            row: [
+                k
+                for k, c in enumerate(balance.columns)
+                if c.kind == "law" and c.row == row and balance.laws[c.law].effect.kind == "force"
+            ]
+            for row, kind in enumerate(balance.kinds)
+            if kind == "displacement"
+        }
+        self._laws = {row: laws for row, laws in self._laws.items() if laws}
+        self.size = sum((2 + len(laws)) ** 2 for laws in self._laws.values())
+
+    def of(self, stretch: Stretch) -> Floats:
+        """(size,) of one block: the products of 1, x^2 and the tangents, summed over its rows."""
+        out = []
+        for row, laws in self._laws.items():
+            inner = slice(MARGIN, MARGIN + stretch.rows)
+            series = [np.ones(stretch.rows), stretch.x[row, inner] ** 2]
+            for k in laws:
+                along_x, _, finer = self._columns.tangent_series(k, stretch)
+                series.append(along_x[::finer])
+            z = np.array(series)
+            out.append((z @ z.T).ravel())
+        return np.concatenate(out) if out else np.zeros(0)
+
+    def flutter(self, sums: Floats) -> Flutter:
+        """From the sums over all blocks."""
+        P, K = len(self._columns.balance.places), len(self._columns.balance.columns)
+        covariance, bend, at = np.zeros((P, K, K)), np.zeros((P, K)), 0
+        for row, laws in self._laws.items():
+            n = 2 + len(laws)
+            products = sums[at : at + n * n].reshape(n, n)
+            at += n * n
+            means = products[0] / products[0, 0]
+            about = products / products[0, 0] - np.outer(means, means)
+            covariance[row, np.array(laws)[:, None], laws] = about[2:, 2:]
+            bend[row, laws] = about[1, 2:] / about[1, 1]
+        return Flutter(covariance, bend)
