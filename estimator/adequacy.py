@@ -13,8 +13,8 @@ from scipy.stats import chi2
 
 from .missing_force import power_of
 from .path_fit import Term
-from .placed import orthogonal
 from .subproblem import gain, subproblem
+from .terms import orthogonal
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -63,13 +63,20 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
     z = (data.x if state == "x" else data.v)[i]
     rms = float(data.rms[0 if state == "x" else 1, i])
     u = z / rms
+    here, which = point.fluctuations[i], 0 if state == "x" else 1
     terms = []
     for order in orders:
         polynomial = HermiteE.basis(order)
         slopes = np.zeros((len(data.places),) * 2 + (2,))
-        slopes[i, i, 0 if state == "x" else 1] = float(np.mean(polynomial.deriv()(u))) / rms
+        slopes[i, i, which] = float(np.mean(polynomial.deriv()(u))) / rms
         series = np.asarray(polynomial(u), dtype=np.float64)
-        made = orthogonal(Term(f"smooth.{order}", "N", {i: series}, slopes), point.spans, least=1e-3)
+        memory = {}
+        if here is not None:
+            tangents = np.zeros((2, here.data.x.shape[1]))
+            tangents[which] = polynomial.deriv()((here.data.x, here.data.v)[which][i] / rms) / rms
+            memory[i] = -here.of(tangents)
+        term = Term(f"smooth.{order}", "N", {i: series}, slopes, memory=memory)
+        made = orthogonal(term, point.spans, least=1e-3)
         if made is not None:
             terms.append(made)
     if not terms:

@@ -20,9 +20,10 @@ from scipy.stats import chi2
 
 from .adequacy import STATE
 from .path_fit import Gram, Jacobian, PathFit, Term, fit, log_likelihood, term_response
-from .placed import Placed, linear_terms, terms
+from .placed import Placed
 from .side_by_side import each
 from .subproblem import component
+from .terms import dressed, linear_terms, terms
 from .working_point import WorkingPoint, thinned
 
 Array = NDArray[np.float64]
@@ -74,10 +75,11 @@ def _one(point: WorkingPoint, placed: Placed) -> tuple[float, float] | None:
     placed = placed.with_values(np.where(linear, 1.0, placed.p))
     used = tuple(q.linear and placed.p[k] != 0.0 for k, q in enumerate(placed.effect.parameters))
     at = component(point, placed.at)
-    extra = terms(replace(placed, free=used), point.data, point.lin, linear_only=True)
+    trial = replace(placed, free=used)
+    extra = dressed(terms(trial, point.data, point.lin, linear_only=True), trial, point.fluctuations)
     uses = [u for u in point.placed if set(u.at) & set(at)]
     base = [t for i in at for t in linear_terms(point.data, i)]
-    base += [t for u in uses for t in terms(u, point.data, point.lin)]
+    base += [t for u in uses for t in dressed(terms(u, point.data, point.lin), u, point.fluctuations)]
     masks = each(lambda i: upper_part(point, i), at)
     parts = []
     for upper in (False, True):

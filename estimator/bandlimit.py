@@ -231,3 +231,13 @@ def band_limit(
         for name in "avxu"
     )
     return Motion(0, a, v, x, u, valid)
+
+
+def left_out(m: Floats, c: Floats, kL: Floats, S: Floats, band: tuple[float, float], rate_hz: float) -> Floats:
+    """(places, 2) sd of the displacement and velocity outside of the pass band, from the linear response to S."""
+    f = np.concatenate([np.linspace(0.0, band[0], 200), np.geomspace(band[0], 1e3 * rate_hz, 4000)[1:]])
+    lost = (1.0 - passband(f, rate_hz, band)) ** 2
+    w = 2 * np.pi * f
+    response = S[:, None] / np.abs(kL[:, None] + 1j * w * c[:, None] - m[:, None] * w**2) ** 2
+    both = np.stack([np.trapezoid(response * lost, f), np.trapezoid(response * lost * w**2, f)], axis=1)
+    return np.asarray(np.sqrt(both))

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from . import reference
 from .missing_force import Residual, Survey, ridged
+from .motion_blocks import part_of
 from .path_fit import PathFit
 from .shape import Shape
-from .working_point import WorkingPoint, part_of
+from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 SECONDS = 5.0  # of the record that conditional means are taken over

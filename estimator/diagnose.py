@@ -20,7 +20,7 @@ from .search_start import fit_record
 from .shape import Shape, shape_of
 from .side_by_side import each
 from .suspects import suspects
-from .working_point import WorkingPoint, fit_model, thinned
+from .working_point import WorkingPoint, fit_model, plain, thinned
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -146,7 +146,7 @@ def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[E
 
 def _screen(model: Model, point: WorkingPoint, say: Progress) -> list[screen.Trial]:
     """The best trial of every force effect at every spot; searched parameters refined for the promising ones."""
-    small = thinned(point, SEARCH_SECONDS)
+    small = plain(thinned(point, SEARCH_SECONDS))
     pairs = [(e, s) for e in CATALOGUE.values() for s in screen.spots(e, model, point)]
 
     def said(done: int) -> None:
@@ -157,7 +157,7 @@ def _screen(model: Model, point: WorkingPoint, say: Progress) -> list[screen.Tri
     trials = [t for t in tried if t is not None]
     trials.sort(key=lambda t: -t.gain)
     say(0.7, "refining the best")
-    middle = thinned(point, REFINE_SECONDS)
+    middle = plain(thinned(point, REFINE_SECONDS))
     promising = [t for t in _promising(trials) if searched(t.effect, model)][:REFINED]
     better = each(lambda t: screen.refined(middle, point, model, t), promising)
     instead = {id(t): new for t, new in zip(promising, better, strict=False)}
@@ -201,7 +201,7 @@ def _another_explains(
 ) -> bool:
     """Whether a second effect, of another family, explains what the first leaves: two missing, not one unknown."""
     say(0.93, "one effect or two?")
-    small = thinned(point, SEARCH_SECONDS)
+    small = plain(thinned(point, SEARCH_SECONDS))
     family = FAMILY.get(best.effect, best.effect)
     where = {point.data.places[r.place] for r in left.residuals if r.found}
     for effect in CATALOGUE.values():

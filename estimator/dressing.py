@@ -1,17 +1,4 @@
-"""What a fluctuating tangent does to the Jacobian: the mean response of a law, dressed to second order.
-
-The data's side of the score of a law is E[phi_j F] in the band. For Gaussian white F it equals (Novikov's theorem) S
-times the mean of phi_j' G, with G the response of the linearised motion whose tangents fluctuate with the state. The
-mean tangent times the mean response leaves out that the two are correlated. With tangents phi_j' = <phi_j'> + kappa_j
-and K = sum beta_k kappa_k, to second order
-
-    < phi_j' G > = (<phi_j'> - Sigma_j) <G>,    Sigma_j(f) = FT[ C_jK(tau) g(tau) ],   tau > 0,
-
-C_jK the covariance of kappa_j with K a time tau before, g the impulse response, itself dressed by K. Over all
-frequencies Sigma_j adds nothing (causality), but it moves the response to a law from low to high frequencies: for
-Coulomb friction, whose tangent is a train of impulses, 5 % of it leaves a band of 8 kHz, and the friction would come
-out 15 % too high.
-"""
+"""The laws of a force balance dressed by what their tangents fluctuate (self_energy.py), and by sensor noise."""
 
 from __future__ import annotations
 
@@ -24,21 +11,10 @@ from .balance import Balance
 from .columns import Columns
 from .gram import valid_blocks
 from .record import Record, stretches
+from .self_energy import SECONDS, Mean, covariance, dressed_response, self_energy, spectra
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-SECONDS, DECAYS = 8.0, 1000.0  # of the record that the covariances are taken from: the longer of the two
-ROUNDS = 10  # of the self-consistent response
-STRONG = 1.0  # rms of the tangent stiffness over its mean, above which the second order is not used
-
-
-@dataclass(frozen=True, slots=True)
-class Mean:
-    """The mean response at a place: m x'' + c x' + k x = F, effects included by their mean tangents. SI."""
-
-    m: float
-    c: float
-    k: float
 
 
 def self_energies(
@@ -58,8 +34,7 @@ def self_energies(
         ]
         if laws:
             C, dt = _covariances(record, columns, laws, mean[row], seconds)
-            pairs = _self_consistent(C, dt, B[row, laws], mean[row], f_hz)
-            out[:, np.array(laws)[:, None], laws] = pairs
+            out[:, np.array(laws)[:, None], laws] = pair_energies(C, dt, B[row, laws], mean[row], f_hz)
     return out
 
 
@@ -107,56 +82,21 @@ def flutter(record: Record, columns: Columns, seconds: float = SECONDS) -> Flutt
 def _covariances(record: Record, columns: Columns, laws: list[int], mean: Mean, seconds: float) -> tuple[Floats, float]:
     """(laws, laws, 2, 2, lags) <kappa_ja(t + lag) kappa_kb(t)>, a and b: along x and v; and the time step."""
     usable = valid_blocks(record.motion.valid, record.grid)[::2]  # each row once
-    seconds = max(seconds, DECAYS * 2 * mean.m / mean.c)
-    usable = usable[: max(2, int(seconds * record.rate_hz / record.grid.size))]
+    usable = usable[: max(2, int(mean.seconds(seconds) * record.rate_hz / record.grid.size))]
     series, factor = _series(record, columns, laws, usable)  # (laws, 2, blocks, n)
     dt = 1.0 / (factor * record.rate_hz)
     series -= series.mean(axis=(2, 3), keepdims=True)
-    lags = min(series.shape[3], 1 << int(np.ceil(np.log2(14.0 * mean.m / mean.c / dt))))
-    pieces = series[..., : series.shape[3] // lags * lags].reshape(len(laws), 2, -1, lags)
-    Z = np.fft.rfft(pieces, 2 * lags, axis=3)
-    C = np.empty((len(laws), len(laws), 2, 2, lags))
-    for j, k, a, b in np.ndindex(C.shape[:4]):
-        if Z[j, a].any() and Z[k, b].any():
-            cross = np.einsum("bf,bf->f", Z[j, a], Z[k, b].conj()) / Z.shape[2]
-            C[j, k, a, b] = np.fft.irfft(cross, 2 * lags)[:lags] / (lags - np.arange(lags))
-        else:
-            C[j, k, a, b] = 0.0
-    return C, dt
+    Z = [spectra(z, mean.lags(dt, series.shape[3])) for z in series]
+    return np.array([[covariance(a, b) for b in Z] for a in Z]), dt
 
 
-def _self_consistent(C: Floats, dt: float, B: Floats, mean: Mean, f_hz: Floats) -> Complexes:
-    """(f, laws, laws) self-energies, with the response in them dressed by their own sum (causal at any strength)."""
-    lags = C.shape[4]
-    tau, f = np.arange(lags) * dt, np.fft.rfftfreq(2 * lags, dt)
-    iw = 2j * np.pi * f
-    weight = np.exp(-((tau / (0.8 * tau[-1])) ** 8)) * dt
-    weight[0] *= 0.5
-    D = mean.k + iw * mean.c + iw**2 * mean.m
-    decay = mean.c / (2 * mean.m)
-    wd = np.sqrt(max(mean.k / mean.m - decay**2, 1.0))
-    bare = np.exp(-decay * tau) * np.sin(wd * tau) / (mean.m * wd)
-    bare_v = np.exp(-decay * tau) * (np.cos(wd * tau) - decay / wd * np.sin(wd * tau)) / mean.m
-
-    def transform(K: Floats, g: Floats) -> Complexes:
-        lagged = np.einsum("abt,at->bt", K, g * weight)
-        both = np.fft.rfft(lagged, 2 * lags, axis=1)
-        return np.asarray(both[0] + iw * both[1])
-
-    total = np.einsum("j,k,jkabt->abt", B, B, C)
-    if total[0, 0, 0] > (STRONG * mean.k) ** 2:
-        return np.zeros((f_hz.size, B.size, B.size), complex)
-    sigma, g = np.zeros(f.size, complex), np.stack([bare, bare_v])
-    for _ in range(ROUNDS):
-        sigma = 0.5 * (sigma + transform(total, g))
-        change = 1.0 / (D - sigma) - 1.0 / D
-        g = np.stack([bare, bare_v]) + np.fft.irfft(np.stack([change, iw * change]), axis=1)[:, :lags] / dt
-    keep = np.searchsorted(f, [f_hz[0], f_hz[-1]]) + np.array([-1, 1])
-    part = slice(max(keep[0], 0), keep[1] + 1)
-    out = np.empty((f_hz.size, B.size, B.size), complex)
-    for j, k in np.ndindex(B.size, B.size):
-        z = transform(C[j, k], g)[part]
-        out[:, j, k] = np.interp(f_hz, f[part], z.real) + 1j * np.interp(f_hz, f[part], z.imag)
+def pair_energies(C: Floats, dt: float, B: Floats, mean: Mean, f_hz: Floats) -> Complexes:
+    """(f, laws, laws) self-energies of each law by each, from their covariances (laws, laws, 2, 2, lags)."""
+    g = dressed_response(np.einsum("j,k,jkabt->abt", B, B, C), dt, mean)
+    out = np.zeros((f_hz.size, B.size, B.size), complex)
+    if g is not None:
+        for j, k in np.ndindex(B.size, B.size):
+            out[:, j, k] = self_energy(C[j, k], g, dt, f_hz)
     return out
 
 

@@ -95,6 +95,17 @@ def _interpolate(z, taps, out):  # type: ignore[no-untyped-def]
             out[i * finer + u] = total
 
 
+@njit(cache=True, error_model="numpy", nogil=True)
+def _between(z, out):  # type: ignore[no-untyped-def]
+    """out (n U,) on straight lines between the points of z (n + 1,)."""
+    n = z.size - 1
+    finer = out.size // n
+    for i in range(n):
+        step = (z[i + 1] - z[i]) / finer
+        for u in range(finer):
+            out[i * finer + u] = z[i] + u * step
+
+
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
 def _decimate(z, taps, finer, out):  # type: ignore[no-untyped-def]
     """out (n,) from z ((n + 2 half) U,) through the symmetric taps (2 half U + 1,)."""
@@ -153,8 +164,9 @@ class State:
             return out
 
         def linear(z: Floats) -> Floats:
-            z = z[HALF : n // FINER + HALF + 1]
-            return (z[:-1, None] + np.diff(z)[:, None] * (np.arange(FINER) / FINER)).ravel()
+            out = np.empty(n)
+            _between(z[HALF : n // FINER + HALF + 1], out)
+            return out
 
         x, v, xo, vo = (fine(z) if z.any() else np.zeros(n) for z in (self.x, self.v, self.xo, self.vo))
         valid = np.repeat(self.valid[HALF:-HALF], FINER)
@@ -178,8 +190,20 @@ def depends(effect: Effect, p: Floats, scale: Floats) -> NDArray[np.bool_]:
 
 def rough(effect: Effect, p: Floats, scale: Floats) -> bool:
     """Whether the law has a jump or a kink along orbits of up to four standard deviations."""
+    return (
+        _shrinking(effect, p, scale, 4096) < 9.0
+    )  # second differences fall by 16 if the law is smooth, by 4 at a kink
+
+
+def jumps(effect: Effect, p: Floats, scale: Floats) -> bool:
+    """Whether the law has a jump along such orbits."""
+    return _shrinking(effect, p, scale, 512) < 2.0  # by 1 at a jump
+
+
+def _shrinking(effect: Effect, p: Floats, scale: Floats, points: int) -> float:
+    """By how much the largest second difference of the force falls from orbits of `points` to those of four times."""
     largest = []
-    for n in (4096, 16384):
+    for n in (points, 4 * points):
         at = np.linspace(0.0, 2 * np.pi, n)
         worst = 0.0
         for size in (1.3, 2.6, 4.1):
@@ -188,7 +212,7 @@ def rough(effect: Effect, p: Floats, scale: Floats) -> bool:
             if np.ptp(f) > 0:
                 worst = max(worst, float(np.abs(np.diff(f, 2)).max() / np.ptp(f)))
         largest.append(worst)
-    return largest[1] > largest[0] / 9.0  # second differences fall by 16 if the law is smooth, by 4 at a kink
+    return largest[0] / largest[1] if largest[1] > 0.0 else np.inf
 
 
 def law_force(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .bandlimit import Motion, band_limit
 from .errors import DataError
+from .features import NEAREST
 from .model import Model
 from .rotor import shaft_at_caps
 from .side_by_side import each
@@ -44,6 +45,7 @@ class MotionBlocks:
     speed: float  # rad/s, 0 if unknown
     shaft: NDArray[np.complex128]  # (bins, places, places) N/m, shaft and disc as seen by the caps
     colour: Array  # (places, bins) shape of the force spectrum that the model has, mean about 1
+    left_out: Array  # (places, 2) sd of the displacement and velocity outside of the band
     measured_force: bool = False
     rms: Array = field(init=False)  # (3, places) of x, of v and of a
 
@@ -80,8 +82,31 @@ class MotionBlocks:
         name = f"{'bearing2' if node == 'bearing1' else 'bearing1'}.{direction}"
         return self.places.index(name) if name in self.places else None
 
+    def sizes(self, i: int) -> Array:
+        """(4,) rms of x, v at a place and of x, v in the other direction, 0 without one."""
+        o = self.other(i)
+        return np.concatenate([self.rms[:2, i], np.zeros(2) if o is None else self.rms[:2, o]])
+
+    def smoothing(self, i: int) -> Array:
+        """(4,) sqrt(3) sd of what a law sees of x, v, xo, vo beside the motion in the band: features.py."""
+        o = self.other(i)
+        lost = np.concatenate([self.left_out[i], np.zeros(2) if o is None else self.left_out[o]])
+        return np.asarray(np.sqrt(3.0) * np.maximum(lost, NEAREST * self.sizes(i)))
+
     def sign(self, i: int) -> float:
         return 1.0 if self.places[i].endswith("x") else -1.0
+
+
+def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
+    """Some consecutive blocks of every time fold, about `seconds` in all; the data themselves if they are no longer."""
+    per_fold = max(2, int(seconds * data.rate_hz / data.block / FOLDS))
+    if data.blocks <= 1.25 * per_fold * FOLDS:
+        return data
+    pick = np.concatenate([np.flatnonzero(data.fold == f)[:per_fold] for f in range(FOLDS)])
+    rows = (pick[:, None] * data.block + np.arange(data.block)).ravel()
+    a, v, x, known = (np.ascontiguousarray(z[:, rows]) for z in (data.a, data.v, data.x, data.known))
+    return replace(data, start=data.start[pick], fold=data.fold[pick], t=data.t[rows], phase=data.phase[rows],
+                   a=a, v=v, x=x, known=known)  # fmt: skip
 
 
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
@@ -157,7 +182,8 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     f: Array = np.asarray(np.fft.rfftfreq(block, 1 / rate_hz), dtype=np.float64)
     f = f[(f >= model.band[0]) & (f <= model.band[1])]
     return MotionBlocks(places, rate_hz, model.band, block, starts, fold, a, v, x, known, t, speed * t, mass, speed,
-                        shaft_response(model, places, f), colours(model, places, f), bool(forced))  # fmt: skip
+                        shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)),
+                        bool(forced))  # fmt: skip
 
 
 def colours(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:

@@ -33,7 +33,8 @@ class Term:
     """One parameter's force per unit: series by place index, (n,) N per unit, and its mean tangent.
 
     tangent : (places, places, 2): mean derivative of the force at place i to x_l and to v_l.
-    memory : (bins,) N/m per unit, more of the mean response to x at the place itself, of a force with memory.
+    memory : by place, (bins,) N/m per unit, more of the mean response to x at the place itself: of a force with
+    memory, or of a tangent that fluctuates (fluctuation.py).
     name : "bearing1.x.kL" and so on. scale : what the parameter is divided by in the computation.
     """
 
@@ -42,7 +43,7 @@ class Term:
     series: dict[int, NDArray[Any]]
     tangent: Array
     scale: float = 1.0
-    memory: Complexes | None = None
+    memory: dict[int, Complexes] = field(default_factory=dict)
 
 
 def response(tangent: Array, data: MotionBlocks) -> Complexes:
@@ -54,9 +55,8 @@ def response(tangent: Array, data: MotionBlocks) -> Complexes:
 def term_response(term: Term, data: MotionBlocks) -> Complexes:
     """(places, places, thinned bins) contribution to A of one scaled unit of a term."""
     out = response(term.tangent, data)
-    if term.memory is not None:
-        for i in term.series:
-            out[i, i] -= (term.memory / (2 * np.pi * data.f_hz) ** 2)[::THIN]
+    for i, more in term.memory.items():
+        out[i, i] -= (more / (2 * np.pi * data.f_hz) ** 2)[::THIN]
     return out * term.scale
 
 

@@ -1,8 +1,7 @@
-"""An effect put at places of a record: its force, one column per parameter, and its mean tangent."""
+"""An effect put at places of a record: its force, its mean tangent, its tangent along the path."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,10 +9,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .effect import Effect
-from .effects.compiled import address, call_force, memory_array
-from .features import depends
+from .effects.compiled import address, call_force, force_array, memory_array
+from .features import FINER, MARGIN, State, decimated, depends, jumps, law_force
 from .motion_blocks import MotionBlocks
-from .path_fit import Term
 
 Array = NDArray[np.float64]
 Evaluated = tuple[Array, Array, NDArray[np.complex128] | None]
@@ -40,17 +38,24 @@ class Placed:
 def _along(law, p, x, v, xo, vo, t, phase, s, h, out, slopes):  # type: ignore[no-untyped-def]
     """Fill out (n,) with the law's force; slopes (4,) with its mean central differences over +-h along x, v, xo, vo.
 
-    Along v every row counts: for a jump the sum is the crossing rate of this very path. Along x every eighth does.
+    Along v every row counts, and the force is averaged over what the band leaves out of v (three points, features.py).
+    Along x, of which little is left out, every eighth row is enough for the slope.
     """
     n = x.size
     for i in range(n):
-        out[i] = call_force(law, x[i], v[i], xo[i], vo[i], t[i], phase[i], s, p)
+        f = call_force(law, x[i], v[i], xo[i], vo[i], t[i], phase[i], s, p)
+        y = f
         if h[1] > 0.0:
-            slopes[1] += call_force(law, x[i], v[i] + h[1], xo[i], vo[i], t[i], phase[i], s, p)
-            slopes[1] -= call_force(law, x[i], v[i] - h[1], xo[i], vo[i], t[i], phase[i], s, p)
+            up = call_force(law, x[i], v[i] + h[1], xo[i], vo[i], t[i], phase[i], s, p)
+            down = call_force(law, x[i], v[i] - h[1], xo[i], vo[i], t[i], phase[i], s, p)
+            slopes[1] += up - down
+            y += (up + down - 2.0 * f) / 6.0
         if h[3] > 0.0:
-            slopes[3] += call_force(law, x[i], v[i], xo[i], vo[i] + h[3], t[i], phase[i], s, p)
-            slopes[3] -= call_force(law, x[i], v[i], xo[i], vo[i] - h[3], t[i], phase[i], s, p)
+            up = call_force(law, x[i], v[i], xo[i], vo[i] + h[3], t[i], phase[i], s, p)
+            down = call_force(law, x[i], v[i], xo[i], vo[i] - h[3], t[i], phase[i], s, p)
+            slopes[3] += up - down
+            y += (up + down - 2.0 * f) / 6.0
+        out[i] = y
     if h[0] > 0.0:
         for i in range(0, n, 8):
             slopes[0] += 8.0 * call_force(law, x[i] + h[0], v[i], xo[i], vo[i], t[i], phase[i], s, p)
@@ -79,9 +84,15 @@ def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | 
     o = data.other(i)
     zero = np.zeros_like(data.x[i])
     xo, vo = (zero, zero) if o is None else (data.x[o], data.v[o])
-    rms = data.rms
-    scale = np.array([rms[0, i], rms[1, i], 0.0 if o is None else rms[0, o], 0.0 if o is None else rms[1, o]])
-    h = np.where(depends(effect, p, np.maximum(scale, 1e-300)), 0.07 * scale, 0.0)
+    scale = data.sizes(i)
+    reads = depends(effect, p, np.maximum(scale, 1e-300))
+    if jumps(effect, p, scale):
+        out, sums = _on_finer_grid(effect, p, data, i, reads)
+        slopes[i] += sums[:2]
+        if o is not None:
+            slopes[o] += sums[2:]
+        return out, slopes, None
+    h = np.where(reads, [0.07, 0.0, 0.07, 0.0] * scale + [0.0, 1.0, 0.0, 1.0] * data.smoothing(i), 0.0)
     out, sums = np.empty(data.x.shape[1]), np.zeros(4)
     law = np.uint64(address(effect.force))
     _along(law, p, data.x[i], data.v[i], xo, vo, data.t, data.phase, data.sign(i), h, out, sums)
@@ -89,6 +100,44 @@ def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | 
     if o is not None:
         slopes[o] += sums[2:]
     return out, slopes, None
+
+
+def _on_finer_grid(
+    effect: Effect, p: Array, data: MotionBlocks, i: int, reads: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """(n,) N of a law with a jump, without its harmonics above Nyquist, which fold back if it is sampled; and (4,)."""
+    o, n = data.other(i), data.x.shape[1]
+    zero = np.zeros(n)
+    xo, vo = (zero, zero) if o is None else (data.x[o], data.v[o])
+    h, step = data.smoothing(i), 32 * data.block
+    out, sums = np.empty(n), np.zeros(4)
+    for a in range(0, n, step):
+        b = min(a + step, n)
+        rows = np.clip(np.arange(a - MARGIN, b + MARGIN), 0, n - 1)
+        x, v, xs, vs, t, phase = (z[rows] for z in (data.x[i], data.v[i], xo, vo, data.t, data.phase))
+        state = State(x, v, xs, vs, t, phase, data.sign(i), h, np.ones(rows.size, bool))
+        force, part = law_force(effect, p, state.finer(), reads)
+        out[a:b] = decimated(force)
+        sums += part
+    return out, sums / (FINER * n)
+
+
+def tangent_series(placed: Placed, data: MotionBlocks, i: int, p: Array) -> Array:
+    """(2, n) tangents of a law along x and v at place i, by the same differences as their means in `evaluate`."""
+    effect, o = placed.effect, data.other(i)
+    zero = np.zeros(data.x.shape[1])
+    xo, vo = (zero, zero) if o is None else (data.x[o], data.v[o])
+    scale = data.sizes(i)
+    used = depends(effect, p, np.maximum(scale, 1e-300))
+    out = np.zeros((2, data.x.shape[1]))
+    for a in np.flatnonzero(used[:2]):
+        h = data.smoothing(i)[1] if a == 1 else 0.07 * scale[0]
+        ends = []
+        for step in (h, -h):
+            x, v = data.x[i] + (step if a == 0 else 0.0), data.v[i] + (step if a == 1 else 0.0)
+            ends.append(force_array(effect, p, x, v, xo, vo, data.t, data.phase, data.sign(i)))
+        out[a] = (ends[0] - ends[1]) / (2 * h)
+    return out
 
 
 def remember(effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: float) -> Array:
@@ -130,119 +179,3 @@ def _memory_response(
 
 def _peak(x: Array, v: Array) -> float:
     return float(v.std() / x.std())
-
-
-def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = False) -> list[Term]:
-    """One column per free parameter: the force per unit for a linear one, a central difference for a searched one.
-
-    lin : (places, 3) m, kL, c.
-    """
-    out = []
-    linear = np.array([q.linear for q in placed.effect.parameters])
-    for k, q in enumerate(placed.effect.parameters):
-        if not placed.free[k] or (linear_only and not q.linear):
-            continue
-        series: dict[int, Array] = {}
-        memory = None
-        slopes = np.zeros((len(data.places), len(data.places), 2))
-        for i in placed.at:
-            if q.linear:
-                p = np.where(linear, 0.0, placed.p)
-                p[k] = 1.0
-                series[i], slopes[i], memory = evaluate(placed, data, i, lin[i], p)
-            else:
-                step = (0.02 if placed.effect.kind == "memory" else 1e-3) * max(abs(placed.p[k]), 1e-12)
-                up, down = placed.p.copy(), placed.p.copy()
-                up[k] += step
-                down[k] -= step
-                fu, su, mu = evaluate(placed, data, i, lin[i], up)
-                fd, sd, md = evaluate(placed, data, i, lin[i], down)
-                series[i], slopes[i] = (fu - fd) / (2 * step), (su - sd) / (2 * step)
-                memory = None if mu is None or md is None else (mu - md) / (2 * step)
-        rms = max(float(np.sqrt(np.mean([z @ z / z.size for z in series.values()]))), 1e-300)
-        out.append(Term(placed.name(k), q.unit, series, slopes, 1.0 / rms, memory))
-    return out
-
-
-def light(term: Term) -> Term:
-    """The term for keeping: its own series in single precision, views of the record as they are."""
-    return replace(term, series={i: z if z.base is not None else z.astype(np.float32) for i, z in term.series.items()})
-
-
-@dataclass(frozen=True, slots=True)
-class Span:
-    """What the base terms span at one place: B (k, n) scaled to rms 1, their Gram matrix and tangents."""
-
-    B: NDArray[np.float32]
-    part: NDArray[np.float32]  # (k, n / STRIDE) of B
-    gram: Array
-    slopes: Array  # (k, places, 2)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _less(z, B, weights):  # type: ignore[no-untyped-def]
-    """z - weights @ B, (n,), in one pass, double precision."""
-    out = np.empty(z.size)
-    for i in range(z.size):
-        total = z[i]
-        for k in range(B.shape[0]):
-            total -= weights[k] * B[k, i]
-        out[i] = total
-    return out
-
-
-STRIDE = 4  # of the samples that the projection is computed from; it need not be exact, only subtracted exactly
-
-
-def span(base: Sequence[Term], i: int) -> Span:
-    """The base at place i."""
-    own = [b for b in base if i in b.series]
-    B = np.stack([(b.series[i] * b.scale).astype(np.float32) for b in own])
-    part = np.ascontiguousarray(B[:, ::STRIDE])
-    wide = part.astype(np.float64)
-    return Span(B, part, wide @ wide.T, np.stack([b.tangent[i] * b.scale for b in own]))
-
-
-class Spans:
-    """The base's span at every place, made when it is first asked for."""
-
-    def __init__(self, base: Sequence[Term]) -> None:
-        self._base, self._made = base, dict[int, Span]()
-
-    def __getitem__(self, i: int) -> Span:
-        if i not in self._made:
-            self._made[i] = span(self._base, i)
-        return self._made[i]
-
-
-def orthogonal(term: Term, spans: Spans, least: float = 1e-4) -> Term | None:
-    """The term without what the base (by place) already explains there, series and tangent alike.
-
-    The likelihood is the same function of the new parameter; what changes is that nearly equal columns keep their
-    difference in single precision. None if less than `least` of its rms is left: the base says it all.
-    """
-    series, slopes = {}, term.tangent.copy()
-    before = after = 0.0
-    for i, z in term.series.items():
-        base = spans[i]
-        weights = np.linalg.lstsq(base.gram, base.part @ z[::STRIDE], rcond=1e-10)[0]
-        rest = _less(z, base.B, weights)
-        slopes[i] -= np.tensordot(weights, base.slopes, 1)
-        series[i] = rest
-        before += float(z @ z)
-        after += float(rest @ rest)
-    if not after > least**2 * before:
-        return None
-    n = next(iter(series.values())).size
-    return replace(term, series=series, tangent=slopes, scale=1.0 / float(np.sqrt(after / len(series) / n)))
-
-
-def linear_terms(data: MotionBlocks, i: int) -> list[Term]:
-    """kL and c of a place."""
-    P = len(data.places)
-    out = []
-    for which, (name, unit, z) in enumerate((("kL", "N/m", data.x[i]), ("c", "N s/m", data.v[i]))):
-        slope = np.zeros((P, P, 2))
-        slope[i, i, which] = 1.0
-        out.append(Term(f"{data.places[i]}.{name}", unit, {i: z}, slope, 1.0 / max(float(z.std()), 1e-300)))
-    return out

@@ -14,7 +14,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .motion_blocks import MotionBlocks
-from .path_fit import Columns, response
+from .path_fit import THIN, Columns, response
+from .reference_tangents import dressings
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -150,6 +151,10 @@ def columns(point: WorkingPoint, i: int, group: Group, spectra: Series) -> Colum
     tangents = np.zeros((len(group.series), P, P, point.columns.tangents.shape[-1]), complex)
     for k, t in enumerate(group.tangents):
         tangents[k, i] = response(t * scales[k], point.data)
+    if (here := point.fluctuations[i]) is not None:
+        w2 = (2 * np.pi * point.data.f_hz[::THIN]) ** 2
+        for k, sigma in enumerate(dressings(group.name, here, point.data.rms[:2, i], group.knots)):
+            tangents[k, i, i] += scales[k] * sigma[::THIN] / w2
     names = tuple(f"{group.name}.{k}" for k in range(len(group.series)))
     return Columns(names, ("N",) * len(names), scales, tangents, {i: spectra}, {i: np.arange(len(names))})
 

@@ -15,8 +15,9 @@ from .effects.strength import search_range
 from .model import Model
 from .model_uses import FORCES, PERIODIC, acting, not_judged, searched, size, start
 from .path_fit import Columns, PathFit
-from .placed import Placed, orthogonal, terms
+from .placed import Placed
 from .subproblem import Subproblem, heldout_gain, subproblem
+from .terms import dressed, orthogonal, terms
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -89,7 +90,8 @@ def grid(effect: Effect, model: Model, point: WorkingPoint, i: int, loose: list[
 
 def trial_columns(point: WorkingPoint, placed: Placed) -> Columns | None:
     """Columns of the amplitudes, freed from the base; None if nothing is left of one of them."""
-    made = [orthogonal(t, point.spans) for t in terms(placed, point.data, point.lin, linear_only=True)]
+    plain = terms(placed, point.data, point.lin, linear_only=True)
+    made = [orthogonal(t, point.spans) for t in dressed(plain, placed, point.fluctuations)]
     kept = [t for t in made if t is not None]
     return point.weighing.columns(kept) if kept else None
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from . import screen
 from .model import Model
 from .model_uses import placed_of
-from .motion_blocks import MotionBlocks
+from .motion_blocks import MotionBlocks, part_of
 from .placed import Placed
 from .side_by_side import each
-from .working_point import WorkingPoint, fit_model, part_of
+from .working_point import WorkingPoint, fit_model
 
 Array = NDArray[np.float64]
 SECONDS = 6.0

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .balance import build
+from .bandlimit import left_out
 from .errors import DataError
 from .features import NEAREST
 from .gram import Nodes, nodes
@@ -68,19 +69,6 @@ def _mean_logs(w0: bytes, zeta: bytes, f_hz: bytes) -> Floats:
     return np.stack([np.log((1 - r) ** 2 + 4 * z * z * r).mean(axis=1) for z in np.frombuffer(zeta)], axis=1)
 
 
-def left_out(m: Floats, c: Floats, kL: Floats, S: Floats, record: Record) -> Floats:
-    """(places, 2) sd of the displacement and velocity outside of the pass band, from the linear response to S."""
-    from .bandlimit import passband
-
-    low, rate = record.model.band[0], record.rate_hz
-    f = np.concatenate([np.linspace(0.0, low, 200), np.geomspace(low, 1e3 * rate, 4000)[1:]])
-    lost = (1.0 - passband(f, record.rate_hz, record.model.band)) ** 2
-    w = 2 * np.pi * f
-    response = S[:, None] / np.abs(kL[:, None] + 1j * w * c[:, None] - m[:, None] * w**2) ** 2
-    both = np.stack([np.trapezoid(response * lost, f), np.trapezoid(response * lost * w**2, f)], axis=1)
-    return np.asarray(np.sqrt(both))
-
-
 def linear_start(record: Record) -> Start:
     """The linear fit from a scan. Raises DataError if the band holds no resonance or the record is too short."""
     model = replace(record.model, effects=())
@@ -102,7 +90,8 @@ def linear_start(record: Record) -> Start:
     x, v, a = record.rms("x"), record.rms("v"), record.rms("a")
     for i, place in enumerate(balance.places):
         _judge(place, m[i], c[i], kL[i], record)
-    widths = np.maximum(left_out(m, c, kL, local.point.S, record), NEAREST * np.stack([x, v], axis=1))
+    lost = left_out(m, c, kL, local.point.S, model.band, record.rate_hz)
+    widths = np.maximum(lost, NEAREST * np.stack([x, v], axis=1))
     sizes = {
         place: {
             "x": x[i], "v": v[i], "a": a[i], "m": m[i], "hz_peak": float(np.sqrt(kL[i] / m[i]) / (2 * np.pi)),

@@ -7,11 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import placed as placing
-from .motion_blocks import FOLDS, MotionBlocks
+from .bandlimit import left_out
+from .fluctuation import Fluctuation, fluctuations
+from .motion_blocks import FOLDS, MotionBlocks, part_of
 from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing, fit, gram
-from .placed import Placed
+from .placed import Placed, evaluate
+from .self_energy import Mean
 from .side_by_side import each
+from .terms import Spans, dressed, light, linear_terms, terms
 
 Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
@@ -37,7 +40,8 @@ class WorkingPoint:
     fit: PathFit
     A: NDArray[np.complex128]  # (bins, places, places)
     slopes: Array  # (places, places, 2) mean tangent
-    spans: placing.Spans  # of the model's own columns, by place
+    fluctuations: tuple[Fluctuation | None, ...]  # by place, of the laws of the model
+    spans: Spans  # of the model's own columns, by place
 
     @property
     def lin(self) -> Array:
@@ -65,10 +69,12 @@ def fit_model(
             start = fit_model(part, uses, rounds=rounds)
             uses, rounds = list(start.placed), 2
     if start is None:
-        kL, c = _first_linear(data)
+        kL, c, S = _first_linear(data)
+        data = replace(data, left_out=left_out(data.mass, c, kL, S, data.band, data.rate_hz))
         nu = np.zeros(P)
     else:
         kL, c, nu = start.kL.copy(), start.c.copy(), start.nu.copy()
+        data = data if start.data is data else replace(data, left_out=start.data.left_out)
     point: WorkingPoint | None = None
     for round_ in range(rounds):
         point = None  # its columns are large: let go before the next are made
@@ -84,27 +90,20 @@ def fit_model(
     return _at(data, kL, c, nu, uses)
 
 
-def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
-    """Some consecutive blocks of every time fold, about `seconds` in all; the data themselves if they are no longer."""
-    per_fold = max(2, int(seconds * data.rate_hz / data.block / FOLDS))
-    if data.blocks <= 1.25 * per_fold * FOLDS:
-        return data
-    pick = np.concatenate([np.flatnonzero(data.fold == f)[:per_fold] for f in range(FOLDS)])
-    rows = (pick[:, None] * data.block + np.arange(data.block)).ravel()
-    a, v, x, known = (np.ascontiguousarray(z[:, rows]) for z in (data.a, data.v, data.x, data.known))
-    return replace(data, start=data.start[pick], fold=data.fold[pick], t=data.t[rows], phase=data.phase[rows],
-                   a=a, v=v, x=x, known=known)  # fmt: skip
-
-
 def thinned(point: WorkingPoint, seconds: float) -> WorkingPoint:
     """The same model on part of the record: for searching, and for pictures."""
     part = part_of(point.data, seconds)
     return point if part is point.data else _at(part, point.kL, point.c, point.nu, list(point.placed))
 
 
-def _first_linear(data: MotionBlocks) -> tuple[Array, Array]:
-    """kL by least squares (consistent: E[a v] = 0 leaves it alone), c from the power balance S = 4 c m E[v^2]."""
-    kL, c = np.zeros(len(data.places)), np.zeros(len(data.places))
+def plain(point: WorkingPoint) -> WorkingPoint:
+    """The same for a quick search: new laws are not dressed by those of the model."""
+    return replace(point, fluctuations=(None,) * len(point.fluctuations))
+
+
+def _first_linear(data: MotionBlocks) -> tuple[Array, Array, Array]:
+    """kL by least squares (consistent: E[a v] = 0 leaves it alone), c from the power balance S = 4 c m E[v^2], S."""
+    kL, c, powers = np.zeros((3, len(data.places)))
     for i in range(len(data.places)):
         x, v = data.x[i], data.v[i]
         kL[i] = -np.dot(x, data.known[i]) / np.dot(x, x)
@@ -112,11 +111,17 @@ def _first_linear(data: MotionBlocks) -> tuple[Array, Array]:
         power = np.mean(np.abs(np.fft.rfft(f * np.hanning(data.block), axis=1)) ** 2, axis=0)[data.bins]
         S = float(np.median(power)) * 2 / (data.rate_hz * data.block * 0.375)
         c[i] = S / (4 * data.mass[i] * np.mean(v * v))
-    return kL, c
+        powers[i] = S
+    return kL, c, powers
 
 
-def _forces(data: MotionBlocks, kL: Array, c: Array, uses: list[Placed]) -> tuple[Array, NDArray[np.complex128], Array]:
-    """Inferred force (places, n), A (bins, places, places) and the mean tangent (places, places, 2)."""
+def _forces(
+    data: MotionBlocks, kL: Array, c: Array, uses: list[Placed], made: list[list[Term]]
+) -> tuple[Array, NDArray[np.complex128], Array]:
+    """Inferred force (places, n), A (bins, places, places) and the mean tangent (places, places, 2).
+
+    made : the terms of each use.
+    """
     F = data.known + kL[:, None] * data.x + c[:, None] * data.v
     P = len(data.places)
     M = np.zeros_like(data.shaft)
@@ -126,13 +131,19 @@ def _forces(data: MotionBlocks, kL: Array, c: Array, uses: list[Placed]) -> tupl
     lin = np.stack([data.mass, kL, c], axis=1)
 
     def add(i: int) -> None:
-        for use in uses:
-            if i in use.at:
-                f, slope, memory = placing.evaluate(use, data, i, lin[i])
-                F[i] += f
-                D[i] += slope
-                if memory is not None:
-                    M[:, i, i] += memory
+        for use, own in zip(uses, made, strict=True):
+            if i not in use.at:
+                continue
+            if len(own) == use.p.size and use.effect.kind == "force" and all(q.linear for q in use.effect.parameters):
+                for value, term in zip(use.p, own, strict=True):
+                    F[i] += value * term.series[i]
+                    D[i] += value * term.tangent[i]
+                continue
+            f, slope, memory = evaluate(use, data, i, lin[i])
+            F[i] += f
+            D[i] += slope
+            if memory is not None:
+                M[:, i, i] += memory
 
     each(add, range(P))
     w = 2 * np.pi * data.f_hz[:, None, None]
@@ -148,21 +159,26 @@ def tangent_at(point: WorkingPoint, f_hz: Array, shaft: NDArray[np.complex128] |
 
 
 def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) -> WorkingPoint:
-    F, A, D = _forces(data, kL, c, uses)
     P = len(data.places)
+    lin = np.stack([data.mass, kL, c], axis=1)
+    own = each(lambda use: terms(use, data, lin), uses)
+    F, A, D = _forces(data, kL, c, uses, own)
     A2 = np.stack([np.sum(np.abs(A[:, i, :]) ** 2, axis=1) for i in range(P)])
     weighing = Weighing(data, 1.0 / (data.colour + nu[:, None] * A2))
     spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
-    lin = np.stack([data.mass, kL, c], axis=1)
-    terms = [t for i in range(P) for t in placing.linear_terms(data, i)]
-    for made in each(lambda use: placing.terms(use, data, lin), uses):
-        terms += made
-    columns = weighing.columns(terms)
+    mean = [Mean(float(data.mass[i]), float(D[i, i, 1]), float(D[i, i, 0])) for i in range(P)]
+    around = fluctuations(data, uses, mean)
+    made = [t for i in range(P) for t in linear_terms(data, i)]
+    made += [t for ts in each(lambda k: dressed(own[k], uses[k], around), range(len(uses))) for t in ts]
+    columns = weighing.columns(made)
     G = gram(weighing, spectra, columns)
+    for i, here in enumerate(around):
+        if here is not None:
+            A[:, i, i] += here.whole / (2 * np.pi * data.f_hz) ** 2
     jacobian = Jacobian(A)
     blocks = np.bincount(data.fold, minlength=FOLDS).astype(np.float64)
     result = fit(G, jacobian, np.arange(FOLDS), blocks)
-    light = tuple(placing.light(t) for t in terms)
+    kept = tuple(light(t) for t in made)
     return WorkingPoint(
         data,
         kL,
@@ -173,14 +189,15 @@ def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) 
         F,
         weighing,
         spectra,
-        light,
+        kept,
         columns,
         G,
         jacobian,
         result,
         A,
         D,
-        placing.Spans(light),
+        tuple(here and here.coarse(data.rate_hz) for here in around),
+        Spans(kept),
     )
 
 

@@ -7,10 +7,11 @@ import pytest
 from reference_rig import RATE, rig_model, rig_record
 
 from estimator.balance import Balance, build, restrict
-from estimator.dressing import Mean, _self_consistent
+from estimator.dressing import pair_energies
 from estimator.likelihood import Likelihood, Point, maximise, spectrum_of_force
 from estimator.maximum import initial, inverse
 from estimator.record import Bank, Record, gather, prepare
+from estimator.self_energy import Mean
 from estimator.start import Start, linear_start
 
 
@@ -88,7 +89,7 @@ def test_dressing_is_causal_it_moves_response_but_adds_none() -> None:
     C = np.zeros((1, 1, 2, 2, lags))
     C[0, 0, 1, 1] = 30.0 * np.exp(-tau / 1e-3)  # covariance of the tangent damping of one law, per unit of it
     f = np.linspace(0.5, 4999.5, 20000)
-    sigma = _self_consistent(C, dt, np.ones(1), mean, f)[:, 0, 0]
+    sigma = pair_energies(C, dt, np.ones(1), mean, f)[:, 0, 0]
     iw = 2j * np.pi * f
     D = mean.k + iw * mean.c + iw**2 * mean.m
     # E[phi' G_v] = (1 - Sigma) G_v per unit mean tangent 1: the integral over all f of its real part is that of the

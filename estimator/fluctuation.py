@@ -1,0 +1,96 @@
+"""What the laws of a working point, fluctuating together, do to the mean response of any law at the same place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .features import jumps
+from .motion_blocks import MotionBlocks, part_of
+from .placed import Placed, tangent_series
+from .self_energy import Complexes, Mean, Spectra, covariance, dressed_response, self_energy, spectra
+from .side_by_side import each
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Fluctuation:
+    """Of one place. data : the part of the record it was taken from. total : (2, n) whole tangent of the laws there,
+    about its mean, and K its spectra.
+
+    g : (2, lags) dressed impulse response of x and v. whole : (bins,) N/m, Sigma of all laws together.
+    """
+
+    data: MotionBlocks
+    place: int
+    total: Array
+    K: Spectra
+    g: Array
+    whole: Complexes
+
+    def of(self, tangents: Array) -> Complexes:
+        """(bins,) N/m per unit: Sigma of a law with tangents (2, n) along x and v on `data`."""
+        Z = _spectra(tangents, self.data, self.g.shape[1])
+        return self_energy(covariance(Z, self.K), self.g, 1.0 / self.data.rate_hz, self.data.f_hz)
+
+    def coarse(self, rate_hz: float) -> Fluctuation:
+        """The same at the rate of the record: enough for laws without jumps."""
+        by = round(self.data.rate_hz / rate_hz)
+        if by == 1:
+            return self
+        rows = slice(None, None, by)
+        data = replace(self.data, rate_hz=rate_hz, block=self.data.block // by, x=self.data.x[:, rows],
+                       v=self.data.v[:, rows], t=self.data.t[rows], phase=self.data.phase[rows])  # fmt: skip
+        g = np.ascontiguousarray(self.g[:, rows])
+        total = np.ascontiguousarray(self.total[:, rows])
+        return Fluctuation(data, self.place, total, _spectra(total, data, g.shape[1]), g, self.whole)
+
+
+def _spectra(tangents: Array, data: MotionBlocks, lags: int) -> Spectra:
+    return spectra(tangents.reshape(2, data.blocks, data.block), lags)
+
+
+def fluctuations(data: MotionBlocks, uses: Sequence[Placed], mean: Sequence[Mean]) -> tuple[Fluctuation | None, ...]:
+    """By place, None without a law there, or where the laws are too strong for the second order.
+
+    mean : mean response of each place, the laws included.
+    """
+    own = [[u for u in uses if i in u.at and u.effect.kind == "force"] for i in range(len(mean))]
+    used = [i for i, m in enumerate(mean) if own[i] and m.c > 0 and m.k > 0]
+    if not used:
+        return (None,) * len(mean)
+    part = part_of(data, max(mean[i].seconds() for i in used))
+    if any(jumps(u.effect, u.p, data.sizes(i)) for i in used for u in own[i]):
+        part = finer(part)
+    dt = 1.0 / part.rate_hz
+
+    def at(i: int) -> Fluctuation | None:
+        if i not in used:
+            return None
+        total = np.sum([tangent_series(u, part, i, u.p) for u in own[i]], axis=0)
+        total -= total.mean(axis=1, keepdims=True)
+        K = _spectra(total, part, mean[i].lags(dt, part.block))
+        C = covariance(K, K)
+        g = dressed_response(C, dt, mean[i])
+        return None if g is None else Fluctuation(part, i, total, K, g, self_energy(C, g, dt, data.f_hz))
+
+    return tuple(each(at, range(len(mean))))
+
+
+def finer(data: MotionBlocks, by: int = 4) -> MotionBlocks:
+    """Displacement, velocity, time and phase of the blocks at `by` times the rate; the rest as it was."""
+    from scipy.signal import resample
+
+    def fine(z: Array) -> Array:
+        return np.asarray(resample(z.reshape(len(z), data.blocks, -1), by * data.block, axis=2).reshape(len(z), -1))
+
+    def straight(z: Array) -> Array:
+        step = np.diff(z, append=2 * z[-1] - z[-2])
+        return np.asarray((z[:, None] + step[:, None] * np.arange(by) / by).ravel())
+
+    return replace(data, rate_hz=by * data.rate_hz, block=by * data.block, x=fine(data.x), v=fine(data.v),
+                   t=straight(data.t), phase=straight(data.phase))  # fmt: skip

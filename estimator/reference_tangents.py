@@ -1,0 +1,36 @@
+"""Tangents along the path of the flexible columns, which a fluctuating model dresses: fluctuation.py, reference.py."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .fluctuation import Fluctuation
+from .self_energy import Complexes
+
+Array = NDArray[np.float64]
+
+
+def dressings(name: str, here: Fluctuation, sizes: Array, knots: Array | None) -> Iterator[Complexes]:
+    """(bins,) N/m per column of a group, in its order; nothing for groups whose tangents the model leaves alone.
+
+    sizes : (2,) rms of x and v that the group is built with; knots of a group of hat functions.
+    """
+    x, v = here.data.x[here.place], here.data.v[here.place]
+    if knots is not None:
+        which = 0 if name == "displacement" else 1
+        step = float(knots[1] - knots[0])
+        cell = np.clip(((x, v)[which] - knots[0]) // step, 0, knots.size - 2).astype(np.int64)
+        for k in range(knots.size):
+            out = np.zeros((2, x.size))
+            out[which] = ((cell == k - 1).astype(float) - (cell == k)) / step
+            yield here.of(out)
+    elif name == "level":
+        u, w = x / sizes[0], v / sizes[1]
+        r = np.maximum(np.hypot(u, w), 1e-6)
+        for du, dw in (
+            (w, u), (2 * u * w, u * u), (w * w, 2 * u * w), (r + u * u / r, u * w / r), (u * w / r, r + w * w / r),
+        ):  # fmt: skip
+            yield here.of(np.stack([du / sizes[0], dw / sizes[1]]))

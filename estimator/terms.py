@@ -1,0 +1,167 @@
+"""One column per parameter of the linear part and of a placed effect, and what of it the base does not say already."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from .fluctuation import Fluctuation
+from .motion_blocks import MotionBlocks
+from .path_fit import Complexes, Term
+from .placed import Placed, evaluate, tangent_series
+
+Array = NDArray[np.float64]
+
+
+def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = False) -> list[Term]:
+    """One column per free parameter: the force per unit for a linear one, a central difference for a searched one.
+
+    lin : (places, 3) m, kL, c.
+    """
+    out = []
+    for k, q in enumerate(placed.effect.parameters):
+        if not placed.free[k] or (linear_only and not q.linear):
+            continue
+        series: dict[int, Array] = {}
+        memory: dict[int, Complexes] = {}
+        slopes = np.zeros((len(data.places), len(data.places), 2))
+        ends = _ends(placed, k)
+        for i in placed.at:
+            made = [evaluate(placed, data, i, lin[i], p) for p, _ in ends]
+            series[i] = _summed([w * f for (_, w), (f, _, _) in zip(ends, made, strict=True)])
+            slopes[i] = _summed([w * s for (_, w), (_, s, _) in zip(ends, made, strict=True)])
+            if placed.effect.kind == "memory":
+                memory[i] = _summed([w * m for (_, w), (_, _, m) in zip(ends, made, strict=True) if m is not None])
+        rms = max(float(np.sqrt(np.mean([z @ z / z.size for z in series.values()]))), 1e-300)
+        out.append(Term(placed.name(k), q.unit, series, slopes, 1.0 / rms, memory))
+    return out
+
+
+def dressed(made: list[Term], placed: Placed, fluctuations: Sequence[Fluctuation | None]) -> list[Term]:
+    """The terms of an effect with what the fluctuating laws of the model, by place, do to their mean response."""
+    if placed.effect.kind == "memory" or not any(fluctuations[i] for i in placed.at):
+        return made
+    numbers = {placed.name(k): k for k in range(len(placed.effect.parameters))}
+    out = []
+    for term in made:
+        memory = dict(term.memory)
+        for i in placed.at:
+            if (here := fluctuations[i]) is not None:
+                ends = _ends(placed, numbers[term.name])
+                memory[i] = -here.of(_summed([w * tangent_series(placed, here.data, i, p) for p, w in ends]))
+        out.append(replace(term, memory=memory))
+    return out
+
+
+def _ends(placed: Placed, k: int) -> list[tuple[Array, float]]:
+    """Parameter vectors and weights whose sum of forces is the force per unit of parameter k."""
+    parameters = placed.effect.parameters
+    if parameters[k].linear:
+        p = np.where([q.linear for q in parameters], 0.0, placed.p)
+        p[k] = 1.0
+        return [(p, 1.0)]
+    step = (0.02 if placed.effect.kind == "memory" else 1e-3) * max(abs(placed.p[k]), 1e-12)
+    up, down = placed.p.copy(), placed.p.copy()
+    up[k] += step
+    down[k] -= step
+    return [(up, 0.5 / step), (down, -0.5 / step)]
+
+
+def _summed(parts: list[Any]) -> Any:
+    return parts[0] if len(parts) == 1 else parts[0] + parts[1]
+
+
+def light(term: Term) -> Term:
+    """The term for keeping: its own series in single precision, views of the record as they are."""
+    return replace(term, series={i: z if z.base is not None else z.astype(np.float32) for i, z in term.series.items()})
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """What the base terms span at one place: B (k, n) scaled to rms 1, their Gram matrix and tangents."""
+
+    B: NDArray[np.float32]
+    part: NDArray[np.float32]  # (k, n / STRIDE) of B
+    gram: Array
+    slopes: Array  # (k, places, 2)
+    memory: Complexes | None  # (k, bins) more of the response to x at the place, see Term
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _less(z, B, weights):  # type: ignore[no-untyped-def]
+    """z - weights @ B, (n,), in one pass, double precision."""
+    out = np.empty(z.size)
+    for i in range(z.size):
+        total = z[i]
+        for k in range(B.shape[0]):
+            total -= weights[k] * B[k, i]
+        out[i] = total
+    return out
+
+
+STRIDE = 4  # of the samples that the projection is computed from; it need not be exact, only subtracted exactly
+
+
+def span(base: Sequence[Term], i: int) -> Span:
+    """The base at place i."""
+    own = [b for b in base if i in b.series]
+    B = np.stack([(b.series[i] * b.scale).astype(np.float32) for b in own])
+    part = np.ascontiguousarray(B[:, ::STRIDE])
+    wide = part.astype(np.float64)
+    more = next((b.memory[i] for b in own if i in b.memory), None)
+    memory = None if more is None else np.stack([b.memory.get(i, 0.0 * more) * b.scale for b in own])
+    return Span(B, part, wide @ wide.T, np.stack([b.tangent[i] * b.scale for b in own]), memory)
+
+
+class Spans:
+    """The base's span at every place, made when it is first asked for."""
+
+    def __init__(self, base: Sequence[Term]) -> None:
+        self._base, self._made = base, dict[int, Span]()
+
+    def __getitem__(self, i: int) -> Span:
+        if i not in self._made:
+            self._made[i] = span(self._base, i)
+        return self._made[i]
+
+
+def orthogonal(term: Term, spans: Spans, least: float = 1e-4) -> Term | None:
+    """The term without what the base (by place) already explains there, series and tangent alike.
+
+    The likelihood is the same function of the new parameter; what changes is that nearly equal columns keep their
+    difference in single precision. None if less than `least` of its rms is left: the base says it all.
+    """
+    series, slopes, memory = {}, term.tangent.copy(), dict(term.memory)
+    before = after = 0.0
+    for i, z in term.series.items():
+        base = spans[i]
+        weights = np.linalg.lstsq(base.gram, base.part @ z[::STRIDE], rcond=1e-10)[0]
+        rest = _less(z, base.B, weights)
+        slopes[i] -= np.tensordot(weights, base.slopes, 1)
+        if base.memory is not None:
+            memory[i] = memory.get(i, 0.0) - weights @ base.memory
+        series[i] = rest
+        before += float(z @ z)
+        after += float(rest @ rest)
+    if not after > least**2 * before:
+        return None
+    n = next(iter(series.values())).size
+    return replace(
+        term, series=series, tangent=slopes, memory=memory, scale=1.0 / float(np.sqrt(after / len(series) / n))
+    )
+
+
+def linear_terms(data: MotionBlocks, i: int) -> list[Term]:
+    """kL and c of a place."""
+    P = len(data.places)
+    out = []
+    for which, (name, unit, z) in enumerate((("kL", "N/m", data.x[i]), ("c", "N s/m", data.v[i]))):
+        slope = np.zeros((P, P, 2))
+        slope[i, i, which] = 1.0
+        out.append(Term(f"{data.places[i]}.{name}", unit, {i: z}, slope, 1.0 / max(float(z.std()), 1e-300)))
+    return out

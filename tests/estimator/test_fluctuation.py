@@ -1,0 +1,68 @@
+"""Strong damping laws in the likelihood of the diagnosis: tangents that fluctuate, motion that the band leaves out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_effects import RATE, one_bearing, record
+
+from estimator import adequacy, missing_force, spectral
+from estimator.effects import CATALOGUE
+from estimator.fluctuation import finer
+from estimator.model import EffectUse, Model
+from estimator.model_uses import placed_of
+from estimator.placed import tangent_series
+from estimator.preparation import prepare
+from estimator.working_point import WorkingPoint, fit_model
+
+Case = tuple[str, Model, np.ndarray, WorkingPoint]
+
+
+@pytest.fixture(scope="module", params=["coulomb", "quadratic_damping"])
+def strong(request: pytest.FixtureRequest) -> Case:
+    """A damping law of 6 % of the bearing force, in the model: 20 s at one bearing."""
+    rig, name = one_bearing(), request.param
+    y = record(rig, name, 0.06, seed=5, seconds=20.0)
+    model = replace(rig, effects=(*rig.effects, EffectUse(name, {p: {} for p in rig.places})))
+    data = prepare(model, y, RATE)
+    return name, model, y, fit_model(data, placed_of(model, data))
+
+
+def test_diagnosis_and_fit_estimate_the_same(strong: Case) -> None:
+    name, model, y, point = strong
+    fitted = spectral.fit(model, y, RATE).parameters
+    for place in model.places:
+        key = f"{place}.{name}.{CATALOGUE[name].parameters[0].name}"
+        parameter = fitted[key]
+        here = next(u for u in point.placed if u.key == f"{place}.{name}")
+        assert parameter.value is not None
+        assert parameter.sd is not None
+        assert abs(here.p[0] - parameter.value) < 0.5 * parameter.sd  # uncorrected, they are two to ten sd apart
+
+
+def test_nothing_is_found_beside_the_right_law(strong: Case) -> None:
+    name, model, _, point = strong
+    assert not missing_force.survey(point, model).any_found()
+    assert adequacy.left(point, point, name, set(range(len(model.places)))) == 0.0
+
+
+@pytest.mark.parametrize("strong", ["quadratic_damping"], indirect=True)
+def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
+    """Sigma is linear in the first of its two tangents."""
+    _, _, _, point = strong
+    here = point.fluctuations[0]
+    assert here is not None
+    own = [u for u in point.placed if 0 in u.at]
+    parts = [here.of(tangent_series(u, here.data, 0, u.p)) for u in own]
+    assert np.abs(sum(parts) - here.whole).max() < 1e-4 * np.abs(here.whole).max()
+
+
+def test_the_finer_grid_keeps_the_motion() -> None:
+    rig = one_bearing()
+    data = prepare(rig, record(rig, "coulomb", 0.06, seconds=5.0), RATE)
+    fine = finer(data)
+    assert np.abs(fine.x[:, ::4] - data.x).max() < 1e-9 * np.abs(data.x).max()
+    assert fine.t[::4] == pytest.approx(data.t)
+    assert fine.f_hz == pytest.approx(data.f_hz)
