@@ -27,13 +27,14 @@ ROWS = 2048
 
 
 def noise(seconds: float, seed: int = 0) -> Iterator[list[Reading]]:
-    """Counts of a resonance at 1.1 kHz driven by noise, from a pool that repeats each 41 s."""
+    """Counts of a resonance at 1.1 kHz driven by noise, from a pool that repeats each 41 s without a seam."""
     from scipy.signal import lfilter
 
     rng = np.random.default_rng(seed)
     pole = 0.995 * np.exp(2j * np.pi * 1100 / RATE_HZ)
     drive = rng.standard_normal((512 * ROWS, 4))
-    motion = lfilter([1.0, -2.0, 1.0], [1.0, -2 * pole.real, abs(pole) ** 2], drive, axis=0)
+    twice = np.concatenate([drive, drive])  # the second time it is in its periodic state
+    motion = lfilter([1.0, -2.0, 1.0], [1.0, -2 * pole.real, abs(pole) ** 2], twice, axis=0)[len(drive) :]
     pool = np.round(motion / motion.std() * 3000).astype(np.int32)
     yield [info_of(RIG)]
     for k in range(int(seconds * RATE_HZ / ROWS)):
@@ -71,6 +72,16 @@ class Watch:
     def close(self) -> None: ...
 
 
+def _moves(early: list[dict[str, tuple[float, float]]], late: list[dict[str, tuple[float, float]]]) -> list[float]:
+    """By how many of its standard deviations the mean of each estimate has moved."""
+    out = []
+    for name in early[-1].keys() & late[-1].keys():
+        a, b = (np.array([v[name] for v in part if name in v]) for part in (early, late))
+        if np.median(a[:, 1]) > 0:
+            out.append(float(abs(b[:, 0].mean() - a[:, 0].mean()) / np.median(a[:, 1])))
+    return out
+
+
 @pytest.mark.parametrize(("method", "least"), [("score-matching", 20.0), ("spectral", 10.0)])
 def test_two_hours(method: str, least: float, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
     """least : times real time, on a machine with other work; the page says what it was."""
@@ -85,14 +96,10 @@ def test_two_hours(method: str, least: float, tmp_path: Path, record_property: C
     speed = seconds / (time.process_time() - cpu)  # by one core of its own
     minutes = len(watch.mb)
     growth = np.median(watch.mb[-5:]) - np.median(watch.mb[minutes // 8 : minutes // 8 + 5])
-    drift = [
-        abs(last[0] - early[0]) / max(early[1], 1e-12)
-        for name, last in watch.values[-1].items()
-        if (early := watch.values[minutes // 4].get(name))
-    ]
+    drift = _moves(watch.values[minutes // 4 : minutes // 2], watch.values[-minutes // 4 :])
     memory = f"memory {watch.mb[minutes // 8]:.0f} -> {watch.mb[-1]:.0f} MB ({growth:+.1f})"
     handles = f"handles {min(watch.handles[2:])} to {max(watch.handles[2:])}"
-    moved = f"largest move of {len(drift)} estimates {max(drift, default=0.0):.2f} sd"
+    moved = f"largest move of {len(drift)} estimates, second to last quarter, {max(drift, default=0.0):.2f} sd"
     pace = f"{speed:.0f} times real time by a core of its own ({wall:.0f} on this busy machine)"
     measured = f"{pace}, {summary.lost_samples} lost, {memory}, {handles}, {moved}"
     print(f"\n{seconds / 3600:.1f} h of data: {measured}")
@@ -104,7 +111,8 @@ def test_two_hours(method: str, least: float, tmp_path: Path, record_property: C
     assert growth < 5.0
     assert max(watch.handles[2:]) - min(watch.handles[2:]) <= 1
     assert speed > least
-    assert all(d < 5 for d in drift)
+    assert drift
+    assert max(drift) < 1
     log = read_log(tmp_path / "a.mcap")
     assert log.complete
     assert log.n_samples == summary.samples
