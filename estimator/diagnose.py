@@ -154,9 +154,17 @@ def _screen(model: Model, point: WorkingPoint, say: Progress) -> list[screen.Tri
         say(0.25 + 0.45 * done / len(pairs), f"{effect.name} at {spot}")
 
     tried = each(lambda pair: screen.tried(small, point, model, *pair), pairs, said)
-    trials = [t for t in tried if t is not None]
-    trials.sort(key=lambda t: -t.gain)
     say(0.7, "refining the best")
+    by_effect: dict[str, list[screen.Trial]] = {}
+    for t in tried:
+        if t is not None:
+            by_effect.setdefault(t.effect.name, []).append(t)
+
+    def lent(name: str) -> list[screen.Trial]:
+        return screen.borrowed(point, model, by_effect[name], [s for e, s in pairs if e.name == name])
+
+    trials = [t for own in each(lent, by_effect) for t in own]
+    trials.sort(key=lambda t: -t.gain)
     middle = plain(thinned(point, REFINE_SECONDS))
     promising = [t for t in _promising(trials) if searched(t.effect, model)][:REFINED]
     better = each(lambda t: screen.refined(middle, point, model, t), promising)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -23,6 +24,8 @@ from .working_point import WorkingPoint
 Array = NDArray[np.float64]
 GRID = {1: 6, 2: 4, 3: 3}  # points per searched parameter, by their number
 EVERYTHING = np.arange(6)
+STEPS, REACH = 3, 0.4  # of Gauss-Newton in searched parameters; largest, of the value
+WORTH = 1e-3  # p-value of a trial whose searched parameters are tried at the other spots
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +183,33 @@ def refined(part: WorkingPoint, point: WorkingPoint, model: Model, trial: Trial)
         return trial
     here = best_at(part, model, trial.effect, trial.spot, refine=True)
     full = None if here is None else again(point, model, here)
-    return full if full is not None and full.gain > trial.gain else trial
+    best = full if full is not None and full.gain > trial.gain else trial
+    for _ in range(STEPS):
+        further = _stepped(point, model, best)
+        if further is None or further.gain < best.gain + 0.5:
+            break
+        best = further
+    return best
+
+
+def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
+    """The trial after a Gauss-Newton step in its searched parameters, on the whole record: a weak effect's are vague
+    on a part of it."""
+    placed = trial.placed
+    plain = terms(placed, point.data, point.lin)
+    made = [orthogonal(t, point.spans) for t in dressed(plain, placed, point.fluctuations)]
+    kept = [t for t in made if t is not None]
+    names = {t.name for t in kept}
+    loose = [k for k in searched(trial.effect, model) if placed.name(k) in names]
+    if not loose:
+        return None
+    fit = subproblem(point, placed.at, point.weighing.columns(kept)).fit(steps=3)
+    p = placed.p.copy()
+    natural = size(point.data, placed.at[0], point.kL[placed.at[0]])
+    for k in loose:
+        step = float(np.clip(fit.value(placed.name(k))[0], -REACH * abs(p[k]), REACH * abs(p[k])))
+        p[k] = np.clip(p[k] + step, *search_range(trial.effect.parameters[k], natural))
+    return again(point, model, replace(trial, placed=placed.with_values(p)))
 
 
 def again(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:
@@ -191,6 +220,26 @@ def again(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:
     )
     got = assess(point, placed)
     return None if got is None else _trial(found.effect, found.spot, (*got, placed), searched(found.effect, model))
+
+
+def borrowed(point: WorkingPoint, model: Model, trials: Sequence[Trial], spots: Sequence[str]) -> list[Trial]:
+    """Trials of one effect, also with the searched parameters of the best at every spot where they do better: bearings
+    are alike, and a part of the record may not tell a weak effect's."""
+    out = {t.spot: t for t in trials}
+    best = max(trials, key=lambda t: t.gain, default=None)
+    if best is None or best.p_value > WORTH or not searched(best.effect, model):
+        return list(trials)
+
+    def lent(spot: str) -> Trial | None:
+        own = out.get(spot)
+        if own is not None and own.gain > 0.5 * best.gain:
+            return own
+        at = acting(best.effect, spot, point.data)
+        placed = replace(best.placed, key=f"{spot}.{best.effect.name}", at=at)
+        new = again(point, model, replace(best, spot=spot, placed=placed))
+        return own if new is None or (own is not None and new.gain <= own.gain) else new
+
+    return [t for t in map(lent, spots) if t is not None]
 
 
 def tried(small: WorkingPoint, point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Trial | None:

@@ -1,0 +1,49 @@
+"""Searched parameters of a weak effect: lent from spot to spot, and stepped to their best on the whole record."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hidden_effects import RATE, one_bearing, record
+
+from estimator import screen
+from estimator.effects import CATALOGUE
+from estimator.effects.strength import size, strengths
+from estimator.model import Model
+from estimator.model_uses import placed_of
+from estimator.preparation import prepare
+from estimator.working_point import WorkingPoint, fit_model
+
+CLEARANCE = CATALOGUE["clearance"]
+
+
+@pytest.fixture(scope="module")
+def weak() -> tuple[Model, WorkingPoint, float]:
+    """A hidden clearance of 3 %; its gap."""
+    rig = one_bearing()
+    data = prepare(rig, record(rig, "clearance", 0.03), RATE)
+    gap = strengths(CLEARANCE, size(rig, "bearing1.x", RATE), 0.03, rig)["gap"]
+    return rig, fit_model(data, placed_of(rig, data)), gap
+
+
+def test_a_gap_found_at_one_direction_is_tried_at_the_other(weak: tuple[Model, WorkingPoint, float]) -> None:
+    rig, point, _ = weak
+    found = screen.tried(point, point, rig, CLEARANCE, "bearing1.y")
+    assert found is not None
+    both = screen.borrowed(point, rig, [found], ["bearing1.x", "bearing1.y"])
+    assert [t.spot for t in both] == ["bearing1.x", "bearing1.y"]
+    assert both[0].placed.p[1] == found.placed.p[1]
+    assert both[0].placed.at != found.placed.at
+    assert both[0].gain > 10.0
+
+
+def test_steps_on_the_whole_record_find_the_gap(weak: tuple[Model, WorkingPoint, float]) -> None:
+    rig, point, gap = weak
+    found = screen.tried(point, point, rig, CLEARANCE, "bearing1.x")
+    assert found is not None
+    off = screen.again(point, rig, replace(found, placed=found.placed.with_values(found.placed.p * [1.0, 0.6])))
+    assert off is not None
+    best = screen.refined(point, point, rig, off)
+    assert best.gain > off.gain
+    assert best.placed.p[1] == pytest.approx(gap, rel=0.1)
