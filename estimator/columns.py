@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,11 +57,13 @@ class Columns:
         self.fine = len(balance.laws) if fine is None else fine
         self.linear = np.ones((len(balance.places), 3)) if linear is None else linear
         self._laws: dict[int, _Law] = {}
+        self._read = np.zeros((len(balance.places), 4), bool)  # x, v, xo, vo by a law that gets the finer grid
         for k, column in enumerate(balance.columns):
             if column.kind == "law":
                 other = balance.other(column.row)
                 scale = np.concatenate([rms[column.row], rms[other] if other >= 0 else np.zeros(2)])
-                self._laws[k] = self._law(k, scale)
+                self._laws[k] = law = self._law(k, scale)
+                self._read[column.row] |= law.reads & law.rough
 
     def _law(self, k: int, scale: Floats) -> _Law:
         column = self.balance.columns[k]
@@ -123,7 +125,7 @@ class Columns:
         key = (column.row, law.rough)
         if key not in states:
             wide = self.state(column.row, stretch)
-            states[key] = wide.finer() if law.rough else wide.inner()
+            states[key] = self._finer(column.row, wide) if law.rough else wide.inner()
         total, tangents = law_force(effect, law.terms[0][0], states[key], law.reads)
         first = law.terms[0][1]
         if first != 1.0:
@@ -134,6 +136,13 @@ class Columns:
             total += weight * force
             tangents += weight * sums
         return (decimated(total), tangents / FINER) if law.rough else (total, tangents)
+
+    def _finer(self, row: int, wide: State) -> State:
+        """On the finer grid; what no law there reads is left at zero."""
+        zero = np.zeros_like(wide.x)
+        read = zip(self._read[row], (wide.x, wide.v, wide.xo, wide.vo), strict=True)
+        x, v, xo, vo = (z if used else zero for used, z in read)
+        return replace(wide, x=x, v=v, xo=xo, vo=vo).finer()
 
     def not_finite(self, k: int) -> DataError:
         """What is wrong where the force of law column k is not a number."""
@@ -147,7 +156,7 @@ class Columns:
         """Tangents of column k along x and v, and how many rows there are to a row of the stretch."""
         column, law = self.balance.columns[k], self._laws[k]
         wide = self.state(column.row, stretch)
-        state = wide.finer() if law.rough else wide.inner()
+        state = self._finer(column.row, wide) if law.rough else wide.inner()
         effect = self.balance.laws[column.law].effect
         kx, kv = np.zeros(state.x.size), np.zeros(state.x.size)
         for p, weight in law.terms:

@@ -109,11 +109,21 @@ def _between(z, out):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
 def _decimate(z, taps, finer, out):  # type: ignore[no-untyped-def]
     """out (n,) from z ((n + 2 half) U,) through the symmetric taps (2 half U + 1,)."""
-    for i in range(out.size):
-        total = 0.0
+    rows = min(1024, out.size)
+    reach = (taps.size - 1) // finer
+    phases = np.empty((finer, rows + reach + 1))  # so that neighbours in the inner loop are neighbours in memory
+    for first in range(0, out.size, rows):
+        n = min(rows, out.size - first)
+        for i in range(n + reach + 1):
+            for u in range(finer):
+                k = (first + i) * finer + u
+                phases[u, i] = z[k] if k < z.size else 0.0
+        part = out[first : first + n]
+        part[:] = 0.0
         for j in range(taps.size):
-            total += taps[j] * z[i * finer + j]
-        out[i] = total
+            tap, row = taps[j], phases[j % finer, j // finer :]
+            for i in range(n):
+                part[i] += tap * row[i]
 
 
 @cache
