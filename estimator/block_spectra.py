@@ -101,7 +101,7 @@ class BlockSpectra:
 
         grid, hop = self._grid, self._grid.hop
         asked = self._all if wide else self._own
-        halves = [_half(stretch, 0, hop), _half(stretch, hop, grid.size)]
+        halves = [stretch.part(0, hop), stretch.part(hop, grid.size)]
         states: list[dict[tuple[int, bool], State]] = [{}, {}]
         whole: dict[tuple[int, bool], State] = {}
         sizes, tangents = np.empty(asked.size), np.zeros((asked.size, 4))
@@ -130,11 +130,3 @@ class BlockSpectra:
 
 def _split(z: Floats, hop: int) -> tuple[Floats, Floats]:
     return z[MARGIN : MARGIN + hop], z[MARGIN + hop : MARGIN + 2 * hop]
-
-
-def _half(s: Stretch, start: int, stop: int) -> Stretch:
-    """Rows start ... stop - 1 of a stretch, with their margins."""
-    rows = slice(start, stop + 2 * MARGIN)
-    a, v, x, u = (z[:, rows] for z in (s.a, s.v, s.x, s.u))
-    force = {i: z[rows] for i, z in s.force.items()}
-    return Stretch(a, v, x, u, s.valid[rows], force, s.t[rows], s.phase[rows], s.rate_hz)

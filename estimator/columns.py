@@ -33,6 +33,13 @@ class Stretch:
     def rows(self) -> int:
         return int(self.t.size - 2 * MARGIN)
 
+    def part(self, start: int, stop: int) -> Stretch:
+        """Rows start ... stop - 1 with their margins."""
+        rows = slice(start, stop + 2 * MARGIN)
+        a, v, x, u = (z[:, rows] for z in (self.a, self.v, self.x, self.u))
+        force = {i: z[rows] for i, z in self.force.items()}
+        return Stretch(a, v, x, u, self.valid[rows], force, self.t[rows], self.phase[rows], self.rate_hz)
+
 
 @dataclass(frozen=True, slots=True)
 class _Law:
@@ -98,19 +105,32 @@ class Columns:
 
     def evaluate(self, stretch: Stretch) -> tuple[Floats, Floats]:
         """(columns, rows) and (columns, 4) sums of tangents over the valid rows. Raises DataError if not finite."""
+        out, tangents = self.along(stretch, stretch.rows)
+        return out, tangents[0]
+
+    def along(self, stretch: Stretch, piece: int) -> tuple[Floats, Floats]:
+        """The same with the sums of tangents of every `piece` rows, (pieces, columns, 4)."""
+        starts = range(0, stretch.rows, piece)
         inner = slice(MARGIN, MARGIN + stretch.rows)
         out = np.empty((len(self.balance.columns), stretch.rows))
-        tangents = np.zeros((len(self.balance.columns), 4))
-        states: dict[tuple[int, bool], State] = {}
+        tangents = np.zeros((len(starts), len(self.balance.columns), 4))
         for k, column in enumerate(self.balance.columns):
             if column.kind == "f":
                 out[k] = stretch.force[column.row][inner]
             elif column.kind != "law":
                 out[k] = getattr(stretch, column.kind)[column.row, inner]
-            else:
-                out[k], tangents[k] = self.law(k, stretch, states)
-                if not np.isfinite(out[k]).all():
-                    raise self.not_finite(k)
+            elif self.balance.laws[column.law].effect.kind == "memory":
+                out[k], gains = self._memory(k, stretch, inner)
+                tangents[:, k] = gains * (piece / stretch.rows)
+        for i, start in enumerate(starts):
+            part = stretch.part(start, min(start + piece, stretch.rows)) if len(starts) > 1 else stretch
+            states: dict[tuple[int, bool], State] = {}
+            for k, column in enumerate(self.balance.columns):
+                if column.kind == "law" and self.balance.laws[column.law].effect.kind != "memory":
+                    out[k, start : start + part.rows], tangents[i, k] = self.law(k, part, states)
+        for k, column in enumerate(self.balance.columns):
+            if column.kind == "law" and not np.isfinite(out[k]).all():
+                raise self.not_finite(k)
         return out, tangents
 
     def law(self, k: int, stretch: Stretch, states: dict[tuple[int, bool], State]) -> tuple[Floats, Floats]:

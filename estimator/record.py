@@ -132,7 +132,8 @@ def as_record(model: Model, rate_hz: float, parts: list[Motion], grid: Layout) -
 class Bank:
     """Gram matrices by fold of time: what every sub-model, test and residual spectrum is computed from.
 
-    grams : (folds, cells, k, k); blocks : (folds,); start : (folds,) s, where each begins.
+    grams : (folds, cells, k, k); blocks : (folds,); start : (folds,) s, where each begins. tangents : (k, 4) mean of
+    the record; fold_tangents : (folds, k, 4) of each.
     """
 
     balance: Balance
@@ -141,6 +142,7 @@ class Bank:
     blocks: Floats
     start: Floats
     tangents: Floats
+    fold_tangents: Floats
 
     def evidence(self, at: Nodes | None = None, folds: NDArray[np.bool_] | None = None) -> Evidence:
         """The sum over the folds (all, or those marked). at : where the Jacobian is evaluated (every bin)."""
@@ -153,9 +155,8 @@ class Bank:
         from .balance import restrict
 
         balance, keep = restrict(self.balance, laws)
-        return Bank(
-            balance, self.grid, self.grams[:, :, keep][:, :, :, keep], self.blocks, self.start, self.tangents[keep]
-        )
+        grams, tangents = self.grams[:, :, keep][:, :, :, keep], self.fold_tangents[:, keep]
+        return Bank(balance, self.grid, grams, self.blocks, self.start, self.tangents[keep], tangents)
 
 
 def stretches(blocks: NDArray[np.intp], most: int) -> Iterator[NDArray[np.intp]]:
@@ -183,18 +184,21 @@ def gather(
     usable = valid_blocks(record.motion.valid, grid)
     usable = usable[: max(8, int(min(usable.size, seconds * record.rate_hz / grid.hop)))]
 
-    def part(group: NDArray[np.intp]) -> tuple[list[tuple[Floats, int, float]], Floats, int]:
-        """Gram matrix, number of blocks and start of each fold; sums of tangents and the rows that they are over."""
+    def part(group: NDArray[np.intp]) -> tuple[list[tuple[Floats, int, float, Floats]], Floats, int]:
+        """Gram matrix, number of blocks, start and tangents of each fold; sums of tangents, the rows they are over."""
         first, last = int(group[0]) * grid.hop, int(group[-1]) * grid.hop + grid.size
-        z, sums = columns.evaluate(record.stretch(first, last))
-        folds = [group[i : i + per_fold] for i in range(0, group.size, per_fold)]
-        return (
-            [(gram(spectra(z, f - group[0], grid), grid), f.size, f[0] * grid.hop / record.rate_hz) for f in folds],
-            sums,
-            last - first,
-        )
+        z, sums = columns.along(record.stretch(first, last), grid.hop)
+        folds = []
+        for i in range(0, group.size, per_fold):
+            f = group[i : i + per_fold]
+            own = sums[i : i + f.size + 1]  # the window halves the weight of the first and of the last
+            mean = (own.sum(axis=0) - 0.5 * (own[0] + own[-1])) / (f.size * grid.hop)
+            G = gram(spectra(z, f - group[0], grid), grid)
+            folds.append((G, f.size, f[0] * grid.hop / record.rate_hz, mean))
+        return folds, sums.sum(axis=0), last - first
 
     parts = each(part, stretches(usable, most))
-    grams, counts, starts = zip(*(fold for folds, _, _ in parts for fold in folds), strict=True)
+    grams, counts, starts, means = zip(*(fold for folds, _, _ in parts for fold in folds), strict=True)
     tangents = np.sum([sums for _, sums, _ in parts], axis=0) / sum(rows for _, _, rows in parts)
-    return Bank(balance, grid, np.array(grams), np.array(counts, float), np.array(starts), tangents)
+    blocks = np.array(counts, float)
+    return Bank(balance, grid, np.array(grams), blocks, np.array(starts), tangents, np.array(means))

@@ -13,6 +13,7 @@ from .checks import check_record
 from .columns import Columns
 from .estimate import Parameter
 from .fit_result import Fit
+from .fold_tangents import excess
 from .gram import spectra, taper, valid_blocks
 from .likelihood import Likelihood, Local, Point, active
 from .lines import begin, describe
@@ -71,7 +72,9 @@ def sandwich(likelihood: Likelihood, local: Local, bank: Bank) -> Floats:
     bread, used, folds = inverse(local), active(local.point), bank.blocks.size
     if folds < 3 * used.size:
         return bread
-    g = likelihood.scores(local, bank.grams, bank.blocks)[:, used]
+    g = likelihood.scores(local, bank.grams, bank.blocks)
+    g[:, : local.point.beta.size] -= excess(likelihood, local, bank.fold_tangents, bank.blocks)
+    g = g[:, used]
     m = float(bank.blocks.mean())
     lost = (1 + 2 * OVERLAP) / (1 + 2 * OVERLAP * (m - 1) / m)  # neighbouring folds share half a block
     J = (g.T @ g) * lost * folds / (folds - used.size)

@@ -1,0 +1,41 @@
+"""The part of a fold's score that comes from its own tangents.
+
+Over the whole record the data's side of a law's score, E[phi F], is balanced by S times the mean tangent times the
+response. In a fold of time it is so with the tangent that the law had there: one that moved more has a larger one, and
+with the mean of the record its score would seem to scatter by that. Without this the interval of quadratic damping came
+out 1.4 times and that of c beside friction 1.5 times too wide.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .likelihood import Likelihood, Local
+
+Floats = NDArray[np.float64]
+
+
+def excess(likelihood: Likelihood, local: Local, tangents: Floats, blocks: Floats) -> Floats:
+    """(folds, p) what is to be taken off the scores of folds, by beta. tangents : (folds, columns, 4) of each fold."""
+    evidence, point = likelihood.evidence, local.point
+    balance, nodes = evidence.balance, evidence.nodes
+    A = balance.coefficients(point.beta) @ likelihood.R
+    inside = point.S + (np.abs(A) ** 2 * likelihood.noise_shape[:, None, :]) @ point.noise
+    kappa = inside / local.spread[nodes.cell] * nodes.weight[:, None]
+    weighted = np.linalg.inv(A) * kappa[:, None, :]
+    w = 2 * np.pi * nodes.f_hz
+    # (places, places) : the gradient by a coefficient at row j of a force that answers with 1 to x, to v, of place i
+    to_x = np.einsum("f,fij->ij", -1 / w**2, weighted.real)
+    to_v = np.einsum("f,fij->ij", 1 / w, weighted.imag)
+    apart = (tangents - np.average(tangents, axis=0, weights=blocks)) * blocks[:, None, None]
+    out = np.zeros((blocks.size, likelihood.row.size))
+    for e, (row, column) in enumerate(zip(likelihood.row, likelihood.column, strict=True)):
+        if balance.columns[column].kind != "law":
+            continue
+        own = balance.columns[column].row
+        other = balance.other(own)
+        out[:, e] = apart[:, column, 0] * to_x[own, row] + apart[:, column, 1] * to_v[own, row]
+        if other >= 0:
+            out[:, e] += apart[:, column, 2] * to_x[other, row] + apart[:, column, 3] * to_v[other, row]
+    return np.asarray(out @ likelihood.T.T)
