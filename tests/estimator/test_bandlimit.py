@@ -71,3 +71,19 @@ def test_impossible_bands_are_refused() -> None:
     for band in ((20.0, 1000.0), (600.0, 20.0), (0.0, 100.0)):
         with pytest.raises(DataError):
             BandLimit(["acceleration"], RATE, band)
+
+
+@pytest.mark.parametrize("low", [150.0, 60.0])
+def test_a_sharp_resonance_beside_or_in_the_band_does_not_spread_over_it(low: float) -> None:
+    """A disc of 123 Hz that rings for a second: at 1100 Hz it is 980 N/m, and used to come out as 200,000."""
+    k, m, c = 155e3, 0.515, 1.0
+
+    def reaction(f: np.ndarray) -> np.ndarray:
+        w = 2 * np.pi * f
+        return -(k**2) / (2 * k + 1j * w * c - m * w**2)
+
+    rate, hz = 25600.0, 1100.0
+    t = np.arange(40000) / rate
+    out = band_limit(np.sin(2 * np.pi * hz * t)[:, None], ["displacement"], rate, (low, 8000.0), extra=reaction)
+    expected = np.real(reaction(np.array([hz]))[0]) * np.sin(2 * np.pi * hz * t)
+    assert np.abs(out.u[0] - expected)[out.valid].max() < 0.05 * np.abs(expected).max()
