@@ -128,7 +128,7 @@ def shaft_response(model: Model) -> Callable[[Floats], Complexes] | None:
         return None
     if notch is None:
         raise DataError(f'shaft "{model.shaft}" needs [rig.mass] disc: give it, or set shaft = "none"')
-    from .rotor import shaft_at_caps
+    from .rotor import between_caps
 
     ks, cs, disc, shaft = model.shaft_stiffness, model.shaft_damping, model.mass["disc"], model.shaft
     low, (a, b) = model.band[0], notch
@@ -136,7 +136,7 @@ def shaft_response(model: Model) -> Callable[[Floats], Complexes] | None:
         low = b
 
     def exact(f: Floats) -> Complexes:
-        return np.asarray(shaft_at_caps(shaft, ks, cs, disc, 2 * np.pi * f)[0][:, 0, 1])
+        return between_caps(shaft, ks, cs, disc, 2 * np.pi * f)
 
     def bridged(f: Floats) -> Complexes:
         z = exact(np.maximum(f, low))

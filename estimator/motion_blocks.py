@@ -12,7 +12,7 @@ from .bandlimit import Motion, band_limit
 from .errors import DataError
 from .features import NEAREST
 from .model import Model
-from .rotor import shaft_at_caps
+from .rotor import between_caps, shaft_at_caps
 from .side_by_side import each
 
 Array = NDArray[np.float64]
@@ -220,8 +220,7 @@ def _beta(model: Model) -> Callable[[Array], NDArray[np.complex128]] | None:
         return None
 
     def response(f_hz: Array) -> NDArray[np.complex128]:
-        caps, _ = shaft_at_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, disc, 2 * np.pi * f_hz)
-        return np.asarray(caps[:, 0, 1])
+        return between_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, disc, 2 * np.pi * f_hz)
 
     return response
 

@@ -103,6 +103,14 @@ def shaft_at_caps(shaft: Shaft, stiffness: float, damping: float, disc: float, o
     return caps, follow[:, 0, :]
 
 
+def between_caps(shaft: Shaft, stiffness: float, damping: float, disc: float, omega: Array) -> Complex:
+    """(f,) what `shaft_at_caps` has between the two caps, N/m, without its matrices."""
+    iw = 1j * np.asarray(omega, dtype=float)
+    k, c = shaft_matrix(shaft, stiffness), shaft_matrix(shaft, damping)
+    first, second, own = k[0, 2] + iw * c[0, 2], k[2, 1] + iw * c[2, 1], k[2, 2] + iw * c[2, 2] + iw**2 * disc
+    return np.asarray(k[0, 1] + iw * c[0, 1] - first * second / own)
+
+
 @dataclass(frozen=True, slots=True)
 class Modes:
     """Undamped modes. p : (n,) eigenvalues w^2, rad^2/s^2; shapes : (n, n) columns with the disc's row 1 (the paper's
