@@ -23,7 +23,7 @@ from .working_point import WorkingPoint
 Array = NDArray[np.float64]
 CELLS = 260
 LEVEL = 1e-3
-LEAST_DEPTH = 0.03  # rms of ln(power / model): less is within what filters and integrators leave behind
+LEAST_DEPTH = 0.015  # rms of ln(power / model): less is within what filters and integrators leave behind
 EXPLAINED = 0.5  # of the misfit beyond chance: a cause that leaves more is not the cause
 NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
 
