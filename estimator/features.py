@@ -237,7 +237,10 @@ def law_force(
     series : arrays to fill with the tangents along x and v.
     """
     along, p, sums = ready(effect), np.ascontiguousarray(p), np.zeros(4)
-    signals = (state.x, state.v, state.xo, state.vo, state.t, state.phase)
+    signals = [
+        z if z.flags.c_contiguous and z.flags.writeable else z.copy()  # what the compiled loops are made for
+        for z in (state.x, state.v, state.xo, state.vo, state.t, state.phase)
+    ]
     f, up, down = (np.empty_like(state.x) for _ in range(3))
     along(p, *signals, np.zeros(4), state.s, f)
     out = f

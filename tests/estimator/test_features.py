@@ -88,6 +88,15 @@ def test_a_law_in_its_loop_is_the_law_called_by_its_address(name: str) -> None:
     assert np.array_equal(out, force_array(effect, p, s.x, s.v, s.x[::-1], s.v[::-1], s.t, s.phase))
 
 
+def test_signals_that_may_not_be_written_or_lie_apart() -> None:
+    s, reads = state(sx=2e-8), np.array([True, False, False, False])
+    apart = np.repeat(s.v, 2)[::2]
+    s.x.flags.writeable = False
+    out, sums = law_force(CATALOGUE["cubic"], np.ones(1), replace(s, v=apart), reads)
+    assert np.allclose(out, s.x**3 + 3 * s.x * (2e-8) ** 2, rtol=1e-9)
+    assert sums[0] > 0
+
+
 def test_a_law_that_no_module_holds() -> None:
     def force(x, v, xo, vo, t, phase, s, p):  # type: ignore[no-untyped-def]
         return p[0] * x * x * x
