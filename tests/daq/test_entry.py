@@ -18,12 +18,18 @@ BEGIN = "import sys; from daq.entry import main; print(flush=True); sys.exit(mai
 def test_an_interrupt_while_python_imports_ends_quietly(after_s: float, tmp_path: Path) -> None:
     """Timed from the program's own start: what Python itself does before that is not ours."""
     command = [sys.executable, "-c", BEGIN, "run", str(RIG), "--link", "virtual:", "--out", str(tmp_path / "a.mcap")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "\n"
-        time.sleep(after_s)
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=30)
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background job ignores it
+    ) as process:  # fmt: skip
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "\n"
+            time.sleep(after_s)
+            process.send_signal(signal.SIGINT)
+            _, said = process.communicate(timeout=30)
+        finally:
+            process.kill()
     assert process.returncode == 130, said
     assert "Traceback" not in said
     assert len(said.splitlines()) <= 1
