@@ -187,7 +187,8 @@ def radial_force(
     force = scale * (delta**1.5 @ cos)
     stiff = 1.5 * scale * np.sqrt(delta)
     kxx, kxy, kyy = stiff @ cos**2, stiff @ (cos * sin), stiff @ sin**2
-    tangent = kxx - np.divide(kxy**2, kyy, out=np.zeros_like(kxy), where=kyy > 0.0)
+    held = kyy > 1e-20 * kxx  # else one ball in line with the load, which y would have to leave by kilometres
+    tangent = kxx - np.divide(kxy**2, kyy, out=np.zeros_like(kxy), where=held)
     return force, tangent, y
 
 

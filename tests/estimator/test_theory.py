@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from estimator.errors import DataError
@@ -87,6 +87,7 @@ def test_small_x_law(balls: int, g_um: float, fraction: float) -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(-1.0, 1.0), st.floats(-2.0, 2.0), st.integers(4, 12), st.floats(0.0, 1.0))
+@example(0.0, 0.75, 4, 9.3e-82)
 def test_transverse_force_balances_and_tangent_is_the_slope(g: float, x: float, balls: int, phase: float) -> None:
     """y is a root (checked with scipy's brentq where there is contact) and k = dF/dx along the balanced path."""
     from scipy.optimize import brentq
