@@ -7,7 +7,6 @@ follow. A law that is nearly right leaves a smooth rest that a few Hermite polyn
 from __future__ import annotations
 
 import numpy as np
-from numpy.polynomial.hermite_e import HermiteE
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
@@ -64,18 +63,18 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
     rms = float(data.rms[0 if state == "x" else 1, i])
     u = z / rms
     here, which = point.fluctuations[i], 0 if state == "x" else 1
+    bends = None if here is None else _hermite((here.data.x, here.data.v)[which][i] / rms, max(orders))
     terms = []
+    polynomials = _hermite(u, max(orders))
     for order in orders:
-        polynomial = HermiteE.basis(order)
         slopes = np.zeros((len(data.places),) * 2 + (2,))
-        slopes[i, i, which] = float(np.mean(polynomial.deriv()(u))) / rms
-        series = np.asarray(polynomial(u), dtype=np.float64)
+        slopes[i, i, which] = order * float(np.mean(polynomials[order - 1])) / rms
         memory = {}
-        if here is not None:
-            tangents = np.zeros((2, here.data.x.shape[1]))
-            tangents[which] = polynomial.deriv()((here.data.x, here.data.v)[which][i] / rms) / rms
+        if here is not None and bends is not None:
+            tangents = np.zeros((2, bends.shape[1]))
+            tangents[which] = order * bends[order - 1] / rms
             memory[i] = -here.of(tangents)
-        term = Term(f"smooth.{order}", "N", {i: series}, slopes, memory=memory)
+        term = Term(f"smooth.{order}", "N", {i: polynomials[order]}, slopes, memory=memory)
         made = orthogonal(term, point.spans, least=1e-3)
         if made is not None:
             terms.append(made)
@@ -84,3 +83,12 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
     problem = subproblem(point, (i,), point.weighing.columns(terms))
     nats, fit = gain(problem, steps=6)
     return power_of(point, problem, fit, i)[0], nats, len(terms)
+
+
+def _hermite(u: Array, highest: int) -> Array:
+    """(highest + 1, n) He_0 ... of u; the derivative of He_k is k He_(k-1)."""
+    out = np.empty((highest + 1, u.size))
+    out[0], out[1] = 1.0, u
+    for k in range(1, highest):
+        out[k + 1] = u * out[k] - k * out[k - 1]
+    return out

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from .effect import Effect
-from .effects.compiled import address, call_force, force_array, memory_array
+from .effects.compiled import memory_array
 from .features import FINER, MARGIN, State, decimated, depends, jumps, law_force
 from .motion_blocks import MotionBlocks
 
 Array = NDArray[np.float64]
+PIECE = 1 << 15  # rows of a record at a time: what a law needs of them stays in the cache
 Evaluated = tuple[Array, Array, NDArray[np.complex128] | None]
 
 
@@ -34,41 +34,6 @@ class Placed:
         return f"{self.key}.{self.effect.parameters[k].name}"
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _along(law, p, x, v, xo, vo, t, phase, s, h, out, slopes):  # type: ignore[no-untyped-def]
-    """Fill out (n,) with the law's force; slopes (4,) with its mean central differences over +-h along x, v, xo, vo.
-
-    Along v every row counts, and the force is averaged over what the band leaves out of v (three points, features.py).
-    Along x, of which little is left out, every eighth row is enough for the slope.
-    """
-    n = x.size
-    for i in range(n):
-        f = call_force(law, x[i], v[i], xo[i], vo[i], t[i], phase[i], s, p)
-        y = f
-        if h[1] > 0.0:
-            up = call_force(law, x[i], v[i] + h[1], xo[i], vo[i], t[i], phase[i], s, p)
-            down = call_force(law, x[i], v[i] - h[1], xo[i], vo[i], t[i], phase[i], s, p)
-            slopes[1] += up - down
-            y += (up + down - 2.0 * f) / 6.0
-        if h[3] > 0.0:
-            up = call_force(law, x[i], v[i], xo[i], vo[i] + h[3], t[i], phase[i], s, p)
-            down = call_force(law, x[i], v[i], xo[i], vo[i] - h[3], t[i], phase[i], s, p)
-            slopes[3] += up - down
-            y += (up + down - 2.0 * f) / 6.0
-        out[i] = y
-    if h[0] > 0.0:
-        for i in range(0, n, 8):
-            slopes[0] += 8.0 * call_force(law, x[i] + h[0], v[i], xo[i], vo[i], t[i], phase[i], s, p)
-            slopes[0] -= 8.0 * call_force(law, x[i] - h[0], v[i], xo[i], vo[i], t[i], phase[i], s, p)
-    if h[2] > 0.0:
-        for i in range(0, n, 8):
-            slopes[2] += 8.0 * call_force(law, x[i], v[i], xo[i] + h[2], vo[i], t[i], phase[i], s, p)
-            slopes[2] -= 8.0 * call_force(law, x[i], v[i], xo[i] - h[2], vo[i], t[i], phase[i], s, p)
-    for k in range(4):
-        if h[k] > 0.0:
-            slopes[k] /= 2.0 * h[k] * n
-
-
 def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | None = None) -> Evaluated:
     """(n,) N of the effect at place i, (places, 2) its mean tangent to x_l and v_l of every place, and memory.
 
@@ -76,68 +41,53 @@ def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | 
     in v it is the Ito correction of this path.
     """
     p = np.ascontiguousarray(placed.p if p is None else p, dtype=np.float64)
-    effect = placed.effect
     slopes = np.zeros((len(data.places), 2))
-    if effect.kind == "memory":
-        f = remember(effect, p, lin, data.x[i], data.v[i], data.rate_hz)
-        return f, slopes, _memory_response(effect, data, i, lin, p, f)
-    o = data.other(i)
-    zero = np.zeros_like(data.x[i])
-    xo, vo = (zero, zero) if o is None else (data.x[o], data.v[o])
-    scale = data.sizes(i)
-    reads = depends(effect, p, np.maximum(scale, 1e-300))
-    if jumps(effect, p, scale):
-        out, sums = _on_finer_grid(effect, p, data, i, reads)
-        slopes[i] += sums[:2]
-        if o is not None:
-            slopes[o] += sums[2:]
-        return out, slopes, None
-    h = np.where(reads, [0.07, 0.0, 0.07, 0.0] * scale + [0.0, 1.0, 0.0, 1.0] * data.smoothing(i), 0.0)
-    out, sums = np.empty(data.x.shape[1]), np.zeros(4)
-    law = np.uint64(address(effect.force))
-    _along(law, p, data.x[i], data.v[i], xo, vo, data.t, data.phase, data.sign(i), h, out, sums)
+    if placed.effect.kind == "memory":
+        f = remember(placed.effect, p, lin, data.x[i], data.v[i], data.rate_hz)
+        return f, slopes, _memory_response(placed.effect, data, i, lin, p, f)
+    out, sums = _along(placed.effect, p, data, i)
     slopes[i] += sums[:2]
+    o = data.other(i)
     if o is not None:
         slopes[o] += sums[2:]
     return out, slopes, None
 
 
-def _on_finer_grid(
-    effect: Effect, p: Array, data: MotionBlocks, i: int, reads: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """(n,) N of a law with a jump, without its harmonics above Nyquist, which fold back if it is sampled; and (4,)."""
-    o, n = data.other(i), data.x.shape[1]
+def _along(
+    effect: Effect, p: Array, data: MotionBlocks, i: int, tangents: Array | None = None
+) -> tuple[Array, Array]:  # fmt: skip
+    """(n,) N of a law along the motion of place i, and (4,) its mean tangents: features.py, as the fit has them.
+
+    A law with a jump is evaluated on a finer grid: its harmonics above Nyquist would fold back. tangents : (2, n) to
+    be filled with those along x and v, on the grid of the data.
+    """
+    o, n, size = data.other(i), data.x.shape[1], data.sizes(i)
+    reads = depends(effect, p, np.maximum(size, 1e-300))
+    sharp = tangents is None and jumps(effect, p, size)
     zero = np.zeros(n)
     xo, vo = (zero, zero) if o is None else (data.x[o], data.v[o])
-    h, step = data.smoothing(i), 32 * data.block
     out, sums = np.empty(n), np.zeros(4)
-    for a in range(0, n, step):
-        b = min(a + step, n)
-        rows = np.clip(np.arange(a - MARGIN, b + MARGIN), 0, n - 1)
+    for a in range(0, n, PIECE):
+        b = min(a + PIECE, n)
+        rows = np.clip(np.arange(a - MARGIN, b + MARGIN), 0, n - 1) if sharp else slice(a, b)
         x, v, xs, vs, t, phase = (z[rows] for z in (data.x[i], data.v[i], xo, vo, data.t, data.phase))
-        state = State(x, v, xs, vs, t, phase, data.sign(i), h, np.ones(rows.size, bool))
-        force, part = law_force(effect, p, state.finer(), reads)
-        out[a:b] = decimated(force)
+        valid = np.ones(x.size, bool)
+        state = State(x, v, xs, vs, t, phase, data.sign(i), data.smoothing(i), valid)
+        if sharp:
+            force, part = law_force(effect, p, state.finer(), reads)
+            out[a:b], part = decimated(force), part / FINER
+        else:
+            series = None if tangents is None else (tangents[0, a:b], tangents[1, a:b])
+            out[a:b], part = law_force(effect, p, state, reads, series)
         sums += part
-    return out, sums / (FINER * n)
+    return out, sums / n
 
 
 def tangent_series(placed: Placed, data: MotionBlocks, i: int, p: Array) -> Array:
-    """(2, n) tangents of a law along x and v at place i, by the same differences as their means in `evaluate`."""
-    effect, o = placed.effect, data.other(i)
-    zero = np.zeros(data.x.shape[1])
-    xo, vo = (zero, zero) if o is None else (data.x[o], data.v[o])
-    scale = data.sizes(i)
-    used = depends(effect, p, np.maximum(scale, 1e-300))
-    out = np.zeros((2, data.x.shape[1]))
-    for a in np.flatnonzero(used[:2]):
-        h = data.smoothing(i)[1] if a == 1 else 0.07 * scale[0]
-        ends = []
-        for step in (h, -h):
-            x, v = data.x[i] + (step if a == 0 else 0.0), data.v[i] + (step if a == 1 else 0.0)
-            ends.append(force_array(effect, p, x, v, xo, vo, data.t, data.phase, data.sign(i)))
-        out[a] = (ends[0] - ends[1]) / (2 * h)
-    return out
+    """(2, n) tangents of a law along x and v at place i, those whose means `evaluate` gives."""
+    tangents = np.zeros((2, data.x.shape[1]))
+    _along(placed.effect, np.ascontiguousarray(p, dtype=np.float64), data, i, tangents)
+    return tangents
 
 
 def remember(effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: float) -> Array:
