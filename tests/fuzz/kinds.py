@@ -117,6 +117,12 @@ KINDS = {
     "records": Kind(
         "records of a log", 100, _records, head=(LOG_HEAD,), target="mcap", good=small_logs, tails=log_ends
     ),  # fmt: skip
+    "recover": Kind(
+        "records of a log that is recovered", 100, _records, head=(LOG_HEAD,), good=small_logs, tails=log_ends
+    ),
+    "recover-messages": Kind(
+        "messages of a log that is recovered", 100, _sized(1), _with_size(1), head=(b"\2",), target="recover", first=1
+    ),
     "rig": Kind("files", good=small_rigs, damage=damaged_text),
     "csv": Kind("files", damage=damaged_evenly),
     "npz": Kind("files", damage=damaged_zip),

@@ -261,8 +261,8 @@ _ASC = (
 )
 _MAKERS = {
     "cobs": _cobs, "slcan": _slcan, "serial": _serial, "can": _can, "mapped": lambda: [bytes(range(60))],
-    "mcap": _mcap, "rig": _rig, "expression": _expression, "csv": _csv, "npz": _npz, "wav": _wav, "mat": _mat,
-    "uff": _uff, "mf4": _mf4, "answer": _answer, "mat-parse": _mat, "mf4-parse": _mf4,
+    "mcap": _mcap, "recover": _mcap, "rig": _rig, "expression": _expression, "csv": _csv, "npz": _npz, "wav": _wav,
+    "mat": _mat, "uff": _uff, "mf4": _mf4, "answer": _answer, "mat-parse": _mat, "mf4-parse": _mf4,
     "candump": lambda: _file("canedge_imu/*.log"), "blf": _blf,
     "asc": lambda: [_ASC_HEAD + b"".join(_ASC)],
 }  # fmt: skip

@@ -22,6 +22,7 @@ from daq.errors import ConfigError, LogError
 from daq.import_checks import checked
 from daq.import_formats import read
 from daq.log_reader import read_log
+from daq.recover import recover
 from daq.rig import Rig, load_rig
 from drivers import cobs
 from drivers.can_decoder import CanDecoder
@@ -176,14 +177,34 @@ def mapped(data: bytes, folder: Path) -> None:
         at = assert_axis(decoder.feed(CanFrames.build(part), 0, final=part is not frames), at)
 
 
-def mcap(data: bytes, folder: Path) -> None:
+def _log(data: bytes, path: Path) -> None:
     """A file of any bytes; or any records behind a right check sum; or any messages in right records."""
-    path = folder / "a.mcap"
     kind, rest = (data[0] % 3, data[1:]) if data else (0, b"")
     if kind == 0:
         path.write_bytes(rest)
     else:
         path.write_bytes(log_scan.MAGIC + _chunk(rest if kind == 1 else b"".join(_records(rest))))
+
+
+def recover_log(data: bytes, folder: Path) -> None:
+    """What is recovered is a complete log, and says of every sample what the damaged one says."""
+    path, mended = folder / "a.mcap", folder / "b.mcap"
+    _log(data, path)
+    mended.unlink(missing_ok=True)
+    with contextlib.suppress(LogError):
+        told = recover(path, mended)
+        before, after = read_log(path), read_log(mended)
+        assert after.complete, after.damage
+        assert (after.first, after.stop, after.n_samples) == (before.first, before.stop, before.n_samples)
+        assert told.samples == before.n_samples
+        assert after.notices[-1].code == "recovered"
+        with contextlib.suppress(LogError):
+            assert np.array_equal(before.counts(), after.counts())
+
+
+def mcap(data: bytes, folder: Path) -> None:
+    path = folder / "a.mcap"
+    _log(data, path)
     with contextlib.suppress(LogError):
         log = read_log(path)
         with contextlib.suppress(LogError):
@@ -298,6 +319,7 @@ def _capture(suffix: str) -> Target:
 
 TARGETS: dict[str, Target] = {
     "cobs": cobs_codec, "slcan": slcan, "serial": serial, "can": can_decoder, "mapped": mapped, "mcap": mcap,
+    "recover": recover_log,
     "rig": rig, "expression": expression, "csv": _import(".csv"), "npz": _import(".npz"), "wav": _import(".wav"),
     "mat": _import(".mat"), "uff": _import(".uff"), "mf4": _import(".mf4"),
     "answer": _import(".answer"), "mat-parse": _parse(".mat"), "mf4-parse": _parse(".mf4"),
