@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,9 @@ BEGIN = "import sys; from daq.entry import main; print(flush=True); sys.exit(mai
 
 
 @pytest.mark.parametrize("after_s", [0.005, 0.02, 0.05, 0.1, 0.2, 0.3])
-def test_an_interrupt_while_python_imports_ends_quietly(after_s: float, tmp_path: Path) -> None:
+def test_an_interrupt_while_python_imports_ends_quietly(
+    after_s: float, tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
     """Timed from the program's own start: what Python itself does before that is not ours."""
     command = [sys.executable, "-c", BEGIN, "run", str(RIG), "--link", "virtual:", "--out", str(tmp_path / "a.mcap")]
     with subprocess.Popen(
@@ -33,3 +36,5 @@ def test_an_interrupt_while_python_imports_ends_quietly(after_s: float, tmp_path
     assert process.returncode == 130, said
     assert "Traceback" not in said
     assert len(said.splitlines()) <= 1
+    row = f"stop while Python imports | SIGINT {after_s:g} s after the program's start | one line, status 130, no traceback"
+    record_property("reliability", f"{row} | status {process.returncode}")
