@@ -105,8 +105,8 @@ class _Decoder:
             case codec.NOTICE:
                 return codec.decode_notice(data, message.log_time - self._wall_offset_ns)
             case codec.SESSION if data != self._head:
-                self._head = data
                 head = Head(*codec.decode_session(data))
+                self._head = data
                 self._wall_offset_ns = head.wall_offset_ns
                 return head
             case codec.INFO if data != self._info:
