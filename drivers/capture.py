@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Generator, Mapping
+from collections.abc import Mapping
 
 from drivers.can_decoder import CanDecoder
 from drivers.can_frames import CanFrames
-from drivers.capture_files import Batch, open_capture
+from drivers.capture_files import Batch, Batches, open_capture
 from drivers.device_info import Expected
 from drivers.links import CaptureConfig
 from drivers.mapped import MappedDecoder
@@ -31,7 +31,7 @@ class Capture:
         if dbc is not None and signals is not None:
             self._mapped = MappedDecoder(stats, dbc, signals, expected, config.rate_hz, recorded=True)
         self._direct = CanDecoder(stats, expected=expected)
-        self._batches: Generator[Batch, None, None] | None = None
+        self._batches: Batches | None = None
         self._lock = threading.Lock()
         self._closed = False
         self._exhausted = False

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import gc
 import logging
 import re
-import sys
-import traceback
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol
 
 from drivers.can_frames import ERROR, EXTENDED, REMOTE, CanFrames
 from drivers.errors import LinkOpenError, LinkUnavailable
@@ -24,8 +21,6 @@ _LINE = re.compile(
     r"\((\d+)\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})(?:#R(\d?)|##([0-9A-Fa-f])|#)([0-9A-Fa-f.]*)(?:\s+[RT])?"
 )
 
-Opened = TypeVar("Opened")
-
 
 @dataclass(frozen=True, slots=True)
 class Batch:
@@ -36,7 +31,15 @@ class Batch:
     why: str = ""
 
 
-def open_capture(path: str, bus: str | None) -> Generator[Batch, None, None]:
+class Batches(Protocol):
+    """An iterator that can be closed before its end."""
+
+    def __iter__(self) -> Iterator[Batch]: ...
+    def __next__(self) -> Batch: ...
+    def close(self) -> None: ...
+
+
+def open_capture(path: str, bus: str | None) -> Batches:
     """Batches of a file, in the order of time. Raises LinkOpenError | LinkUnavailable before the first batch only."""
     file = Path(path)
     suffix = file.suffix.lower()
@@ -50,6 +53,10 @@ def open_capture(path: str, bus: str | None) -> Generator[Batch, None, None]:
         raise LinkOpenError(f"capture:{path}: {error.strerror}: check the path") from error
     if suffix == ".log":
         return _candump(file, bus)
+    if suffix == ".mf4":
+        from drivers.mf4_capture import Mf4Batches
+
+        return Mf4Batches(file, bus)
     try:
         reader = _open_reader(file, suffix)
     except ImportError as error:
@@ -57,17 +64,14 @@ def open_capture(path: str, bus: str | None) -> Generator[Batch, None, None]:
     except Exception as error:
         text = " ".join(str(error).split())
         raise LinkOpenError(f"capture:{path}: not a {suffix} file ({text}): check the file") from error
-    return _python_can(reader, bus, file)
+    return batches_of(reader, bus, file)
 
 
 def _open_reader(file: Path, suffix: str) -> Any:
     """python-can's reader, on a handle of ours: its own stays open when a file is not what it seems."""
-    for library in ("can", "asammdf"):  # what they log about each frame would fill the terminal: damage is counted
-        log = logging.getLogger(library)
-        if not log.handlers:
-            log.addHandler(logging.NullHandler())
-    if suffix == ".mf4":
-        return _open_mf4(file)
+    log = logging.getLogger("can")  # what it says about each frame would fill the terminal: damage is counted
+    if not log.handlers:
+        log.addHandler(logging.NullHandler())
     handle = file.open("rb") if suffix == ".blf" else file.open("r", encoding="utf-8", errors="replace")
     try:
         return _open_blf(handle) if suffix == ".blf" else _open_asc(handle)
@@ -128,30 +132,6 @@ def _check_objects(data: bytes) -> None:
         at += size
 
 
-def _open_mf4(file: Path) -> Any:
-    import can
-
-    return opened_quietly(lambda: can.MF4Reader(file))
-
-
-def opened_quietly(make: Callable[[], Opened]) -> Opened:
-    """asammdf's half-made object of a damaged file complains in its destructor: let it do so unheard."""
-    try:
-        return make()
-    except ImportError:
-        raise
-    except Exception as error:
-        text = str(error)
-        heard, sys.unraisablehook = sys.unraisablehook, lambda _: None
-        try:
-            traceback.clear_frames(error.__traceback__)
-            del error
-            gc.collect()
-        finally:
-            sys.unraisablehook = heard
-    raise ValueError(text)
-
-
 def _candump(file: Path, bus: str | None) -> Generator[Batch, None, None]:
     frames: list[tuple[int, bytes, int]] = []
     damaged, why = 0, ""
@@ -197,7 +177,7 @@ def _parse(match: re.Match[str]) -> tuple[int, bytes, int] | None:
     return identifier, bytes.fromhex(digits), t_ns
 
 
-def _python_can(reader: Any, bus: str | None, file: Path) -> Generator[Batch, None, None]:
+def batches_of(reader: Any, bus: str | None, file: Path) -> Generator[Batch, None, None]:
     messages = iter(reader)
     ended = False
     try:

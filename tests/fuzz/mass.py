@@ -33,7 +33,7 @@ from targets import PARSER, TARGETS, Target  # noqa: E402
 from daq import import_formats  # noqa: E402
 from daq.memory import bounded_memory  # noqa: E402
 
-HANG_S = 10
+HANG_S = 30
 SAVE_S = 5.0
 GROUP = 64  # single inputs between two looks at the clock
 

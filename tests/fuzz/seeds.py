@@ -222,6 +222,18 @@ def _uff() -> list[bytes]:
         return [both, both[: len(both) // 2]]
 
 
+def _mf4can() -> list[bytes]:
+    import can
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.mf4"
+        writer = can.MF4Writer(path, database=None)
+        for k, (identifier, data) in enumerate(_STARTS["classic"][:6]):
+            writer.on_message_received(can.Message(timestamp=1.7e9 + k, arbitration_id=identifier, data=data))
+        writer.stop()
+        return [path.read_bytes()]
+
+
 def _mf4() -> list[bytes]:
     from asammdf import MDF, Signal
 
@@ -262,7 +274,7 @@ _ASC = (
 _MAKERS = {
     "cobs": _cobs, "slcan": _slcan, "serial": _serial, "can": _can, "mapped": lambda: [bytes(range(60))],
     "mcap": _mcap, "recover": _mcap, "rig": _rig, "expression": _expression, "csv": _csv, "npz": _npz, "wav": _wav,
-    "mat": _mat, "uff": _uff, "mf4": _mf4, "answer": _answer, "mat-parse": _mat, "mf4-parse": _mf4,
+    "mat": _mat, "uff": _uff, "mf4": _mf4, "mf4can": _mf4can, "answer": _answer, "mat-parse": _mat, "mf4-parse": _mf4,
     "candump": lambda: _file("canedge_imu/*.log"), "blf": _blf,
     "asc": lambda: [_ASC_HEAD + b"".join(_ASC)],
 }  # fmt: skip

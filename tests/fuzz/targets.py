@@ -323,6 +323,6 @@ TARGETS: dict[str, Target] = {
     "rig": rig, "expression": expression, "csv": _import(".csv"), "npz": _import(".npz"), "wav": _import(".wav"),
     "mat": _import(".mat"), "uff": _import(".uff"), "mf4": _import(".mf4"),
     "answer": _import(".answer"), "mat-parse": _parse(".mat"), "mf4-parse": _parse(".mf4"),
-    "candump": _capture(".log"), "blf": _capture(".blf"), "asc": _capture(".asc"),
+    "candump": _capture(".log"), "blf": _capture(".blf"), "asc": _capture(".asc"), "mf4can": _capture(".mf4"),
 }  # fmt: skip
 assert tuple(c.name for c in RIG.model.channels) == CHANNELS

@@ -24,7 +24,7 @@ from daq.log_reader import read_log
 from drivers.reading import Gap
 
 CASES = sorted(path for path in (Path(__file__).parent / "cases").glob("*-*"))
-EXAMPLES = {"mf4": 3, "mat": 6, "rig": 40, "uff": 40, "mapped": 40}
+EXAMPLES = {"mf4can": 2, "mf4": 3, "mat": 6, "rig": 40, "uff": 40, "mapped": 40}
 
 
 @st.composite
