@@ -10,6 +10,7 @@ from pathlib import Path
 import can
 import cantools
 import numpy as np
+import psutil
 import pytest
 from asammdf import MDF
 from ramp_device import Record, read_all
@@ -126,6 +127,16 @@ def test_cut_mf4_of_a_finished_recording_does_not_open(tmp_path: Path) -> None:
     (tmp_path / "cut.mf4").write_bytes(path.read_bytes()[:1_000_000])
     with pytest.raises(LinkOpenError, match="not a .mf4 file"):
         capture(tmp_path / "cut.mf4")
+
+
+def test_an_mf4_file_may_be_left_before_its_end() -> None:
+    before = {child.pid for child in psutil.Process().children()}
+    batches = open_capture(str(DATA / FILES[2]), None)
+    assert len(next(batches).frames) > 1000
+    batches.close()
+    batches.close()
+    assert next(batches, None) is None
+    assert {child.pid for child in psutil.Process().children()} <= before
 
 
 def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:
