@@ -136,15 +136,17 @@ def valid_blocks(valid: NDArray[np.bool_], grid: Layout) -> NDArray[np.intp]:
     """Numbers of the blocks (block b starts at row b * hop) that hold no invalid row."""
     if valid.size < grid.size:
         return np.empty(0, np.intp)
-    bad = np.concatenate([[0], np.cumsum(~valid)])
+    bad = np.flatnonzero(~valid)
     begin = np.arange(0, valid.size - grid.size + 1, grid.hop)
-    return np.flatnonzero(bad[begin + grid.size] == bad[begin])
+    return np.flatnonzero(np.searchsorted(bad, begin + grid.size) == np.searchsorted(bad, begin))
 
 
 def spectra(columns: Floats, blocks: NDArray[np.intp], grid: Layout) -> NDArray[np.complex128]:
     """(columns, blocks, bins) windowed spectra; columns (k, n) rows from the first block's row 0 on."""
     frames = np.lib.stride_tricks.sliding_window_view(columns, grid.size, axis=1)[:, :: grid.hop]
-    z = np.fft.rfft(frames[:, blocks] * grid.window, axis=2)
+    neighbours = blocks.size > 0 and blocks[-1] - blocks[0] == blocks.size - 1
+    part = frames[:, blocks[0] : blocks[-1] + 1] if neighbours else frames[:, blocks]
+    z = np.fft.rfft(part * grid.window, axis=2)
     first, last = int(grid.bins[0]), int(grid.bins[-1])
     if last - first + 1 == grid.bins.size:  # no notch: a view will do
         return z[:, :, first : last + 1]

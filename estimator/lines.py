@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from .balance import build
 from .columns import Columns
+from .features import MARGIN
 from .gram import CELLS, layout, spectra, valid_blocks
 from .maximum import initial
 from .record import CELLS_WITH_FORCE, Record, notches, stretches
+from .side_by_side import each
 from .start import Start, linear_start
 
 Floats = NDArray[np.float64]
@@ -28,19 +30,23 @@ STRONG = 8.0  # over its surroundings: no resonance rises so within four bins
 
 def spectrum_by_bin(record: Record, B: Floats | None, start: Start | None) -> tuple[Floats, float]:
     """(bins, places) mean |F|^2 of the force of the linear balance B, and the number of blocks; without B: of a."""
-    balance = build(replace(record.model, effects=()))
-    P = len(balance.places)
-    columns = Columns(balance, record.scales, np.zeros((P, 2)) if start is None else start.widths)
-    if B is None:
-        B = np.eye(P, len(balance.columns))
+    columns = None
+    if B is not None and start is not None:
+        columns = Columns(build(replace(record.model, effects=())), record.scales, start.widths)
     blocks = valid_blocks(record.motion.valid, record.grid)
-    power = np.zeros((record.grid.bins.size, P))
-    for group in stretches(blocks, 24):
+
+    def part(group: NDArray[np.intp]) -> Floats:
         first, last = int(group[0]) * record.grid.hop, int(group[-1]) * record.grid.hop + record.grid.size
-        z, _ = columns.evaluate(record.stretch(first, last))
-        F = spectra(B @ z, group - group[0], record.grid)
-        power += np.einsum("ibf,ibf->fi", F, F.conj()).real
-    return power / blocks.size, float(blocks.size)
+        stretch = record.stretch(first, last)
+        if B is None or columns is None:
+            force: Floats = stretch.a[:, MARGIN:-MARGIN]
+        else:
+            force = B @ columns.evaluate(stretch)[0]
+        F = spectra(force, group - group[0], record.grid)
+        return np.asarray((F.real**2 + F.imag**2).sum(axis=1))
+
+    power = np.sum(each(part, stretches(blocks, 12)), axis=0)
+    return power.T / blocks.size, float(blocks.size)
 
 
 def linear_balance(record: Record, start: Start) -> Floats:

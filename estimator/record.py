@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,7 @@ class Record:
     phase: Floats
     grid: Layout
     lines: tuple[tuple[float, float], ...] = ()  # Hz, stretches left out of the grid (lines.py)
+    _rms: dict[str, Floats] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def seconds(self) -> float:
@@ -49,8 +50,10 @@ class Record:
         """(places,) rms of a, v or x."""
         if isinstance(self.motion, Filtered):
             return np.asarray(self.motion.rms["avx".index(name)])
-        valid, z = self.motion.valid, getattr(self.motion, name)
-        return np.asarray(np.sqrt(np.array([np.dot(row * valid, row) for row in z]) / valid.sum()))
+        if name not in self._rms:
+            valid, z = self.motion.valid, getattr(self.motion, name)
+            self._rms[name] = np.sqrt(np.array([np.dot(row * valid, row) for row in z]) / valid.sum())
+        return self._rms[name].copy()
 
     @property
     def scales(self) -> Floats:
