@@ -102,6 +102,8 @@ def test_a_silent_device_does_not_hold_a_run_of_given_length(monkeypatch: pytest
 
 
 def test_stop_ends_a_live_session_quickly_with_everything_that_was_read(tmp_path: Path) -> None:
+    warm = [[INFO], [vibration(0, 5000)]]  # what is imported and compiled late takes long on a busy machine
+    acquire(RIG, ScriptedDriver(warm), [LogWriter(tmp_path / "warm.mcap")], make=MomentEstimator)
     stop = threading.Event()
     threading.Timer(0.6, stop.set).start()
     begin = time.monotonic()
