@@ -6,14 +6,16 @@ follow. A law that is nearly right leaves a smooth rest that a few Hermite polyn
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from .missing_force import power_of
-from .path_fit import Term
+from .path_fit import Complexes, Term
 from .subproblem import gain, subproblem
-from .terms import orthogonal
+from .terms import light, orthogonal
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -63,21 +65,20 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
     rms = float(data.rms[0 if state == "x" else 1, i])
     u = z / rms
     here, which = point.fluctuations[i], 0 if state == "x" else 1
-    bends = None if here is None else _hermite((here.data.x, here.data.v)[which][i] / rms, max(orders))
+    memory: dict[int, dict[int, Complexes]] = {}
+    if here is not None:
+        for order, _, below in _hermite((here.data.x, here.data.v)[which][i] / rms, orders):
+            tangents = np.zeros((2, below.size))
+            tangents[which] = order * below / rms
+            memory[order] = {i: -here.of(tangents)}
     terms = []
-    polynomials = _hermite(u, max(orders))
-    for order in orders:
+    for order, polynomial, below in _hermite(u, orders):
         slopes = np.zeros((len(data.places),) * 2 + (2,))
-        slopes[i, i, which] = order * float(np.mean(polynomials[order - 1])) / rms
-        memory = {}
-        if here is not None and bends is not None:
-            tangents = np.zeros((2, bends.shape[1]))
-            tangents[which] = order * bends[order - 1] / rms
-            memory[i] = -here.of(tangents)
-        term = Term(f"smooth.{order}", "N", {i: polynomials[order]}, slopes, memory=memory)
+        slopes[i, i, which] = order * float(np.mean(below)) / rms
+        term = Term(f"smooth.{order}", "N", {i: polynomial}, slopes, memory=memory.get(order, {}))
         made = orthogonal(term, point.spans, least=1e-3)
         if made is not None:
-            terms.append(made)
+            terms.append(light(made))
     if not terms:
         return 0.0, 0.0, 0
     problem = subproblem(point, (i,), point.weighing.columns(terms))
@@ -85,10 +86,10 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
     return power_of(point, problem, fit, i)[0], nats, len(terms)
 
 
-def _hermite(u: Array, highest: int) -> Array:
-    """(highest + 1, n) He_0 ... of u; the derivative of He_k is k He_(k-1)."""
-    out = np.empty((highest + 1, u.size))
-    out[0], out[1] = 1.0, u
-    for k in range(1, highest):
-        out[k + 1] = u * out[k] - k * out[k - 1]
-    return out
+def _hermite(u: Array, orders: tuple[int, ...]) -> Iterator[tuple[int, Array, Array]]:
+    """(k, He_k, He_(k-1)) of u for every k of orders, rising; the derivative of He_k is k He_(k-1)."""
+    below, here = np.ones(u.size), u
+    for k in range(1, max(orders) + 1):
+        if k in orders:
+            yield k, here, below
+        below, here = here, u * here - k * below

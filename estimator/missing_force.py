@@ -27,7 +27,7 @@ from .model import Model
 from .model_uses import not_judged
 from .path_fit import PathFit
 from .side_by_side import each
-from .subproblem import Subproblem, subproblem
+from .subproblem import Subproblem
 from .suspect import SHAPES, Share, Suspect, shares
 from .working_point import WorkingPoint, thinned
 
@@ -70,9 +70,7 @@ def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) 
 
     Hat functions of a state are tried free, and bound to a smooth curve.
     """
-    columns, knots = reference.all_columns(point, i, orders)
-    problem = subproblem(point, (i,), columns)
-    del columns
+    problem, knots = reference.pool(point, i, orders)
     names: dict[str, tuple[str, ...]] = {}
     for n in problem.extra:
         names[n.split(".")[0]] = (*names.get(n.split(".")[0], ()), n)

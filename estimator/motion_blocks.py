@@ -109,6 +109,17 @@ def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
                    a=a, v=v, x=x, known=known)  # fmt: skip
 
 
+def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:
+    """The blocks of one time fold, as views of the record; its sizes of motion are those of the record."""
+    here = np.flatnonzero(data.fold == f)
+    rows = slice(int(here[0]) * data.block, (int(here[-1]) + 1) * data.block)
+    a, v, x, known = (z[:, rows] for z in (data.a, data.v, data.x, data.known))
+    out = replace(data, start=data.start[here], fold=data.fold[here], t=data.t[rows], phase=data.phase[rows],
+                  a=a, v=v, x=x, known=known)  # fmt: skip
+    object.__setattr__(out, "rms", data.rms)
+    return out
+
+
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
     """(f, places, places) N/m: what shaft and disc add to the dynamic stiffness at the measured caps."""
     D = np.zeros((f_hz.size, len(places), len(places)), complex)

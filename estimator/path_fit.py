@@ -118,7 +118,7 @@ class Weighing:
         """(blocks, 2 bins) float32 of a series (n,) seen at place i, the bins of the band."""
         from scipy.fft import rfft
 
-        z = series.reshape(self.data.blocks, self.data.block).astype(np.float32)
+        z = series.reshape(-1, self.data.block).astype(np.float32)
         Z = rfft(z, axis=1)[:, self.data.bins] * self._root[i]
         return np.ascontiguousarray(Z).view(np.float32)
 

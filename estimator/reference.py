@@ -7,22 +7,22 @@ mean derivative); of two states, low products. u = x / rms, w = v / rms, r^2 = u
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .motion_blocks import MotionBlocks
-from .path_fit import THIN, Columns, response
+from .motion_blocks import FOLDS, MotionBlocks, fold_of
+from .path_fit import THIN, Complexes, response
 from .reference_tangents import dressings
+from .subproblem import Subproblem, base_of, extended, products, subproblem
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 Series = NDArray[np.float32]
 GROUPS = ("displacement", "velocity", "level", "other_direction", "other_bearing", "time", "shaft_angle")
-X_STEP, V_STEP = 0.35, 0.5
-MOST = 90  # columns of one place, at most
+X_STEP, V_STEP, SPAN = 0.35, 0.5, 3.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +56,9 @@ def _hats(z, low, step, out, slopes):  # type: ignore[no-untyped-def]
         slopes[j] /= n * step
 
 
-def hat_group(name: str, z: Array, place: int, which: int, places: int, step: float, span: float = 3.7) -> Group:
-    """Hats over +-span rms of a state; which: 0 for x, 1 for v."""
-    scale = float(z.std())
-    half = int(np.ceil(span / step))
+def hat_group(name: str, z: Array, scale: float, place: int, which: int, places: int, step: float) -> Group:
+    """Hats over +-SPAN rms (scale) of a state; which: 0 for x, 1 for v."""
+    half = int(np.ceil(SPAN / step))
     knots: Array = np.arange(-half, half + 1, dtype=np.float64) * step * scale
     out = np.zeros((knots.size, z.size), np.float32)
     slopes = np.zeros(knots.size)
@@ -72,13 +71,18 @@ def hat_group(name: str, z: Array, place: int, which: int, places: int, step: fl
     return Group(name, list(out), tangents, knots)
 
 
-def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> Iterator[Group]:
-    """Every group of columns of place i, one at a time (they are large). orders : of shaft rotation, for stiffness."""
+def groups(
+    data: MotionBlocks, i: int, orders: tuple[float, ...], times: tuple[float, float] | None = None
+) -> Iterator[Group]:
+    """Every group of columns of place i, one at a time (they are large). orders : of shaft rotation, for stiffness.
+
+    times : s, first and last of the record where the data are a part of it.
+    """
     P = len(data.places)
     sx, sv = float(data.rms[0, i]), float(data.rms[1, i])
     u, w = (data.x[i] / sx).astype(np.float32), (data.v[i] / sv).astype(np.float32)
-    yield hat_group("displacement", data.x[i], i, 0, P, X_STEP)
-    yield hat_group("velocity", data.v[i], i, 1, P, V_STEP)
+    yield hat_group("displacement", data.x[i], sx, i, 0, P, X_STEP)
+    yield hat_group("velocity", data.v[i], sv, i, 1, P, V_STEP)
 
     def group(name: str, columns: list[tuple[Series, float, float, float, float]]) -> Group:
         """(series, mean d/du, d/dw, d/duo, d/dwo)."""
@@ -124,7 +128,8 @@ def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> Iterator[Gr
         tx[q, 0], tv[q, 1] = 1.0 / data.rms[0, q], 1.0 / data.rms[1, q]
         up, wp = (data.x[q] / data.rms[0, q]).astype(np.float32), (data.v[q] / data.rms[1, q]).astype(np.float32)
         yield Group("other_bearing", [up, wp], [tx, tv])
-    tau = (2 * (data.t - data.t[0]) / max(data.t[-1] - data.t[0], 1e-9) - 1).astype(np.float32)
+    first, last = (float(data.t[0]), float(data.t[-1])) if times is None else times
+    tau = (2 * (data.t - first) / max(last - first, 1e-9) - 1).astype(np.float32)
     second = 1.5 * tau**2 - 0.5
     yield group("time", [
         (tau * u, m(tau), 0, 0, 0), (tau * w, 0, m(tau), 0, 0),
@@ -138,49 +143,57 @@ def groups(data: MotionBlocks, i: int, orders: tuple[float, ...]) -> Iterator[Gr
         yield group("shaft_angle", columns)
 
 
-def columns(point: WorkingPoint, i: int, group: Group, spectra: Series) -> Columns:
-    """The group as weighted spectra, filled into `spectra`, each column scaled to the rms of the inferred force."""
-    for k, z in enumerate(group.series):
-        spectra[k] = point.weighing.spectrum(i, z)
-    power = np.sqrt(np.array([np.vdot(z, z) / z.size for z in spectra]))
-    power = np.maximum(power, 1e-30)
+def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subproblem, dict[str, Array]]:
+    """Every group of place i on trial beside the model, and the knots of the hat functions.
+
+    Fold by fold, as the columns of all are large; each is scaled to the rms of the inferred force.
+    """
+    data, times = point.data, (float(point.data.t[0]), float(point.data.t[-1]))
+    plain = subproblem(point, (i,))
+    base = base_of(point, np.array(plain.places))
     own = float(np.sqrt(np.vdot(point.spectra[i], point.spectra[i]) / point.spectra[i].size))
-    scales = np.asarray(own / power, dtype=np.float64)
-    spectra *= scales[:, None, None].astype(np.float32)
+    made: list[tuple[NDArray[np.int64], Array, Array]] = []
+    by_fold: list[list[Group]] = []
+    for f in range(FOLDS):
+        part = fold_of(data, f)
+        found = []
+        weight = part.blocks / data.blocks
+        spectra: list[Series] = []
+        for g in groups(part, i, orders, times):
+            spectra += [point.weighing.spectrum(i, z) for z in g.series]
+            found.append(Group(g.name, [], [t * weight for t in g.tangents], g.knots))
+        X = np.stack(spectra)
+        del spectra
+        made.append(products(point, i, base, f, X))
+        by_fold.append(found)
+    power = np.sqrt(np.sum([np.diag(square) for _, _, square in made], axis=0) / point.spectra[i].size)
+    scales = own / np.maximum(power, 1e-30)
+    made = [(rows, C * scales, square * np.multiply.outer(scales, scales)) for rows, C, square in made]
+    whole = [
+        replace(gs[0], tangents=[sum(t) for t in zip(*(g.tangents for g in gs), strict=True)])
+        for gs in zip(*by_fold, strict=True)
+    ]
+    tangents: Complexes = np.concatenate([_tangents(point, i, g) for g in whole])
+    tangents *= scales[:, None, None, None]
+    names = tuple(f"{g.name}.{k}" for g in whole for k in range(len(g.tangents)))
+    knots = {g.name: g.knots for g in whole if g.knots is not None}
+    return extended(plain, i, made, names, scales, tangents), knots
+
+
+def _mean(parts: list[Group]) -> Group:
+    """A group from its weighted parts."""
+    tangents = [np.sum(t, axis=0) for t in zip(*(g.tangents for g in parts), strict=True)]
+    return replace(parts[0], tangents=tangents)
+
+
+def _tangents(point: WorkingPoint, i: int, group: Group) -> Complexes:
+    """(columns, places, places, thinned bins) what the columns of a group add to A per unit."""
     P = len(point.data.places)
-    tangents = np.zeros((len(group.series), P, P, point.columns.tangents.shape[-1]), complex)
+    out = np.zeros((len(group.tangents), P, P, point.columns.tangents.shape[-1]), complex)
     for k, t in enumerate(group.tangents):
-        tangents[k, i] = response(t * scales[k], point.data)
+        out[k, i] = response(t, point.data)
     if (here := point.fluctuations[i]) is not None:
         w2 = (2 * np.pi * point.data.f_hz[::THIN]) ** 2
         for k, sigma in enumerate(dressings(group.name, here, point.data.rms[:2, i], group.knots)):
-            tangents[k, i, i] += scales[k] * sigma[::THIN] / w2
-    names = tuple(f"{group.name}.{k}" for k in range(len(group.series)))
-    return Columns(names, ("N",) * len(names), scales, tangents, {i: spectra}, {i: np.arange(len(names))})
-
-
-def all_columns(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Columns, dict[str, Array]]:
-    """Every group of place i as one set of columns, and the knots of the hat functions."""
-    data = point.data
-    rows = np.empty((MOST, data.blocks, point.spectra[i].shape[1]), np.float32)
-    used = 0
-    names: list[str] = []
-    scales, tangents, knots = [], [], {}
-    for g in groups(data, i, orders):
-        q = len(g.series)
-        part = columns(point, i, g, rows[used : used + q])
-        used += q
-        names += part.names
-        scales.append(part.scales)
-        tangents.append(part.tangents)
-        if g.knots is not None:
-            knots[g.name] = g.knots
-    joined = Columns(
-        tuple(names),
-        ("N",) * used,
-        np.concatenate(scales),
-        np.concatenate(tangents),
-        {i: rows[:used]},
-        {i: np.arange(used)},
-    )
-    return joined, knots
+            out[k, i, i] += sigma[::THIN] / w2
+    return out

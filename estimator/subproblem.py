@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .motion_blocks import FOLDS
-from .path_fit import Columns, Gram, Jacobian, PathFit, fit, log_likelihood
+from .path_fit import Columns, Complexes, Gram, Jacobian, PathFit, Spectrum, fit, log_likelihood
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -57,13 +58,19 @@ def component(point: WorkingPoint, places: tuple[int, ...]) -> tuple[int, ...]:
         found = grown
 
 
+def base_of(point: WorkingPoint, at: NDArray[np.int64]) -> list[int]:
+    """Numbers of the model's terms that act at some places."""
+    own = point.columns
+    return [k for k in range(len(own.names)) if any(k in own.index[int(i)] for i in at if int(i) in own.index)]
+
+
 def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: Columns | None = None) -> Subproblem:
     """Cut the places out of the working point and add columns. Coupling to other places through the shaft is kept
     in the force (it is known) and dropped in the Jacobian, where it is of the order of (shaft / bearing stiffness)^2.
     """
     at = np.array(component(point, places))
     own = point.columns
-    base = [k for k in range(len(own.names)) if any(k in own.index[int(i)] for i in at if int(i) in own.index)]
+    base = base_of(point, at)
     q = 0 if extra is None else len(extra.names)
     size = 1 + len(base) + q
     G = np.zeros((at.size, FOLDS, size, size))
@@ -84,25 +91,60 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: Columns | No
     return Subproblem(tuple(int(i) for i in at), merged, jacobian, point.fold_blocks, names, new)
 
 
+def extended(
+    plain: Subproblem, i: int, made: Sequence[tuple[NDArray[np.int64], Array, Array]], names: tuple[str, ...],
+    scales: Array, tangents: Complexes,
+) -> Subproblem:  # fmt: skip
+    """A problem without extra terms with those of place i whose `products` are given, fold by fold.
+
+    tangents : (terms, all places, all places, thinned bins), scaled.
+    """
+    old, first = plain.gram, 1 + len(plain.base)
+    size, at = first + len(names), np.array(plain.places)
+    G = np.zeros((*old.G.shape[:2], size, size))
+    G[:, :, :first, :first] = old.G
+    for f, one in enumerate(made):
+        fill(G[plain.places.index(i), f], np.arange(first, size), *one)
+    joined = Gram(
+        G, old.n, old.log_weight, np.concatenate([old.tangents, tangents[:, at][:, :, at]]),
+        np.concatenate([old.scales, scales]), old.names + names, old.units + ("N",) * len(names),
+    )  # fmt: skip
+    return replace(plain, gram=joined, extra=names)
+
+
 def _extend(point: WorkingPoint, i: int, extra: Columns, base: list[int], G: Array) -> None:
     """Fill the rows of the extra columns of one place into G (folds, 1 + terms, 1 + terms)."""
     if i not in extra.spectra:
         return
-    own = point.columns
     X = extra.spectra[i]
-    first = 1 + len(base)
-    at_extra = first + extra.index[i]
-    at_base = np.array([1 + base.index(int(k)) for k in own.index[i]])
+    at_extra = 1 + len(base) + extra.index[i]
     for f in range(FOLDS):
-        here = np.flatnonzero(point.data.fold == f)
-        span = slice(int(here[0]), int(here[-1]) + 1)
-        Z = X[:, span].reshape(len(X), -1)
-        cross = np.concatenate([point.spectra[i][None, span], own.spectra[i][:, span]]).reshape(-1, Z.shape[1])
-        C = cross @ Z.T
-        rows = np.concatenate([[0], at_base])
-        G[f][rows[:, None], at_extra] = C
-        G[f][at_extra[:, None], rows] = C.T
-        G[f][at_extra[:, None], at_extra] = Z @ Z.T
+        fill(G[f], at_extra, *products(point, i, base, f, X[:, fold_span(point, f)]))
+
+
+def fold_span(point: WorkingPoint, f: int) -> slice:
+    """The blocks of a fold."""
+    here = np.flatnonzero(point.data.fold == f)
+    return slice(int(here[0]), int(here[-1]) + 1)
+
+
+def products(
+    point: WorkingPoint, i: int, base: list[int], f: int, X: Spectrum
+) -> tuple[NDArray[np.int64], Array, Array]:  # fmt: skip
+    """Rows of G that the force and the base terms have at place i, their products with X (q, blocks, 2 bins) of fold f,
+    (rows, q), and those of X with itself."""
+    own, span = point.columns, fold_span(point, f)
+    Z = X.reshape(len(X), -1)
+    cross = np.concatenate([point.spectra[i][None, span], own.spectra[i][:, span]]).reshape(-1, Z.shape[1])
+    rows = np.array([0] + [1 + base.index(int(k)) for k in own.index[i]])
+    return rows, (cross @ Z.T).astype(np.float64), (Z @ Z.T).astype(np.float64)
+
+
+def fill(G: Array, at: NDArray[np.int64], rows: NDArray[np.int64], C: Array, square: Array) -> None:
+    """Put products into G, where the new terms are at `at`."""
+    G[rows[:, None], at] = C
+    G[at[:, None], rows] = C.T
+    G[at[:, None], at] = square
 
 
 def gain(problem: Subproblem, ridge: float = 0.0, steps: int = 30) -> tuple[float, PathFit]:

@@ -16,6 +16,7 @@ from .path_fit import Complexes, Term
 from .placed import Placed, evaluate, tangent_series
 
 Array = NDArray[np.float64]
+LEAST = 1e-30  # rms per unit that single precision holds: x^5 of a quiet bearing is below
 
 
 def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = False) -> list[Term]:
@@ -27,7 +28,7 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
     for k, q in enumerate(placed.effect.parameters):
         if not placed.free[k] or (linear_only and not q.linear):
             continue
-        series: dict[int, Array] = {}
+        series: dict[int, NDArray[Any]] = {}
         memory: dict[int, Complexes] = {}
         slopes = np.zeros((len(data.places), len(data.places), 2))
         ends = _ends(placed, k)
@@ -37,8 +38,8 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
             slopes[i] = _summed([w * s for (_, w), (_, s, _) in zip(ends, made, strict=True)])
             if placed.effect.kind == "memory":
                 memory[i] = _summed([w * m for (_, w), (_, _, m) in zip(ends, made, strict=True) if m is not None])
-        rms = max(float(np.sqrt(np.mean([z @ z / z.size for z in series.values()]))), 1e-300)
-        out.append(Term(placed.name(k), q.unit, series, slopes, 1.0 / rms, memory))
+        rms = max(float(np.sqrt(np.mean([np.dot(z, z) / z.size for z in series.values()]))), 1e-300)
+        out.append(light(Term(placed.name(k), q.unit, series, slopes, 1.0 / rms, memory)))
     return out
 
 
@@ -77,8 +78,12 @@ def _summed(parts: list[Any]) -> Any:
 
 
 def light(term: Term) -> Term:
-    """The term for keeping: its own series in single precision, views of the record as they are."""
-    return replace(term, series={i: z if z.base is not None else z.astype(np.float32) for i, z in term.series.items()})
+    """The term for keeping: its own series in single precision if that can hold it, views of the record as they are."""
+    if term.scale > 1.0 / LEAST:
+        return term
+    return replace(
+        term, series={i: z if z.base is not None else z.astype(np.float32, copy=False) for i, z in term.series.items()}
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from hidden_effects import RATE, one_bearing, record
 from estimator import missing_force, reference
 from estimator.model_uses import placed_of
 from estimator.preparation import prepare
-from estimator.subproblem import Subproblem, subproblem
+from estimator.subproblem import Subproblem
 from estimator.working_point import WorkingPoint, fit_model
 
 Hats = tuple[WorkingPoint, Subproblem, tuple[str, ...], np.ndarray]
@@ -21,9 +21,9 @@ def hats() -> Hats:
     rig = one_bearing()
     data = prepare(rig, record(rig, "quintic", 0.015), RATE)
     point = fit_model(data, placed_of(rig, data))
-    columns, knots = reference.all_columns(point, 0, (1.0, 2.0))
-    names = tuple(n for n in columns.names if n.startswith("displacement."))
-    return point, subproblem(point, (0,), columns).only(names), names, knots["displacement"]
+    pool, knots = reference.pool(point, 0, (1.0, 2.0))
+    names = tuple(n for n in pool.extra if n.startswith("displacement."))
+    return point, pool.only(names), names, knots["displacement"]
 
 
 def test_a_bound_fit_is_the_same_force_in_terms_of_hat_functions(hats: Hats) -> None:
