@@ -80,7 +80,8 @@ def _rate(path: Path, columns: Columns, given: float | None, samples: int) -> fl
         time = np.squeeze(np.asarray(columns.time))
         if time.dtype.kind not in "iuf":
             raise LogError(f"{path}: the time column holds {time.dtype}, not real numbers; give seconds")
-        said = _uniform(path, time.astype(np.float64), samples)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # times at the end of the floats
+            said = _uniform(path, time.astype(np.float64), samples)
     if said is not None and not (np.isfinite(said) and said > 0):
         raise LogError(f"{path}: a rate of {said:g} Hz; correct rate_hz")
     if said is not None and given is not None and abs(given / said - 1) > RATE_TOLERANCE:
@@ -103,9 +104,9 @@ def _uniform(path: Path, time: NDArray[np.float64], samples: int) -> float:
         raise LogError(f"{path}: time does not increase at row {row} ({time[row]:g} s); sort or repair the time column")
     jumps = np.flatnonzero(steps > (1 + LATE * 2) * step)
     if jumps.size:
-        row, lost = int(jumps[0]) + 1, round(float(steps[jumps[0]]) / step) - 1
+        row, lost = int(jumps[0]) + 1, float(steps[jumps[0]]) / step - 1
         more = f", and there are {jumps.size - 1} more gaps" if jumps.size > 1 else ""
-        text = f"about {lost} samples are missing before row {row} (t = {time[row]:g} s){more}"
+        text = f"about {lost:.0f} samples are missing before row {row} (t = {time[row]:g} s){more}"
         raise LogError(f"{path}: {text}; import the parts by themselves")
     slope = (time[-1] - time[0]) / (samples - 1)
     late = np.abs(time - time[0] - slope * np.arange(samples)) / slope
@@ -114,7 +115,8 @@ def _uniform(path: Path, time: NDArray[np.float64], samples: int) -> float:
         text = f"not sampled uniformly: row {row} is {late[row]:.2f} samples off its place"
         raise LogError(f"{path}: {text}; resample it, or leave the time column out and give --rate")
     rate = float(1.0 / slope)
-    return float(round(rate)) if abs(rate - round(rate)) < 1e-6 * rate else rate  # printed times are rounded
+    whole = float(np.rint(rate))
+    return whole if abs(rate - whole) < 1e-6 * rate else rate  # printed times are rounded
 
 
 def _factor(path: Path, columns: Columns, rig: Rig, name: str) -> float:
