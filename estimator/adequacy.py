@@ -26,7 +26,7 @@ STATE = {  # even terms beside an odd law belong to another one
     "coulomb": ("v", ODD[:3]), "quadratic_damping": ("v", ODD[:3]),
 }  # fmt: skip
 LEVEL = 1e-3
-MOST = {"x": 0.1, "v": 0.3}  # rms left beside the right law; of the velocity the band leaves out more
+MOST = 0.1  # rms left beside the right law
 
 
 def state_of(effect: str) -> str:
@@ -36,7 +36,7 @@ def state_of(effect: str) -> str:
 
 def most_left(effect: str, otherwise: float) -> float:
     """What `left` may be beside the right law."""
-    return MOST[STATE[effect][0]] if effect in STATE else otherwise
+    return MOST if effect in STATE else otherwise
 
 
 def left(before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int]) -> float | None:
