@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .effect import Effect
+from .effects.custom import effect_of
 from .effects.places import at, kinematic
 from .errors import DataError
 from .model import DIRECTIONS, UNITS, EffectUse, Model, Setting
@@ -149,19 +150,6 @@ def shaft_response(model: Model) -> Callable[[Floats], Complexes] | None:
     return bridged
 
 
-def resolve(use: EffectUse) -> Effect:
-    """The effect of a use: from the catalogue, or the user's own."""
-    from .effects import CATALOGUE
-
-    if use.custom is not None:
-        from .effects.custom import custom_effect  # type: ignore[import-not-found,unused-ignore]
-
-        return custom_effect(use)  # type: ignore[no-any-return,unused-ignore]
-    if use.name not in CATALOGUE:
-        raise DataError(f"effect {use.name} is not in the catalogue: rotorscope effects lists what there is")
-    return CATALOGUE[use.name]
-
-
 def _split(effect: Effect) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Indices of the parameters that the law is jointly linear in, and of the others that may be searched."""
     from .effects.compiled import force_array
@@ -242,7 +230,7 @@ def build(
 
     laws: list[Law] = []
     for use in model.effects:
-        effect = resolve(use)
+        effect = effect_of(use)
         if effect.kind not in ("force", "memory"):
             continue
         linear_parts, rest = _split(effect)

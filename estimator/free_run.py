@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .balance import force_channels, motion_channels, resolve
+from .balance import force_channels, motion_channels
 from .bandlimit import band_limit
+from .effects.custom import effect_of
 from .effects.places import at
 from .errors import DataError
 from .gram import spectra, valid_blocks
@@ -39,7 +40,7 @@ def fitted_model(solution: Solution) -> Model:
     shapes = {law.name(j): float(p) for law in balance.laws for j, p in enumerate(law.p)}
     uses = []
     for use in model.effects:
-        effect = resolve(use)
+        effect = effect_of(use)
         parameters = {
             key: {
                 q.name: Setting(values.get(name, shapes.get(name)))

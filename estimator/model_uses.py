@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .effect import Effect, EffectParameter
-from .effects import CATALOGUE
-from .effects.custom import custom_effect
+from .effects.custom import effect_of
 from .effects.places import at, kinematic
 from .effects.strength import Size
 from .model import EffectUse, Model
@@ -17,11 +16,6 @@ from .placed import Placed
 Array = NDArray[np.float64]
 FORCES = ("force", "memory", "shaft")  # kinds that act through the motion of the caps
 PERIODIC = ("imbalance", "bow", "misalignment", "local_defect", "line")  # a force of time alone
-
-
-def effect_of(use: EffectUse) -> Effect:
-    """The catalogue's effect or the user's. Raises ModelError for a bad law, KeyError for an unknown name."""
-    return custom_effect(use) if use.custom is not None else CATALOGUE[use.name]
 
 
 def size(data: MotionBlocks, i: int, kL: float) -> Size:
