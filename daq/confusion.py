@@ -121,24 +121,26 @@ def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
 
 
 def markdown(runs: Sequence[Mapping[str, Any]], seconds: float) -> str:
-    """The matrix as a table: hidden effect by strength, how often it was named, and what else was said."""
+    """The matrix as a table: hidden effect, how often it was named by strength and place, and what else was said."""
+    columns = sorted({(r["strength"], r["at"]) for r in runs}, key=lambda c: (c[0] == "strong", c))
+    heads = ["named right" if c == ("-", "-") else f"{c[0]}, {c[1]}" for c in columns]
     lines = [
         f"{len(runs)} runs of {seconds:g} s at {RATE_HZ:g} Hz, int16 counts, sensor noise.",
         "",
-        "| hidden | strength | at | named right | otherwise |",
-        "|---|---|---|---|---|",
+        f"| hidden | {' | '.join(heads)} | otherwise |",
+        "|---" * (len(heads) + 2) + "|",
     ]
-    groups: dict[tuple[str, str, str], list[str]] = {}
+    verdicts: dict[str, dict[tuple[str, str], list[str]]] = {}
     for r in runs:
-        groups.setdefault((r["effect"], r["strength"], r["at"]), []).append(r["verdict"])
-    right = total = 0
-    for (effect, strength, at), verdicts in sorted(groups.items()):
-        good = sum(v == effect for v in verdicts)
-        others = Counter(v for v in verdicts if v != effect)
-        right, total = right + good, total + len(verdicts)
+        verdicts.setdefault(r["effect"], {}).setdefault((r["strength"], r["at"]), []).append(r["verdict"])
+    right = 0
+    for effect, by in sorted(verdicts.items()):
+        cells = [f"{by[c].count(effect)}/{len(by[c])}" if c in by else "" for c in columns]
+        others = Counter(v for said in by.values() for v in said if v != effect)
+        right += sum(said.count(effect) for said in by.values())
         told = ", ".join(f"{k} {n}" for k, n in others.most_common())
-        lines.append(f"| {effect} | {strength} | {at} | {good}/{len(verdicts)} | {told} |")
-    lines += ["", f"All: {right}/{total}."]
+        lines.append(f"| {effect} | {' | '.join(cells)} | {told} |")
+    lines += ["", f"All: {right}/{len(runs)}."]
     return "\n".join(lines) + "\n"
 
 
