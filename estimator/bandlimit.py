@@ -169,12 +169,14 @@ class BandLimit:
         self._hop = self._size - 2 * self.half  # fixed, so that block positions never depend on the chunks
         self._outputs = 3 if extra is None else 4
         self._filters: dict[str, Complexes] = {}
+        held = None
+        if extra is not None and set(self.kinds) != {"force"}:
+            held = _held(extra, rate_hz, band, self.half)
         for kind in set(self.kinds):
             responses = [_power(e) for e in _POWERS[kind]]
-            if extra is not None and kind != "force":
+            if held is not None and kind != "force":
                 p = _POWERS[kind][2]
-                inner = _held(extra, rate_hz, band, self.half)
-                responses.append(lambda f, p=p, z=inner: (2j * np.pi * f) ** float(p) * z(f))  # type: ignore[misc]
+                responses.append(lambda f, p=p: (2j * np.pi * f) ** float(p) * held(f))  # type: ignore[misc]
             taps = np.array([_taps(r, rate_hz, band, self.half) for r in responses])
             self._filters[kind] = np.fft.rfft(taps, self._size, axis=1)
         # as if the record were preceded by missing samples

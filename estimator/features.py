@@ -200,9 +200,7 @@ def depends(effect: Effect, p: Floats, scale: Floats) -> NDArray[np.bool_]:
 
 def rough(effect: Effect, p: Floats, scale: Floats) -> bool:
     """Whether the law has a jump or a kink along orbits of up to four standard deviations."""
-    return (
-        _shrinking(effect, p, scale, 4096) < 9.0
-    )  # second differences fall by 16 if the law is smooth, by 4 at a kink
+    return _shrinking(effect, p, scale, 4096) < 9.0  # it falls by 16 if the law is smooth, by 4 at a kink
 
 
 def jumps(effect: Effect, p: Floats, scale: Floats) -> bool:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .balance import Balance
 from .gram import Layout, Nodes
+from .jacobian import levels, log_determinant, noise_slope
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -179,10 +180,9 @@ class Likelihood:
 
     def _spread_slope(self, A: Complexes, point: Point) -> Floats:
         """(cells, E) derivative of the spread of its row by each entry."""
-        if not point.noise.any():
-            return np.zeros((self.evidence.grid.starts.size, self.row.size))
-        weighted = A[:, self.row].conj() * self.R[:, self.column] * self.noise_shape[:, None, :]
-        return self.evidence.nodes.mean_by_cell(2.0 * (weighted @ point.noise).real, self.evidence.grid.per_cell)
+        nodes, per_cell = self.evidence.nodes, self.evidence.grid.per_cell
+        psd = self.noise_shape * point.noise
+        return noise_slope(A, self.R, self.row, self.column, psd, nodes.weight, nodes.cell, per_cell)
 
     def with_slope_of_dressing(self, local: Local, pairs: Complexes) -> Local:
         """The Hessian as it is when the dressing follows the parameters, which the steps to the maximum hold.
@@ -219,41 +219,7 @@ class Likelihood:
         nodes = self.evidence.nodes
         inside = point.S + (np.abs(A) ** 2 * self.noise_shape[:, None, :]) @ point.noise
         kappa = inside / spread[nodes.cell] * nodes.weight[:, None]  # 1 per bin where S is flat within the cell
-        Y = self.R[:, self.column] @ np.linalg.inv(A)  # (f, E, P)
-        X = Y[:, :, self.row]  # tr(A^-1 dA_e A^-1 dA_e') = X_ee' X_e'e
-        g = np.einsum("fe,fe->e", np.einsum("fee->fe", X).real, kappa[:, self.row])
-        if not hessian:
-            return g, np.empty((0, 0))
-        root = np.sqrt(kappa[:, self.row])[:, :, None]
-        X = X * root
-        flat = X.reshape(-1, X.shape[1], X.shape[2])
-        h = -np.einsum("fab,fba->ab", flat, flat, optimize=True).real
-        return g, h
-
-
-def spectrum_of_force(power: Floats, floor: Floats, count: Floats, start: Point) -> tuple[Floats, Floats]:
-    """(S, noise), each (places,), >= 0, that explain the cell powers best given the gain of the noise.
-
-    The gamma likelihood of mean |F|^2 in each cell, S in closed form for every ratio noise / S, the ratio sought on a
-    grid that is refined: it may have two maxima. power : (cells, P); floor : (cells, P, P), see Local; count :
-    (cells,) independent bins.
-    """
-    S, noise = start.S.copy(), start.noise.copy()
-    for i in range(S.size):
-        g = floor[:, i, i]
-        y = np.maximum(power[:, i] - floor[:, i] @ noise + g * noise[i], 1e-3 * power[:, i])
-        coarse = np.geomspace(1e-3 / g.max(), 1e4 / g.min(), 32)
-        ratios = np.concatenate([[0.0], coarse])
-        for narrow in (None, 0.3, 0.03, 0.003):
-            if narrow is not None:
-                if S[i] == 0.0 or noise[i] == 0.0:
-                    break
-                ratios = noise[i] / S[i] * np.exp(narrow * np.linspace(-1.3, 1.3, 13))
-            shape = 1.0 + ratios[:, None] * g
-            level = (count * y / shape).sum(axis=1) / count.sum()
-            best = int(np.argmin(count.sum() * np.log(level) + (count * np.log(shape)).sum(axis=1)))
-            S[i], noise[i] = level[best], level[best] * ratios[best]
-    return S, noise
+        return log_determinant(A, self.R, self.row, self.column, kappa, hessian)
 
 
 def active(point: Point) -> NDArray[np.intp]:
@@ -286,7 +252,7 @@ def maximise(likelihood: Likelihood, start: Point, iterations: int = 40, toleran
     count: Floats = np.asarray(0.5 * likelihood.evidence.blocks * likelihood.evidence.grid.per_cell, dtype=np.float64)
 
     def profiled(beta: Floats, point: Point) -> Local:
-        S, noise = spectrum_of_force(*likelihood.power(beta), count, point)
+        S, noise = levels(*likelihood.power(beta), count, point.S, point.noise)
         return likelihood.at(Point(beta, S, noise))
 
     here, damping = profiled(start.beta, start), 0.0

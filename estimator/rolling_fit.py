@@ -11,8 +11,8 @@ from .balance import Balance, build, restrict
 from .block_spectra import BlockSpectra
 from .columns import Columns, Stretch
 from .dressing import dressed, mean_responses, self_energies
-from .jacobian import levels, log_determinant, noise_slope
-from .likelihood import Complexes, Evidence, Likelihood, Local, Point, active, maximise
+from .jacobian import levels
+from .likelihood import Evidence, Likelihood, Local, Point, active, maximise
 from .maximum import initial, inverse, maximum, without_noise
 from .model import Model
 from .moving_lines import MovingLines
@@ -31,21 +31,6 @@ WATCHED_EVERY = 3  # blocks: every other one at most, so that no two share rows
 LOOKED_EVERY = 8  # solutions
 FEWEST_WATCHED = 6  # blocks
 CLOSE = 10.0  # nats: a standard deviation or so of each parameter; one Newton step from there leaves a few per cent
-
-
-class Swift(Likelihood):
-    """The same likelihood, its sums over frequency in one compiled pass each."""
-
-    def _jacobian(self, A: Complexes, point: Point, spread: Floats, hessian: bool = True) -> tuple[Floats, Floats]:
-        nodes = self.evidence.nodes
-        inside = point.S + (np.abs(A) ** 2 * self.noise_shape[:, None, :]) @ point.noise
-        kappa = inside / spread[nodes.cell] * nodes.weight[:, None]
-        return log_determinant(A, self.R, self.row, self.column, kappa, hessian)
-
-    def _spread_slope(self, A: Complexes, point: Point) -> Floats:
-        nodes, per_cell = self.evidence.nodes, self.evidence.grid.per_cell
-        psd = self.noise_shape * point.noise
-        return noise_slope(A, self.R, self.row, self.column, psd, nodes.weight, nodes.cell, per_cell)
 
 
 class RollingFit:
@@ -144,13 +129,13 @@ class RollingFit:
         self.fast.add(G, tangents, motion, rows, square)
         self.shared += square
 
-    def _likelihood(self, memory: Memory, beta: Floats | None) -> Swift:
+    def _likelihood(self, memory: Memory, beta: Floats | None) -> Likelihood:
         """Of the balance's own columns. beta : where the responses are dressed; None: they are not."""
         gram, mean = self._still(memory)
         if memory is self.seen:
             gram, mean = gram[:, self.own[:, None], self.own], mean[self.own]
         nodes, dressing = self.start.nodes, self._dressing(beta)
-        return Swift(Evidence(self.balance, self.grid, gram, memory.n, mean, nodes, dressing))
+        return Likelihood(Evidence(self.balance, self.grid, gram, memory.n, mean, nodes, dressing))
 
     def _still(self, memory: Memory) -> tuple[Floats, Floats]:
         """Gram matrices and mean tangents without what the noise of displacement sensors does in the laws."""
@@ -222,7 +207,7 @@ class RollingFit:
             whole[:, self.own] = dressing
             dressing = whole
         gram, mean = self._still(seen)
-        wide = Swift(Evidence(self.wide, self.grid, gram, seen.n, mean, self.start.nodes, dressing))
+        wide = Likelihood(Evidence(self.wide, self.grid, gram, seen.n, mean, self.start.nodes, dressing))
         # blocks that share no rows vary less than the likelihood's count of them says
         redundancy = seen.n2 / seen.n / (1.0 + 2.0 * OVERLAP)
         own = self._likelihood(seen, beta)

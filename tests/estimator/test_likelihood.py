@@ -8,7 +8,8 @@ from reference_rig import RATE, rig_model, rig_record
 
 from estimator.balance import Balance, build, restrict
 from estimator.dressing import pair_energies
-from estimator.likelihood import Likelihood, Point, maximise, spectrum_of_force
+from estimator.jacobian import levels
+from estimator.likelihood import Likelihood, Point, maximise
 from estimator.maximum import initial, inverse
 from estimator.record import Bank, Record, gather, prepare
 from estimator.self_energy import Mean
@@ -78,7 +79,7 @@ def test_force_and_noise_levels_come_back_from_cell_powers() -> None:
         floor = np.zeros((24, 1, 1))
         floor[:, 0, 0] = gain
         start = Point(np.zeros(0), np.ones(1), np.zeros(1))
-        got_S, got_noise = spectrum_of_force(power[:, None], floor, count, start)
+        got_S, got_noise = levels(power[:, None], floor, count, start.S, start.noise)
         assert got_S[0] == pytest.approx(S, rel=0.02 if S > 1e-3 else 1.0)
         assert got_noise[0] == pytest.approx(noise, rel=0.05, abs=1e-4)
 
