@@ -9,44 +9,23 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from drivers.reading import Block, Gap, Notice, Reading
-from estimator.estimate import Estimate
+from drivers.reading import Notice
 
+from .live_state import LiveState
 from .live_table import NAMED, missing_text
-from .sink import Session, Status
 
 COLUMNS = ("device", "seconds", "samples/s", "gaps", "lost", "CRC errors", "lag", "estimate")
 _DOWN = {"link_missing": "waits for its link", "link_lost": "its link is lost", "device_failed": "failed"}
 
 
-class DeviceRow:
+class DeviceRow(LiveState):
     """A sink: the numbers of one device, in cells."""
 
     def __init__(self, name: str) -> None:
+        super().__init__()
         self._name = name
-        self._rate_hz: float | None = None
-        self._samples = self._gaps = self._lost = 0
-        self._status: Status | None = None
-        self._estimate: Estimate | None = None
         self._down = self._named = ""
         self._ended = False
-
-    def start(self, session: Session) -> None:
-        self._rate_hz = session.info.rate_hz
-
-    def readings(self, batch: Sequence[Reading]) -> None:
-        for reading in batch:
-            if isinstance(reading, Block):
-                self._samples += len(reading.counts)
-            elif isinstance(reading, Gap) and reading.count:
-                self._gaps += 1
-                self._lost += reading.count
-
-    def estimate(self, estimate: Estimate) -> None:
-        self._estimate = estimate
-
-    def status(self, status: Status) -> None:
-        self._status = status
 
     def close(self) -> None:
         self._ended = True
@@ -62,9 +41,9 @@ class DeviceRow:
 
     def cells(self) -> list[Text]:
         """As COLUMNS."""
-        status = self._status
-        seconds = "-" if self._rate_hz is None else f"{self._samples / self._rate_hz:.1f}"
-        numbers = [self._name, seconds, "-", str(self._gaps), str(self._lost), "-", "-"]
+        status = self.last_status
+        seconds = "-" if self.rate_hz is None else f"{self.samples / self.rate_hz:.1f}"
+        numbers = [self._name, seconds, "-", str(self.gaps), str(self.lost), "-", "-"]
         if status is not None:
             stage, lag_s = max(status.lag_s.items(), key=lambda item: item[1], default=("", 0.0))
             rate = "0" if self._down else f"{status.rate_hz:.0f}"
@@ -78,9 +57,9 @@ class DeviceRow:
             return Text("ended")
         if self._named:
             return Text(self._named, style="bold")
-        if self._estimate is None:
-            return Text("waits for samples" if not self._samples else "none yet")
-        return Text(missing_text(self._estimate.extra or {}) or self._estimate.status)
+        if self.last_estimate is None:
+            return Text("waits for samples" if not self.samples else "none yet")
+        return Text(missing_text(self.last_estimate.extra or {}) or self.last_estimate.status)
 
 
 class DevicesTable:
