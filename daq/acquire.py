@@ -124,7 +124,8 @@ def acquire(
             queue.close()
             driver.close()
             reader.join(STOP_S)
-        while not pipeline.done and (rest := queue.take(0.0)):  # read before the stop: logged in any case
+        # what was read before the stop is logged in any case; of a file it can be read again
+        while not pipeline.done and (live or not stop.is_set()) and (rest := queue.take(0.0)):
             pipeline.step(rest)
     finally:
         pipeline.finish(driver.stats, {"reader": queue.dropped}, STOP_S if stop.is_set() else ESTIMATOR_S)

@@ -63,6 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         status = application()(arguments, prog_name="rotorscope", standalone_mode=False)
         sys.stdout.flush()
+        if status == INTERRUPTED:  # as typer has it
+            raise KeyboardInterrupt
         return status if isinstance(status, int) else 0
     except usage_error as error:
         command = error.ctx.command_path if error.ctx is not None else "rotorscope"

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from .cli_options import Json, Output, Quiet, RigOption, Verbose
+from .stop import all_or_nothing
 
 Log = Annotated[Path, typer.Argument(metavar="LOG", help="A log (.mcap).")]
 
@@ -31,7 +32,8 @@ def import_(
     """Another format into a log, by file ending; never a silent fill."""
     from .importers import import_file as body
 
-    body(Output(json, quiet, verbose), file, rig, out, rate, gaps)
+    with all_or_nothing():
+        body(Output(json, quiet, verbose), file, rig, out, rate, gaps)
 
 
 def export(
@@ -44,7 +46,8 @@ def export(
     """A log into another format, by file ending; gaps become NaN, and are named."""
     from .exporters import export as body
 
-    body(Output(json, quiet, verbose), log, to)
+    with all_or_nothing():
+        body(Output(json, quiet, verbose), log, to)
 
 
 def recover(
@@ -57,7 +60,8 @@ def recover(
     """Mend a cut log, and say what was lost."""
     from .files import recover as body
 
-    body(Output(json, quiet, verbose), log, out)
+    with all_or_nothing():
+        body(Output(json, quiet, verbose), log, out)
 
 
 def info(log: Log, json: Json = None, quiet: Quiet = False, verbose: Verbose = False) -> None:

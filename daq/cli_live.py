@@ -39,6 +39,7 @@ def run(
     """Live acquisition and rolling estimation.
 
     Ctrl-C ends a run with a complete log and status 130; SIGTERM does so with status 0.
+    A measurement that lies at LOG.mcap is not overwritten: it is kept beside the new one, as LOG-1.mcap.
     Several devices, each with its own link, clock and log: `run press.toml fan.toml=slcan:/dev/ttyACM1 --out logs`.
     One that fails is told, tried again, and disturbs no other; the exit status is the worst of theirs.
     """

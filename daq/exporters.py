@@ -49,7 +49,9 @@ def export(output: Output, log: Path, to: Path) -> None:
         output.note(line)
     if recording.lost_samples:
         output.note(f"{to}: the {recording.lost_samples} missing samples are NaN")
-    if not recording.complete:
+    if recording.growing:
+        output.note(f"{log}: is being written; {to} ends with sample {recording.stop - 1}")
+    elif not recording.complete:
         output.note(f"{log}: is not complete; `rotorscope recover` says what was lost")
     value = {
         "schema": 1,

@@ -36,8 +36,11 @@ def _rows(log: Recording) -> list[tuple[str, str]]:
         rows += [("", line) for line in gap_lines(log.gaps, log.first, log.rate_hz)]
     else:
         rows.append(("lost", "nothing"))
-    rows.append(("complete", "yes" if log.complete else "no: `rotorscope recover LOG --out LOG2` saves what is there"))
-    rows += [("damage", text) for text in log.damage[:MOST_LINES]]
+    if log.growing:
+        rows.append(("complete", "not yet: it is being written"))
+    else:
+        rows.append(("complete", "yes" if log.complete else "no: `rotorscope recover LOG --out LOG2` saves the rest"))
+        rows += [("damage", text) for text in log.damage[:MOST_LINES]]
     if log.clock is not None:
         drift, bound_ms = log.clock.drift_ppm, log.clock.bound_ns * 1e-6
         rows.append(("clock", f"{drift:+.2f} ppm; a sample's time on the host's clock is known to {bound_ms:.3g} ms"))
@@ -55,6 +58,6 @@ def recover(output: Output, log: Path, out: Path) -> None:
     from .recover import recover as mend
 
     with output.progress(f"recovering {log.name}") as progress:
-        saved = mend(log, out, progress)
+        saved = mend(log, out, progress, output.note)
     text = f"{out}: {saved.samples} samples ({saved.seconds:.3f} s) recovered; lost: {saved.lost}"
     output.result(saved.to_json(), text)

@@ -8,7 +8,7 @@ below it, and floats of 24 bits within a factor of 64 of the largest survive to 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,7 @@ def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: 
         record = checked(path, read(path, [c.name for c in rig.model.channels]), rig, rate_hz, output.note, gaps)
     lost = 0 if record.missing is None else int(record.missing.sum())
     with output.progress(f"writing {out.name}") as progress:
-        write_record(record, rig, out, {"source": path.name}, progress)
+        write_record(record, rig, out, {"source": path.name}, progress, output.note)
     value = {
         "schema": 1,
         "file": str(out),
@@ -68,9 +68,10 @@ def _import_capture(output: Output, path: Path, rig: Rig, out: Path) -> None:
 
 
 def write_record(
-    record: Record, rig: Rig, out: Path, metadata: dict[str, str], progress: Progress = quiet_progress
-) -> None:
-    """Write a log of a record. Raises LogError if it cannot be written."""
+    record: Record, rig: Rig, out: Path, metadata: dict[str, str], progress: Progress = quiet_progress,
+    note: Callable[[str], None] = lambda text: None,
+) -> None:  # fmt: skip
+    """Write a log of a record: all of it or none. Raises LogError if it cannot be written."""
     from .log_writer import LogWriter
 
     scales = [power_of_two(v) for v in record.values]
@@ -83,17 +84,20 @@ def write_record(
         record.rate_hz,
         count_bits=COUNT_BITS,
     )
-    writer = LogWriter(out, live=False)
+    whole = False
+    writer = LogWriter(out, live=False, wanted=lambda: whole)
     try:
         writer.start(Session(rig.model, info, "", rig.attachments(), versions() | metadata))
         for index, readings in _blocks(record, scales):
             writer.readings(readings)
             progress(index / record.samples)
+        whole = True
     finally:
         writer.close()
     for notice in writer.health().notices:
         if notice.level == "error":
             raise LogError(f"{notice.text}; make room and import again")
+        note(notice.text)
 
 
 def versions() -> dict[str, str]:

@@ -20,6 +20,7 @@ def info(log: Recording) -> dict[str, Any]:
         "lost_samples": log.lost_samples,
         "gaps": [{"index": g.index, "count": g.count, "reason": g.reason} for g in log.gaps],
         "complete": log.complete,
+        "being_written": log.growing,
         "damage": list(log.damage),
         "device": {"name": log.head.device, "serial_number": log.info.serial_number, "count_bits": log.info.count_bits},
         "estimates": len(log.estimates),

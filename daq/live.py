@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from drivers.errors import LinkError
 from drivers.reading import Notice
 
 from .acquire import RunSummary, acquire
@@ -75,20 +74,19 @@ def run_rig(
 ) -> None:  # fmt: skip
     """Acquire from a link into a log and a viewer, and say what came of it."""
     driver = open_driver(link, rig)
-    existed = out is not None and out.exists()
     operator = Operator(output)
+    server = None if metrics is None else serve_metrics(output, metrics)
+    importing = command == "import"  # all of it or none
     with Stop() as stop:
         live = driver.kind not in ("capture", "replay")
-        sinks = [*make_sinks(output, out, rerun, live=live), *naming(rig, live)]
-        if metrics is not None:
-            sinks.append(serve_metrics(output, metrics).sink())
+        wanted = None if not importing else lambda: not stop.event.is_set()
+        sinks = [*make_sinks(output, out, rerun, live=live, wanted=wanted), *naming(rig, live)]
+        if server is not None:
+            sinks.append(server.sink())
         metadata = {"command": command, "link": link or rig.link.url or ""}
-        try:
-            summary = acquire(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=operator)
-        except (LinkError, ConfigError):
-            if out is not None and not existed:
-                out.unlink(missing_ok=True)  # nothing was acquired: an empty log would only be in the way
-            raise
+        summary = acquire(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=operator)
+    if importing and stop.event.is_set():
+        raise KeyboardInterrupt
     _report(output, summary, out, {"rig": rig.model.name})
     if stop.interrupted and not operator.lost_log:
         raise KeyboardInterrupt
@@ -160,7 +158,7 @@ def simulate(
     _report(output, summary, out, value)
     if operator.lost_log:
         raise LogError(operator.lost_log)
-    if stop.interrupted:
+    if stop.event.is_set():  # by whatever signal: it is shorter than was asked for
         raise KeyboardInterrupt
 
 
@@ -186,7 +184,7 @@ def replay(
     _report(output, summary, out, {})
     if operator.lost_log:
         raise LogError(operator.lost_log)
-    if stop.interrupted:
+    if stop.event.is_set():
         raise KeyboardInterrupt
     if check and not summary.identical:
         raise CheckFailed(
@@ -212,14 +210,17 @@ def _speed(text: str) -> float | None:
 
 def make_sinks(
     output: Output, out: Path | None, rerun: str | None, live: bool, wall_offset_ns: int | None = None,
-    table: bool = True,
+    table: bool = True, wanted: Callable[[], bool] | None = None,
 ) -> list[Sink]:  # fmt: skip
-    """wall_offset_ns : Unix time minus the monotonic time of the readings, where they are not of now."""
+    """wall_offset_ns : Unix time minus the monotonic time of the readings, where they are not of now.
+
+    wanted : asked when the log is complete whether it is to be kept.
+    """
     sinks: list[Sink] = []
     if out is not None:
         from .log_writer import LogWriter
 
-        sinks.append(LogWriter(out, live=live))
+        sinks.append(LogWriter(out, live=live, wanted=wanted or (lambda: True)))
     if rerun is not None:
         from .rerun_sink import RerunSink
 
@@ -262,6 +263,7 @@ def _write_truth(rig: Rig, assumed: Any, path: Path) -> None:
 
 
 def _report(output: Output, summary: RunSummary, out: Path | None, more: dict[str, Any]) -> None:
+    out = out if summary.samples or summary.lost_samples else None  # else the log was not left behind
     output.result(summary.to_json() | more | ({"log": str(out)} if out else {}), *in_words(summary, out))
 
 

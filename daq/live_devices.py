@@ -38,7 +38,6 @@ class _Asked:
     device: Device
     link: str
     log: Path | None
-    new_log: bool
     operator: Operator
 
 
@@ -61,9 +60,6 @@ def run_devices(
             driver = open_driver(link, rig)
             live = driver.kind not in FINITE
             log = None if out is None else out / f"{name}.mcap"
-            new_log = log is not None and not log.exists()
-            if log is not None and new_log:
-                undo.callback(log.unlink, missing_ok=True)
             sinks = make_sinks(output, log, _viewer(rerun, name, first=not devices), live=live, table=False)
             sinks += naming(rig, live)
             for sink in sinks:
@@ -74,7 +70,7 @@ def run_devices(
                 sinks.append(table.rows[name])
             url = link or rig.link.url or ""
             device = Device(name, rig, Patient(driver) if live else driver, sinks, {"command": "run", "link": url})
-            devices.append(_Asked(device, url, log, new_log, Operator(output, name)))
+            devices.append(_Asked(device, url, log, Operator(output, name)))
         undo.pop_all()
         operators = {each.device.name: each.operator for each in devices}
 
@@ -113,14 +109,11 @@ def _report(
         wrong: Exception | None
         if isinstance(result, RunSummary):
             wrong = what_is_wrong(result, each.operator, strict, each.link)
-            value = result.to_json() | value | ({"log": str(each.log)} if each.log else {})
-            nothing = not result.samples
-            people += ["", f"{name} ({each.link})", *in_words(result, None if nothing and each.new_log else each.log)]
+            log = each.log if result.samples or result.lost_samples else None
+            value = result.to_json() | value | ({"log": str(log)} if log else {})
+            people += ["", f"{name} ({each.link})", *in_words(result, log)]
         else:
-            wrong, nothing = result, True
-        if nothing and each.new_log and each.log is not None:
-            each.log.unlink(missing_ok=True)  # nothing was acquired: an empty log would only be in the way
-            value.pop("log", None)
+            wrong = result
         if wrong is not None:
             failed[name] = wrong
             value["error"] = _one_line(wrong)

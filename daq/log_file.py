@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import stat
 import threading
+import weakref
 from collections import deque
 from pathlib import Path
 
 from .errors import LogError
+from .log_place import being_written, emptied, free_name, locked, made, moved_aside, opened, refused, unlock
 
 COPY = 1 << 20
 SYNC_WAIT_S = 0.3
@@ -16,17 +20,31 @@ SYNC_WAIT_S = 0.3
 class LogFile:
     """Bytes written here wait in memory until `push` has them on the disk; a failed push loses and damages nothing.
 
-    Looks like a binary stream to the MCAP writer. One thread.
+    What lay at `path` comes back if nothing is kept. A measurement, or what is no log, is kept for good: see `kept`.
+    whole : the file gets its name only when it is kept, so that nobody ever finds half of it there.
+    Looks like a binary stream to the MCAP writer. One thread. Raises LogError if the place is not to be had.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, whole: bool = False) -> None:
+        if path.is_symlink():  # the link stays, and the log goes where it points to
+            path = Path(os.path.realpath(path))
         self.path = path
+        self.kept: Path | None = None  # where that is which lay at `path` and cannot be made again
         self._waiting: deque[memoryview] = deque()
         self._stored = 0
         self.pending = 0
         self._syncing: threading.Thread | None = None
+        self._hidden = path.with_name(f".{path.name}.part") if whole and (path.is_file() or not path.exists()) else None
+        self._aside: Path | None = None
         try:
-            self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+            if self._hidden is None:
+                self._fd, self._aside = emptied(path, opened(path, path))
+            elif being_written(path):
+                raise refused(path)
+            else:
+                self._fd = opened(self._hidden, path)
+                self._clear = weakref.finalize(self, self._hidden.unlink, missing_ok=True)  # at the latest at our exit
+                os.ftruncate(self._fd, 0)  # of one that was killed
         except OSError as error:
             raise LogError(
                 f"cannot write the log {path}: {error.strerror}; choose another --out, or make the folder writable"
@@ -72,8 +90,10 @@ class LogFile:
 
     def restore(self) -> Path:
         """Give a removed file its name back (or one beside it, if that is taken), whole. Raises OSError."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        fd, path = self._free_name()
+        wanted = self._hidden or self.path
+        wanted.parent.mkdir(parents=True, exist_ok=True)
+        path = free_name(wanted) if wanted.exists() else wanted
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         try:
             for at in range(0, self._stored, COPY):
                 piece = os.pread(self._fd, min(COPY, self._stored - at), at)
@@ -84,24 +104,47 @@ class LogFile:
             path.unlink(missing_ok=True)
             raise
         os.close(self._fd)
-        self._fd, self.path = fd, path
+        self._fd = fd
+        locked(fd)
+        if self._hidden is None:
+            self.path = path
+        else:
+            self._hidden = path
         return path
 
-    def _free_name(self) -> tuple[int, Path]:
-        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-        for number in range(1, 1000):
-            path = self.path if number == 1 else self.path.with_stem(f"{self.path.stem}-{number}")
-            try:
-                return os.open(path, flags, 0o644), path
-            except FileExistsError:
-                continue
-        raise OSError(f"no free name beside {self.path}")
+    def keep(self) -> None:
+        """It holds something: what lay there before is given up, or kept for good. Raises OSError."""
+        if self._hidden is not None:
+            if self.path.exists() and not made(self.path):
+                self.kept = moved_aside(self.path)
+            self._hidden.replace(self.path)
+            self._clear.detach()
+            self._hidden = None
+        elif self._aside is not None and made(self._aside):
+            with contextlib.suppress(OSError):
+                self._aside.unlink()
+        else:
+            self.kept = self._aside
+        self._aside = None
+
+    def discard(self) -> None:
+        """It holds nothing that anybody wants: as if it had never been. Raises OSError."""
+        if self._aside is not None:
+            self._aside.replace(self.path)
+            self._aside = None
+        elif self._hidden is None and stat.S_ISREG(os.fstat(self._fd).st_mode):
+            self.path.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Wait a little for the disk; the operating system finishes the rest."""
-        self.sync()
+        """Wait a little for the disk; the operating system finishes the rest. What never got its name is gone."""
+        if self._hidden is not None:
+            self._hidden.unlink(missing_ok=True)
+            self._clear.detach()
+        else:
+            self.sync()
         if self._syncing is not None:
             self._syncing.join(SYNC_WAIT_S)
+        unlock(self._fd)  # that thread may hold the file open for longer
         os.close(self._fd)
 
 

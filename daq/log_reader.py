@@ -16,6 +16,7 @@ from estimator.estimate import Estimate
 from . import log_codec as codec
 from .errors import LogError
 from .log_codec import RawBlock
+from .log_place import being_written
 from .log_scan import Findings, Message, scan
 from .scaling import Scaling
 from .sink import ClockState, Status
@@ -162,6 +163,7 @@ class Recording:
     clocks: tuple[tuple[int, ClockState], ...]  # as stated when the stream was at this index
     last_status: Status | None
     findings: Findings = field(repr=False)
+    growing: bool = False  # somebody is writing it: it was read up to here
 
     @property
     def rate_hz(self) -> float:
@@ -246,7 +248,7 @@ class Recording:
 
         joined : blocks as the log holds them, several of the link in one; False: as they came.
         """
-        for entry, _ in walk(self.path, Findings()):
+        for entry, _ in walk(self.path, self.again()):
             if isinstance(entry, RawBlock) and joined:
                 yield entry.joined()
             elif isinstance(entry, RawBlock):
@@ -254,8 +256,12 @@ class Recording:
             elif isinstance(entry, Info | Gap | Notice):
                 yield entry
 
+    def again(self) -> Findings:
+        """For another pass over what the first one saw: a log may be growing."""
+        return Findings(size=self.findings.size)
+
     def _entries(self) -> Iterator[Entry | None]:
-        for entry, _ in walk(self.path, Findings()):
+        for entry, _ in walk(self.path, self.again()):
             if isinstance(entry, Info) and (entry.rate_hz, len(entry.signals)) != (self.rate_hz, len(self.channels)):
                 raise LogError(
                     f"{self.path}: the device changed its rate or channels within the log; export or replay it instead"
@@ -281,7 +287,7 @@ def read_log(path: str | Path) -> Recording:
     Raises LogError if the file is missing, is no Rotorscope log, or holds nothing intact.
     """
     path = Path(path)
-    findings = Findings()
+    findings, written = Findings(), being_written(path)
     head, info, status = Head(), None, None
     first: int | None = None
     stop = lost = 0
@@ -321,5 +327,5 @@ def read_log(path: str | Path) -> Recording:
         raise LogError(f"{path}: no Rotorscope log can be read from it: {what}; check that it is the right file")
     return Recording(
         path, head, info, first or 0, stop, lost, tuple(gaps), tuple(notices), tuple(estimates), tuple(clocks), status,
-        findings,
+        findings, written and not findings.closed,
     )  # fmt: skip

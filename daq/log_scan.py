@@ -6,6 +6,7 @@ read by way of the index at the end, so a cut file gives what it holds. After da
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from collections.abc import Iterator
@@ -45,6 +46,7 @@ class Findings:
     topics: dict[int, str] = field(default_factory=dict)
     chunks: int = 0
     messages: int = 0
+    size: int | None = None  # of the file at the first look: it may be growing
     closed: bool = False  # footer and index are there and agree with what was read
 
     @property
@@ -56,7 +58,8 @@ def scan(path: Path, findings: Findings) -> Iterator[list[Message]]:
     """The messages of each intact chunk, in the file's order. Raises LogError if the file cannot be read."""
     try:
         with path.open("rb", STEP) as file:
-            yield from _scan(file, path.stat().st_size, findings)
+            findings.size = os.fstat(file.fileno()).st_size if findings.size is None else findings.size
+            yield from _scan(file, findings.size, findings)
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror or error}; check the path") from error
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from drivers.reading import Block, Gap, Notice, Reading
@@ -31,15 +31,19 @@ class LogWriter:
     live : acquisition must not wait. What waits for the disk is bounded by `limit_bytes`; beyond it the newest samples
         are not stored, and a Gap of reason "storage" says which. A full or failing disk is tried again every 0.5 s
         and the same file goes on when it recovers. False: the caller waits for the disk (import, fast replay), and a
-        fault of the disk is a LogError from any method.
+        fault of the disk is a LogError from any method. The log gets its name when it is complete, if `wanted` then.
+    A log without samples or gaps is not left behind; a measurement that lay there gets another name, and stays.
     A file that was removed, alone or with its folder, is put back with all its bytes. `health` tells the operator.
     """
 
     def __init__(
-        self, path: str | Path, *, live: bool = True, limit_bytes: int = 64 << 20, clock: Clock | None = None
-    ) -> None:
+        self, path: str | Path, *, live: bool = True, limit_bytes: int = 64 << 20, clock: Clock | None = None,
+        wanted: Callable[[], bool] = lambda: True,
+    ) -> None:  # fmt: skip
         self._clock: Clock = clock or SystemClock()
-        self._file = LogFile(Path(path))
+        self._file = LogFile(Path(path), whole=not live)
+        self._wanted = wanted
+        self._holds_data = False
         self._encoder = LogEncoder(self._file)
         self._live = live
         self._limit = limit_bytes
@@ -90,6 +94,16 @@ class LogWriter:
         with self._changed:
             self._closing = True
             self._changed.notify_all()
+        try:
+            self._wait()
+        except BaseException:  # Ctrl-C: no half of a log that can be made again
+            self._wanted = lambda: False
+            self._thread.join(0.0 if self._live else GIVE_UP_NS / 1e9)
+            raise
+        if not self._live:
+            self._raise_failure()
+
+    def _wait(self) -> None:
         seen, since = -1, self._clock.now_ns()
         while self._thread.is_alive():
             self._thread.join(0.05)
@@ -100,8 +114,6 @@ class LogWriter:
                 why = self._problem or "the disk stalls"
                 self._tell("error", "log_incomplete", f"{self.path} could not be completed: {why}; try recover on it")
                 return
-        if not self._live:
-            self._raise_failure()
 
     def _raise_failure(self) -> None:
         if self._failed:
@@ -152,6 +164,8 @@ class LogWriter:
             self._loop()
         except Exception as error:  # whatever it is must not stop acquisition
             what = str(error.strerror or error) if isinstance(error, OSError) else repr(error)
+            if not self._live:
+                self._file.close()
             with self._changed:
                 self._failed = f"{self.path}: the log has stopped: {what}; make room or choose another --out"
                 self._note("error", "log_failed", self._failed)
@@ -163,6 +177,8 @@ class LogWriter:
             due = flush_ns + FLUSH_NS - self._clock.now_ns()
             items, closing = self._take(max(due, 0) / 1e9)
             for item in items:
+                if closing and self._unwanted():
+                    break
                 self._encode(item)
             self._progress += len(items)
             now = self._clock.now_ns()
@@ -174,11 +190,24 @@ class LogWriter:
                 self._look_after_file()
             self._push(sync=now - sync_ns >= SYNC_NS)
             sync_ns = now if now - sync_ns >= SYNC_NS else sync_ns
-        self._encoder.finish()
-        self._look_after_file()
-        while not self._push(sync=True) and not self._abandoned:
-            self._sleep(RETRY_NS)
+        if self._holds_data and not self._unwanted():
+            self._encoder.finish()
+            self._look_after_file()
+            while not self._push(sync=True) and not self._abandoned:
+                self._sleep(RETRY_NS)
+            if not self._live:
+                self._keep()
+        else:
+            self._file.discard()
         self._file.close()
+
+    def _unwanted(self) -> bool:
+        return not self._live and not self._wanted()
+
+    def _keep(self) -> None:
+        self._file.keep()
+        if self._file.kept is not None:
+            self._tell("warning", "log_kept", f"{self.path}: what lay there is kept as {self._file.kept}")
 
     def _take(self, timeout_s: float) -> tuple[list[Item], bool]:
         """What waits, once the disk has room for it."""
@@ -205,6 +234,10 @@ class LogWriter:
             self._encoder.status(item)
         else:
             self._encoder.reading(item)
+            if not self._holds_data and (isinstance(item, Block) or (isinstance(item, Gap) and item.count)):
+                self._holds_data = True
+                if self._live:
+                    self._keep()
 
     def _push(self, sync: bool) -> bool:
         """Bytes to the disk; True if none are left."""

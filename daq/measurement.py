@@ -72,7 +72,9 @@ def _of_log(path: Path, rig: Rig, note: Callable[[str], None]) -> tuple[NDArray[
     y = log.samples()[:, columns]
     if not len(y):
         raise LogError(f"{path}: holds no samples")
-    if not log.complete:
+    if log.growing:
+        note(f"{path}: is being written; what is there now is used, up to sample {log.stop - 1}")
+    elif not log.complete:
         note(f"{path}: is not complete (rotorscope info says more); what is intact is used")
     if log.lost_samples:
         real = sum(1 for g in log.gaps if g.count)

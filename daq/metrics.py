@@ -53,7 +53,8 @@ class MetricsServer(Collector):
         try:
             self._server, self._thread = start_http_server(port, addr=host, registry=registry)
         except (OSError, OverflowError) as problem:
-            raise ConfigError(f"metrics on {host}:{port}: {problem}; choose another port") from problem
+            text = getattr(problem, "strerror", None) or problem
+            raise ConfigError(f"metrics on {host}:{port}: {text}; choose another port") from problem
         self.url = f"http://{host}:{self._server.server_port}/metrics"
         self._sinks: list[MetricsSink] = []
         registry.register(self)

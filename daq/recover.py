@@ -15,7 +15,7 @@ from .errors import LogError
 from .log_encoder import LogEncoder
 from .log_file import LogFile
 from .log_reader import Recording, read_log, walk
-from .log_scan import Findings, Message
+from .log_scan import Message
 
 FLUSH_MESSAGES = 1000
 
@@ -38,18 +38,21 @@ class Recovery:
         }
 
 
-def recover(source: str | Path, target: str | Path, progress: Callable[[float], None] | None = None) -> Recovery:
+def recover(
+    source: str | Path, target: str | Path, progress: Callable[[float], None] | None = None,
+    note: Callable[[str], None] | None = None,
+) -> Recovery:  # fmt: skip
     """Write what is intact in `source` to `target`, with its own index and footer; what is missing becomes gaps.
 
-    progress : called with the share that is done. Raises LogError if nothing is intact, or `target` is `source`.
+    progress : called with the share that is done; note : told what else there is to know.
+    Raises LogError if nothing is intact, or `target` is `source`.
     """
     source, target = Path(source), Path(target)
     if target.exists() and os.path.samefile(source, target):
         raise LogError(f"{target}: is the log to be recovered; choose another --out")
     recording = read_log(source)
-    file = LogFile(target)
+    file = LogFile(target, whole=True)
     encoder = LogEncoder(file)
-    findings = Findings()
     lost = _lost(recording)
     last = Message(0, 0, 0, b"")
     try:
@@ -57,7 +60,7 @@ def recover(source: str | Path, target: str | Path, progress: Callable[[float], 
             encoder.attachment(name, media_type, data)
         encoder.metadata("session", recording.metadata | {"device": recording.head.device})
         span = max(1, recording.stop - recording.first)
-        for number, (entry, message) in enumerate(walk(source, findings, everything=True)):
+        for number, (entry, message) in enumerate(walk(source, recording.again(), everything=True)):
             if message is None and isinstance(entry, Gap):
                 message = Message(codec.GAP, last.log_time, last.publish_time, codec.encode_gap(entry))
             if message is not None:
@@ -71,11 +74,14 @@ def recover(source: str | Path, target: str | Path, progress: Callable[[float], 
         _say(encoder, recording, last.log_time, f"recovered from {source.name}; lost: {lost}")
         encoder.finish()
         file.push()
+        file.keep()
     except OSError as error:
         reason = error.strerror or error
         raise LogError(f"{target}: cannot be written: {reason}; make room, or choose another --out") from error
     finally:
         file.close()
+    if file.kept is not None and note is not None:
+        note(f"{target}: what lay there is kept as {file.kept}")
     return Recovery(recording.n_samples, recording.n_samples / recording.rate_hz, lost)
 
 
@@ -92,7 +98,9 @@ def _lost(recording: Recording) -> str:
     if holes:
         named = ", ".join(f"{g.count} from {g.index}" for g in holes[:5]) + (", ..." if len(holes) > 5 else "")
         parts.append(f"{sum(g.count for g in holes)} samples in {len(holes)} damaged places ({named})")
-    if not recording.findings.closed:
+    if recording.growing:
+        parts.append(f"what comes after sample {recording.stop - 1}: the log is still being written")
+    elif not recording.findings.closed:
         parts.append(f"what came after sample {recording.stop - 1}: at most the last second before the log was cut")
     if "rig.toml" not in recording.attachments:
         parts.append("the rig file")

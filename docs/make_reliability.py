@@ -38,6 +38,13 @@ TAIL = """
 
 Replay, import and capture wait instead: nothing is dropped, and a fault of the disk ends them with one line and status 4.
 
+## What lies at `--out`
+
+A log of a live link, and any file that is no log, is never overwritten: it is kept beside the new one as `NAME-1.mcap`, and one line says
+so. It gets its name back if nothing was acquired. Logs that a command can make again (of `virtual:`, `simulate`, `replay`, `import`) are
+overwritten. A log that another process is writing is refused. `import`, `recover`, `replay` and `export` give a file its name when it is
+whole: a stop, a full disk or an error half-way leaves nothing, or what lay there before.
+
 ## After a crash
 
 `rotorscope info LOG` says whether a log is complete. `rotorscope recover LOG --out LOG2` gives a complete one, every intact message bit

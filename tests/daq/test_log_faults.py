@@ -162,8 +162,8 @@ def test_the_log_is_removed_and_its_name_taken(tmp_path: Path) -> None:
     feeder.until(lambda: feeder.heard("log_restored"))
     feeder.close()
     assert (tmp_path / "a.mcap").read_text() == "somebody else's"
-    assert feeder.writer.path == tmp_path / "a-2.mcap"
-    assert assert_right(tmp_path / "a-2.mcap", complete=True) == feeder.index
+    assert feeder.writer.path == tmp_path / "a-1.mcap"
+    assert assert_right(tmp_path / "a-1.mcap", complete=True) == feeder.index
 
 
 def test_the_folder_is_removed_and_cannot_be_made_again(tmp_path: Path) -> None:
