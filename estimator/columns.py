@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,7 +145,7 @@ class Columns:
         key = (column.row, law.rough)
         if key not in states:
             wide = self.state(column.row, stretch)
-            states[key] = self._finer(column.row, wide) if law.rough else wide.inner()
+            states[key] = wide.finer(self._read[column.row]) if law.rough else wide.inner()
         total, tangents = law_force(effect, law.terms[0][0], states[key], law.reads)
         first = law.terms[0][1]
         if first != 1.0:
@@ -156,13 +156,6 @@ class Columns:
             total += weight * force
             tangents += weight * sums
         return (decimated(total), tangents / FINER) if law.rough else (total, tangents)
-
-    def _finer(self, row: int, wide: State) -> State:
-        """On the finer grid; what no law there reads is left at zero."""
-        zero = np.zeros_like(wide.x)
-        read = zip(self._read[row], (wide.x, wide.v, wide.xo, wide.vo), strict=True)
-        x, v, xo, vo = (z if used else zero for used, z in read)
-        return replace(wide, x=x, v=v, xo=xo, vo=vo).finer()
 
     def not_finite(self, k: int) -> DataError:
         """What is wrong where the force of law column k is not a number."""
@@ -176,7 +169,7 @@ class Columns:
         """Tangents of column k along x and v, and how many rows there are to a row of the stretch."""
         column, law = self.balance.columns[k], self._laws[k]
         wide = self.state(column.row, stretch)
-        state = self._finer(column.row, wide) if law.rough else wide.inner()
+        state = wide.finer(self._read[column.row]) if law.rough else wide.inner()
         effect = self.balance.laws[column.law].effect
         kx, kv = np.zeros(state.x.size), np.zeros(state.x.size)
         for p, weight in law.terms:

@@ -163,12 +163,15 @@ class State:
         )
         return State(x, v, xo, vo, t, phase, self.s, self.h, self.valid[k])
 
-    def finer(self) -> State:
-        """On the finer grid, HALF (coarse) rows wider than the inner rows on either side."""
+    def finer(self, reads: NDArray[np.bool_]) -> State:
+        """On the finer grid, HALF (coarse) rows wider than the inner rows on either side; zero what is not read."""
         taps = _prototype()[0]
         n = (self.x.size - 2 * HALF) * FINER
+        zero = np.zeros(n)
 
-        def fine(z: Floats) -> Floats:
+        def fine(z: Floats, read: bool) -> Floats:
+            if not read:
+                return zero
             out = np.empty(n)
             _interpolate(z, taps, out)
             return out
@@ -178,7 +181,7 @@ class State:
             _between(z[HALF : n // FINER + HALF + 1], out)
             return out
 
-        x, v, xo, vo = (fine(z) if z.any() else np.zeros(n) for z in (self.x, self.v, self.xo, self.vo))
+        x, v, xo, vo = (fine(z, u) for z, u in zip((self.x, self.v, self.xo, self.vo), reads, strict=True))
         valid = np.repeat(self.valid[HALF:-HALF], FINER)
         valid[: HALF * FINER] = valid[-HALF * FINER :] = False  # the margins do not count in the mean tangents
         return State(x, v, xo, vo, linear(self.t), linear(self.phase), self.s, self.h, valid)

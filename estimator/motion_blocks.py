@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .bandlimit import Motion, band_limit
 from .errors import DataError
 from .features import NEAREST
+from .filtered import Filtered
 from .model import Model
 from .rotor import between_caps, shaft_at_caps
 from .side_by_side import each
@@ -46,11 +46,8 @@ class MotionBlocks:
     shaft: NDArray[np.complex128]  # (bins, places, places) N/m, shaft and disc as seen by the caps
     colour: Array  # (places, bins) shape of the force spectrum that the model has, mean about 1
     left_out: Array  # (places, 2) sd of the displacement and velocity outside of the band
+    rms: Array  # (3, places) of x, of v and of a, over the whole record
     measured_force: bool = False
-    rms: Array = field(init=False)  # (3, places) of x, of v and of a
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "rms", np.stack([z.std(axis=1) for z in (self.x, self.v, self.a)]))
 
     @property
     def blocks(self) -> int:
@@ -110,14 +107,12 @@ def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
 
 
 def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:
-    """The blocks of one time fold, as views of the record; its sizes of motion are those of the record."""
+    """The blocks of one time fold, as views of the record."""
     here = np.flatnonzero(data.fold == f)
     rows = slice(int(here[0]) * data.block, (int(here[-1]) + 1) * data.block)
     a, v, x, known = (z[:, rows] for z in (data.a, data.v, data.x, data.known))
-    out = replace(data, start=data.start[here], fold=data.fold[here], t=data.t[rows], phase=data.phase[rows],
-                  a=a, v=v, x=x, known=known)  # fmt: skip
-    object.__setattr__(out, "rms", data.rms)
-    return out
+    return replace(data, start=data.start[here], fold=data.fold[here], t=data.t[rows], phase=data.phase[rows],
+                   a=a, v=v, x=x, known=known)  # fmt: skip
 
 
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
@@ -151,49 +146,46 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     forced = {c.place: k for k, c in enumerate(model.channels) if c.kind == "force"}
     columns = moving + [forced[p] for p in places if p in forced]
     for k in columns:
-        row = y[:, k]
-        if not np.nanmax(np.abs(row), initial=0.0) > 0.0:
+        if not (np.abs(y[:, k]) > 0.0).any():
             raise DataError(f"channel {model.channels[k].name} is zero all along: check the sensor and the link")
     while block > 1024 and y.shape[0] < 24 * block:
         block //= 2
-    kinds = [model.channels[k].kind for k in columns]
-
-    def limited(part: list[int]) -> Motion:
-        return band_limit(y[:, [columns[k] for k in part]], [kinds[k] for k in part], rate_hz, model.band, _beta(model))
-
-    motions = each(limited, [[k] for k in range(len(columns))])
-    starts = _valid_starts(np.logical_and.reduce([m.valid for m in motions]), block)
+    used = y if columns == [*range(y.shape[1])] else y[:, columns]
+    motion = Filtered(used, [model.channels[k].kind for k in columns], rate_hz, model.band, _beta(model)).whole()
+    starts = _valid_starts(motion.valid, block)
     if starts.size < 2 * FOLDS:
         raise DataError(
             f"only {starts.size * block / rate_hz:.2f} s of valid samples in unbroken stretches; "
             f"at least {2 * FOLDS * block / rate_hz:.1f} s are needed: record longer"
         )
-    rows = (starts[:, None] + np.arange(block)).ravel()
     P = len(places)
     runs = _runs(starts, block)
-    a, v, x = (np.empty((P, rows.size)) for _ in range(3))
-    for i, m in enumerate(motions[:P]):
-        for out, z in ((a, m.a), (v, m.v), (x, m.x)):
-            np.concatenate([z[0, run] for run in runs], out=out[i])
+
+    def valid(z: Array) -> Array:
+        return z[:, runs[0]] if len(runs) == 1 else np.concatenate([z[:, run] for run in runs], axis=1)
+
+    a, v, x, u, t = map(valid, (motion.a, motion.v[:P], motion.x[:P], motion.u, np.arange(len(y))[None] / rate_hz))
     mass = np.array([model.cap_mass(p) or 1.0 for p in places])
-    known = mass[:, None] * a
-    if motions[0].u.size:
-        u = [np.concatenate([m.u[0, run] for run in runs]) for m in motions[:P]]
-        for i, p in enumerate(places):
-            for j, q in enumerate(places):
-                if p.split(".")[1] == q.split(".")[1]:
-                    known[i] += u[j]
-        if model.shaft == "chain":
-            known += model.shaft_stiffness * x + model.shaft_damping * v
+    known = u[:P] if len(u) else np.zeros_like(x)
+    for direction in "xy":
+        same = [i for i, p in enumerate(places) if p.endswith(direction)]
+        reaction = known[same].sum(axis=0)
+        for i in same:
+            np.multiply(mass[i], a[i], out=known[i])
+            known[i] += reaction
+    if len(u) and model.shaft == "chain":
+        known += model.shaft_stiffness * x
+        known += model.shaft_damping * v
     for k, p in enumerate(q for q in places if q in forced):
-        known[places.index(p)] -= motions[P + k].a[0, rows]
-    t = rows / rate_hz
+        known[places.index(p)] -= a[P + k]
+    a = a[:P]
+    rms = np.array([each(np.std, z) for z in (x, v, a)])
     speed = 2 * np.pi * (model.speed_rpm or 0.0) / 60
     fold = np.minimum(np.arange(starts.size) * FOLDS // starts.size, FOLDS - 1)
     f: Array = np.asarray(np.fft.rfftfreq(block, 1 / rate_hz), dtype=np.float64)
     f = f[(f >= model.band[0]) & (f <= model.band[1])]
-    return MotionBlocks(places, rate_hz, model.band, block, starts, fold, a, v, x, known, t, speed * t, mass, speed,
-                        shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)),
+    return MotionBlocks(places, rate_hz, model.band, block, starts, fold, a, v, x, known, t[0], speed * t[0], mass,
+                        speed, shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms,
                         bool(forced))  # fmt: skip
 
 

@@ -74,7 +74,7 @@ def _along(
         valid = np.ones(x.size, bool)
         state = State(x, v, xs, vs, t, phase, data.sign(i), data.smoothing(i), valid)
         if sharp:
-            force, part = law_force(effect, p, state.finer(), reads)
+            force, part = law_force(effect, p, state.finer(reads), reads)
             out[a:b], part = decimated(force), part / FINER
         else:
             series = None if tangents is None else (tangents[0, a:b], tangents[1, a:b])

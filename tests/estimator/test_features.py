@@ -59,7 +59,7 @@ def test_the_finer_grid_takes_the_folded_harmonics_out() -> None:
     f, dense = 1125.3, 64
     s = state(f=f)
     wide = State(*(np.ascontiguousarray(z) for z in (s.x, s.v, s.xo, s.vo, s.t, s.phase)), 1.0, s.h * 0, s.valid)
-    fine = wide.finer()
+    fine = wide.finer(np.array([False, True, False, False]))
     out = decimated(law_force(CATALOGUE["coulomb"], np.ones(1), fine, np.array([False, True, False, False]))[0])
     assert out.size == N - 2 * MARGIN
     inner = slice(MARGIN, N - MARGIN)
