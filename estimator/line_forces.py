@@ -52,8 +52,9 @@ class Spectrum:
         w = -2j * np.pi * hz / self.rate_hz
         step = 2048
         whole = n // step * step
-        inner = self.windowed[:, :whole].reshape(P, -1, step) @ np.exp(w * np.arange(step))
-        total = inner @ np.exp(w * step * np.arange(whole // step))
+        turn = np.exp(w * np.arange(step))
+        inner = self.windowed[:, :whole].reshape(P, -1, step) @ np.stack([turn.real, turn.imag], axis=1)
+        total = (inner[..., 0] + 1j * inner[..., 1]) @ np.exp(w * step * np.arange(whole // step))
         total = total + self.windowed[:, whole:] @ np.exp(w * np.arange(whole, n))
         amplitude = 2 * total / (0.5 * (n - 1))
         k = int(np.clip(round(hz * self.seconds), 1, self.f_hz.size - 1))
