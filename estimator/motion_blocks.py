@@ -173,9 +173,9 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
         for i in same:
             np.multiply(mass[i], a[i], out=known[i])
             known[i] += reaction
-    if len(u) and model.shaft == "chain":
-        known += model.shaft_stiffness * x
-        known += model.shaft_damping * v
+            if len(u) and model.shaft == "chain":
+                known[i] += model.shaft_stiffness * x[i]
+                known[i] += model.shaft_damping * v[i]
     for k, p in enumerate(q for q in places if q in forced):
         known[places.index(p)] -= a[P + k]
     a = a[:P]

@@ -18,11 +18,15 @@ from .terms import Spans, dressed, light, linear_terms, terms
 
 Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
+SETTLED = 0.1  # standard deviations by which the last step of a fit moves
 
 
 @dataclass(frozen=True, slots=True)
 class WorkingPoint:
-    """A fitted model on a record. kL, c, S : (places,); nu : (places,) sensor noise PSD over S (per (m/s^2)^2)."""
+    """A fitted model on a record. kL, c, S : (places,); nu : (places,) sensor noise PSD over S (per (m/s^2)^2).
+
+    force, spectra and gram are those before the last step of the fit, which is a fraction of a standard deviation.
+    """
 
     data: MotionBlocks
     kL: Array
@@ -67,7 +71,7 @@ def fit_model(
         part = part_of(data, FIRST_SECONDS)
         if part is not data:
             start = fit_model(part, uses, rounds=rounds)
-            uses, rounds = list(start.placed), 2
+            uses, rounds = list(start.placed), 1
     if start is None:
         kL, c, S = _first_linear(data)
         data = replace(data, left_out=left_out(data.mass, c, kL, S, data.band, data.rate_hz))
@@ -75,19 +79,15 @@ def fit_model(
     else:
         kL, c, nu = start.kL.copy(), start.c.copy(), start.nu.copy()
         data = data if start.data is data else replace(data, left_out=start.data.left_out)
-    point: WorkingPoint | None = None
-    for round_ in range(rounds):
-        point = None  # its columns are large: let go before the next are made
+    while True:
         point = _at(data, kL, c, nu, uses)
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
-        nu_old, nu = nu, _noise(point)
-        if moved.max(initial=0.0) < 1e-3 and np.allclose(nu, nu_old, rtol=0.05, atol=1e-12):
-            return point
         kL, c, uses = _moved(point, kL, c)
-        if moved.max(initial=0.0) < 0.05 and np.allclose(nu, nu_old, rtol=0.2, atol=1e-9) and round_ > 0:
-            break
-    point = None
-    return _at(data, kL, c, nu, uses)
+        nu_old, nu = nu, _noise(point)
+        if rounds == 0 or (moved.max(initial=0.0) < SETTLED and np.allclose(nu, nu_old, rtol=0.2, atol=1e-9)):
+            return replace(point, kL=kL, c=c, placed=tuple(uses))
+        rounds -= 1
+        del point  # its columns are large: let go before the next are made
 
 
 def thinned(point: WorkingPoint, seconds: float) -> WorkingPoint:
@@ -122,8 +122,8 @@ def _forces(
 
     made : the terms of each use.
     """
-    F = data.known + kL[:, None] * data.x + c[:, None] * data.v
     P = len(data.places)
+    F = np.empty_like(data.x)
     M = np.zeros_like(data.shaft)
     D = np.zeros((P, P, 2))
     D[np.arange(P), np.arange(P), 0] = kL
@@ -131,13 +131,18 @@ def _forces(
     lin = np.stack([data.mass, kL, c], axis=1)
 
     def add(i: int) -> None:
+        np.multiply(data.x[i], kL[i], out=F[i])
+        F[i] += data.known[i]
+        F[i] += c[i] * data.v[i]
         for use, own in zip(uses, made, strict=True):
             if i not in use.at:
                 continue
-            if len(own) == use.p.size and use.effect.kind == "force" and all(q.linear for q in use.effect.parameters):
-                for value, term in zip(use.p, own, strict=True):
-                    F[i] += value * term.series[i]
-                    D[i] += value * term.tangent[i]
+            amplitudes = [k for k, q in enumerate(use.effect.parameters) if q.linear]
+            units = {t.name: t for t in own}
+            if use.effect.kind == "force" and amplitudes and all(use.name(k) in units for k in amplitudes):
+                for k in amplitudes:
+                    F[i] += use.p[k] * units[use.name(k)].series[i]
+                    D[i] += use.p[k] * units[use.name(k)].tangent[i]
                 continue
             f, slope, memory = evaluate(use, data, i, lin[i])
             F[i] += f

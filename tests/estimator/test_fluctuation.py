@@ -15,7 +15,7 @@ from estimator.model import EffectUse, Model
 from estimator.model_uses import placed_of
 from estimator.placed import tangent_series
 from estimator.preparation import prepare
-from estimator.working_point import WorkingPoint, fit_model
+from estimator.working_point import WorkingPoint, fit_model, thinned
 
 Case = tuple[str, Model, np.ndarray, WorkingPoint]
 
@@ -51,7 +51,7 @@ def test_nothing_is_found_beside_the_right_law(strong: Case) -> None:
 @pytest.mark.parametrize("strong", ["quadratic_damping"], indirect=True)
 def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
     """Sigma is linear in the first of its two tangents."""
-    _, _, _, point = strong
+    point = thinned(strong[3], 12.0)  # made at its values, where the last step of a fit is not
     here = point.fluctuations[0]
     assert here is not None
     own = [u for u in point.placed if 0 in u.at]
