@@ -110,13 +110,13 @@ def groups(
         uo, wo = (data.x[o] / data.rms[0, o]).astype(np.float32), (data.v[o] / data.rms[1, o]).astype(np.float32)
         columns = [
             (uo, 0.0, 0.0, 1.0, 0.0), (wo, 0.0, 0.0, 0.0, 1.0), (uo * uo, 0.0, 0.0, m(2 * uo), 0.0),
-            (u * uo, m(uo), 0.0, m(u), 0.0), (uo**3, 0.0, 0.0, m(3 * uo * uo), 0.0),
+            (u * uo, m(uo), 0.0, m(u), 0.0), (uo * uo * uo, 0.0, 0.0, m(3 * uo * uo), 0.0),
             (u * u * uo, m(2 * u * uo), 0.0, m(u * u), 0.0), (u * uo * uo, m(uo * uo), 0.0, m(2 * u * uo), 0.0),
         ]  # fmt: skip
         radius = np.maximum(np.sqrt(u * u + uo * uo), 1e-6)
         for gap in (1.0, 2.0):
             over = np.maximum(1 - gap / radius, 0).astype(np.float32)
-            bend = np.where(radius > gap, gap / radius**3, 0)
+            bend = np.where(radius > gap, gap / (radius * radius * radius), 0)
             columns += [
                 (over * u, m(over + bend * u * u), 0.0, m(bend * u * uo), 0.0),
                 (over * uo, m(bend * u * uo), 0.0, m(over + bend * uo * uo), 0.0),

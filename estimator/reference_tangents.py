@@ -21,12 +21,17 @@ def dressings(name: str, here: Fluctuation, sizes: Array, knots: Array | None) -
     x, v = here.data.x[here.place], here.data.v[here.place]
     if knots is not None:
         which = 0 if name == "displacement" else 1
-        step = float(knots[1] - knots[0])
-        cell = np.clip(((x, v)[which] - knots[0]) // step, 0, knots.size - 2).astype(np.int64)
+        step, last = float(knots[1] - knots[0]), knots.size - 2
+        cell = np.clip(((x, v)[which] - knots[0]) // step, 0, last).astype(np.int8)
+        inside = np.zeros((2, x.size), np.float32)
+        below: Complexes | float = 0.0
         for k in range(knots.size):
-            out = np.zeros((2, x.size))
-            out[which] = ((cell == k - 1).astype(float) - (cell == k)) / step
-            yield here.of(out)
+            own: Complexes | float = 0.0
+            if k <= last:
+                np.equal(cell, k, out=inside[which])
+                own = here.of(inside) / step
+            yield np.asarray(below - own)
+            below = own
     elif name == "level":
         u, w = x / sizes[0], v / sizes[1]
         r = np.maximum(np.hypot(u, w), 1e-6)

@@ -18,11 +18,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-Spectra = NDArray[np.complex64]
+Spectra = tuple[NDArray[np.complex64] | None, ...]
 SECONDS, DECAYS = 8.0, 1000.0  # of the record that the covariances are taken from: the longer of the two
 ROUNDS = 10  # of the self-consistent response
 STRONG = 1.0  # rms of the tangent stiffness over its mean, above which the second order is not used
@@ -51,26 +52,34 @@ class Mean:
 
 
 def spectra(tangents: NDArray[np.floating], lags: int) -> Spectra:
-    """(2, pieces, lags + 1) of tangents along x and v, (2, blocks, n), in pieces of `lags`; no pieces where it is 0."""
+    """(pieces, lags + 1) each of tangents along x and v, (2, blocks, n), in pieces of `lags`; None where they are 0."""
     from scipy.fft import rfft
 
     n = tangents.shape[2] // lags * lags
     pieces = tangents[..., :n].reshape(2, -1, lags)
-    out = np.zeros((2, pieces.shape[1], lags + 1), np.complex64)
-    for a in (0, 1):
-        if pieces[a].any():
-            out[a] = rfft((pieces[a] - pieces[a].mean()).astype(np.float32), 2 * lags, axis=1)
-    return out
+    return tuple(
+        np.asarray(rfft((z - z.mean()).astype(np.float32, copy=False), 2 * lags, axis=1)) if z.any() else None
+        for z in pieces
+    )
+
+
+@njit(cache=True, nogil=True)
+def _cross(Z, K):  # type: ignore[no-untyped-def]
+    """(f,) mean over the pieces of Z conj(K), both (pieces, f)."""
+    out = np.zeros(Z.shape[1], np.complex128)
+    for p in range(Z.shape[0]):
+        for f in range(out.size):
+            out[f] += Z[p, f] * K[p, f].conjugate()
+    return out / Z.shape[0]
 
 
 def covariance(Z: Spectra, K: Spectra) -> Floats:
     """(2, 2, lags) <kappa_a(t + lag) K_b(t)>, a and b: along x and v; from their spectra."""
-    lags = Z.shape[2] - 1
+    lags = next((z.shape[1] for z in (*Z, *K) if z is not None), 2) - 1
     C = np.zeros((2, 2, lags))
     for a, b in np.ndindex(2, 2):
-        if Z[a].any() and K[b].any():
-            cross = np.einsum("pf,pf->f", Z[a], K[b].conj()) / Z.shape[1]
-            C[a, b] = np.fft.irfft(cross, 2 * lags)[:lags] / (lags - np.arange(lags))
+        if (z := Z[a]) is not None and (k := K[b]) is not None:
+            C[a, b] = np.fft.irfft(_cross(z, k), 2 * lags)[:lags] / (lags - np.arange(lags))
     return C
 
 
