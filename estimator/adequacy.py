@@ -47,15 +47,12 @@ def left(before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int
     if effect not in STATE:
         return None
     state, orders = STATE[effect]
-    was = rest = gained = 0.0
-    df = 0
-    for i in sorted(places):
-        was += _smooth(before, i, state, orders)[0]
-        power, nats, count = _smooth(after, i, state, orders)
-        rest, gained, df = rest + max(power, 0.0), gained + nats, df + count
-    if was <= 0.0 or df == 0 or chi2.sf(2 * max(gained, 0.0), df) > LEVEL:
+    powers, nats, counts = zip(*(_smooth(after, i, state, orders) for i in sorted(places)), strict=True)
+    if sum(counts) == 0 or chi2.sf(2 * max(sum(nats), 0.0), sum(counts)) > LEVEL:
         return 0.0
-    return float(np.sqrt(min(rest / was, 1.0)))
+    rest = sum(max(power, 0.0) for power in powers)
+    was = sum(_smooth(before, i, state, orders)[0] for i in places)
+    return float(np.sqrt(min(rest / was, 1.0))) if was > 0.0 else 0.0
 
 
 def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) -> tuple[float, float, int]:

@@ -18,7 +18,7 @@ from .model_uses import acting, searched
 from .preparation import prepare
 from .search_start import fit_record
 from .shape import Shape, shape_of
-from .side_by_side import each
+from .side_by_side import both, each
 from .suspects import suspects
 from .working_point import WorkingPoint, fit_model, plain, thinned
 
@@ -27,7 +27,7 @@ Progress = Callable[[float, str], None]
 SIGNIFICANT = 1e-3  # p-value, after counting all that was tried, below which an effect is claimed
 SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same state means another law
 SEARCH_SECONDS = 6.0
-REFINE_SECONDS = 20.0
+EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
 FOREMOST = 3  # of the ranking, judged on the largest amplitudes too
 REFINED, NEAR = 12, 0.5  # trials refined at most; share of the best gain at the bearing that earns it
 FAMILY = {
@@ -79,27 +79,29 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
 def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:
     """The same from a model already fitted."""
     say(0.15, "what can still be predicted")
-    others = suspects(model, point, y)
-    before = missing_force.survey(point, model, others=others)
-    trials = _screen(model, point, say)
+    part = thinned(point, missing_force.SURVEY_SECONDS)
+    others, before = both(lambda: suspects(model, point, y), lambda: missing_force.survey(part, model))
+    before = before.beside(others)
+    trials = _screen(model, point, part, say)
     entries = evidence.entries(model, point, trials, before, others)
     say(0.8, "largest amplitudes")
-    entries = _extrapolating(point, entries)
+    entries = _extrapolating(part, entries)
     if not entries or entries[0].p_value > SIGNIFICANT or _negligible(entries[0]):
         return _nothing(point, before, tuple(entries))
     say(0.85, f"does {entries[0].effect} explain it?")
     best = entries[0]
     if not best.placed:
         return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries), messages=best.notes)
-    after_point = fit_model(point.data, [*point.placed, *best.placed], start=point, rounds=3)
-    after = missing_force.survey(after_point, model, only=before.places_found())
+    after_point = fit_model(point.data, [*point.placed, *best.placed], start=point, rounds=2)
+    after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
+    after = missing_force.survey(after_part, model, only=before.places_found())
     joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
     values = {k: joint.get(k, p) for k, p in best.parameters.items()}
     entries[0] = best = replace(best, after_percent=after.percent(point), parameters=values)
     smooth = adequacy.left(point, after_point, best.effect, {i for p in best.placed for i in p.at})
     left = _same_state_left(before, after, best) if smooth is None else smooth
     if left > adequacy.most_left(best.effect, SAME_SHAPE) and not _another_explains(
-        model, after_point, after, best, say
+        model, after_part, after, best, say
     ):
         return Diagnosis(
             "unknown",
@@ -114,11 +116,11 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
 
 
 def _extrapolating(point: WorkingPoint, entries: list[Entry]) -> list[Entry]:
-    """The ranking after the laws in front were judged on the largest amplitudes; those refused go to its end."""
+    """The ranking with a law in front that is not refused on the largest amplitudes; those refused go to its end."""
     passed: list[Entry] = []
     refused: list[Entry] = []
     for number, entry in enumerate(entries):
-        on_trial = number < FOREMOST and entry.p_value < SIGNIFICANT and amplitude.judged(entry.effect)
+        on_trial = not passed and number < FOREMOST and entry.p_value < SIGNIFICANT and amplitude.judged(entry.effect)
         found = amplitude.extrapolated(point, entry.placed) if on_trial and entry.placed else None
         if found is None:
             passed.append(entry)
@@ -144,32 +146,39 @@ def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[E
     return Diagnosis("complete", entries, messages=("nothing of the catalogue improves the prediction beyond chance",))
 
 
-def _screen(model: Model, point: WorkingPoint, say: Progress) -> list[screen.Trial]:
-    """The best trial of every force effect at every spot; searched parameters refined for the promising ones."""
-    small = plain(thinned(point, SEARCH_SECONDS))
+def _screen(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress) -> list[screen.Trial]:
+    """The best trial of every force effect at every spot on part of the record, on the whole of it where that can tell
+    more; searched parameters refined for the promising ones."""
+    small = plain(thinned(part, SEARCH_SECONDS))
     pairs = [(e, s) for e in CATALOGUE.values() for s in screen.spots(e, model, point)]
 
     def said(done: int) -> None:
         effect, spot = pairs[done - 1]
-        say(0.25 + 0.45 * done / len(pairs), f"{effect.name} at {spot}")
+        say(0.25 + 0.35 * done / len(pairs), f"{effect.name} at {spot}")
 
-    tried = each(lambda pair: screen.tried(small, point, model, *pair), pairs, said)
-    say(0.7, "refining the best")
+    tried = each(lambda pair: screen.tried(small, part, model, *pair), pairs, said)
     by_effect: dict[str, list[screen.Trial]] = {}
     for t in tried:
         if t is not None:
             by_effect.setdefault(t.effect.name, []).append(t)
 
     def lent(name: str) -> list[screen.Trial]:
-        return screen.borrowed(point, model, by_effect[name], [s for e, s in pairs if e.name == name])
+        return screen.borrowed(part, model, by_effect[name], [s for e, s in pairs if e.name == name])
 
+    say(0.6, "the whole record")
     trials = [t for own in each(lent, by_effect) for t in own]
     trials.sort(key=lambda t: -t.gain)
-    middle = plain(thinned(point, REFINE_SECONDS))
     promising = [t for t in _promising(trials) if searched(t.effect, model)][:REFINED]
-    better = each(lambda t: screen.refined(middle, point, model, t), promising)
-    instead = {id(t): new for t, new in zip(promising, better, strict=False)}
-    return [instead.get(id(t), t) for t in trials]
+
+    def whole(trial: screen.Trial, worth: bool) -> screen.Trial:
+        near = any(trial is t for t in promising)
+        found = screen.refined(part, model, trial) if near else trial
+        if worth and part is not point:
+            again = screen.again(point, model, found)
+            found = found if again is None else screen.refined(point, model, again) if near else again
+        return screen.judged(found)
+
+    return each(lambda pair: whole(*pair), zip(trials, screen.contenders(trials), strict=True))
 
 
 def _promising(trials: list[screen.Trial]) -> list[screen.Trial]:
@@ -221,6 +230,6 @@ def _another_explains(
             full = screen.tried(small, point, model, effect, spot)
             on = acting(effect, spot, point.data)
             found_gain = sum(f.gain for r in left.residuals if r.place in on for f in r.found)
-            if full is not None and full.gain > 0.8 * found_gain:
+            if full is not None and full.gain > EXPLAINS * found_gain:
                 return True
     return False

@@ -143,8 +143,6 @@ def _odds(trials: list[Trial]) -> float:
 
 def _power(point: WorkingPoint, t: Trial) -> float:
     """Mean square in N^2 of the part of the effect's force that the model's own parameters cannot take over."""
-    if t.problem is None or t.fit is None:
-        return 0.0
     G = t.problem.gram.G.sum(axis=(0, 1))
     b = len(t.problem.base)
     theta = t.fit.delta[b:]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -26,11 +26,15 @@ GRID = {1: 6, 2: 4, 3: 3}  # points per searched parameter, by their number
 EVERYTHING = np.arange(6)
 STEPS, REACH = 3, 0.4  # of Gauss-Newton in searched parameters; largest, of the value
 WORTH = 1e-3  # p-value of a trial whose searched parameters are tried at the other spots
+NEAR, BEHIND = 0.5, 25.0  # share of the best effect's gain, nats behind it, under which the whole record is not needed
+IDLE = 0.45  # p-value on two fifths of a record from which on the whole of it makes nothing significant (0.6 %)
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """An effect at a spot, fitted. gain : nats on the record; heldout : (folds,) nats; df : parameters paid for.
+    """An effect at a spot, fitted. gain : nats on the record, or a part of it; df : parameters paid for.
+
+    heldout : (folds,) nats, of a trial that is judged for good.
 
     values : name -> (value, sd), SI, amplitudes only by their own fit.
     """
@@ -39,11 +43,11 @@ class Trial:
     spot: str
     placed: Placed
     gain: float
-    heldout: Array
     df: int
     values: dict[str, tuple[float, float]]
-    problem: Subproblem | None = None
-    fit: PathFit | None = None
+    problem: Subproblem
+    fit: PathFit
+    heldout: Array = field(default_factory=lambda: np.zeros(6))
 
     @property
     def p_value(self) -> float:
@@ -120,8 +124,8 @@ def assess(point: WorkingPoint, placed: Placed, steps: int = 3) -> tuple[float, 
     return None
 
 
-def best_at(point: WorkingPoint, model: Model, effect: Effect, spot: str, refine: bool = False) -> Trial | None:
-    """The best trial of an effect at a spot over the grid of its searched parameters, refined on demand."""
+def best_at(point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Trial | None:
+    """The best trial of an effect at a spot over the grid of its searched parameters."""
     where = acting(effect, spot, point.data)
     loose = searched(effect, model)
     free = tuple(q.linear for q in effect.parameters)
@@ -131,16 +135,11 @@ def best_at(point: WorkingPoint, model: Model, effect: Effect, spot: str, refine
         got = assess(point, placed)
         if got is not None and (best is None or got[0] > best[0]):
             best = (*got, placed)
-    if best is None:
-        return None
-    if refine:
-        best = _refined(point, best, loose)
-    return _trial(effect, spot, best, loose)
+    return None if best is None else _trial(effect, spot, best, loose)
 
 
 def _trial(effect: Effect, spot: str, best: tuple[float, Subproblem, PathFit, Placed], loose: list[int]) -> Trial:
     gained, problem, fit, placed = best
-    heldout = heldout_gain(problem) if gained > 2.0 else np.full(6, min(gained, 0.0) / 6)
     values = {n.rsplit(".", 1)[1]: fit.value(n) for n in problem.extra}
     p = placed.p.copy()
     for k, q in enumerate(effect.parameters):
@@ -149,47 +148,33 @@ def _trial(effect: Effect, spot: str, best: tuple[float, Subproblem, PathFit, Pl
     placed = Placed(
         effect, placed.key, placed.at, p, tuple(q.linear or k in loose for k, q in enumerate(effect.parameters))
     )
-    return Trial(effect, spot, placed, gained, heldout, len(problem.extra) + len(loose), values, problem, fit)
+    return Trial(effect, spot, placed, gained, len(problem.extra) + len(loose), values, problem, fit)
 
 
-def _refined(
-    point: WorkingPoint, best: tuple[float, Subproblem, PathFit, Placed], loose: list[int], rounds: int = 2
-) -> tuple[float, Subproblem, PathFit, Placed]:
-    """Parabola steps along each searched parameter about the best grid point."""
-    for round_ in range(rounds):
-        for k in loose:
-            width = (0.35 if round_ == 0 else 0.12) * max(abs(best[3].p[k]), 1e-300)
-            for _ in range(3):
-                centre = best[3].p[k]
-                around: list[float] = []
-                for z in (centre - width, centre + width):
-                    p = best[3].p.copy()
-                    p[k] = z
-                    trial = best[3].with_values(p)
-                    got = assess(point, trial)
-                    around.append(-np.inf if got is None else got[0])
-                    if got is not None and got[0] > best[0]:
-                        best = (*got, trial)
-                if best[3].p[k] == centre:
-                    break
-            width /= 3
-    return best
+def contenders(trials: Sequence[Trial]) -> list[bool]:
+    """Which trials on part of a record the whole of it could bring to the front, or to significance."""
+    total: dict[str, float] = {}
+    for t in trials:
+        total[t.effect.name] = total.get(t.effect.name, 0.0) + max(t.gain, 0.0)
+    best = max(total.values(), default=0.0)
+    least = min(NEAR * best, best - BEHIND)
+    return [t.p_value < IDLE and total[t.effect.name] >= least for t in trials]
 
 
-def refined(part: WorkingPoint, point: WorkingPoint, model: Model, trial: Trial) -> Trial:
-    """The trial with its searched parameters refined on part of the record and judged on the whole."""
-    loose = searched(trial.effect, model)
-    if not loose:
-        return trial
-    here = best_at(part, model, trial.effect, trial.spot, refine=True)
-    full = None if here is None else again(point, model, here)
-    best = full if full is not None and full.gain > trial.gain else trial
+def refined(point: WorkingPoint, model: Model, trial: Trial) -> Trial:
+    """The trial after Gauss-Newton steps in its searched parameters, as long as they gain."""
     for _ in range(STEPS):
-        further = _stepped(point, model, best)
-        if further is None or further.gain < best.gain + 0.5:
+        further = _stepped(point, model, trial)
+        if further is None or further.gain < trial.gain + 0.5:
             break
-        best = further
-    return best
+        trial = further
+    return trial
+
+
+def judged(trial: Trial) -> Trial:
+    """The trial with its gain on held-out folds."""
+    idle = np.full(6, min(trial.gain, 0.0) / 6)
+    return replace(trial, heldout=heldout_gain(trial.problem) if trial.gain > 2.0 else idle)
 
 
 def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
@@ -243,7 +228,7 @@ def borrowed(point: WorkingPoint, model: Model, trials: Sequence[Trial], spots: 
 
 
 def tried(small: WorkingPoint, point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Trial | None:
-    """An effect at a spot, its searched parameters found on the part `small` of the record, judged on the whole."""
+    """An effect at a spot, its searched parameters found on the part `small` of the record, judged on `point`."""
     if not searched(effect, model):
         return best_at(point, model, effect, spot)
     found = best_at(small, model, effect, spot)

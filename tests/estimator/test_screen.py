@@ -44,6 +44,20 @@ def test_steps_on_the_whole_record_find_the_gap(weak: tuple[Model, WorkingPoint,
     assert found is not None
     off = screen.again(point, rig, replace(found, placed=found.placed.with_values(found.placed.p * [1.0, 0.6])))
     assert off is not None
-    best = screen.refined(point, point, rig, off)
+    best = screen.refined(point, rig, off)
     assert best.gain > off.gain
     assert best.placed.p[1] == pytest.approx(gap, rel=0.1)
+
+
+def test_the_whole_record_is_for_what_it_could_bring_forward(weak: tuple[Model, WorkingPoint, float]) -> None:
+    rig, point, _ = weak
+    trial = screen.tried(point, point, rig, CLEARANCE, "bearing1.x")
+    assert trial is not None
+
+    def at(name: str, gain: float) -> screen.Trial:
+        return replace(trial, effect=CATALOGUE[name], gain=gain, df=1)
+
+    clear = [at("clearance", 300.0), at("clearance", 0.1), at("stop", 200.0), at("hertz", 60.0)]
+    assert screen.contenders(clear) == [True, False, True, False]
+    faint = [at("clearance", 20.0), at("stop", 1.0), at("hertz", 0.1)]
+    assert screen.contenders(faint) == [True, True, False]
