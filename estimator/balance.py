@@ -248,7 +248,7 @@ def build(
                         known = kinematic(q.scale, model)
                     p[j] = q.default * scale if known is None else known
                     steps[j] = 1e-3 * max(abs(p[j]), scale if j in rest else 0.0)
-                    if search and j in rest and not setting.fixed:
+                    if search and j in rest and not setting.fixed and kinematic(q.scale, model) is None:
                         searched.append(j)
                 laws.append(Law(effect, key, row, p, linear_parts, tuple(searched), steps))
                 law = len(laws) - 1

@@ -12,17 +12,15 @@ from numpy.typing import NDArray
 from . import missing_force
 from .curves import Law, curves
 from .estimate import Parameter
-from .fitted import fitted_model, parameters
+from .fitted import fitted_model
 from .heldout import heldout_nll, heldout_rmse, reference_nll
 from .model import Model
-from .preparation import prepare
-from .search_start import fit_record
 from .shape import Shape
 from .side_by_side import both
 from .suspects import suspects
 from .twin import twin
 from .where import Where, where_of
-from .working_point import WorkingPoint
+from .whole import fit_whole
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -79,15 +77,9 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     Raises DataError if the record cannot answer, ModelError for a model that makes no sense.
     """
     say = progress or (lambda fraction, text: None)
-    say(0.0, "band limit")
-    data = prepare(model, y, rate_hz)
-    say(0.15, "fit")
-    point = fit_record(model, data)
-    return compare_point(model, point, y, say)
-
-
-def compare_point(model: Model, point: WorkingPoint, y: Array, say: Progress) -> Comparison:
-    """The same from a model already fitted."""
+    say(0.0, "fit")
+    whole = fit_whole(model, y, rate_hz)
+    model, point = whole.model, whole.point
     say(0.4, "what can still be predicted")
     (others, beside), found = both(
         lambda: (suspects(model, point, y), twin(fitted_model(model, point), point, y)),
@@ -113,7 +105,7 @@ def compare_point(model: Model, point: WorkingPoint, y: Array, say: Progress) ->
         spectra=beside.spectra,
         densities=beside.densities,
         orbits=beside.orbits,
-        parameters=parameters(point),
+        parameters=whole.parameters,
         simulation_rmse=heldout_rmse(model, y, point.data.rate_hz),
         messages=(beside.message,) if beside.message else (),
     )

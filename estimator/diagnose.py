@@ -15,11 +15,10 @@ from .evidence import Entry
 from .fitted import parameters
 from .model import Model
 from .model_uses import acting, searched
-from .preparation import prepare
-from .search_start import fit_record
 from .shape import Shape, shape_of
 from .side_by_side import both, each
 from .suspects import suspects
+from .whole import fit_whole
 from .working_point import WorkingPoint, fit_model, plain, thinned
 
 Array = NDArray[np.float64]
@@ -69,11 +68,9 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
     Raises DataError if the record cannot answer.
     """
     say = progress or quiet
-    say(0.0, "band limit")
-    data = prepare(model, y, rate_hz)
-    say(0.05, "fit of the model as it is")
-    point = fit_record(model, data)
-    return diagnose_point(model, point, y, say)
+    say(0.0, "fit of the model as it is")
+    whole = fit_whole(model, y, rate_hz)
+    return diagnose_point(whole.model, whole.point, y, say)
 
 
 def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:

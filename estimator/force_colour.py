@@ -255,6 +255,17 @@ def _noisy(model: Model, point: WorkingPoint, noise: Array) -> list[Suspect]:
     return out
 
 
+def sensor_noise(point: WorkingPoint, i: int) -> Parameter:
+    """rms over the whole band of the noise of a place's sensor, if it is white."""
+    data = point.data
+    density = point.nu[i] * point.S[i]
+    A2 = np.sum(np.abs(point.A[:, i, :]) ** 2, axis=1)
+    share = density * A2 / (point.S[i] * data.colour[i] + density * A2)
+    sd = 1.0 / np.sqrt(max(data.blocks * float(np.sum(share**2)), 1e-300))  # of ln(density), by the Whittle likelihood
+    rms = float(np.sqrt(density * data.rate_hz / 2))
+    return Parameter.judged(rms, 0.5 * rms * sd, "m/s^2")
+
+
 def _shared(model: Model, point: WorkingPoint) -> list[Suspect]:
     """Coherence of the inferred forces at the two bearings, direction by direction."""
     data = point.data

@@ -16,9 +16,8 @@ from .fitted import fitted_model, parameters
 from .heldout import heldout_nll, heldout_rmse
 from .missing_force import survey
 from .model import EffectUse, Model, Setting
-from .preparation import prepare
-from .search_start import fit_record
 from .suspects import suspects
+from .whole import Whole, fit_whole
 from .working_point import WorkingPoint, fit_model
 
 Array = NDArray[np.float64]
@@ -82,8 +81,8 @@ class Ladder:
 def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = None) -> Ladder:
     """Add what the diagnosis names, as long as the held-out likelihood improves. y : (n, channels), SI."""
     say = progress or (lambda fraction, text: None)
-    data = prepare(model, y, rate_hz)
-    point = fit_record(model, data)
+    whole = fit_whole(model, y, rate_hz)
+    model, point = whole.model, whole.point
     rungs = [rung(model, point, y)]
     messages: list[str] = []
     diagnoses: list[Diagnosis] = []
@@ -100,21 +99,19 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             break
         if best.placed:
             richer = fit_model(point.data, [*point.placed, *best.placed], start=point)
-            bigger = fitted_model(model, richer)
+            new_whole = Whole(fitted_model(model, richer), richer, whole.beside)
         else:
-            bigger = with_settings(fitted_model(model, point), best)
-            data = prepare(bigger, y, rate_hz)
-            richer = fit_record(bigger, data)
-            bigger = fitted_model(bigger, richer)
-        new = rung(bigger, richer, y)
+            new_whole = fit_whole(with_settings(fitted_model(model, point), best), y, rate_hz)
+            new_whole = replace(new_whole, model=fitted_model(new_whole.model, new_whole.point))
+        new = rung(new_whole.model, new_whole.point, y)
         if best.effect not in UNSCORED and new.heldout_nll >= rungs[-1].heldout_nll:
             messages.append(f"{found.verdict} was named but does not improve the held-out likelihood: not added")
             break
-        model, point = bigger, richer
+        whole, model, point = new_whole, new_whole.model, new_whole.point
         rungs.append(new)
     messages += idle(point)
     say(1.0, "done")
-    return Ladder(tuple(rungs), fitted_model(model, point), parameters(point), found, tuple(messages), tuple(diagnoses))
+    return Ladder(tuple(rungs), fitted_model(model, point), whole.parameters, found, tuple(messages), tuple(diagnoses))
 
 
 def with_settings(model: Model, entry: Entry) -> Model:

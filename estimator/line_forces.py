@@ -101,9 +101,10 @@ def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Su
     lines = _peaks(s, Z, threshold)
     out: list[Suspect] = []
     rotation = (model.speed_rpm or 0.0) / 60.0
-    if rotation > 0.0:
+    if rotation > 0.0 and not any(use.name == "local_defect" for use in model.effects):
         lines, found = _defects(model, point, s, lines, rotation)
         out += found
+    if rotation > 0.0:
         lines += [k * rotation for k in (1, 2) if not any(abs(k * rotation - h) < width for h in [*lines, *known])]
     for hz in lines:
         suspect = _one_line(model, point, s, hz, rotation, threshold)
@@ -162,10 +163,12 @@ def forces(point: WorkingPoint, s: Spectrum, hz: float) -> tuple[Complexes, Arra
 def _one_line(
     model: Model, point: WorkingPoint, s: Spectrum, hz: float, rotation: float, threshold: float
 ) -> Suspect | None:
-    F, noise = forces(point, s, hz)
-    Z = np.abs(F) ** 2 / noise
     order = hz / rotation if rotation > 0 else 0.0
     near = [k for k in (1, 2) if rotation > 0 and abs(hz - k * rotation) < 2.0 / s.seconds]
+    if near:
+        hz = near[0] * rotation  # a tenth of a bin beside it, the phase at t = 0 would be off by a third
+    F, noise = forces(point, s, hz)
+    Z = np.abs(F) ** 2 / noise
     total, P = float(Z.sum()), len(Z)
     needed = float(np.log(P / KNOWN_LEVEL)) + 6.0 if near else threshold
     if Z.max() < needed and total < needed + 3 * P:

@@ -11,11 +11,11 @@ from .effects.places import at, kinematic
 from .effects.strength import Size
 from .model import EffectUse, Model
 from .motion_blocks import MotionBlocks
+from .periodic import PERIODIC
 from .placed import Placed
 
 Array = NDArray[np.float64]
 FORCES = ("force", "memory", "shaft")  # kinds that act through the motion of the caps
-PERIODIC = ("imbalance", "bow", "misalignment", "local_defect", "line")  # a force of time alone
 
 
 def size(data: MotionBlocks, i: int, kL: float) -> Size:

@@ -12,6 +12,7 @@ from .errors import DataError
 from .features import NEAREST
 from .filtered import Filtered
 from .model import Model
+from .periodic import series
 from .rotor import between_caps, shaft_at_caps
 from .side_by_side import each
 
@@ -181,6 +182,9 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     a = a[:P]
     rms = np.array([each(np.std, z) for z in (x, v, a)])
     speed = 2 * np.pi * (model.speed_rpm or 0.0) / 60
+    periodic = series(model, places, t, speed * t, rate_hz, model.band)
+    if periodic is not None:
+        known -= periodic
     fold = np.minimum(np.arange(starts.size) * FOLDS // starts.size, FOLDS - 1)
     f: Array = np.asarray(np.fft.rfftfreq(block, 1 / rate_hz), dtype=np.float64)
     f = f[(f >= model.band[0]) & (f <= model.band[1])]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from . import linear_memory
 from .effect import Effect
 from .effects.compiled import memory_array
 from .features import FINER, MARGIN, State, decimated, depends, jumps, law_force
@@ -43,6 +45,9 @@ def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | 
     p = np.ascontiguousarray(placed.p if p is None else p, dtype=np.float64)
     slopes = np.zeros((len(data.places), 2))
     if placed.effect.kind == "memory":
+        linear = linear_memory.response(placed.effect, p, lin)
+        if linear is not None:
+            return _filtered(linear, data.x[i], data.rate_hz), slopes, linear(2 * np.pi * data.f_hz)
         f = remember(placed.effect, p, lin, data.x[i], data.v[i], data.rate_hz)
         return f, slopes, _memory_response(placed.effect, data, i, lin, p, f)
     out, sums = _along(placed.effect, p, data, i)
@@ -95,6 +100,15 @@ def remember(effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: 
     fine = np.arange(4 * (x.size - 1) + 1) / 4.0
     rows = np.arange(x.size)
     return memory_array(effect, p, lin, np.interp(fine, rows, x), np.interp(fine, rows, v), 4.0 * rate_hz)[::4].copy()
+
+
+def _filtered(response: Callable[[Array], NDArray[np.complex128]], x: Array, rate_hz: float) -> Array:
+    """(n,) N of a force that is linear in the displacement."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = next_fast_len(x.size, real=True)
+    f: Array = np.asarray(np.fft.rfftfreq(size, 1 / rate_hz), dtype=np.float64)
+    return np.asarray(irfft(rfft(x, size) * response(2 * np.pi * f), size)[: x.size])
 
 
 def _memory_response(

@@ -1,11 +1,10 @@
-"""A record as the model sees it: sensor effects of the model undone, its lines taken out, then cut into blocks."""
+"""A record as the model sees it: sensor effects of the model undone, then cut into blocks."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .line_forces import known_lines
 from .model import Model
 from .motion_blocks import MotionBlocks, cut
 
@@ -14,7 +13,7 @@ Array = NDArray[np.float64]
 
 def prepare(model: Model, y: Array, rate_hz: float) -> MotionBlocks:
     """Blocks of a record y (n, channels), SI. Raises DataError as `cut` does."""
-    return cut(model, without_lines(model, sensors_undone(model, y, rate_hz), rate_hz), rate_hz)
+    return cut(model, sensors_undone(model, y, rate_hz), rate_hz)
 
 
 def sensors_undone(model: Model, y: Array, rate_hz: float) -> Array:
@@ -39,21 +38,4 @@ def sensors_undone(model: Model, y: Array, rate_hz: float) -> Array:
                     np.fft.rfft(np.nan_to_num(out[:, k])) * np.exp(w * float(values["delay"] or 0.0)), len(out)
                 )
                 out[:, k] = np.where(gap, np.nan, moved)
-    return out
-
-
-def without_lines(model: Model, y: Array, rate_hz: float) -> Array:
-    """The record without the periodic motion that effects of the model explain, by projection on each line."""
-    lines = [hz for hz in known_lines(model) if model.band[0] / 2 < hz < min(1.1 * model.band[1], 0.49 * rate_hz)]
-    if not lines:
-        return y
-    filled = np.nan_to_num(y)
-    out = y.copy()
-    t = np.arange(len(y)) / rate_hz
-    valid = np.isfinite(y).all(axis=1)
-    count = max(int(valid.sum()), 1)
-    for hz in lines:
-        turn = 2 * np.pi * hz * t
-        c, s = np.cos(turn), np.sin(turn)
-        out -= np.outer(c, 2 * (c @ filled) / count) + np.outer(s, 2 * (s @ filled) / count)
     return out

@@ -14,8 +14,9 @@ from .effect import Effect
 from .effects.places import places as canonical_places
 from .effects.strength import search_range
 from .model import Model
-from .model_uses import FORCES, PERIODIC, acting, not_judged, searched, size, start
+from .model_uses import FORCES, acting, not_judged, searched, size, start
 from .path_fit import Columns, PathFit
+from .periodic import PERIODIC
 from .placed import Placed
 from .subproblem import Subproblem, heldout_gain, subproblem
 from .terms import dressed, orthogonal, terms

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .balance import Balance
 from .checks import check_record
 from .columns import Columns
+from .effects.custom import effect_of
 from .estimate import Parameter
 from .fit_result import Fit
 from .fold_tangents import excess
@@ -19,6 +20,7 @@ from .likelihood import Likelihood, Local, Point, active
 from .lines import begin, describe
 from .maximum import inverse, maximum
 from .model import UNITS, Model
+from .periodic import PERIODIC
 from .record import Bank, Record, prepare, stretches
 from .start import Start
 
@@ -148,10 +150,24 @@ def _judged(value: float, sd: float, unit: str) -> Parameter:
 
 
 def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) -> Fit:
-    """Parameters with standard deviations from (n, channels) rows in SI. Raises DataError."""
+    """Parameters with standard deviations from (n, channels) rows in SI. Raises DataError.
+
+    A model with more than laws of the states of a cap, or with a force that remembers, is fitted as compare fits it.
+    """
+    if _more_than_laws(model):
+        from . import whole
+
+        return whole.fit(model, check_record(model, y, rate_hz), rate_hz)
     solution = analyse(model, y, rate_hz, phase)
     samples = int(solution.record.motion.valid.sum())
     return Fit(report(solution), -solution.local.nll, samples, "spectral", messages(solution))
+
+
+def _more_than_laws(model: Model) -> bool:
+    """Whether the model has effects that the Gram matrices do not hold; a measured force explains the record itself."""
+    known = all(model.cap_mass(place) is not None for place in model.places)
+    more = any(e.kind != "force" or e.name in PERIODIC for e in map(effect_of, model.effects))
+    return more and known and not any(c.kind == "force" for c in model.channels)
 
 
 def messages(solution: Solution) -> tuple[str, ...]:

@@ -12,7 +12,6 @@ from hidden_effects import RATE, one_bearing, record, schema
 from estimator.compare import compare
 from estimator.model import Model
 from estimator.path_fit import Jacobian
-from estimator.preparation import without_lines
 from estimator.sensor_faults import clipping_level
 from estimator.simulate import simulate
 
@@ -77,16 +76,3 @@ def test_clipping_is_seen_in_the_raw_samples_and_a_gaussian_is_not_clipped() -> 
     found = clipping_level(np.clip(y, -2.5, 2.5) + 0.002 * np.random.default_rng(2).standard_normal(y.size))
     assert found is not None
     assert found[0] == pytest.approx(2.5, rel=0.01)
-
-
-def test_a_line_that_the_model_knows_is_taken_out(rig: Model) -> None:
-    from dataclasses import replace
-
-    from estimator.model import EffectUse, Setting
-
-    t = np.arange(51200) / RATE
-    y = np.random.default_rng(3).standard_normal((t.size, 2))
-    line = 3.0 * np.cos(2 * np.pi * 700.0 * t + 0.4)
-    use = EffectUse("line", {"bearing1.x": {"frequency": Setting(700.0)}})
-    cleaned = without_lines(replace(rig, effects=(*rig.effects, use)), y + line[:, None], RATE)
-    assert np.sqrt(np.mean((cleaned - y) ** 2)) < 0.02

@@ -1,0 +1,143 @@
+"""The whole model on a record: besides the laws of the states also what has no place in their fit.
+
+Periodic forces, shaped or shared excitation and faulty sensors are found where diagnosis finds them, in what a model
+without them leaves; then the rest is fitted with them in place. A number that the rig file fixes is kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import periodic
+from .effect import EffectParameter
+from .effects import CATALOGUE
+from .effects.places import at
+from .estimate import Parameter
+from .fit_result import Fit
+from .fitted import parameters
+from .force_colour import sensor_noise
+from .model import EffectUse, Model, Setting
+from .preparation import prepare
+from .search_start import fit_record
+from .suspect import Suspect
+from .suspects import suspects
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+SHAPING = ("coloured_excitation", "sensor_resonance", "correlated_force", "sensor_clipping", "sensor_noise")
+BLIND = ("sensor_gain", "sensor_skew")  # caps that are not coupled say nothing of them: diagnosis.md
+ROUNDS = 2  # of the numbers of periodic forces, which the rest of the fit depends on
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """model : with the numbers found for what is no law of the states. beside : these, by full name."""
+
+    model: Model
+    point: WorkingPoint
+    beside: dict[str, Parameter]
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Every parameter by full name with its standard deviation."""
+        return parameters(self.point) | self.beside
+
+
+def beside_the_laws(use: EffectUse) -> bool:
+    """Whether an effect is none of the laws that a fit of the states has columns for."""
+    return use.name in (*periodic.PERIODIC, *SHAPING, *BLIND)
+
+
+def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
+    """Fit everything in a model to (n, channels) rows, SI, NaN where missing. Raises DataError."""
+    uses = [u for u in model.effects if beside_the_laws(u)]
+    if not uses:
+        return Whole(model, fit_record(model, prepare(model, y, rate_hz)), {})
+    bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u.name in BLIND))
+    point = fit_record(bare, prepare(bare, y, rate_hz))
+    seen = suspects(bare, point, y)
+    found: dict[str, Parameter] = {}
+    effects = []
+    for use in model.effects:
+        if use in uses:
+            use, own = _numbered(use, model, seen, point)
+            found |= own
+        effects.append(use)
+    model = replace(model, effects=tuple(effects))
+    point = fit_record(model, prepare(model, y, rate_hz))
+    for _ in range(ROUNDS if any(u.name in periodic.PERIODIC for u in uses) else 0):
+        model, stepped = periodic.refined(model, point.data, point.force, point.S)
+        found |= stepped
+        if stepped:
+            point = fit_record(model, prepare(model, y, rate_hz))
+    return Whole(model, point, found)
+
+
+def fit(model: Model, y: Array, rate_hz: float) -> Fit:
+    """The same as the result of a fit."""
+    whole = fit_whole(model, y, rate_hz)
+    data = whole.point.data
+    return Fit(whole.parameters, whole.point.fit.log_likelihood, data.blocks * data.block, "spectral")
+
+
+def _numbered(
+    use: EffectUse, model: Model, seen: list[Suspect], point: WorkingPoint
+) -> tuple[EffectUse, dict[str, Parameter]]:
+    """The use with what was found for it at each of its places, and that as parameters."""
+    effect = CATALOGUE[use.name]
+    found: dict[str, Parameter] = {}
+    new: dict[str, dict[str, Setting]] = {}
+    for key in at(effect, use, model):
+        old = periodic.settings(use, key)
+        own = _found(use, key, old, model, seen, point)
+        new[key] = {}
+        for q in effect.parameters:
+            setting, name = old.get(q.name, Setting()), f"{key}.{use.name}.{q.name}"
+            if setting.fixed and setting.value is not None:
+                found[name] = Parameter(setting.value, 0.0, q.unit, True, "given")
+            elif q.name in own:
+                found[name] = own[q.name]
+                setting = replace(setting, value=own[q.name].value)
+            else:
+                found[name] = _unseen(use.name, q)
+                setting = setting if use.name in BLIND else replace(setting, value=None)
+            new[key][q.name] = setting
+    return replace(use, parameters=new), found
+
+
+def _found(
+    use: EffectUse, key: str, old: dict[str, Setting], model: Model, seen: list[Suspect], point: WorkingPoint
+) -> dict[str, Parameter]:
+    """Name -> number of a use at a canonical place; of several lines the one nearest to the frequency written."""
+    if use.name == "sensor_noise" and key in point.data.places:
+        return {"rms": sensor_noise(point, point.data.places.index(key))}
+    if use.name == "bow":
+        return _bow(model, [s.settings[key] for s in seen if s.effect == "imbalance"])
+    own = [s.settings[key] for s in seen if s.effect == use.name and key in s.settings]
+    if use.name == "line" and (hz := old.get("frequency", Setting()).value):
+        own = sorted(own, key=lambda values: abs((values["frequency"].value or 0.0) - hz))
+    return own[0] if own else {}
+
+
+def _bow(model: Model, seen: list[dict[str, Parameter]]) -> dict[str, Parameter]:
+    """The line at the shaft's speed as the work of a bow, where it was found as that of an imbalance."""
+    if not seen:
+        return {}
+    rotation = np.array([2 * np.pi * (model.speed_rpm or 0.0) / 60.0])
+    through = complex(periodic.to_cap(model, "bearing1.x", rotation)[0])
+    ratio = through / (through - 0.5)
+    a, b = seen[0]["a"], seen[0]["b"]
+    force = ratio * complex(a.value or 0.0, b.value or 0.0)
+    sd = abs(ratio) * (a.sd or 0.0)
+    return {"a": Parameter(force.real, sd, "N"), "b": Parameter(force.imag, sd, "N")}
+
+
+def _unseen(effect: str, q: EffectParameter) -> Parameter:
+    if effect in BLIND:
+        why = "bearings that hardly feel each other say nothing of it: give it, with fixed = true"
+    else:
+        why = periodic.UNTOLD
+    return Parameter(None, None, q.unit, False, why)
