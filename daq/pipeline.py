@@ -14,7 +14,7 @@ from estimator.estimate import Estimate
 from estimator.model import Model
 
 from .clock import Clock, DeviceClock
-from .errors import ConfigError
+from .errors import ConfigError, LogError
 from .estimation import Estimation
 from .estimator_runner import EstimatorRunner
 from .estimators import MakeEstimator
@@ -137,15 +137,17 @@ class Pipeline:
 
         An estimator that needs more than `estimator_s` for what it has not done yet is not waited for.
         """
-        if self._estimation is not None:
-            if not self._estimation.finish(estimator_s):
-                text = "the last samples before the stop are logged, not estimated from"
-                self._say("warning", "stopped_behind", text)
-            self._collect()
-        if self._info is None:
-            self._introduce(Info((), self._plan.rate_hz or 1.0))
-        self.tick(stats, dropped, final=True)
-        self._each_sink("close", lambda sink: sink.close())
+        try:
+            if self._estimation is not None:
+                if not self._estimation.finish(estimator_s):
+                    text = "the last samples before the stop are logged, not estimated from"
+                    self._say("warning", "stopped_behind", text)
+                self._collect()
+            if self._info is None:
+                self._introduce(Info((), self._plan.rate_hz or 1.0))
+            self.tick(stats, dropped, final=True)
+        finally:
+            self._each_sink("close", lambda sink: sink.close())
         self._hear_sinks()
         for reading in self._unsaid:  # too late for the log, not for the operator
             self._one(reading)
@@ -316,7 +318,12 @@ class Pipeline:
                 self._report(sink, f"{what}: {error.strerror or error}; it is tried again")
             except Exception as error:  # a defect there must not stop acquisition
                 self._sinks.remove(sink)
-                self._report(sink, f"{what}: {error!r}; it is left out from now on")
+                if isinstance(error, LogError) and not self._live and what != "close":
+                    raise  # nobody is acquiring: without its log there is no point in going on
+                if isinstance(sink, Reporting):
+                    self._unsaid += sink.health().notices
+                if not isinstance(error, LogError):  # which has been said
+                    self._report(sink, f"{what}: {error!r}; it is left out from now on")
 
     def _report(self, sink: Sink, problem: str) -> None:
         text = f"{type(sink).__name__} failed at {problem}"

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -281,3 +282,27 @@ def test_nohup(folder: Path) -> None:
         run.send_signal(signal.SIGTERM)
         assert run.wait(20) == 0
     assert read_log(folder / "b.mcap").complete
+
+
+@pytest.mark.parametrize("what", ["import", "recover", "export", "capture", "simulate", "replay", "link"])
+def test_a_full_disk_leaves_no_half_of_a_file(
+    long: Path, what: str, capsys: pytest.CaptureFixture[str], record_property: Row
+) -> None:
+    more = {
+        "simulate": ["simulate", "tiwari_vyas_1997.toml", "--seconds", "20", "--out", "o.mcap"],
+        "replay": ["replay", "l.mcap", "--out", "o.mcap"],
+        "link": ["run", "tiwari_vyas_1997.toml", "--link", "replay:l.mcap", "--out", "o.mcap"],
+    }
+    before, words = logs(long), (WORDS | more)[what]
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+    try:
+        status = rotorscope(long, *words)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    (said,) = capsys.readouterr().err.splitlines()
+    assert status == (2 if what == "export" else 4)
+    assert "File too large; " in said
+    assert logs(long) == before
+    row = f"`{words[0]}` on a full disk | limit on the file's size, {words[1]} | one line, no half of a file"
+    record_property("reliability", f"{row} | nothing left, status {status}")
