@@ -73,6 +73,8 @@ def fluctuations(data: MotionBlocks, uses: Sequence[Placed], mean: Sequence[Mean
             return None
         total = np.sum([tangent_series(u, part, i, u.p) for u in own[i]], axis=0)
         total -= total.mean(axis=1, keepdims=True)
+        if not total.any():  # laws that stand at zero, as those just added do
+            return None
         K = _spectra(total, part, mean[i].lags(dt, part.block))
         C = covariance(K, K)
         g = dressed_response(C, dt, mean[i])

@@ -66,3 +66,13 @@ def test_the_finer_grid_keeps_the_motion() -> None:
     assert np.abs(fine.x[:, ::4] - data.x).max() < 1e-9 * np.abs(data.x).max()
     assert fine.t[::4] == pytest.approx(data.t)
     assert fine.f_hz == pytest.approx(data.f_hz)
+
+
+def test_a_law_that_stands_at_zero_fluctuates_nowhere() -> None:
+    """A strong law just added: the fit starts from none of it."""
+    rig = one_bearing()
+    y = record(rig, "cubic", 0.05, seconds=6.0)
+    blank = replace(rig, effects=tuple(replace(u, parameters={p: {} for p in u.parameters}) for u in rig.effects))
+    data = prepare(blank, y, RATE)
+    point = fit_model(data, placed_of(blank, data))
+    assert (np.array([use.p[0] for use in point.placed]) > 1e18).all()
