@@ -52,7 +52,9 @@ def heldout_nll(point: WorkingPoint) -> float:
         for f in range(FOLDS):
             rest = np.array([k for k in range(FOLDS) if k != f])
             total -= problem.likelihood(problem.fit(rest), np.array([f]))
-    return total / (point.data.blocks * point.data.block)
+    for i, _ in point.data.shared:  # each of the two was given the other: what they share has counted twice
+        total -= point.gram.n[i].sum() * np.log(point.fit.S[i] / point.S[i])
+    return float(total) / (point.data.blocks * point.data.block)
 
 
 def reference_nll(point: WorkingPoint, found: Survey, nll: float) -> float:

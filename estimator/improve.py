@@ -26,7 +26,6 @@ MOST = 5  # effects added at most
 UNSCORED = (
     "sensor_noise",
     "sensor_clipping",
-    "correlated_force",
     "imbalance",
     "bow",
     "line",

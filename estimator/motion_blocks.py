@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .effects.custom import effect_of
+from .effects.places import at
 from .errors import DataError
 from .features import NEAREST
 from .filtered import Filtered
@@ -49,6 +51,7 @@ class MotionBlocks:
     left_out: Array  # (places, 2) sd of the displacement and velocity outside of the band
     rms: Array  # (3, places) of x, of v and of a, over the whole record
     measured_force: bool = False
+    shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
 
     @property
     def blocks(self) -> int:
@@ -182,7 +185,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     a = a[:P]
     rms = np.array([each(np.std, z) for z in (x, v, a)])
     speed = 2 * np.pi * (model.speed_rpm or 0.0) / 60
-    periodic = series(model, places, t, speed * t, rate_hz, model.band)
+    periodic = series(model, places, t[0], speed * t[0], rate_hz, model.band)
     if periodic is not None:
         known -= periodic
     fold = np.minimum(np.arange(starts.size) * FOLDS // starts.size, FOLDS - 1)
@@ -190,7 +193,13 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     f = f[(f >= model.band[0]) & (f <= model.band[1])]
     return MotionBlocks(places, rate_hz, model.band, block, starts, fold, a, v, x, known, t[0], speed * t[0], mass,
                         speed, shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms,
-                        bool(forced))  # fmt: skip
+                        bool(forced), _shared(model, places))  # fmt: skip
+
+
+def _shared(model: Model, places: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
+    found = [at(effect_of(u), u, model) for u in model.effects if u.name == "correlated_force"]
+    firsts = [p for keys in found for p in keys]
+    return tuple((places.index(p), places.index(f"bearing2.{p[-1]}")) for p in firsts)
 
 
 def colours(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:

@@ -82,6 +82,7 @@ def fit_model(
     while True:
         point = _at(data, kL, c, nu, uses)
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
+        moved = moved[: moved.size - 2 * len(data.shared)]
         kL, c, uses = _moved(point, kL, c)
         nu_old, nu = nu, _noise(point)
         if rounds == 0 or (moved.max(initial=0.0) < SETTLED and np.allclose(nu, nu_old, rtol=0.2, atol=1e-9)):
@@ -175,6 +176,7 @@ def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) 
     around = fluctuations(data, uses, mean)
     made = [t for i in range(P) for t in linear_terms(data, i)]
     made += [t for ts in each(lambda k: dressed(own[k], uses[k], around), range(len(uses))) for t in ts]
+    made += [_follows(data, F, i, j) for pair in data.shared for i, j in (pair, pair[::-1])]
     columns = weighing.columns(made)
     G = gram(weighing, spectra, columns)
     for i, here in enumerate(around):
@@ -188,7 +190,7 @@ def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) 
         data,
         kL,
         c,
-        result.S,
+        _whole_power(data, result),
         nu,
         tuple(uses),
         F,
@@ -204,6 +206,23 @@ def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) 
         tuple(here and here.coarse(data.rate_hz) for here in around),
         Spans(kept),
     )
+
+
+def _follows(data: MotionBlocks, F: Array, i: int, j: int) -> Term:
+    """What the unknown force at place i has in common with that at j, as a column. With it the rest of F_i is
+    independent of F_j and of all motion that F_j makes; the determinant does not change."""
+    P = len(data.places)
+    rms = max(float(F[j].std()), 1e-300)
+    return light(Term(f"{data.places[i]}.follows.{data.places[j]}", "1", {i: F[j]}, np.zeros((P, P, 2)), 1.0 / rms))
+
+
+def _whole_power(data: MotionBlocks, fit: PathFit) -> Array:
+    """(places,) S of the whole unknown forces: the rest that the columns above leave is 1 - rho^2 of it."""
+    S = fit.S.copy()
+    for i, j in data.shared:
+        there, back = (fit.value(f"{data.places[a]}.follows.{data.places[b]}")[0] for a, b in ((i, j), (j, i)))
+        S[[i, j]] /= max(1.0 - there * back, 1e-6)
+    return S
 
 
 def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list[Placed]]:

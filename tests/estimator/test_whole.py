@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from hidden_effects import RATE, one_bearing, record
+from hidden_effects import RATE, ROOT, one_bearing, record
 
+from daq.rig import load_rig
 from estimator import spectral
 from estimator.compare import compare
 from estimator.effects import CATALOGUE
@@ -66,3 +68,19 @@ def test_what_a_record_does_not_have_is_said(rig: Model) -> None:
     assert fit.parameters["bearing1.y.coloured_excitation.gain"].value is None
     assert fit.parameters["bearing1.y.coloured_excitation.corner"].value == 500.0
     assert fit.parameters["bearing1.x.kL"].identifiable
+
+
+def test_forces_that_the_bearings_share_leave_nothing_once_they_are_in_the_model() -> None:
+    """ln(1 - rho^2) nats a bin and pair are won; the motion of the other bearing no longer tells of the force."""
+    rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    y = record(rig, "correlated_force", 0.06, seconds=8.0)
+    (rho,) = strengths(CATALOGUE["correlated_force"], size(rig, "bearing1.x", RATE), 0.06, rig, 8.0).values()
+    use = EffectUse("correlated_force", {"bearing1.x": {}, "bearing1.y": {}})
+    before, after = compare(rig, y, RATE), compare(replace(rig, effects=(*rig.effects, use)), y, RATE)
+    assert (before.adequate, after.adequate) == (False, True)
+    share = (8000.0 - 150.0) / (RATE / 2) / 2  # bins to a sample
+    won = -2 * share * np.log(1 - rho**2)
+    assert before.heldout_nll - after.heldout_nll == pytest.approx(won, rel=0.05)
+    assert abs((after.parameters["bearing1.x.correlated_force.rho"].value or 0.0) - rho) < 0.01
+    S = after.parameters["bearing1.x.S"].value
+    assert pytest.approx(before.parameters["bearing1.x.S"].value, rel=0.01) == S
