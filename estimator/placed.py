@@ -97,9 +97,7 @@ def tangent_series(placed: Placed, data: MotionBlocks, i: int, p: Array) -> Arra
 
 def remember(effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: float) -> Array:
     """(n,) N of a force with memory, its states integrated at four times the rate (slip is faster than the samples)."""
-    fine = np.arange(4 * (x.size - 1) + 1) / 4.0
-    rows = np.arange(x.size)
-    return memory_array(effect, p, lin, np.interp(fine, rows, x), np.interp(fine, rows, v), 4.0 * rate_hz)[::4].copy()
+    return memory_array(effect, p, lin, np.ascontiguousarray(x), np.ascontiguousarray(v), rate_hz, finer=4)
 
 
 def _filtered(response: Callable[[Array], NDArray[np.complex128]], x: Array, rate_hz: float) -> Array:

@@ -140,10 +140,12 @@ def _forces(
                 continue
             amplitudes = [k for k, q in enumerate(use.effect.parameters) if q.linear]
             units = {t.name: t for t in own}
-            if use.effect.kind == "force" and amplitudes and all(use.name(k) in units for k in amplitudes):
+            if amplitudes and all(use.name(k) in units for k in amplitudes):
                 for k in amplitudes:
-                    F[i] += use.p[k] * units[use.name(k)].series[i]
-                    D[i] += use.p[k] * units[use.name(k)].tangent[i]
+                    unit = units[use.name(k)]
+                    F[i] += use.p[k] * unit.series[i]
+                    D[i] += use.p[k] * unit.tangent[i]
+                    M[:, i, i] += use.p[k] * unit.memory.get(i, 0.0)
                 continue
             f, slope, memory = evaluate(use, data, i, lin[i])
             F[i] += f

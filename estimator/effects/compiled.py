@@ -78,8 +78,6 @@ def _caller(signature: Any, arrays: Sequence[int] = (), addresses: Sequence[int]
 
 
 _FORCE_ARGS, _FORCE_CODE = _caller(FORCE, arrays=(7,))
-_RATES_ARGS, _RATES_CODE = _caller(RATES, arrays=(0, 3, 4, 5))
-_MEMORY_ARGS, _MEMORY_CODE = _caller(MEMORY, arrays=(0, 3, 4))
 _FORCE_AT_ARGS, _FORCE_AT_CODE = _caller(FORCE, addresses=(7,))
 _RATES_AT_ARGS, _RATES_AT_CODE = _caller(RATES, addresses=(0, 3, 4, 5))
 _MEMORY_AT_ARGS, _MEMORY_AT_CODE = _caller(MEMORY, addresses=(0, 3, 4))
@@ -88,16 +86,6 @@ _MEMORY_AT_ARGS, _MEMORY_AT_CODE = _caller(MEMORY, addresses=(0, 3, 4))
 @intrinsic
 def call_force(typingctx, law, x, v, xo, vo, t, phase, s, p):  # type: ignore[no-untyped-def]
     return types.float64(types.uint64, *_FORCE_ARGS), _FORCE_CODE
-
-
-@intrinsic
-def call_rates(typingctx, law, z, x, v, p, lin, dz):  # type: ignore[no-untyped-def]
-    return types.void(types.uint64, *_RATES_ARGS), _RATES_CODE
-
-
-@intrinsic
-def call_memory(typingctx, law, z, x, v, p, lin):  # type: ignore[no-untyped-def]
-    return types.float64(types.uint64, *_MEMORY_ARGS), _MEMORY_CODE
 
 
 # The same with addresses in place of arrays: no view is made and counted for every call.
@@ -123,18 +111,23 @@ def _force_array(law, p, x, v, xo, vo, t, phase, s, out):  # type: ignore[no-unt
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _memory_array(rates, force, states, p, lin, x, v, dt, out):  # type: ignore[no-untyped-def]
+def _memory_array(rates, force, states, p, lin, x, v, dt, finer, out):  # type: ignore[no-untyped-def]
     z, z1 = np.zeros(states), np.zeros(states)
     d0, d1 = np.zeros(states), np.zeros(states)
-    out[0] = call_memory(force, z, x[0], v[0], p, lin)
+    at, at1 = np.uintp(z.ctypes.data), np.uintp(z1.ctypes.data)
+    to0, to1 = np.uintp(d0.ctypes.data), np.uintp(d1.ctypes.data)
+    p_at, lin_at = np.uintp(p.ctypes.data), np.uintp(lin.ctypes.data)
+    out[0] = call_memory_at(force, at, x[0], v[0], p_at, lin_at)
     for i in range(x.size - 1):
-        call_rates(rates, z, x[i], v[i], p, lin, d0)
-        for j in range(states):
-            z1[j] = z[j] + dt * d0[j]
-        call_rates(rates, z1, x[i + 1], v[i + 1], p, lin, d1)
-        for j in range(states):
-            z[j] += 0.5 * dt * (d0[j] + d1[j])
-        out[i + 1] = call_memory(force, z, x[i + 1], v[i + 1], p, lin)
+        dx, dv = (x[i + 1] - x[i]) / finer, (v[i + 1] - v[i]) / finer
+        for k in range(finer):
+            call_rates_at(rates, at, x[i] + k * dx, v[i] + k * dv, p_at, lin_at, to0)
+            for j in range(states):
+                z1[j] = z[j] + dt * d0[j]
+            call_rates_at(rates, at1, x[i] + (k + 1) * dx, v[i] + (k + 1) * dv, p_at, lin_at, to1)
+            for j in range(states):
+                z[j] += 0.5 * dt * (d0[j] + d1[j])
+        out[i + 1] = call_memory_at(force, at, x[i + 1], v[i + 1], p_at, lin_at)
 
 
 def _signal(a: NDArray[np.float64] | float, n: int) -> NDArray[np.float64]:
@@ -169,10 +162,11 @@ def memory_array(
     x: NDArray[np.float64],
     v: NDArray[np.float64],
     rate_hz: float,
+    finer: int = 1,
 ) -> NDArray[np.float64]:
     """(n,) N, the force of a memory effect along displacement and velocity, its states from rest (Heun steps).
 
-    lin : (3,) m, kL, c of the place.
+    lin : (3,) m, kL, c of the place. finer : steps to a sample, the signals straight between samples.
     """
     if effect.rates is None or effect.memory_force is None:
         raise ValueError(f"{effect.name}: no memory law (kind {effect.kind})")
@@ -181,5 +175,5 @@ def memory_array(
     laws = (np.uint64(address(effect.rates, "rates")), np.uint64(address(effect.memory_force, "memory")))
     p, lin = np.ascontiguousarray(p, dtype=np.float64), np.ascontiguousarray(lin, dtype=np.float64)
     if x.size:
-        _memory_array(*laws, effect.states, p, lin, x, v, 1.0 / rate_hz, out)
+        _memory_array(*laws, effect.states, p, lin, x, v, 1.0 / (finer * rate_hz), finer, out)
     return out
