@@ -44,7 +44,8 @@ class Fluctuation:
             return self
         rows = slice(None, None, by)
         data = replace(self.data, rate_hz=rate_hz, block=self.data.block // by, x=self.data.x[:, rows],
-                       v=self.data.v[:, rows], t=self.data.t[rows], phase=self.data.phase[rows])  # fmt: skip
+                       v=self.data.v[:, rows], t=self.data.t[rows], phase=self.data.phase[rows],
+                       slow=None if self.data.slow is None else self.data.slow[:, rows])  # fmt: skip
         g = np.ascontiguousarray(self.g[:, rows])
         total = np.ascontiguousarray(self.total[:, rows])
         return Fluctuation(data, self.place, total, _spectra(total, data, g.shape[1]), g, self.whole)
@@ -95,4 +96,5 @@ def finer(data: MotionBlocks, by: int = 4) -> MotionBlocks:
         return np.asarray((z[:, None] + step[:, None] * np.arange(by) / by).ravel())
 
     return replace(data, rate_hz=by * data.rate_hz, block=by * data.block, x=fine(data.x), v=fine(data.v),
-                   t=straight(data.t), phase=straight(data.phase))  # fmt: skip
+                   t=straight(data.t), phase=straight(data.phase),
+                   slow=None if data.slow is None else fine(data.slow))  # fmt: skip

@@ -51,6 +51,7 @@ class MotionBlocks:
     left_out: Array  # (places, 2) sd of the displacement and velocity outside of the band
     rms: Array  # (3, places) of x, of v and of a, over the whole record
     measured_force: bool = False
+    slow: Array | None = None  # (places, n) displacement below the band that the laws make: slow_motion.py
     shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
 
     @property
@@ -83,6 +84,10 @@ class MotionBlocks:
         name = f"{'bearing2' if node == 'bearing1' else 'bearing1'}.{direction}"
         return self.places.index(name) if name in self.places else None
 
+    def seen(self, i: int) -> Array:
+        """(n,) displacement at a place as its laws see it."""
+        return np.asarray(self.x[i] if self.slow is None else self.x[i] + self.slow[i])
+
     def sizes(self, i: int) -> Array:
         """(4,) rms of x, v at a place and of x, v in the other direction, 0 without one."""
         o = self.other(i)
@@ -107,7 +112,7 @@ def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
     rows = (pick[:, None] * data.block + np.arange(data.block)).ravel()
     a, v, x, known = (np.ascontiguousarray(z[:, rows]) for z in (data.a, data.v, data.x, data.known))
     return replace(data, start=data.start[pick], fold=data.fold[pick], t=data.t[rows], phase=data.phase[rows],
-                   a=a, v=v, x=x, known=known)  # fmt: skip
+                   a=a, v=v, x=x, known=known, slow=None if data.slow is None else data.slow[:, rows])  # fmt: skip
 
 
 def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:
@@ -116,7 +121,7 @@ def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:
     rows = slice(int(here[0]) * data.block, (int(here[-1]) + 1) * data.block)
     a, v, x, known = (z[:, rows] for z in (data.a, data.v, data.x, data.known))
     return replace(data, start=data.start[here], fold=data.fold[here], t=data.t[rows], phase=data.phase[rows],
-                   a=a, v=v, x=x, known=known)  # fmt: skip
+                   a=a, v=v, x=x, known=known, slow=None if data.slow is None else data.slow[:, rows])  # fmt: skip
 
 
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
@@ -193,7 +198,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     f = f[(f >= model.band[0]) & (f <= model.band[1])]
     return MotionBlocks(places, rate_hz, model.band, block, starts, fold, a, v, x, known, t[0], speed * t[0], mass,
                         speed, shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms,
-                        bool(forced), _shared(model, places))  # fmt: skip
+                        bool(forced), None, _shared(model, places))  # fmt: skip
 
 
 def _shared(model: Model, places: tuple[str, ...]) -> tuple[tuple[int, int], ...]:

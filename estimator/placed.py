@@ -70,12 +70,12 @@ def _along(
     reads = depends(effect, p, np.maximum(size, 1e-300))
     sharp = tangents is None and jumps(effect, p, size)
     zero = np.zeros(n)
-    xo, vo = (zero, zero) if o is None else (data.x[o], data.v[o])
+    own, (xo, vo) = data.seen(i), (zero, zero) if o is None else (data.seen(o), data.v[o])
     out, sums = np.empty(n), np.zeros(4)
     for a in range(0, n, PIECE):
         b = min(a + PIECE, n)
         rows = np.clip(np.arange(a - MARGIN, b + MARGIN), 0, n - 1) if sharp else slice(a, b)
-        x, v, xs, vs, t, phase = (z[rows] for z in (data.x[i], data.v[i], xo, vo, data.t, data.phase))
+        x, v, xs, vs, t, phase = (z[rows] for z in (own, data.v[i], xo, vo, data.t, data.phase))
         valid = np.ones(x.size, bool)
         state = State(x, v, xs, vs, t, phase, data.sign(i), data.smoothing(i), valid)
         if sharp:

@@ -22,6 +22,7 @@ from .maximum import inverse, maximum
 from .model import UNITS, Model
 from .periodic import PERIODIC
 from .record import Bank, Record, prepare, stretches
+from .slow_motion import lopsided, usual
 from .start import Start
 
 Floats = NDArray[np.float64]
@@ -152,7 +153,8 @@ def _judged(value: float, sd: float, unit: str) -> Parameter:
 def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) -> Fit:
     """Parameters with standard deviations from (n, channels) rows in SI. Raises DataError.
 
-    A model with more than laws of the states of a cap, or with a force that remembers, is fitted as compare fits it.
+    A model with more than laws of the states of a cap, with a force that remembers, or with a law that moves the cap
+    off its centre is fitted as compare fits it.
     """
     if _more_than_laws(model):
         from . import whole
@@ -166,7 +168,8 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
 def _more_than_laws(model: Model) -> bool:
     """Whether the model has effects that the Gram matrices do not hold; a measured force explains the record itself."""
     known = all(model.cap_mass(place) is not None for place in model.places)
-    more = any(e.kind != "force" or e.name in PERIODIC for e in map(effect_of, model.effects))
+    effects = [effect_of(use) for use in model.effects]
+    more = any(e.kind != "force" or e.name in PERIODIC or lopsided(e, usual(e), np.ones(4)) for e in effects)
     return more and known and not any(c.kind == "force" for c in model.channels)
 
 

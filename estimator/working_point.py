@@ -14,6 +14,7 @@ from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing
 from .placed import Placed, evaluate
 from .self_energy import Mean
 from .side_by_side import each
+from .slow_motion import with_slow
 from .terms import Spans, dressed, light, linear_terms, terms
 
 Array = NDArray[np.float64]
@@ -81,6 +82,7 @@ def fit_model(
         data = data if start.data is data else replace(data, left_out=start.data.left_out)
     while True:
         point = _at(data, kL, c, nu, uses)
+        data = point.data
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
         moved = moved[: moved.size - 2 * len(data.shared)]
         kL, c, uses = _moved(point, kL, c)
@@ -168,6 +170,7 @@ def tangent_at(point: WorkingPoint, f_hz: Array, shaft: NDArray[np.complex128] |
 
 def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) -> WorkingPoint:
     P = len(data.places)
+    data = with_slow(data, kL, c, uses)
     lin = np.stack([data.mass, kL, c], axis=1)
     own = each(lambda use: terms(use, data, lin), uses)
     F, A, D = _forces(data, kL, c, uses, own)
