@@ -23,6 +23,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.effects.strength import size, strengths, with_effect
 from estimator.errors import ModelError
+from estimator.estimate import Parameter
 from estimator.model import Model, Setting
 from estimator.simulate import simulate
 
@@ -68,7 +69,7 @@ def _single(effect: str, at: str) -> bool:
 
 
 def varied(model: Model, seed: int) -> tuple[Model, float]:
-    """A complete model of its own for every seed: damping, stiffness, forces, and the sensor noise (m/s^2)."""
+    """A complete model of its own for every seed: damping, stiffness, forces, band; and the sensor noise (m/s^2)."""
     rng = np.random.default_rng(1000 + seed)
     linear = {}
     for place, old in model.linear.items():
@@ -76,14 +77,16 @@ def varied(model: Model, seed: int) -> tuple[Model, float]:
         for name, low, high in (("kL", 0.8, 1.25), ("c", 0.4, 2.5), ("S", 0.6, 1.6)):
             new[name] = Setting((old[name].value or 0.0) * float(np.exp(rng.uniform(np.log(low), np.log(high)))))
         linear[place] = new
-    return replace(model, linear=linear), float(np.exp(rng.uniform(np.log(0.005), np.log(0.1))))
+    noise = float(np.exp(rng.uniform(np.log(0.005), np.log(0.1))))
+    band = float(rng.uniform(100.0, 300.0)), float(rng.uniform(5000.0, 9500.0))
+    return replace(model, linear=linear, band=band), noise
 
 
 def hidden(model: Model, case: Case, seconds: float) -> tuple[Model, Model, float]:
     """(what is simulated, what the diagnosis is given, sensor noise)."""
     if case.effect == COMPLETE:
         truth, noise = varied(model, case.seed)
-        return truth, model, noise
+        return truth, replace(model, band=truth.band), noise
     effect = CATALOGUE[case.effect]
     known = replace(model, effects=tuple(u for u in model.effects if u.name != case.effect))
     can = places(effect, model)
@@ -117,7 +120,22 @@ def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
         "before_percent": top.before_percent if top else 0.0,
         "after_percent": top.after_percent if top else 0.0,
         "cpu_seconds": time.process_time() - begin,
+        "numbers": numbers(truth, top.parameters) if top and found.verdict == case.effect else {},
     }
+
+
+def numbers(truth: Model, found: Mapping[str, Parameter]) -> dict[str, list[float]]:
+    """Full name -> error of a fitted parameter over the true value, and over its standard deviation."""
+    true = {
+        f"{place}.{use.name}.{name}": setting.value
+        for use in truth.effects for place, settings in use.parameters.items() for name, setting in settings.items()
+    }  # fmt: skip
+    out = {}
+    for name, p in found.items():
+        value = true.get(name)
+        if value and p.value is not None and p.sd:
+            out[name] = [(p.value - value) / abs(value), (p.value - value) / p.sd]
+    return out
 
 
 def markdown(runs: Sequence[Mapping[str, Any]], seconds: float) -> str:
@@ -127,8 +145,8 @@ def markdown(runs: Sequence[Mapping[str, Any]], seconds: float) -> str:
     lines = [
         f"{len(runs)} runs of {seconds:g} s at {RATE_HZ:g} Hz, int16 counts, sensor noise.",
         "",
-        f"| hidden | {' | '.join(heads)} | otherwise |",
-        "|---" * (len(heads) + 2) + "|",
+        f"| hidden | {' | '.join(heads)} | numbers covered | otherwise |",
+        "|---" * (len(heads) + 3) + "|",
     ]
     verdicts: dict[str, dict[tuple[str, str], list[str]]] = {}
     for r in runs:
@@ -139,8 +157,10 @@ def markdown(runs: Sequence[Mapping[str, Any]], seconds: float) -> str:
         others = Counter(v for said in by.values() for v in said if v != effect)
         right += sum(said.count(effect) for said in by.values())
         told = ", ".join(f"{k} {n}" for k, n in others.most_common())
-        lines.append(f"| {effect} | {' | '.join(cells)} | {told} |")
-    lines += ["", f"All: {right}/{len(runs)}."]
+        scores = [z for r in runs if r["effect"] == effect for _, z in r.get("numbers", {}).values()]
+        covered = f"{sum(abs(z) < 1.96 for z in scores)}/{len(scores)}" if scores else ""
+        lines.append(f"| {effect} | {' | '.join(cells)} | {covered} | {told} |")
+    lines += ["", f"All: {right}/{len(runs)}. Numbers covered: true values within the 95 % interval of the diagnosis."]
     return "\n".join(lines) + "\n"
 
 
