@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from .missing_force import power_of
 from .path_fit import Complexes, Term
@@ -48,7 +48,7 @@ def left(before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int
         return None
     state, orders = STATE[effect]
     powers, nats, counts = zip(*(_smooth(after, i, state, orders) for i in sorted(places)), strict=True)
-    if sum(counts) == 0 or chi2.sf(2 * max(sum(nats), 0.0), sum(counts)) > LEVEL:
+    if sum(counts) == 0 or chdtrc(sum(counts), 2 * max(sum(nats), 0.0)) > LEVEL:
         return 0.0
     rest = sum(max(power, 0.0) for power in powers)
     was = sum(_smooth(before, i, state, orders)[0] for i in places)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from .adequacy import STATE
 from .path_fit import Gram, Jacobian, PathFit, Term, fit, log_likelihood, term_response
@@ -95,7 +95,7 @@ def _one(point: WorkingPoint, placed: Placed) -> tuple[float, float] | None:
         loss = float(np.trace(np.linalg.solve(cov_high, cov_low)))
     except np.linalg.LinAlgError:
         return None
-    return gain, 0.5 * loss * float(chi2.isf(LEVEL, q)) / q
+    return gain, 0.5 * loss * float(chdtri(q, LEVEL)) / q
 
 
 def _gram(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from .effects import CATALOGUE
 from .estimate import Parameter
@@ -137,7 +137,7 @@ def _suspected(point: WorkingPoint, own: list[Suspect], before: Survey) -> Entry
 def _odds(trials: list[Trial]) -> float:
     """p-value of the gains of one bearing together."""
     gain, df = sum(max(t.gain, 0.0) for t in trials), sum(t.df for t in trials)
-    together = float(chi2.sf(2 * gain, df))
+    together = float(chdtrc(df, 2 * gain))
     return min(1.0, 2 * min(together, *(len(trials) * t.p_value for t in trials)))
 
 

@@ -23,6 +23,7 @@ from numba import njit
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from . import low_pass
 from .effect import Effect
 from .effects.compiled import address, call_force, force_array
 
@@ -129,9 +130,7 @@ def _decimate(z, taps, finer, out):  # type: ignore[no-untyped-def]
 @cache
 def _prototype() -> tuple[Floats, Floats]:
     """(U, 2 half) taps of the interpolation and (2 half U + 1,) of the decimation: one Kaiser low-pass, -80 dB."""
-    from scipy.signal import firwin
-
-    h = np.asarray(firwin(2 * HALF * FINER + 1, 1.0 / FINER, window=("kaiser", 8.0)))
+    h = low_pass.kaiser(2 * HALF * FINER + 1, 1.0 / FINER, 8.0)
     # value at i + u / U from samples i - half + 1 ... i + half
     offset = (HALF - 1 - np.arange(2 * HALF))[None, :] * FINER + np.arange(FINER)[:, None]
     return np.ascontiguousarray(FINER * h[offset + HALF * FINER]), h

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from .effects import CATALOGUE
 from .estimate import Parameter
@@ -178,7 +178,7 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
         df = float(c.n.size - 4)
         off = np.average(np.log(c.power / base_model(c, u)) ** 2 - 1.0 / c.n, weights=c.n)  # without its own scatter
         depth = float(np.sqrt(max(float(off), 0.0)))
-        if chi2.sf(-2 * level, df) * len(data.places) > LEVEL or depth < LEAST_DEPTH:
+        if chdtrc(df, -2 * level) * len(data.places) > LEVEL or depth < LEAST_DEPTH:
             continue
         shaped.add(i)
         out += _shapes(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
@@ -213,7 +213,7 @@ def _shapes(
             n: Parameter.judged(float(v), float(s), unit)
             for n, v, s, unit in zip(shape.names, values, spread, shape.units, strict=True)
         }
-        p = float(min(1.0, chi2.sf(2 * max(gain, 0.0), q) * 3 * len(data.places) * len(starts)))
+        p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 3 * len(data.places) * len(starts)))
         out.append(
             Suspect(
                 shape.effect, (place,), gain, q + 2, p, {i: predictable}, "frequency", _where(c, r), {place: settings}
@@ -279,7 +279,7 @@ def _shared(model: Model, point: WorkingPoint) -> list[Suspect]:
         n = float(a.size / 2)
         rho = float(np.vdot(a, b) / np.sqrt(float(np.vdot(a, a)) * float(np.vdot(b, b))))
         gain = -n * float(np.log(max(1 - rho**2, 1e-12)))
-        p = float(min(1.0, chi2.sf(2 * gain, 1) * len(data.places)))
+        p = float(min(1.0, chdtrc(1, 2 * gain) * len(data.places)))
         if p > LEVEL or abs(rho) < 0.02:
             continue
         power = {k: rho**2 * float(point.force[k].var()) for k in (i, j)}

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermeval
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from . import reference
 from .effects.places import kinematic
@@ -120,7 +120,7 @@ def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) 
 
 def odds(problem: Subproblem, fit: PathFit, names: tuple[str, ...], gained: float) -> float:
     """p-value of the nats gained by some columns."""
-    return float(chi2.sf(2 * max(gained, 0.0), _effective(problem, fit, names)))
+    return float(chdtrc(_effective(problem, fit, names), 2 * max(gained, 0.0)))
 
 
 def smooth(problem: Subproblem, names: tuple[str, ...], knots: Array) -> tuple[Subproblem, PathFit, tuple[str, ...]]:

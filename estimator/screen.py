@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from .effect import Effect
 from .effects.places import places as canonical_places
@@ -53,7 +53,7 @@ class Trial:
     @property
     def p_value(self) -> float:
         """Of the gain, if nothing is there; before counting how many were tried."""
-        return float(chi2.sf(2 * max(self.gain, 0.0), self.df))
+        return float(chdtrc(self.df, 2 * max(self.gain, 0.0)))
 
 
 def spots(effect: Effect, model: Model, point: WorkingPoint) -> list[str]:

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
-from scipy.signal import firwin, kaiserord
 
+from . import low_pass
 from . import simulate_kernel as kernel
 from .effect import Effect
 from .errors import ModelError
@@ -29,9 +29,9 @@ MARGIN = 512  # samples before and after a block that sensor effects may look at
 
 def antialias_taps(oversample: int) -> Array:
     """Even number of taps, unit gain at 0: flat (3e-5) to 0.45 and 90 dB down from 0.55 of the output rate."""
-    n, beta = kaiserord(90.0, 0.1 / (0.5 * oversample))
+    n, beta = low_pass.order(90.0, 0.1 / (0.5 * oversample))
     n += n % 2
-    return np.asarray(firwin(n, 1.0 / oversample, window=("kaiser", beta)))
+    return low_pass.kaiser(n, 1.0 / oversample, beta)
 
 
 class Simulator:

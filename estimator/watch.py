@@ -65,7 +65,7 @@ def look(wide: Likelihood, own: Balance, point: Point, redundancy: float) -> Mis
     The step to own's maximum on the same evidence is taken along. None if that is more than `CLOSE` nats away.
     redundancy : variance of a score over what the Hessian says, for weights that forget.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     evidence = wide.evidence
     balance, p, P = evidence.balance, len(evidence.balance.free), point.S.size
@@ -101,7 +101,7 @@ def look(wide: Likelihood, own: Balance, point: Point, redundancy: float) -> Mis
     for effect in dict.fromkeys(names):
         members = np.flatnonzero([name == effect for name in names])
         statistic, share = explained(members)
-        if statistic > chi2.isf(SURE, members.size):
+        if statistic > chdtri(members.size, SURE):
             sure[effect] = 100.0 * float(np.sqrt(share))
     certain = np.flatnonzero([name in sure for name in names])  # chance does not eat these up, however many others
     total = 100.0 * float(np.sqrt(max(explained(m)[1] for m in (np.arange(len(names)), certain) if m.size)))
