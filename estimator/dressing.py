@@ -86,8 +86,9 @@ def _covariances(record: Record, columns: Columns, laws: list[int], mean: Mean, 
     series, factor = _series(record, columns, laws, usable)  # (laws, 2, blocks, n)
     dt = 1.0 / (factor * record.rate_hz)
     series -= series.mean(axis=(2, 3), keepdims=True)
-    Z = [spectra(z, mean.lags(dt, series.shape[3])) for z in series]
-    return np.array([[covariance(a, b) for b in Z] for a in Z]), dt
+    lags = mean.lags(dt, series.shape[3])
+    Z = [spectra(z, lags) for z in series]
+    return np.array([[covariance(a, b, lags) for b in Z] for a in Z]), dt
 
 
 def pair_energies(C: Floats, dt: float, B: Floats, mean: Mean, f_hz: Floats) -> Complexes:

@@ -35,7 +35,7 @@ class Fluctuation:
     def of(self, tangents: Array) -> Complexes:
         """(bins,) N/m per unit: Sigma of a law with tangents (2, n) along x and v on `data`."""
         Z = _spectra(tangents, self.data, self.g.shape[1])
-        return self_energy(covariance(Z, self.K), self.g, 1.0 / self.data.rate_hz, self.data.f_hz)
+        return self_energy(covariance(Z, self.K, self.g.shape[1]), self.g, 1.0 / self.data.rate_hz, self.data.f_hz)
 
     def coarse(self, rate_hz: float) -> Fluctuation:
         """The same at the rate of the record: enough for laws without jumps."""
@@ -74,10 +74,9 @@ def fluctuations(data: MotionBlocks, uses: Sequence[Placed], mean: Sequence[Mean
             return None
         total = np.sum([tangent_series(u, part, i, u.p) for u in own[i]], axis=0)
         total -= total.mean(axis=1, keepdims=True)
-        if not total.any():  # laws that stand at zero, as those just added do
-            return None
-        K = _spectra(total, part, mean[i].lags(dt, part.block))
-        C = covariance(K, K)
+        lags = mean[i].lags(dt, part.block)
+        K = _spectra(total, part, lags)
+        C = covariance(K, K, lags)
         g = dressed_response(C, dt, mean[i])
         return None if g is None else Fluctuation(part, i, total, K, g, self_energy(C, g, dt, data.f_hz))
 

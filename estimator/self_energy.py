@@ -73,9 +73,8 @@ def _cross(Z, K):  # type: ignore[no-untyped-def]
     return out / Z.shape[0]
 
 
-def covariance(Z: Spectra, K: Spectra) -> Floats:
-    """(2, 2, lags) <kappa_a(t + lag) K_b(t)>, a and b: along x and v; from their spectra."""
-    lags = next((z.shape[1] for z in (*Z, *K) if z is not None), 2) - 1
+def covariance(Z: Spectra, K: Spectra, lags: int) -> Floats:
+    """(2, 2, lags) <kappa_a(t + lag) K_b(t)>, a and b: along x and v; from their spectra by as many lags."""
     C = np.zeros((2, 2, lags))
     for a, b in np.ndindex(2, 2):
         if (z := Z[a]) is not None and (k := K[b]) is not None:
