@@ -7,6 +7,7 @@ REFUSED (what the library said): the last line of standard error has it.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 REFUSED, TOLD = 4, 5
+LEAST_S, BYTES_PER_S = 20, 100_000  # of CPU time: on some damaged files asammdf does not come to an end
 
 
 class Told(ValueError):
@@ -94,5 +96,16 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
+def _bounded(file_bytes: int) -> None:
+    """Memory is bounded by whoever started us."""
+    with contextlib.suppress(ImportError):  # not on this system
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        seconds = LEAST_S + file_bytes // BYTES_PER_S
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+
+
 if __name__ == "__main__":
+    _bounded(Path(sys.argv[1]).stat().st_size)
     sys.exit(main(sys.argv[1:]))

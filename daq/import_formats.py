@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -153,6 +154,8 @@ def answered(path: Path, out: Path, status: int, said: str) -> Columns:
         raise LogError(f"{path}: {last}")
     if status == import_child.REFUSED:
         raise MemoryError if last.startswith("MemoryError") else ValueError(last)
+    if status == -getattr(signal, "SIGXCPU", 0):
+        raise ValueError("the library that reads it comes to no end")
     if status:
         raise ValueError(f"the library that reads it crashed (status {status})")
     with np.load(out, allow_pickle=False) as file:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import struct
 import subprocess
 import sys
@@ -27,6 +28,7 @@ OPENED, UNAVAILABLE, REFUSED, BATCH, END = (bytes((letter,)) for letter in b"OUR
 _PART = struct.Struct("<cI")
 _COUNTS = struct.Struct("<III")  # frames, damaged records, bytes of the reason
 LEAST_BYTES, FACTOR = 2 << 30, 100  # memory that the process may take: this, and so many times the file's size
+LEAST_S, BYTES_PER_S = 20, 100_000  # and CPU time: on some damaged files asammdf does not come to an end
 
 Opened = TypeVar("Opened")
 
@@ -45,9 +47,7 @@ class Mf4Batches:
         if kind == OPENED:
             return
         self.close()
-        text = (
-            content.decode("utf-8", "replace") or f"the library that reads it crashed, status {self._child.returncode}"
-        )
+        text = content.decode("utf-8", "replace") or _ended(self._child.returncode)
         if kind == UNAVAILABLE:
             raise LinkUnavailable(f"capture:{file}: {text}: install the missing library")
         raise LinkOpenError(f"capture:{file}: not a .mf4 file ({text}): check the file")
@@ -64,8 +64,7 @@ class Mf4Batches:
         self.close()
         if kind == END:
             raise StopIteration
-        why = f"the library that reads it crashed, status {self._child.returncode}"
-        return Batch(CanFrames.build([]), 1, why)
+        return Batch(CanFrames.build([]), 1, _ended(self._child.returncode))
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
@@ -118,11 +117,20 @@ def _opened_quietly(make: Callable[[], Opened]) -> Opened:
     raise ValueError(text)
 
 
+def _ended(status: int) -> str:
+    if status == -getattr(signal, "SIGXCPU", 0):
+        return "the library that reads it comes to no end"
+    return f"the library that reads it crashed, status {status}"
+
+
 def _bounded(file_bytes: int) -> None:
     try:
         import resource
     except ImportError:  # not on this system
         return
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    seconds = LEAST_S + file_bytes // BYTES_PER_S
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     wanted = LEAST_BYTES + FACTOR * file_bytes
     resource.setrlimit(resource.RLIMIT_AS, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))

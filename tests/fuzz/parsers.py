@@ -1,16 +1,19 @@
 """The libraries that read .mat and .mf4, in one child process that lives on for thousands of damaged files.
 
 daq starts one for each file, which costs seconds. What crashes the child is no finding, since that is what it is for:
-it is counted, and another started. A file that hangs it, or makes it write elsewhere or start something, is a finding.
+it is counted, and another started; so is what makes it parse without end. A file that makes it write elsewhere or start
+something is a finding.
 """
 
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
+ENDLESS_S = 3  # of CPU time: where daq.import_child has a longer patience
 RESTART = 5_000  # files: what the libraries do not free must not add up to the bound on memory
 CRASHED = 99
 
@@ -69,6 +72,7 @@ def _serve(folder: Path) -> None:
     with bounded_memory(0):
         for line in sys.stdin:
             path, out = line.rstrip("\n").split("\t")
+            signal.setitimer(signal.ITIMER_PROF, ENDLESS_S)  # its signal kills
             try:
                 with guarded(folder):
                     status = str(main([path, out, "b1x", "b1y"]))

@@ -97,6 +97,15 @@ def test_a_small_file_that_unpacks_to_much_is_refused(
         read(path, ["b1x"])
 
 
+@pytest.mark.slow
+def test_a_file_without_end_is_refused(tmp_path: Path) -> None:
+    """asammdf follows a circle of blocks in it: its process has 20 s of CPU time."""
+    path = tmp_path / "a.mf4"
+    path.write_bytes((CASES[0].parent / "mf4-parse-endless").read_bytes())
+    with pytest.raises(LogError, match="the library that reads it comes to no end"):
+        read(path, ["b1x", "b1y"])
+
+
 def test_a_log_of_countless_events_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daq.log_reader.MOST_EVENTS", 20_000)
     data = b"".join(_records(b"")) + 30_000 * _message(codec.GAP, codec.encode_gap(Gap(4, 0, "")))
