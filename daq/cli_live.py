@@ -13,7 +13,18 @@ LINKS = (
     "virtual: | can:INTERFACE:CHANNEL?bitrate=..&fd=1 | slcan:PORT?bitrate=.. | serial:PORT?baud=.. | "
     "capture:FILE | replay:LOG.mcap"
 )
-Seconds = Annotated[float | None, typer.Option("--seconds", min=0.0, metavar="S", help="Stop after S seconds of data.")]
+
+
+def _above_zero(value: float | None) -> float | None:
+    if value is not None and not 0 < value < 1e12:
+        raise typer.BadParameter(f"{value:g} is no length; give seconds above 0, or leave it out")
+    return value
+
+
+Seconds = Annotated[
+    float | None,
+    typer.Option("--seconds", metavar="S", callback=_above_zero, help="Stop after S seconds of data."),
+]
 
 
 def run(
@@ -54,7 +65,9 @@ def simulate(
     serve: Annotated[str | None, typer.Option("--serve", metavar="LINK", help="Be a device on a link.")] = None,
     seconds: Annotated[
         float | None,
-        typer.Option("--seconds", min=0.0, metavar="S", help="Length (default: 60 for a log, no end for a device)."),
+        typer.Option(
+            "--seconds", metavar="S", callback=_above_zero, help="Length (default: 60 for a log, no end for a device)."
+        ),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Of the random forces and noise.")] = 1,
     truth: Annotated[

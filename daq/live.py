@@ -160,6 +160,8 @@ def simulate(
         raise LogError(operator.lost_log)
     if stop.event.is_set():  # by whatever signal: it is shorter than was asked for
         raise KeyboardInterrupt
+    if not summary.samples:
+        raise ConfigError(f"--seconds {seconds:g}: shorter than a frame; there is no log of it")
 
 
 def replay(
@@ -186,6 +188,8 @@ def replay(
         raise LogError(operator.lost_log)
     if stop.event.is_set():
         raise KeyboardInterrupt
+    if out is not None and not summary.samples + summary.lost_samples:
+        raise LogError(f"{log}: holds no samples, so there is no {out}")
     if check and not summary.identical:
         raise CheckFailed(
             f"{log}: the estimates of the replay are not the logged ones ({summary.compared} compared); "

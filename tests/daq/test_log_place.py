@@ -306,3 +306,11 @@ def test_a_full_disk_leaves_no_half_of_a_file(
     assert logs(long) == before
     row = f"`{words[0]}` on a full disk | limit on the file's size, {words[1]} | one line, no half of a file"
     record_property("reliability", f"{row} | nothing left, status {status}")
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "inf", "nan", "1e-9"])
+def test_no_length(folder: Path, seconds: str, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["simulate", "rig.toml", f"--seconds={seconds}", "--out", "b.mcap"]
+    assert rotorscope(folder, *words) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert logs(folder) == ["a.mcap"]
