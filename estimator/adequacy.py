@@ -14,11 +14,13 @@ from scipy.special import chdtrc
 
 from .missing_force import power_of
 from .path_fit import Complexes, Term
+from .side_by_side import each
 from .subproblem import gain, subproblem
 from .terms import light, orthogonal
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
+Series = NDArray[np.floating]
 ODD = (3, 5, 7, 9)
 STATE = {  # even terms beside an odd law belong to another one
     "cubic": ("x", ODD), "quintic": ("x", ODD), "clearance": ("x", ODD), "hertz": ("x", ODD),
@@ -47,11 +49,11 @@ def left(before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int
     if effect not in STATE:
         return None
     state, orders = STATE[effect]
-    powers, nats, counts = zip(*(_smooth(after, i, state, orders) for i in sorted(places)), strict=True)
+    powers, nats, counts = zip(*each(lambda i: _smooth(after, i, state, orders), sorted(places)), strict=True)
     if sum(counts) == 0 or chdtrc(sum(counts), 2 * max(sum(nats), 0.0)) > LEVEL:
         return 0.0
     rest = sum(max(power, 0.0) for power in powers)
-    was = sum(_smooth(before, i, state, orders)[0] for i in places)
+    was = sum(power for power, _, _ in each(lambda i: _smooth(before, i, state, orders), places))
     return float(np.sqrt(min(rest / was, 1.0))) if was > 0.0 else 0.0
 
 
@@ -60,7 +62,7 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
     data = point.data
     z = (data.x if state == "x" else data.v)[i]
     rms = float(data.rms[0 if state == "x" else 1, i])
-    u = z / rms
+    u = (z / rms).astype(np.float32)
     here, which = point.fluctuations[i], 0 if state == "x" else 1
     memory: dict[int, dict[int, Complexes]] = {}
     if here is not None:
@@ -71,7 +73,7 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
     terms = []
     for order, polynomial, below in _hermite(u, orders):
         slopes = np.zeros((len(data.places),) * 2 + (2,))
-        slopes[i, i, which] = order * float(np.mean(below)) / rms
+        slopes[i, i, which] = order * float(np.mean(below, dtype=np.float64)) / rms
         term = Term(f"smooth.{order}", "N", {i: polynomial}, slopes, memory=memory.get(order, {}))
         made = orthogonal(term, point.spans, least=1e-3)
         if made is not None:
@@ -83,9 +85,9 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
     return power_of(point, problem, fit, i)[0], nats, len(terms)
 
 
-def _hermite(u: Array, orders: tuple[int, ...]) -> Iterator[tuple[int, Array, Array]]:
+def _hermite(u: Series, orders: tuple[int, ...]) -> Iterator[tuple[int, Series, Series]]:
     """(k, He_k, He_(k-1)) of u for every k of orders, rising; the derivative of He_k is k He_(k-1)."""
-    below, here = np.ones(u.size), u
+    below, here = np.ones_like(u), u
     for k in range(1, max(orders) + 1):
         if k in orders:
             yield k, here, below

@@ -62,8 +62,7 @@ def extrapolated(point: WorkingPoint, placed: tuple[Placed, ...]) -> Extrapolati
     """How laws with given searched parameters do on the largest amplitudes. None if the lower part says nothing."""
     point = thinned(point, SECONDS)
     total, allowed = 0.0, MARGIN
-    for one in placed:
-        found = _one(point, one)
+    for found in each(lambda one: _one(point, one), placed):
         if found is None:
             return None
         total, allowed = total + found[0], allowed + found[1]
@@ -80,7 +79,7 @@ def _one(point: WorkingPoint, placed: Placed) -> tuple[float, float] | None:
     uses = [u for u in point.placed if set(u.at) & set(at)]
     base = [t for i in at for t in linear_terms(point.data, i)]
     base += [t for u in uses for t in dressed(terms(u, point.data, point.lin), u, point.fluctuations)]
-    masks = each(lambda i: upper_part(point, i), at)
+    masks = [upper_part(point, i) for i in at]
     parts = []
     for upper in (False, True):
         parts.append(_gram(point, at, [*base, *extra], [m == upper for m in masks], uses, placed, used))

@@ -106,7 +106,16 @@ def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: Survey) ->
         explained_percent=100 * float(np.sqrt(power / scale)),
         placed=tuple(t.placed for t in used),
         detectable=_detectable(used),
+        notes=_shorter(point, used),
     )
+
+
+def _shorter(point: WorkingPoint, used: Sequence[Trial]) -> tuple[str, ...]:
+    """On how much of the record an effect was judged, if not on all of it."""
+    seconds = max(t.problem.blocks.sum() for t in used) * point.data.block / point.data.rate_hz
+    if seconds > 0.99 * point.data.seconds:
+        return ()
+    return (f"gain and p-value are those of {seconds:.0f} s of the record: the rest could not bring it to the front",)
 
 
 def _suspected(point: WorkingPoint, own: list[Suspect], before: Survey) -> Entry:
@@ -149,7 +158,8 @@ def _power(point: WorkingPoint, t: Trial) -> float:
     cross = G[1 + b :, 1 : 1 + b]
     Q = G[1 + b :, 1 + b :] - cross @ np.linalg.pinv(G[1 : 1 + b, 1 : 1 + b], rcond=1e-9) @ cross.T
     noise = np.trace(Q @ t.fit.covariance[b:, b:])
-    return max(float(theta @ Q @ theta - noise), 0.0) * point.data.rate_hz / point.data.block / point.data.blocks
+    seconds = float(t.problem.blocks.sum()) * point.data.block / point.data.rate_hz
+    return max(float(theta @ Q @ theta - noise), 0.0) / seconds
 
 
 def _parameters(point: WorkingPoint, t: Trial) -> dict[str, Parameter]:

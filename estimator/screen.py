@@ -153,12 +153,13 @@ def _trial(effect: Effect, spot: str, best: tuple[float, Subproblem, PathFit, Pl
 
 
 def contenders(trials: Sequence[Trial]) -> list[bool]:
-    """Which trials on part of a record the whole of it could bring to the front, or to significance."""
+    """Which trials on part of a record the whole of it could bring to the front, or to significance; and those of the
+    runner-up, to be compared."""
     total: dict[str, float] = {}
     for t in trials:
         total[t.effect.name] = total.get(t.effect.name, 0.0) + max(t.gain, 0.0)
-    best = max(total.values(), default=0.0)
-    least = min(NEAR * best, best - BEHIND)
+    best, second = sorted([0.0, 0.0, *total.values()])[:-3:-1]
+    least = min(NEAR * best, best - BEHIND, second)
     return [t.p_value < IDLE and total[t.effect.name] >= least for t in trials]
 
 

@@ -59,5 +59,7 @@ def test_the_whole_record_is_for_what_it_could_bring_forward(weak: tuple[Model, 
 
     clear = [at("clearance", 300.0), at("clearance", 0.1), at("stop", 200.0), at("hertz", 60.0)]
     assert screen.contenders(clear) == [True, False, True, False]
+    alone = [at("clearance", 300.0), at("stop", 60.0), at("hertz", 50.0)]
+    assert screen.contenders(alone) == [True, True, False]
     faint = [at("clearance", 20.0), at("stop", 1.0), at("hertz", 0.1)]
     assert screen.contenders(faint) == [True, True, False]
