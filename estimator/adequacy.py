@@ -49,11 +49,11 @@ def left(before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int
     if effect not in STATE:
         return None
     state, orders = STATE[effect]
-    powers, nats, counts = zip(*each(lambda i: _smooth(after, i, state, orders), sorted(places)), strict=True)
+    powers, nats, counts = zip(*(_smooth(after, i, state, orders) for i in sorted(places)), strict=True)
     if sum(counts) == 0 or chdtrc(sum(counts), 2 * max(sum(nats), 0.0)) > LEVEL:
         return 0.0
     rest = sum(max(power, 0.0) for power in powers)
-    was = sum(power for power, _, _ in each(lambda i: _smooth(before, i, state, orders), places))
+    was = sum(_smooth(before, i, state, orders)[0] for i in places)
     return float(np.sqrt(min(rest / was, 1.0))) if was > 0.0 else 0.0
 
 
@@ -70,14 +70,15 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
             tangents = np.zeros((2, below.size))
             tangents[which] = order * below / rms
             memory[order] = {i: -here.of(tangents)}
-    terms = []
-    for order, polynomial, below in _hermite(u, orders):
+
+    def term(order: int, polynomial: Series, below: Series) -> Term | None:
         slopes = np.zeros((len(data.places),) * 2 + (2,))
         slopes[i, i, which] = order * float(np.mean(below, dtype=np.float64)) / rms
-        term = Term(f"smooth.{order}", "N", {i: polynomial}, slopes, memory=memory.get(order, {}))
-        made = orthogonal(term, point.spans, least=1e-3)
-        if made is not None:
-            terms.append(light(made))
+        own = Term(f"smooth.{order}", "N", {i: polynomial}, slopes, memory=memory.get(order, {}))
+        made = orthogonal(own, point.spans, least=1e-3)
+        return None if made is None else light(made)
+
+    terms = [t for t in each(lambda one: term(*one), _hermite(u, orders)) if t is not None]
     if not terms:
         return 0.0, 0.0, 0
     problem = subproblem(point, (i,), point.weighing.columns(terms))

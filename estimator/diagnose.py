@@ -75,14 +75,7 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
 
 def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:
     """The same from a model already fitted."""
-    say(0.15, "what can still be predicted")
-    part = thinned(point, missing_force.SURVEY_SECONDS)
-    others, before = both(lambda: suspects(model, point, y), lambda: missing_force.survey(part, model))
-    before = before.beside(others)
-    trials = _screen(model, point, part, say)
-    entries = evidence.entries(model, point, trials, before, others)
-    say(0.8, "largest amplitudes")
-    entries = _extrapolating(part, entries)
+    before, entries = _ranked(model, point, y, say)
     if not entries or entries[0].p_value > SIGNIFICANT or _negligible(entries[0]):
         return _nothing(point, before, tuple(entries))
     say(0.85, f"does {entries[0].effect} explain it?")
@@ -90,12 +83,13 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
     if not best.placed:
         return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries), messages=best.notes)
     after_point = fit_model(point.data, [*point.placed, *best.placed], start=point, rounds=2)
-    after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
-    after = missing_force.survey(after_part, model, only=before.places_found())
     joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
-    values = {k: joint.get(k, p) for k, p in best.parameters.items()}
-    entries[0] = best = replace(best, after_percent=after.percent(point), parameters=values)
     smooth = adequacy.left(point, after_point, best.effect, {i for p in best.placed for i in p.at})
+    after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
+    del after_point
+    after = missing_force.survey(after_part, model, only=before.places_found())
+    values = {k: joint.get(k, p) for k, p in best.parameters.items()}
+    entries[0] = best = replace(best, after_percent=after.percent(after_part), parameters=values)
     left = _same_state_left(before, after, best) if smooth is None else smooth
     if left > adequacy.most_left(best.effect, SAME_SHAPE) and not _another_explains(
         model, after_part, after, best, say
@@ -110,6 +104,20 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
             ),
         )
     return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries))
+
+
+def _ranked(
+    model: Model, point: WorkingPoint, y: Array, say: Progress
+) -> tuple[missing_force.Survey, list[Entry]]:  # fmt: skip
+    """What is missing, and what could be it, the likeliest first."""
+    say(0.15, "what can still be predicted")
+    part = thinned(point, missing_force.SURVEY_SECONDS)
+    others, before = both(lambda: suspects(model, point, y), lambda: missing_force.survey(part, model))
+    before = before.beside(others)
+    trials = _screen(model, point, part, say)
+    entries = evidence.entries(model, point, trials, before, others)
+    say(0.8, "largest amplitudes")
+    return before, _extrapolating(part, entries)
 
 
 def _extrapolating(point: WorkingPoint, entries: list[Entry]) -> list[Entry]:

@@ -67,14 +67,14 @@ def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
     from scipy.ndimage import median_filter
 
     columns = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind in _POWER) for p in model.places]
-    rows = np.nan_to_num(y[:, columns].T)
-    keep = rows.shape[1]
+    keep = len(y)
     while next_fast_len(keep, real=True) != keep:
         keep -= 1
-    windowed = rows[:, :keep] * np.hanning(keep)
-    del rows
+    windowed = np.nan_to_num(np.ascontiguousarray(y[:keep, columns].T), copy=False)
+    windowed *= np.hanning(keep)
     f: Array = np.asarray(np.fft.rfftfreq(keep, 1 / rate_hz), dtype=np.float64)
-    Y = 2 * rfft(windowed, axis=1, workers=2) / (0.5 * (keep - 1))
+    Y = np.asarray(rfft(windowed, axis=1, workers=2))
+    Y *= 2 / (0.5 * (keep - 1))
     thin = 4  # the median need not be known at every bin
     noise = np.empty(Y.shape)
     for i in range(len(Y)):

@@ -129,7 +129,10 @@ class Weighing:
                 index.setdefault(i, []).append(k)
 
         def at(i: int) -> Spectrum:
-            return np.stack([self.spectrum(i, terms[k].series[i] * terms[k].scale) for k in index[i]])
+            out = np.empty((len(index[i]), self.data.blocks, 2 * self.weight.shape[1]), np.float32)
+            for row, k in zip(out, index[i], strict=True):
+                row[:] = self.spectrum(i, terms[k].series[i] * terms[k].scale)
+            return out
 
         spectra = dict(zip(index, each(at, index), strict=True))
         tangents = np.array([term_response(t, self.data) for t in terms])

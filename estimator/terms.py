@@ -88,25 +88,20 @@ def light(term: Term) -> Term:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """What the base terms span at one place: B (k, n) scaled to rms 1, their Gram matrix and tangents."""
+    """What the base terms span at one place, each scaled to rms 1: their Gram matrix and tangents."""
 
-    B: NDArray[np.float32]
-    part: NDArray[np.float32]  # (k, n / STRIDE) of B
+    base: tuple[Term, ...]
+    part: NDArray[np.float32]  # (k, n / STRIDE) of their series
     gram: Array
     slopes: Array  # (k, places, 2)
     memory: Complexes | None  # (k, bins) more of the response to x at the place, see Term
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _less(z, B, weights):  # type: ignore[no-untyped-def]
-    """z - weights @ B, (n,), in one pass, double precision."""
-    out = np.empty(z.size)
+@njit(cache=True, nogil=True)
+def _subtract(z, weight, other):  # type: ignore[no-untyped-def]
+    """z -= weight * other, (n,), in double precision."""
     for i in range(z.size):
-        total = z[i]
-        for k in range(B.shape[0]):
-            total -= weights[k] * B[k, i]
-        out[i] = total
-    return out
+        z[i] -= weight * other[i]
 
 
 STRIDE = 4  # of the samples that the projection is computed from; it need not be exact, only subtracted exactly
@@ -114,13 +109,12 @@ STRIDE = 4  # of the samples that the projection is computed from; it need not b
 
 def span(base: Sequence[Term], i: int) -> Span:
     """The base at place i."""
-    own = [b for b in base if i in b.series]
-    B = np.stack([(b.series[i] * b.scale).astype(np.float32) for b in own])
-    part = np.ascontiguousarray(B[:, ::STRIDE])
+    own = tuple(b for b in base if i in b.series)
+    part = np.stack([(b.series[i][::STRIDE] * b.scale).astype(np.float32) for b in own])
     wide = part.astype(np.float64)
     more = next((b.memory[i] for b in own if i in b.memory), None)
     memory = None if more is None else np.stack([b.memory.get(i, 0.0 * more) * b.scale for b in own])
-    return Span(B, part, wide @ wide.T, np.stack([b.tangent[i] * b.scale for b in own]), memory)
+    return Span(own, part, wide @ wide.T, np.stack([b.tangent[i] * b.scale for b in own]), memory)
 
 
 class Spans:
@@ -146,7 +140,9 @@ def orthogonal(term: Term, spans: Spans, least: float = 1e-4) -> Term | None:
     for i, z in term.series.items():
         base = spans[i]
         weights = np.linalg.lstsq(base.gram, base.part @ z[::STRIDE], rcond=1e-10)[0]
-        rest = _less(z, base.B, weights)
+        rest = z.astype(np.float64)
+        for weight, b in zip(weights, base.base, strict=True):
+            _subtract(rest, weight * b.scale, b.series[i])
         slopes[i] -= np.tensordot(weights, base.slopes, 1)
         if base.memory is not None:
             memory[i] = memory.get(i, 0.0) - weights @ base.memory
