@@ -69,11 +69,12 @@ class Filtered(BandLimit):
 
     def whole(self) -> Motion:
         """All of it, held."""
-        out = np.empty((self._outputs, len(self.kinds), self.rows))
+        out = [np.empty((len(self.kinds), self.rows)) for _ in range(self._outputs)]
 
         def fill(b: int) -> None:
-            part = out[:, :, b * self._hop : (b + 1) * self._hop]
-            part[:] = self._filtered(b)[:, :, : part.shape[2]]
+            first, z = b * self._hop, self._filtered(b)
+            for whole, part in zip(out, z[:, :, : self.rows - first], strict=True):
+                whole[:, first : first + self._hop] = part
 
         each(fill, range(-(-self.rows // self._hop)))
         u = out[3] if self._outputs == 4 else np.empty((0, self.rows))

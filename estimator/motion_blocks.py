@@ -27,7 +27,7 @@ _OTHER = {"x": "y", "y": "x"}
 class MotionBlocks:
     """Valid blocks laid end to end, n = blocks * block rows. SI.
 
-    a, v, x : (places, n) band-limited motion; known : (places, n) N, the part of the force that needs no estimate:
+    v, x : (places, n) band-limited motion; known : (places, n) N, the part of the force that needs no estimate:
     m a + shaft and disc. t : (n,) s from the start of the record; phase : (n,) rad. start : (blocks,) first row of each
     block in the record. fold : (blocks,) number of the time fold. force : (places, n) N, the measured force or zero.
     """
@@ -38,7 +38,6 @@ class MotionBlocks:
     block: int
     start: NDArray[np.int64]
     fold: NDArray[np.int64]
-    a: Array
     v: Array
     x: Array
     known: Array
@@ -110,18 +109,18 @@ def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
         return data
     pick = np.concatenate([np.flatnonzero(data.fold == f)[:per_fold] for f in range(FOLDS)])
     rows = (pick[:, None] * data.block + np.arange(data.block)).ravel()
-    a, v, x, known = (np.ascontiguousarray(z[:, rows]) for z in (data.a, data.v, data.x, data.known))
+    v, x, known = (np.ascontiguousarray(z[:, rows]) for z in (data.v, data.x, data.known))
     return replace(data, start=data.start[pick], fold=data.fold[pick], t=data.t[rows], phase=data.phase[rows],
-                   a=a, v=v, x=x, known=known, slow=None if data.slow is None else data.slow[:, rows])  # fmt: skip
+                   v=v, x=x, known=known, slow=None if data.slow is None else data.slow[:, rows])  # fmt: skip
 
 
 def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:
     """The blocks of one time fold, as views of the record."""
     here = np.flatnonzero(data.fold == f)
     rows = slice(int(here[0]) * data.block, (int(here[-1]) + 1) * data.block)
-    a, v, x, known = (z[:, rows] for z in (data.a, data.v, data.x, data.known))
+    v, x, known = (z[:, rows] for z in (data.v, data.x, data.known))
     return replace(data, start=data.start[here], fold=data.fold[here], t=data.t[rows], phase=data.phase[rows],
-                   a=a, v=v, x=x, known=known, slow=None if data.slow is None else data.slow[:, rows])  # fmt: skip
+                   v=v, x=x, known=known, slow=None if data.slow is None else data.slow[:, rows])  # fmt: skip
 
 
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
@@ -187,8 +186,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
                 known[i] += model.shaft_damping * v[i]
     for k, p in enumerate(q for q in places if q in forced):
         known[places.index(p)] -= a[P + k]
-    a = a[:P]
-    rms = np.array([each(np.std, z) for z in (x, v, a)])
+    rms = np.array([each(np.std, z) for z in (x, v, a[:P])])
     speed = 2 * np.pi * (model.speed_rpm or 0.0) / 60
     periodic = series(model, places, t[0], speed * t[0], rate_hz, model.band)
     if periodic is not None:
@@ -196,7 +194,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     fold = np.minimum(np.arange(starts.size) * FOLDS // starts.size, FOLDS - 1)
     f: Array = np.asarray(np.fft.rfftfreq(block, 1 / rate_hz), dtype=np.float64)
     f = f[(f >= model.band[0]) & (f <= model.band[1])]
-    return MotionBlocks(places, rate_hz, model.band, block, starts, fold, a, v, x, known, t[0], speed * t[0], mass,
+    return MotionBlocks(places, rate_hz, model.band, block, starts, fold, v, x, known, t[0], speed * t[0], mass,
                         speed, shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms,
                         bool(forced), None, _shared(model, places))  # fmt: skip
 

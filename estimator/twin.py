@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .errors import DataError, ModelError
 from .free_run import free_run
 from .model import Model
-from .motion_blocks import cut
+from .motion_blocks import MotionBlocks, cut
 from .simulate import simulate
 from .working_point import WorkingPoint
 
@@ -61,11 +61,8 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
     orbits: dict[str, Any] = {}
     names = [next(c.name for c in model.channels if c.place == p and c.kind != "force") for p in data.places]
     for i, name in enumerate(names):
-        f, measured = spectrum(data.a[i], data.block, data.rate_hz)
-        _, model_psd = spectrum(own.a[i], own.block, own.rate_hz)
-        if own.block != data.block:
-            f_own, _ = spectrum(own.a[i], own.block, own.rate_hz)
-            model_psd = np.interp(f, f_own, model_psd)
+        f, measured = of_acceleration(data, i)
+        model_psd = np.interp(f, *of_acceleration(own, i))
         inside = (f >= data.band[0]) & (f <= data.band[1])
         # noise of the sensor and its counts belongs to the measurement, not to the rotor
         noise = point.nu[i] * point.S[i]
@@ -102,6 +99,12 @@ def _driven(model: Model, record: Array, rate_hz: float) -> Array:
     moving = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind != "force") for p in model.places]
     y[:, moving] = free_run(model, np.ascontiguousarray(y[:, [force[p] for p in model.places]].T), rate_hz).T
     return y[int(SETTLE * rate_hz) :]
+
+
+def of_acceleration(data: MotionBlocks, i: int) -> tuple[Array, Array]:
+    """One-sided PSD of the acceleration at a place, from the velocity in the band."""
+    f, power = spectrum(data.v[i], data.block, data.rate_hz)
+    return f, (2 * np.pi * f) ** 2 * power
 
 
 def spectrum(series: Array, block: int, rate_hz: float) -> tuple[Array, Array]:
