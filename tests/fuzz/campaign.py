@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("report", type=Path)
     parser.add_argument("limits", nargs="*", metavar="TARGET=INPUTS")
     parser.add_argument("--seconds", type=int, default=120)
-    options = parser.parse_args()
+    options = parser.parse_intermixed_args()
     limits = INPUTS | {name: int(n) for name, _, n in (text.partition("=") for text in options.limits)}
     said = {}
     for name in targets():
