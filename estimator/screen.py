@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 GRID = {1: 6, 2: 4, 3: 3}  # points per searched parameter, by their number
 EVERYTHING = np.arange(6)
 STEPS, REACH = 3, 0.4  # of Gauss-Newton in searched parameters; largest, of the value
+LEAST = 0.5  # nats that a step is to bring
 WORTH = 1e-3  # p-value of a trial whose searched parameters are tried at the other spots
 NEAR, BEHIND = 0.5, 25.0  # share of the best effect's gain, nats behind it, under which the whole record is not needed
 IDLE = 0.45  # p-value on two fifths of a record from which on the whole of it makes nothing significant (0.6 %)
@@ -167,7 +168,7 @@ def refined(point: WorkingPoint, model: Model, trial: Trial) -> Trial:
     """The trial after Gauss-Newton steps in its searched parameters, as long as they gain."""
     for _ in range(STEPS):
         further = _stepped(point, model, trial)
-        if further is None or further.gain < trial.gain + 0.5:
+        if further is None or further.gain < trial.gain + LEAST:
             break
         trial = further
     return trial
@@ -180,8 +181,7 @@ def judged(trial: Trial) -> Trial:
 
 
 def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
-    """The trial after a Gauss-Newton step in its searched parameters, on the whole record: a weak effect's are vague
-    on a part of it."""
+    """The trial after a Gauss-Newton step in its searched parameters; None where it would bring nothing."""
     placed = trial.placed
     plain = terms(placed, point.data, point.lin)
     made = [orthogonal(t, point.spans) for t in dressed(plain, placed, point.fluctuations)]
@@ -191,6 +191,8 @@ def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
     if not loose:
         return None
     fit = subproblem(point, placed.at, point.weighing.columns(kept)).fit(steps=3)
+    if sum(np.divide(*fit.value(placed.name(k))) ** 2 for k in loose) < 2 * LEAST:
+        return None  # there already, as far as the nats go
     p = placed.p.copy()
     natural = size(point.data, placed.at[0], point.kL[placed.at[0]])
     for k in loose:
