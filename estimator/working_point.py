@@ -96,7 +96,7 @@ def fit_model(
 def thinned(point: WorkingPoint, seconds: float) -> WorkingPoint:
     """The same model on part of the record: for searching, and for pictures."""
     part = part_of(point.data, seconds)
-    return point if part is point.data else _at(part, point.kL, point.c, point.nu, list(point.placed))
+    return point if part is point.data else _at(part, point.kL, point.c, point.nu, list(point.placed), point)
 
 
 def plain(point: WorkingPoint) -> WorkingPoint:
@@ -168,9 +168,13 @@ def tangent_at(point: WorkingPoint, f_hz: Array, shaft: NDArray[np.complex128] |
     return np.asarray(np.diag(point.data.mass)[None] - (reaction + D[..., 0]) / w**2 + D[..., 1] / (1j * w))
 
 
-def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) -> WorkingPoint:
+def _at(
+    data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed], longer: WorkingPoint | None = None
+) -> WorkingPoint:  # fmt: skip
+    """The point at these values. longer : the same model on more of the record, whose slow motion the data have; what
+    its laws fluctuate is taken over."""
     P = len(data.places)
-    data = with_slow(data, kL, c, uses)
+    data = with_slow(data, kL, c, uses) if longer is None else data
     lin = np.stack([data.mass, kL, c], axis=1)
     own = each(lambda use: terms(use, data, lin), uses)
     F, A, D = _forces(data, kL, c, uses, own)
@@ -178,9 +182,14 @@ def _at(data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed]) 
     weighing = Weighing(data, 1.0 / (data.colour + nu[:, None] * A2))
     spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
     mean = [Mean(float(data.mass[i]), float(D[i, i, 1]), float(D[i, i, 0])) for i in range(P)]
-    around = fluctuations(data, uses, mean)
+    around = fluctuations(data, uses, mean) if longer is None else longer.fluctuations
     made = [t for i in range(P) for t in linear_terms(data, i)]
-    made += [t for ts in each(lambda k: dressed(own[k], uses[k], around), range(len(uses))) for t in ts]
+    if longer is None:
+        own = each(lambda k: dressed(own[k], uses[k], around), range(len(uses)))
+    else:
+        known = {t.name: t.memory for t in longer.terms}
+        own = [[replace(t, memory=known[t.name]) for t in ts] for ts in own]
+    made += [t for ts in own for t in ts]
     made += [_follows(data, F, i, j) for pair in data.shared for i, j in (pair, pair[::-1])]
     columns = weighing.columns(made)
     G = gram(weighing, spectra, columns)

@@ -10,12 +10,13 @@ from hidden_effects import RATE, one_bearing, record
 
 from estimator import adequacy, missing_force, spectral
 from estimator.effects import CATALOGUE
-from estimator.fluctuation import finer
+from estimator.fluctuation import finer, fluctuations
 from estimator.model import EffectUse, Model
 from estimator.model_uses import placed_of
 from estimator.placed import tangent_series
 from estimator.preparation import prepare
-from estimator.working_point import WorkingPoint, fit_model, thinned
+from estimator.self_energy import Mean
+from estimator.working_point import WorkingPoint, fit_model
 
 Case = tuple[str, Model, np.ndarray, WorkingPoint]
 
@@ -51,8 +52,9 @@ def test_nothing_is_found_beside_the_right_law(strong: Case) -> None:
 @pytest.mark.parametrize("strong", ["quadratic_damping"], indirect=True)
 def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
     """Sigma is linear in the first of its two tangents."""
-    point = thinned(strong[3], 12.0)  # made at its values, where the last step of a fit is not
-    here = point.fluctuations[0]
+    point = strong[3]
+    mean = [Mean(float(point.data.mass[i]), float(s[i, 1]), float(s[i, 0])) for i, s in enumerate(point.slopes)]
+    here = fluctuations(point.data, point.placed, mean)[0]
     assert here is not None
     own = [u for u in point.placed if 0 in u.at]
     parts = [here.of(tangent_series(u, here.data, 0, u.p)) for u in own]
