@@ -11,6 +11,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from estimator.effects import CATALOGUE
 from estimator.estimate import Parameter
 from estimator.fit_result import Fit
 
@@ -188,11 +189,13 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
         peak = max(map(abs, shape["force"]), default=0.0)
         where = f" at {shape['channel']}" if "channel" in shape else ""
         people.append(f"what is missing depends on {shape['against']}{where}, up to {peak:.3g} N; --html draws it")
+    name = value["verdict"]
+    known = f"rotorscope effects {name} says what to look at" if name in CATALOGUE else "rotorscope add puts it in"
     verdict = {
         "complete": "the model is complete: nothing in the catalogue earns its place",
         "unknown": "something is missing that the catalogue does not hold; type a law of your own into the rig file",
-    }.get(value["verdict"], f"missing: {value['verdict']}; rotorscope effects {value['verdict']} says what to look at")
-    return [*people, f"verdict: {value['verdict']}", verdict]
+    }.get(name, f"missing: {name}; {known}")
+    return [*people, f"verdict: {name}", verdict]
 
 
 def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | None, rerun: str | None) -> None:

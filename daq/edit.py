@@ -54,11 +54,13 @@ def with_effect(
     the fit unless `parameters` (place -> name -> value) has them. Raises ConfigError for an unknown effect, a place
     where it cannot act, or one where it is already."""
     if effect not in CATALOGUE:
-        if effect in [c.name for c in rig.file.model.custom]:
+        candidates = [u.name for u in rig.model.candidates]
+        if effect in [c.name for c in rig.file.model.custom if c.name not in candidates]:
             raise ConfigError(f"{_where(rig)}: {effect} is a law of this file already; nothing to add")
-        remedy = did_you_mean(effect, CATALOGUE, "there are")
-        own = "a law of your own goes into the file as [[model.custom]]"
-        raise ConfigError(f'"{effect}" is not an effect; {remedy} ({own})')
+        if effect not in candidates:
+            remedy = did_you_mean(effect, [*CATALOGUE, *candidates], "there are")
+            own = "a law of your own goes into the file as [[model.custom]]"
+            raise ConfigError(f'"{effect}" is not an effect; {remedy} ({own})')
     use = next((u for u in rig.model.effects if u.name == effect), None)
     if use is not None and not at:
         raise ConfigError(f"{_where(rig)}: {effect} is in the model already, at {', '.join(use.at)}; nothing to add")

@@ -215,7 +215,10 @@ def _model(file: RigFile, base: Path, path: Path | None) -> tuple[Model, list[Pr
                 given = {k: setting(s) for k in ("kL", "c", "S") if (s := getattr(table, k)) is not None}
                 place = f"{node}.{direction}"
                 linear[place] = linear.get(place, dict.fromkeys(("kL", "c", "S"), Setting())) | given
-    return replace(model, linear=linear, effects=effects), problems
+    waiting = {c.name for c in file.model.custom if c.candidate} - set(file.model.effects)
+    candidates = tuple(use for use in effects if use.name in waiting)
+    effects = tuple(use for use in effects if use.name not in waiting)
+    return replace(model, linear=linear, effects=effects, candidates=candidates), problems
 
 
 def _channels(tables: list[ChannelTable]) -> tuple[Channel, ...]:

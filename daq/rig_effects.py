@@ -40,7 +40,7 @@ def at_places(
 def effects_of(
     table: ModelTable, catalogue: Mapping[str, Effect], model: Model, base: Folder
 ) -> tuple[tuple[EffectUse, ...], list[Problem]]:
-    """The effects of a [model] table in their order, and everything wrong with them.
+    """The effects of a [model] table in their order, those that are but candidates too, and everything wrong with them.
 
     model : the rig without them; base : where paths of modules start.
     """

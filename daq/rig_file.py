@@ -188,13 +188,18 @@ class LinearNodes(Table):
 
 
 class CustomTable(Table):
-    """A user's own restoring force, by expression or by module = "FILE.py:NAME"."""
+    """A user's own restoring force, by expression or by module = "FILE.py:NAME".
+
+    candidate : not in the model, but on trial when it is diagnosed, like an effect of the catalogue, until
+    model.effects names it.
+    """
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
     expression: str | None = None
     module: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$")] | None = None
     parameters: dict[str, SettingTable] = {}
     at: str | list[str] | None = None
+    candidate: bool = False
 
     @model_validator(mode="after")
     def one_source(self) -> CustomTable:

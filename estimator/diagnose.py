@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import adequacy, amplitude, evidence, missing_force, screen
-from .effects import CATALOGUE
 from .evidence import Entry
 from .fitted import parameters
 from .model import Model
-from .model_uses import acting, searched
+from .model_uses import acting, on_trial, searched
 from .shape import Shape, shape_of
 from .side_by_side import both, each
 from .suspects import suspects
@@ -155,7 +154,7 @@ def _screen(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress
     """The best trial of every force effect at every spot on part of the record, on the whole of it where that can tell
     more; searched parameters refined for the promising ones."""
     small = plain(thinned(part, SEARCH_SECONDS))
-    pairs = [(e, s) for e in CATALOGUE.values() for s in screen.spots(e, model, point)]
+    pairs = [(e, s) for e in on_trial(model) for s in screen.spots(e, model, point)]
 
     def said(done: int) -> None:
         effect, spot = pairs[done - 1]
@@ -226,7 +225,7 @@ def _another_explains(
     small = plain(thinned(point, SEARCH_SECONDS))
     family = FAMILY.get(best.effect, best.effect)
     where = {point.data.places[r.place] for r in left.residuals if r.found}
-    for effect in CATALOGUE.values():
+    for effect in on_trial(model):
         if FAMILY.get(effect.name, effect.name) == family:
             continue
         for spot in screen.spots(effect, model, point):

@@ -25,8 +25,10 @@ def fitted_model(model: Model, point: WorkingPoint) -> Model:
     known = {use.name for use in model.effects}
     for name in dict.fromkeys(p.effect.name for p in point.placed if p.effect.name not in known):
         own = [p for p in point.placed if p.effect.name == name]
-        effects.append(_with_values(EffectUse(name, {}), own))
-    return replace(model, linear=linear, effects=tuple(effects))
+        law = next((use.custom for use in model.candidates if use.name == name), None)
+        effects.append(_with_values(EffectUse(name, {}, law), own))
+    left = tuple(use for use in model.candidates if use.name not in {e.name for e in effects})
+    return replace(model, linear=linear, effects=tuple(effects), candidates=left)
 
 
 def _with_values(use: EffectUse, placed: list[Placed]) -> EffectUse:

@@ -11,7 +11,7 @@ from .effect import Effect
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-PROBE = 1e-7  # m or m/s, about the size of the motion
+SLOWEST = 1e-3  # rad/s: a state that only integrates has no response at rest
 
 
 def response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], Complexes] | None:
@@ -28,14 +28,14 @@ def response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], Complexe
         dz[n] = force(u[:n], u[n], u[n + 1], p, lin)
         return dz
 
-    M = np.stack([seen(PROBE * one) / PROBE for one in np.eye(n + 2)], axis=1)
+    M = np.stack([seen(one) for one in np.eye(n + 2)], axis=1)
     for u in np.random.default_rng(0).normal(size=(4, n + 2)):
-        if not np.allclose(seen(PROBE * u), PROBE * (M @ u), rtol=1e-6, atol=1e-9 * PROBE * np.abs(M).max()):
+        if not np.allclose(seen(u), M @ u, rtol=1e-6, atol=1e-9 * np.abs(M).max()):
             return None
     states, reads = M[:n, :n], M[n]
 
     def transfer(w: Array) -> Complexes:
-        iw = 1j * w
+        iw = 1j * np.maximum(w, SLOWEST)
         z = np.linalg.solve(iw[:, None, None] * np.eye(n) - states, (M[:n, n] + iw[:, None] * M[:n, n + 1])[..., None])
         return np.asarray((reads[:n] @ z)[..., 0] + reads[n] + iw * reads[n + 1])
 

@@ -88,6 +88,7 @@ class Model:
     """The whole rig. `linear`: place -> {"kL", "c", "S"} -> Setting (values None: unknown, to be estimated).
 
     mass : kg, keys "disc", "bearing1", "bearing2" (also "bearing1.x" where directions differ); absent = unknown.
+    candidates : laws of the user that are not in the model, but on trial when it is diagnosed.
     shaft_stiffness, shaft_damping : N/m and N s/m of each half of the shaft (physics: k of chain or beam form).
     """
 
@@ -102,6 +103,7 @@ class Model:
     bearing: BearingGeometry | None = None
     linear: Mapping[str, Mapping[str, Setting]] = field(default_factory=lambda: EMPTY)
     effects: tuple[EffectUse, ...] = ()
+    candidates: tuple[EffectUse, ...] = ()
     name: str = ""
 
     @property

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .effect import Effect, EffectParameter
+from .effects import CATALOGUE
 from .effects.custom import effect_of
 from .effects.places import at, kinematic
 from .effects.strength import Size
@@ -75,6 +76,11 @@ def placed_of(model: Model, data: MotionBlocks) -> list[Placed]:
                 free.append((q.linear or k in loose) and not (s is not None and s.fixed))
             out.append(Placed(effect, f"{canonical}.{effect.name}", where, p, tuple(free)))
     return out
+
+
+def on_trial(model: Model) -> list[Effect]:
+    """What a diagnosis tries: the catalogue, and the laws of the user that are no part of the model yet."""
+    return [*CATALOGUE.values(), *(effect_of(use) for use in model.candidates)]
 
 
 def _settings(use: EffectUse, canonical: str):  # type: ignore[no-untyped-def]

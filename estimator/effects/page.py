@@ -61,7 +61,8 @@ Names: `x v xo vo t phase`, the parameters, `pi`, `e`; numbers; `+ - * / // % **
 condition else b`; and FUNCTIONS. Nothing else is accepted: no attributes, indices or other calls. Errors give the
 column. A law that is not finite, a parameter that is not used and a name that does not exist are refused. Parameters
 that the law is linear in are found by trying and solved for exactly; the others are searched between `min` and `max`,
-or within a factor of 30 of `value`.
+or within a factor of 30 of `value`. With `candidate = true` the law is not in the model, but on trial when the model is
+diagnosed, until `add` or `improve` puts it in.
 
 By module, for laws with memory, coupling or sensor behaviour: `module = "my_effects.py:SOFT_STOP"` names an
 `estimator.effect.Effect`, built as any file of `estimator/effects/` does. Its law is a plain function with the

@@ -75,6 +75,19 @@ def test_remove_at_one_node_keeps_the_other() -> None:
     assert "\n[model.cubic.bearing1.x]" not in after
 
 
+def test_a_candidate_is_no_part_of_the_model_until_it_is_added() -> None:
+    law = '\n[[model.custom]]\nname = "mine"\nexpression = "k*x"\nparameters = { k = 1.0 }\ncandidate = true\n'
+    rig = Rig.parse(load_rig(PAPER).text + law)
+    assert [u.name for u in rig.model.candidates] == ["mine"]
+    assert "mine" not in [u.name for u in rig.model.effects]
+    added = Rig.parse(with_effect(rig, "mine", ["bearing1"]))
+    assert not added.model.candidates
+    (use,) = [u for u in added.model.effects if u.name == "mine"]
+    assert use.at == ("bearing1.x", "bearing1.y")
+    with pytest.raises(ConfigError, match="a law of this file already"):
+        with_effect(added, "mine")
+
+
 def test_a_custom_law_is_removed_whole_and_its_neighbour_stays() -> None:
     law = '\n# A {0} of ours.\n[[model.custom]]\nname = "{0}"\nexpression = "k*x"\nparameters = {{ k = 1.0 }}\n'
     text = load_rig(PAPER).text.replace("[model.cubic]", law.format("one") + law.format("two") + "\n[model.cubic]", 1)

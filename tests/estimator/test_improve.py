@@ -102,6 +102,11 @@ def test_a_law_of_no_catalogue_is_unknown_and_explained_when_the_user_types_it(r
         assert found.verdict == "unknown"
         assert found.shape is not None
         assert found.shape.against == "displacement"
+    if name == "tanh":  # typed as a candidate, it is tried like a law of the catalogue
+        ladder = improve(replace(rig, candidates=(typed,)), y, RATE)
+        assert ladder.diagnoses[0].verdict == "mine"
+        assert [u.name for u in ladder.model.effects] == ["cubic", "mine"]
+        assert not ladder.model.candidates
     before, after = compare(rig, y, RATE), compare(having(rig, typed), y, RATE)
     assert before.missing[0] > 0.3
     assert after.missing[0] < 0.2 * before.missing[0]
