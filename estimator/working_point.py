@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,6 +81,8 @@ def fit_model(
     else:
         kL, c, nu = start.kL.copy(), start.c.copy(), start.nu.copy()
         data = data if start.data is data else replace(data, left_out=start.data.left_out)
+        if {u.key for u in uses} - {u.key for u in start.placed}:  # a strong law takes over much of kL and c
+            kL, c, _ = _first_linear(data, uses, start.lin)
     while True:
         point = _at(data, kL, c, nu, uses)
         data = point.data
@@ -104,13 +107,22 @@ def plain(point: WorkingPoint) -> WorkingPoint:
     return replace(point, fluctuations=(None,) * len(point.fluctuations))
 
 
-def _first_linear(data: MotionBlocks) -> tuple[Array, Array, Array]:
-    """kL by least squares (consistent: E[a v] = 0 leaves it alone), c from the power balance S = 4 c m E[v^2], S."""
+def _first_linear(
+    data: MotionBlocks, uses: Sequence[Placed] = (), lin: Array | None = None
+) -> tuple[Array, Array, Array]:
+    """kL by least squares (consistent: E[a v] = 0 leaves it alone), c from the power balance S = 4 c m E[v^2], S.
+
+    uses : laws whose force, at (places, 3) m, kL, c, is known beside.
+    """
     kL, c, powers = np.zeros((3, len(data.places)))
     for i in range(len(data.places)):
         x, v = data.x[i], data.v[i]
-        kL[i] = -np.dot(x, data.known[i]) / np.dot(x, x)
-        f = (data.known[i] + kL[i] * x).reshape(data.blocks, data.block)[:: max(1, data.blocks // 40)]
+        known = data.known[i]
+        for use in uses:
+            if i in use.at and lin is not None:
+                known = known + evaluate(use, data, i, lin[i])[0]
+        kL[i] = -np.dot(x, known) / np.dot(x, x)
+        f = (known + kL[i] * x).reshape(data.blocks, data.block)[:: max(1, data.blocks // 40)]
         power = np.mean(np.abs(np.fft.rfft(f * np.hanning(data.block), axis=1)) ** 2, axis=0)[data.bins]
         S = float(np.median(power)) * 2 / (data.rate_hz * data.block * 0.375)
         c[i] = S / (4 * data.mass[i] * np.mean(v * v))
