@@ -257,7 +257,15 @@ WORDS = {
 def test_a_stop_leaves_no_half_of_a_file(long: Path, what: str, number: signal.Signals, record_property: Row) -> None:
     before = logs(long)
     command = [sys.executable, "-m", "daq", *WORDS[what]]
-    with subprocess.Popen(command, cwd=long, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    heard = lambda: signal.signal(number, signal.SIG_DFL)  # noqa: E731 - a shell's background jobs do not hear Ctrl-C
+    with subprocess.Popen(
+        command,
+        cwd=long,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        preexec_fn=heard,  # noqa: PLW1509
+    ) as process:
         wait(lambda: process.poll() is not None or logs(long) != before)
         assert [n for n in logs(long) if n not in before] == [n for n in logs(long) if n.startswith(".o.")]
         asked = time.monotonic()
