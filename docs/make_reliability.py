@@ -42,8 +42,9 @@ Replay, import and capture wait instead: nothing is dropped, and a fault of the 
 
 A log of a live link, and any file that is no log, is never overwritten: it is kept beside the new one as `NAME-1.mcap`, and one line says
 so. It gets its name back if nothing was acquired. Logs that a command can make again (of `virtual:`, `simulate`, `replay`, `import`) are
-overwritten. A log that another process is writing is refused. `import`, `recover`, `replay` and `export` give a file its name when it is
-whole: a stop, a full disk or an error half-way leaves nothing, or what lay there before.
+overwritten. A log that another process is writing is refused. `import`, `recover` and `export` give a file its name when it is whole: a
+stop, a full disk or an error half-way leaves nothing, or what lay there before. So do `simulate` and `replay` but for a stop, after
+which the log ends there, complete, with status 130.
 
 ## After a crash
 
