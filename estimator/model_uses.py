@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from .effect import Effect, EffectParameter
 from .effects import CATALOGUE
 from .effects.custom import effect_of
-from .effects.places import at, kinematic
+from .effects.places import at, kinematic, written
 from .effects.strength import Size
-from .model import EffectUse, Model
+from .model import Model
 from .motion_blocks import MotionBlocks
 from .periodic import PERIODIC
 from .placed import Placed
@@ -66,7 +66,7 @@ def placed_of(model: Model, data: MotionBlocks) -> list[Placed]:
             where = acting(effect, canonical, data)
             if not where:
                 continue
-            settings = _settings(use, canonical)
+            settings = written(use, canonical)
             natural = size(data, where[0], stiffness(data, where[0]))
             p = np.zeros(len(effect.parameters))
             free = []
@@ -81,18 +81,6 @@ def placed_of(model: Model, data: MotionBlocks) -> list[Placed]:
 def on_trial(model: Model) -> list[Effect]:
     """What a diagnosis tries: the catalogue, and the laws of the user that are no part of the model yet."""
     return [*CATALOGUE.values(), *(effect_of(use) for use in model.candidates)]
-
-
-def _settings(use: EffectUse, canonical: str):  # type: ignore[no-untyped-def]
-    node = canonical.split(".")[0]
-    for key in (canonical, node):
-        if key in use.parameters:
-            return use.parameters[key]
-    return (
-        next(iter(use.parameters.values()))
-        if node in ("shaft", "disc")
-        else next((v for k, v in use.parameters.items() if k.split(".")[0] == node), {})
-    )
 
 
 def not_judged(model: Model, places: tuple[str, ...]) -> frozenset[int]:

@@ -19,10 +19,10 @@ from .bandlimit import passband
 from .effect import Effect
 from .effects import CATALOGUE
 from .effects.compiled import force_array
-from .effects.places import at, values
+from .effects.places import at, values, written
 from .errors import ModelError
 from .estimate import Parameter
-from .model import EffectUse, Model, Setting
+from .model import Model, Setting
 from .rotor import shaft_at_caps
 
 if TYPE_CHECKING:
@@ -99,19 +99,9 @@ def periodic_of(model: Model) -> list[Periodic]:
                 continue
             hz = p[2] if use.name == "line" else rotation * (p[1] if use.name == "local_defect" else 1.0)
             if hz > 0.0:
-                own = settings(use, key)
+                own = written(use, key)
                 free = tuple(not own.get(q.name, Setting()).fixed for q in effect.parameters)
                 out.append(Periodic(effect, key, p, free, float(hz)))
-    return out
-
-
-def settings(use: EffectUse, key: str) -> dict[str, Setting]:
-    """What is written about a canonical place, the place itself before its node."""
-    node = key.split(".")[0]
-    written = [w for w in use.parameters if w == key or w.split(".")[0] == node or key == "disc"]
-    out: dict[str, Setting] = {}
-    for w in sorted(written, key=lambda w: w == key):
-        out.update(use.parameters[w])
     return out
 
 
@@ -156,7 +146,7 @@ def refined(model: Model, data: MotionBlocks, force: Array, S: Array) -> tuple[M
         if stepped is None:
             continue
         p, sd = stepped
-        old = settings(next(u for u in model.effects if u.name == one.effect.name), one.key)
+        old = written(next(u for u in model.effects if u.name == one.effect.name), one.key)
         uses[one.effect.name][one.key] = {
             q.name: replace(old.get(q.name, Setting()), value=float(v))
             for q, v in zip(one.effect.parameters, p, strict=True)

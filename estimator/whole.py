@@ -6,6 +6,7 @@ without them leaves; then the rest is fitted with them in place. A number that t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from . import periodic
 from .effect import EffectParameter
 from .effects import CATALOGUE
-from .effects.places import at
+from .effects.places import at, written
 from .estimate import Parameter
 from .fit_result import Fit
 from .fitted import parameters
@@ -91,7 +92,7 @@ def _numbered(
     found: dict[str, Parameter] = {}
     new: dict[str, dict[str, Setting]] = {}
     for key in at(effect, use, model):
-        old = periodic.settings(use, key)
+        old = written(use, key)
         own = _found(use, key, old, model, seen, point)
         new[key] = {}
         for q in effect.parameters:
@@ -109,7 +110,7 @@ def _numbered(
 
 
 def _found(
-    use: EffectUse, key: str, old: dict[str, Setting], model: Model, seen: list[Suspect], point: WorkingPoint
+    use: EffectUse, key: str, old: Mapping[str, Setting], model: Model, seen: list[Suspect], point: WorkingPoint
 ) -> dict[str, Parameter]:
     """Name -> number of a use at a canonical place; of several lines the one nearest to the frequency written."""
     if use.name == "sensor_noise" and key in point.data.places:

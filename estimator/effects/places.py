@@ -7,12 +7,14 @@ a direction-scope entry written "bearing1") is understood.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..effect import Effect
 from ..errors import ModelError
-from ..model import DIRECTIONS, NODES, EffectUse, Model
+from ..model import DIRECTIONS, NODES, EffectUse, Model, Setting
 
 
 def places(effect: Effect, model: Model) -> tuple[str, ...]:
@@ -78,6 +80,17 @@ def values(effect: Effect, use: EffectUse, model: Model, place: str) -> NDArray[
             raise ModelError(f"effect {use.name} at {place}: {p.name} is {value:g} {p.unit}, it must be {least}")
         out.append(float(value))
     return np.array(out)
+
+
+def written(use: EffectUse, canonical: str) -> Mapping[str, Setting]:
+    """What a use says about a canonical place: there, or at its node, or at a place of the node it is written by."""
+    node = canonical.split(".")[0]
+    for key in (canonical, node):
+        if key in use.parameters:
+            return use.parameters[key]
+    if node in ("shaft", "disc"):
+        return next(iter(use.parameters.values()))
+    return next((v for k, v in use.parameters.items() if k.split(".")[0] == node), {})
 
 
 def kinematic(scale: str, model: Model) -> float | None:
