@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from .balance import build
 from .columns import Columns
+from .errors import DataError
 from .features import MARGIN
 from .gram import CELLS, layout, spectra, valid_blocks
 from .maximum import initial
@@ -88,6 +89,9 @@ def begin(record: Record, longest: int = LONGER) -> tuple[Record, Start]:
     Strong lines are taken out of the acceleration first, so that the start is sound; then what stands out of the force.
     longest : how much longer the blocks may be made, to resolve lines.
     """
+    if not valid_blocks(record.motion.valid, record.grid).size:
+        length = record.grid.size / record.rate_hz
+        raise DataError(f"nowhere {length:.2g} s of samples without a gap; look after the link, or record for longer")
     strong = find_lines(*spectrum_by_bin(record, None, None), record.grid.f_hz, least=STRONG)
     if strong:
         blocks, longer = valid_blocks(record.motion.valid, record.grid).size, 1

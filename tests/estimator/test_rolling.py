@@ -64,6 +64,17 @@ def test_gaps_are_left_out(record: np.ndarray) -> None:
         assert abs(p.value - TRUTH["kL"][i]) < 4 * p.sd
 
 
+def test_a_start_without_a_whole_block_says_so_and_goes_on(record: np.ndarray) -> None:
+    """A loose cable: no block of the warm-up is whole."""
+    holed = record.copy()
+    holed[: int(4.3 * RATE) : 6000] = np.nan
+    estimates = run(RollingSpectral(rig_model("cubic"), RATE, 10.0), holed)
+    assert any(e.status.startswith("nowhere 0.32 s of samples without a gap") for e in estimates)
+    for i, place in enumerate(PLACES):
+        p = estimates[-1].parameters[f"{place}.kL"]
+        assert abs(p.value - TRUTH["kL"][i]) < 4 * p.sd
+
+
 def test_noise_without_a_resonance_says_why_there_is_no_estimate() -> None:
     y = np.random.default_rng(0).normal(size=(int(9 * RATE), 4))
     last = run(RollingSpectral(rig_model(), RATE, 5.0), y)[-1]
