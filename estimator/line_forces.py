@@ -237,7 +237,7 @@ def _defects(
         hz = order * rotation
         if abs(order - round(order)) < 0.02 and order < 2.5:
             continue
-        harmonics = np.arange(1, min(400, int(0.45 * s.rate_hz / hz)) + 1)
+        harmonics = np.arange(1, min(400, int(min(0.45 * s.rate_hz, model.band[1]) / hz)) + 1)
         bins = np.clip(np.round(harmonics * hz * s.seconds).astype(int), 1, s.f_hz.size - 2)
         Z = np.max([np.abs(s.Y[:, bins + d]) ** 2 / s.noise[:, bins] for d in (-1, 0, 1)], axis=0)
         # a Hann line fills three bins; the largest of three is about 1.8 by chance
