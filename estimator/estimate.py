@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A value with its standard deviation; `value` is None and `reason` says why where the data cannot tell."""
+    """A value with its standard deviation. Where the data cannot tell it is not identifiable, `reason` says why, and
+    `value` is None or, for the fit of the rest, the best one among many: it is not shown."""
 
     value: float | None
     sd: float | None
@@ -29,7 +30,8 @@ class Parameter:
 
     def to_json(self) -> dict[str, Any]:
         """As in the JSON results: value, sd, unit, identifiable and, where there is one, reason."""
-        out: dict[str, Any] = {"value": self.value, "sd": self.sd, "unit": self.unit, "identifiable": self.identifiable}
+        value, sd = (self.value, self.sd) if self.identifiable else (None, None)
+        out: dict[str, Any] = {"value": value, "sd": sd, "unit": self.unit, "identifiable": self.identifiable}
         return out | ({"reason": self.reason} if self.reason else {})
 
 

@@ -8,7 +8,7 @@ each (a shape near the resonance can hide in them).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,7 +210,7 @@ def _shapes(
         values = shape.values(z[4:])
         spread = np.abs(shape.values(z[4:] + 1e-3) - values) / 1e-3 * sd[4:]
         settings = {
-            n: Parameter.judged(float(v), float(s), unit)
+            n: replace(Parameter.judged(float(v), float(s), unit), value=float(v), sd=float(s))
             for n, v, s, unit in zip(shape.names, values, spread, shape.units, strict=True)
         }
         p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 3 * len(data.places) * len(starts)))
