@@ -89,7 +89,7 @@ def test_forces_that_the_bearings_share_leave_nothing_once_they_are_in_the_model
 def test_what_cannot_be_told_apart_is_used_and_not_shown(rig: Model) -> None:
     """A sensor's resonance above the band: many pairs of frequency and quality do; the best one whitens the force."""
     y = record(rig, "sensor_resonance", 0.02, seconds=20.0)
-    added = replace(rig, effects=(*rig.effects, EffectUse("sensor_resonance", {"bearing1.x": {}})))
+    added = replace(rig, effects=(*rig.effects, EffectUse("sensor_resonance", {"bearing1.x": {}, "bearing1.y": {}})))
     found = compare(added, y, RATE)
     quality = found.to_json()["parameters"]["bearing1.x.sensor_resonance.quality"]
     assert found.adequate
