@@ -97,3 +97,5 @@ def test_what_is_fixed_stays(rig: Model, data: MotionBlocks) -> None:
     model, found = refined(replace(rig, effects=(use,)), data, np.ones_like(data.x), np.ones(2))
     assert model.effects[0].parameters["bearing1.x"]["frequency"].value == LINE["frequency"]
     assert found["bearing1.x.line.frequency"].sd == 0.0
+    given = EffectUse("line", {"bearing1.x": {k: Setting(v, fixed=True) for k, v in LINE.items()}})
+    assert not refined(replace(rig, effects=(given,)), data, np.ones_like(data.x), np.ones(2))[1]
