@@ -173,7 +173,7 @@ def _told(one: Periodic, p: Array, sd: Array) -> list[bool]:
 
 
 def _step(model: Model, one: Periodic, data: MotionBlocks, force: Array, S: Array) -> tuple[Array, Array] | None:
-    """(k,) numbers after the step and their standard deviations; None if none is free, or no harmonic lies in the band."""
+    """(k,) numbers after the step and their standard deviations; None if none is free, or no harmonic in the band."""
     count = int(min(data.band[1] / one.hz, TURN // 8))
     inside = np.flatnonzero((one.hz * np.arange(1, count + 1) >= data.band[0]) & one.sounding(count))
     loose = [k for k, free in enumerate(one.free) if free]
