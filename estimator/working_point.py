@@ -20,6 +20,7 @@ from .terms import Spans, dressed, light, linear_terms, terms
 
 Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
+NOISE_STEP = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
 SETTLED = 0.1  # standard deviations by which the last step of a fit moves
 
 
@@ -90,7 +91,7 @@ def fit_model(
         moved = moved[: moved.size - 2 * len(data.shared)]
         kL, c, uses = _moved(point, kL, c)
         nu_old, nu = nu, _noise(point)
-        if rounds == 0 or (moved.max(initial=0.0) < SETTLED and np.allclose(nu, nu_old, rtol=0.2, atol=1e-9)):
+        if rounds == 0 or (moved.max(initial=0.0) < SETTLED and np.allclose(nu, nu_old, rtol=NOISE_STEP, atol=1e-9)):
             return replace(point, kL=kL, c=c, placed=tuple(uses))
         rounds -= 1
         del point  # its columns are large: let go before the next are made
