@@ -60,13 +60,13 @@ def left(before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int
 def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) -> tuple[float, float, int]:
     """Mean square in N^2 explained by the polynomials of a state at place i, nats gained, number of terms."""
     data = point.data
-    z = (data.x if state == "x" else data.v)[i]
+    z = data.seen(i) if state == "x" else data.v[i]
     rms = float(data.rms[0 if state == "x" else 1, i])
     u = (z / rms).astype(np.float32)
     here, which = point.fluctuations[i], 0 if state == "x" else 1
     memory: dict[int, dict[int, Complexes]] = {}
     if here is not None:
-        for order, _, below in _hermite((here.data.x, here.data.v)[which][i] / rms, orders):
+        for order, _, below in _hermite((here.data.v[i] if which else here.data.seen(i)) / rms, orders):
             tangents = np.zeros((2, below.size))
             tangents[which] = order * below / rms
             memory[order] = {i: -here.of(tangents)}

@@ -32,7 +32,7 @@ class Fluctuation:
     g: Array
     whole: Complexes
 
-    def of(self, tangents: Array) -> Complexes:
+    def of(self, tangents: NDArray[np.floating]) -> Complexes:
         """(bins,) N/m per unit: Sigma of a law with tangents (2, n) along x and v on `data`."""
         Z = _spectra(tangents, self.data, self.g.shape[1])
         return self_energy(covariance(Z, self.K, self.g.shape[1]), self.g, 1.0 / self.data.rate_hz, self.data.f_hz)
@@ -51,7 +51,7 @@ class Fluctuation:
         return Fluctuation(data, self.place, total, _spectra(total, data, g.shape[1]), g, self.whole)
 
 
-def _spectra(tangents: Array, data: MotionBlocks, lags: int) -> Spectra:
+def _spectra(tangents: NDArray[np.floating], data: MotionBlocks, lags: int) -> Spectra:
     return spectra(tangents.reshape(2, data.blocks, data.block), lags)
 
 

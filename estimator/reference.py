@@ -80,8 +80,8 @@ def groups(
     """
     P = len(data.places)
     sx, sv = float(data.rms[0, i]), float(data.rms[1, i])
-    u, w = (data.x[i] / sx).astype(np.float32), (data.v[i] / sv).astype(np.float32)
-    yield hat_group("displacement", data.x[i], sx, i, 0, P, X_STEP)
+    u, w = (data.seen(i) / sx).astype(np.float32), (data.v[i] / sv).astype(np.float32)
+    yield hat_group("displacement", data.seen(i), sx, i, 0, P, X_STEP)
     yield hat_group("velocity", data.v[i], sv, i, 1, P, V_STEP)
 
     def group(name: str, columns: list[tuple[Series, float, float, float, float]]) -> Group:
@@ -107,7 +107,7 @@ def groups(
     ])  # fmt: skip
     o = data.other(i)
     if o is not None:
-        uo, wo = (data.x[o] / data.rms[0, o]).astype(np.float32), (data.v[o] / data.rms[1, o]).astype(np.float32)
+        uo, wo = (data.seen(o) / data.rms[0, o]).astype(np.float32), (data.v[o] / data.rms[1, o]).astype(np.float32)
         columns = [
             (uo, 0.0, 0.0, 1.0, 0.0), (wo, 0.0, 0.0, 0.0, 1.0), (uo * uo, 0.0, 0.0, m(2 * uo), 0.0),
             (u * uo, m(uo), 0.0, m(u), 0.0), (uo * uo * uo, 0.0, 0.0, m(3 * uo * uo), 0.0),

@@ -18,7 +18,7 @@ def dressings(name: str, here: Fluctuation, sizes: Array, knots: Array | None) -
 
     sizes : (2,) rms of x and v that the group is built with; knots of a group of hat functions.
     """
-    x, v = here.data.x[here.place], here.data.v[here.place]
+    x, v = here.data.seen(here.place), here.data.v[here.place]
     if knots is not None:
         which = 0 if name == "displacement" else 1
         step, last = float(knots[1] - knots[0]), knots.size - 2

@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, one_bearing
 from scipy.signal import firwin, oaconvolve
 
-from estimator import spectral
+from estimator import adequacy, spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths, with_effect
 from estimator.model import Model
@@ -52,6 +52,15 @@ def test_the_slow_displacement_is_the_one_that_a_sensor_would_show(truth: Model)
     assert ours.mean() == pytest.approx(below[inner].mean(), rel=0.12)
     a, b = ours - ours.mean(), below[inner] - below[inner].mean()
     assert (a @ b) / (a @ a) == pytest.approx(1.0, abs=0.2)  # beside it the random force moves the cap as much again
+
+
+def test_nothing_smooth_is_left_beside_the_true_law(truth: Model) -> None:
+    """Polynomials of the measured displacement alone would tell of the slow one: 200 nats and more."""
+    data = prepare(truth, simulate(truth, RATE, SECONDS, seed=9, noise=0.02, full_scale=490.5), RATE)
+    point = fit_model(data, placed_of(truth, data))
+    for i in range(2):
+        _, nats, terms = adequacy._smooth(point, i, "x", tuple(range(2, 10)))
+        assert nats < 5 + 2 * terms
 
 
 def test_a_quadratic_law_and_the_cubic_one_beside_it_come_out_right(truth: Model) -> None:
