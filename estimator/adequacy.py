@@ -87,9 +87,12 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
 
 
 def _hermite(u: Series, orders: tuple[int, ...]) -> Iterator[tuple[int, Series, Series]]:
-    """(k, He_k, He_(k-1)) of u for every k of orders, rising; the derivative of He_k is k He_(k-1)."""
+    """(k, He_k, He_(k-1)) of u for every k of orders, rising; the derivative of He_k is k He_(k-1).
+
+    For k = 3 it is u^3 and u^2: beside a cubic law nothing is to be left of it, not even a slow part of u.
+    """
     below, here = np.ones_like(u), u
     for k in range(1, max(orders) + 1):
         if k in orders:
-            yield k, here, below
+            yield (k, here, below) if k != 3 else (k, u * u * u, u * u)
         below, here = here, u * here - k * below
