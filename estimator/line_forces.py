@@ -21,7 +21,7 @@ from .effects.places import kinematic, orders
 from .estimate import Parameter
 from .model import Model, Setting
 from .motion_blocks import shaft_response
-from .rotor import shaft_at_caps
+from .periodic import to_cap
 from .suspect import Suspect
 from .working_point import WorkingPoint, tangent_at
 
@@ -211,10 +211,7 @@ def _one_line(
 def _disc(model: Model, point: WorkingPoint, rotation: float) -> Complexes:
     """(places,) force at each cap per forward rotating force on the disc."""
     w = np.array([2 * np.pi * rotation])
-    _, follow = shaft_at_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, model.mass.get("disc", 0.0), w)
-    return np.array([
-        follow[0, int(p[7]) - 1] * (1.0 if p.endswith("x") else -1j) for p in point.data.places
-    ])  # fmt: skip
+    return np.array([to_cap(model, p, w)[0] * (1.0 if p.endswith("x") else -1j) for p in point.data.places])
 
 
 def _defects(

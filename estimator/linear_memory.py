@@ -1,4 +1,5 @@
-"""Forces with memory whose states obey linear equations (a pedestal): their response to motion, exactly."""
+"""Forces with memory whose states obey linear equations (a pedestal): their response to motion, exactly; and what a
+response makes of a series."""
 
 from __future__ import annotations
 
@@ -40,3 +41,12 @@ def response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], Complexe
         return np.asarray((reads[:n] @ z)[..., 0] + reads[n] + iw * reads[n + 1])
 
     return transfer
+
+
+def filtered(response: Callable[[Array], Complexes], x: Array, rate_hz: float) -> Array:
+    """(n,) what a response at w (f,) rad/s makes of a series (n,)."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = next_fast_len(x.size, real=True)
+    f: Array = np.asarray(np.fft.rfftfreq(size, 1 / rate_hz), dtype=np.float64)
+    return np.asarray(irfft(rfft(x, size) * response(2 * np.pi * f), size)[: x.size])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,7 +46,7 @@ def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | 
     if placed.effect.kind == "memory":
         linear = linear_memory.response(placed.effect, p, lin)
         if linear is not None:
-            return _filtered(linear, data.x[i], data.rate_hz), slopes, linear(2 * np.pi * data.f_hz)
+            return linear_memory.filtered(linear, data.x[i], data.rate_hz), slopes, linear(2 * np.pi * data.f_hz)
         f = remember(placed.effect, p, lin, data.x[i], data.v[i], data.rate_hz)
         return f, slopes, _memory_response(placed.effect, data, i, lin, p, f)
     out, sums = _along(placed.effect, p, data, i)
@@ -98,15 +97,6 @@ def tangent_series(placed: Placed, data: MotionBlocks, i: int, p: Array) -> Arra
 def remember(effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: float) -> Array:
     """(n,) N of a force with memory, its states integrated at four times the rate (slip is faster than the samples)."""
     return memory_array(effect, p, lin, np.ascontiguousarray(x), np.ascontiguousarray(v), rate_hz, finer=4)
-
-
-def _filtered(response: Callable[[Array], NDArray[np.complex128]], x: Array, rate_hz: float) -> Array:
-    """(n,) N of a force that is linear in the displacement."""
-    from scipy.fft import irfft, next_fast_len, rfft
-
-    size = next_fast_len(x.size, real=True)
-    f: Array = np.asarray(np.fft.rfftfreq(size, 1 / rate_hz), dtype=np.float64)
-    return np.asarray(irfft(rfft(x, size) * response(2 * np.pi * f), size)[: x.size])
 
 
 def _memory_response(

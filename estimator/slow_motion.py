@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from .bandlimit import passband
 from .effect import Effect
 from .effects.compiled import force_array
+from .linear_memory import filtered
 from .motion_blocks import MotionBlocks
 from .placed import Placed, evaluate
 from .side_by_side import each
 
 Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 EVEN = 1e-3  # of a law's size: less of it is even in x by rounding alone
 STEPS = 40  # points from which that is seen
 
@@ -45,22 +47,17 @@ def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -
            for i in range(len(data.places))]  # fmt: skip
     if not any(own):
         return data
-    from scipy.fft import irfft, next_fast_len, rfft
-
-    n = data.x.shape[1]
-    size = next_fast_len(n, real=True)
-    f: Array = np.asarray(np.fft.rfftfreq(size, 1 / data.rate_hz), dtype=np.float64)
-    f = f[f < data.band[0]]
-    below = 1.0 - passband(f, data.rate_hz, data.band)
     shaft = data.shaft[0].real  # N/m at the lowest bin
 
     def at(i: int) -> Array:
+        def response(w: Array) -> Complexes:
+            f = w / (2 * np.pi)
+            below = np.where(f < data.band[0], 1.0 - passband(f, data.rate_hz, data.band), 0.0)
+            return np.asarray(-below / (kL[i] + shaft[i, i] + 1j * w * c[i] - data.mass[i] * w**2))
+
         if not own[i]:
-            return np.zeros(n)
+            return np.zeros(data.x.shape[1])
         pushed = np.sum([evaluate(u, data, i, np.array([data.mass[i], kL[i], c[i]]))[0] for u in own[i]], axis=0)
-        response = below / (kL[i] + shaft[i, i] + 2j * np.pi * f * c[i] - data.mass[i] * (2 * np.pi * f) ** 2)
-        out = np.zeros(size // 2 + 1, complex)
-        out[: f.size] = -response * rfft(pushed, size)[: f.size]
-        return np.asarray(irfft(out, size)[:n])
+        return filtered(response, pushed, data.rate_hz)
 
     return replace(data, slow=np.stack(each(at, range(len(data.places)))))
