@@ -1,5 +1,8 @@
 """The confusion matrix of the diagnosis: hidden effects by our own simulator, what is named, in Markdown and JSON.
 
+What is named rightly is added to the rig without a number, as a user would, and fitted: what force is missing then, and
+how much of the way to the likelihood of the true model (fitted from the true numbers) is gone.
+
     rotorscope confusion configs/tiwari_vyas_1997.toml --out build/confusion --seconds 20 --seeds 1
 
 One line of JSON per run is appended to OUT/runs.jsonl, so an interrupted matrix goes on where it stopped. The truth is
@@ -17,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.diagnose import diagnose
 from estimator.effects import CATALOGUE
@@ -24,8 +28,11 @@ from estimator.effects.places import places
 from estimator.effects.strength import size, strengths, with_effect
 from estimator.errors import ModelError
 from estimator.estimate import Parameter
-from estimator.model import Model, Setting
+from estimator.heldout import heldout_nll
+from estimator.improve import rung
+from estimator.model import EffectUse, Model, Setting
 from estimator.simulate import simulate
+from estimator.whole import fit_whole
 
 from .errors import ConfigError
 from .output import Output, write_whole
@@ -36,6 +43,7 @@ RATE_HZ = 25600.0
 FRACTIONS = {"weak": 0.02, "strong": 0.06}
 COMPLETE = "complete"
 AT = ("bearing1", "both")
+SEEN = 20.0  # nats between two models under which their difference is mostly chance
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +112,9 @@ def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
     y = simulate(truth, RATE_HZ, seconds, seed=7000 + case.seed, noise=noise, full_scale=490.5)
     begin = time.process_time()
     found = diagnose(known, y, RATE_HZ)
+    spent = time.process_time() - begin
     top = found.ranking[0] if found.ranking else None
+    right = found.verdict == case.effect != COMPLETE
     return {
         "key": case.key,
         "effect": case.effect,
@@ -119,8 +129,25 @@ def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
         "runner_up": found.ranking[1].effect if len(found.ranking) > 1 else "",
         "before_percent": top.before_percent if top else 0.0,
         "after_percent": top.after_percent if top else 0.0,
-        "cpu_seconds": time.process_time() - begin,
-        "numbers": numbers(truth, top.parameters) if top and found.verdict == case.effect else {},
+        "cpu_seconds": spent,
+        "numbers": numbers(truth, top.parameters) if top and right else {},
+        "added": added(known, truth, case.effect, top.at, y) if top and right else {},
+    }
+
+
+def added(known: Model, truth: Model, effect: str, at: Sequence[str], y: NDArray[np.float64]) -> dict[str, float]:
+    """What adding an effect at places without a number brings: missing force left, %, and nats to_go.
+
+    to_go, of `gap` between the model as it was and the true one, is what the likelihood still lacks after it.
+    """
+    grown = replace(known, effects=(*known.effects, EffectUse(effect, {place: {} for place in at})))
+    after = fit_whole(grown, y, RATE_HZ)
+    before, best = (heldout_nll(fit_whole(model, y, RATE_HZ).point) for model in (known, truth))
+    end = rung(after.model, after.point, y)
+    return {
+        "missing_percent": end.missing[0],
+        "gap": (before - best) * len(y),
+        "to_go": (end.heldout_nll - best) * len(y),
     }
 
 
@@ -145,8 +172,8 @@ def markdown(runs: Sequence[Mapping[str, Any]], seconds: float) -> str:
     lines = [
         f"{len(runs)} runs of {seconds:g} s at {RATE_HZ:g} Hz, int16 counts, sensor noise.",
         "",
-        f"| hidden | {' | '.join(heads)} | numbers covered | otherwise |",
-        "|---" * (len(heads) + 3) + "|",
+        f"| hidden | {' | '.join(heads)} | numbers covered | force falls | gap closed | otherwise |",
+        "|---" * (len(heads) + 5) + "|",
     ]
     verdicts: dict[str, dict[tuple[str, str], list[str]]] = {}
     for r in runs:
@@ -159,9 +186,23 @@ def markdown(runs: Sequence[Mapping[str, Any]], seconds: float) -> str:
         told = ", ".join(f"{k} {n}" for k, n in others.most_common())
         scores = [z for r in runs if r["effect"] == effect for _, z in r.get("numbers", {}).values()]
         covered = f"{sum(abs(z) < 1.96 for z in scores)}/{len(scores)}" if scores else ""
-        lines.append(f"| {effect} | {' | '.join(cells)} | {covered} | {told} |")
-    lines += ["", f"All: {right}/{len(runs)}. Numbers covered: true values within the 95 % interval of the diagnosis."]
+        force, gap = ended([r for r in runs if r["effect"] == effect and r.get("added")])
+        lines.append(f"| {effect} | {' | '.join(cells)} | {covered} | {force} | {gap} | {told} |")
+    lines += [
+        "",
+        f"All: {right}/{len(runs)}. Numbers covered: true values within the 95 % interval of the diagnosis. Force "
+        "falls: runs where the missing force falls by 80 % or more when the effect is added. Gap closed: runs where "
+        f"the held-out likelihood comes within 5 % of the gap to the true model, where that is over {SEEN:g} nats.",
+    ]
     return "\n".join(lines) + "\n"
+
+
+def ended(runs: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
+    """(force falls, gap closed), each "in so many/of so many" runs with `added`; empty where there is none."""
+    fallen = [r["added"]["missing_percent"] < 0.2 * r["before_percent"] for r in runs if r["before_percent"] > 0.0]
+    closed = [r["added"]["to_go"] < 0.05 * r["added"]["gap"] for r in runs if r["added"]["gap"] > SEEN]
+    force, gap = (f"{sum(true)}/{len(true)}" if true else "" for true in (fallen, closed))
+    return force, gap
 
 
 def confusion(

@@ -10,6 +10,7 @@ import pytest
 from daq import confusion as subject
 from daq.cli import main
 from daq.confusion import Case, cases
+from daq.rig import load_rig
 
 PAPER = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 
@@ -50,3 +51,13 @@ def test_a_wrong_name_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[
     err = capsys.readouterr().err
     assert said in err
     assert err.count("\n") == 1
+
+
+def test_what_is_named_is_added_and_closes_the_gap() -> None:
+    found = subject.run(load_rig(PAPER).model, Case("coulomb", "strong", "bearing1", 0), 10.0)
+    assert found["verdict"] == "coulomb"
+    assert found["before_percent"] > 2.0
+    assert found["added"]["missing_percent"] < 0.2 * found["before_percent"]
+    assert found["added"]["gap"] > 300.0
+    assert abs(found["added"]["to_go"]) < 0.05 * found["added"]["gap"]
+    assert subject.ended([found]) == ("1/1", "1/1")
