@@ -115,8 +115,7 @@ def _gram(
         rows = np.array([0] + [1 + j for j in own])
         G[row, 0][rows[:, None], rows] = Z @ Z.T
         n[row, 0] = mask.mean() * point.gram.n[i].sum()
-        slow = None if data.slow is None else data.slow[:, mask]
-        seen = replace(data, v=data.v[:, mask], x=data.x[:, mask], slow=slow, t=data.t[mask], phase=data.phase[mask])
+        seen = data.at(mask)
         made = [t for u in uses if i in u.at for t in terms(replace(u, at=(i,)), seen, point.lin)]
         if i in placed.at:
             made += terms(replace(placed, at=(i,), free=used), seen, point.lin, linear_only=True)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from .effect import Effect
 from .effects.custom import effect_of
-from .effects.places import at, kinematic
+from .effects.places import at, kinematic, written
 from .errors import DataError
-from .model import DIRECTIONS, UNITS, EffectUse, Model, Setting
+from .model import DIRECTIONS, UNITS, Model, Setting
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -171,16 +171,6 @@ def _split(effect: Effect) -> tuple[tuple[int, ...], tuple[int, ...]]:
     return tuple(linear), tuple(rest)
 
 
-def _settings(use: EffectUse, key: str, name: str) -> Setting:
-    """The setting of a parameter at a canonical place, however the place was written."""
-    node = key.split(".")[0]
-    written = [key, node] + [w for w in use.parameters if w.split(".")[0] == node] + list(use.parameters)
-    for w in written:
-        if name in use.parameters.get(w, {}):
-            return use.parameters[w][name]
-    return UNKNOWN
-
-
 def build(
     model: Model,
     sizes: Mapping[str, Mapping[str, float]] | None = None,
@@ -235,13 +225,14 @@ def build(
             continue
         linear_parts, rest = _split(effect)
         for key in at(effect, use, model):
+            own = written(effect, use, model, key)
             both = effect.scope == "node"
             for row in [i for i in rows if places[i] == key or (both and places[i].split(".")[0] == key)]:
                 size = (sizes or {}).get(places[row], {})
                 p, steps = np.zeros(len(effect.parameters)), np.zeros(len(effect.parameters))
                 searched = []
                 for j, q in enumerate(effect.parameters):
-                    setting, name = _settings(use, key, q.name), f"{key}.{effect.name}.{q.name}"
+                    setting, name = own.get(q.name, UNKNOWN), f"{key}.{effect.name}.{q.name}"
                     scale = size.get(q.scale, 1.0)
                     known = values.get(name, setting.value)
                     if known is None:
@@ -257,7 +248,7 @@ def build(
                     columns.append(Column("law", row, law))
                 for j in (*linear_parts, *searched):
                     q, name = effect.parameters[j], laws[law].name(j)
-                    setting = _settings(use, key, q.name)
+                    setting = own.get(q.name, UNKNOWN)
                     start = p[j] if j in searched else values.get(name, setting.value or 0.0)
                     add(name, q.unit, setting, start, (row, len(columns), 1.0))
                     if name in about:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +43,8 @@ class Fluctuation:
         if by == 1:
             return self
         rows = slice(None, None, by)
-        data = replace(self.data, rate_hz=rate_hz, block=self.data.block // by, x=self.data.x[:, rows],
-                       v=self.data.v[:, rows], t=self.data.t[rows], phase=self.data.phase[rows],
-                       slow=None if self.data.slow is None else self.data.slow[:, rows])  # fmt: skip
+        data = self.data.states(lambda z: z[:, rows], rate_hz=rate_hz, block=self.data.block // by,
+                                t=self.data.t[rows], phase=self.data.phase[rows])  # fmt: skip
         g = np.ascontiguousarray(self.g[:, rows])
         total = np.ascontiguousarray(self.total[:, rows])
         return Fluctuation(data, self.place, total, _spectra(total, data, g.shape[1]), g, self.whole)
@@ -96,6 +95,5 @@ def finer(data: MotionBlocks, by: int = 4) -> MotionBlocks:
         step = np.diff(z, append=2 * z[-1] - z[-2])
         return np.asarray((z[:, None] + step[:, None] * np.arange(by) / by).ravel())
 
-    return replace(data, rate_hz=by * data.rate_hz, block=by * data.block, x=fine(data.x), v=fine(data.v),
-                   t=straight(data.t), phase=straight(data.phase),
-                   slow=None if data.slow is None else fine(data.slow))  # fmt: skip
+    return data.states(fine, rate_hz=by * data.rate_hz, block=by * data.block, t=straight(data.t),
+                       phase=straight(data.phase))  # fmt: skip

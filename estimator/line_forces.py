@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from .effects import CATALOGUE
 from .effects.places import kinematic, orders
 from .estimate import Parameter
-from .model import Model, Setting
+from .model import Model
 from .motion_blocks import shaft_response
-from .periodic import to_cap
+from .periodic import known_lines, to_cap
 from .suspect import Suspect
 from .working_point import WorkingPoint, tangent_at
 
@@ -111,23 +111,6 @@ def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Su
         if suspect is not None:
             out.append(suspect)
     return out
-
-
-def known_lines(model: Model) -> list[float]:
-    """Hz of the lines that the model's own effects make."""
-    rotation = (model.speed_rpm or 0.0) / 60.0
-    out: list[float] = []
-    for use in model.effects:
-        if use.name in ("imbalance", "bow"):
-            out.append(rotation)
-        elif use.name == "misalignment":
-            out.append(2 * rotation)
-        elif use.name == "line":
-            out += [s["frequency"].value or 0.0 for s in use.parameters.values() if "frequency" in s]
-        elif use.name == "local_defect":
-            own = [s.get("order", Setting()).value or kinematic("bpfo", model) or 0.0 for s in use.parameters.values()]
-            out += [k * o * rotation for o in dict.fromkeys(own) for k in range(1, 400) if o > 0]
-    return [hz for hz in out if hz > 0]
 
 
 def _peaks(s: Spectrum, Z: Array, threshold: float) -> list[float]:

@@ -66,7 +66,7 @@ def placed_of(model: Model, data: MotionBlocks) -> list[Placed]:
             where = acting(effect, canonical, data)
             if not where:
                 continue
-            settings = written(use, canonical)
+            settings = written(effect, use, model, canonical)
             natural = size(data, where[0], stiffness(data, where[0]))
             p = np.zeros(len(effect.parameters))
             free = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +102,18 @@ class MotionBlocks:
     def sign(self, i: int) -> float:
         return 1.0 if self.places[i].endswith("x") else -1.0
 
+    def states(self, of: Callable[[Array], Array], **rest: Any) -> MotionBlocks:
+        """With v, x and the slow displacement, (places, n) each, as `of` makes them, and other fields as given."""
+        return replace(self, v=of(self.v), x=of(self.x), slow=None if self.slow is None else of(self.slow), **rest)
+
+    def at(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp], **rest: Any) -> MotionBlocks:
+        """Only these rows: views of them if they are a slice. rest : fields that change with them."""
+
+        def taken(z: Array) -> Array:
+            return z[:, rows] if isinstance(rows, slice) else np.ascontiguousarray(z[:, rows])
+
+        return self.states(taken, known=taken(self.known), t=self.t[rows], phase=self.phase[rows], **rest)
+
 
 def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
     """Some consecutive blocks of every time fold, about `seconds` in all; the data themselves if they are no longer."""
@@ -109,18 +122,14 @@ def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
         return data
     pick = np.concatenate([np.flatnonzero(data.fold == f)[:per_fold] for f in range(FOLDS)])
     rows = (pick[:, None] * data.block + np.arange(data.block)).ravel()
-    v, x, known = (np.ascontiguousarray(z[:, rows]) for z in (data.v, data.x, data.known))
-    return replace(data, start=data.start[pick], fold=data.fold[pick], t=data.t[rows], phase=data.phase[rows],
-                   v=v, x=x, known=known, slow=None if data.slow is None else data.slow[:, rows])  # fmt: skip
+    return data.at(rows, start=data.start[pick], fold=data.fold[pick])
 
 
 def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:
     """The blocks of one time fold, as views of the record."""
     here = np.flatnonzero(data.fold == f)
     rows = slice(int(here[0]) * data.block, (int(here[-1]) + 1) * data.block)
-    v, x, known = (z[:, rows] for z in (data.v, data.x, data.known))
-    return replace(data, start=data.start[here], fold=data.fold[here], t=data.t[rows], phase=data.phase[rows],
-                   v=v, x=x, known=known, slow=None if data.slow is None else data.slow[:, rows])  # fmt: skip
+    return data.at(rows, start=data.start[here], fold=data.fold[here])
 
 
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:

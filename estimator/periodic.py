@@ -9,6 +9,7 @@ what they are wrong by (a wrong frequency turns the phase from piece to piece): 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,7 @@ from .bandlimit import passband
 from .effect import Effect
 from .effects import CATALOGUE
 from .effects.compiled import force_array
-from .effects.places import at, values, written
+from .effects.places import at, kinematic, values, written
 from .errors import ModelError
 from .estimate import Parameter
 from .model import Model, Setting
@@ -34,6 +35,7 @@ PERIODIC = ("imbalance", "bow", "misalignment", "local_defect", "line")
 TURN = 1 << 14  # points of one period
 UNTOLD = "not told from zero by this record"
 LEAST = 1e-4  # gain of the band filter, below which nothing comes through
+LINES = 399  # harmonics that are looked at
 PIECES = 16  # of the record, to see a phase that turns
 FREQUENCY = {"line": 2, "local_defect": 1}  # number of the parameter that the angle is proportional to
 
@@ -72,9 +74,37 @@ class Periodic:
 
     def sounding(self, count: int) -> NDArray[np.bool_]:
         """(count,) which harmonics its law has."""
-        if self.effect.name == "local_defect":
-            return np.ones(count, bool)
-        return np.asarray(np.arange(1, count + 1) == (2 if self.effect.name == "misalignment" else 1))
+        return sounding(self.effect.name, count)
+
+
+def sounding(name: str, count: int) -> NDArray[np.bool_]:
+    """(count,) which harmonics a periodic effect has."""
+    if name == "local_defect":
+        return np.ones(count, bool)
+    return np.asarray(np.arange(1, count + 1) == (2 if name == "misalignment" else 1))
+
+
+def fundamental(effect: Effect, own: Mapping[str, Setting], model: Model) -> float:
+    """Hz at which the angle of a periodic effect with these settings turns; 0 where that is not known."""
+    rotation, k = (model.speed_rpm or 0.0) / 60.0, FREQUENCY.get(effect.name)
+    if k is None:
+        return rotation
+    q = effect.parameters[k]
+    value = own.get(q.name, Setting()).value or kinematic(q.scale, model) or 0.0
+    return value if effect.name == "line" else rotation * value
+
+
+def known_lines(model: Model) -> list[float]:
+    """Hz of the lines that the model's own effects make, whether their strength is known or not."""
+    out: dict[float, None] = {}
+    for use in model.effects:
+        if use.name in PERIODIC:
+            effect = CATALOGUE[use.name]
+            orders = 1 + np.flatnonzero(sounding(use.name, LINES))
+            for key in at(effect, use, model):
+                hz = fundamental(effect, written(effect, use, model, key), model)
+                out |= dict.fromkeys((hz * orders).tolist() if hz > 0.0 else ())
+    return list(out)
 
 
 def to_cap(model: Model, place: str, omega: Array) -> Complexes:
@@ -87,7 +117,6 @@ def to_cap(model: Model, place: str, omega: Array) -> Complexes:
 def periodic_of(model: Model) -> list[Periodic]:
     """The model's periodic effects whose numbers are all known, by place."""
     out = []
-    rotation = (model.speed_rpm or 0.0) / 60.0
     for use in model.effects:
         if use.name not in PERIODIC:
             continue
@@ -97,11 +126,11 @@ def periodic_of(model: Model) -> list[Periodic]:
                 p = values(effect, use, model, key)
             except ModelError:
                 continue
-            hz = p[2] if use.name == "line" else rotation * (p[1] if use.name == "local_defect" else 1.0)
+            own = written(effect, use, model, key)
+            hz = fundamental(effect, own, model)
             if hz > 0.0:
-                own = written(use, key)
                 free = tuple(not own.get(q.name, Setting()).fixed for q in effect.parameters)
-                out.append(Periodic(effect, key, p, free, float(hz)))
+                out.append(Periodic(effect, key, p, free, hz))
     return out
 
 
@@ -146,7 +175,7 @@ def refined(model: Model, data: MotionBlocks, force: Array, S: Array) -> tuple[M
         if stepped is None:
             continue
         p, sd = stepped
-        old = written(next(u for u in model.effects if u.name == one.effect.name), one.key)
+        old = written(one.effect, next(u for u in model.effects if u.name == one.effect.name), model, one.key)
         uses[one.effect.name][one.key] = {
             q.name: replace(old.get(q.name, Setting()), value=float(v))
             for q, v in zip(one.effect.parameters, p, strict=True)

@@ -92,7 +92,7 @@ def _numbered(
     found: dict[str, Parameter] = {}
     new: dict[str, dict[str, Setting]] = {}
     for key in at(effect, use, model):
-        old = written(use, key)
+        old = written(effect, use, model, key)
         own = _found(use, key, old, model, seen, point)
         new[key] = {}
         for q in effect.parameters:

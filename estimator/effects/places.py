@@ -7,8 +7,6 @@ a direction-scope entry written "bearing1") is understood.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,22 +53,12 @@ def values(effect: Effect, use: EffectUse, model: Model, place: str) -> NDArray[
     Kinematic orders and the number of balls come from the rig where they are not given. Raises ModelError naming
     what is missing (a missing parameter never means "off") or impossible.
     """
-    node = place.split(".")[0]
-    names = {c.name for c in model.channels if c.place == place}
-    entries = [use.parameters[k] for k in use.parameters if k == place]
-    entries += [
-        v
-        for k, v in use.parameters.items()
-        if k in (node, *names)
-        or effect.kind in ("disc", "shaft")
-        or (effect.scope == "node" and k.split(".")[0] == node)
-    ]
-    if effect.name == "correlated_force":
-        entries += [v for k, v in use.parameters.items() if k in NODES or k.endswith(place[-2:])]
+    own = written(effect, use, model, place)
     out: list[float] = []
     for p in effect.parameters:
-        set_values = [e[p.name].value for e in entries if p.name in e and e[p.name].value is not None]
-        value = set_values[0] if set_values else kinematic(p.scale, model)
+        value = own[p.name].value if p.name in own else None
+        if value is None:
+            value = kinematic(p.scale, model)
         if value is None and p.given:
             value = p.default
         if value is None:
@@ -82,15 +70,25 @@ def values(effect: Effect, use: EffectUse, model: Model, place: str) -> NDArray[
     return np.array(out)
 
 
-def written(use: EffectUse, canonical: str) -> Mapping[str, Setting]:
-    """What a use says about a canonical place: there, or at its node, or at a place of the node it is written by."""
-    node = canonical.split(".")[0]
-    for key in (canonical, node):
-        if key in use.parameters:
-            return use.parameters[key]
-    if node in ("shaft", "disc"):
-        return next(iter(use.parameters.values()))
-    return next((v for k, v in use.parameters.items() if k.split(".")[0] == node), {})
+def written(effect: Effect, use: EffectUse, model: Model, place: str) -> dict[str, Setting]:
+    """What a use says about each parameter at a canonical place, however the place was written there.
+
+    What is written for the very place comes before what is written for its node; a value before none.
+    """
+    node, names = place.split(".")[0], {c.name for c in model.channels if c.place == place}
+
+    def holds(key: str) -> bool:
+        if effect.name == "correlated_force":
+            return key in NODES or key.endswith(place[-2:])
+        same = effect.scope == "node" and key.split(".")[0] == node
+        return same or key in (place, node, *names) or effect.kind in ("disc", "shaft")
+
+    out: dict[str, Setting] = {}
+    for key in sorted(filter(holds, use.parameters), key=lambda key: (key != place, key != node)):
+        for name, setting in use.parameters[key].items():
+            if name not in out or (out[name].value is None and setting.value is not None):
+                out[name] = setting
+    return out
 
 
 def kinematic(scale: str, model: Model) -> float | None:

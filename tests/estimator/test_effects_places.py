@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimator.balance import build
 from estimator.effects import CATALOGUE
-from estimator.effects.places import at, kinematic, places, values
+from estimator.effects.places import at, kinematic, places, values, written
 from estimator.effects.strength import search_range, size, strengths, with_effect
 from estimator.errors import ModelError
 from estimator.model import BearingGeometry, Channel, EffectUse, Model, Setting
@@ -67,6 +68,22 @@ def test_a_value_is_never_borrowed_from_the_other_direction() -> None:
     one = use("cubic", bearing1_x={"kNL": None}, bearing1_y={"kNL": 5.0})
     with pytest.raises(ModelError, match=r"cubic at bearing1\.x has no kNL \(N/m\^3\)"):
         values(CATALOGUE["cubic"], one, RIG, "bearing1.x")
+
+
+def test_what_is_written_for_the_place_comes_before_what_is_written_for_its_node() -> None:
+    clearance = CATALOGUE["clearance"]
+    mixed = use("clearance", bearing1={"k": 1e6, "gap": 1e-7}, bearing1_x={"k": 2e6, "gap": None}, bearing2_x={})
+    at_x = written(clearance, mixed, RIG, "bearing1.x")
+    assert (at_x["k"].value, at_x["gap"].value) == (2e6, 1e-7)
+    assert written(clearance, mixed, RIG, "bearing1.y")["k"].value == 1e6
+    assert written(clearance, mixed, RIG, "bearing2.x") == {}
+
+
+def test_a_fit_borrows_no_number_of_another_bearing() -> None:
+    parameters = {"bearing1.x": {"gap": Setting(3e-7, fixed=True)}, "bearing2.x": {}}
+    balance = build(replace(RIG, effects=(EffectUse("clearance", parameters),)))
+    assert "bearing1.x.clearance.gap" not in balance.names
+    assert "bearing2.x.clearance.gap" in balance.names
 
 
 def test_kinematics_come_from_the_rig() -> None:

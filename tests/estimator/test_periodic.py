@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimator.model import EffectUse, Model, Setting
 from estimator.motion_blocks import MotionBlocks
-from estimator.periodic import PIECES, periodic_of, refined, series
+from estimator.periodic import PIECES, known_lines, periodic_of, refined, series
 from estimator.preparation import prepare
 from estimator.simulate import simulate
 
@@ -54,6 +54,18 @@ def test_a_train_of_strikes_has_the_harmonics_of_its_fourier_series(rig: Model) 
     width = DEFECT["width"]
     exact = DEFECT["strike"] * width / np.pi / (1 + 1j * k * width) * np.exp(-1j * k * DEFECT["angle"])
     np.testing.assert_allclose(one.harmonics(rig, "bearing1.x", 100), exact, rtol=0.03)
+
+
+@pytest.mark.parametrize(("name", "values"), [("line", LINE), ("local_defect", DEFECT), ("misalignment", {"a": 1.0})])
+def test_the_lines_of_an_effect_are_known_before_its_strength(rig: Model, name: str, values: dict[str, float]) -> None:
+    angle = {k: v for k, v in values.items() if k in ("frequency", "order")}
+    first = {"line": LINE["frequency"], "local_defect": 2.1 * 35.0, "misalignment": 70.0}[name]
+    assert known_lines(with_use(rig, name, angle))[0] == pytest.approx(first)
+    assert known_lines(rig) == []
+
+
+def test_a_line_of_unknown_frequency_is_not_known(rig: Model) -> None:
+    assert known_lines(with_use(rig, "line", {"a": 0.1})) == []
 
 
 def test_what_lies_outside_of_the_band_adds_nothing(rig: Model, data: MotionBlocks) -> None:
