@@ -110,7 +110,7 @@ def force_channels(model: Model) -> dict[int, int]:
 
 
 def shaft_notch(model: Model) -> tuple[float, float] | None:
-    """Hz: where the disc, held by the shaft alone, resonates too sharply for a filter of finite length."""
+    """Hz: where the disc, held by the shaft alone, resonates too sharply for a filter: bins that a fit leaves out."""
     if model.shaft == "none" or model.shaft_stiffness == 0.0 or "disc" not in model.mass:
         return None
     springs = 2.0 if model.shaft == "chain" else 4.0
@@ -119,35 +119,19 @@ def shaft_notch(model: Model) -> tuple[float, float] | None:
     return resonance - width, resonance + width
 
 
-def shaft_response(model: Model) -> Callable[[Floats], Complexes] | None:
-    """Force on a cap per displacement of the cap at the other end (N/m), disc eliminated; None without a shaft.
+def shaft_reaction(model: Model) -> Callable[[Floats], Complexes] | None:
+    """Force on a cap per displacement of the cap at the other end, N/m at Hz, disc eliminated; None without a shaft.
 
-    Within the notch, whose bins are left out, and below the band it is bridged: a sharp resonance there would leak.
+    Exact: what a filter cannot hold of a sharp resonance is the filter's affair (bandlimit.py). Raises DataError.
     """
-    notch = shaft_notch(model)
     if model.shaft == "none" or model.shaft_stiffness == 0.0:
         return None
-    if notch is None:
+    if model.mass.get("disc", 0.0) <= 0.0:
         raise DataError(f'shaft "{model.shaft}" needs [rig.mass] disc: give it, or set shaft = "none"')
     from .rotor import between_caps
 
     ks, cs, disc, shaft = model.shaft_stiffness, model.shaft_damping, model.mass["disc"], model.shaft
-    low, (a, b) = model.band[0], notch
-    if a < low < b:
-        low = b
-
-    def exact(f: Floats) -> Complexes:
-        return between_caps(shaft, ks, cs, disc, 2 * np.pi * f)
-
-    def bridged(f: Floats) -> Complexes:
-        z = exact(np.maximum(f, low))
-        if a >= low:
-            ends = exact(np.array([a, b]))
-            u = (f - a) / (b - a)
-            z = np.where((u > 0) & (u < 1), ends[0] + (ends[1] - ends[0]) * u, z)
-        return z
-
-    return bridged
+    return lambda f_hz: between_caps(shaft, ks, cs, disc, 2 * np.pi * f_hz)
 
 
 def _split(effect: Effect) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -185,7 +169,7 @@ def build(
     """
     places, values = model.places, values or {}
     rows = range(len(places))
-    common = shaft_response(model)
+    common = shaft_reaction(model)
     columns = [Column(kind, i) for kind in "avx" for i in rows]
     entries: dict[str, list[tuple[int, int, float]]] = {}
     about: dict[str, tuple[str, Setting, float, bool]] = {}

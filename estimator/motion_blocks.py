@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .balance import shaft_reaction
 from .effects.custom import effect_of
 from .effects.places import at
 from .errors import DataError
@@ -16,7 +17,7 @@ from .features import NEAREST
 from .filtered import Filtered
 from .model import Model
 from .periodic import series
-from .rotor import between_caps, shaft_at_caps
+from .rotor import shaft_at_caps
 from .side_by_side import each
 
 Array = NDArray[np.float64]
@@ -168,7 +169,9 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     while block > 1024 and y.shape[0] < 24 * block:
         block //= 2
     used = y if columns == [*range(y.shape[1])] else y[:, columns]
-    motion = Filtered(used, [model.channels[k].kind for k in columns], rate_hz, model.band, _beta(model)).whole()
+    motion = Filtered(
+        used, [model.channels[k].kind for k in columns], rate_hz, model.band, shaft_reaction(model)
+    ).whole()
     starts = _valid_starts(motion.valid, block)
     if starts.size < 2 * FOLDS:
         raise DataError(
@@ -239,18 +242,6 @@ def colours(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
 
 
 _MOTION = ("acceleration", "velocity", "displacement")
-
-
-def _beta(model: Model) -> Callable[[Array], NDArray[np.complex128]] | None:
-    """Response from a cap's displacement to the shaft force that the same displacement causes at the opposite cap."""
-    disc = model.mass.get("disc", 0.0)
-    if model.shaft == "none" or disc <= 0.0:
-        return None
-
-    def response(f_hz: Array) -> NDArray[np.complex128]:
-        return between_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, disc, 2 * np.pi * f_hz)
-
-    return response
 
 
 def _runs(starts: NDArray[np.int64], block: int) -> list[slice]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .balance import Balance, force_channels, motion_channels, shaft_notch, shaft_response
+from .balance import Balance, force_channels, motion_channels, shaft_notch, shaft_reaction
 from .bandlimit import Motion
 from .columns import Columns, Stretch
 from .errors import DataError
@@ -98,7 +98,7 @@ def prepare(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None
     P, force = len(motions), {}
     motion: Motion | Filtered
     filtered = Filtered(
-        y if used == [*range(y.shape[1])] else y[:, used], kinds, rate_hz, model.band, shaft_response(model)
+        y if used == [*range(y.shape[1])] else y[:, used], kinds, rate_hz, model.band, shaft_reaction(model)
     )
     if filtered.large and not forces:
         motion = filtered

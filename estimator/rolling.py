@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .balance import force_channels, motion_channels, shaft_response
+from .balance import force_channels, motion_channels, shaft_reaction
 from .bandlimit import BandLimit, Motion
 from .errors import DataError
 from .estimate import Estimate
@@ -56,7 +56,7 @@ class RollingSpectral:
         motions, forces = motion_channels(model), force_channels(model)
         self._used = [*motions, *forces.values()]
         kinds = [model.channels[c].kind for c in self._used]
-        self._filter = BandLimit(kinds, rate_hz, model.band, shaft_response(model))
+        self._filter = BandLimit(kinds, rate_hz, model.band, shaft_reaction(model))
         self._grid: Layout = layout(rate_hz, model.band, notches(model))
         self._kept: list[Motion] = []  # what the next blocks and a new start need
         self._shaft = ShaftAngle(model, rate_hz)
