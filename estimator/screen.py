@@ -27,6 +27,7 @@ GRID = {1: 6, 2: 4, 3: 3}  # points per searched parameter, by their number
 EVERYTHING = np.arange(6)
 STEPS, REACH = 3, 0.4  # of Gauss-Newton in searched parameters; largest, of the value
 LEAST = 0.5  # nats that a step is to bring
+DIFFERENT = 2.0  # nats, about the price of a parameter, that a spot's own searched parameters are to be worth
 WORTH = 1e-3  # p-value of a trial whose searched parameters are tried at the other spots
 NEAR, BEHIND = 0.5, 25.0  # share of the best effect's gain, nats behind it, under which the whole record is not needed
 IDLE = 0.45  # p-value on two fifths of a record from which on the whole of it makes nothing significant (0.6 %)
@@ -212,21 +213,22 @@ def again(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:
 
 
 def borrowed(point: WorkingPoint, model: Model, trials: Sequence[Trial], spots: Sequence[str]) -> list[Trial]:
-    """Trials of one effect, also with the searched parameters of the best at every spot where they do better: bearings
-    are alike, and a part of the record may not tell a weak effect's."""
+    """Trials of one effect, with the searched parameters of the best at every spot that has no better ones of its own:
+    bearings are alike, and a part of the record may not tell a weak effect's."""
     out = {t.spot: t for t in trials}
     best = max(trials, key=lambda t: t.gain, default=None)
-    if best is None or best.p_value > WORTH or not searched(best.effect, model):
+    loose = [] if best is None else searched(best.effect, model)
+    if best is None or best.p_value > WORTH or not loose:
         return list(trials)
 
     def lent(spot: str) -> Trial | None:
         own = out.get(spot)
-        if own is not None and own.gain > 0.5 * best.gain:
+        if own is not None and np.allclose(own.placed.p[loose], best.placed.p[loose]):
             return own
         at = acting(best.effect, spot, point.data)
         placed = replace(best.placed, key=f"{spot}.{best.effect.name}", at=at)
         new = again(point, model, replace(best, spot=spot, placed=placed))
-        return own if new is None or (own is not None and new.gain <= own.gain) else new
+        return own if new is None or (own is not None and new.gain <= own.gain - DIFFERENT) else new
 
     return [t for t in map(lent, spots) if t is not None]
 

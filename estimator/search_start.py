@@ -15,8 +15,10 @@ from . import screen
 from .model import Model
 from .model_uses import placed_of
 from .motion_blocks import MotionBlocks, part_of
+from .path_fit import PathFit
 from .placed import Placed
 from .side_by_side import each
+from .subproblem import Subproblem
 from .working_point import WorkingPoint, fit_model
 
 Array = NDArray[np.float64]
@@ -32,9 +34,12 @@ def fit_record(model: Model, data: MotionBlocks) -> WorkingPoint:
     if not loose:
         return fit_model(data, uses)
     part = part_of(data, SECONDS)
-    for k in loose:
-        others = [u for j, u in enumerate(uses) if j != k and (j not in loose or j < k)]
-        uses[k] = _started(fit_model(part, others), uses[k])
+    kinds = {k: (uses[k].effect.name, *_searched(uses[k])) for k in loose}
+    for kind in dict.fromkeys(kinds.values()):
+        own = [k for k in loose if kinds[k] == kind]
+        point = fit_model(part, [u for j, u in enumerate(uses) if j not in loose or j < own[0]])
+        for k, use in zip(own, _started(point, [uses[k] for k in own]), strict=True):
+            uses[k] = use
     return fit_model(data, uses)
 
 
@@ -45,24 +50,40 @@ def _searched(use: Placed) -> list[int]:
     return [k for k, q in enumerate(use.effect.parameters) if use.free[k] and not q.linear and use.p[k] != 0.0]
 
 
-def _started(point: WorkingPoint, use: Placed) -> Placed:
-    """The use at the best of a grid about its values, amplitudes as they fit there."""
+def _started(point: WorkingPoint, uses: list[Placed]) -> list[Placed]:
+    """The uses of one effect at the best of a grid about their values, amplitudes as they fit there. Places are alike
+    unless the record says otherwise: one has a node of its own where that is worth screen.DIFFERENT nats."""
+    nodes = [_grid(use) for use in uses]
+    pairs = [use for own in nodes for use in own]
+    found = each(lambda use: screen.assess(point, use), pairs)
+    tried = [found[k : k + len(nodes[0])] for k in range(0, len(pairs), len(nodes[0]))]
+    gains = np.array([[0.0 if got is None else max(got[0], 0.0) for got in own] for own in tried])
+    shared = int(np.argmax(gains.sum(axis=0)))
+    out = []
+    for use, own, results, gained in zip(uses, nodes, tried, gains, strict=True):
+        best = int(np.argmax(gained))
+        best = best if gained[best] > gained[shared] + screen.DIFFERENT else shared
+        got = results[best]
+        out.append(use if got is None or got[0] <= 0.0 else _amplitudes(own[best], *got[1:]))
+    return out
+
+
+def _grid(use: Placed) -> list[Placed]:
+    """The use at every node, its free amplitudes 1."""
     loose = _searched(use)
-    factors = FACTORS.get(len(loose), COARSE)
-    linear = np.array([q.linear and free for q, free in zip(use.effect.parameters, use.free, strict=True)])
-    at_one = np.where(linear, 1.0, use.p)
-    candidates = []
-    for scale in product(factors, repeat=len(loose)):
-        p = at_one.copy()
-        p[loose] *= scale
-        candidates.append(use.with_values(p))
-    tried = each(lambda candidate: screen.assess(point, candidate), candidates)
-    best = max(range(len(tried)), key=lambda k: -np.inf if (got := tried[k]) is None else got[0])
-    got = tried[best]
-    if got is None or got[0] <= 0.0:
-        return use
-    _, problem, fit = got
-    p = candidates[best].p.copy()
-    for k in np.flatnonzero(linear):
-        p[k] = fit.value(use.name(int(k)))[0] if use.name(int(k)) in problem.extra else 0.0
+    p = np.where([q.linear and free for q, free in zip(use.effect.parameters, use.free, strict=True)], 1.0, use.p)
+    nodes = []
+    for scale in product(FACTORS.get(len(loose), COARSE), repeat=len(loose)):
+        node = p.copy()
+        node[loose] *= scale
+        nodes.append(use.with_values(node))
+    return nodes
+
+
+def _amplitudes(use: Placed, problem: Subproblem, fit: PathFit) -> Placed:
+    """The use with the amplitudes of its fit, 0 for those that would be out of their limits."""
+    p = use.p.copy()
+    for k, q in enumerate(use.effect.parameters):
+        if q.linear and use.free[k]:
+            p[k] = fit.value(use.name(k))[0] if use.name(k) in problem.extra else 0.0
     return use.with_values(p)

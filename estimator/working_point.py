@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .bandlimit import left_out
+from .effects.strength import search_range
 from .fluctuation import Fluctuation, fluctuations
+from .model_uses import size
 from .motion_blocks import FOLDS, MotionBlocks, part_of
 from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing, fit, gram
 from .placed import Placed, evaluate
@@ -20,7 +22,9 @@ from .terms import Spans, dressed, light, linear_terms, terms
 
 Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
+LAST_ROUNDS = 3  # at most, on the whole of it
 NOISE_STEP = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
+REACH = 0.3  # of a searched parameter: one standard deviation of the step that is taken at once
 SETTLED = 0.1  # standard deviations by which the last step of a fit moves
 
 
@@ -74,7 +78,7 @@ def fit_model(
         part = part_of(data, FIRST_SECONDS)
         if part is not data:
             start = fit_model(part, uses, rounds=rounds)
-            uses, rounds = list(start.placed), 1
+            uses, rounds = list(start.placed), LAST_ROUNDS
     if start is None:
         kL, c, S = _first_linear(data)
         data = replace(data, left_out=left_out(data.mass, c, kL, S, data.band, data.rate_hz))
@@ -211,7 +215,7 @@ def _at(
             A[:, i, i] += here.whole / (2 * np.pi * data.f_hz) ** 2
     jacobian = Jacobian(A)
     blocks = np.bincount(data.fold, minlength=FOLDS).astype(np.float64)
-    result = fit(G, jacobian, np.arange(FOLDS), blocks)
+    result = _cautious(G, jacobian, blocks, uses)
     kept = tuple(light(t) for t in made)
     return WorkingPoint(
         data,
@@ -233,6 +237,22 @@ def _at(
         tuple(here and here.coarse(data.rate_hz) for here in around),
         Spans(kept),
     )
+
+
+def _cautious(G: Gram, jacobian: Jacobian, blocks: Array, uses: list[Placed]) -> PathFit:
+    """The fit with its step in searched parameters kept short, and what goes with them: their columns are tangents. A
+    weak law's are free to run far off; of a strong one's a tenth of a standard deviation is lost."""
+    everything = np.arange(FOLDS)
+    result = fit(G, jacobian, everything, blocks)
+    caution = np.zeros(len(G.names))
+    for use in uses:
+        for k, q in enumerate(use.effect.parameters):
+            if not q.linear and use.p[k] != 0.0 and use.name(k) in G.names:
+                j = G.names.index(use.name(k))
+                caution[j] = (G.scales[j] / (REACH * use.p[k])) ** 2
+    if not caution.any():
+        return result
+    return replace(fit(G, jacobian, everything, blocks, ridge=caution), covariance=result.covariance)
 
 
 def _follows(data: MotionBlocks, F: Array, i: int, j: int) -> Term:
@@ -260,12 +280,14 @@ def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list
     c = c + np.array([step[f"{p}.c"] for p in places])
     uses = []
     for use in point.placed:
-        p = use.p.copy()
+        p, i = use.p.copy(), use.at[0]
+        natural = size(point.data, i, kL[i])
         for k, q in enumerate(use.effect.parameters):
-            d = step.get(use.name(k), 0.0)
+            new = p[k] + step.get(use.name(k), 0.0)
             if not q.linear:
-                d = float(np.clip(d, -0.3 * abs(p[k]), 0.3 * abs(p[k])))
-            p[k] += d
+                low, high = search_range(q, natural)
+                new = float(np.clip(new, min(low, p[k]), max(high, p[k])))
+            p[k] = new
         uses.append(use.with_values(p))
     return kL, c, uses
 
