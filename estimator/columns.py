@@ -17,7 +17,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Rows in a row, MARGIN more on either side. a, v, x, u : (places, n); force : row -> (n,); valid : (n,)."""
+    """Rows in a row, MARGIN more on either side. a, v, x, u : (places, n); force : row -> (n,); valid : (n,).
+
+    slow : (places, n) displacement below the band that the laws see beside x (slow_motion.py).
+    """
 
     a: Floats
     v: Floats
@@ -28,17 +31,23 @@ class Stretch:
     t: Floats
     phase: Floats
     rate_hz: float
+    slow: Floats | None = None
 
     @property
     def rows(self) -> int:
         return int(self.t.size - 2 * MARGIN)
+
+    def seen(self, row: int) -> Floats:
+        """(n,) displacement at a place as its laws see it."""
+        return self.x[row] if self.slow is None else np.asarray(self.x[row] + self.slow[row])
 
     def part(self, start: int, stop: int) -> Stretch:
         """Rows start ... stop - 1 with their margins."""
         rows = slice(start, stop + 2 * MARGIN)
         a, v, x, u = (z[:, rows] for z in (self.a, self.v, self.x, self.u))
         force = {i: z[rows] for i, z in self.force.items()}
-        return Stretch(a, v, x, u, self.valid[rows], force, self.t[rows], self.phase[rows], self.rate_hz)
+        slow = None if self.slow is None else self.slow[:, rows]
+        return Stretch(a, v, x, u, self.valid[rows], force, self.t[rows], self.phase[rows], self.rate_hz, slow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +108,9 @@ class Columns:
         other = self.balance.other(row)
         zero = np.zeros(stretch.t.size)
         h = np.sqrt(3.0) * np.concatenate([self.widths[row], self.widths[other] if other >= 0 else np.zeros(2)])
-        xo, vo = (stretch.x[other], stretch.v[other]) if other >= 0 else (zero, zero)
+        xo, vo = (stretch.seen(other), stretch.v[other]) if other >= 0 else (zero, zero)
         sign = 1.0 if self.balance.places[row].endswith(".x") else -1.0
-        return State(stretch.x[row], stretch.v[row], xo, vo, stretch.t, stretch.phase, sign, h, stretch.valid)
+        return State(stretch.seen(row), stretch.v[row], xo, vo, stretch.t, stretch.phase, sign, h, stretch.valid)
 
     def evaluate(self, stretch: Stretch) -> tuple[Floats, Floats]:
         """(columns, rows) and (columns, 4) sums of tangents over the valid rows. Raises DataError if not finite."""

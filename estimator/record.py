@@ -39,6 +39,7 @@ class Record:
     phase: Floats
     grid: Layout
     lines: tuple[tuple[float, float], ...] = ()  # Hz, stretches left out of the grid (lines.py)
+    slow: Floats | None = None  # (places, n) displacement below the band that lopsided laws make (slow_motion.py)
     _rms: dict[str, Floats] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -78,7 +79,8 @@ class Record:
             a, v, x, u = z[0], z[1], z[2], z[3] if len(z) > 3 else z[0, :0]
         else:
             a, v, x, u = (padded(z[:, lo:hi]) for z in (m.a, m.v, m.x, m.u))
-        return Stretch(a, v, x, u, valid, force, t, phase, self.rate_hz)
+        slow = None if self.slow is None else padded(self.slow[:, lo:hi])
+        return Stretch(a, v, x, u, valid, force, t, phase, self.rate_hz, slow)
 
 
 def notches(model: Model) -> tuple[tuple[float, float], ...]:

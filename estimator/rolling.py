@@ -22,7 +22,6 @@ from .balance import force_channels, motion_channels, shaft_reaction
 from .bandlimit import BandLimit, Motion
 from .errors import DataError
 from .estimate import Estimate
-from .features import MARGIN
 from .gram import Layout, layout
 from .lines import begin
 from .model import Model
@@ -115,23 +114,23 @@ class RollingSpectral:
         is late. A whole record given at once is worked through at once."""
         grid, end = self._grid, self._kept[-1].start + self._kept[-1].rows
         at_once, taken = most > 1, 0
-        while taken < (most if fitted.settled else CATCH_UP * most) and self._next + grid.size + MARGIN <= end:
-            record = self._ahead = self._ahead or self._record(self._next - MARGIN)
+        while taken < (most if fitted.settled else CATCH_UP * most) and self._next + grid.size + fitted.margin <= end:
+            record = self._ahead = self._ahead or self._record(self._next - fitted.margin)
             at = self._next - record.motion.start
             fitted.forget()
             self._still = self._standing(record.motion.a[:, at : at + grid.size])
             if record.motion.valid[at : at + grid.size].all() and not self._still:
-                fitted.take(record.stretch(at, at + grid.size), self._shaft.measured)
+                fitted.take(record, at, self._shaft.measured)
             else:
                 fitted.skip()
             self._next += grid.hop
             taken += 1
         if taken:
             self._since_taken = True
-        if self._since_taken and self._next + grid.size + MARGIN > end and (at_once or not taken):
+        if self._since_taken and self._next + grid.size + fitted.margin > end and (at_once or not taken):
             if not fitted.settled and not (self._settle(fitted) and at_once):
                 return
-            self._trim(min(self._next - MARGIN, end - max(int(WARM_UP_S * self.rate_hz), 24 * grid.hop)))
+            self._trim(min(self._next - fitted.margin, end - max(int(WARM_UP_S * self.rate_hz), 24 * grid.hop)))
             self._since_taken = False
             if self._since_solved >= SHOW_EVERY_S * self.rate_hz * 0.6:
                 self._solve()

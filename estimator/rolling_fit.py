@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from .balance import Balance, build, restrict
 from .block_spectra import BlockSpectra
-from .columns import Columns, Stretch
+from .columns import Columns
 from .dressing import dressed, mean_responses, self_energies
+from .features import MARGIN
 from .jacobian import levels
 from .likelihood import Evidence, Likelihood, Local, Point, active, maximise
 from .maximum import initial, inverse, maximum, without_noise
@@ -18,6 +19,7 @@ from .model import Model
 from .moving_lines import MovingLines
 from .record import Record, gather
 from .rolling_memory import FlutterSums, Memory
+from .rolling_slow import SlowMotion
 from .spectral import OVERLAP
 from .start import Start
 from .watch import look, with_candidates
@@ -30,6 +32,7 @@ CHECKED_EVERY = 2  # solutions, for a change
 WATCHED_EVERY = 3  # blocks: every other one at most, so that no two share rows
 LOOKED_EVERY = 8  # solutions
 FEWEST_WATCHED = 6  # blocks
+CENTRINGS = 4  # fits of the first seconds, each about the centre that the last one's lopsided laws make
 CLOSE = 10.0  # nats: a standard deviation or so of each parameter; one Newton step from there leaves a few per cent
 
 
@@ -60,6 +63,7 @@ class RollingFit:
             for t, (k, m) in ((time_constant_s, sizes[0]), (watching, sizes[0]), (time_constant_s, sizes[1]))
         )
         self.rate_hz, self.band = record.rate_hz, record.model.band
+        self.centre = SlowMotion(self.columns, record)
         self.lines = MovingLines(grid.f_hz, any(c.kind == "tacho" for c in record.model.channels))
         self.pairs: NDArray[np.complex128] | None = None
         self.local: Local
@@ -75,15 +79,22 @@ class RollingFit:
         cls, record: Record, start: Start, model: Model, time_constant_s: float, watch: tuple[str, ...]
     ) -> RollingFit:
         values: dict[str, float] = {}
-        if len(build(model, start.sizes).free) > len(build(model, start.sizes, search=False).free):
-            values = maximum(record, start, model).values  # the shapes as the first seconds have them
-        own = build(model, start.sizes, values, search=False)
+        searched = len(build(model, start.sizes).free) > len(build(model, start.sizes, search=False).free)
+        for _ in range(CENTRINGS):
+            if searched:
+                values = maximum(record, start, model).values  # the shapes as the first seconds have them
+            own = build(model, start.sizes, values, search=False)
+            bank = gather(record, own, start.widths, start.linear)
+            first = Evidence(own, record.grid, bank.grams.sum(axis=0), bank.blocks.sum(), bank.tangents, start.nodes)
+            local, _ = maximise(Likelihood(first), initial(own, start, values))
+            centre = SlowMotion(Columns(own, record.scales, start.widths, start.linear), record)
+            if not centre.reach:
+                break
+            record = centre.whole(record, own.coefficients(local.point.beta))
         wide = build(with_candidates(model, watch), start.sizes, values, search=False)
         columns = Columns(wide, record.scales, start.widths, start.linear, fine=len(own.laws))
         fitted = cls(record, start, wide, len(own.laws), time_constant_s, columns)
-        bank = gather(record, own, start.widths, start.linear)
-        first = Evidence(own, record.grid, bank.grams.sum(axis=0), bank.blocks.sum(), bank.tangents, start.nodes)
-        fitted.local, _ = maximise(Likelihood(first), initial(own, start, values))
+        fitted.local = local
         return fitted
 
     def settle(self, record: Record) -> None:
@@ -94,6 +105,7 @@ class RollingFit:
 
     def _dress(self, record: Record) -> None:
         B = self.balance.coefficients(self.local.point.beta)
+        record = self.centre.whole(record, B)
         mean = mean_responses(self.balance, B, self.slow.tangents / self.slow.rows)
         if any(law.effect.kind == "force" for law in self.balance.laws) and all(m.c > 0 and m.k > 0 for m in mean):
             self.pairs = self_energies(record, self.columns, B, mean, self.start.nodes.f_hz, WARM_UP_S)
@@ -108,12 +120,18 @@ class RollingFit:
         self.lines.restart()
         self.spectra.restart()
 
-    def take(self, stretch: Stretch, measured: bool) -> None:
-        """Add a block, its lines left out. measured : the stretch's angle is that of a tacho."""
+    @property
+    def margin(self) -> int:
+        """Rows of a record that a block needs on either side of its own."""
+        return MARGIN + self.centre.reach
+
+    def take(self, record: Record, at: int, measured: bool) -> None:
+        """Add the block that begins at row `at`, its lines left out. measured : the angle is that of a tacho."""
         watches = len(self.wide.laws) > len(self.balance.laws) and self.turn % WATCHED_EVERY == 0
+        B = self.balance.coefficients(self.local.point.beta)
+        stretch = self.centre.stretch(record, at, at + self.grid.size, B)
         Z, tangents = self.spectra.take(stretch, watches)
         own = self.own if watches else np.arange(self.own.size)
-        B = self.balance.coefficients(self.local.point.beta)
         speed_hz = None
         if measured:
             speed_hz = float(stretch.phase[-1] - stretch.phase[0]) / (2 * np.pi * (stretch.t[-1] - stretch.t[0]))

@@ -7,7 +7,7 @@ the bearing force comes out 4 % too small, and the law works about the wrong cen
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -41,20 +41,30 @@ def usual(effect: Effect) -> Array:
     return np.array([1.0 if q.linear else q.default for q in effect.parameters])
 
 
+def below(
+    linear: tuple[float, float, float], rate_hz: float, band: tuple[float, float]
+) -> Callable[[Array], Complexes]:
+    """Displacement below the band per restoring force, m/N at w (f,) rad/s. linear : m, k, c."""
+    m, k, c = linear
+
+    def response(w: Array) -> Complexes:
+        f = w / (2 * np.pi)
+        part = np.where(f < band[0], 1.0 - passband(f, rate_hz, band), 0.0)
+        return np.asarray(-part / (k + 1j * w * c - m * w**2))
+
+    return response
+
+
 def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -> MotionBlocks:
     """The record with the slow displacement of the laws as they stand. kL, c : (places,)."""
     own = [[u for u in uses if i in u.at and u.p.any() and lopsided(u.effect, u.p, data.sizes(i))]
            for i in range(len(data.places))]  # fmt: skip
     if not any(own):
         return data
-    shaft = data.shaft[0].real  # N/m at the lowest bin
+    stiffness = kL + np.diag(data.shaft[0].real)  # N/m at the lowest bin
 
     def at(i: int) -> Array:
-        def response(w: Array) -> Complexes:
-            f = w / (2 * np.pi)
-            below = np.where(f < data.band[0], 1.0 - passband(f, data.rate_hz, data.band), 0.0)
-            return np.asarray(-below / (kL[i] + shaft[i, i] + 1j * w * c[i] - data.mass[i] * w**2))
-
+        response = below((float(data.mass[i]), float(stiffness[i]), float(c[i])), data.rate_hz, data.band)
         if not own[i]:
             return np.zeros(data.x.shape[1])
         pushed = np.sum([evaluate(u, data, i, np.array([data.mass[i], kL[i], c[i]]))[0] for u in own[i]], axis=0)

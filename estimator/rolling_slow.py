@@ -1,0 +1,72 @@
+"""The slow displacement that lopsided laws make (slow_motion.py), along a block of a stream."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .bandlimit import half_length
+from .columns import Columns, Stretch
+from .features import MARGIN, State
+from .linear_memory import filtered
+from .record import Record
+from .slow_motion import below, lopsided, usual
+
+Floats = NDArray[np.float64]
+ROUNDS = 2  # the law is evaluated about the centre, then about the one that it makes: off by its slope squared
+
+
+class SlowMotion:
+    """Of the laws of a balance. reach : rows needed on either side of those that come out, 0 if no law is lopsided."""
+
+    def __init__(self, columns: Columns, record: Record) -> None:
+        """record : whose motion says how large the states of the laws are."""
+        balance, self._columns, rms = columns.balance, columns, record.scales
+        self._rate_hz, self._band = record.rate_hz, record.model.band
+        self._laws: dict[int, list[int]] = {}
+        for k, column in enumerate(balance.columns):
+            if column.kind != "law":
+                continue
+            law, other = balance.laws[column.law], balance.other(column.row)
+            p, sizes = law.p.copy(), np.concatenate([rms[column.row], rms[other] if other >= 0 else np.zeros(2)])
+            p[list(law.linear)] = usual(law.effect)[list(law.linear)]
+            if lopsided(law.effect, p, sizes):
+                self._laws.setdefault(column.row, []).append(k)
+        self.reach = half_length(self._rate_hz, self._band) if self._laws else 0
+
+    def whole(self, record: Record, B: Floats) -> Record:
+        """The record with it. B : (places, columns) coefficients of the balance."""
+        if not self._laws:
+            return record
+        wide = replace(record, slow=None).stretch(-self.reach, record.motion.rows + self.reach)
+        return replace(record, slow=self._along(wide, B)[:, self.reach : -self.reach])
+
+    def stretch(self, record: Record, start: int, stop: int, B: Floats) -> Stretch:
+        """Rows start ... stop - 1 of a record with it."""
+        if not self._laws:
+            return record.stretch(start, stop)
+        more = self.reach + MARGIN
+        slow = self._along(record.stretch(start - more, stop + more), B)[:, self.reach : -self.reach]
+        return replace(record.stretch(start, stop), slow=slow)
+
+    def _along(self, stretch: Stretch, B: Floats) -> Floats:
+        """(places, rows), sound but for `reach` rows at either end; missing samples count with the mean of the force."""
+        balance, P, inner = self._columns.balance, len(B), slice(MARGIN, MARGIN + stretch.rows)
+        valid, out = stretch.valid[inner], np.zeros((P, stretch.rows))
+        if not valid.any():
+            return out
+        shaft = 0.0 if balance.common is None else float(balance.common(np.array([self._band[0]]))[0].real)
+        for _ in range(ROUNDS):
+            seen = replace(stretch, slow=np.pad(out, [(0, 0), (MARGIN, MARGIN)], mode="edge"))
+            states: dict[tuple[int, bool], State] = {}
+            out = np.zeros_like(out)
+            for row, laws in self._laws.items():
+                push = np.sum([B[row, k] * self._columns.law(k, seen, states)[0] for k in laws], axis=0)
+                mean = float(push[valid].mean())
+                linear = (float(B[row, row]), float(B[row, 2 * P + row]) + shaft, float(B[row, P + row]))
+                response = below(linear, self._rate_hz, self._band)
+                out[row] = filtered(response, np.where(valid, push - mean, 0.0), self._rate_hz)
+                out[row] += mean * float(response(np.zeros(1))[0].real)
+        return out
