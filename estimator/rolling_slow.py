@@ -52,7 +52,7 @@ class SlowMotion:
         return replace(record.stretch(start, stop), slow=slow)
 
     def _along(self, stretch: Stretch, B: Floats) -> Floats:
-        """(places, rows), sound but for `reach` rows at either end; missing samples count with the mean of the force."""
+        """(places, rows), sound but for `reach` rows at either end; a missing sample has the mean of the force."""
         balance, P, inner = self._columns.balance, len(B), slice(MARGIN, MARGIN + stretch.rows)
         valid, out = stretch.valid[inner], np.zeros((P, stretch.rows))
         if not valid.any():
