@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from estimator.effects import CATALOGUE
-from estimator.model import NODES, BearingGeometry, Channel, Model, Setting, Shaft
+from estimator.model import MOTION, NODES, BearingGeometry, Channel, Model, Setting, Shaft
 
 from .errors import ConfigError
 from .rig_effects import effects_of, setting
@@ -169,7 +169,7 @@ def _together(data: dict[str, Any], parts: dict[str, Any], base: Path) -> list[P
                 text = f"channel[{seen[other]}] measures the motion of {c.node}.{c.direction} already; keep one of them"
                 problems.append(Problem(("channel", i, "kind"), text))
         seen.setdefault(key, i)
-    motions = [c for c in channels if c.kind in ("acceleration", "velocity", "displacement") and c.direction != "z"]
+    motions = [c for c in channels if c.kind in MOTION and c.direction != "z"]
     if channels and not motions:
         text = "no channel measures the motion of a bearing in x or y; nothing can be estimated without one"
         problems.append(Problem(("channel",), text))

@@ -17,7 +17,7 @@ from .effect import Effect
 from .effects.custom import effect_of
 from .effects.places import at, kinematic, written
 from .errors import DataError
-from .model import DIRECTIONS, UNITS, Model, Setting
+from .model import DIRECTIONS, MOTION, UNITS, Model, Setting
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -99,8 +99,7 @@ class Balance:
 
 def motion_channels(model: Model) -> list[int]:
     """Index of the channel that measures the motion of each place (the first one, where there are several)."""
-    kinds = ("acceleration", "velocity", "displacement")
-    return [next(i for i, c in enumerate(model.channels) if c.place == p and c.kind in kinds) for p in model.places]
+    return [next(i for i, c in enumerate(model.channels) if c.place == p and c.kind in MOTION) for p in model.places]
 
 
 def force_channels(model: Model) -> dict[int, int]:

@@ -27,7 +27,7 @@ SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same 
 SEARCH_SECONDS = 6.0
 EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
 FOREMOST = 3  # of the ranking, judged on the largest amplitudes too
-REFINED, NEAR = 12, 0.5  # trials refined at most; share of the best gain at the bearing that earns it
+REFINED, NEAR = 12, 0.3  # trials refined at most; share of the best gain at a bearing that earns it, everywhere
 FAMILY = {
     "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
     "quadratic": "even in x", "stop": "even in x",
@@ -186,14 +186,14 @@ def _screen(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress
 
 
 def _promising(trials: list[screen.Trial]) -> list[screen.Trial]:
-    """Those of effects that come near the best one at their bearing, all directions of it together."""
+    """Those of effects that come near the best one at some bearing, all directions of it together."""
     sums: dict[tuple[str, str], float] = {}
     for t in trials:
         key = t.spot.split(".")[0], t.effect.name
         sums[key] = sums.get(key, 0.0) + max(t.gain, 0.0)
     best = {node: max(g for (n, _), g in sums.items() if n == node) for node, _ in sums}
-    near = {key for key, g in sums.items() if g > max(4.0, NEAR * best[key[0]])}
-    return [t for t in trials if t.gain > 2.0 and (t.spot.split(".")[0], t.effect.name) in near]
+    near = {effect for (node, effect), g in sums.items() if g > max(4.0, NEAR * best[node])}
+    return [t for t in trials if t.gain > 2.0 and t.effect.name in near]
 
 
 def _same_state_left(before: missing_force.Survey, after: missing_force.Survey, best: Entry) -> float:

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from .bandlimit import noise_shape
 from .effects import CATALOGUE
 from .estimate import Parameter
-from .model import Model
+from .model import MOTION, Model
 from .suspect import Suspect
-from .working_point import WorkingPoint
+from .working_point import LEAST_NOISE, WorkingPoint
 
 Array = NDArray[np.float64]
 CELLS = 260
@@ -30,13 +31,25 @@ NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to ca
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Mean spectra of one place. power : (cells,) N^2/Hz mean |F|^2; n : bins; A : (cells,) tangent; w : rad/s."""
+    """Mean spectra of one place. power : (cells,) N^2/Hz mean |F|^2; n : bins; A : (cells,) tangent; w : rad/s;
+    colour, noise : shapes of the force that the model has and, as acceleration, of the noise of its sensor."""
 
     power: Array
     n: Array
     w: Array
     A: NDArray[np.complex128]
     colour: Array
+    noise: Array
+
+    def tangent(self, u: Array) -> NDArray[np.complex128]:
+        """A with u[2:4], changes of k and c."""
+        return np.asarray(self.A - u[2] / self.w**2 + u[3] / (1j * self.w))
+
+    def spectrum(self, u: Array, A: NDArray[np.complex128], factor: float | Array = 1.0) -> Array:
+        """Of the inferred force, if A is the rotor's. u : ln S, ln of the noise; factor : of the force spectrum."""
+        A2 = np.abs(A) ** 2
+        force, noise = _exp(u[0]) * self.colour * factor, _exp(u[1]) * self.noise
+        return np.asarray((force / A2 + noise) * np.abs(self.A) ** 2)
 
 
 def cells_of(point: WorkingPoint, i: int) -> Cells:
@@ -51,10 +64,10 @@ def cells_of(point: WorkingPoint, i: int) -> Cells:
     def mean(z: Array) -> Array:
         return np.asarray(np.add.reduceat(z, first) / width)
 
-    A = point.A[:, i, i]
-    colour = data.colour[i]
+    A, w = point.A[:, i, i], 2 * np.pi * data.f_hz
+    noise = noise_shape(data.kinds[i : i + 1], w)[0]
     return Cells(
-        mean(power), width * data.blocks, mean(2 * np.pi * data.f_hz), mean(A.real) + 1j * mean(A.imag), mean(colour)
+        mean(power), width * data.blocks, mean(w), mean(A.real) + 1j * mean(A.imag), mean(data.colour[i]), mean(noise)
     )
 
 
@@ -65,9 +78,7 @@ def _exp(z: float) -> float:
 
 def base_model(c: Cells, u: Array) -> Array:
     """u : ln S, ln(noise share), relative changes of k and c in units of 1 / w^2 and 1 / (i w)."""
-    A = c.A - u[2] / c.w**2 + u[3] / (1j * c.w)
-    S, noise = _exp(u[0]), _exp(u[1])
-    return np.asarray((S * c.colour + noise * np.abs(A) ** 2) * np.abs(c.A) ** 2 / np.abs(A) ** 2)
+    return c.spectrum(u, c.tangent(u))
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,11 +99,7 @@ def _coloured(place_peak: float) -> Shape:
 
     def model(c: Cells, u: Array) -> Array:
         gain, corner = values(u[4:])
-        factor = 1 + gain / (1 + (c.w / (2 * np.pi * corner)) ** 2)
-        A = c.A - u[2] / c.w**2 + u[3] / (1j * c.w)
-        return np.asarray(
-            (_exp(u[0]) * c.colour * factor + _exp(u[1]) * np.abs(A) ** 2) * np.abs(c.A) ** 2 / np.abs(A) ** 2
-        )
+        return c.spectrum(u, c.tangent(u), 1 + gain / (1 + (c.w / (2 * np.pi * corner)) ** 2))
 
     starts = tuple((g, float(np.log(place_peak * f))) for g in (0.6, 1.5, -0.5) for f in (0.4, 1.0, 2.5))
     return Shape("coloured_excitation", ("gain", "corner"), ("1", "Hz"), starts, model, values)
@@ -106,9 +113,7 @@ def _resonance(top: float) -> Shape:
         f0, quality = values(u[4:])
         r = c.w / (2 * np.pi * f0)
         H2 = 1.0 / ((1 - r**2) ** 2 + (r / quality) ** 2)
-        A = c.A - u[2] / c.w**2 + u[3] / (1j * c.w)
-        A2 = np.abs(A) ** 2
-        return np.asarray((_exp(u[0]) * c.colour * H2 + _exp(u[1]) * A2) * np.abs(c.A) ** 2 / A2)
+        return c.spectrum(u, c.tangent(u), H2)
 
     starts = tuple((float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4) for q in (4, 25))
     return Shape("sensor_resonance", ("frequency", "quality"), ("Hz", "1"), starts, model, values)
@@ -126,9 +131,7 @@ def _pedestal(mass: float, kL: float, c0: float, peak: float) -> Shape:
         k, damping = kL + u[2], c0 + u[3]
         D = k + 1j * w * damping
         below = M * (w0**2 - w**2 + 2j * zeta * w * w0)
-        A = c.A - u[2] / w**2 + u[3] / (1j * w) + (D * D / (below + D)) / w**2
-        A2 = np.abs(A) ** 2
-        return np.asarray((_exp(u[0]) * c.colour + _exp(u[1]) * A2) * np.abs(c.A) ** 2 / A2)
+        return c.spectrum(u, c.tangent(u) + (D * D / (below + D)) / w**2)
 
     starts = tuple((m, float(np.log(peak * f)), -3.0) for m in (0.0, 1.5) for f in (0.5, 1.2, 2.0, 3.5))
     return Shape("pedestal", ("mass", "frequency", "damping"), ("kg", "Hz", "1"), starts, model, values)
@@ -168,11 +171,13 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
     noise = np.zeros(len(data.places))
     shaped: set[int] = set()
     for i, place in enumerate(data.places):
+        if point.kL[i] <= 0.0:  # a fit far from the rotor: no resonance to begin from
+            continue
         c = cells_of(point, i)
         scale = np.array([1.0, 1.0, point.kL[i] * 0.01, point.c[i] * 0.1 + 1e-9])
-        u0 = np.array([np.log(point.S[i]), np.log(max(point.nu[i], 1e-9) * point.S[i]), 0.0, 0.0])
-        quiet = u0.copy()
-        quiet[1] = np.log(point.S[i] * 1e-3 / np.mean(np.abs(c.A) ** 2))
+        quiet = np.log([point.S[i], point.S[i] * LEAST_NOISE / np.mean(c.noise * np.abs(c.A) ** 2), 1.0, 1.0])
+        u0 = quiet.copy()
+        u0[1] = np.log(point.nu[i] * point.S[i]) if point.nu[i] > 0.0 else quiet[1] - 10.0
         level, u, _ = _maximum(c, base_model, [u0, quiet], scale)
         noise[i] = _exp(u[1])
         df = float(c.n.size - 4)
@@ -230,26 +235,25 @@ def _where(c: Cells, r: Array) -> str:
 def _noisy(model: Model, point: WorkingPoint, noise: Array) -> list[Suspect]:
     """A sensor whose noise floor stands out of its neighbours'."""
     data = point.data
-    out = []
+    out, heard = [], data.heard(point.A)
     have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
     for i, place in enumerate(data.places):
         others = np.delete(noise, i)
         if others.size == 0 or place in have:
             continue
-        A2 = np.abs(point.A[:, i, i]) ** 2
-        floor = max(float(np.median(others)), 0.2 * point.S[i] / float(A2[0]))
+        floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i, 0]))
         if noise[i] < NOISE_RATIO * floor:
             continue
         rms = float(np.sqrt(noise[i] * data.rate_hz / 2))
-        gain = 0.5 * data.blocks * float(np.sum(np.log1p(noise[i] * A2 / point.S[i]) ** 2) / 2)
+        gain = 0.5 * data.blocks * float(np.sum(np.log1p(noise[i] * heard[i] / point.S[i]) ** 2) / 2)
         sd = rms / np.sqrt(2 * max(gain, 1.0))
-        name = next(c.name for c in model.channels if c.place == place)
+        name, unit = next(c.name for c in model.channels if c.place == place), MOTION[data.kinds[i]]
         out.append(
             Suspect(
                 "sensor_noise", (place,), gain, 1, float(np.exp(-min(gain, 700.0))),
-                {i: float(noise[i] * np.mean(A2) * (data.band[1] - data.band[0]))}, "frequency",
-                f"noise floor of {name}: {rms:.2g} m/s^2 rms, {np.sqrt(noise[i] / floor):.1f} times its neighbours'",
-                {place: {"rms": Parameter(rms, float(sd), "m/s^2")}},
+                {i: float(noise[i] * np.mean(heard[i]) * (data.band[1] - data.band[0]))}, "frequency",
+                f"noise floor of {name}: {rms:.2g} {unit} rms, {np.sqrt(noise[i] / floor):.1f} times its neighbours'",
+                {place: {"rms": Parameter(rms, float(sd), unit)}},
             )
         )  # fmt: skip
     return out
@@ -259,11 +263,11 @@ def sensor_noise(point: WorkingPoint, i: int) -> Parameter:
     """rms over the whole band of the noise of a place's sensor, if it is white."""
     data = point.data
     density = point.nu[i] * point.S[i]
-    A2 = np.sum(np.abs(point.A[:, i, :]) ** 2, axis=1)
-    share = density * A2 / (point.S[i] * data.colour[i] + density * A2)
+    floor = density * data.heard(point.A)[i]
+    share = floor / (point.S[i] * data.colour[i] + floor)
     sd = 1.0 / np.sqrt(max(data.blocks * float(np.sum(share**2)), 1e-300))  # of ln(density), by the Whittle likelihood
     rms = float(np.sqrt(density * data.rate_hz / 2))
-    return Parameter.judged(rms, 0.5 * rms * sd, "m/s^2")
+    return Parameter.judged(rms, 0.5 * rms * sd, MOTION[data.kinds[i]])
 
 
 def _shared(model: Model, point: WorkingPoint) -> list[Suspect]:

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .balance import Balance
+from .bandlimit import noise_shape
 from .gram import Layout, Nodes
 from .jacobian import levels, log_determinant, noise_slope
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-_NOISE_POWER = {"acceleration": 0, "velocity": 2, "displacement": 4}  # white in the unit of the sensor
 
 
 def responses(balance: Balance, tangents: Floats, f_hz: Floats) -> Complexes:
@@ -97,7 +97,7 @@ class Likelihood:
         for j, (p, _, _, x) in enumerate(entries):
             self.T[p, j] = x
         w = 2 * np.pi * nodes.f_hz
-        self.noise_shape = np.array([w ** _NOISE_POWER[kind] for kind in balance.kinds]).T  # (f, P)
+        self.noise_shape = noise_shape(balance.kinds, w).T  # (f, P)
 
     def force_power(self, B: Floats, gram: Floats | None = None) -> Floats:
         """(cells, P, P) sums of F F^H."""

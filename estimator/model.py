@@ -18,6 +18,7 @@ Shaft = Literal["chain", "beam", "none"]
 NODES = ("bearing1", "bearing2")
 DIRECTIONS = ("x", "y")
 UNITS = MappingProxyType({"kL": "N/m", "c": "N s/m", "m": "kg", "S": "N^2/Hz"})
+MOTION = MappingProxyType({"acceleration": "m/s^2", "velocity": "m/s", "displacement": "m"})  # kind of a sensor -> unit
 EMPTY: Mapping[str, Mapping[str, Setting]] = MappingProxyType({})
 
 
@@ -109,7 +110,7 @@ class Model:
     @property
     def places(self) -> tuple[str, ...]:
         """Measured cap places in the order of the channels, each once: the degrees of freedom of a fit."""
-        seen = dict.fromkeys(c.place for c in self.channels if c.kind in ("acceleration", "velocity", "displacement"))
+        seen = dict.fromkeys(c.place for c in self.channels if c.kind in MOTION)
         return tuple(p for p in seen if p.split(".")[0] in NODES and p.split(".")[1] in DIRECTIONS)
 
     def cap_mass(self, place: str) -> float | None:

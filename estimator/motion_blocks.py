@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .balance import shaft_reaction
+from .bandlimit import noise_shape
 from .effects.custom import effect_of
 from .effects.places import at
 from .errors import DataError
 from .features import NEAREST
 from .filtered import Filtered
-from .model import Model
+from .model import MOTION, Model
 from .periodic import series
 from .rotor import shaft_at_caps
 from .side_by_side import each
@@ -35,6 +36,7 @@ class MotionBlocks:
     """
 
     places: tuple[str, ...]
+    kinds: tuple[str, ...]  # of their sensors
     rate_hz: float
     band: tuple[float, float]
     block: int
@@ -68,6 +70,11 @@ class MotionBlocks:
     def bins(self) -> slice:
         f = np.fft.rfftfreq(self.block, 1 / self.rate_hz)
         return slice(int(np.searchsorted(f, self.band[0])), int(np.searchsorted(f, self.band[1], side="right")))
+
+    def heard(self, A: NDArray[np.complex128]) -> Array:
+        """(places, bins) PSD of force over that of white sensor noise, seen through A (bins, places, places)."""
+        shape = noise_shape(self.kinds, 2 * np.pi * self.f_hz)
+        return np.asarray(np.einsum("kil,lk->ik", np.abs(A) ** 2, shape))
 
     @property
     def seconds(self) -> float:
@@ -160,7 +167,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     places = model.places
     if not places:
         raise DataError("the rig has no motion channel at a bearing: nothing to compare")
-    moving = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind in _MOTION) for p in places]
+    moving = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind in MOTION) for p in places]
     forced = {c.place: k for k, c in enumerate(model.channels) if c.kind == "force"}
     columns = moving + [forced[p] for p in places if p in forced]
     for k in columns:
@@ -206,7 +213,8 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     fold = np.minimum(np.arange(starts.size) * FOLDS // starts.size, FOLDS - 1)
     f: Array = np.asarray(np.fft.rfftfreq(block, 1 / rate_hz), dtype=np.float64)
     f = f[(f >= model.band[0]) & (f <= model.band[1])]
-    return MotionBlocks(places, rate_hz, model.band, block, starts, fold, v, x, known, t[0], speed * t[0], mass,
+    kinds = tuple(model.channels[k].kind for k in moving)
+    return MotionBlocks(places, kinds, rate_hz, model.band, block, starts, fold, v, x, known, t[0], speed * t[0], mass,
                         speed, shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms,
                         bool(forced), None, _shared(model, places))  # fmt: skip
 
@@ -239,9 +247,6 @@ def colours(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
                 r = f_hz / a
                 out[i] /= (1 - r**2) ** 2 + (r / b) ** 2
     return out
-
-
-_MOTION = ("acceleration", "velocity", "displacement")
 
 
 def _runs(starts: NDArray[np.int64], block: int) -> list[slice]:

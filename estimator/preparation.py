@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .model import Model
+from .model import MOTION, Model
 from .motion_blocks import MotionBlocks, cut
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ def sensors_undone(model: Model, y: Array, rate_hz: float) -> Array:
             continue
         for k, channel in enumerate(model.channels):
             own = [s for key, s in use.parameters.items() if key in (channel.place, channel.node, channel.name)]
-            if not own or channel.kind not in ("acceleration", "velocity", "displacement"):
+            if not own or channel.kind not in MOTION:
                 continue
             values = {n: s.value for n, s in own[0].items()}
             if out is y:

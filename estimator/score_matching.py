@@ -17,14 +17,13 @@ from .bandlimit import BandLimit, band_limit
 from .errors import DataError
 from .estimate import Estimate, Parameter
 from .fit_result import Fit
-from .model import Model
+from .model import MOTION, Model
 from .plane_moments import Form, PlaneMoments
 from .planes import density_band, ignored_effects, planes
 from .stationary import check_resonance, messages, softening_message
 from .synchronous import lines, synchronous_message, synchronous_orders
 
 Array = NDArray[np.float64]
-MOTION = ("acceleration", "velocity", "displacement")
 FEWEST_ROWS = 4096
 CHECKED_S = 0.5  # of motion, for a resonance
 FIT_BLOCKS = 64  # the sd of a fit is itself known to 9 %

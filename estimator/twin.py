@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .bandlimit import noise_shape
 from .errors import DataError, ModelError
 from .free_run import free_run
 from .model import Model
@@ -65,7 +66,7 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
         model_psd = np.interp(f, *of_acceleration(own, i))
         inside = (f >= data.band[0]) & (f <= data.band[1])
         # noise of the sensor and its counts belongs to the measurement, not to the rotor
-        noise = point.nu[i] * point.S[i]
+        noise = point.nu[i] * point.S[i] * noise_shape(data.kinds[i : i + 1], 2 * np.pi * f[inside])[0]
         f, measured, model_psd = _smooth(f[inside], measured[inside], model_psd[inside] + noise)
         psd[name] = float(np.sqrt(np.mean((10 * np.log10(model_psd / measured)) ** 2)))
         a, b = np.sort(data.x[i][::7]), np.sort(own.x[i][::7])

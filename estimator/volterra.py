@@ -25,10 +25,9 @@ from .bandlimit import band_limit
 from .errors import DataError
 from .estimate import Parameter
 from .fit_result import Fit
-from .model import Model
+from .model import MOTION, Model
 from .moments import BlockMoments
 from .planes import Plane, density_band, planes
-from .score_matching import MOTION
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -23,6 +23,7 @@ from .terms import Spans, dressed, light, linear_terms, terms
 Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
 LAST_ROUNDS = 3  # at most, on the whole of it
+LEAST_NOISE = 1e-3  # of a sensor, over the force noise, that is looked for
 NOISE_STEP = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
 REACH = 0.3  # of a searched parameter: one standard deviation of the step that is taken at once
 SETTLED = 0.1  # standard deviations by which the last step of a fit moves
@@ -30,7 +31,7 @@ SETTLED = 0.1  # standard deviations by which the last step of a fit moves
 
 @dataclass(frozen=True, slots=True)
 class WorkingPoint:
-    """A fitted model on a record. kL, c, S : (places,); nu : (places,) sensor noise PSD over S (per (m/s^2)^2).
+    """A fitted model on a record. kL, c, S : (places,); nu : (places,) sensor noise PSD, in its unit^2/Hz, over S.
 
     force, spectra and gram are those before the last step of the fit, which is a fraction of a standard deviation.
     """
@@ -94,8 +95,9 @@ def fit_model(
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
         moved = moved[: moved.size - 2 * len(data.shared)]
         kL, c, uses = _moved(point, kL, c)
-        nu_old, nu = nu, _noise(point)
-        if rounds == 0 or (moved.max(initial=0.0) < SETTLED and np.allclose(nu, nu_old, rtol=NOISE_STEP, atol=1e-9)):
+        nu_old, (nu, weight) = nu, _noise(point)
+        settled = np.allclose(nu * weight, nu_old * weight, rtol=NOISE_STEP, atol=NOISE_STEP * LEAST_NOISE)
+        if rounds == 0 or (moved.max(initial=0.0) < SETTLED and settled):
             return replace(point, kL=kL, c=c, placed=tuple(uses))
         rounds -= 1
         del point  # its columns are large: let go before the next are made
@@ -195,8 +197,7 @@ def _at(
     lin = np.stack([data.mass, kL, c], axis=1)
     own = each(lambda use: terms(use, data, lin), uses)
     F, A, D = _forces(data, kL, c, uses, own)
-    A2 = np.stack([np.sum(np.abs(A[:, i, :]) ** 2, axis=1) for i in range(P)])
-    weighing = Weighing(data, 1.0 / (data.colour + nu[:, None] * A2))
+    weighing = Weighing(data, 1.0 / (data.colour + nu[:, None] * data.heard(A)))
     spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
     mean = [Mean(float(data.mass[i]), float(D[i, i, 1]), float(D[i, i, 0])) for i in range(P)]
     around = fluctuations(data, uses, mean) if longer is None else longer.fluctuations
@@ -292,17 +293,18 @@ def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list
     return kL, c, uses
 
 
-def _noise(point: WorkingPoint) -> Array:
-    """Sensor noise over force noise, (places,), by maximum likelihood on the spectrum of the inferred force."""
+def _noise(point: WorkingPoint) -> tuple[Array, Array]:
+    """nu, (places,), by maximum likelihood on the spectrum of the inferred force; what one of it is there of the force
+    noise, in the mean over the band."""
     data = point.data
-    out = np.zeros(len(data.places))
+    heard = data.heard(point.A)
+    out, weight = np.zeros(len(data.places)), heard.mean(axis=1)
     for i in range(len(data.places)):
         Z = point.spectra[i].reshape(data.blocks, -1, 2)
         power = np.einsum("bkc,bkc->k", Z, Z) / data.blocks / point.weighing.weight[i]
-        A2 = np.sum(np.abs(point.A[:, i, :]) ** 2, axis=1)
-        grid = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 61) / np.mean(A2)])
-        shape = data.colour[i] + grid[:, None] * A2
+        grid = np.concatenate([[0.0], np.geomspace(LEAST_NOISE, 1e3, 61) / weight[i]])
+        shape = data.colour[i] + grid[:, None] * heard[i]
         S = np.mean(power / shape, axis=1)
         cost = np.log(S) + np.mean(np.log(shape), axis=1)
         out[i] = grid[int(np.argmin(cost))]
-    return out
+    return out, weight

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import jsonschema
 import numpy as np
 import pytest
 from hidden_effects import RATE, ROOT, SECONDS, one_bearing, record, schema
 
 from daq.rig import load_rig
-from estimator.diagnose import diagnose
+from estimator.diagnose import _promising, diagnose
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
 from estimator.errors import DataError
@@ -94,3 +96,19 @@ def test_false_alarms_are_rare() -> None:
     model = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
     verdicts = [run(model, Case(COMPLETE, "-", "-", seed), 20.0)["verdict"] for seed in range(40)]
     assert sum(v != COMPLETE for v in verdicts) <= 2, verdicts
+
+
+def test_an_effect_near_the_front_at_one_bearing_is_refined_at_the_other() -> None:
+    """A gap between two nodes of the grid loses half of its nats at one bearing and not at the other."""
+
+    def trial(effect: str, spot: str, gain: float) -> SimpleNamespace:
+        return SimpleNamespace(effect=SimpleNamespace(name=effect), spot=spot, gain=gain)
+
+    trials = [
+        trial("quintic", "bearing1.x", 100.0), trial("quintic", "bearing2.x", 100.0),
+        trial("clearance", "bearing1.x", 20.0), trial("clearance", "bearing2.x", 60.0),
+        trial("stop", "bearing1.x", 5.0), trial("stop", "bearing2.x", 1.0),
+    ]  # fmt: skip
+    found = {(t.effect.name, t.spot) for t in _promising(trials)}  # type: ignore[arg-type]
+    assert {e for e, _ in found} == {"quintic", "clearance"}
+    assert ("clearance", "bearing1.x") in found
