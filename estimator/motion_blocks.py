@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .balance import shaft_reaction
+from .balance import shaft_notch, shaft_reaction
 from .bandlimit import noise_shape
 from .effects.custom import effect_of
 from .effects.places import at
@@ -40,6 +40,7 @@ class MotionBlocks:
     rate_hz: float
     band: tuple[float, float]
     block: int
+    bins: NDArray[np.int64]  # of the block spectrum: those in the band, without the resonance of the disc
     start: NDArray[np.int64]
     fold: NDArray[np.int64]
     v: Array
@@ -63,13 +64,8 @@ class MotionBlocks:
 
     @property
     def f_hz(self) -> Array:
-        """Frequencies of the block spectrum inside the band, (bins,)."""
+        """Frequencies of the bins, (bins,)."""
         return np.asarray(np.fft.rfftfreq(self.block, 1 / self.rate_hz)[self.bins], dtype=np.float64)
-
-    @property
-    def bins(self) -> slice:
-        f = np.fft.rfftfreq(self.block, 1 / self.rate_hz)
-        return slice(int(np.searchsorted(f, self.band[0])), int(np.searchsorted(f, self.band[1], side="right")))
 
     def heard(self, A: NDArray[np.complex128]) -> Array:
         """(places, bins) PSD of force over that of white sensor noise, seen through A (bins, places, places)."""
@@ -211,12 +207,23 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     if periodic is not None:
         known -= periodic
     fold = np.minimum(np.arange(starts.size) * FOLDS // starts.size, FOLDS - 1)
-    f: Array = np.asarray(np.fft.rfftfreq(block, 1 / rate_hz), dtype=np.float64)
-    f = f[(f >= model.band[0]) & (f <= model.band[1])]
+    bins = bins_of(model, rate_hz, block)
+    f = np.asarray(bins * (rate_hz / block), dtype=np.float64)
     kinds = tuple(model.channels[k].kind for k in moving)
-    return MotionBlocks(places, kinds, rate_hz, model.band, block, starts, fold, v, x, known, t[0], speed * t[0], mass,
-                        speed, shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms,
-                        bool(forced), None, _shared(model, places))  # fmt: skip
+    return MotionBlocks(
+        places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t[0], speed * t[0], mass, speed,
+        shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, bool(forced), None,
+        _shared(model, places),
+    )  # fmt: skip
+
+
+def bins_of(model: Model, rate_hz: float, block: int) -> NDArray[np.int64]:
+    """Bins of a block spectrum that a fit looks at."""
+    f = np.fft.rfftfreq(block, 1 / rate_hz)
+    inside = (f >= model.band[0]) & (f <= model.band[1])
+    if notch := shaft_notch(model):
+        inside &= (f < notch[0]) | (f > notch[1])
+    return np.flatnonzero(inside)
 
 
 def _shared(model: Model, places: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
