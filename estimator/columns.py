@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .balance import Balance
-from .effects.compiled import memory_array
 from .errors import DataError
 from .features import FINER, HALF, MARGIN, State, decimated, depends, law_force, ready, rough
+from .hidden_states import mean_response, remember
+from .linear_memory import filtered, response
 
 Floats = NDArray[np.float64]
 
@@ -190,14 +191,38 @@ class Columns:
             return kx[HALF * FINER : -HALF * FINER], kv[HALF * FINER : -HALF * FINER], FINER
         return kx, kv, 1
 
+    def mean_response(self, k: int, stretch: Stretch | None, f_hz: Floats) -> NDArray[np.complex128] | None:
+        """(f,) N/m at f_hz: what column k, with memory, answers in the mean to the displacement of its place.
+
+        Exact if its states obey linear equations; else an average over the stretch, None without one.
+        """
+        column, law = self.balance.columns[k], self._laws[k]
+        effect, lin = self.balance.laws[column.law].effect, self.linear[column.row]
+        out = np.zeros(f_hz.size, complex)
+        for p, weight in law.terms:
+            linear = response(effect, p, lin)
+            if linear is not None:
+                out += weight * linear(2 * np.pi * f_hz)
+            elif stretch is not None:
+                x, v = stretch.x[column.row], stretch.v[column.row]
+                f = remember(effect, p, lin, x, v, stretch.rate_hz)
+                out += weight * mean_response(effect, p, lin, x, v, f, stretch.rate_hz, f_hz)
+            else:
+                return None
+        return out
+
     def _memory(self, k: int, stretch: Stretch, inner: slice) -> tuple[Floats, Floats]:
         """Force of an effect with states, from rest at the start of the stretch, and its mean gain to x and v."""
         column, law = self.balance.columns[k], self._laws[k]
         effect = self.balance.laws[column.law].effect
-        x, v = stretch.x[column.row], stretch.v[column.row]
+        x, v, lin = stretch.x[column.row], stretch.v[column.row], self.linear[column.row]
         force = np.zeros(x.size)
         for p, weight in law.terms:
-            force += weight * memory_array(effect, p, self.linear[column.row], x, v, stretch.rate_hz)
+            linear = response(effect, p, lin)
+            if linear is None:
+                force += weight * remember(effect, p, lin, x, v, stretch.rate_hz)
+            else:
+                force += weight * filtered(linear, x, stretch.rate_hz)
         f, valid = force[inner], stretch.valid[inner]
         x, v, z = x[inner][valid], v[inner][valid], f[valid]
         gains = np.zeros(4)

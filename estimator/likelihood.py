@@ -52,6 +52,7 @@ class Evidence:
     tangents: Floats
     nodes: Nodes
     dressing: Complexes | None = None  # (nodes, columns), see dressing.py
+    colour: Floats | None = None  # (nodes, places) shape of S
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +98,8 @@ class Likelihood:
         for j, (p, _, _, x) in enumerate(entries):
             self.T[p, j] = x
         w = 2 * np.pi * nodes.f_hz
+        colour = np.ones((w.size, len(balance.places))) if evidence.colour is None else evidence.colour
+        self.colour = colour, nodes.mean_by_cell(colour, evidence.grid.per_cell)
         self.noise_shape = noise_shape(balance.kinds, w).T  # (f, P)
 
     def force_power(self, B: Floats, gram: Floats | None = None) -> Floats:
@@ -117,10 +120,11 @@ class Likelihood:
         return np.array([B[i, P + i] + B[i] @ self.evidence.tangents[:, 1] for i in range(P)])
 
     def power(self, beta: Floats) -> tuple[Floats, Floats]:
-        """(cells, P) mean |F|^2 and (cells, P, P) gain of the sensor noise."""
-        B = self.evidence.balance.coefficients(beta)
+        """(cells, P) mean |F|^2 and (cells, P, P) gain of the sensor noise, both over the shape of S."""
+        B, shape = self.evidence.balance.coefficients(beta), self.colour[1]
         count = self.evidence.blocks * self.evidence.grid.per_cell
-        return np.einsum("cii->ci", self.force_power(B)) / count[:, None], self.noise_gain(B @ self.R)
+        power = np.einsum("cii->ci", self.force_power(B)) / count[:, None]
+        return power / shape, self.noise_gain(B @ self.R) / shape[:, :, None]
 
     def at(self, point: Point) -> Local:
         """Value, gradient and Hessian."""
@@ -128,7 +132,7 @@ class Likelihood:
         B = ev.balance.coefficients(point.beta)
         A = B @ self.R
         gain = self.noise_gain(A)
-        spread = point.S + gain @ point.noise  # (cells, P)
+        spread = point.S * self.colour[1] + gain @ point.noise  # (cells, P)
         count = ev.blocks * grid.per_cell
         total = self.force_power(B)
         diagonal = np.einsum("cii->ci", total)
@@ -202,7 +206,7 @@ class Likelihood:
     def _nuisance(self, point: Point, gain: Floats) -> Floats:
         P = point.S.size
         D = np.zeros((gain.shape[0], 2 * P, P))
-        D[:, range(P), range(P)] = point.S
+        D[:, range(P), range(P)] = point.S * self.colour[1]
         D[:, P:] = gain.transpose(0, 2, 1)
         return D
 
@@ -217,7 +221,7 @@ class Likelihood:
     def _jacobian(self, A: Complexes, point: Point, spread: Floats, hessian: bool = True) -> tuple[Floats, Floats]:
         """Gradient (E,) and Hessian (E, E) of 1/2 sum over bins of log |det A|^2."""
         nodes = self.evidence.nodes
-        inside = point.S + (np.abs(A) ** 2 * self.noise_shape[:, None, :]) @ point.noise
+        inside = point.S * self.colour[0] + (np.abs(A) ** 2 * self.noise_shape[:, None, :]) @ point.noise
         kappa = inside / spread[nodes.cell] * nodes.weight[:, None]  # 1 per bin where S is flat within the cell
         return log_determinant(A, self.R, self.row, self.column, kappa, hessian)
 

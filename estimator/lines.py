@@ -83,30 +83,32 @@ def find_lines(power: Floats, blocks: float, f_hz: Floats, least: float = 1.0) -
     return tuple(found)
 
 
-def begin(record: Record, longest: int = LONGER) -> tuple[Record, Start]:
+def begin(record: Record, longest: int = LONGER, known: tuple[tuple[float, float], ...] = ()) -> tuple[Record, Start]:
     """The record with its lines left out, and its linear start. Raises DataError as `linear_start` does.
 
     Strong lines are taken out of the acceleration first, so that the start is sound; then what stands out of the force.
-    longest : how much longer the blocks may be made, to resolve lines.
+    longest : how much longer the blocks may be made, to resolve lines. known : stretches in Hz to leave out anyhow.
     """
     if not valid_blocks(record.motion.valid, record.grid).size:
         length = record.grid.size / record.rate_hz
         raise DataError(f"nowhere {length:.2g} s of samples without a gap; look after the link, or record for longer")
+    if known:
+        record = _leave_out(record, known, record.grid.longer)
     strong = find_lines(*spectrum_by_bin(record, None, None), record.grid.f_hz, least=STRONG)
     if strong:
         blocks, longer = valid_blocks(record.motion.valid, record.grid).size, 1
         while 2 * longer <= longest and blocks / (2 * longer) >= FEWEST:
             longer *= 2
         if longer > 1:
-            record = _leave_out(record, (), longer)
+            record = _leave_out(record, known, longer)
             strong = find_lines(*spectrum_by_bin(record, None, None), record.grid.f_hz, least=STRONG)
-        record = _leave_out(record, strong, longer)
+        record = _leave_out(record, (*known, *strong), longer)
     start = linear_start(record)
     power, count = spectrum_by_bin(record, linear_balance(record, start), start)
     more = find_lines(power, count, record.grid.f_hz)
     if not more:
         return record, start
-    record = _leave_out(record, tuple(sorted((*strong, *more))), record.grid.longer)
+    record = _leave_out(record, tuple(sorted((*known, *strong, *more))), record.grid.longer)
     return record, linear_start(record)
 
 

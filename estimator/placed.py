@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from . import linear_memory
 from .effect import Effect
-from .effects.compiled import memory_array
 from .features import FINER, MARGIN, State, decimated, depends, jumps, law_force
+from .hidden_states import mean_response, remember
 from .motion_blocks import MotionBlocks
 
 Array = NDArray[np.float64]
@@ -47,8 +47,9 @@ def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | 
         linear = linear_memory.response(placed.effect, p, lin)
         if linear is not None:
             return linear_memory.filtered(linear, data.x[i], data.rate_hz), slopes, linear(2 * np.pi * data.f_hz)
-        f = remember(placed.effect, p, lin, data.x[i], data.v[i], data.rate_hz)
-        return f, slopes, _memory_response(placed.effect, data, i, lin, p, f)
+        motion = data.x[i], data.v[i]
+        f = remember(placed.effect, p, lin, *motion, data.rate_hz)
+        return f, slopes, mean_response(placed.effect, p, lin, *motion, f, data.rate_hz, data.f_hz)
     out, sums = _along(placed.effect, p, data, i)
     slopes[i] += sums[:2]
     o = data.other(i)
@@ -92,42 +93,3 @@ def tangent_series(placed: Placed, data: MotionBlocks, i: int, p: Array) -> Arra
     tangents = np.zeros((2, data.x.shape[1]))
     _along(placed.effect, np.ascontiguousarray(p, dtype=np.float64), data, i, tangents)
     return tangents
-
-
-def remember(effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: float) -> Array:
-    """(n,) N of a force with memory, its states integrated at four times the rate (slip is faster than the samples)."""
-    return memory_array(effect, p, lin, np.ascontiguousarray(x), np.ascontiguousarray(v), rate_hz, finer=4)
-
-
-def _memory_response(
-    effect: Effect, data: MotionBlocks, i: int, lin: Array, p: Array, f: Array
-) -> NDArray[np.complex128]:
-    """(bins,) N/m mean linear response T(f) of a force with memory to a small added motion.
-
-    A small white displacement e is added and the change of the force regressed on e passed through causal first-order
-    lags: T = b0 + b1 i w + sum b_k i w / (i w + 1 / tau_k). It is what F and the force share under the model (Novikov),
-    whatever the amplitude distribution.
-    """
-    n = min(data.x.shape[1], 1 << 17)
-    x, v, f = data.x[i][:n], data.v[i][:n], f[:n]
-    w = 2 * np.pi * np.fft.rfftfreq(n, 1 / data.rate_hz)
-    spectrum = np.random.default_rng(1).standard_normal((2, w.size))
-    inside = (w > 2 * np.pi * data.band[0] / 2) & (w < 2 * np.pi * data.band[1])
-    e = np.where(inside, spectrum[0] + 1j * spectrum[1], 0.0) / np.sqrt(1 + (w / _peak(x, v)) ** 2)
-    size = 0.05 * float(x.std()) / float(np.fft.irfft(e, n).std())
-    e *= size
-    df = remember(effect, p, lin, x + np.fft.irfft(e, n), v + np.fft.irfft(1j * w * e, n), data.rate_hz) - f
-    taus = np.array([0.1, 0.4, 1.6, 6.4]) / _peak(x, v)
-
-    def basis(w: NDArray[np.floating]) -> NDArray[np.complex128]:
-        return np.stack([np.ones(w.size), 1j * w, *(1j * w / (1j * w + 1 / tau) for tau in taus)])
-
-    skip = n // 20  # the two runs start alike
-    B = np.stack([np.fft.irfft(b * e, n)[skip:] for b in basis(w)])
-    d = np.sqrt(np.sum(B * B, axis=1))
-    weights = np.linalg.lstsq((B @ B.T) / np.multiply.outer(d, d), (B @ df[skip:]) / d, rcond=1e-8)[0] / d
-    return np.asarray(weights @ basis(2 * np.pi * data.f_hz))
-
-
-def _peak(x: Array, v: Array) -> float:
-    return float(v.std() / x.std())

@@ -22,9 +22,11 @@ from .balance import force_channels, motion_channels, shaft_reaction
 from .bandlimit import BandLimit, Motion
 from .errors import DataError
 from .estimate import Estimate
+from .followed import followed
 from .gram import Layout, layout
 from .lines import begin
 from .model import Model
+from .periodic import known_lines
 from .record import Record, as_record, notches
 from .rolling_fit import WARM_UP_S, RollingFit
 from .shaft_speed import ShaftAngle
@@ -51,12 +53,15 @@ class RollingSpectral:
     ) -> None:
         if time_constant_s <= 0:
             raise ValueError(f"time constant {time_constant_s} s: it must be positive")
-        self.model, self.rate_hz, self.time_constant_s, self.watch = model, rate_hz, time_constant_s, watch
+        self._followed = followed(model)
+        self.model, self.rate_hz, self.time_constant_s = self._followed.model, rate_hz, time_constant_s
+        self.watch = () if self._followed.lacking else watch  # where the model lacks what is known, no more is sought
         motions, forces = motion_channels(model), force_channels(model)
         self._used = [*motions, *forces.values()]
         kinds = [model.channels[c].kind for c in self._used]
         self._filter = BandLimit(kinds, rate_hz, model.band, shaft_reaction(model))
         self._grid: Layout = layout(rate_hz, model.band, notches(model))
+        self._lines = _lines(model, self._grid)
         self._kept: list[Motion] = []  # what the next blocks and a new start need
         self._shaft = ShaftAngle(model, rate_hz)
         self._seen = 0  # rows taken in
@@ -68,14 +73,21 @@ class RollingSpectral:
         self._retry_at = 0
         self._moves = np.zeros(0)  # (places,) rms acceleration at the start, m/s^2
         self._still = ""  # the place that does not move of late
+        self._gain = _gains(self.model)[self._used]
         self._estimate = Estimate(0, {}, 0.0, status="warming up")
+        reasons = [self._followed.lacking.get(place, "") for place in model.places]
+        self._nothing = all(reasons) and bool(reasons)  # can be said of any place
+        if self._nothing:
+            self._estimate = Estimate(0, {}, 0.0, status=reasons[0])
 
     def update(self, block: Floats) -> None:
         """Take the next rows, (n, channels); NaN where a sample is missing or clipped."""
         self._seen += len(block)
+        if self._nothing:
+            return
         self._since_solved += len(block)
         self._shaft.push(block)
-        motion = self._filter.push(block[:, self._used])
+        motion = self._filter.push(block[:, self._used] / self._gain)
         if motion.rows:
             self._kept.append(motion)
             self._ahead = None
@@ -161,7 +173,7 @@ class RollingSpectral:
             return
         self._moves = record.rms("a")
         try:
-            record, start = begin(record, longest=1)
+            record, start = begin(record, 1, self._lines)
             self._grid = record.grid
             self._fitted = RollingFit.begin(record, start, self.model, self.time_constant_s, self.watch)
         except DataError as e:
@@ -193,4 +205,27 @@ class RollingSpectral:
         fitted.solve()
         parameters = judged(fitted.balance, fitted.local.point, fitted.covariance(), self.model)
         samples = fitted.slow.n**2 / fitted.slow.n2 * self._grid.hop
-        self._estimate = Estimate(self._seen, parameters, samples, -fitted.local.nll, extra=fitted.missing)
+        shown = self._followed.shown(parameters | fitted.held)
+        self._estimate = Estimate(self._seen, shown, samples, -fitted.local.nll, extra=fitted.missing)
+
+
+def _lines(model: Model, grid: Layout) -> tuple[tuple[float, float], ...]:
+    """Hz, about the lines that the model's periodic effects make, too weak to stand out perhaps.
+
+    None where a tacho follows the speed: they move then; nor where they would take half of the band.
+    """
+    half, low, high = 3.5 * grid.rate_hz / grid.size, *model.band
+    lines = [hz for hz in known_lines(model) if low - half < hz < high + half]
+    if any(c.kind == "tacho" for c in model.channels) or 4 * half * len(lines) > high - low:
+        return ()
+    return tuple((hz - half, hz + half) for hz in sorted(lines))
+
+
+def _gains(model: Model) -> Floats:
+    """(channels,) by which each reads too much, as far as the model gives it."""
+    out = np.ones(len(model.channels))
+    for use in model.effects:
+        for place, settings in use.parameters.items() if use.name == "sensor_gain" else ():
+            own = [k for k, c in enumerate(model.channels) if c.place == place and c.kind != "force"]
+            out[own] += settings["error"].value or 0.0
+    return out

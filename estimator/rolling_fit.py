@@ -11,17 +11,20 @@ from .balance import Balance, build, restrict
 from .block_spectra import BlockSpectra
 from .columns import Columns
 from .dressing import dressed, mean_responses, self_energies
+from .estimate import Parameter
 from .features import MARGIN
 from .jacobian import levels
 from .likelihood import Evidence, Likelihood, Local, Point, active, maximise
-from .maximum import initial, inverse, maximum, without_noise
+from .maximum import Maximum, initial, inverse, maximum, without_noise
 from .model import Model
+from .motion_blocks import colours
 from .moving_lines import MovingLines
 from .record import Record, gather
 from .rolling_memory import FlutterSums, Memory
 from .rolling_slow import SlowMotion
+from .rolling_states import HiddenStates, linear_of
 from .spectral import OVERLAP
-from .start import Start
+from .start import Start, renewed
 from .watch import look, with_candidates
 
 Floats = NDArray[np.float64]
@@ -52,7 +55,9 @@ class RollingFit:
         self.start, self.wide, self.grid = start, wide, grid
         self.balance, own = restrict(wide, set(range(laws)))
         self.own = np.array(own, dtype=np.intp)
-        self.columns = Columns(self.balance, record.scales, start.widths, start.linear)
+        self.columns = Columns(self.balance, record.scales, start.widths, columns.linear)
+        self.states = HiddenStates(self.columns, start.nodes.f_hz)
+        self.colour = _colour(record, start)
         self.spectra = BlockSpectra(columns, self.own, grid)
         hop_s = grid.hop / record.rate_hz
         watching = max(FAST * time_constant_s, 10 * hop_s)
@@ -73,28 +78,43 @@ class RollingFit:
         self.solved = 0
         self.settled = False
         self.missing: dict[str, float] | None = None
+        self.held: dict[str, Parameter] = {}  # numbers of the first seconds
 
     @classmethod
     def begin(
         cls, record: Record, start: Start, model: Model, time_constant_s: float, watch: tuple[str, ...]
     ) -> RollingFit:
         values: dict[str, float] = {}
+        held: dict[str, Parameter] = {}
+        linear = start.linear.copy()
         searched = len(build(model, start.sizes).free) > len(build(model, start.sizes, search=False).free)
+        point: Point | None = None
         for _ in range(CENTRINGS):
             if searched:
-                values = maximum(record, start, model).values  # the shapes as the first seconds have them
+                best = maximum(record, start, model)  # the shapes as the first seconds have them
+                values, held = best.values, _held(best)
             own = build(model, start.sizes, values, search=False)
-            bank = gather(record, own, start.widths, start.linear)
-            first = Evidence(own, record.grid, bank.grams.sum(axis=0), bank.blocks.sum(), bank.tangents, start.nodes)
-            local, _ = maximise(Likelihood(first), initial(own, start, values))
-            centre = SlowMotion(Columns(own, record.scales, start.widths, start.linear), record)
-            if not centre.reach:
+            point = point or initial(own, start, values)
+            B = own.coefficients(point.beta)
+            linear[:] = linear_of(own, B)
+            columns = Columns(own, record.scales, start.widths, linear)
+            centre, states = SlowMotion(columns, record), HiddenStates(columns, start.nodes.f_hz)
+            states.follow(B, record)
+            bank = gather(record, own, start.widths, linear)
+            bank.tangents[states.columns] = 0.0
+            gram, blocks = bank.grams.sum(axis=0), float(bank.blocks.sum())
+            colour = _colour(record, start)
+            first = Evidence(own, record.grid, gram, blocks, bank.tangents, start.nodes, states.dressing, colour)
+            local, _ = maximise(Likelihood(first), point)
+            point = local.point
+            if not centre.reach and not states.columns.size and colour is None:
                 break
-            record = centre.whole(record, own.coefficients(local.point.beta))
+            start = renewed(start, record, first, point)
+            record = centre.whole(record, own.coefficients(point.beta))
         wide = build(with_candidates(model, watch), start.sizes, values, search=False)
-        columns = Columns(wide, record.scales, start.widths, start.linear, fine=len(own.laws))
+        columns = Columns(wide, record.scales, start.widths, linear, fine=len(own.laws))
         fitted = cls(record, start, wide, len(own.laws), time_constant_s, columns)
-        fitted.local = local
+        fitted.local, fitted.held = local, held
         return fitted
 
     def settle(self, record: Record) -> None:
@@ -105,6 +125,7 @@ class RollingFit:
 
     def _dress(self, record: Record) -> None:
         B = self.balance.coefficients(self.local.point.beta)
+        self.states.follow(B, record)
         record = self.centre.whole(record, B)
         mean = mean_responses(self.balance, B, self.slow.tangents / self.slow.rows)
         if any(law.effect.kind == "force" for law in self.balance.laws) and all(m.c > 0 and m.k > 0 for m in mean):
@@ -132,6 +153,7 @@ class RollingFit:
         stretch = self.centre.stretch(record, at, at + self.grid.size, B)
         Z, tangents = self.spectra.take(stretch, watches)
         own = self.own if watches else np.arange(self.own.size)
+        tangents[own[self.states.columns]] = 0.0
         speed_hz = None
         if measured:
             speed_hz = float(stretch.phase[-1] - stretch.phase[0]) / (2 * np.pi * (stretch.t[-1] - stretch.t[0]))
@@ -153,7 +175,7 @@ class RollingFit:
         if memory is self.seen:
             gram, mean = gram[:, self.own[:, None], self.own], mean[self.own]
         nodes, dressing = self.start.nodes, self._dressing(beta)
-        return Likelihood(Evidence(self.balance, self.grid, gram, memory.n, mean, nodes, dressing))
+        return Likelihood(Evidence(self.balance, self.grid, gram, memory.n, mean, nodes, dressing, self.colour))
 
     def _still(self, memory: Memory) -> tuple[Floats, Floats]:
         """Gram matrices and mean tangents without what the noise of displacement sensors does in the laws."""
@@ -166,13 +188,16 @@ class RollingFit:
         return still(gram, np.asarray(memory.n * self.grid.per_cell[:, None, None], np.float64), mean)
 
     def _dressing(self, beta: Floats | None) -> NDArray[np.complex128] | None:
+        remembered = self.states.dressing
         if self.pairs is None or beta is None:
-            return None
-        return dressed(self.pairs, self.balance, self.balance.coefficients(beta), self.start.nodes.f_hz)
+            return remembered
+        by_laws = dressed(self.pairs, self.balance, self.balance.coefficients(beta), self.start.nodes.f_hz)
+        return by_laws if remembered is None else by_laws + remembered
 
     def solve(self) -> None:
         """Renew the point from the memory, and the memory if the recent data contradict it."""
         self._renew()
+        self.states.follow(self.balance.coefficients(self.local.point.beta))
         if self.solved % CHECKED_EVERY == 0:
             self.suspicions = self.suspicions + 1 if self._changed() else 0
             if self.suspicions >= 2:
@@ -225,7 +250,7 @@ class RollingFit:
             whole[:, self.own] = dressing
             dressing = whole
         gram, mean = self._still(seen)
-        wide = Likelihood(Evidence(self.wide, self.grid, gram, seen.n, mean, self.start.nodes, dressing))
+        wide = Likelihood(Evidence(self.wide, self.grid, gram, seen.n, mean, self.start.nodes, dressing, self.colour))
         # blocks that share no rows vary less than the likelihood's count of them says
         redundancy = seen.n2 / seen.n / (1.0 + 2.0 * OVERLAP)
         own = self._likelihood(seen, beta)
@@ -243,6 +268,25 @@ class RollingFit:
     def covariance(self) -> Floats:
         """H^-1 for weights that forget: the score varies by n2 / n of what the Hessian says."""
         return inverse(self.local) * (self.slow.n2 / self.slow.n)
+
+
+def _colour(record: Record, start: Start) -> Floats | None:
+    """(nodes, places) shape of S that the model gives, each the mean of the bins that a node stands for; None: flat."""
+    by_bin, weight = colours(record.model, record.model.places, record.grid.f_hz).T, start.nodes.weight
+    if (by_bin == 1.0).all():
+        return None
+    first = np.concatenate([[0], np.cumsum(weight)[:-1]]).astype(np.intp)
+    return np.asarray(np.add.reduceat(by_bin, first, axis=0) / weight[:, None])
+
+
+def _held(best: Maximum) -> dict[str, Parameter]:
+    """The searched numbers by name."""
+    spread = np.sqrt(np.diag(inverse(best.local)))
+    return {
+        f.name: Parameter(best.values[f.name], float(spread[j]), f.unit, True, "held at what the first seconds gave")
+        for j, f in enumerate(best.balance.free)
+        if f.searched
+    }
 
 
 def _newton(local: Local) -> tuple[Floats, Floats, float]:

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from .band_edge import BandEdge
 from .bandlimit import BandLimit, band_limit
+from .effects.custom import effect_of
+from .effects.places import at
 from .errors import DataError
 from .estimate import Estimate, Parameter
 from .fit_result import Fit
@@ -24,6 +26,7 @@ from .stationary import check_resonance, messages, softening_message
 from .synchronous import lines, synchronous_message, synchronous_orders
 
 Array = NDArray[np.float64]
+LEFT_OUT = "score matching leaves it out: use the spectral method"
 FEWEST_ROWS = 4096
 CHECKED_S = 0.5  # of motion, for a resonance
 FIT_BLOCKS = 64  # the sd of a fit is itself known to 9 %
@@ -62,6 +65,7 @@ class RollingScoreMatching:
         self._missing = "warming up"  # what is said while no resonance has been seen
         self._rate_hz, self._orders = rate_hz, synchronous_orders(model)
         self._index = 0
+        self._beside = _left_out(model)
 
     def update(self, block: Array) -> None:
         """Take the next rows, (n, channels of the model), SI; NaN where missing or clipped."""
@@ -119,8 +123,20 @@ class RollingScoreMatching:
             return Estimate(self._index, parameters, rows, status=self._missing)
         for moments, _ in self._planes:
             parameters |= moments.parameters()
+        parameters |= self._beside
         stopped = [p.reason for p in parameters.values() if "does not move" in p.reason]
         return Estimate(self._index, parameters, rows, status=stopped[0] if stopped else "ok")
+
+
+def _left_out(model: Model) -> dict[str, Parameter]:
+    """Parameters of the effects that the method leaves out, with the reason."""
+    out: dict[str, Parameter] = {}
+    for use in (u for u in model.effects if u.name in ignored_effects(model)):
+        effect = effect_of(use)
+        for key in at(effect, use, model):
+            for q in effect.parameters:
+                out[f"{key}.{use.name}.{q.name}"] = Parameter(None, None, q.unit, False, LEFT_OUT)
+    return out
 
 
 def fit(model: Model, y: Array, rate_hz: float, form: Form = "velocity") -> Fit:
@@ -138,8 +154,8 @@ def fit(model: Model, y: Array, rate_hz: float, form: Form = "velocity") -> Fit:
         columns = place_columns(model, plane.direction)
         here, speed, shaken = (z[valid][:, columns] for z in (x, v, a))
         moments = PlaneMoments(plane, form, edge)
-        for at in range(0, len(here), size):
-            part = slice(at, at + size)
+        for first in range(0, len(here), size):
+            part = slice(first, first + size)
             moments.add(here[part], speed[part], shaken[part])
         found |= moments.parameters()
         notes += messages(plane, here, speed) + softening_message(plane, found, speed)

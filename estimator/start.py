@@ -86,12 +86,10 @@ def linear_start(record: Record) -> Start:
             beta[j] = {f"{place}.m": 1.0, f"{place}.c": scanned[0], f"{place}.kL": scanned[1]}.get(f.name, beta[j])
     local = _best(Likelihood(evidence), Point(beta, S, np.zeros(P)), model)
     B = balance.coefficients(local.point.beta)
-    m, c, kL = (np.diag(B[:, i * P : (i + 1) * P]).copy() for i in range(3))
+    m, c, kL = _diagonals(B)
     x, v, a = record.rms("x"), record.rms("v"), record.rms("a")
     for i, place in enumerate(balance.places):
         _judge(place, m[i], c[i], kL[i], record)
-    lost = left_out(m, c, kL, local.point.S, model.band, record.rate_hz)
-    widths = np.maximum(lost, NEAREST * np.stack([x, v], axis=1))
     sizes = {
         place: {
             "x": x[i], "v": v[i], "a": a[i], "m": m[i], "hz_peak": float(np.sqrt(kL[i] / m[i]) / (2 * np.pi)),
@@ -99,10 +97,32 @@ def linear_start(record: Record) -> Start:
         }
         for i, place in enumerate(balance.places)
     }  # fmt: skip
+    widths, at = _about(record, evidence, B, local.point.S)
+    return Start(m, c, kL, local.point.S, local.point.noise, widths, sizes, at)
+
+
+def renewed(start: Start, record: Record, evidence: Evidence, point: Point) -> Start:
+    """The start about a better point, where the first one was blind to what shapes the force."""
+    B = evidence.balance.coefficients(point.beta)
+    m, c, kL = _diagonals(B)
+    widths, at = _about(record, evidence, B, point.S)
+    return Start(m, c, kL, point.S, point.noise, widths, start.sizes, at)
+
+
+def _about(record: Record, evidence: Evidence, B: Floats, S: Floats) -> tuple[Floats, Nodes]:
+    """`widths` and `nodes` of a start about coefficients B."""
+    m, c, kL = _diagonals(B)
     coupled = resonances(evidence, B)  # with a stiff shaft far from those of each place alone
     alone = np.sqrt(kL / m) / (2 * np.pi), c / m / (2 * np.pi)
     at = nodes(record.grid, *(np.concatenate(pair) for pair in zip(coupled, alone, strict=True)))
-    return Start(m, c, kL, local.point.S, local.point.noise, widths, sizes, at)
+    return np.maximum(left_out(m, c, kL, S, record.model.band, record.rate_hz), NEAREST * record.scales), at
+
+
+def _diagonals(B: Floats) -> tuple[Floats, Floats, Floats]:
+    """(places,) m, c, kL, the shaft's part included."""
+    P = len(B)
+    m, c, kL = (np.diag(B[:, i * P : (i + 1) * P]).copy() for i in range(3))
+    return m, c, kL
 
 
 def _best(likelihood: Likelihood, first: Point, model: Model) -> Local:

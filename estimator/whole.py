@@ -21,6 +21,7 @@ from .fit_result import Fit
 from .fitted import parameters
 from .force_colour import sensor_noise
 from .model import EffectUse, Model, Setting
+from .model_uses import not_judged
 from .preparation import prepare
 from .search_start import fit_record
 from .suspect import Suspect
@@ -81,7 +82,9 @@ def fit(model: Model, y: Array, rate_hz: float) -> Fit:
     """The same as the result of a fit."""
     whole = fit_whole(model, y, rate_hz)
     data = whole.point.data
-    return Fit(whole.parameters, whole.point.fit.log_likelihood, data.blocks * data.block, "spectral")
+    clipped = [data.places[i] for i in sorted(not_judged(model, data.places))]
+    messages = tuple(f"{place}: its sensor is clipped: values are those of what is left of it" for place in clipped)
+    return Fit(whole.parameters, whole.point.fit.log_likelihood, data.blocks * data.block, "spectral", messages)
 
 
 def _numbered(

@@ -146,3 +146,10 @@ def test_noise_without_a_resonance_gives_no_rolling_estimate() -> None:
     last = rolling.snapshot()
     assert not last.parameters
     assert "no resonance" in last.status
+
+
+def test_what_it_leaves_out_is_said_as_it_rolls(record: np.ndarray) -> None:
+    friction = EffectUse("coulomb", {"bearing1.x": {}})
+    rolling = RollingScoreMatching(rig(effects=(friction,)), RATE, 5.0)
+    rolling.update(record[: 3 * 25600])
+    assert rolling.snapshot().parameters["bearing1.x.coulomb.fc"].reason.startswith("score matching leaves it out")
