@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .balance import Balance
 from .errors import DataError
 from .features import FINER, HALF, MARGIN, State, decimated, depends, law_force, ready, rough
-from .hidden_states import mean_response, remember
+from .hidden_states import along, remember
 from .linear_memory import filtered, response
 
 Floats = NDArray[np.float64]
@@ -205,8 +205,7 @@ class Columns:
                 out += weight * linear(2 * np.pi * f_hz)
             elif stretch is not None:
                 x, v = stretch.x[column.row], stretch.v[column.row]
-                f = remember(effect, p, lin, x, v, stretch.rate_hz)
-                out += weight * mean_response(effect, p, lin, x, v, f, stretch.rate_hz, f_hz)
+                out += weight * along(effect, p, lin, x, v, stretch.rate_hz)[1].at(f_hz)
             else:
                 return None
         return out

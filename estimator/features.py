@@ -164,23 +164,17 @@ class State:
 
     def finer(self, reads: NDArray[np.bool_]) -> State:
         """On the finer grid, HALF (coarse) rows wider than the inner rows on either side; zero what is not read."""
-        taps = _prototype()[0]
         n = (self.x.size - 2 * HALF) * FINER
         zero = np.zeros(n)
-
-        def fine(z: Floats, read: bool) -> Floats:
-            if not read:
-                return zero
-            out = np.empty(n)
-            _interpolate(z, taps, out)
-            return out
 
         def linear(z: Floats) -> Floats:
             out = np.empty(n)
             _between(z[HALF : n // FINER + HALF + 1], out)
             return out
 
-        x, v, xo, vo = (fine(z, u) for z, u in zip((self.x, self.v, self.xo, self.vo), reads, strict=True))
+        x, v, xo, vo = (
+            interpolated(z) if u else zero for z, u in zip((self.x, self.v, self.xo, self.vo), reads, strict=True)
+        )
         valid = np.repeat(self.valid[HALF:-HALF], FINER)
         valid[: HALF * FINER] = valid[-HALF * FINER :] = False  # the margins do not count in the mean tangents
         return State(x, v, xo, vo, linear(self.t), linear(self.phase), self.s, self.h, valid)
@@ -266,6 +260,13 @@ def ready(effect: Effect) -> Callable[..., None]:
     if effect.force is None:
         raise ValueError(f"{effect.name}: no force law (kind {effect.kind})")
     return _along(effect.force)
+
+
+def interpolated(z: Floats) -> Floats:
+    """A signal on the finer grid, without HALF (coarse) rows on either side."""
+    out = np.empty((z.size - 2 * HALF) * FINER)
+    _interpolate(z, _prototype()[0], out)
+    return out
 
 
 def decimated(force: Floats) -> Floats:

@@ -1,4 +1,7 @@
-"""What the laws of a working point, fluctuating together, do to the mean response of any law at the same place."""
+"""What the laws of a working point, fluctuating together, do to the mean response of any law at the same place.
+
+Beside a law that remembers it is found by a probe: probe.py.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .features import jumps
-from .motion_blocks import MotionBlocks, part_of
+from .motion_blocks import MotionBlocks, coarser, finer, part_of
 from .placed import Placed, tangent_series
+from .probe import LEAST, SHARE, Probe, probed, remembers
 from .self_energy import Complexes, Mean, Spectra, covariance, dressed_response, self_energy, spectra
 from .side_by_side import each
 
@@ -32,6 +36,10 @@ class Fluctuation:
     g: Array
     whole: Complexes
 
+    def of_memory(self, placed: Placed, p: Array) -> Complexes | float:
+        """Of a law that remembers nothing: it is dressed beside its like only."""
+        return 0.0
+
     def of(self, tangents: NDArray[np.floating]) -> Complexes:
         """(bins,) N/m per unit: Sigma of a law with tangents (2, n) along x and v on `data`."""
         Z = _spectra(tangents, self.data, self.g.shape[1])
@@ -42,11 +50,9 @@ class Fluctuation:
         by = round(self.data.rate_hz / rate_hz)
         if by == 1:
             return self
-        rows = slice(None, None, by)
-        data = self.data.states(lambda z: z[:, rows], rate_hz=rate_hz, block=self.data.block // by,
-                                t=self.data.t[rows], phase=self.data.phase[rows])  # fmt: skip
-        g = np.ascontiguousarray(self.g[:, rows])
-        total = np.ascontiguousarray(self.total[:, rows])
+        data = coarser(self.data, by)
+        g = np.ascontiguousarray(self.g[:, ::by])
+        total = np.ascontiguousarray(self.total[:, ::by])
         return Fluctuation(data, self.place, total, _spectra(total, data, g.shape[1]), g, self.whole)
 
 
@@ -54,21 +60,27 @@ def _spectra(tangents: NDArray[np.floating], data: MotionBlocks, lags: int) -> S
     return spectra(tangents.reshape(2, data.blocks, data.block), lags)
 
 
-def fluctuations(data: MotionBlocks, uses: Sequence[Placed], mean: Sequence[Mean]) -> tuple[Fluctuation | None, ...]:
+def fluctuations(
+    data: MotionBlocks, uses: Sequence[Placed], mean: Sequence[Mean], lin: Array
+) -> tuple[Fluctuation | Probe | None, ...]:
     """By place, None without a law there, or where the laws are too strong for the second order.
 
-    mean : mean response of each place, the laws included.
+    mean : mean response of each place, the laws included that remember nothing. lin : (places, 3) m, kL, c.
     """
     own = [[u for u in uses if i in u.at and u.effect.kind == "force"] for i in range(len(mean))]
-    used = [i for i, m in enumerate(mean) if own[i] and m.c > 0 and m.k > 0]
-    if not used:
-        return (None,) * len(mean)
-    part = part_of(data, max(mean[i].seconds() for i in used))
+    remembering = [[u for u in uses if i in u.at and remembers(u, lin[i])] for i in range(len(mean))]
+    sound = [m.c > 0 and m.k > 0 for m in mean]
+    used = [i for i, laws in enumerate(own) if laws and sound[i] and not remembering[i]]
+    probing = [i for i, laws in enumerate(remembering) if laws and sound[i]]
+    part = part_of(data, max(mean[i].seconds() for i in used)) if used else data
     if any(jumps(u.effect, u.p, data.sizes(i)) for i in used for u in own[i]):
         part = finer(part)
+    path = finer(part_of(data, max(LEAST, SHARE * data.seconds))) if probing else data
     dt = 1.0 / part.rate_hz
 
-    def at(i: int) -> Fluctuation | None:
+    def at(i: int) -> Fluctuation | Probe | None:
+        if i in probing:
+            return probed(path, data.f_hz, i, [u for u in uses if i in u.at], mean[i], lin[i])
         if i not in used:
             return None
         total = np.sum([tangent_series(u, part, i, u.p) for u in own[i]], axis=0)
@@ -80,20 +92,3 @@ def fluctuations(data: MotionBlocks, uses: Sequence[Placed], mean: Sequence[Mean
         return None if g is None else Fluctuation(part, i, total, K, g, self_energy(C, g, dt, data.f_hz))
 
     return tuple(each(at, range(len(mean))))
-
-
-def finer(data: MotionBlocks, by: int = 4) -> MotionBlocks:
-    """Displacement, velocity, time and phase of the blocks at `by` times the rate; the rest as it was."""
-    from scipy.fft import irfft, rfft
-
-    def fine(z: Array) -> Array:
-        Z = rfft(z.reshape(len(z), data.blocks, -1), axis=2)
-        Z[..., -1] *= 0.5  # the Nyquist frequency is two lines there
-        return np.asarray(by * irfft(Z, by * data.block, axis=2)).reshape(len(z), -1)
-
-    def straight(z: Array) -> Array:
-        step = np.diff(z, append=2 * z[-1] - z[-2])
-        return np.asarray((z[:, None] + step[:, None] * np.arange(by) / by).ravel())
-
-    return data.states(fine, rate_hz=by * data.rate_hz, block=by * data.block, t=straight(data.t),
-                       phase=straight(data.phase))  # fmt: skip

@@ -1,51 +1,103 @@
-"""Forces with memory along a motion, and what they answer to it in the mean."""
+"""Forces with memory that obey no linear equations (Bouc-Wen): the force along the measured motion, and its mean
+response to a little more motion.
+
+The states are integrated on a grid finer than the samples, on the motion as its band limits it: on straight lines
+between samples the force at 6 kHz comes out 16 % too small.
+
+The likelihood needs the mean response <T(f)> of the force to an added displacement. It is found from steps of
+displacement that are launched all along the path: what each leaves in the force, averaged over the steps, is the step
+response, without the scatter of a random probe. physics.md section 5 says why it is no regression on the motion.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .effect import Effect
-from .effects.compiled import memory_array
+from .effects.compiled import remembered, steps
+from .features import FINER, MARGIN, decimated, interpolated
 
 Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+PIECE = 1 << 15  # rows at a time
+CYCLES = 8.0  # of the motion, after which a step is forgotten or kept for good
+EVERY = 15.7  # cycles a step is launched: about as long as an amplitude lasts, and never at the same phase
 
 
-def remember(effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: float) -> Array:
-    """(n,) N of a force with memory, its states integrated at four times the rate (slip is faster than the samples)."""
-    return memory_array(effect, p, lin, np.ascontiguousarray(x), np.ascontiguousarray(v), rate_hz, finer=4)
+@dataclass(frozen=True, slots=True)
+class MeanResponse:
+    """Of a force to displacement. step : (lags,) N/m after a step, dt apart. tangent : N s/m, to velocity alone."""
+
+    step: Array
+    dt: float
+    tangent: float
+
+    @property
+    def taps(self) -> Array:
+        """(lags,) N/m: the force of every displacement so far, one tap for each."""
+        rise = np.diff(self.step)
+        taps = np.zeros(self.step.size)
+        taps[0] = self.step[0]
+        taps[:-1] += 0.5 * rise
+        taps[1:] += 0.5 * rise
+        return taps
+
+    def at(self, f_hz: Array) -> Complexes:
+        """(f,) N/m."""
+        size = 1 << int(np.ceil(np.log2(8 * self.step.size)))
+        f, z = np.fft.rfftfreq(size, self.dt), np.fft.rfft(self.taps, size)
+        return np.interp(f_hz, f, z.real) + 1j * (np.interp(f_hz, f, z.imag) + 2 * np.pi * f_hz * self.tangent)
 
 
-def mean_response(
-    effect: Effect, p: Array, lin: Array, x: Array, v: Array, f: Array, rate_hz: float, f_hz: Array
-) -> NDArray[np.complex128]:
-    """(bins,) N/m at f_hz, ascending over the band: mean linear response of a force f (n,) with memory to a small
-    motion added to x and v.
-
-    A small white displacement e is added and the change of the force regressed on e passed through causal first-order
-    lags: T = b0 + b1 i w + sum b_k i w / (i w + 1 / tau_k). It is what F and the force share under the model (Novikov),
-    whatever the amplitude distribution.
-    """
-    n = min(x.size, 1 << 17)
-    x, v, f = x[:n], v[:n], f[:n]
-    w = 2 * np.pi * np.fft.rfftfreq(n, 1 / rate_hz)
-    spectrum = np.random.default_rng(1).standard_normal((2, w.size))
-    inside = (w > np.pi * f_hz[0]) & (w < 2 * np.pi * f_hz[-1])
-    e = np.where(inside, spectrum[0] + 1j * spectrum[1], 0.0) / np.sqrt(1 + (w / _peak(x, v)) ** 2)
-    size = 0.05 * float(x.std()) / float(np.fft.irfft(e, n).std())
-    e *= size
-    df = remember(effect, p, lin, x + np.fft.irfft(e, n), v + np.fft.irfft(1j * w * e, n), rate_hz) - f
-    taus = np.array([0.1, 0.4, 1.6, 6.4]) / _peak(x, v)
-
-    def basis(w: NDArray[np.floating]) -> NDArray[np.complex128]:
-        return np.stack([np.ones(w.size), 1j * w, *(1j * w / (1j * w + 1 / tau) for tau in taus)])
-
-    skip = n // 20  # the two runs start alike
-    B = np.stack([np.fft.irfft(b * e, n)[skip:] for b in basis(w)])
-    d = np.sqrt(np.sum(B * B, axis=1))
-    weights = np.linalg.lstsq((B @ B.T) / np.multiply.outer(d, d), (B @ df[skip:]) / d, rcond=1e-8)[0] / d
-    return np.asarray(weights @ basis(2 * np.pi * f_hz))
+def remember(
+    effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: float, mean: Steps | None = None
+) -> Array:  # fmt: skip
+    """(n,) N of a force along a path, its states from rest. lin : (3,) m, kL, c. mean : to be given steps."""
+    n, rate = x.size, FINER * rate_hz
+    out, start = np.empty(n), np.zeros(effect.states)
+    for a in range(0, n, PIECE):
+        b = min(a + PIECE, n)
+        rows = np.clip(np.arange(a - MARGIN, b + MARGIN), 0, n - 1)
+        fine = interpolated(x[rows]), interpolated(v[rows])
+        force, states = known = remembered(effect, p, lin, *fine, rate, start)
+        start = states[(b - a) * FINER].copy()  # HALF rows before the end: where the next piece begins
+        out[a:b] = decimated(force)
+        if mean is not None:
+            mean.add(effect, p, lin, *fine, known)
+    return out
 
 
-def _peak(x: Array, v: Array) -> float:
-    return float(v.std() / x.std())
+def along(effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: float) -> tuple[Array, MeanResponse]:
+    """The same with the mean response."""
+    mean = Steps(x, v, 1.0 / (FINER * rate_hz))
+    return remember(effect, p, lin, x, v, rate_hz, mean), mean.response()
+
+
+def response_along(
+    effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: float, known: tuple[Array, Array]
+) -> MeanResponse:
+    """Mean response along a path at its own rate; known : what `remembered` says of it."""
+    mean = Steps(x, v, 1.0 / rate_hz)
+    mean.add(effect, p, lin, x, v, known)
+    return mean.response()
+
+
+class Steps:
+    """Sums of the answers to steps along a path x, v (any rate), whose rows are to be dt apart."""
+
+    def __init__(self, x: Array, v: Array, dt: float) -> None:
+        cycle = 2 * np.pi * float(np.sqrt(np.dot(x, x) / np.dot(v, v))) / dt  # rows
+        self.dt, self.stride, self.sums = dt, int(EVERY * cycle) + 1, np.zeros(int(CYCLES * cycle) + 2)
+        self.count, self.tangent = 0, 0.0
+
+    def add(self, effect: Effect, p: Array, lin: Array, x: Array, v: Array, known: tuple[Array, Array]) -> None:
+        """Steps along a piece of it; known : what `remembered` says of the piece."""
+        count, tangent = steps(effect, p, lin, x, v, 1.0 / self.dt, known, self.stride, self.sums)
+        self.count, self.tangent = self.count + count, self.tangent + tangent
+
+    def response(self) -> MeanResponse:
+        count = max(self.count, 1)
+        return MeanResponse(self.sums / count, self.dt, self.tangent / count)

@@ -136,6 +136,30 @@ def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:
     return data.at(rows, start=data.start[here], fold=data.fold[here])
 
 
+def finer(data: MotionBlocks, by: int = 4) -> MotionBlocks:
+    """Displacement, velocity, time and phase of the blocks at `by` times the rate; the rest as it was."""
+    from scipy.fft import irfft, rfft
+
+    def fine(z: Array) -> Array:
+        Z = rfft(z.reshape(len(z), data.blocks, -1), axis=2)
+        Z[..., -1] *= 0.5  # the Nyquist frequency is two lines there
+        return np.asarray(by * irfft(Z, by * data.block, axis=2)).reshape(len(z), -1)
+
+    def straight(z: Array) -> Array:
+        step = np.diff(z, append=2 * z[-1] - z[-2])
+        return np.asarray((z[:, None] + step[:, None] * np.arange(by) / by).ravel())
+
+    return data.states(fine, rate_hz=by * data.rate_hz, block=by * data.block, t=straight(data.t),
+                       phase=straight(data.phase))  # fmt: skip
+
+
+def coarser(data: MotionBlocks, by: int) -> MotionBlocks:
+    """Every so manyth row of displacement, velocity, time and phase of finer blocks."""
+    rows = slice(None, None, by)
+    return data.states(lambda z: z[:, rows], rate_hz=data.rate_hz / by, block=data.block // by, t=data.t[rows],
+                       phase=data.phase[rows])  # fmt: skip
+
+
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
     """(f, places, places) N/m: what shaft and disc add to the dynamic stiffness at the measured caps."""
     D = np.zeros((f_hz.size, len(places), len(places)), complex)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from . import linear_memory
 from .effect import Effect
 from .features import FINER, MARGIN, State, decimated, depends, jumps, law_force
-from .hidden_states import mean_response, remember
+from .hidden_states import along
 from .motion_blocks import MotionBlocks
 
 Array = NDArray[np.float64]
@@ -47,9 +47,8 @@ def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | 
         linear = linear_memory.response(placed.effect, p, lin)
         if linear is not None:
             return linear_memory.filtered(linear, data.x[i], data.rate_hz), slopes, linear(2 * np.pi * data.f_hz)
-        motion = data.x[i], data.v[i]
-        f = remember(placed.effect, p, lin, *motion, data.rate_hz)
-        return f, slopes, mean_response(placed.effect, p, lin, *motion, f, data.rate_hz, data.f_hz)
+        f, mean = along(placed.effect, p, lin, data.x[i], data.v[i], data.rate_hz)
+        return f, slopes, mean.at(data.f_hz)
     out, sums = _along(placed.effect, p, data, i)
     slopes[i] += sums[:2]
     o = data.other(i)

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .fluctuation import Fluctuation
+from .probe import Probe
 from .self_energy import Complexes
 
 Array = NDArray[np.float64]
 
 
-def dressings(name: str, here: Fluctuation, sizes: Array, knots: Array | None) -> Iterator[Complexes]:
+def dressings(name: str, here: Fluctuation | Probe, sizes: Array, knots: Array | None) -> Iterator[Complexes]:
     """(bins,) N/m per column of a group, in its order; nothing for groups whose tangents the model leaves alone.
 
     sizes : (2,) rms of x and v that the group is built with; knots of a group of hat functions.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numba import njit
@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 from .fluctuation import Fluctuation
 from .motion_blocks import MotionBlocks
 from .path_fit import Complexes, Term
-from .placed import Placed, evaluate, tangent_series
+from .placed import Evaluated, Placed, evaluate, tangent_series
+from .probe import Probe
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
+SPAN = 0.1  # of a searched parameter of a law with memory: over less its mean response is that of few kinks
 LEAST = 1e-30  # rms per unit that single precision holds: x^5 of a quiet bearing is below
 
 
@@ -24,6 +27,11 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
 
     lin : (places, 3) m, kL, c.
     """
+
+    def law(i: int, p: Array) -> Evaluated:
+        return evaluate(placed, data, i, lin[i], p)
+
+    at = _once(law) if placed.effect.kind == "memory" else law
     out = []
     for k, q in enumerate(placed.effect.parameters):
         if not placed.free[k] or (linear_only and not q.linear):
@@ -33,7 +41,7 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
         slopes = np.zeros((len(data.places), len(data.places), 2))
         ends = _ends(placed, k)
         for i in placed.at:
-            made = [evaluate(placed, data, i, lin[i], p) for p, _ in ends]
+            made = [at(i, p) for p, _ in ends]
             series[i] = _summed([w * f for (_, w), (f, _, _) in zip(ends, made, strict=True)])
             slopes[i] = _summed([w * s for (_, w), (_, s, _) in zip(ends, made, strict=True)])
             if placed.effect.kind == "memory":
@@ -43,20 +51,43 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
     return out
 
 
-def dressed(made: list[Term], placed: Placed, fluctuations: Sequence[Fluctuation | None]) -> list[Term]:
+def dressed(made: list[Term], placed: Placed, fluctuations: Sequence[Fluctuation | Probe | None]) -> list[Term]:
     """The terms of an effect with what the fluctuating laws of the model, by place, do to their mean response."""
-    if placed.effect.kind == "memory" or not any(fluctuations[i] for i in placed.at):
+    if not any(fluctuations[i] for i in placed.at):
         return made
     numbers = {placed.name(k): k for k in range(len(placed.effect.parameters))}
+
+    def sigma(i: int, p: Array) -> Complexes | float:
+        here = fluctuations[i]
+        if here is None:
+            return 0.0
+        if placed.effect.kind == "memory":
+            return here.of_memory(placed, p)
+        return here.of(tangent_series(placed, here.data, i, p))
+
+    at = _once(sigma)
     out = []
     for term in made:
         memory = dict(term.memory)
         for i in placed.at:
-            if (here := fluctuations[i]) is not None:
-                ends = _ends(placed, numbers[term.name])
-                memory[i] = -here.of(_summed([w * tangent_series(placed, here.data, i, p) for p, w in ends]))
+            if fluctuations[i] is not None:
+                own = _summed([w * at(i, p) for p, w in _ends(placed, numbers[term.name])])
+                memory[i] = memory.get(i, 0.0) - own
         out.append(replace(term, memory=memory))
     return out
+
+
+def _once(found: Callable[[int, Array], T]) -> Callable[[int, Array], T]:
+    """The same, remembering what it found at a place for some parameters."""
+    known: dict[tuple[int, bytes], T] = {}
+
+    def at(i: int, p: Array) -> T:
+        key = i, p.tobytes()
+        if key not in known:
+            known[key] = found(i, p)
+        return known[key]
+
+    return at
 
 
 def _ends(placed: Placed, k: int) -> list[tuple[Array, float]]:
@@ -66,7 +97,14 @@ def _ends(placed: Placed, k: int) -> list[tuple[Array, float]]:
         p = np.where([q.linear for q in parameters], 0.0, placed.p)
         p[k] = 1.0
         return [(p, 1.0)]
-    step = (0.02 if placed.effect.kind == "memory" else 1e-3) * max(abs(placed.p[k]), 1e-12)
+    amplitudes = [j for j, q in enumerate(parameters) if q.linear]
+    if placed.effect.kind == "memory" and len(amplitudes) == 1:
+        # one force is that of the amplitude; a column need not be the derivative to give no bias
+        unit, a, step = _ends(placed, amplitudes[0])[0][0], placed.p[amplitudes[0]], SPAN * abs(placed.p[k])
+        up = unit.copy()
+        up[k] += step
+        return [(up, a / step), (unit, -a / step)]
+    step = 1e-3 * max(abs(placed.p[k]), 1e-12)
     up, down = placed.p.copy(), placed.p.copy()
     up[k] += step
     down[k] -= step

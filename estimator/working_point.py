@@ -15,6 +15,7 @@ from .model_uses import size
 from .motion_blocks import FOLDS, MotionBlocks, part_of
 from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing, fit, gram
 from .placed import Placed, evaluate
+from .probe import Probe
 from .self_energy import Mean
 from .side_by_side import each
 from .slow_motion import with_slow
@@ -52,7 +53,7 @@ class WorkingPoint:
     fit: PathFit
     A: NDArray[np.complex128]  # (bins, places, places)
     slopes: Array  # (places, places, 2) mean tangent
-    fluctuations: tuple[Fluctuation | None, ...]  # by place, of the laws of the model
+    fluctuations: tuple[Fluctuation | Probe | None, ...]  # by place, of the laws of the model
     spans: Spans  # of the model's own columns, by place
 
     @property
@@ -200,7 +201,7 @@ def _at(
     weighing = Weighing(data, 1.0 / (data.colour + nu[:, None] * data.heard(A)))
     spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
     mean = [Mean(float(data.mass[i]), float(D[i, i, 1]), float(D[i, i, 0])) for i in range(P)]
-    around = fluctuations(data, uses, mean) if longer is None else longer.fluctuations
+    around = fluctuations(data, uses, mean, lin) if longer is None else longer.fluctuations
     made = [t for i in range(P) for t in linear_terms(data, i)]
     if longer is None:
         own = each(lambda k: dressed(own[k], uses[k], around), range(len(uses)))

@@ -12,7 +12,7 @@ INF = float("inf")
 def rates(
     z: Sequence[float], x: float, v: float, p: Sequence[float], lin: Sequence[float], dz: MutableSequence[float]
 ) -> None:
-    dz[0] = v - (abs(v) * z[0] + v * abs(z[0])) / (2.0 * p[1])
+    dz[0] = v - (abs(v) * z[0] + v * abs(z[0])) * (0.5 / p[1])
 
 
 def memory_force(z: Sequence[float], x: float, v: float, p: Sequence[float], lin: Sequence[float]) -> float:

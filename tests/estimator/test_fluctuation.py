@@ -10,9 +10,10 @@ from hidden_effects import RATE, one_bearing, record
 
 from estimator import adequacy, missing_force, spectral
 from estimator.effects import CATALOGUE
-from estimator.fluctuation import finer, fluctuations
+from estimator.fluctuation import fluctuations
 from estimator.model import EffectUse, Model
 from estimator.model_uses import placed_of
+from estimator.motion_blocks import finer
 from estimator.placed import tangent_series
 from estimator.preparation import prepare
 from estimator.self_energy import Mean
@@ -54,7 +55,7 @@ def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
     """Sigma is linear in the first of its two tangents."""
     point = strong[3]
     mean = [Mean(float(point.data.mass[i]), float(s[i, 1]), float(s[i, 0])) for i, s in enumerate(point.slopes)]
-    here = fluctuations(point.data, point.placed, mean)[0]
+    here = fluctuations(point.data, point.placed, mean, point.lin)[0]
     assert here is not None
     own = [u for u in point.placed if 0 in u.at]
     parts = [here.of(tangent_series(u, here.data, 0, u.p)) for u in own]
