@@ -79,7 +79,7 @@ def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
     noise = np.empty(Y.shape)
     for i in range(len(Y)):
         power = np.abs(Y[i]) ** 2
-        local = median_filter(power[::thin], 2 * NEIGHBOURS // thin + 1, mode="nearest") / np.log(2)
+        local = median_filter(power[::thin], 2 * NEIGHBOURS // thin + 1, mode="reflect") / np.log(2)
         noise[i] = np.maximum(np.repeat(local, thin)[: power.size], 1e-300)
     return Spectrum(f, Y, noise, keep / rate_hz, windowed, rate_hz, model)
 
