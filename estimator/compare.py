@@ -107,5 +107,5 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         orbits=beside.orbits,
         parameters=whole.parameters,
         simulation_rmse=heldout_rmse(model, y, point.data.rate_hz),
-        messages=(beside.message,) if beside.message else (),
+        messages=(*whole.messages, *((beside.message,) if beside.message else ())),
     )

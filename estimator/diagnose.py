@@ -69,7 +69,8 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
     say = progress or quiet
     say(0.0, "fit of the model as it is")
     whole = fit_whole(model, y, rate_hz)
-    return diagnose_point(whole.model, whole.point, y, say)
+    found = diagnose_point(whole.model, whole.point, y, say)
+    return replace(found, messages=(*found.messages, *whole.messages)) if found.verdict != "complete" else found
 
 
 def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:

@@ -83,7 +83,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     whole = fit_whole(model, y, rate_hz)
     model, point = whole.model, whole.point
     rungs = [rung(model, point, y)]
-    messages: list[str] = []
+    messages = list(whole.messages)
     diagnoses: list[Diagnosis] = []
     for step in range(MOST):
         start = step / (step + 1.0)

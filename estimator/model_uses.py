@@ -73,7 +73,8 @@ def placed_of(model: Model, data: MotionBlocks) -> list[Placed]:
             for k, q in enumerate(effect.parameters):
                 s = settings.get(q.name)
                 p[k] = s.value if s is not None and s.value is not None else start(q, natural, model)
-                free.append((q.linear or k in loose) and not (s is not None and s.fixed))
+                typed = s is not None and s.value is not None and not q.given  # of a kinematic number: it may slip
+                free.append((q.linear or k in loose or typed) and not (s is not None and s.fixed))
             out.append(Placed(effect, f"{canonical}.{effect.name}", where, p, tuple(free)))
     return out
 

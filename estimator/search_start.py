@@ -44,10 +44,14 @@ def fit_record(model: Model, data: MotionBlocks) -> WorkingPoint:
 
 
 def _searched(use: Placed) -> list[int]:
-    """Numbers of the free parameters that are no amplitudes, if there are amplitudes to judge them by."""
+    """Numbers of the free parameters that are no amplitudes, if there are amplitudes to judge them by; not of a shaft
+    order, which no grid finds (modulation.py)."""
     if not any(q.linear and free for q, free in zip(use.effect.parameters, use.free, strict=True)):
         return []
-    return [k for k, q in enumerate(use.effect.parameters) if use.free[k] and not q.linear and use.p[k] != 0.0]
+    return [
+        k for k, q in enumerate(use.effect.parameters)
+        if use.free[k] and not q.linear and q.scale != "bpfo" and use.p[k] != 0.0
+    ]  # fmt: skip
 
 
 def _started(point: WorkingPoint, uses: list[Placed]) -> list[Placed]:

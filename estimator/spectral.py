@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from . import modulation
 from .balance import Balance
 from .checks import check_record
 from .columns import Columns
@@ -170,6 +171,7 @@ def _more_than_laws(model: Model) -> bool:
     known = all(model.cap_mass(place) is not None for place in model.places)
     effects = [effect_of(use) for use in model.effects]
     more = any(e.kind != "force" or e.name in PERIODIC or lopsided(e, usual(e), np.ones(4)) for e in effects)
+    more |= bool(modulation.laws(model)) and bool(model.speed_rpm)
     return more and known and not any(c.kind == "force" for c in model.channels)
 
 

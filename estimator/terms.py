@@ -23,7 +23,8 @@ LEAST = 1e-30  # rms per unit that single precision holds: x^5 of a quiet bearin
 
 
 def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = False) -> list[Term]:
-    """One column per free parameter: the force per unit for a linear one, a central difference for a searched one.
+    """One column per free parameter: the force per unit for a linear one, a central difference for a searched one;
+    none for the latter as long as the law is zero.
 
     lin : (places, 3) m, kL, c.
     """
@@ -39,15 +40,17 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
         series: dict[int, NDArray[Any]] = {}
         memory: dict[int, Complexes] = {}
         slopes = np.zeros((len(data.places), len(data.places), 2))
-        ends = _ends(placed, k)
+        ends = _ends(placed, k, data)
         for i in placed.at:
             made = [at(i, p) for p, _ in ends]
             series[i] = _summed([w * f for (_, w), (f, _, _) in zip(ends, made, strict=True)])
             slopes[i] = _summed([w * s for (_, w), (_, s, _) in zip(ends, made, strict=True)])
             if placed.effect.kind == "memory":
                 memory[i] = _summed([w * m for (_, w), (_, _, m) in zip(ends, made, strict=True) if m is not None])
-        rms = max(float(np.sqrt(np.mean([np.dot(z, z) / z.size for z in series.values()]))), 1e-300)
-        out.append(light(Term(placed.name(k), q.unit, series, slopes, 1.0 / rms, memory)))
+        rms = float(np.sqrt(np.mean([np.dot(z, z) / z.size for z in series.values()])))
+        if rms == 0.0 and not q.linear:
+            continue  # of a law that is still zero
+        out.append(light(Term(placed.name(k), q.unit, series, slopes, 1.0 / max(rms, 1e-300), memory)))
     return out
 
 
@@ -70,8 +73,8 @@ def dressed(made: list[Term], placed: Placed, fluctuations: Sequence[Fluctuation
     for term in made:
         memory = dict(term.memory)
         for i in placed.at:
-            if fluctuations[i] is not None:
-                own = _summed([w * at(i, p) for p, w in _ends(placed, numbers[term.name])])
+            if (here := fluctuations[i]) is not None:
+                own = _summed([w * at(i, p) for p, w in _ends(placed, numbers[term.name], here.data)])
                 memory[i] = memory.get(i, 0.0) - own
         out.append(replace(term, memory=memory))
     return out
@@ -90,7 +93,7 @@ def _once(found: Callable[[int, Array], T]) -> Callable[[int, Array], T]:
     return at
 
 
-def _ends(placed: Placed, k: int) -> list[tuple[Array, float]]:
+def _ends(placed: Placed, k: int, data: MotionBlocks) -> list[tuple[Array, float]]:
     """Parameter vectors and weights whose sum of forces is the force per unit of parameter k."""
     parameters = placed.effect.parameters
     if parameters[k].linear:
@@ -100,15 +103,23 @@ def _ends(placed: Placed, k: int) -> list[tuple[Array, float]]:
     amplitudes = [j for j, q in enumerate(parameters) if q.linear]
     if placed.effect.kind == "memory" and len(amplitudes) == 1:
         # one force is that of the amplitude; a column need not be the derivative to give no bias
-        unit, a, step = _ends(placed, amplitudes[0])[0][0], placed.p[amplitudes[0]], SPAN * abs(placed.p[k])
+        unit, a, step = _ends(placed, amplitudes[0], data)[0][0], placed.p[amplitudes[0]], SPAN * abs(placed.p[k])
         up = unit.copy()
         up[k] += step
         return [(up, a / step), (unit, -a / step)]
-    step = 1e-3 * max(abs(placed.p[k]), 1e-12)
+    step = 1e-3 * max(reach(placed, k, data), 1e-12)
     up, down = placed.p.copy(), placed.p.copy()
     up[k] += step
     down[k] -= step
     return [(up, 0.5 / step), (down, -0.5 / step)]
+
+
+def reach(placed: Placed, k: int, data: MotionBlocks) -> float:
+    """What a searched parameter has to change by to make another law: its own size; of a shaft order, what turns the
+    end of the record by a radian."""
+    if placed.effect.parameters[k].scale == "bpfo":
+        return 1.0 / max(float(data.phase[-1]), 1.0)
+    return float(abs(placed.p[k]))
 
 
 def _summed(parts: list[Any]) -> Any:

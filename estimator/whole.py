@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import periodic
+from . import modulation, periodic
 from .effect import EffectParameter
 from .effects import CATALOGUE
 from .effects.places import at, written
@@ -36,11 +36,13 @@ ROUNDS = 2  # of the numbers of periodic forces, which the rest of the fit depen
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """model : with the numbers found for what is no law of the states. beside : these, by full name."""
+    """model : with the numbers found for what is no law of the states. beside : these, by full name.
+    messages : what was found on the way, for the user."""
 
     model: Model
     point: WorkingPoint
     beside: dict[str, Parameter]
+    messages: tuple[str, ...] = ()
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -55,6 +57,19 @@ def beside_the_laws(use: EffectUse) -> bool:
 
 def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     """Fit everything in a model to (n, channels) rows, SI, NaN where missing. Raises DataError."""
+    if not modulation.sought(model):
+        return _fitted(model, y, rate_hz)
+    if laws := modulation.laws(model):
+        bare = replace(model, effects=tuple(u for u in model.effects if u not in laws))
+        model, said = modulation.turned(model, _fitted(bare, y, rate_hz).point)
+        return replace(_fitted(modulation.begun(model) if said else model, y, rate_hz), messages=said)
+    whole = _fitted(model, y, rate_hz)
+    model, said = modulation.turned(whole.model, whole.point)
+    return replace(whole, model=model, messages=said)
+
+
+def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
+    """The same at the ball-pass order that the model gives."""
     uses = [u for u in model.effects if beside_the_laws(u)]
     if not uses:
         return Whole(model, fit_record(model, prepare(model, y, rate_hz)), {})
@@ -84,7 +99,13 @@ def fit(model: Model, y: Array, rate_hz: float) -> Fit:
     data = whole.point.data
     clipped = [data.places[i] for i in sorted(not_judged(model, data.places))]
     messages = tuple(f"{place}: its sensor is clipped: values are those of what is left of it" for place in clipped)
-    return Fit(whole.parameters, whole.point.fit.log_likelihood, data.blocks * data.block, "spectral", messages)
+    return Fit(
+        whole.parameters,
+        whole.point.fit.log_likelihood,
+        data.blocks * data.block,
+        "spectral",
+        (*whole.messages, *messages),
+    )
 
 
 def _numbered(

@@ -19,14 +19,14 @@ from .probe import Probe
 from .self_energy import Mean
 from .side_by_side import each
 from .slow_motion import with_slow
-from .terms import Spans, dressed, light, linear_terms, terms
+from .terms import Spans, dressed, light, linear_terms, reach, terms
 
 Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
 LAST_ROUNDS = 3  # at most, on the whole of it
 LEAST_NOISE = 1e-3  # of a sensor, over the force noise, that is looked for
 NOISE_STEP = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
-REACH = 0.3  # of a searched parameter: one standard deviation of the step that is taken at once
+STRIDE = 0.3  # of the reach of a searched parameter: one standard deviation of the step that is taken at once
 SETTLED = 0.1  # standard deviations by which the last step of a fit moves
 
 
@@ -217,7 +217,7 @@ def _at(
             A[:, i, i] += here.whole / (2 * np.pi * data.f_hz) ** 2
     jacobian = Jacobian(A)
     blocks = np.bincount(data.fold, minlength=FOLDS).astype(np.float64)
-    result = _cautious(G, jacobian, blocks, uses)
+    result = _cautious(data, G, jacobian, blocks, uses)
     kept = tuple(light(t) for t in made)
     return WorkingPoint(
         data,
@@ -241,7 +241,7 @@ def _at(
     )
 
 
-def _cautious(G: Gram, jacobian: Jacobian, blocks: Array, uses: list[Placed]) -> PathFit:
+def _cautious(data: MotionBlocks, G: Gram, jacobian: Jacobian, blocks: Array, uses: list[Placed]) -> PathFit:
     """The fit with its step in searched parameters kept short, and what goes with them: their columns are tangents. A
     weak law's are free to run far off; of a strong one's a tenth of a standard deviation is lost."""
     everything = np.arange(FOLDS)
@@ -249,9 +249,10 @@ def _cautious(G: Gram, jacobian: Jacobian, blocks: Array, uses: list[Placed]) ->
     caution = np.zeros(len(G.names))
     for use in uses:
         for k, q in enumerate(use.effect.parameters):
-            if not q.linear and use.p[k] != 0.0 and use.name(k) in G.names:
+            far = STRIDE * reach(use, k, data)
+            if not q.linear and far > 0.0 and use.name(k) in G.names:
                 j = G.names.index(use.name(k))
-                caution[j] = (G.scales[j] / (REACH * use.p[k])) ** 2
+                caution[j] = (G.scales[j] / far) ** 2
     if not caution.any():
         return result
     return replace(fit(G, jacobian, everything, blocks, ridge=caution), covariance=result.covariance)

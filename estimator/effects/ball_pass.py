@@ -35,7 +35,7 @@ BALL_PASS = Effect(
             0.3,
             30.0,
             2.1,
-            "ball passes per shaft turn; from the geometry (BPFO) if it is known",
+            "ball passes per shaft turn; from the record if it shows one, or the geometry (BPFO)",
             scale="bpfo",
         ),
     ),

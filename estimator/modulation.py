@@ -1,0 +1,123 @@
+"""At what shaft order stiffness turns, from the record: geometry may not be given, and bearings slip by a per cent.
+
+Of a missing force F = F0 + k cos(w t) x, with F0 white and independent of x, the product F x has a line at w over a
+smooth floor. Its power over that floor is the nats that k_cos and k_sin gain at this frequency, so a line is sought
+among the products as in a periodogram (frequency to sqrt(6 / nats) / (2 pi T), the bound for a sinusoid).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .effects.ball_pass import BALL_PASS
+from .effects.places import at, kinematic, written
+from .model import EffectUse, Model, Setting
+from .side_by_side import each
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+LEVEL = 1e-4  # chance of one false line in a record
+SURE = 1.3  # the floor is known to about a tenth: so much more is asked of a line
+LOW, HIGH = 0.3, 30.0  # orders looked at
+NEIGHBOURS = 101  # bins that the floor is the median of
+FINER = 4  # bins of the zero-padded spectrum for one of the record
+
+
+@dataclass(frozen=True, slots=True)
+class Turning:
+    """A shaft order at which stiffness turns, and its standard deviation."""
+
+    order: float
+    sd: float
+
+    @property
+    def text(self) -> str:
+        return f"the force follows the motion at shaft order {self.order:.4f} +- {self.sd:.1g}"
+
+
+def sought(model: Model) -> bool:
+    """Whether the model leaves the ball-pass order to be found: it has a speed, and no such law with an order typed."""
+    orders = [own.get("order", Setting()).value for use in laws(model) for own in _written(model, use).values()]
+    return bool(model.speed_rpm) and model.ball_pass_order is None and (not orders or None in orders)
+
+
+def laws(model: Model) -> tuple[EffectUse, ...]:
+    """The uses whose order it is."""
+    return tuple(u for u in model.effects if u.name == BALL_PASS.name)
+
+
+def _written(model: Model, use: EffectUse) -> dict[str, dict[str, Setting]]:
+    return {place: written(BALL_PASS, use, model, place) for place in at(BALL_PASS, use, model)}
+
+
+def begun(model: Model) -> Model:
+    """The model with its laws' orders begun at that of the record."""
+    order = {"order": Setting(model.ball_pass_order)}
+    return replace(
+        model,
+        effects=tuple(
+            replace(u, parameters={place: order | own for place, own in _written(model, u).items()})
+            if u in laws(model) else u
+            for u in model.effects
+        ),
+    )  # fmt: skip
+
+
+def turned(model: Model, point: WorkingPoint) -> tuple[Model, tuple[str, ...]]:
+    """The model with the ball-pass order of the record, where it shows one that the geometry does not give, and what
+    to say about it. point : of the model without ball-pass laws."""
+    found = turning(point)
+    if found is None:
+        return model, ()
+    known = kinematic("bpfo", model)
+    if known is not None and abs(found.order - known) < 4.0 * found.sd:
+        return model, ()
+    beside = "" if known is None else f"; the geometry says {known:.4f}"
+    return replace(model, ball_pass_order=found.order), (found.text + beside,)
+
+
+def turning(point: WorkingPoint) -> Turning | None:
+    """The clearest line of F x at any place, orders 1 and 2 of the shaft left out (a crack's); None without one."""
+    data = point.data
+    rotation = data.speed / (2 * np.pi)
+    if rotation <= 0.0:
+        return None
+    thin = max(1, int(data.rate_hz / (4.0 * HIGH * rotation)))
+    rows = (np.rint(data.t * data.rate_hz).astype(np.int64) - int(np.rint(data.t[0] * data.rate_hz))) // thin
+    size = FINER * (int(rows[-1]) + 1)
+    f = np.fft.rfftfreq(size, thin / data.rate_hz)
+    seconds = float(data.t[-1] - data.t[0])
+    usable = (f > max(LOW * rotation, 10.0 / seconds)) & (f < HIGH * rotation)
+    for k in (1.0, 2.0):
+        usable &= np.abs(f - k * rotation) > 3.0 / seconds
+
+    def clearest(i: int) -> tuple[float, float]:
+        """Nats and Hz of the highest line at a place."""
+        product = np.bincount(rows, point.force[i] * data.x[i])
+        nats = _over_floor(np.abs(np.fft.rfft(product, size)) ** 2)
+        k = int(np.argmax(np.where(usable, nats, 0.0)))
+        return float(nats[k]), float(f[k] + _between(nats[k - 1 : k + 2]) * f[1])
+
+    nats, hz = max(each(clearest, range(len(data.places))))
+    if nats < SURE * np.log(np.count_nonzero(usable) * len(data.places) / LEVEL):
+        return None
+    return Turning(hz / rotation, float(np.sqrt(6.0 / nats) / (2 * np.pi * seconds)) / rotation)
+
+
+def _over_floor(power: Array) -> Array:
+    """Power over the mean of its surroundings, by their median."""
+    from scipy.ndimage import median_filter
+
+    floor = median_filter(power[::FINER], NEIGHBOURS, mode="nearest") / np.log(2)
+    return np.asarray(power / np.maximum(np.repeat(floor, FINER)[: power.size], 1e-300))
+
+
+def _between(three: Array) -> float:
+    """Where between its neighbours a peak lies, bins, by the parabola through their logarithms."""
+    if three.size < 3 or three.min() <= 0.0:
+        return 0.0
+    a, b, c = np.log(three)
+    return float(0.5 * (a - c) / (a - 2 * b + c)) if a - 2 * b + c < 0.0 else 0.0

@@ -1,0 +1,56 @@
+"""A ball-pass order that the geometry does not give is found in the record: bearings slip, geometry may be unknown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hidden_effects import RATE, SECONDS, one_bearing
+
+from estimator import modulation, spectral
+from estimator.effects import CATALOGUE
+from estimator.effects.strength import size, strengths, with_effect
+from estimator.model import EffectUse, Model, Setting
+from estimator.simulate import simulate
+from estimator.whole import fit_whole
+
+WHERE = ("bearing1.x", "bearing1.y")
+
+
+@pytest.fixture(scope="module")
+def rig() -> Model:
+    return one_bearing()
+
+
+@pytest.mark.parametrize(("name", "order"), [("ball_pass", 2.137), ("ball_pass", 3.6)])
+@pytest.mark.parametrize("geometry", [True, False])
+def test_an_order_that_slips_is_found_and_fitted(rig: Model, name: str, order: float, geometry: bool) -> None:
+    rig = rig if geometry else replace(rig, bearing=None)
+    law = CATALOGUE[name]
+    truth = strengths(law, size(rig, "bearing1.x", RATE), 0.03, rig, SECONDS) | {"order": order}
+    y = simulate(with_effect(rig, law, truth, *WHERE), RATE, SECONDS, seed=2, noise=0.02, full_scale=490.5)
+    before = fit_whole(rig, y, RATE)
+    assert before.model.ball_pass_order == pytest.approx(order, abs=3e-4)
+    assert "the geometry says 2.1000" in before.messages[0] if geometry else "geometry" not in before.messages[0]
+    added = replace(rig, effects=(*rig.effects, EffectUse(name, {"bearing1": {}})))
+    fit = spectral.fit(added, y, RATE)
+    for key, value in truth.items():
+        p = fit.parameters[f"bearing1.x.{name}.{key}"]
+        assert abs((p.value or 0.0) - value) < 4.0 * (p.sd or 0.0), (key, p, value)
+
+
+def test_nothing_turns_in_a_complete_record(rig: Model) -> None:
+    y = simulate(rig, RATE, SECONDS, seed=3, noise=0.02, full_scale=490.5)
+    whole = fit_whole(rig, y, RATE)
+    assert modulation.turning(whole.point) is None
+    assert whole.model.ball_pass_order is None
+    assert not whole.messages
+
+
+def test_an_order_that_is_given_is_not_sought(rig: Model) -> None:
+    assert modulation.sought(rig)
+    assert not modulation.sought(replace(rig, speed_rpm=None))
+    assert not modulation.sought(replace(rig, ball_pass_order=2.1))
+    typed = {place: {"order": Setting(2.1)} for place in WHERE}
+    assert not modulation.sought(replace(rig, effects=(EffectUse("ball_pass", typed),)))
+    assert modulation.sought(replace(rig, effects=(EffectUse("ball_pass", {"bearing1": {}}),)))
