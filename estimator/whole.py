@@ -12,14 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import modulation, periodic
+from . import force_colour, modulation, periodic
 from .effect import EffectParameter
 from .effects import CATALOGUE
 from .effects.places import at, written
 from .estimate import Parameter
 from .fit_result import Fit
 from .fitted import parameters
-from .force_colour import sensor_noise
 from .model import EffectUse, Model, Setting
 from .model_uses import not_judged
 from .preparation import prepare
@@ -30,8 +29,10 @@ from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 SHAPING = ("coloured_excitation", "sensor_resonance", "correlated_force", "sensor_clipping", "sensor_noise")
+COLOURS = ("coloured_excitation", "sensor_resonance")  # found among laws that they distort, so looked at once more
 BLIND = ("sensor_gain", "sensor_skew")  # caps that are not coupled say nothing of them: diagnosis.md
-ROUNDS = 2  # of the numbers of periodic forces, which the rest of the fit depends on
+ROUNDS = 2  # of the numbers of periodic forces and colours, which the rest of the fit depends on
+SETTLED = 0.5  # standard deviations by which a colour may still move
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,16 +76,15 @@ def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
         return Whole(model, fit_record(model, prepare(model, y, rate_hz)), {})
     bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u.name in BLIND))
     point = fit_record(bare, prepare(bare, y, rate_hz))
-    seen = suspects(bare, point, y)
-    found: dict[str, Parameter] = {}
-    effects = []
-    for use in model.effects:
-        if use in uses:
-            use, own = _numbered(use, model, seen, point)
-            found |= own
-        effects.append(use)
-    model = replace(model, effects=tuple(effects))
+    model, found = _all_numbered(model, {u.name for u in uses}, suspects(bare, point, y), point)
     point = fit_record(model, prepare(model, y, rate_hz))
+    for _ in range(ROUNDS if any(u.name in COLOURS for u in uses) else 0):
+        flat = replace(point, data=replace(point.data, colour=np.ones_like(point.data.colour)))
+        renewed, again = _all_numbered(model, set(COLOURS), force_colour.find(bare, flat), flat)
+        if not _moved(found, again):
+            break
+        model, found = renewed, found | again
+        point = fit_record(model, prepare(model, y, rate_hz))
     for _ in range(ROUNDS if any(u.name in periodic.PERIODIC for u in uses) else 0):
         model, stepped = periodic.refined(model, point.data, point.force, point.S)
         found |= stepped
@@ -106,6 +106,28 @@ def fit(model: Model, y: Array, rate_hz: float) -> Fit:
         "spectral",
         (*whole.messages, *messages),
     )
+
+
+def _all_numbered(
+    model: Model, names: set[str], seen: list[Suspect], point: WorkingPoint
+) -> tuple[Model, dict[str, Parameter]]:
+    """The model with what was found for the effects of these names, and that as parameters."""
+    found: dict[str, Parameter] = {}
+    effects = []
+    for use in model.effects:
+        if use.name in names:
+            use, own = _numbered(use, model, seen, point)
+            found |= own
+        effects.append(use)
+    return replace(model, effects=tuple(effects)), found
+
+
+def _moved(before: Mapping[str, Parameter], now: Mapping[str, Parameter]) -> bool:
+    """Whether numbers that were found both times differ by more than a part of a standard deviation."""
+    pairs = [(before[name], p) for name, p in now.items()]
+    if any(p.value is None or q.value is None for p, q in pairs):
+        return False
+    return any(abs((p.value or 0.0) - (q.value or 0.0)) > SETTLED * (q.sd or 0.0) for p, q in pairs if q.sd)
 
 
 def _numbered(
@@ -138,7 +160,7 @@ def _found(
 ) -> dict[str, Parameter]:
     """Name -> number of a use at a canonical place; of several lines the one nearest to the frequency written."""
     if use.name == "sensor_noise" and key in point.data.places:
-        return {"rms": sensor_noise(point, point.data.places.index(key))}
+        return {"rms": force_colour.sensor_noise(point, point.data.places.index(key))}
     if use.name == "bow":
         return _bow(model, [s.settings[key] for s in seen if s.effect == "imbalance"])
     own = [s.settings[key] for s in seen if s.effect == use.name and key in s.settings]
