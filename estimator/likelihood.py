@@ -98,8 +98,8 @@ class Likelihood:
         for j, (p, _, _, x) in enumerate(entries):
             self.T[p, j] = x
         w = 2 * np.pi * nodes.f_hz
-        colour = np.ones((w.size, len(balance.places))) if evidence.colour is None else evidence.colour
-        self.colour = colour, nodes.mean_by_cell(colour, evidence.grid.per_cell)
+        flat, colour = np.ones((1, len(balance.places))), evidence.colour
+        self.colour = (flat, flat) if colour is None else (colour, nodes.mean_by_cell(colour, evidence.grid.per_cell))
         self.noise_shape = noise_shape(balance.kinds, w).T  # (f, P)
 
     def force_power(self, B: Floats, gram: Floats | None = None) -> Floats:

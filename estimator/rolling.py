@@ -73,7 +73,8 @@ class RollingSpectral:
         self._retry_at = 0
         self._moves = np.zeros(0)  # (places,) rms acceleration at the start, m/s^2
         self._still = ""  # the place that does not move of late
-        self._gain = _gains(self.model)[self._used]
+        gains = _gains(self.model)[self._used]
+        self._gain = None if (gains == 1.0).all() else gains
         self._estimate = Estimate(0, {}, 0.0, status="warming up")
         reasons = [self._followed.lacking.get(place, "") for place in model.places]
         self._nothing = all(reasons) and bool(reasons)  # can be said of any place
@@ -87,7 +88,8 @@ class RollingSpectral:
             return
         self._since_solved += len(block)
         self._shaft.push(block)
-        motion = self._filter.push(block[:, self._used] / self._gain)
+        y = block[:, self._used]
+        motion = self._filter.push(y if self._gain is None else y / self._gain)
         if motion.rows:
             self._kept.append(motion)
             self._ahead = None

@@ -197,7 +197,8 @@ class RollingFit:
     def solve(self) -> None:
         """Renew the point from the memory, and the memory if the recent data contradict it."""
         self._renew()
-        self.states.follow(self.balance.coefficients(self.local.point.beta))
+        if self.states.columns.size:
+            self.states.follow(self.balance.coefficients(self.local.point.beta))
         if self.solved % CHECKED_EVERY == 0:
             self.suspicions = self.suspicions + 1 if self._changed() else 0
             if self.suspicions >= 2:
