@@ -128,12 +128,12 @@ def _decimate(z, taps, finer, out):  # type: ignore[no-untyped-def]
 
 
 @cache
-def _prototype() -> tuple[Floats, Floats]:
+def _prototype(finer: int) -> tuple[Floats, Floats]:
     """(U, 2 half) taps of the interpolation and (2 half U + 1,) of the decimation: one Kaiser low-pass, -80 dB."""
-    h = low_pass.kaiser(2 * HALF * FINER + 1, 1.0 / FINER, 8.0)
+    h = low_pass.kaiser(2 * HALF * finer + 1, 1.0 / finer, 8.0)
     # value at i + u / U from samples i - half + 1 ... i + half
-    offset = (HALF - 1 - np.arange(2 * HALF))[None, :] * FINER + np.arange(FINER)[:, None]
-    return np.ascontiguousarray(FINER * h[offset + HALF * FINER]), h
+    offset = (HALF - 1 - np.arange(2 * HALF))[None, :] * finer + np.arange(finer)[:, None]
+    return np.ascontiguousarray(finer * h[offset + HALF * finer]), h
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,15 +262,15 @@ def ready(effect: Effect) -> Callable[..., None]:
     return _along(effect.force)
 
 
-def interpolated(z: Floats) -> Floats:
+def interpolated(z: Floats, finer: int = FINER) -> Floats:
     """A signal on the finer grid, without HALF (coarse) rows on either side."""
-    out = np.empty((z.size - 2 * HALF) * FINER)
-    _interpolate(z, _prototype()[0], out)
+    out = np.empty((z.size - 2 * HALF) * finer)
+    _interpolate(z, _prototype(finer)[0], out)
     return out
 
 
-def decimated(force: Floats) -> Floats:
+def decimated(force: Floats, finer: int = FINER) -> Floats:
     """The inner rows of a force on the finer grid of `State.finer`, without what does not fit under Nyquist."""
-    out = np.empty(force.size // FINER - 2 * HALF)
-    _decimate(force, _prototype()[1], FINER, out)
+    out = np.empty(force.size // finer - 2 * HALF)
+    _decimate(force, _prototype(finer)[1], finer, out)
     return out

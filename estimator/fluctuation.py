@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .features import jumps
+from .hidden_states import FINER
 from .motion_blocks import MotionBlocks, coarser, finer, part_of
 from .placed import Placed, tangent_series
 from .probe import LEAST, SHARE, Probe, probed, remembers
@@ -75,7 +76,7 @@ def fluctuations(
     part = part_of(data, max(mean[i].seconds() for i in used)) if used else data
     if any(jumps(u.effect, u.p, data.sizes(i)) for i in used for u in own[i]):
         part = finer(part)
-    path = finer(part_of(data, max(LEAST, SHARE * data.seconds))) if probing else data
+    path = finer(part_of(data, max(LEAST, SHARE * data.seconds)), FINER) if probing else data
     dt = 1.0 / part.rate_hz
 
     def at(i: int) -> Fluctuation | Probe | None:

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from .effect import Effect
 from .effects.compiled import remembered, steps
-from .features import FINER, MARGIN, decimated, interpolated
+from .features import MARGIN, decimated, interpolated
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+FINER = 2  # of the grid that states are integrated on: each step goes as exp(h), see compiled.py
 PIECE = 1 << 15  # rows at a time
 CYCLES = 8.0  # of the motion, after which a step is forgotten or kept for good
-EVERY = 15.7  # cycles a step is launched: about as long as an amplitude lasts, and never at the same phase
+EVERY = 31.3  # cycles a step is launched: longer than an amplitude lasts, and never at the same phase
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +62,10 @@ def remember(
     for a in range(0, n, PIECE):
         b = min(a + PIECE, n)
         rows = np.clip(np.arange(a - MARGIN, b + MARGIN), 0, n - 1)
-        fine = interpolated(x[rows]), interpolated(v[rows])
+        fine = interpolated(x[rows], FINER), interpolated(v[rows], FINER)
         force, states = known = remembered(effect, p, lin, *fine, rate, start)
         start = states[(b - a) * FINER].copy()  # HALF rows before the end: where the next piece begins
-        out[a:b] = decimated(force)
+        out[a:b] = decimated(force, FINER)
         if mean is not None:
             mean.add(effect, p, lin, *fine, known)
     return out

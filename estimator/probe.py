@@ -32,8 +32,8 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 ROUNDS = 2  # of the response: more change nothing
 SIZE = 0.02  # of the probe's largest motion over the path's rms: enough to smooth kinks
-ABOVE = 0.11  # of the finer rate: up to where the probe is white, below half the rate of the record
-SHARE, LEAST = 0.15, 4.0  # of a record that a probe goes along, and s of it at least: its scatter beside the record's
+ABOVE = 0.22  # of the finer rate: up to where the probe is white, below half the rate of the record
+SHARE, LEAST = 0.25, 4.0  # of a record that a probe goes along, and s of it at least: its scatter beside the record's
 STRONG = 2.0  # rms of x' over that of x0, above which the iteration may not end
 
 
