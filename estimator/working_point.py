@@ -24,10 +24,11 @@ from .terms import Spans, dressed, light, linear_terms, reach, terms
 Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
 LAST_ROUNDS = 3  # at most, on the whole of it
-LEAST_NOISE = 1e-3  # of a sensor, over the force noise, that is looked for
+LEAST_NOISE = 1e-4  # of a sensor, over the force noise, that is looked for
 NOISE_STEP = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
 STRIDE = 0.3  # of the reach of a searched parameter: one standard deviation of the step that is taken at once
 SETTLED = 0.1  # standard deviations by which the last step of a fit moves
+SHAKEN = 0.8  # the same where laws are dressed by a probe, whose scatter moves them by so much
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +99,8 @@ def fit_model(
         kL, c, uses = _moved(point, kL, c)
         nu_old, (nu, weight) = nu, _noise(point)
         settled = np.allclose(nu * weight, nu_old * weight, rtol=NOISE_STEP, atol=NOISE_STEP * LEAST_NOISE)
-        if rounds == 0 or (moved.max(initial=0.0) < SETTLED and settled):
+        shaken = any(isinstance(f, Probe) for f in point.fluctuations)
+        if rounds == 0 or (moved.max(initial=0.0) < (SHAKEN if shaken else SETTLED) and settled):
             return replace(point, kL=kL, c=c, placed=tuple(uses))
         rounds -= 1
         del point  # its columns are large: let go before the next are made
@@ -302,7 +304,9 @@ def _noise(point: WorkingPoint) -> tuple[Array, Array]:
     heard = data.heard(point.A)
     out, weight = np.zeros(len(data.places)), heard.mean(axis=1)
     for i in range(len(data.places)):
-        Z = point.spectra[i].reshape(data.blocks, -1, 2)
+        step = point.fit.delta[point.columns.index[i]].astype(np.float32)  # the noise is of the values after it
+        Z = point.spectra[i] + np.tensordot(step, point.columns.spectra[i], 1)
+        Z = Z.reshape(data.blocks, -1, 2)
         power = np.einsum("bkc,bkc->k", Z, Z) / data.blocks / point.weighing.weight[i]
         grid = np.concatenate([[0.0], np.geomspace(LEAST_NOISE, 1e3, 61) / weight[i]])
         shape = data.colour[i] + grid[:, None] * heard[i]

@@ -1,0 +1,23 @@
+"""The fit of a working point: sensor noise beside the parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+from hidden_effects import RATE, one_bearing
+
+from estimator import working_point
+from estimator.model_uses import placed_of
+from estimator.preparation import prepare
+from estimator.simulate import simulate
+
+
+def test_the_noise_is_that_of_the_values_after_a_step() -> None:
+    """Of those before it, noise and stiffness went to and fro, a round apart."""
+    rig = one_bearing()
+    data = prepare(rig, simulate(rig, RATE, 10.0, seed=4, noise=0.1, full_scale=490.5), RATE)
+    point = working_point.fit_model(data, placed_of(rig, data))
+    S = np.array([rig.linear[p]["S"].value or 0.0 for p in rig.places])
+    true = 0.1**2 / (RATE / 2) / S
+    np.testing.assert_allclose(point.nu, true, rtol=0.4)
+    off = working_point._at(point.data, 0.9 * point.kL, 1.2 * point.c, point.nu, list(point.placed))
+    np.testing.assert_allclose(working_point._noise(off)[0], true, rtol=0.4)
