@@ -28,6 +28,8 @@ from .working_point import WorkingPoint, tangent_at
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 NEIGHBOURS = 240  # bins either side for the local noise
+BESIDE = 20  # bins on either side that a line is to be the main thing in
+STEADY = 0.45  # of the power of these bins, what has the shape of a line
 SURE = 1.3  # the local noise is known to about a tenth: so much more is asked of a line
 LEVEL = 1e-4  # chance of one false line in a record, in a blind search
 KNOWN_LEVEL = 1e-4  # at an order that is looked at on purpose
@@ -59,6 +61,17 @@ class Spectrum:
         amplitude = 2 * total / (0.5 * (n - 1))
         k = int(np.clip(round(hz * self.seconds), 1, self.f_hz.size - 1))
         return amplitude, self.noise[:, k]
+
+    def steady(self, hz: float) -> bool:
+        """Whether what is at a frequency has the shape of a line, where it is largest, in phase as in power: a sharp
+        resonance under random forces (of the disc, say, if its mass is not quite known) wanders over its width."""
+        k = int(np.clip(round(hz * self.seconds), BESIDE, self.f_hz.size - 1 - BESIDE))
+        Y = self.Y[:, k - BESIDE : k + BESIDE + 1]
+        Y = Y[int(np.argmax(np.abs(Y[:, BESIDE]) ** 2 / self.noise[:, k]))]
+        x = hz * self.seconds - np.arange(k - BESIDE, k + BESIDE + 1) + 1e-9
+        line = np.exp(1j * np.pi * x) * np.sinc(x) / (1 - x * x)  # of a tone under the window
+        together = np.abs(np.vdot(line, Y)) ** 2 / (np.vdot(line, line).real * np.vdot(Y, Y).real)
+        return bool(together > STEADY)
 
 
 def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
@@ -106,7 +119,7 @@ def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Su
         out += found
     if rotation > 0.0:
         lines += [k * rotation for k in (1, 2) if not any(abs(k * rotation - h) < width for h in [*lines, *known])]
-    for hz in lines:
+    for hz in filter(s.steady, lines):
         suspect = _one_line(model, point, s, hz, rotation, threshold)
         if suspect is not None:
             out.append(suspect)

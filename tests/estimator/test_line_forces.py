@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
-from hidden_effects import RATE, one_bearing
+from dataclasses import replace
 
+import numpy as np
+from hidden_effects import RATE, ROOT, one_bearing
+
+from daq.rig import load_rig
+from estimator import line_forces
 from estimator.line_forces import spectrum_of
+from estimator.simulate import simulate
+from estimator.whole import fit_whole
 
 
 def test_a_record_without_a_mean_has_no_line_at_its_lowest_frequencies() -> None:
@@ -17,3 +23,12 @@ def test_a_record_without_a_mean_has_no_line_at_its_lowest_frequencies() -> None
     ratio = (np.abs(s.Y) ** 2 / s.noise)[:, low]
     assert np.all(np.abs(ratio.mean(axis=1) - 1.0) < 0.3)  # exponential, neighbours alike under the window
     assert ratio.max() < 15.0
+
+
+def test_a_disc_of_another_mass_is_no_line() -> None:
+    """Its resonance is sharp, and where the rig file does not say: but it wanders as no line does."""
+    rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    y = simulate(rig, RATE, 40.0, seed=1, noise=0.02, full_scale=490.5)
+    off = replace(rig, mass={**rig.mass, "disc": 0.9 * rig.mass["disc"]})
+    point = fit_whole(off, y, RATE).point
+    assert line_forces.find(off, point, y, RATE) == []
