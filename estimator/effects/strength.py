@@ -26,6 +26,7 @@ OTHER: Mapping[str, tuple[str, float, float]] = {
     "sensor_resonance": ("frequency", 1.2, 0.7),
     "sensor_noise": ("rms", 0.03, 0.1),
 }
+CRACK = 0.1, 0.3  # of the shaft's stiffness, when the crack is open
 WEAK, STRONG = 0.02, 0.06
 
 
@@ -126,7 +127,7 @@ def strengths(
     """Parameters (name -> SI) of an effect whose force has `fraction` of the rms linear bearing force.
 
     Searched parameters take their natural default. Sensor and excitation effects and the pedestal have no such
-    force: a fraction up to 3 % gives their weak case and more their strong one (OTHER).
+    force, nor has a crack: a fraction up to 3 % gives their weak case and more their strong one (OTHER, CRACK).
     """
     p = defaults(effect, at, model)
     names = [q.name for q in effect.parameters]
@@ -135,6 +136,9 @@ def strengths(
         k = names.index(name)
         p[k] = (weak if fraction <= 0.03 else strong) * at.of(effect.parameters[k])
         return dict(zip(names, p.tolist(), strict=True))
+    if effect.name == "crack" and model is not None:  # a shaft has no more than its own stiffness to lose
+        half = 0.5 * (CRACK[0] if fraction <= 0.03 else CRACK[1]) * model.shaft_stiffness
+        return {"loss": half, "loss_cos": 0.6 * half, "loss_sin": 0.8 * half}
     linear = [k for k, q in enumerate(effect.parameters) if q.linear]
     if not linear:
         raise ValueError(f"{effect.name}: no parameter sets its strength")
