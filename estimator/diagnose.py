@@ -28,6 +28,7 @@ SEARCH_SECONDS = 6.0
 EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
 FOREMOST = 3  # of the ranking, judged on the largest amplitudes too
 REFINED, NEAR = 12, 0.3  # trials refined at most; share of the best gain at a bearing that earns it, everywhere
+FAR = 0.2  # share of the best effect's gain under which it is not asked what searched numbers of another spot would do
 FAMILY = {
     "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
     "quadratic": "even in x", "stop": "even in x",
@@ -167,7 +168,11 @@ def _screen(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress
         if t is not None:
             by_effect.setdefault(t.effect.name, []).append(t)
 
+    gains = {name: sum(max(t.gain, 0.0) for t in own) for name, own in by_effect.items()}
+
     def lent(name: str) -> list[screen.Trial]:
+        if gains[name] < FAR * max(gains.values()):
+            return by_effect[name]
         return screen.borrowed(part, model, by_effect[name], [s for e, s in pairs if e.name == name])
 
     say(0.6, "the whole record")
