@@ -209,7 +209,7 @@ def _at(
         own = each(lambda k: dressed(own[k], uses[k], around), range(len(uses)))
     else:
         known = {t.name: t.memory for t in longer.terms}
-        own = [[replace(t, memory=known[t.name]) for t in ts] for ts in own]
+        own = [[replace(t, memory=known[t.name]) for t in ts if t.name in known] for ts in own]
     made += [t for ts in own for t in ts]
     made += [_follows(data, F, i, j) for pair in data.shared for i, j in (pair, pair[::-1])]
     columns = weighing.columns(made)

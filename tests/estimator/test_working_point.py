@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from hidden_effects import RATE, one_bearing
 
 from estimator import working_point
+from estimator.model import EffectUse, Setting
 from estimator.model_uses import placed_of
 from estimator.preparation import prepare
 from estimator.simulate import simulate
@@ -21,3 +24,16 @@ def test_the_noise_is_that_of_the_values_after_a_step() -> None:
     np.testing.assert_allclose(point.nu, true, rtol=0.4)
     off = working_point._at(point.data, 0.9 * point.kL, 1.2 * point.c, point.nu, list(point.placed))
     np.testing.assert_allclose(working_point._noise(off)[0], true, rtol=0.4)
+
+
+def test_a_law_that_was_still_zero_can_be_looked_at_on_part_of_the_record() -> None:
+    """It has no column for its gap yet, and the part has none either."""
+    rig = one_bearing()
+    y = simulate(rig, RATE, 4.0, seed=1, noise=0.02, full_scale=490.5)
+    uses = {f"bearing1.{d}": {"k": Setting(0.0), "gap": Setting(2e-7)} for d in "xy"}
+    model = replace(rig, effects=(*rig.effects, EffectUse("clearance", uses)))
+    data = prepare(model, y, RATE)
+    point = working_point.fit_model(data, placed_of(model, data), rounds=0)
+    part = working_point.thinned(point, 1.0)
+    assert part.data.blocks < point.data.blocks
+    assert part.columns.names == point.columns.names
