@@ -60,21 +60,21 @@ def dressed(made: list[Term], placed: Placed, fluctuations: Sequence[Fluctuation
         return made
     numbers = {placed.name(k): k for k in range(len(placed.effect.parameters))}
 
-    def sigma(i: int, p: Array) -> Complexes | float:
+    def remembering(i: int, p: Array) -> Complexes | float:
         here = fluctuations[i]
-        if here is None:
-            return 0.0
-        if placed.effect.kind == "memory":
-            return here.of_memory(placed, p)
-        return here.of(tangent_series(placed, here.data, i, p))
+        return 0.0 if here is None else here.of_memory(placed, p)
 
-    at = _once(sigma)
+    at = _once(remembering)
     out = []
     for term in made:
         memory = dict(term.memory)
         for i in placed.at:
             if (here := fluctuations[i]) is not None:
-                own = _summed([w * at(i, p) for p, w in _ends(placed, numbers[term.name], here.data)])
+                ends = _ends(placed, numbers[term.name], here.data)
+                if placed.effect.kind == "memory":
+                    own = _summed([w * at(i, p) for p, w in ends])
+                else:
+                    own = here.of(_summed([w * tangent_series(placed, here.data, i, p) for p, w in ends]))
                 memory[i] = memory.get(i, 0.0) - own
         out.append(replace(term, memory=memory))
     return out
