@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.diagnose import diagnose
+from estimator.diagnose import diagnose_point
 from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.effects.strength import size, strengths, with_effect
@@ -32,7 +32,7 @@ from estimator.heldout import heldout_nll
 from estimator.improve import rung
 from estimator.model import EffectUse, Model, Setting
 from estimator.simulate import simulate
-from estimator.whole import fit_whole
+from estimator.whole import Whole, fit_whole
 
 from .errors import ConfigError
 from .output import Output, write_whole
@@ -111,7 +111,8 @@ def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
     truth, known, noise = hidden(model, case, seconds)
     y = simulate(truth, RATE_HZ, seconds, seed=7000 + case.seed, noise=noise, full_scale=490.5)
     begin = time.process_time()
-    found = diagnose(known, y, RATE_HZ)
+    fitted = fit_whole(known, y, RATE_HZ)
+    found = diagnose_point(fitted.model, fitted.point, y)
     spent = time.process_time() - begin
     top = found.ranking[0] if found.ranking else None
     right = found.verdict == case.effect != COMPLETE
@@ -131,18 +132,20 @@ def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
         "after_percent": top.after_percent if top else 0.0,
         "cpu_seconds": spent,
         "numbers": numbers(truth, top.parameters) if top and right else {},
-        "added": added(known, truth, case.effect, top.at, y) if top and right else {},
+        "added": added(fitted, known, truth, case.effect, top.at, y) if top and right else {},
     }
 
 
-def added(known: Model, truth: Model, effect: str, at: Sequence[str], y: NDArray[np.float64]) -> dict[str, float]:
-    """What adding an effect at places without a number brings: missing force left, %, and nats to_go.
+def added(
+    fitted: Whole, known: Model, truth: Model, effect: str, at: Sequence[str], y: NDArray[np.float64]
+) -> dict[str, float]:
+    """What adding an effect to a model at places without a number brings: missing force left, %, and nats to_go.
 
     to_go, of `gap` between the model as it was and the true one, is what the likelihood still lacks after it.
     """
     grown = replace(known, effects=(*known.effects, EffectUse(effect, {place: {} for place in at})))
     after = fit_whole(grown, y, RATE_HZ)
-    before, best = (heldout_nll(fit_whole(model, y, RATE_HZ).point) for model in (known, truth))
+    before, best = heldout_nll(fitted.point), heldout_nll(fit_whole(truth, y, RATE_HZ).point)
     end = rung(after.model, after.point, y)
     return {
         "missing_percent": end.missing[0],

@@ -15,12 +15,12 @@ from .effects.custom import effect_of
 from .effects.places import at, kinematic, written
 from .estimate import Parameter
 from .model import DIRECTIONS, EffectUse, Model, Setting
+from .motion_blocks import COLOURS
 from .periodic import PERIODIC
+from .preparation import BLIND
 
-SHAPES = ("coloured_excitation", "sensor_resonance")
 FIT = "rotorscope fit has its numbers"
 CLIPPED = "its sensor is clipped: what that took away is missing from the motion"
-BLIND = ("sensor_gain", "sensor_skew")
 GIVE = "rotorscope fit --out writes what it finds"
 
 
@@ -79,7 +79,7 @@ def followed(model: Model) -> Followed:
 
 def _followed(effect: Effect) -> bool:
     """Whether an effect is estimated or held, not left to a fit."""
-    return _law(effect) or effect.kind == "memory" or effect.name in (*SHAPES, "sensor_gain")
+    return _law(effect) or effect.kind == "memory" or effect.name in (*COLOURS, "sensor_gain")
 
 
 def _law(effect: Effect) -> bool:
@@ -88,7 +88,7 @@ def _law(effect: Effect) -> bool:
 
 def _held(effect: Effect, model: Model, remembers: bool) -> list[str]:
     """Parameters that are not estimated. remembers : beside hidden states no shape of a law is searched."""
-    if effect.name in (*SHAPES, "sensor_gain"):
+    if effect.name in (*COLOURS, "sensor_gain"):
         return [q.name for q in effect.parameters]
     if effect.kind == "memory" or (_law(effect) and remembers):
         searched = [q for q in effect.parameters if not q.linear and not q.given]

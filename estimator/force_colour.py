@@ -175,7 +175,8 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
             continue
         c = cells_of(point, i)
         scale = np.array([1.0, 1.0, point.kL[i] * 0.01, point.c[i] * 0.1 + 1e-9])
-        quiet = np.log([point.S[i], point.S[i] * LEAST_NOISE / np.mean(c.noise * np.abs(c.A) ** 2), 1.0, 1.0])
+        least = point.S[i] * LEAST_NOISE / np.mean(c.noise * np.abs(c.A) ** 2)
+        quiet = np.array([np.log(point.S[i]), np.log(least), 0.0, 0.0])
         u0 = quiet.copy()
         u0[1] = np.log(point.nu[i] * point.S[i]) if point.nu[i] > 0.0 else quiet[1] - 10.0
         level, u, _ = _maximum(c, base_model, [u0, quiet], scale)

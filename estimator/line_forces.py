@@ -27,7 +27,7 @@ from .working_point import WorkingPoint, tangent_at
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-NEIGHBOURS = 240  # bins either side for the local noise
+NEIGHBOURS, THIN = 240, 4  # bins either side for the local noise, of which every fourth is looked at
 BESIDE = 20  # bins on either side that a line is to be the main thing in
 STEADY = 0.45  # of the power of these bins, what has the shape of a line
 SURE = 1.3  # the local noise is known to about a tenth: so much more is asked of a line
@@ -77,7 +77,6 @@ class Spectrum:
 def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
     """Spectrum of the motion channels, one per place, as accelerations; missing samples count as zero."""
     from scipy.fft import next_fast_len, rfft
-    from scipy.ndimage import median_filter
 
     columns = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind in _POWER) for p in model.places]
     keep = len(y)
@@ -88,13 +87,16 @@ def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
     f: Array = np.asarray(np.fft.rfftfreq(keep, 1 / rate_hz), dtype=np.float64)
     Y = np.asarray(rfft(windowed, axis=1, workers=2))
     Y *= 2 / (0.5 * (keep - 1))
-    thin = 4  # the median need not be known at every bin
-    noise = np.empty(Y.shape)
-    for i in range(len(Y)):
-        power = np.abs(Y[i]) ** 2
-        local = median_filter(power[::thin], 2 * NEIGHBOURS // thin + 1, mode="reflect") / np.log(2)
-        noise[i] = np.maximum(np.repeat(local, thin)[: power.size], 1e-300)
+    noise = np.stack([surroundings(np.abs(z) ** 2, NEIGHBOURS) for z in Y])
     return Spectrum(f, Y, noise, keep / rate_hz, windowed, rate_hz, model)
+
+
+def surroundings(power: Array, reach: int) -> Array:
+    """(bins,) mean of the bins up to `reach` away, by the median of every fourth of them: a line is not in it."""
+    from scipy.ndimage import median_filter
+
+    local = median_filter(power[::THIN], 2 * reach // THIN + 1, mode="reflect") / np.log(2)
+    return np.asarray(np.maximum(np.repeat(local, THIN)[: power.size], 1e-300))
 
 
 _POWER = {"acceleration": 0, "velocity": 1, "displacement": 2}

@@ -14,15 +14,14 @@ from numpy.typing import NDArray
 
 from .effects.ball_pass import BALL_PASS
 from .effects.places import at, kinematic, written
+from .line_forces import LEVEL, SURE, surroundings
 from .model import EffectUse, Model, Setting
 from .side_by_side import each
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
-LEVEL = 1e-4  # chance of one false line in a record
-SURE = 1.3  # the floor is known to about a tenth: so much more is asked of a line
 LOW, HIGH = 0.3, 30.0  # orders looked at
-NEIGHBOURS = 101  # bins that the floor is the median of
+NEIGHBOURS = 200  # bins of the padded spectrum on either side that the floor is the median of
 FINER = 4  # bins of the zero-padded spectrum for one of the record
 
 
@@ -97,7 +96,8 @@ def turning(point: WorkingPoint) -> Turning | None:
     def clearest(i: int) -> tuple[float, float]:
         """Nats and Hz of the highest line at a place."""
         product = np.bincount(rows, point.force[i] * data.x[i])
-        nats = _over_floor(np.abs(np.fft.rfft(product, size)) ** 2)
+        power = np.abs(np.fft.rfft(product, size)) ** 2
+        nats = power / surroundings(power, NEIGHBOURS)
         k = int(np.argmax(np.where(usable, nats, 0.0)))
         return float(nats[k]), float(f[k] + _between(nats[k - 1 : k + 2]) * f[1])
 
@@ -105,14 +105,6 @@ def turning(point: WorkingPoint) -> Turning | None:
     if nats < SURE * np.log(np.count_nonzero(usable) * len(data.places) / LEVEL):
         return None
     return Turning(hz / rotation, float(np.sqrt(6.0 / nats) / (2 * np.pi * seconds)) / rotation)
-
-
-def _over_floor(power: Array) -> Array:
-    """Power over the mean of its surroundings, by their median."""
-    from scipy.ndimage import median_filter
-
-    floor = median_filter(power[::FINER], NEIGHBOURS, mode="nearest") / np.log(2)
-    return np.asarray(power / np.maximum(np.repeat(floor, FINER)[: power.size], 1e-300))
 
 
 def _between(three: Array) -> float:

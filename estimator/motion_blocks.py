@@ -23,6 +23,7 @@ from .side_by_side import each
 
 Array = NDArray[np.float64]
 FOLDS = 6
+COLOURS = ("coloured_excitation", "sensor_resonance")  # effects that are a shape of the force's spectrum
 _OTHER = {"x": "y", "y": "x"}
 
 
@@ -262,7 +263,7 @@ def colours(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
 
     out = np.ones((len(places), f_hz.size))
     for use in model.effects:
-        if use.name not in ("coloured_excitation", "sensor_resonance"):
+        if use.name not in COLOURS:
             continue
         for i, place in enumerate(places):
             own = [s for k, s in use.parameters.items() if k in (place, place.split(".")[0])]

@@ -9,6 +9,7 @@ from .model import MOTION, Model
 from .motion_blocks import MotionBlocks, cut
 
 Array = NDArray[np.float64]
+BLIND = ("sensor_gain", "sensor_skew")  # caps that are not coupled say nothing of them: diagnosis.md
 
 
 def prepare(model: Model, y: Array, rate_hz: float) -> MotionBlocks:
@@ -20,7 +21,7 @@ def sensors_undone(model: Model, y: Array, rate_hz: float) -> Array:
     """The record with the gain errors and delays that the model knows of taken back."""
     out = y
     for use in model.effects:
-        if use.name not in ("sensor_gain", "sensor_skew"):
+        if use.name not in BLIND:
             continue
         for k, channel in enumerate(model.channels):
             own = [s for key, s in use.parameters.items() if key in (channel.place, channel.node, channel.name)]

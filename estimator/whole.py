@@ -21,16 +21,15 @@ from .fit_result import Fit
 from .fitted import parameters
 from .model import EffectUse, Model, Setting
 from .model_uses import not_judged
-from .preparation import prepare
+from .motion_blocks import COLOURS
+from .preparation import BLIND, prepare
 from .search_start import fit_record
 from .suspect import Suspect
 from .suspects import suspects
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
-SHAPING = ("coloured_excitation", "sensor_resonance", "correlated_force", "sensor_clipping", "sensor_noise")
-COLOURS = ("coloured_excitation", "sensor_resonance")  # found among laws that they distort, so looked at once more
-BLIND = ("sensor_gain", "sensor_skew")  # caps that are not coupled say nothing of them: diagnosis.md
+SHAPING = (*COLOURS, "correlated_force", "sensor_clipping", "sensor_noise")
 ROUNDS = 2  # of the numbers of periodic forces and colours, which the rest of the fit depends on
 SETTLED = 0.5  # standard deviations by which a colour may still move
 
@@ -78,7 +77,7 @@ def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
     point = fit_record(bare, prepare(bare, y, rate_hz))
     model, found = _all_numbered(model, {u.name for u in uses}, suspects(bare, point, y), point)
     point = fit_record(model, prepare(model, y, rate_hz))
-    for _ in range(ROUNDS if any(u.name in COLOURS for u in uses) else 0):
+    for _ in range(ROUNDS if any(u.name in COLOURS for u in uses) else 0):  # found among laws that they distort
         flat = replace(point, data=replace(point.data, colour=np.ones_like(point.data.colour)))
         renewed, again = _all_numbered(model, set(COLOURS), force_colour.find(bare, flat), flat)
         if not _moved(found, again):
