@@ -22,7 +22,7 @@ from .working_point import WorkingPoint
 Array = NDArray[np.float64]
 LOW, HIGH = 0.3, 30.0  # orders looked at
 NEIGHBOURS = 200  # bins of the padded spectrum on either side that the floor is the median of
-FINER = 4  # bins of the zero-padded spectrum for one of the record
+FINER = 4  # bins of the zero-padded spectrum for one of the record, at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,13 +80,15 @@ def turned(model: Model, point: WorkingPoint) -> tuple[Model, tuple[str, ...]]:
 
 def turning(point: WorkingPoint) -> Turning | None:
     """The clearest line of F x at any place, orders 1 and 2 of the shaft left out (a crack's); None without one."""
+    from scipy.fft import next_fast_len, rfft
+
     data = point.data
     rotation = data.speed / (2 * np.pi)
     if rotation <= 0.0:
         return None
     thin = max(1, int(data.rate_hz / (4.0 * HIGH * rotation)))
     rows = (np.rint(data.t * data.rate_hz).astype(np.int64) - int(np.rint(data.t[0] * data.rate_hz))) // thin
-    size = FINER * (int(rows[-1]) + 1)
+    size = next_fast_len(FINER * (int(rows[-1]) + 1), real=True)
     f = np.fft.rfftfreq(size, thin / data.rate_hz)
     seconds = float(data.t[-1] - data.t[0])
     usable = (f > max(LOW * rotation, 10.0 / seconds)) & (f < HIGH * rotation)
@@ -96,7 +98,8 @@ def turning(point: WorkingPoint) -> Turning | None:
     def clearest(i: int) -> tuple[float, float]:
         """Nats and Hz of the highest line at a place."""
         product = np.bincount(rows, point.force[i] * data.x[i])
-        power = np.abs(np.fft.rfft(product, size)) ** 2
+        line = rfft(product, size)
+        power = line.real**2 + line.imag**2
         nats = power / surroundings(power, NEIGHBOURS)
         k = int(np.argmax(np.where(usable, nats, 0.0)))
         return float(nats[k]), float(f[k] + _between(nats[k - 1 : k + 2]) * f[1])
