@@ -84,6 +84,13 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
         return Diagnosis(
             entries[0].effect, tuple(entries), separates=evidence.separates(entries), messages=entries[0].notes
         )
+    return _law(model, point, before, entries, say)
+
+
+def _law(
+    model: Model, point: WorkingPoint, before: missing_force.Survey, entries: list[Entry], say: Progress
+) -> Diagnosis:  # fmt: skip
+    """The first of the ranking, if its law has the shape of what is missing, or one close behind that has."""
     left: dict[str, float] = {}
     for k in _close(entries):
         name = entries[k].effect

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import jsonschema
@@ -10,13 +11,14 @@ import pytest
 from hidden_effects import RATE, ROOT, SECONDS, one_bearing, record, schema
 
 from daq.rig import load_rig
-from estimator.diagnose import _promising, diagnose
+from estimator.diagnose import Diagnosis, _law, _promising, _ranked, diagnose, quiet
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
 from estimator.errors import DataError
 from estimator.improve import improve
 from estimator.model import Model
 from estimator.simulate import simulate
+from estimator.whole import fit_whole
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +89,24 @@ def test_gaps_are_left_out_and_the_effect_is_still_named(rig: Model) -> None:
 def test_catalogue(effect: str, strength: float) -> None:
     model = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
     assert diagnose(model, record(model, effect, strength, seconds=60.0), RATE).verdict == effect
+
+
+def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(rig: Model) -> None:
+    """As Bouc-Wen is at times some nats ahead of a quadratic damping that is there."""
+    y = record(rig, "quadratic", 0.06)
+    fitted = fit_whole(rig, y, RATE)
+    before, entries = _ranked(fitted.model, fitted.point, y, quiet)
+    right, wrong = (next(e for e in entries if e.effect == name) for name in ("quadratic", "stop"))
+
+    def verdict(ahead: float) -> Diagnosis:
+        order = [replace(wrong, score=right.score + ahead), right]
+        return _law(fitted.model, fitted.point, before, order, quiet)
+
+    near, far = verdict(5.0), verdict(50.0)
+    assert near.verdict == near.ranking[0].effect == "quadratic"
+    assert near.messages[0].startswith("stop was ahead")
+    assert far.verdict == "unknown"
+    assert far.ranking[0].effect == "stop"
 
 
 @pytest.mark.slow
