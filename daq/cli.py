@@ -15,7 +15,7 @@ import typer
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from . import cli_analyse, cli_demo, cli_files, cli_live, cli_model  # noqa: E402
-from .errors import RotorscopeError, exit_status  # noqa: E402
+from .errors import exit_status  # noqa: E402
 
 INTERRUPTED = 130
 ABOUT = "Acquire bearing vibration, identify the rotor's stiffness from it, and learn which physics the model lacks."
@@ -79,14 +79,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except RotorscopeError as error:
-        return _failed(str(error), error.exit_status, verbose)
     except Exception as error:
+        if _interrupted(error):
+            return _failed("interrupted", INTERRUPTED, verbose=False)
         status = exit_status(error)
         if status is not None:
             return _failed(str(error), status, verbose)
         text = f"unexpected {type(error).__name__}: {error}; run it again with --verbose and report what it prints"
         return _failed(text, 1, verbose)
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Python and libraries wrap what they were interrupted with (3.11, in `__set_name__`: RuntimeError)."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _failed(text: str, status: int, verbose: bool) -> int:

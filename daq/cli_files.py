@@ -30,9 +30,9 @@ def import_(
     verbose: Verbose = False,
 ) -> None:
     """Another format into a log, by file ending; never a silent fill."""
-    from .importers import import_file as body
-
     with all_or_nothing():
+        from .importers import import_file as body
+
         body(Output(json, quiet, verbose), file, rig, out, rate, gaps)
 
 
@@ -44,9 +44,9 @@ def export(
     verbose: Verbose = False,
 ) -> None:
     """A log into another format, by file ending; gaps become NaN, and are named."""
-    from .exporters import export as body
-
     with all_or_nothing():
+        from .exporters import export as body
+
         body(Output(json, quiet, verbose), log, to)
 
 
@@ -58,9 +58,9 @@ def recover(
     verbose: Verbose = False,
 ) -> None:
     """Mend a cut log, and say what was lost."""
-    from .files import recover as body
-
     with all_or_nothing():
+        from .files import recover as body
+
         body(Output(json, quiet, verbose), log, out)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 
 INTERRUPTED = 130
 
@@ -17,13 +18,18 @@ def main() -> int:
 
     try:
         signal.signal(signal.SIGINT, before)
-        return run()
+        status = run()
+        if before is signal.default_int_handler:
+            signal.signal(signal.SIGINT, _leave)
+        return status
     except KeyboardInterrupt:
         _leave()
         raise
 
 
 def _leave(*_: object) -> None:
-    """Nothing has begun that would have to be closed."""
+    """Nothing has begun, or all has been closed, that had to be."""
+    if "daq.unfinished" in sys.modules:
+        sys.modules["daq.unfinished"].remove_all()
     os.write(2, b"rotorscope: interrupted\n")
     os._exit(INTERRUPTED)

@@ -14,6 +14,7 @@ from .log_reader import Recording, read_log
 from .output import Output
 from .rig import Rig
 from .tables import gap_lines
+from .unfinished import half
 
 CSV_ROWS = 50_000
 
@@ -39,12 +40,11 @@ def export(output: Output, log: Path, to: Path) -> None:
             raise LogError(f"{log}: holds no samples; there is nothing to export")
         temporary = to.with_name(f".{to.name}.part{to.suffix}")
         try:
-            writer(table, temporary)
-            temporary.replace(to)
+            with half(temporary):
+                writer(table, temporary)
+                temporary.replace(to)
         except OSError as error:
             raise ConfigError(f"{to}: cannot be written: {error.strerror}; choose another place") from error
-        finally:
-            temporary.unlink(missing_ok=True)
     for line in gap_lines(recording.gaps, recording.first, recording.rate_hz):
         output.note(line)
     if recording.lost_samples:

@@ -6,12 +6,13 @@ import contextlib
 import os
 import stat
 import threading
-import weakref
 from collections import deque
 from pathlib import Path
 
+from . import unfinished
 from .errors import LogError
 from .log_place import being_written, emptied, free_name, locked, made, moved_aside, opened, refused, unlock
+from .stop import unbroken
 
 COPY = 1 << 20
 SYNC_WAIT_S = 0.3
@@ -42,9 +43,10 @@ class LogFile:
             elif being_written(path):
                 raise refused(path)
             else:
-                self._fd = opened(self._hidden, path)
-                self._clear = weakref.finalize(self, self._hidden.unlink, missing_ok=True)  # at the latest at our exit
-                os.ftruncate(self._fd, 0)  # of one that was killed
+                with unbroken():
+                    self._fd = opened(self._hidden, path)
+                    unfinished.begin(self._hidden)
+                    os.ftruncate(self._fd, 0)  # of one that was killed
         except OSError as error:
             raise LogError(
                 f"cannot write the log {path}: {error.strerror}; choose another --out, or make the folder writable"
@@ -86,7 +88,8 @@ class LogFile:
     @property
     def removed(self) -> bool:
         """Somebody deleted the file or its folder. The bytes live as long as we hold it open."""
-        return os.fstat(self._fd).st_nlink == 0
+        ours = self._hidden is not None and not unfinished.wanted(self._hidden)  # at our exit
+        return os.fstat(self._fd).st_nlink == 0 and not ours
 
     def restore(self) -> Path:
         """Give a removed file its name back (or one beside it, if that is taken), whole. Raises OSError."""
@@ -109,17 +112,20 @@ class LogFile:
         if self._hidden is None:
             self.path = path
         else:
+            unfinished.finish(self._hidden)
+            unfinished.begin(path)
             self._hidden = path
         return path
 
     def keep(self) -> None:
         """It holds something: what lay there before is given up, or kept for good. Raises OSError."""
         if self._hidden is not None:
-            if self.path.exists() and not made(self.path):
-                self.kept = moved_aside(self.path)
-            self._hidden.replace(self.path)
-            self._clear.detach()
-            self._hidden = None
+            with unbroken():
+                if self.path.exists() and not made(self.path):
+                    self.kept = moved_aside(self.path)
+                self._hidden.replace(self.path)
+                unfinished.finish(self._hidden)
+                self._hidden = None
         elif self._aside is not None and made(self._aside):
             with contextlib.suppress(OSError):
                 self._aside.unlink()
@@ -138,8 +144,7 @@ class LogFile:
     def close(self) -> None:
         """Wait a little for the disk; the operating system finishes the rest. What never got its name is gone."""
         if self._hidden is not None:
-            self._hidden.unlink(missing_ok=True)
-            self._clear.detach()
+            unfinished.remove(self._hidden)
         else:
             self.sync()
         if self._syncing is not None:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import os
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from . import unfinished
 from .errors import ConfigError
 
 if TYPE_CHECKING:
@@ -121,21 +120,7 @@ def finite(value: Any) -> Any:
 
 def write_whole(path: Path, data: str | bytes) -> None:
     """Write a file so that nobody ever sees half of it. Raises ConfigError if it cannot be written."""
-    data = data.encode() if isinstance(data, str) else data
     try:
-        if path.exists() and not path.is_file():  # /dev/stdout, a named pipe
-            path.write_bytes(data)
-            return
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(data)
-            umask = os.umask(0)
-            os.umask(umask)
-            os.chmod(temporary, 0o666 & ~umask)
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
+        unfinished.write(path, data.encode() if isinstance(data, str) else data)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}; choose another place") from error

@@ -27,6 +27,7 @@ from . import report_curves as curves
 from . import report_figures as figures
 from . import report_numbers as numbers
 from . import report_words as words
+from . import unfinished
 from .errors import LogError
 
 Json = Mapping[str, Any]
@@ -38,7 +39,7 @@ def write_report(path: Path, title: str, **parts: Any) -> None:
     """Write the page that `render` makes of the same arguments. Raises LogError if the file cannot be written."""
     page = render(title, **parts)
     try:
-        path.write_text(page, encoding="utf-8")
+        unfinished.write(path, page.encode())
     except OSError as problem:
         raise LogError(f"report {path}: {problem.strerror or problem}; choose another --html file") from problem
 

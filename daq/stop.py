@@ -40,21 +40,56 @@ class Stop:
                 raise KeyboardInterrupt
 
 
+_asked = False  # of a command that is all or nothing, to end
+
+
 @contextmanager
 def all_or_nothing() -> Iterator[None]:
     """For commands that write a file: SIGTERM and SIGHUP are as Ctrl-C, so that no half of it stays; a second kills."""
-    mine = []
+    global _asked
+    before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        mine = [n for n in SIGNALS if n != signal.SIGINT and signal.getsignal(n) is signal.SIG_DFL]
+        usual = (signal.SIG_DFL, signal.default_int_handler)
+        before = {n: handler for n in SIGNALS if (handler := signal.getsignal(n)) in usual}
 
     def interrupt(number: int, _frame: FrameType | None) -> None:
-        signal.signal(number, signal.SIG_DFL)
+        global _asked
+        _asked = True
+        signal.signal(number, before[number])
         raise KeyboardInterrupt
 
-    for number in mine:
-        signal.signal(number, interrupt)
     try:
+        _asked = False
+        for number in before:
+            signal.signal(number, interrupt)
         yield
     finally:
-        for number in mine:
-            signal.signal(number, signal.SIG_DFL)
+        _asked = False
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def go_on() -> None:
+    """Before a file is begun. Raises the KeyboardInterrupt that a library has swallowed (pydantic does, in C)."""
+    if _asked:
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def unbroken() -> Iterator[None]:
+    """A signal that comes within acts at the end: whatever is made is by then known to those who clear it away."""
+    before: dict[int, Any] = {}
+    came: list[int] = []
+    main = threading.current_thread() is threading.main_thread()  # no other is interrupted
+    try:
+        for number in SIGNALS if main else ():
+            before[number] = signal.getsignal(number)
+            if before[number] not in (signal.SIG_IGN, None):
+                signal.signal(number, lambda number, _frame: came.append(number))
+        yield
+    finally:
+        for number, handler in before.items():
+            if handler not in (signal.SIG_IGN, None):
+                signal.signal(number, handler)
+        for number in dict.fromkeys(came):
+            signal.raise_signal(number)

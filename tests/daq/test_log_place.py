@@ -224,9 +224,17 @@ def test_an_import_that_fails_leaves_nothing(folder: Path) -> None:
     assert logs(folder) == ["a.mcap"]
 
 
+@pytest.fixture
+def long(sources: Path) -> Iterator[Path]:
+    """Files whose conversion takes a while, and afterwards nothing else, whatever a test has left there."""
+    before = set(sources.iterdir())
+    yield sources
+    for path in set(sources.iterdir()) - before:
+        path.unlink()
+
+
 @pytest.fixture(scope="module")
-def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Files whose conversion takes a while."""
+def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("long")
     for name in ("tiwari_vyas_1997.toml", "canedge_imu.toml", "canmod-gps.dbc"):
         (folder / name).write_bytes((ROOT / "configs" / name).read_bytes())

@@ -1,0 +1,73 @@
+"""Files that are not whole yet: whatever ends the program, but kill -9, leaves none of them behind."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from .stop import go_on, unbroken
+
+_names: set[Path] = set()
+
+
+def begin(path: Path) -> None:
+    """It is being made; call it `unbroken` together with what makes it."""
+    _names.add(path)
+    go_on()
+
+
+def finish(path: Path) -> None:
+    """It is whole, or has got its name."""
+    _names.discard(path)
+
+
+def wanted(path: Path) -> bool:
+    """Whether it is still being made."""
+    return path in _names
+
+
+def remove(path: Path) -> None:
+    with unbroken():
+        _names.discard(path)
+        path.unlink(missing_ok=True)
+
+
+@atexit.register
+def remove_all() -> None:
+    """At the end of the program: of what was interrupted where nobody could clear it away."""
+    with unbroken():
+        while _names:
+            remove(_names.pop())
+
+
+@contextmanager
+def half(path: Path) -> Iterator[None]:
+    """What is made at `path` within is gone afterwards, unless it got another name."""
+    begin(path)
+    try:
+        yield
+    finally:
+        remove(path)
+
+
+def write(path: Path, data: bytes) -> None:
+    """Write a file so that nobody ever sees half of it. Raises OSError."""
+    if path.exists() and not path.is_file():  # /dev/stdout, a named pipe
+        path.write_bytes(data)
+        return
+    with unbroken():
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(data)
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(name, 0o666 & ~umask)
+            os.replace(name, path)
+        except BaseException:
+            os.unlink(name)
+            raise

@@ -1,0 +1,165 @@
+"""Ctrl-C, SIGTERM, a closed terminal at any step of a command that writes a file: all of it or nothing, at its end."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq import cli_files, unfinished
+from daq.log_reader import read_log
+from daq.output import write_whole
+from daq.stop import all_or_nothing, unbroken
+
+RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
+OURS = ("stop", "unfinished", "log_file", "log_place", "log_writer", "importers", "recover", "exporters", "cli_files")
+COMMANDS: dict[str, Callable[[], None]] = {
+    "import": lambda: cli_files.import_(Path("x.npz"), Path("rig.toml"), Path("o.mcap"), quiet=True),
+    "recover": lambda: cli_files.recover(Path("l.mcap"), Path("o.mcap"), quiet=True),
+    "export": lambda: cli_files.export(Path("l.mcap"), Path("o.npz"), quiet=True),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("anywhere")
+    (folder / "rig.toml").write_bytes(RIG.read_bytes())
+    y = np.arange(3000.0)
+    np.savez(folder / "x.npz", rate_hz=25600.0, b1x=y, b1y=y, b2x=y, b2y=y)
+    with contextlib.chdir(folder):
+        COMMANDS["import"]()
+        Path("o.mcap").rename("l.mcap")
+        for command in COMMANDS.values():  # what is imported and compiled once is, from here on
+            command()
+        Path("o.mcap").unlink()
+        Path("o.npz").unlink()
+    return folder
+
+
+class Interrupter:
+    """Sends a signal to ourselves at the n-th step that this thread takes in our own files; 0 counts them only."""
+
+    def __init__(self, at: int, number: signal.Signals) -> None:
+        self.steps = 0
+        self._at, self._number = at, number
+
+    def __enter__(self) -> Interrupter:
+        sys.settrace(self._called)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        sys.settrace(None)
+
+    def _called(self, frame: FrameType, _event: str, _what: Any) -> Any:
+        path = Path(frame.f_code.co_filename)
+        if path.parent.name != "daq" or path.stem not in OURS:
+            return None
+        frame.f_trace_opcodes = path.stem in OURS[:4]  # a signal acts between two of them, not only between lines
+        frame.f_trace_lines = not frame.f_trace_opcodes
+        return self._step
+
+    def _step(self, _frame: FrameType, event: str, _what: Any) -> Any:
+        if event in ("line", "opcode"):
+            self.steps += 1
+            heard = signal.getsignal(self._number) is not signal.SIG_DFL  # else nothing is begun yet, or all is done
+            if self.steps == self._at and heard:
+                signal.raise_signal(self._number)
+        return self._step
+
+
+def steps(run: Callable[[], object]) -> int:
+    with Interrupter(0, signal.SIGINT) as counted:
+        run()
+    return counted.steps
+
+
+@pytest.fixture
+def default_signals() -> Iterator[None]:
+    """As a program of its own has them, and SIGINT heard."""
+    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # a log that was being read
+@pytest.mark.usefixtures("default_signals")
+@pytest.mark.parametrize(
+    ("what", "number"),
+    [*((what, signal.SIGINT) for what in COMMANDS), ("import", signal.SIGTERM), ("recover", signal.SIGHUP)],
+)
+@pytest.mark.parametrize("tries", [50, pytest.param(5000, marks=pytest.mark.slow)])
+def test_all_of_the_file_or_none_of_it(
+    folder: Path, what: str, number: signal.Signals, tries: int, record_property: Callable[[str, object], None]
+) -> None:
+    command = COMMANDS[what]
+    before = {path.name for path in folder.iterdir()}
+    handlers = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    with contextlib.chdir(folder):
+        every = steps(command)
+        (new,) = {path.name for path in folder.iterdir()} - before
+        Path(new).unlink()
+        at = np.unique(np.linspace(1, every, tries).astype(int)).tolist()
+        for step in at:
+            done = False
+            with contextlib.suppress(KeyboardInterrupt), Interrupter(step, number):
+                command()
+                done = True
+            unfinished.remove_all()  # as at the program's end
+            left = {path.name for path in folder.iterdir()} - before
+            assert left <= {new}, step
+            assert left or not done, step
+            if left and new.endswith(".mcap"):
+                assert read_log(folder / new).complete
+            (folder / new).unlink(missing_ok=True)
+            for n, handler in handlers.items():  # interrupted while it put them back
+                signal.signal(n, handler)
+    row = f"`{what}` stopped at any step | {number.name} at {len(at)} of its {every} steps | all or nothing"
+    record_property("reliability", f"{row} | no half of a file")
+
+
+@pytest.mark.usefixtures("default_signals")
+def test_a_signal_waits_until_the_end_of_what_is_unbroken() -> None:
+    done = []
+
+    def interrupted_twice() -> None:
+        with unbroken():
+            signal.raise_signal(signal.SIGINT)
+            with unbroken():
+                signal.raise_signal(signal.SIGINT)
+            done.append("all of it")
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted_twice()
+    assert done == ["all of it"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.usefixtures("default_signals")
+def test_an_interrupt_that_a_library_swallowed_is_remembered(tmp_path: Path) -> None:
+    with all_or_nothing():
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            unfinished.begin(tmp_path / "x")
+    unfinished.remove_all()
+
+
+@pytest.mark.usefixtures("default_signals")
+def test_a_small_file_is_the_old_or_the_new_one(tmp_path: Path) -> None:
+    path = tmp_path / "r.html"
+    every = steps(lambda: write_whole(path, "old"))
+    for at in range(1, every + 1):
+        write_whole(path, "old")
+        with contextlib.suppress(KeyboardInterrupt), Interrupter(at, signal.SIGINT):
+            write_whole(path, "new")
+        assert path.read_text() in ("old", "new")
+        assert [p.name for p in tmp_path.iterdir()] == ["r.html"]
