@@ -11,7 +11,7 @@ line at a frequency of its own. At one constant speed imbalance and bow are the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from .effects import CATALOGUE
 from .effects.places import kinematic, orders
 from .estimate import Parameter
+from .line_spectrum import Spectrum, by_angle, spectrum_of
 from .model import Model
 from .motion_blocks import shaft_response
 from .periodic import known_lines, to_cap
@@ -27,109 +28,46 @@ from .working_point import WorkingPoint, tangent_at
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-NEIGHBOURS, THIN = 240, 4  # bins either side for the local noise, of which every fourth is looked at
-BESIDE = 20  # bins on either side that a line is to be the main thing in
-STEADY = 0.45  # of the power of these bins, what has the shape of a line
 SURE = 1.3  # the local noise is known to about a tenth: so much more is asked of a line
 LEVEL = 1e-4  # chance of one false line in a record, in a blind search
 KNOWN_LEVEL = 1e-4  # at an order that is looked at on purpose
-
-
-@dataclass(frozen=True, slots=True)
-class Spectrum:
-    """Whole-record spectrum under a Hann window. Y : (places, bins), amplitude of a line at the bin; noise : mean
-    |Y|^2 of the surroundings. Single precision: its rounding is a thousandth of the noise of a line."""
-
-    f_hz: Array
-    Y: NDArray[np.complex64]
-    noise: Array
-    seconds: float
-    windowed: NDArray[np.float32]  # (places, n) accelerations under the window
-    rate_hz: float
-    model: Model
-
-    def at(self, hz: float) -> tuple[Complexes, Array]:
-        """(places,) complex amplitudes (phase at t = 0) at any frequency, and their noise."""
-        P, n = self.windowed.shape
-        w = -2j * np.pi * hz / self.rate_hz
-        step = 2048
-        whole = n // step * step
-        turn = np.exp(w * np.arange(step)).astype(np.complex64)
-        inner = self.windowed[:, :whole].reshape(P, -1, step) @ np.stack([turn.real, turn.imag], axis=1)
-        total = (inner[..., 0] + 1j * inner[..., 1]) @ np.exp(w * step * np.arange(whole // step))
-        total = total + self.windowed[:, whole:] @ np.exp(w * np.arange(whole, n))
-        amplitude = 2 * total / (0.5 * (n - 1))
-        k = int(np.clip(round(hz * self.seconds), 1, self.f_hz.size - 1))
-        return amplitude, self.noise[:, k]
-
-    def steady(self, hz: float) -> bool:
-        """Whether what is at a frequency has the shape of a line, where it is largest, in phase as in power: a sharp
-        resonance under random forces (of the disc, say, if its mass is not quite known) wanders over its width."""
-        k = int(np.clip(round(hz * self.seconds), BESIDE, self.f_hz.size - 1 - BESIDE))
-        Y = self.Y[:, k - BESIDE : k + BESIDE + 1]
-        Y = Y[int(np.argmax(np.abs(Y[:, BESIDE]) ** 2 / self.noise[:, k]))]
-        x = hz * self.seconds - np.arange(k - BESIDE, k + BESIDE + 1) + 1e-9
-        line = np.exp(1j * np.pi * x) * np.sinc(x) / (1 - x * x)  # of a tone under the window
-        together = np.abs(np.vdot(line, Y)) ** 2 / (np.vdot(line, line).real * np.vdot(Y, Y).real)
-        return bool(together > STEADY)
-
-
-def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
-    """Spectrum of the motion channels, one per place, as accelerations; missing samples count as zero."""
-    from scipy.fft import next_fast_len, rfft
-
-    columns = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind in _POWER) for p in model.places]
-    keep = len(y)
-    while next_fast_len(keep, real=True) != keep:
-        keep -= 1
-    windowed = np.nan_to_num(np.ascontiguousarray(y[:keep, columns].T, dtype=np.float32), copy=False)
-    windowed *= np.hanning(keep).astype(np.float32)
-    f: Array = np.asarray(np.fft.rfftfreq(keep, 1 / rate_hz), dtype=np.float64)
-    Y = np.asarray(rfft(windowed, axis=1, workers=2))
-    Y *= 2 / (0.5 * (keep - 1))
-    noise = np.stack([surroundings(z.real**2 + z.imag**2, NEIGHBOURS) for z in Y])
-    return Spectrum(f, Y, noise, keep / rate_hz, windowed, rate_hz, model)
-
-
-def surroundings(power: Array, reach: int) -> Array:
-    """(bins,) mean of the bins up to `reach` away, by the median of every fourth of them: a line is not in it."""
-    from scipy.ndimage import median_filter
-
-    local = median_filter(power[::THIN], 2 * reach // THIN + 1, mode="reflect") / np.log(2)
-    return np.asarray(np.maximum(np.repeat(local, THIN)[: power.size], 1e-300))
-
-
-_POWER = {"acceleration": 0, "velocity": 1, "displacement": 2}
 
 
 def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Suspect]:
     """Every periodic force that the model does not have yet, by cause."""
     s = spectrum_of(model, y, rate_hz)
     known = known_lines(model)
-    Z = (s.Y.real**2 + s.Y.imag**2) / s.noise
-    usable = (s.f_hz > max(3.0, 20 / s.seconds)) & (s.f_hz < 0.47 * rate_hz)
-    width = 3.0 / s.seconds
-    for hz in known:
-        usable &= np.abs(s.f_hz - hz) > width
-    Z[:, ~usable] = 0.0
-    threshold = SURE * float(np.log(Z.size / LEVEL))
-    lines = _peaks(s, Z, threshold)
-    out: list[Suspect] = []
     rotation = (model.speed_rpm or 0.0) / 60.0
+    tracked = [] if s.phase is None else [rotation, 2 * rotation]
+    threshold = SURE * float(np.log(s.Y.size / LEVEL))
+    lines = _standing(s, (*known, *tracked), threshold)
+    out: list[Suspect] = []
     if rotation > 0.0 and not any(use.name == "local_defect" for use in model.effects):
-        lines, found = _defects(model, point, s, lines, rotation)
-        out += found
+        turned = by_angle(s)
+        own = lines if turned is s else _standing(turned, known, threshold)
+        defect, fundamental = _strikes(model, point, turned, own, rotation)
+        if defect is not None:
+            lines = [hz for hz in lines if not _multiple(s, hz, fundamental)]
+            out.append(defect)
     if rotation > 0.0:
-        lines += [k * rotation for k in (1, 2) if not any(abs(k * rotation - h) < width for h in [*lines, *known])]
-    for hz in filter(s.steady, lines):
+        looked = [k * rotation for k in (1, 2)]
+        lines += [hz for hz in looked if not any(abs(hz - h) < s.width(hz) for h in [*lines, *known])]
+    for hz in lines:
+        if hz not in tracked and not s.steady(hz):
+            continue
         suspect = _one_line(model, point, s, hz, rotation, threshold)
         if suspect is not None:
             out.append(suspect)
     return out
 
 
-def _peaks(s: Spectrum, Z: Array, threshold: float) -> list[float]:
+def _standing(s: Spectrum, known: Sequence[float], threshold: float) -> list[float]:
     """Frequencies of the bins that stand out in any channel, neighbours joined, strongest first, refined."""
+    Z = (s.Y.real**2 + s.Y.imag**2) / s.noise
+    usable = (s.f_hz > max(3.0, 20 / s.seconds)) & (s.f_hz < 0.47 * s.rate_hz)
+    for hz in known:
+        usable &= np.abs(s.f_hz - hz) > s.width(hz)
+    Z[:, ~usable] = 0.0
     best = Z.max(axis=0)
     order = np.argsort(-best)
     out: list[float] = []
@@ -151,9 +89,12 @@ def _centre(s: Spectrum, k: int, i: int) -> float:
     return float(s.f_hz[k] + np.clip(shift, -0.7, 0.7) / s.seconds)
 
 
-def forces(point: WorkingPoint, s: Spectrum, hz: float) -> tuple[Complexes, Array]:
-    """(places,) complex force amplitudes in N of a line, and (places,) the variance E|.|^2 of their noise."""
-    Y, noise = s.at(hz)
+def forces(point: WorkingPoint, s: Spectrum, hz: float, order: int = 0) -> tuple[Complexes, Array]:
+    """(places,) complex force amplitudes in N of a line, and (places,) the variance E|.|^2 of their noise.
+
+    order : of the shaft, if it is one.
+    """
+    Y, noise = s.at_order(order, hz / order) if order else s.at(hz)
     A = tangent_at(point, np.array([hz]), shaft_response(s.model, point.data.places, np.array([hz])))[0]
     return A @ Y, (np.abs(A) ** 2) @ noise
 
@@ -165,7 +106,7 @@ def _one_line(
     near = [k for k in (1, 2) if rotation > 0 and abs(hz - k * rotation) < 2.0 / s.seconds]
     if near:
         hz = near[0] * rotation  # a tenth of a bin beside it, the phase at t = 0 would be off by a third
-    F, noise = forces(point, s, hz)
+    F, noise = forces(point, s, hz, near[0] if near else 0)
     Z = np.abs(F) ** 2 / noise
     total, P = float(Z.sum()), len(Z)
     needed = float(np.log(P / KNOWN_LEVEL)) + 6.0 if near else threshold
@@ -212,10 +153,16 @@ def _disc(model: Model, point: WorkingPoint, rotation: float) -> Complexes:
     return np.array([to_cap(model, p, w)[0] * (1.0 if p.endswith("x") else -1j) for p in point.data.places])
 
 
-def _defects(
+def _multiple(s: Spectrum, hz: float, fundamental: float) -> bool:
+    """Whether a line is a harmonic of a train."""
+    k = max(1, round(hz / fundamental))
+    return abs(hz - k * fundamental) < 2.0 * k / s.seconds + s.wander * hz
+
+
+def _strikes(
     model: Model, point: WorkingPoint, s: Spectrum, lines: list[float], rotation: float
-) -> tuple[list[float], list[Suspect]]:
-    """Trains of harmonics of a bearing order: the lines they take, and the suspects."""
+) -> tuple[Suspect | None, float]:
+    """The clearest train of harmonics of a bearing order, and its fundamental in Hz."""
     fundamentals = []
     bpfo = kinematic("bpfo", model)
     if bpfo is not None:
@@ -227,7 +174,7 @@ def _defects(
         spacing = np.diff(np.sort(lines))
         fundamentals += [float(d / rotation) for d in np.unique(np.round(spacing, 2)) if d > 0.3 * rotation][:20]
     best: Suspect | None = None
-    taken: list[float] = []
+    fundamental = 0.0
     for order in dict.fromkeys(round(o, 4) for o in fundamentals):
         hz = order * rotation
         if abs(order - round(order)) < 0.02 and order < 2.5:
@@ -241,11 +188,8 @@ def _defects(
         visible = int((Z[i] > 8).sum())
         if visible >= 4 and gains[i] > 40 + 5 * np.sqrt(harmonics.size) and (best is None or gains[i] > best.gain):
             places = [point.data.places[j] for j in range(len(gains)) if gains[j] > 40.0 + 5 * np.sqrt(harmonics.size)]
-            best = _defect(point, s, order, rotation, places, float(np.sum(gains)))
-            taken = [h for h in lines if abs(h / hz - round(h / hz)) < 2.0 / s.seconds / hz * max(1, round(h / hz))]
-    if best is None:
-        return lines, []
-    return [h for h in lines if h not in taken], [best]
+            best, fundamental = _defect(point, s, order, rotation, places, float(np.sum(gains))), hz
+    return best, fundamental
 
 
 def _defect(
@@ -256,7 +200,7 @@ def _defect(
     hz = order * rotation
     for place in places:
         i = point.data.places.index(place)
-        turn = (hz * point.data.t) % 1.0
+        turn = (order * point.data.phase / (2 * np.pi)) % 1.0
         bins = 256
         index = np.minimum((turn * bins).astype(int), bins - 1)
         folded = np.bincount(index, point.force[i], bins) / np.maximum(np.bincount(index, minlength=bins), 1)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from .effects.ball_pass import BALL_PASS
 from .effects.places import at, kinematic, written
-from .line_forces import LEVEL, SURE, surroundings
+from .line_forces import LEVEL, SURE
+from .line_spectrum import surroundings
 from .model import EffectUse, Model, Setting
 from .side_by_side import each
 from .working_point import WorkingPoint
@@ -87,7 +88,8 @@ def turning(point: WorkingPoint) -> Turning | None:
     if rotation <= 0.0:
         return None
     thin = max(1, int(data.rate_hz / (4.0 * HIGH * rotation)))
-    rows = (np.rint(data.t * data.rate_hz).astype(np.int64) - int(np.rint(data.t[0] * data.rate_hz))) // thin
+    turned = (data.phase - data.phase[0]) / data.speed  # s, at the mean speed: a line of the shaft's stays one
+    rows = np.rint(turned * data.rate_hz).astype(np.int64) // thin
     size = next_fast_len(FINER * (int(rows[-1]) + 1), real=True)
     f = np.fft.rfftfreq(size, thin / data.rate_hz)
     seconds = float(data.t[-1] - data.t[0])

@@ -19,6 +19,7 @@ from .filtered import Filtered
 from .model import MOTION, Model
 from .periodic import series
 from .rotor import shaft_at_caps
+from .shaft_angle import measured_phase
 from .side_by_side import each
 
 Array = NDArray[np.float64]
@@ -32,8 +33,9 @@ class MotionBlocks:
     """Valid blocks laid end to end, n = blocks * block rows. SI.
 
     v, x : (places, n) band-limited motion; known : (places, n) N, the part of the force that needs no estimate:
-    m a + shaft and disc. t : (n,) s from the start of the record; phase : (n,) rad. start : (blocks,) first row of each
-    block in the record. fold : (blocks,) number of the time fold. force : (places, n) N, the measured force or zero.
+    m a + shaft and disc. t : (n,) s from the start of the record; phase : (n,) rad, of the shaft, by a tacho or at the
+    model's speed. start : (blocks,) first row of each block in the record. fold : (blocks,) number of the time fold.
+    force : (places, n) N, the measured force or zero.
     """
 
     places: tuple[str, ...]
@@ -212,7 +214,11 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     def valid(z: Array) -> Array:
         return z[:, runs[0]] if len(runs) == 1 else np.concatenate([z[:, run] for run in runs], axis=1)
 
-    a, v, x, u, t = map(valid, (motion.a, motion.v[:P], motion.x[:P], motion.u, np.arange(len(y))[None] / rate_hz))
+    t = np.arange(len(y)) / rate_hz
+    speed = 2 * np.pi * (model.speed_rpm or 0.0) / 60
+    angle = measured_phase(model, y, rate_hz)
+    turning = np.stack([t, speed * t if angle is None else angle])
+    a, v, x, u, (t, phase) = map(valid, (motion.a, motion.v[:P], motion.x[:P], motion.u, turning))
     mass = np.array([model.cap_mass(p) or 1.0 for p in places])
     known = u[:P] if len(u) else np.zeros_like(x)
     for direction in "xy":
@@ -227,8 +233,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     for k, p in enumerate(q for q in places if q in forced):
         known[places.index(p)] -= a[P + k]
     rms = np.array([each(np.std, z) for z in (x, v, a[:P])])
-    speed = 2 * np.pi * (model.speed_rpm or 0.0) / 60
-    periodic = series(model, places, t[0], speed * t[0], rate_hz, model.band)
+    periodic = series(model, places, t, phase, rate_hz, model.band)
     if periodic is not None:
         known -= periodic
     fold = np.minimum(np.arange(starts.size) * FOLDS // starts.size, FOLDS - 1)
@@ -236,7 +241,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     f = np.asarray(bins * (rate_hz / block), dtype=np.float64)
     kinds = tuple(model.channels[k].kind for k in moving)
     return MotionBlocks(
-        places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t[0], speed * t[0], mass, speed,
+        places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
         shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, bool(forced), None,
         _shared(model, places),
     )  # fmt: skip

@@ -1,6 +1,8 @@
-"""Shaft angle from a tacho channel: one pulse a turn, its rising edge at angle 0."""
+"""Shaft angle and speed from a tacho channel: one pulse a turn, its rising edge at angle 0."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,15 @@ def measured_phase(model: Model, y: Array, rate_hz: float) -> Array | None:
     """(n,) rad, the shaft angle along y (n, channels of the model); None without a tacho channel. Raises DataError."""
     column = next((i for i, c in enumerate(model.channels) if c.kind == "tacho"), None)
     return None if column is None else shaft_angle(y[:, column], rate_hz, model.channels[column].name)
+
+
+def timed(model: Model, y: Array, rate_hz: float) -> Model:
+    """The model with the mean speed that its tacho measured along y, whatever its rig file says. Raises DataError."""
+    phase = measured_phase(model, y, rate_hz)
+    if phase is None or len(phase) < 2:
+        return model
+    turns = float(phase[-1] - phase[0]) / (2 * np.pi)
+    return replace(model, speed_rpm=60.0 * turns * rate_hz / (len(phase) - 1))
 
 
 def shaft_angle(pulses: Array, rate_hz: float, name: str = "tacho") -> Array:

@@ -24,6 +24,7 @@ from .model_uses import not_judged
 from .motion_blocks import COLOURS
 from .preparation import BLIND, prepare
 from .search_start import fit_record
+from .shaft_angle import timed
 from .suspect import Suspect
 from .suspects import suspects
 from .working_point import WorkingPoint
@@ -56,7 +57,11 @@ def beside_the_laws(use: EffectUse) -> bool:
 
 
 def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
-    """Fit everything in a model to (n, channels) rows, SI, NaN where missing. Raises DataError."""
+    """Fit everything in a model to (n, channels) rows, SI, NaN where missing. A tacho channel gives the speed.
+
+    Raises DataError.
+    """
+    model = timed(model, y, rate_hz)
     if not modulation.sought(model):
         return _fitted(model, y, rate_hz)
     if laws := modulation.laws(model):

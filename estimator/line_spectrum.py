@@ -1,0 +1,120 @@
+"""The spectrum of a whole record, that lines are sought in: by time, or by the shaft's angle where a tacho tells it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .model import MOTION, Model
+from .shaft_angle import measured_phase
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+NEIGHBOURS, THIN = 240, 4  # bins either side for the local noise, of which every fourth is looked at
+BESIDE = 20  # bins on either side that a line is to be the main thing in
+STEADY = 0.45  # of the power of these bins, what has the shape of a line
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrum:
+    """Whole-record spectrum under a Hann window. Y : (places, bins), amplitude of a line at the bin; noise : mean
+    |Y|^2 of the surroundings. Single precision: its rounding is a thousandth of the noise of a line."""
+
+    f_hz: Array
+    Y: NDArray[np.complex64]
+    noise: Array
+    seconds: float
+    windowed: NDArray[np.float32]  # (places, n) accelerations under the window
+    rate_hz: float
+    model: Model
+    phase: Array | None  # (n,) rad, of the shaft, where a tacho measured it
+
+    @property
+    def wander(self) -> float:
+        """By how much of itself the measured speed moves either way."""
+        if self.phase is None:
+            return 0.0
+        second = np.diff(self.phase[:: int(self.rate_hz)])
+        return float(0.5 * np.ptp(second) / second.mean())
+
+    def width(self, hz: float) -> float:
+        """Hz on either side of a line that belong to it."""
+        return 3.0 / self.seconds + self.wander * hz
+
+    def at_order(self, order: int, hz: float) -> tuple[Complexes, Array]:
+        """The same as `at` of an order of the shaft, which turns at hz in the mean."""
+        if self.phase is None:
+            return self.at(order * hz)
+        turn = np.exp(-1j * order * self.phase).astype(np.complex64)
+        total = self.windowed @ turn.real + 1j * (self.windowed @ turn.imag)
+        amplitude = 2 * total / (0.5 * (self.phase.size - 1))
+        return amplitude, self.noise[:, int(np.clip(round(order * hz * self.seconds), 1, self.f_hz.size - 1))]
+
+    def at(self, hz: float) -> tuple[Complexes, Array]:
+        """(places,) complex amplitudes (phase at t = 0) at any frequency, and their noise."""
+        P, n = self.windowed.shape
+        w = -2j * np.pi * hz / self.rate_hz
+        step = 2048
+        whole = n // step * step
+        turn = np.exp(w * np.arange(step)).astype(np.complex64)
+        inner = self.windowed[:, :whole].reshape(P, -1, step) @ np.stack([turn.real, turn.imag], axis=1)
+        total = (inner[..., 0] + 1j * inner[..., 1]) @ np.exp(w * step * np.arange(whole // step))
+        total = total + self.windowed[:, whole:] @ np.exp(w * np.arange(whole, n))
+        amplitude = 2 * total / (0.5 * (n - 1))
+        k = int(np.clip(round(hz * self.seconds), 1, self.f_hz.size - 1))
+        return amplitude, self.noise[:, k]
+
+    def steady(self, hz: float) -> bool:
+        """Whether what is at a frequency has the shape of a line, where it is largest, in phase as in power: a sharp
+        resonance under random forces (of the disc, say, if its mass is not quite known) wanders over its width."""
+        k = int(np.clip(round(hz * self.seconds), BESIDE, self.f_hz.size - 1 - BESIDE))
+        Y = self.Y[:, k - BESIDE : k + BESIDE + 1]
+        Y = Y[int(np.argmax(np.abs(Y[:, BESIDE]) ** 2 / self.noise[:, k]))]
+        x = hz * self.seconds - np.arange(k - BESIDE, k + BESIDE + 1) + 1e-9
+        line = np.exp(1j * np.pi * x) * np.sinc(x) / (1 - x * x)  # of a tone under the window
+        together = np.abs(np.vdot(line, Y)) ** 2 / (np.vdot(line, line).real * np.vdot(Y, Y).real)
+        return bool(together > STEADY)
+
+
+def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
+    """Spectrum of the motion channels, one per place, as accelerations; missing samples count as zero."""
+    from scipy.fft import next_fast_len
+
+    columns = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind in MOTION) for p in model.places]
+    keep = len(y)
+    while next_fast_len(keep, real=True) != keep:
+        keep -= 1
+    windowed = np.nan_to_num(np.ascontiguousarray(y[:keep, columns].T, dtype=np.float32), copy=False)
+    windowed *= np.hanning(keep).astype(np.float32)
+    return _spectrum(windowed, model, rate_hz, measured_phase(model, y[:keep], rate_hz))
+
+
+def by_angle(s: Spectrum) -> Spectrum:
+    """The same against the shaft's angle, in Hz at its mean speed: orders are lines there, however it turns."""
+    if s.phase is None:
+        return s
+    row = np.arange(s.phase.size)
+    at = np.interp(np.linspace(s.phase[0], s.phase[-1], s.phase.size), s.phase, row)
+    windowed = np.stack([np.interp(at, row, z).astype(np.float32) for z in s.windowed])
+    return _spectrum(windowed, s.model, s.rate_hz, None)
+
+
+def _spectrum(windowed: NDArray[np.float32], model: Model, rate_hz: float, phase: Array | None) -> Spectrum:
+    from scipy.fft import rfft
+
+    n = windowed.shape[1]
+    f: Array = np.asarray(np.fft.rfftfreq(n, 1 / rate_hz), dtype=np.float64)
+    Y = np.asarray(rfft(windowed, axis=1, workers=2))
+    Y *= 2 / (0.5 * (n - 1))
+    noise = np.stack([surroundings(z.real**2 + z.imag**2, NEIGHBOURS) for z in Y])
+    return Spectrum(f, Y, noise, n / rate_hz, windowed, rate_hz, model, phase)
+
+
+def surroundings(power: NDArray[np.floating], reach: int) -> Array:
+    """(bins,) mean of the bins up to `reach` away, by the median of every fourth of them: a line is not in it."""
+    from scipy.ndimage import median_filter
+
+    local = median_filter(power[::THIN], 2 * reach // THIN + 1, mode="reflect") / np.log(2)
+    return np.asarray(np.maximum(np.repeat(local, THIN)[: power.size], 1e-300))

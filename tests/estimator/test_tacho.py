@@ -1,0 +1,61 @@
+"""A shaft whose speed wanders and is only known by its tacho: what compare and diagnose make of its orders."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_effects import RATE, ROOT
+
+from daq.rig import load_rig
+from estimator import line_forces
+from estimator.effects import CATALOGUE
+from estimator.effects.strength import with_effect
+from estimator.model import Channel, Model
+from estimator.modulation import turning
+from estimator.shaft_angle import timed
+from estimator.simulate import simulate
+from estimator.simulate_speed import Speed
+from estimator.whole import fit_whole
+
+SECONDS = 10.0
+WANDER = Speed(2100.0, fluctuation=0.01)
+HIDDEN = {
+    "imbalance": ({"a": 0.3, "b": 0.15}, ("disc",)),
+    "local_defect": ({"strike": 1.7, "order": 2.1, "angle": 0.0, "width": 0.05}, ("bearing1.x", "bearing1.y")),
+    "ball_pass": ({"k_cos": 6e5, "k_sin": 6e5, "order": 2.137}, ("bearing2.x", "bearing2.y")),
+}
+
+
+@pytest.fixture(scope="module")
+def rig() -> Model:
+    model = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    return replace(model, channels=(*model.channels, Channel("tacho", "", "", "tacho")))
+
+
+@pytest.fixture(scope="module")
+def record(rig: Model) -> np.ndarray:
+    truth = rig
+    for name, (values, places) in HIDDEN.items():
+        truth = with_effect(truth, CATALOGUE[name], values, *places)
+    return simulate(truth, RATE, SECONDS, seed=2, noise=0.02, full_scale=490.5, speed=WANDER)
+
+
+def test_orders_are_found_although_the_speed_wanders(rig: Model, record: np.ndarray) -> None:
+    whole = fit_whole(replace(rig, speed_rpm=None), record, RATE)
+    found = line_forces.find(whole.model, whole.point, record, RATE)
+    assert {s.effect for s in found} == {"imbalance", "local_defect"}
+    for name, value in HIDDEN["imbalance"][0].items():
+        got = next(s for s in found if s.effect == "imbalance").settings["disc"][name]
+        assert got.value == pytest.approx(value, abs=4 * got.sd)
+    order = turning(whole.point)
+    assert order is not None
+    assert order.order == pytest.approx(2.137, abs=4 * order.sd)
+
+
+def test_the_tacho_decides_over_the_speed_of_the_rig_file(rig: Model, record: np.ndarray) -> None:
+    turns = (WANDER.phase(np.array([0.0, SECONDS]))[1] - WANDER.phase(np.array([0.0]))[0]) / (2 * np.pi)
+    measured = timed(replace(rig, speed_rpm=1800.0), record, RATE)
+    assert measured.speed_rpm == pytest.approx(60.0 * turns / SECONDS, rel=1e-4)
+    assert timed(replace(rig, channels=rig.channels[:-1]), record[:, :-1], RATE).speed_rpm == 2100.0
