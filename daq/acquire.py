@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import platform
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -23,6 +24,7 @@ from .sink import Sink
 
 FINITE = ("capture", "replay", "simulated")  # kinds of link that wait for us; all others are live
 READ_S = 0.1
+LINK_S = 0.5  # a link that is closed wakes whoever reads it
 GRACE_S = 2.0  # a live link may take this much longer than the seconds asked for, from its first sample on
 STOP_S = 0.6  # after a stop, this long for the reader to end, and for the estimator to finish
 ESTIMATOR_S = 10.0  # at the end of the seconds or of the source, this long
@@ -100,6 +102,8 @@ def acquire(
     rate_hz = rig.acquisition.rate_hz if rig.acquisition else None
     if rate_hz and live:  # nobody waits for a log
         _warm_up(make, rig, rate_hz)
+    if live:
+        gc.freeze()  # to go through all that is loaded by now holds every thread for 0.1 s
     about = _about(driver, clock) | dict(metadata or {})
     plan = Plan(rig.model, make, rate_hz, device, rig.attachments(), about, seconds)
     queue = ReadingQueue(live=live)
@@ -137,7 +141,7 @@ def _read(driver: Driver, queue: ReadingQueue, stop: threading.Event) -> None:
     failure: BaseException | None = None
     try:
         while queue.open and not stop.is_set():
-            readings = driver.read(READ_S)
+            readings = driver.read(LINK_S)
             if readings:
                 queue.put(readings)
             elif driver.exhausted:

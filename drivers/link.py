@@ -107,7 +107,7 @@ class Link:
         with self._lock:
             while not self._closed.is_set():
                 left = deadline - time.monotonic()
-                out = self._step(max(0.0, min(SLICE_S, left)))
+                out = self._step(max(0.0, left))
                 if out or left <= 0 or self._source.exhausted:
                     return out
             self._release()
@@ -118,7 +118,7 @@ class Link:
             self._reopen(wait_s)
             return list(self._decoder.notices.take())
         try:
-            data = self._source.receive(wait_s)
+            data = self._source.receive(min(SLICE_S, wait_s))
         except LinkLost as lost:
             self._lose(str(lost))
             return list(self._decoder.notices.take())

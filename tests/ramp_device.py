@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from promises import PATIENCE_S
 
 from drivers.links import make_driver, parse_link
 from drivers.reading import REASONS, Block, Driver, Gap, Info, Notice, Reading
@@ -90,7 +91,7 @@ class Record:
         return {notice.code for notice in self.notices}
 
 
-def read_all(driver: Driver, record: Record | None = None, seconds: float = 20.0) -> Record:
+def read_all(driver: Driver, record: Record | None = None, seconds: float = PATIENCE_S) -> Record:
     """Read until the driver is exhausted."""
     record = record or Record()
     deadline = time.monotonic() + seconds
@@ -109,7 +110,7 @@ class Served:
         self._ready = threading.Event()
         self.thread = threading.Thread(target=serve, args=(link, device, speed, self.stop, self._started))
         self.thread.start()
-        assert self._ready.wait(10)
+        assert self._ready.wait(PATIENCE_S)
 
     def _started(self, url: str) -> None:
         self.url = url
@@ -128,7 +129,13 @@ class Served:
         return driver
 
 
-def read_until(driver: Driver, record: Record, done: Callable[[Record], bool], seconds: float = 20.0) -> Record:
+def read_for(driver: Driver, record: Record, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        record.take(driver.read(0.3))
+
+
+def read_until(driver: Driver, record: Record, done: Callable[[Record], bool], seconds: float = PATIENCE_S) -> Record:
     deadline = time.monotonic() + seconds
     while not done(record):
         assert time.monotonic() < deadline, f"waited in vain: {record.samples} samples, {record.codes()}"

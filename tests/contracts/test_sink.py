@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from promises import PATIENCE_S, within
 from sessions import RATE_HZ, counts_at, feed, make_block, make_estimate, make_session, make_status, make_stream
 
 from daq.live_devices_table import DeviceRow
@@ -140,8 +141,9 @@ def test_no_call_makes_the_core_loop_wait(name: str, tmp_path: Path) -> None:
         slowest = max(slowest, time.perf_counter() - begin)
     begin = time.perf_counter()
     sink.close()
-    assert slowest < 0.25
-    assert time.perf_counter() - begin < 5.0
+    took = time.perf_counter() - begin
+    within(slowest, 0.25)
+    within(took, 5.0)
 
 
 def test_no_thread_and_no_handle_stays(tmp_path: Path) -> None:
@@ -155,7 +157,7 @@ def test_no_thread_and_no_handle_stays(tmp_path: Path) -> None:
             sink = make(tmp_path)
             feed(sink, make_stream(5))
             sink.close()
-        end = time.monotonic() + 3.0  # a thread that was told to end may need a moment
+        end = time.monotonic() + PATIENCE_S  # a thread that was told to end may need a moment
         while (left := set(threading.enumerate()) - threads) and time.monotonic() < end:
             time.sleep(0.05)
         assert left == set(), name

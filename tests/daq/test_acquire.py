@@ -11,6 +11,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from promises import within
 from stand_ins import MomentEstimator, Recorder, ScriptedDriver, info_of, paper_rig, vibration
 
 from daq.acquire import Device, RunSummary, acquire, acquire_all
@@ -96,7 +97,7 @@ def test_a_silent_device_does_not_hold_a_run_of_given_length(monkeypatch: pytest
     recorder = Recorder()
     begin = time.monotonic()
     summary = acquire(RIG, ScriptedDriver([[INFO]], ends=False), [recorder], seconds=0.3, make=MomentEstimator)
-    assert time.monotonic() - begin < 3.0
+    within(time.monotonic() - begin, 3.0)
     assert summary.samples == 0
     assert recorder.of("close") == [None]
 
@@ -109,7 +110,7 @@ def test_stop_ends_a_live_session_quickly_with_everything_that_was_read(tmp_path
     begin = time.monotonic()
     writer = LogWriter(tmp_path / "a.mcap")
     summary = acquire(RIG, ScriptedDriver(endless()), [writer], stop=stop, make=MomentEstimator)
-    assert time.monotonic() - begin < 3.0
+    within(time.monotonic() - begin, 3.0)
     log = read_log(tmp_path / "a.mcap")
     assert log.complete
     assert log.n_samples == summary.samples > 5_000
@@ -205,7 +206,7 @@ def test_a_stalled_estimator_delays_neither_log_nor_viewer(
     longest = float(np.diff(sink.of("at")).max())  # type: ignore[arg-type]
     row = "estimator stalls | an update that takes 1 s | log and viewer are not delayed, nothing is lost"
     record_property("reliability", f"{row} | raw readings at most {1e3 * longest:.0f} ms apart")
-    assert longest < 0.5
+    within(longest, 0.5)
 
 
 def test_a_hanging_estimator_does_not_hold_the_stop(
@@ -225,7 +226,7 @@ def test_a_hanging_estimator_does_not_hold_the_stop(
     path = tmp_path / "a.mcap"
     summary = acquire(RIG, ScriptedDriver(flood(count=10**6)), [LogWriter(path)], stop=stop, make=Crawl)
     took = time.monotonic() - begin - 1.2
-    assert took < 2.0
+    within(took, 2.0)
     row = "estimator far too slow at the stop | 50 ms for each 40 ms block | complete log within 2 s, rest logged"
     record_property("reliability", f"{row} and named | {took:.2f} s")
     log = read_log(path)
@@ -291,7 +292,9 @@ def test_replay_in_real_time_and_stopped(tmp_path: Path) -> None:
     log = read_log(tmp_path / "a.mcap")
     begin = time.monotonic()
     summary = replay(log, speed=2.0, make=MomentEstimator)
-    assert 0.45 < time.monotonic() - begin < 1.5
+    took = time.monotonic() - begin
+    assert took > 0.45
+    within(took, 1.5)
     assert summary.samples == 25_600
     stop = threading.Event()
     threading.Timer(0.3, stop.set).start()

@@ -17,6 +17,7 @@ import numpy as np
 import psutil
 import pytest
 from cable import Cable
+from promises import PATIENCE_S, least_share, within
 from ramp_device import PERIOD, ramp_device
 
 from daq.cli import main
@@ -143,7 +144,7 @@ def run(rig: Path, *arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def wait_for(path: Path, done: Callable[[Recording], bool], seconds: float = 40.0) -> Recording:
+def wait_for(path: Path, done: Callable[[Recording], bool], seconds: float = PATIENCE_S) -> Recording:
     end = time.monotonic() + seconds
     while True:
         if path.exists() and path.stat().st_size > 20_000 and done(log := read_log(path)):
@@ -156,7 +157,7 @@ def stop(process: subprocess.Popen[str], path: Path) -> tuple[float, str]:
     """SIGTERM; seconds until the log was closed, and what was said."""
     process.send_signal(signal.SIGTERM)
     asked, asked_s = time.monotonic(), time.time()
-    out, error = process.communicate(timeout=20)
+    out, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, error
     closed = path.stat().st_mtime - asked_s
     print(f"log closed after {closed:.2f} s, process gone after {time.monotonic() - asked:.2f} s")
@@ -171,10 +172,8 @@ def test_a_pulled_cable_costs_next_to_no_cpu_and_comes_back(
     wait_for(path, lambda log: log.n_samples > 20_000)
     cable.pull()
     time.sleep(1.0)
-    watched, begin = psutil.Process(process.pid), time.monotonic()
-    used = sum(watched.cpu_times()[:2])
-    time.sleep(4.0)
-    share = (sum(watched.cpu_times()[:2]) - used) / (time.monotonic() - begin)
+    watched = psutil.Process(process.pid)
+    share = least_share(lambda: sum(watched.cpu_times()[:2]), time.sleep, 0.02, window_s=4.0)
     cable.plug()
     back_ns = time.monotonic_ns()
 
@@ -191,9 +190,9 @@ def test_a_pulled_cable_costs_next_to_no_cpu_and_comes_back(
     assert {"link_lost", "link_back"} <= {n.code for n in log.notices}
     assert {g.reason for g in log.gaps if g.count > 64 * 400} == {"reconnect"}
     assert "reconnect" in said
-    assert returned < 5.0
     assert share < 0.02
-    assert took < 2.0
+    within(returned, 5.0)
+    within(took, 2.0)
 
 
 def test_no_viewer_a_log_that_vanishes_and_acquisition_goes_on(
@@ -219,7 +218,7 @@ def test_no_viewer_a_log_that_vanishes_and_acquisition_goes_on(
     row = "no viewer, log folder removed | at once, under `rotorscope run`"
     measured = f"{log.n_samples} samples, 0 lost; closed in {took:.2f} s"
     record_property("reliability", f"{row} | both told, no sample lost, quick end | {measured}")
-    assert took < 2.0
+    within(took, 2.0)
 
 
 def test_what_listens_does_so_on_loopback_and_says_where(rig: Path, tmp_path: Path) -> None:
@@ -239,8 +238,8 @@ def test_what_listens_does_so_on_loopback_and_says_where(rig: Path, tmp_path: Pa
             if c.status == psutil.CONN_LISTEN
         ]
         session.send_signal(signal.SIGTERM)
-        _, said = session.communicate(timeout=20)
+        _, said = session.communicate(timeout=PATIENCE_S)
         device.send_signal(signal.SIGTERM)
-        device.communicate(timeout=20)
+        device.communicate(timeout=PATIENCE_S)
     assert open_at == [("127.0.0.1", True)] * 2
     assert f"127.0.0.1:{port}" in said

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from promises import PATIENCE_S
 
 RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 BEGIN = "import sys; from daq.entry import main; print(flush=True); sys.exit(main())"
@@ -30,7 +31,7 @@ def test_an_interrupt_while_python_imports_ends_quietly(
             assert process.stdout.readline() == "\n"
             time.sleep(after_s)
             process.send_signal(signal.SIGINT)
-            _, said = process.communicate(timeout=30)
+            _, said = process.communicate(timeout=PATIENCE_S)
         finally:
             process.kill()
     assert process.returncode == 130, said

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from promises import PATIENCE_S, least_share, within
 from ramp_device import PERIOD, Served, ramp_device
 from stand_ins import MomentEstimator, Recorder, paper_rig
 
@@ -30,7 +31,7 @@ def record(
     return acquire(RIG, driver, [LogWriter(path), *([sink] if sink else [])], seconds, stop, make=MomentEstimator)
 
 
-def wait_for(condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
+def wait_for(condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> None:
     end = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < end
@@ -117,21 +118,19 @@ def test_unplugged_and_plugged_in_again(tmp_path: Path, record_property: Callabl
     plug.out()
     before = samples()
     time.sleep(0.3)  # the loss is noticed
-    begin_cpu, begin = time.process_time(), time.monotonic()
-    time.sleep(1.0)
-    busy = (time.process_time() - begin_cpu) / (time.monotonic() - begin)
+    busy = least_share(time.process_time, time.sleep, 0.02)
     plug.into(ramp_device("serial16", seconds=None))
     back = time.monotonic()
     wait_for(lambda: samples() > before + 10_000)
     took = time.monotonic() - back
     stop.set()
-    thread.join(5)
+    thread.join(PATIENCE_S)
     plug.out()
     log, summary = read_log(tmp_path / "a.mcap"), done["summary"]
     row = "unplugged and plugged in again | a pty that is closed and made again | data within 5 s, a gap, no busy loop"
     record_property("reliability", f"{row} | {took:.1f} s; {100 * busy:.1f} % of a core meanwhile")
-    assert took < 5.0
-    assert busy < 0.05
+    within(took, 5.0)
+    assert busy < 0.02
     assert_ramp(log, restarts=1)
     assert summary.stats.reconnects == 1
     assert {"reconnect", "restart"} & {g.reason for g in log.gaps}

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from promises import PATIENCE_S, within
 from sessions import RATE_HZ, counts_at, make_block, make_session
 
 from daq.errors import LogError
@@ -46,7 +47,7 @@ class Feeder:
             time.sleep(pause_s)
         self.told += self.writer.health().notices
 
-    def until(self, condition: Callable[[], bool], timeout_s: float = 15.0, blocks: int = 10) -> None:
+    def until(self, condition: Callable[[], bool], timeout_s: float = PATIENCE_S, blocks: int = 10) -> None:
         end = time.monotonic() + timeout_s
         while not condition():
             assert time.monotonic() < end, f"not within {timeout_s} s; told: {[n.text for n in self.told]}"
@@ -94,7 +95,7 @@ def test_a_full_disk_that_gets_room_again_costs_nothing(tmp_path: Path, record_p
     feeder.until(lambda: feeder.heard("log_recovered"))
     feeder.feed(50)
     feeder.close()
-    assert feeder.slowest_s < 0.2
+    within(feeder.slowest_s, 0.2)
     assert [n.code for n in feeder.told] == ["log_fault", "log_recovered"]
     assert "File too large" in feeder.told[0].text
     assert assert_right(tmp_path / "a.mcap", complete=True) == feeder.index
@@ -110,7 +111,7 @@ def test_a_disk_full_for_long_costs_the_newest_by_name(tmp_path: Path, record_pr
     feeder.until(lambda: feeder.heard("log_resumed"))
     feeder.feed(20, 0.01)
     feeder.close()
-    assert feeder.slowest_s < 0.2
+    within(feeder.slowest_s, 0.2)
     stored = assert_right(tmp_path / "a.mcap", complete=True)
     log = read_log(tmp_path / "a.mcap")
     assert {g.reason for g in log.gaps} == {"storage"}
@@ -131,7 +132,7 @@ def test_a_disk_that_stays_full_leaves_a_readable_log_and_a_quick_end(
         begin = time.monotonic()
         feeder.close()
         took = time.monotonic() - begin
-        assert took < 2.0
+        within(took, 2.0)
         assert feeder.heard("log_incomplete")
         row = "disk still full at the end | limit on the file's size | told, the log readable, the end within 2 s"
         record_property("reliability", f"{row} | {took:.2f} s")
@@ -216,7 +217,7 @@ def test_a_stalled_disk_never_makes_acquisition_wait(
     StalledFile.gate.set()
     feeder.until(lambda: feeder.heard("log_resumed"))
     feeder.close()
-    assert feeder.slowest_s < 0.2
+    within(feeder.slowest_s, 0.2)
     stored = assert_right(tmp_path / "a.mcap", complete=True)
     assert stored < feeder.index
     row = f"disk stalls | a write that hangs for {seconds} s, queue of 1 MiB | the core loop never waits, exact gaps"
@@ -231,7 +232,7 @@ def test_a_disk_stalled_at_the_end_is_given_up(tmp_path: Path, monkeypatch: pyte
     feeder.feed(10)
     begin = time.monotonic()
     feeder.close()
-    assert time.monotonic() - begin < 2.0
+    within(time.monotonic() - begin, 2.0)
     assert feeder.heard("log_incomplete")
     StalledFile.gate.set()
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from promises import PATIENCE_S
 from sessions import feed, make_session, make_stream, write_log
 
 from daq.cli import main
@@ -150,10 +151,10 @@ def growing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
             yield path
         finally:
             service.send_signal(signal.SIGTERM)
-            assert service.wait(20) == 0
+            assert service.wait(PATIENCE_S) == 0
 
 
-def wait(until: Callable[[], object], seconds: float = 60) -> None:
+def wait(until: Callable[[], object], seconds: float = PATIENCE_S) -> None:
     deadline = time.monotonic() + seconds
     while not until():
         assert time.monotonic() < deadline
@@ -278,7 +279,7 @@ def test_a_stop_leaves_no_half_of_a_file(long: Path, what: str, number: signal.S
         assert [n for n in logs(long) if n not in before] == [n for n in logs(long) if n.startswith(".o.")]
         asked = time.monotonic()
         process.send_signal(number)
-        _, said = process.communicate(timeout=30)
+        _, said = process.communicate(timeout=PATIENCE_S)
         took = time.monotonic() - asked
     assert (process.returncode, said) == (130, "rotorscope: interrupted\n")
     assert logs(long) == before
@@ -296,7 +297,7 @@ def test_nohup(folder: Path) -> None:
         size = (folder / "b.mcap").stat().st_size
         wait(lambda: (folder / "b.mcap").stat().st_size > size + 60_000)
         run.send_signal(signal.SIGTERM)
-        assert run.wait(20) == 0
+        assert run.wait(PATIENCE_S) == 0
     assert read_log(folder / "b.mcap").complete
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import psutil
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
+from promises import PATIENCE_S
 
 from daq.errors import ConfigError
 from daq.metrics import MetricsServer, MetricsSink
@@ -23,7 +24,7 @@ def session(device: str = "") -> Session:
 
 
 def read(server: MetricsServer) -> dict[tuple[str, ...], float]:
-    text = urllib.request.urlopen(server.url, timeout=5).read().decode()
+    text = urllib.request.urlopen(server.url, timeout=PATIENCE_S).read().decode()
     found = {}
     for family in text_string_to_metric_families(text):
         for sample in family.samples:

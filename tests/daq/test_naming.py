@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from promises import PATIENCE_S
 
 from daq.demo import truth_text
 from daq.importers import import_file
@@ -127,7 +128,7 @@ def test_live_the_catalogue_is_tried_in_a_process_of_its_own() -> None:
     for k in range(40):
         sink.readings([Block(500 * k, np.zeros((500, 4), np.int16), 0)])
         sink.estimate(Estimate(500 * k + 500, {}, 1000.0, extra=OPEN))
-    until, said = time.monotonic() + 60, []
+    until, said = time.monotonic() + PATIENCE_S, []
     while len(said) < 2 and time.monotonic() < until:
         said += list(sink.health().notices)
         time.sleep(0.05)

