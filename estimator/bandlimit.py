@@ -27,6 +27,11 @@ FINE_HZ = 0.05  # resolves a resonance that rings for some seconds
 _POWERS = {"acceleration": (0, -1, -2), "velocity": (1, 0, -1), "displacement": (2, 1, 0), "force": (0,)}
 
 
+def to_acceleration(kinds: Sequence[str], w: float) -> NDArray[np.complex128]:
+    """(channels,) acceleration at w rad/s per unit of what sensors of these kinds measure there."""
+    return np.array([(1j * w) ** _POWERS[kind][0] for kind in kinds])
+
+
 def noise_shape(kinds: Sequence[str], w: Floats) -> Floats:
     """(channels, f) PSD of acceleration over that of noise that is white in the unit of a sensor; w (f,) rad/s."""
     return np.array([w ** (2.0 * _POWERS[kind][0]) for kind in kinds])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .bandlimit import to_acceleration
 from .model import MOTION, Model
 from .shaft_angle import measured_phase
 
@@ -19,14 +20,15 @@ STEADY = 0.45  # of the power of these bins, what has the shape of a line
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
-    """Whole-record spectrum under a Hann window. Y : (places, bins), amplitude of a line at the bin; noise : mean
-    |Y|^2 of the surroundings. Single precision: its rounding is a thousandth of the noise of a line."""
+    """Whole-record spectrum under a Hann window. Y : (places, bins), amplitude of a line at the bin in the unit of the
+    sensor; noise : mean |Y|^2 of the surroundings. Single precision rounds by a thousandth of that."""
 
     f_hz: Array
     Y: NDArray[np.complex64]
     noise: Array
     seconds: float
-    windowed: NDArray[np.float32]  # (places, n) accelerations under the window
+    windowed: NDArray[np.float32]  # (places, n) under the window
+    kinds: tuple[str, ...]  # (places,) of the sensors
     rate_hz: float
     model: Model
     phase: Array | None  # (n,) rad, of the shaft, where a tacho measured it
@@ -49,11 +51,10 @@ class Spectrum:
             return self.at(order * hz)
         turn = np.exp(-1j * order * self.phase).astype(np.complex64)
         total = self.windowed @ turn.real + 1j * (self.windowed @ turn.imag)
-        amplitude = 2 * total / (0.5 * (self.phase.size - 1))
-        return amplitude, self.noise[:, int(np.clip(round(order * hz * self.seconds), 1, self.f_hz.size - 1))]
+        return self._acceleration(total, order * hz)
 
     def at(self, hz: float) -> tuple[Complexes, Array]:
-        """(places,) complex amplitudes (phase at t = 0) at any frequency, and their noise."""
+        """(places,) complex amplitudes of acceleration (phase at t = 0) at any frequency, and their noise."""
         P, n = self.windowed.shape
         w = -2j * np.pi * hz / self.rate_hz
         step = 2048
@@ -62,9 +63,14 @@ class Spectrum:
         inner = self.windowed[:, :whole].reshape(P, -1, step) @ np.stack([turn.real, turn.imag], axis=1)
         total = (inner[..., 0] + 1j * inner[..., 1]) @ np.exp(w * step * np.arange(whole // step))
         total = total + self.windowed[:, whole:] @ np.exp(w * np.arange(whole, n))
-        amplitude = 2 * total / (0.5 * (n - 1))
+        return self._acceleration(total, hz)
+
+    def _acceleration(self, total: Complexes, hz: float) -> tuple[Complexes, Array]:
+        """(places,) amplitudes of acceleration and their noise from demodulated sums of the samples."""
         k = int(np.clip(round(hz * self.seconds), 1, self.f_hz.size - 1))
-        return amplitude, self.noise[:, k]
+        derived = to_acceleration(self.kinds, 2 * np.pi * hz)
+        amplitude = 2 * total / (0.5 * (self.windowed.shape[1] - 1))
+        return derived * amplitude, np.abs(derived) ** 2 * self.noise[:, k]
 
     def steady(self, hz: float) -> bool:
         """Whether what is at a frequency has the shape of a line, where it is largest, in phase as in power: a sharp
@@ -79,7 +85,7 @@ class Spectrum:
 
 
 def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
-    """Spectrum of the motion channels, one per place, as accelerations; missing samples count as zero."""
+    """Spectrum of the motion channels, one per place; missing samples count as zero."""
     from scipy.fft import next_fast_len
 
     columns = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind in MOTION) for p in model.places]
@@ -88,7 +94,8 @@ def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
         keep -= 1
     windowed = np.nan_to_num(np.ascontiguousarray(y[:keep, columns].T, dtype=np.float32), copy=False)
     windowed *= np.hanning(keep).astype(np.float32)
-    return _spectrum(windowed, model, rate_hz, measured_phase(model, y[:keep], rate_hz))
+    kinds = tuple(model.channels[k].kind for k in columns)
+    return _spectrum(windowed, kinds, model, rate_hz, measured_phase(model, y[:keep], rate_hz))
 
 
 def by_angle(s: Spectrum) -> Spectrum:
@@ -98,10 +105,12 @@ def by_angle(s: Spectrum) -> Spectrum:
     row = np.arange(s.phase.size)
     at = np.interp(np.linspace(s.phase[0], s.phase[-1], s.phase.size), s.phase, row)
     windowed = np.stack([np.interp(at, row, z).astype(np.float32) for z in s.windowed])
-    return _spectrum(windowed, s.model, s.rate_hz, None)
+    return _spectrum(windowed, s.kinds, s.model, s.rate_hz, None)
 
 
-def _spectrum(windowed: NDArray[np.float32], model: Model, rate_hz: float, phase: Array | None) -> Spectrum:
+def _spectrum(
+    windowed: NDArray[np.float32], kinds: tuple[str, ...], model: Model, rate_hz: float, phase: Array | None
+) -> Spectrum:  # fmt: skip
     from scipy.fft import rfft
 
     n = windowed.shape[1]
@@ -109,7 +118,7 @@ def _spectrum(windowed: NDArray[np.float32], model: Model, rate_hz: float, phase
     Y = np.asarray(rfft(windowed, axis=1, workers=2))
     Y *= 2 / (0.5 * (n - 1))
     noise = np.stack([surroundings(z.real**2 + z.imag**2, NEIGHBOURS) for z in Y])
-    return Spectrum(f, Y, noise, n / rate_hz, windowed, rate_hz, model, phase)
+    return Spectrum(f, Y, noise, n / rate_hz, windowed, kinds, rate_hz, model, phase)
 
 
 def surroundings(power: NDArray[np.floating], reach: int) -> Array:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hidden_effects import RATE, ROOT, one_bearing
 
 from daq.rig import load_rig
 from estimator import line_forces
-from estimator.line_forces import spectrum_of
+from estimator.effects import CATALOGUE
+from estimator.effects.strength import with_effect
+from estimator.line_spectrum import spectrum_of
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
@@ -32,3 +35,16 @@ def test_a_disc_of_another_mass_is_no_line() -> None:
     off = replace(rig, mass={**rig.mass, "disc": 0.9 * rig.mass["disc"]})
     point = fit_whole(off, y, RATE).point
     assert line_forces.find(off, point, y, RATE) == []
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "velocity", "displacement"])
+def test_the_force_of_a_line_does_not_depend_on_the_kind_of_sensor(kind: str) -> None:
+    rig = one_bearing()
+    rig = replace(rig, channels=tuple(replace(c, kind=kind) for c in rig.channels))
+    values = {"a": 0.12, "b": -0.2, "frequency": 700.0}
+    y = simulate(with_effect(rig, CATALOGUE["line"], values, "bearing1.x"), RATE, 6.0, seed=4)
+    (found,) = line_forces.find(rig, fit_whole(rig, y, RATE).point, y, RATE)
+    assert (found.effect, found.at) == ("line", ("bearing1.x",))
+    for name, value in values.items():
+        got = found.settings["bearing1.x"][name]
+        assert got.value == pytest.approx(value, abs=4 * got.sd)
