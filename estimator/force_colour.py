@@ -174,12 +174,7 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
         if point.kL[i] <= 0.0:  # a fit far from the rotor: no resonance to begin from
             continue
         c = cells_of(point, i)
-        scale = np.array([1.0, 1.0, point.kL[i] * 0.01, point.c[i] * 0.1 + 1e-9])
-        least = point.S[i] * LEAST_NOISE / np.mean(c.noise * np.abs(c.A) ** 2)
-        quiet = np.array([np.log(point.S[i]), np.log(least), 0.0, 0.0])
-        u0 = quiet.copy()
-        u0[1] = np.log(point.nu[i] * point.S[i]) if point.nu[i] > 0.0 else quiet[1] - 10.0
-        level, u, _ = _maximum(c, base_model, [u0, quiet], scale)
+        level, u, scale = _plain(point, i, c)
         noise[i] = _exp(u[1])
         df = float(c.n.size - 4)
         off = np.average(np.log(c.power / base_model(c, u)) ** 2 - 1.0 / c.n, weights=c.n)  # without its own scatter
@@ -190,6 +185,28 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
         out += _shapes(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
     out += [s for s in _noisy(model, point, noise) if data.places.index(s.at[0]) not in shaped]
     return out + _shared(model, point)
+
+
+def _plain(point: WorkingPoint, i: int, c: Cells) -> tuple[float, Array, Array]:
+    """Likelihood and numbers of the base model at a place, and their scales."""
+    scale = np.array([1.0, 1.0, point.kL[i] * 0.01, point.c[i] * 0.1 + 1e-9])
+    least = point.S[i] * LEAST_NOISE / np.mean(c.noise * np.abs(c.A) ** 2)
+    quiet = np.array([np.log(point.S[i]), np.log(least), 0.0, 0.0])
+    u0 = quiet.copy()
+    u0[1] = np.log(point.nu[i] * point.S[i]) if point.nu[i] > 0.0 else quiet[1] - 10.0
+    level, u, _ = _maximum(c, base_model, [u0, quiet], scale)
+    return level, u, scale
+
+
+def pedestal(point: WorkingPoint, i: int) -> Array:
+    """(3,) mass, frequency and damping that the spectrum at a place suggests to a model without one, likely or not."""
+    c = cells_of(point, i)
+    _, u, scale = _plain(point, i, c)
+    peak = float(np.sqrt(point.kL[i] / point.data.mass[i]) / (2 * np.pi))
+    shape = _pedestal(point.data.mass[i], point.kL[i], point.c[i], peak)
+    starts = [np.concatenate([u, s]) for s in shape.starts]
+    _, z, _ = _maximum(c, shape.model, starts, np.concatenate([scale, np.full(len(shape.names), 0.3)]))
+    return shape.values(z[4:])
 
 
 def _shapes(

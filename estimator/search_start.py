@@ -1,7 +1,8 @@
 """Starting values for parameters that no linear fit can find: a gap, a corner, an exponent typed as a guess.
 
 Newton's method finds them from near by. What a rig file says may be far off, so each effect with such parameters is
-first tried on a coarse grid about its values, on a part of the record, beside the model without it.
+first tried on a coarse grid about its values, on a part of the record, beside the model without it. A pedestal, which
+has no amplitude to judge a node by, is also begun from what the spectrum of the force suggests.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from . import screen
+from . import force_colour, screen
 from .model import Model
 from .model_uses import placed_of
 from .motion_blocks import MotionBlocks, part_of
@@ -23,6 +24,7 @@ from .working_point import WorkingPoint, fit_model
 
 Array = NDArray[np.float64]
 SECONDS = 6.0
+SHAPE_SECONDS = 20.0  # for the spectrum of the force
 FACTORS = {1: np.geomspace(0.1, 10.0, 13), 2: np.geomspace(0.1, 10.0, 5)}
 COARSE = np.array([0.3, 1.0, 3.0])
 
@@ -30,6 +32,7 @@ COARSE = np.array([0.3, 1.0, 3.0])
 def fit_record(model: Model, data: MotionBlocks) -> WorkingPoint:
     """The model fitted to a record, whatever values its rig file starts from."""
     uses = placed_of(model, data)
+    uses = _suggested(part_of(data, SHAPE_SECONDS), uses)
     loose = [k for k, use in enumerate(uses) if _searched(use)]
     if not loose:
         return fit_model(data, uses)
@@ -41,6 +44,26 @@ def fit_record(model: Model, data: MotionBlocks) -> WorkingPoint:
         for k, use in zip(own, _started(point, [uses[k] for k in own]), strict=True):
             uses[k] = use
     return fit_model(data, uses)
+
+
+def _suggested(part: MotionBlocks, uses: list[Placed]) -> list[Placed]:
+    """The uses with their pedestals begun where the force of a model without them suggests, if that fits better."""
+    shaped = [k for k, use in enumerate(uses) if use.effect.name == "pedestal" and any(use.free)]
+    others = [use for k, use in enumerate(uses) if k not in shaped and not _searched(use)]
+    if not shaped:
+        return uses
+    without = fit_model(part, others)
+    begun = {}
+    for k in shaped:
+        if without.kL[uses[k].at[0]] > 0.0:  # not a fit far from the rotor
+            suggested = force_colour.pedestal(without, uses[k].at[0])
+            begun[k] = uses[k].with_values(np.where(uses[k].free, suggested, uses[k].p))
+    as_typed, as_found = (
+        fit_model(part, [*others, *own]) for own in ([uses[k] for k in shaped], [begun.get(k, uses[k]) for k in shaped])
+    )
+    if as_found.fit.log_likelihood <= as_typed.fit.log_likelihood:
+        return uses
+    return [begun.get(k, use) for k, use in enumerate(uses)]
 
 
 def _searched(use: Placed) -> list[int]:

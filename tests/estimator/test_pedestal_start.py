@@ -1,0 +1,34 @@
+"""A pedestal added without numbers begins where the spectrum of the force suggests."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hidden_effects import one_bearing
+
+from estimator.effects import CATALOGUE
+from estimator.effects.strength import with_effect
+from estimator.model import EffectUse, Setting
+from estimator.simulate import simulate
+from estimator.whole import fit_whole
+
+
+def test_a_weak_pedestal_far_from_the_usual_numbers_is_found() -> None:
+    """From the usual numbers the fit ended tens of nats below the truth, at 6.4 kHz."""
+    rate = 20480.0
+    rig = one_bearing()
+    rig = replace(
+        rig,
+        channels=tuple(replace(c, kind="displacement") for c in rig.channels[:1]),
+        mass={"bearing1": 0.15},
+        band=(236.0, 8294.0),
+        linear={"bearing1.x": {"kL": Setting(14.2e6), "c": Setting(117.7), "S": Setting(3.57e-4)}},
+        effects=(),
+    )
+    truth = with_effect(rig, CATALOGUE["pedestal"], {"mass": 0.295, "frequency": 4683.0, "damping": 0.05}, "bearing1.x")
+    y = simulate(truth, rate, 10.0, seed=113, noise=5e-10)
+    grown = replace(rig, effects=(EffectUse("pedestal", {"bearing1.x": {}}),))
+    found, right = (fit_whole(model, y, rate) for model in (grown, truth))
+    assert found.point.fit.log_likelihood > right.point.fit.log_likelihood - 0.1
+    frequency = found.parameters["bearing1.x.pedestal.frequency"]
+    assert abs(frequency.value - 4683.0) < 4 * frequency.sd
