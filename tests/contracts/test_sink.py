@@ -153,7 +153,7 @@ def test_no_thread_and_no_handle_stays(tmp_path: Path) -> None:
         warm.close()
     for name, make in SINKS.items():
         threads, handles = set(threading.enumerate()), len(os.listdir("/proc/self/fd"))
-        for _ in range(3):
+        for _ in range(2):
             sink = make(tmp_path)
             feed(sink, make_stream(5))
             sink.close()

@@ -103,11 +103,12 @@ def test_only_the_contract_keys() -> None:
 
 def test_names_are_text_not_markup() -> None:
     evil = "<script>alert(1)</script>$x_{$&\"'"
-    parts = made_up()
+    parts = {key: value for key, value in made_up().items() if key in ("title", "comparison", "rig_text", "facts")}
     parts["comparison"]["where"][0] |= {"channel": evil, "region": evil}
-    for curve in parts["comparison"]["curves"]:
-        curve["channel"] = evil
+    for kind in ("curves", "laws"):
+        parts["comparison"][kind] = [c | {"channel": evil} for c in parts["comparison"][kind] if c["channel"] == "b1x"]
     parts["comparison"]["spectra"] = {evil: parts["comparison"]["spectra"]["b1x"]}
+    del parts["comparison"]["densities"], parts["comparison"]["orbits"]
     parts["rig_text"] = parts["title"] = evil
     page = Page(render(**parts))
     assert "script" not in page.tags

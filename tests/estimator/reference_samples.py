@@ -24,10 +24,18 @@ def boltzmann(n: int, kL: Array, kNL: Array, coupling: Array, temperature: float
     return np.concatenate(out)[:n]
 
 
-@numba.njit
+@numba.njit(cache=True)
+def _force(x, kL, kNL, K, force):  # type: ignore[no-untyped-def]
+    for i in range(x.size):
+        force[i] = -(kL[i] * x[i] + kNL[i] * x[i] ** 3)
+        for j in range(x.size):
+            force[i] -= K[i, j] * x[j]
+
+
+@numba.njit(cache=True)
 def _baoab(m, c, kL, kNL, K, noise, dt, n, sub, start, gauss):  # type: ignore[no-untyped-def]
     d = m.size
-    x, v = start[0].copy(), start[1].copy()
+    x, v, force = start[0].copy(), start[1].copy(), np.zeros(d)
     decay = np.exp(-c / m * dt)
     kick = np.zeros(d)
     for i in range(d):
@@ -35,13 +43,15 @@ def _baoab(m, c, kL, kNL, K, noise, dt, n, sub, start, gauss):  # type: ignore[n
             kick[i] = np.sqrt(noise[i] / (2.0 * c[i] * m[i]) * (1.0 - decay[i] ** 2))
     X, V = np.empty((n, d)), np.empty((n, d))
     for t in range(n * sub):
-        force = -(kL * x + kNL * x**3) - K @ x
-        v += 0.5 * dt * force / m
-        x += 0.5 * dt * v
-        v = decay * v + kick * gauss[t]
-        x += 0.5 * dt * v
-        force = -(kL * x + kNL * x**3) - K @ x
-        v += 0.5 * dt * force / m
+        _force(x, kL, kNL, K, force)
+        for i in range(d):
+            v[i] += 0.5 * dt * force[i] / m[i]
+            x[i] += 0.5 * dt * v[i]
+            v[i] = decay[i] * v[i] + kick[i] * gauss[t, i]
+            x[i] += 0.5 * dt * v[i]
+        _force(x, kL, kNL, K, force)
+        for i in range(d):
+            v[i] += 0.5 * dt * force[i] / m[i]
         if t % sub == sub - 1:
             X[t // sub], V[t // sub] = x, v
     return X, V

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 from hidden_effects import RATE, ROOT
 
 from daq.rig import load_rig
@@ -16,6 +17,7 @@ from estimator.whole import fit_whole
 SECONDS = 15.0
 
 
+@pytest.mark.slow
 def test_a_weak_law_at_two_bearings_from_nothing() -> None:
     """Weak Hertz contact: the first seconds leave its preload free to go anywhere, and the fit with it."""
     rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model

@@ -106,6 +106,7 @@ def test_a_coloured_force_and_a_pedestal_do_not_take_from_each_other(rig: Model)
         assert abs((fit[name].value or 0.0) - (value or 0.0)) < 3.5 * (fit[name].sd or 0.0), name
 
 
+@pytest.mark.slow
 def test_what_cannot_be_told_apart_is_used_and_not_shown(rig: Model) -> None:
     """A sensor's resonance above the band: many pairs of frequency and quality do; the best one whitens the force."""
     y = record(rig, "sensor_resonance", 0.02, seconds=20.0)
