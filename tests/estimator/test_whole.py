@@ -34,7 +34,11 @@ def rig() -> Model:
     return one_bearing()
 
 
-@pytest.mark.parametrize(("name", "where", "numbers"), CASES, ids=[c[0] for c in CASES])
+@pytest.mark.parametrize(
+    ("name", "where", "numbers"),
+    # the start of a pedestal has a test of its own
+    [pytest.param(*c, id=c[0], marks=[pytest.mark.slow] if c[0] == "pedestal" else []) for c in CASES],
+)
 def test_an_effect_added_without_numbers_is_fitted(
     rig: Model, name: str, where: tuple[str, ...], numbers: tuple[str, ...]
 ) -> None:
