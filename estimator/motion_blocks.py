@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,6 @@ class MotionBlocks:
     v, x : (places, n) band-limited motion; known : (places, n) N, the part of the force that needs no estimate:
     m a + shaft and disc. t : (n,) s from the start of the record; phase : (n,) rad, of the shaft, by a tacho or at the
     model's speed. start : (blocks,) first row of each block in the record. fold : (blocks,) number of the time fold.
-    force : (places, n) N, the measured force or zero.
     """
 
     places: tuple[str, ...]
@@ -57,9 +56,13 @@ class MotionBlocks:
     colour: Array  # (places, bins) shape of the force spectrum that the model has, mean about 1
     left_out: Array  # (places, 2) sd of the displacement and velocity outside of the band
     rms: Array  # (3, places) of x, of v and of a, over the whole record
-    measured_force: bool = False
+    driven: Array = field(default_factory=lambda: np.zeros(0))  # (places,) N^2/Hz of the measured forces, 0 without
     slow: Array | None = None  # (places, n) displacement below the band that the laws make: slow_motion.py
     shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
+
+    @property
+    def measured_force(self) -> bool:
+        return bool(self.driven.any())
 
     @property
     def blocks(self) -> int:
@@ -230,8 +233,11 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
             if len(u) and model.shaft == "chain":
                 known[i] += model.shaft_stiffness * x[i]
                 known[i] += model.shaft_damping * v[i]
+    driven = np.zeros(P)
     for k, p in enumerate(q for q in places if q in forced):
-        known[places.index(p)] -= a[P + k]
+        i = places.index(p)
+        known[i] -= a[P + k]
+        driven[i] = np.mean(a[P + k] ** 2) / (model.band[1] - model.band[0])
     rms = np.array([each(np.std, z) for z in (x, v, a[:P])])
     periodic = series(model, places, t, phase, rate_hz, model.band)
     if periodic is not None:
@@ -242,7 +248,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     kinds = tuple(model.channels[k].kind for k in moving)
     return MotionBlocks(
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
-        shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, bool(forced), None,
+        shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, driven, None,
         _shared(model, places),
     )  # fmt: skip
 

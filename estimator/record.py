@@ -57,6 +57,14 @@ class Record:
         return self._rms[name].copy()
 
     @property
+    def driven(self) -> Floats:
+        """(places,) one-sided PSD of the measured forces, N^2/Hz, over the band; 0 where none is measured."""
+        out = np.zeros(len(self.model.places))
+        for row, force in self.force.items():
+            out[row] = np.mean(force[self.motion.valid] ** 2) / (self.model.band[1] - self.model.band[0])
+        return out
+
+    @property
     def scales(self) -> Floats:
         """(places, 2) rms of x and v."""
         return np.stack([self.rms("x"), self.rms("v")], axis=1)

@@ -115,7 +115,9 @@ def _about(record: Record, evidence: Evidence, B: Floats, S: Floats) -> tuple[Fl
     coupled = resonances(evidence, B)  # with a stiff shaft far from those of each place alone
     alone = np.sqrt(kL / m) / (2 * np.pi), c / m / (2 * np.pi)
     at = nodes(record.grid, *(np.concatenate(pair) for pair in zip(coupled, alone, strict=True)))
-    return np.maximum(left_out(m, c, kL, S, record.model.band, record.rate_hz), NEAREST * record.scales), at
+    return np.maximum(
+        left_out(m, c, kL, S + record.driven, record.model.band, record.rate_hz), NEAREST * record.scales
+    ), at
 
 
 def _diagonals(B: Floats) -> tuple[Floats, Floats, Floats]:

@@ -84,7 +84,7 @@ def fit_model(
             uses, rounds = list(start.placed), LAST_ROUNDS
     if start is None:
         kL, c, S = _first_linear(data)
-        data = replace(data, left_out=left_out(data.mass, c, kL, S, data.band, data.rate_hz))
+        data = replace(data, left_out=left_out(data.mass, c, kL, S + data.driven, data.band, data.rate_hz))
         nu = np.zeros(P)
     else:
         kL, c, nu = start.kL.copy(), start.c.copy(), start.nu.copy()
@@ -135,7 +135,7 @@ def _first_linear(
         f = (known + kL[i] * x).reshape(data.blocks, data.block)[:: max(1, data.blocks // 40)]
         power = np.mean(np.abs(np.fft.rfft(f * np.hanning(data.block), axis=1)) ** 2, axis=0)[data.bins]
         S = float(np.median(power)) * 2 / (data.rate_hz * data.block * 0.375)
-        c[i] = S / (4 * data.mass[i] * np.mean(v * v))
+        c[i] = (S + data.driven[i]) / (4 * data.mass[i] * np.mean(v * v))
         powers[i] = S
     return kL, c, powers
 
