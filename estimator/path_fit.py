@@ -25,7 +25,8 @@ from .side_by_side import each
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Spectrum = NDArray[np.float32]
-THIN = 3  # every third bin is enough for the determinant
+THIN = 3
+THINNED = slice(THIN // 2, None, THIN)  # the middle one of every three bins is enough for the determinant
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +49,7 @@ class Term:
 
 def response(tangent: Array, data: MotionBlocks) -> Complexes:
     """(..., thinned bins) contribution to A of a mean tangent (..., 2)."""
-    w = 2 * np.pi * data.f_hz[::THIN]
+    w = 2 * np.pi * data.f_hz[THINNED]
     return np.asarray(-tangent[..., :1] / w**2 + tangent[..., 1:] / (1j * w))
 
 
@@ -56,7 +57,7 @@ def term_response(term: Term, data: MotionBlocks) -> Complexes:
     """(places, places, thinned bins) contribution to A of one scaled unit of a term."""
     out = response(term.tangent, data)
     for i, more in term.memory.items():
-        out[i, i] -= (more / (2 * np.pi * data.f_hz) ** 2)[::THIN]
+        out[i, i] -= (more / (2 * np.pi * data.f_hz) ** 2)[THINNED]
     return out * term.scale
 
 
@@ -181,15 +182,16 @@ class Jacobian:
     """2 sum_f log |det A(f)| per block and its derivatives, about the working point's A0 (bins, places, places)."""
 
     def __init__(self, A0: Complexes) -> None:
-        self.A0 = A0[::THIN]
-        self.step = len(A0) / len(self.A0)
+        self.A0 = A0[THINNED]
+        self.bins = np.full(len(self.A0), float(THIN))  # that each stands for
+        self.bins[-1] += len(A0) - THIN * len(self.A0)
 
     def of(self, tangents: Complexes, delta: Array) -> Complexes:
         """A at increments delta, (thinned bins, places, places)."""
         return np.asarray(self.A0 + np.moveaxis(np.tensordot(delta, tangents, 1), 2, 0))
 
     def value(self, tangents: Complexes, delta: Array) -> float:
-        return float(2 * self.step * np.log(np.abs(np.linalg.det(self.of(tangents, delta)))).sum())
+        return float(2 * self.bins @ np.log(np.abs(np.linalg.det(self.of(tangents, delta)))))
 
     def derivatives(self, tangents: Complexes, delta: Array) -> tuple[Array, Array]:
         """Gradient (k,) and second derivative (k, k) to the increments."""
@@ -200,10 +202,10 @@ class Jacobian:
         for j, t in enumerate(tangents):
             for i in acting[j]:  # A^-1 A_j, row i of A_j only
                 R[j] += inverse[:, :, i][:, :, None] * t[i].T[:, None, :]
-        gradient = 2 * self.step * np.einsum("jfpp->j", R).real
-        left = R.reshape(k, -1)
+        gradient = 2 * np.einsum("jfpp->jf", R).real @ self.bins
+        left = (R * self.bins[:, None, None]).reshape(k, -1)
         right = np.swapaxes(R, 2, 3).reshape(k, -1)
-        return np.asarray(gradient), np.asarray(-2 * self.step * (left @ right.T).real)
+        return np.asarray(gradient), np.asarray(-2 * (left @ right.T).real)
 
 
 @dataclass(frozen=True, slots=True)

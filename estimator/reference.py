@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .motion_blocks import FOLDS, MotionBlocks, fold_of
-from .path_fit import THIN, Complexes, response
+from .path_fit import THINNED, Complexes, response
 from .reference_tangents import dressings
 from .subproblem import Subproblem, base_of, extended, products, subproblem
 from .working_point import WorkingPoint
@@ -193,7 +193,7 @@ def _tangents(point: WorkingPoint, i: int, group: Group) -> Complexes:
     for k, t in enumerate(group.tangents):
         out[k, i] = response(t, point.data)
     if (here := point.fluctuations[i]) is not None:
-        w2 = (2 * np.pi * point.data.f_hz[::THIN]) ** 2
+        w2 = (2 * np.pi * point.data.f_hz[THINNED]) ** 2
         for k, sigma in enumerate(dressings(group.name, here, point.data.rms[:2, i], group.knots)):
-            out[k, i, i] += sigma[::THIN] / w2
+            out[k, i, i] += sigma[THINNED] / w2
     return out
