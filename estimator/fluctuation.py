@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from .features import jumps
 from .hidden_states import FINER
 from .motion_blocks import MotionBlocks, coarser, finer, part_of
-from .placed import Placed, tangent_series
-from .probe import LEAST, SHARE, Probe, probed, remembers
+from .placed import Placed, remembers, tangent_series
+from .probe import LEAST, SHARE, Probe, probed
 from .self_energy import Complexes, Mean, Spectra, covariance, dressed_response, self_energy, spectra
 from .side_by_side import each
 

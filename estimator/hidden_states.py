@@ -14,41 +14,34 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from .effect import Effect
-from .effects.compiled import remembered, steps
 from .features import MARGIN, decimated, interpolated
+from .linearised import Linearised, passed, reads
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-FINER = 2  # of the grid that states are integrated on: each step goes as exp(h), see compiled.py
-PIECE = 1 << 15  # rows at a time
+FINER = 2  # of the grid that states are integrated on
+PIECE = 1 << 13  # rows at a time: what is linearised about them stays in the cache
 CYCLES = 8.0  # of the motion, after which a step is forgotten or kept for good
-EVERY = 31.3  # cycles a step is launched: longer than an amplitude lasts, and never at the same phase
+OFTEN = 2.6  # steps launched in a cycle, at ever other phases: what they do at once counts most, and costs little
+HALVINGS = 5  # every second step is followed to half of CYCLES at most, every second of these to a quarter, ...
 
 
 @dataclass(frozen=True, slots=True)
 class MeanResponse:
-    """Of a force to displacement. step : (lags,) N/m after a step, dt apart. tangent : N s/m, to velocity alone."""
+    """Of a force to displacement. taps : (lags,) N/m, the force of every displacement so far, rows dt apart.
+    tangent : N s/m, to velocity alone."""
 
-    step: Array
+    taps: Array
     dt: float
     tangent: float
 
-    @property
-    def taps(self) -> Array:
-        """(lags,) N/m: the force of every displacement so far, one tap for each."""
-        rise = np.diff(self.step)
-        taps = np.zeros(self.step.size)
-        taps[0] = self.step[0]
-        taps[:-1] += 0.5 * rise
-        taps[1:] += 0.5 * rise
-        return taps
-
     def at(self, f_hz: Array) -> Complexes:
         """(f,) N/m."""
-        size = 1 << int(np.ceil(np.log2(8 * self.step.size)))
+        size = 1 << int(np.ceil(np.log2(8 * self.taps.size)))
         f, z = np.fft.rfftfreq(size, self.dt), np.fft.rfft(self.taps, size)
         return np.interp(f_hz, f, z.real) + 1j * (np.interp(f_hz, f, z.imag) + 2 * np.pi * f_hz * self.tangent)
 
@@ -59,15 +52,17 @@ def remember(
     """(n,) N of a force along a path, its states from rest. lin : (3,) m, kL, c. mean : to be given steps."""
     n, rate = x.size, FINER * rate_hz
     out, start = np.empty(n), np.zeros(effect.states)
+    fast = reads(effect, p, lin)[1]
     for a in range(0, n, PIECE):
         b = min(a + PIECE, n)
         rows = np.clip(np.arange(a - MARGIN, b + MARGIN), 0, n - 1)
-        fine = interpolated(x[rows], FINER), interpolated(v[rows], FINER)
-        force, states = known = remembered(effect, p, lin, *fine, rate, start)
+        fine = interpolated(x[rows], FINER)
+        speed = interpolated(v[rows], FINER) if fast else np.zeros_like(fine)
+        force, states, about = passed(effect, p, lin, fine, speed, 1.0 / rate, start, mean is not None)
         start = states[(b - a) * FINER].copy()  # HALF rows before the end: where the next piece begins
         out[a:b] = decimated(force, FINER)
-        if mean is not None:
-            mean.add(effect, p, lin, *fine, known)
+        if mean is not None and about is not None:
+            mean.add(about)
     return out
 
 
@@ -77,28 +72,54 @@ def along(effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: flo
     return remember(effect, p, lin, x, v, rate_hz, mean), mean.response()
 
 
-def response_along(
-    effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: float, known: tuple[Array, Array]
-) -> MeanResponse:
-    """Mean response along a path at its own rate; known : what `remembered` says of it."""
-    mean = Steps(x, v, 1.0 / rate_hz)
-    mean.add(effect, p, lin, x, v, known)
-    return mean.response()
-
-
 class Steps:
     """Sums of the answers to steps along a path x, v (any rate), whose rows are to be dt apart."""
 
     def __init__(self, x: Array, v: Array, dt: float) -> None:
         cycle = 2 * np.pi * float(np.sqrt(np.dot(x, x) / np.dot(v, v))) / dt  # rows
-        self.dt, self.stride, self.sums = dt, int(EVERY * cycle) + 1, np.zeros(int(CYCLES * cycle) + 2)
-        self.count, self.tangent = 0, 0.0
+        self.dt, self.stride = dt, max(1, int(cycle / OFTEN))
+        self.sums, self.counts = np.zeros((2, int(CYCLES * cycle) + 2))
+        self.rows, self.tangent = 0, 0.0
 
-    def add(self, effect: Effect, p: Array, lin: Array, x: Array, v: Array, known: tuple[Array, Array]) -> None:
-        """Steps along a piece of it; known : what `remembered` says of the piece."""
-        count, tangent = steps(effect, p, lin, x, v, 1.0 / self.dt, known, self.stride, self.sums)
-        self.count, self.tangent = self.count + count, self.tangent + tangent
+    def add(self, about: Linearised) -> None:
+        """Steps along a piece of it."""
+        _launch(about.step, about.force, self.stride, HALVINGS, self.sums, self.counts)
+        self.rows, self.tangent = self.rows + len(about.force), self.tangent + float(about.force[:, -1].sum())
 
     def response(self) -> MeanResponse:
-        count = max(self.count, 1)
-        return MeanResponse(self.sums / count, self.dt, self.tangent / count)
+        return MeanResponse(self.sums / np.maximum(self.counts, 1.0), self.dt, self.tangent / max(self.rows, 1))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _launch(step, force, stride, halvings, sums, counts):  # type: ignore[no-untyped-def]
+    """Add to sums (lags,) what displacement that rises by 1 over a step of the grid adds to the force from row to row,
+    a rise every `stride` rows; to counts (lags,) how many there were."""
+    n, S = step.shape[:2]
+    z, after = np.zeros(S), np.zeros(S)
+    number = 0
+    for i in range(0, n - 1, stride):
+        number += 1
+        followed = 0  # how often 2 divides the number
+        while followed < halvings and (number >> followed) % 2 == 0:
+            followed += 1
+        life = sums.size >> (halvings - followed)
+        if i + 1 + life > n:
+            continue
+        for j in range(S):
+            z[j] = step[i, j, S + 1] + 0.5 * step[i, j, S]
+        before = 0.0
+        for k in range(life):
+            row = i + 1 + k
+            f = force[row, S]
+            for j in range(S):
+                f += force[row, j] * z[j]
+            sums[k] += f - before
+            counts[k] += 1.0
+            before = f
+            for j in range(S):
+                a = step[row, j, S]
+                for other in range(S):
+                    a += step[row, j, other] * z[other]
+                after[j] = a
+            for j in range(S):
+                z[j] = after[j]

@@ -35,6 +35,11 @@ class Placed:
         return f"{self.key}.{self.effect.parameters[k].name}"
 
 
+def remembers(placed: Placed, lin: Array) -> bool:
+    """Whether a law has a memory that obeys no linear equations."""
+    return placed.effect.kind == "memory" and linear_memory.response(placed.effect, placed.p, lin) is None
+
+
 def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | None = None) -> Evaluated:
     """(n,) N of the effect at place i, (places, 2) its mean tangent to x_l and v_l of every place, and memory.
 
@@ -47,7 +52,7 @@ def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | 
         linear = linear_memory.response(placed.effect, p, lin)
         if linear is not None:
             return linear_memory.filtered(linear, data.x[i], data.rate_hz), slopes, linear(2 * np.pi * data.f_hz)
-        f, mean = along(placed.effect, p, lin, data.x[i], data.v[i], data.rate_hz)
+        f, mean = along(placed.effect, p, lin, data.seen(i), data.v[i], data.rate_hz)
         return f, slopes, mean.at(data.f_hz)
     out, sums = _along(placed.effect, p, data, i)
     slopes[i] += sums[:2]

@@ -1,55 +1,53 @@
-"""What fluctuating laws do to the mean response where one of them remembers: by a small random force on the path.
+"""What fluctuating laws do to the mean response where one of them remembers: by impulses of force along the path.
 
 A law that remembers has no tangent at an instant but a response T to the displacement before. As in self_energy.py the
 likelihood needs <T_j G>, G the response of the motion linearised along the path, and the mean of a product is not the
-product of the means. With K = sum beta_k T_k - <T_k> of all laws at the place, G0 the mean response, and a white force
-e on the path as it was measured,
+product of the means. Impulses of force are launched all along the path as it was measured, and what each does to the
+motion is followed through the tangents of all laws at the place. With x the answer to one of them, a time tau after it,
+and x' = x - <x>, the mean over the impulses,
 
-    x0 = G0 e,   x' = -G0 K (x0 + x')  (by iteration),
-    G = G0 (1 - < K x' e >),   Sigma_j = -< (T_j - <T_j>) x' e > / G.
+    G = FT <x>,   <T_j G> = <T_j> G + FT < T_j x' >,   so that   Sigma_j = - FT < T_j x' > / G.
 
-What x0 itself adds has no mean, so it is left out, and with it most of the scatter of a random probe.
+What T_j makes of <x> scatters about <T_j> <x>, which hidden_states.py and placed.py know from the whole path: it is
+left out, and with it most of the scatter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.fft import irfft, rfft
+from scipy.linalg import expm
 
-from . import linear_memory
-from .effects.compiled import remembered
-from .hidden_states import MeanResponse, response_along
+from .linearised import Linearised, passed, together
 from .motion_blocks import MotionBlocks, coarser
-from .placed import Placed, tangent_series
+from .placed import Placed, remembers, tangent_series
 from .self_energy import Mean
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-ROUNDS = 2  # of the response: more change nothing
-SIZE = 0.02  # of the probe's largest motion over the path's rms: enough to smooth kinks
-ABOVE = 0.22  # of the finer rate: up to where the probe is white, below half the rate of the record
-SHARE, LEAST = 0.25, 4.0  # of a record that a probe goes along, and s of it at least: its scatter beside the record's
-STRONG = 2.0  # rms of x' over that of x0, above which the iteration may not end
+SHARE, LEAST = 0.08, 2.0  # of a record that impulses go along, and s of it at least: their scatter beside the record's
+SERIES = 16  # of impulses, launched one after the other
+DECAYS = 6.0  # that an answer is followed
+LEFT = 0.1  # power of the last eighth of an answer over that of the first, from which it does not die out
+PIECE = 1 << 14  # rows at a time
 
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """Of one place. data : the part of the record it was sent along. motion : (2, n) x' and v' of it.
+    """Of one place. data : the part of the record that impulses were sent along. motion : (2, series, n) x' and v'.
 
-    sent : spectrum of e (n // 2 + 1,), of level 1; lags : rows after which an answer has died out. f_hz, G : (bins,)
-    m/N. whole : (bins,) N/m, Sigma of all laws together. lin : (3,) m, kL, c.
+    lags : rows after which an answer is let go. f_hz, G : (bins,) m/N. whole : (bins,) N/m, Sigma of all laws together.
+    lin : (3,) m, kL, c.
     """
 
     data: MotionBlocks
     place: int
     lin: Array
-    motion: Array
-    sent: Complexes
+    motion: NDArray[np.float32]
     lags: int
     f_hz: Array
     G: Complexes
@@ -57,121 +55,212 @@ class Probe:
 
     def of(self, tangents: NDArray[np.floating]) -> Complexes:
         """(bins,) N/m per unit: Sigma of a law with tangents (2, n) along x and v on `data`."""
-        mean = tangents.mean(axis=1, dtype=np.float64)
-        force = (tangents[0] - mean[0]) * self.motion[0] + (tangents[1] - mean[1]) * self.motion[1]
-        return self._sigma(rfft(force))
+        return self._sigma(_moved(tangents, self.motion, self.lags))
 
     def of_memory(self, placed: Placed, p: Array) -> Complexes | float:
         """The same of a law that remembers."""
         if not remembers(placed, self.lin):
             return 0.0
-        law = _Law.along(placed, p, self.data, self.place, self.lin)
-        f: Array = np.asarray(np.fft.rfftfreq(self.motion.shape[1], 1.0 / self.data.rate_hz), dtype=np.float64)
-        return self._sigma(rfft(law.moved(self.motion)) - law.mean.at(f) * rfft(self.motion[0]))
+        sums, carried = np.zeros(self.lags), np.zeros((self.motion.shape[1], placed.effect.states))
+        for a, law in _pieces([(placed, p)], self.data, self.place, self.lin):
+            _remembered(law.step, law.force, self.motion, self.lags, a, carried, sums)
+        return self._sigma(sums / _impulses(self.motion, self.lags))
 
     def coarse(self, rate_hz: float) -> Probe:
         """The same at the rate of the record: enough for laws without jumps."""
         by = round(self.data.rate_hz / rate_hz)
         if by == 1:
             return self
-        motion = np.ascontiguousarray(self.motion[:, ::by])
-        sent = self.sent[: motion.shape[1] // 2 + 1] / by
-        return replace(self, data=coarser(self.data, by), motion=motion, sent=sent, lags=self.lags // by)
+        motion = np.ascontiguousarray(self.motion[..., ::by])
+        return replace(self, data=coarser(self.data, by), motion=motion, lags=self.lags // by)
 
-    def _sigma(self, force: Complexes) -> Complexes:
-        return np.asarray(-_answer(force, self.sent, self.data.rate_hz, self.lags, self.f_hz) / self.G)
-
-
-def remembers(placed: Placed, lin: Array) -> bool:
-    """Whether a law has a memory that obeys no linear equations."""
-    return placed.effect.kind == "memory" and linear_memory.response(placed.effect, placed.p, lin) is None
-
-
-@dataclass(frozen=True, slots=True)
-class _Law:
-    """A law that remembers, along a path: its force (n,) there and its mean response. size : m, rms of the path."""
-
-    placed: Placed
-    p: Array
-    lin: Array
-    path: tuple[Array, Array]
-    rate_hz: float
-    size: float
-    force: Array
-    mean: MeanResponse
-
-    @classmethod
-    def along(cls, placed: Placed, p: Array, data: MotionBlocks, i: int, lin: Array) -> Self:
-        path = data.x[i], data.v[i]
-        known = remembered(placed.effect, p, lin, *path, data.rate_hz)
-        mean = response_along(placed.effect, p, lin, *path, data.rate_hz, known)
-        return cls(placed, p, lin, path, data.rate_hz, float(data.rms[0, i]), known[0], mean)
-
-    def moved(self, motion: Array) -> Array:
-        """(n,) N: what a small motion (2, n) beside the path does to the force."""
-        most = float(np.abs(motion[0]).max())
-        if most == 0.0:
-            return np.zeros_like(self.force)
-        size = SIZE * self.size / most
-        x, v = (a + size * b for a, b in zip(self.path, motion, strict=True))
-        return np.asarray((remembered(self.placed.effect, self.p, self.lin, x, v, self.rate_hz)[0] - self.force) / size)
+    def _sigma(self, force: Array) -> Complexes:
+        return np.asarray(-_transform(force, self.data.rate_hz, self.f_hz) / self.G)
 
 
 def probed(
     data: MotionBlocks, f_hz: Array, i: int, uses: Sequence[Placed], mean: Mean, lin: Array
 ) -> Probe | None:  # fmt: skip
-    """Of place i with the laws `uses` on finer data; None where they are too strong. f_hz : what is asked for.
+    """Of place i with the laws `uses` on finer data; None where an answer does not die out. f_hz : what is asked for.
 
     mean : mean response, the laws included that remember nothing.
     """
     n, rate = data.x.shape[1], data.rate_hz
-    laws = [_Law.along(u, u.p, data, i, lin) for u in uses if remembers(u, lin)]
-    others = [u for u in uses if u.effect.kind == "memory" and not remembers(u, lin)]
-    linear = [r for u in others if (r := linear_memory.response(u.effect, u.p, lin)) is not None]
     tangents = np.zeros((2, n))
     for use in uses:
         if use.effect.kind == "force":
             tangents += tangent_series(use, data, i, use.p)
     tangents -= tangents.mean(axis=1, keepdims=True)
-
-    def remembering(w: Array) -> Complexes:
-        return np.asarray(sum(q.mean.at(w / (2 * np.pi)) for q in laws))
-
-    def stiffness(w: Array) -> Complexes:
-        return np.asarray(mean.k + 1j * w * mean.c - mean.m * w**2 + sum(r(w) for r in linear) + remembering(w))
-
-    peak = np.array([np.sqrt(mean.k / mean.m)])
-    damping = float(stiffness(peak)[0].imag / peak[0])
-    if not 0.0 < damping < np.sqrt(mean.k * mean.m):
+    laws = [(u, u.p) for u in uses if u.effect.kind == "memory"]
+    lags = min(int(DECAYS * mean.decay * rate), n // 2) // (2 * SERIES) * 2 * SERIES
+    motion = np.zeros((2, SERIES, n), np.float32)
+    cap, states = np.zeros((SERIES, 2)), np.zeros((SERIES, sum(u.effect.states for u, _ in laws)))
+    flight = expm(np.array([[0.0, 1.0], [-mean.k / mean.m, -mean.c / mean.m]]) / rate)
+    for a, law in _pieces(laws, data, i, lin):
+        _send(law.step, law.force, tangents, flight, mean.m, 1.0 / rate, lags, a, cap, states, motion)
+    answer = _centred(motion, lags)
+    power = (answer**2).reshape(8, -1).sum(axis=1)
+    if not power[-1] < LEFT * power[0]:
         return None
-    lags = Mean(mean.m, damping, mean.k).lags(1.0 / rate, data.block)
-    w: Array = np.asarray(2 * np.pi * np.fft.rfftfreq(n, 1.0 / rate), dtype=np.float64)
-    iw, D, T = 1j * w, stiffness(w), remembering(w)
-
-    def motion(X: Complexes) -> Array:
-        return np.asarray(irfft(np.stack([X, iw * X]), n, axis=1))
-
-    def pushed(X: Complexes) -> Complexes:
-        """Spectrum of K on a motion with spectrum X of its displacement."""
-        small = motion(X)
-        return np.asarray(rfft(np.sum([q.moved(small) for q in laws], axis=0) + (tangents * small).sum(axis=0)) - T * X)
-
-    E = np.sqrt(n) * np.exp(2j * np.pi * np.random.default_rng(i).random(w.size))
-    E[w > 2 * np.pi * ABOVE * rate] = 0.0
-    first, more = E / D, np.zeros(w.size, complex)
-    for _ in range(ROUNDS):
-        more = -pushed(first + more) / D
-    if not np.linalg.norm(more) < STRONG * np.linalg.norm(first):
-        return None
-    answer = _answer(pushed(more), E, rate, lags, f_hz)
-    G = (1.0 - answer) / stiffness(2 * np.pi * f_hz)
-    return Probe(data, i, lin, motion(more), E, lags, f_hz, G, np.asarray(-answer / G))
+    G = _transform(answer, rate, f_hz)
+    probe = Probe(data, i, lin, motion, lags, f_hz, G, np.zeros_like(G))
+    whole = probe.of(tangents) + sum(probe.of_memory(u, u.p) for u in uses)
+    return replace(probe, whole=np.asarray(whole))
 
 
-def _answer(force: Complexes, sent: Complexes, rate_hz: float, lags: int, f_hz: Array) -> Complexes:
-    """(bins,) mean response of a force to what was sent, both spectra of a whole series, up to so many lags."""
-    white = np.vdot(sent, sent).real / np.count_nonzero(sent)
-    weight = np.exp(-((np.arange(lags) / (0.8 * lags)) ** 8))
-    answer = irfft(force * sent.conj() / white)[:lags] * weight
-    f, z = np.fft.rfftfreq(2 * lags, 1.0 / rate_hz), np.fft.rfft(answer, 2 * lags)
+def _pieces(
+    laws: Sequence[tuple[Placed, Array]], data: MotionBlocks, i: int, lin: Array
+) -> Iterator[tuple[int, Linearised]]:  # fmt: skip
+    """First row and laws that remember, at parameters, linearised along the motion of place i, piece by piece."""
+    n, dt = data.x.shape[1], 1.0 / data.rate_hz
+    starts, seen = [np.zeros(u.effect.states) for u, _ in laws], data.seen(i)
+    for a in range(0, n, PIECE):
+        rows = slice(a, min(a + PIECE, n) + 1)  # one more: where the next piece begins
+        found = []
+        for q, (u, p) in enumerate(laws):
+            _, states, about = passed(u.effect, p, lin, seen[rows], data.v[i, rows], dt, starts[q])
+            starts[q] = states[-1]
+            found.append(about)
+        law = together([q for q in found if q is not None])
+        size = min(PIECE, n - a)
+        yield a, Linearised(law.step[:size], law.force[:size])
+
+
+def _transform(answer: Array, rate_hz: float, f_hz: Array) -> Complexes:
+    """(bins,) of an answer (lags,)."""
+    lags = answer.size
+    weight = np.exp(-((np.arange(lags) / (0.8 * lags)) ** 8)) / rate_hz
+    f, z = np.fft.rfftfreq(4 * lags, 1.0 / rate_hz), np.fft.rfft(answer * weight, 4 * lags)
     return np.asarray(np.interp(f_hz, f, z.real) + 1j * np.interp(f_hz, f, z.imag))
+
+
+def _impulses(motion: NDArray[np.float32], lags: int) -> int:
+    """How many were launched, in all series, and followed to the end."""
+    _, series, n = motion.shape
+    return sum((n - s * lags // series) // lags for s in range(series))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _send(step, force, tangents, flight, m, dt, lags, first, cap, states, motion):  # type: ignore[no-untyped-def]
+    """Fill motion (2, series, rows) with the answers of a cap to impulses of force, one every `lags` rows in a series.
+
+    Along rows `first` ... of the path, those of step and force. flight : (2, 2) what a step makes of x and v without
+    the laws that fluctuate or remember; these push once a step.
+    """
+    series, S = states.shape
+    z, after = np.zeros(S), np.zeros(S)
+    for s in range(series):
+        x, v = cap[s]
+        for j in range(S):
+            z[j] = states[s, j]
+        phase = (first - s * lags // series) % lags
+        begun = s * lags // series
+        for r in range(len(force)):
+            i = first + r
+            if i < begun:
+                continue
+            if phase == lags or i == begun:
+                phase, x, v = 0, 0.0, 1.0 / m
+                for j in range(S):
+                    z[j] = 0.0
+            push = (tangents[0, i] + force[r, S]) * x + (tangents[1, i] + force[r, S + 1]) * v
+            for j in range(S):
+                push += force[r, j] * z[j]
+            push *= dt / m
+            motion[0, s, i] = x
+            motion[1, s, i] = v - 0.5 * push
+            v -= push
+            x1 = flight[0, 0] * x + flight[0, 1] * v
+            v = flight[1, 0] * x + flight[1, 1] * v
+            mid, rise = 0.5 * (x + x1), x1 - x
+            for j in range(S):
+                after[j] = step[r, j, S] * mid + step[r, j, S + 1] * rise
+                for k in range(S):
+                    after[j] += step[r, j, k] * z[k]
+            for j in range(S):
+                z[j] = after[j]
+            x = x1
+            phase += 1
+        cap[s, 0], cap[s, 1] = x, v
+        for j in range(S):
+            states[s, j] = z[j]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _centred(motion, lags):  # type: ignore[no-untyped-def]
+    """Take the mean answer out of every one; it is returned, (lags,) m. What is not followed to its end is nothing."""
+    _, series, n = motion.shape
+    mean = np.zeros((2, lags))
+    count = 0
+    for s in range(series):
+        begun = s * lags // series
+        many = (n - begun) // lags
+        count += many
+        for c in range(2):
+            motion[c, s, begun + many * lags :] = 0.0
+            for q in range(many):
+                for k in range(lags):
+                    mean[c, k] += motion[c, s, begun + q * lags + k]
+    mean /= count
+    for s in range(series):
+        begun = s * lags // series
+        for c in range(2):
+            for q in range((n - begun) // lags):
+                for k in range(lags):
+                    motion[c, s, begun + q * lags + k] -= mean[c, k]
+    return mean[0]
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
+def _moved(tangents, motion, lags):  # type: ignore[no-untyped-def]
+    """(lags,) mean force of tangents (2, n) on the answers, by the time after their impulses."""
+    _, series, n = motion.shape
+    sums = np.zeros(lags)
+    count = 0
+    for s in range(series):
+        begun = s * lags // series
+        for q in range((n - begun) // lags):
+            count += 1
+            i = begun + q * lags
+            for k in range(lags):
+                sums[k] += tangents[0, i + k] * motion[0, s, i + k] + tangents[1, i + k] * motion[1, s, i + k]
+    return sums / count
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _remembered(step, force, motion, lags, first, states, sums):  # type: ignore[no-untyped-def]
+    """Add to sums (lags,) the force of states that were at rest when the impulses came, by the time after them."""
+    series, S = states.shape
+    z, after = np.zeros(S), np.zeros(S)
+    n = motion.shape[2]
+    for s in range(series):
+        begun = s * lags // series
+        end = begun + (n - begun) // lags * lags
+        for j in range(S):
+            z[j] = states[s, j]
+        phase = (first - begun) % lags
+        for r in range(len(force)):
+            i = first + r
+            if i < begun or i >= end:
+                continue
+            if phase == lags or i == begun:
+                phase = 0
+                for j in range(S):
+                    z[j] = 0.0
+            x, v = motion[0, s, i], motion[1, s, i]
+            push = force[r, S] * x + force[r, S + 1] * v
+            for j in range(S):
+                push += force[r, j] * z[j]
+            sums[phase] += push
+            phase += 1
+            if i + 1 < end:
+                x1 = motion[0, s, i + 1]
+                mid, rise = 0.5 * (x + x1), x1 - x
+                for j in range(S):
+                    after[j] = step[r, j, S] * mid + step[r, j, S + 1] * rise
+                    for k in range(S):
+                        after[j] += step[r, j, k] * z[k]
+                for j in range(S):
+                    z[j] = after[j]
+        for j in range(S):
+            states[s, j] = z[j]

@@ -1,8 +1,10 @@
-"""The slow displacement that lopsided laws make and no accelerometer sees: below the band, it follows from the law.
+"""The slow displacement that some laws make and no accelerometer sees: below the band, it follows from the law.
 
 A law with an even part (a quadratic one, a one-sided stop) pushes the cap off its centre, by more while the vibration
 is stronger: x_slow = -h(phi(x + x_slow)), h the stiffness-controlled response below the band. Left out, kq of 6 % of
-the bearing force comes out 4 % too small, and the law works about the wrong centre.
+the bearing force comes out 4 % too small, and the law works about the wrong centre. Hysteresis does it by loops that
+end off the centre, now on this side and now on that: less, but what it loses so near the edge of the band, and about
+twice the resonance, would be taken for stiffness.
 """
 
 from __future__ import annotations
@@ -15,10 +17,10 @@ from numpy.typing import NDArray
 
 from .bandlimit import passband
 from .effect import Effect
-from .effects.compiled import force_array
+from .effects.compiled import force_array, memory_array
 from .linear_memory import filtered
 from .motion_blocks import MotionBlocks
-from .placed import Placed, evaluate
+from .placed import Placed, evaluate, remembers
 from .side_by_side import each
 
 Array = NDArray[np.float64]
@@ -57,17 +59,22 @@ def below(
 
 def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -> MotionBlocks:
     """The record with the slow displacement of the laws as they stand. kL, c : (places,)."""
-    own = [[u for u in uses if i in u.at and u.p.any() and lopsided(u.effect, u.p, data.sizes(i))]
-           for i in range(len(data.places))]  # fmt: skip
+    lin = np.stack([data.mass, kL, c], axis=1)
+    own = [[u for u in uses if i in u.at and u.p.any() and (lopsided(u.effect, u.p, data.sizes(i)) or
+            remembers(u, lin[i]))] for i in range(len(data.places))]  # fmt: skip
     if not any(own):
         return data
     stiffness = kL + np.diag(data.shaft[0].real)  # N/m at the lowest bin
+
+    def force(use: Placed, i: int) -> Array:
+        if use.effect.kind == "force":
+            return evaluate(use, data, i, lin[i])[0]
+        return memory_array(use.effect, use.p, lin[i], data.seen(i), data.v[i], data.rate_hz)
 
     def at(i: int) -> Array:
         response = below((float(data.mass[i]), float(stiffness[i]), float(c[i])), data.rate_hz, data.band)
         if not own[i]:
             return np.zeros(data.x.shape[1])
-        pushed = np.sum([evaluate(u, data, i, np.array([data.mass[i], kL[i], c[i]]))[0] for u in own[i]], axis=0)
-        return filtered(response, pushed, data.rate_hz)
+        return filtered(response, np.sum([force(u, i) for u in own[i]], axis=0), data.rate_hz)
 
     return replace(data, slow=np.stack(each(at, range(len(data.places)))))

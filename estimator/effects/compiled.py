@@ -110,18 +110,16 @@ def _force_array(law, p, x, v, xo, vo, t, phase, s, out):  # type: ignore[no-unt
         out[i] = call_force(law, x[i], v[i], xo[i], vo[i], t[i], phase[i], s, p)
 
 
-FAST = 0.1  # change of a state's rate over half a step, from which on the midpoint rule is left
-
-
 @njit(cache=True, error_model="numpy", nogil=True)
-def _rise(start, half, dt, alone):  # type: ignore[no-untyped-def]
+def rise(start, half, dt, alone):  # type: ignore[no-untyped-def]
     """Of a state over a step, from its rates at the start and half a step on: the midpoint rule.
 
-    alone : a single state. Where it follows nearly as fast as the steps, its rate goes as exp(h), as the half step
-    says: 1 / (1 - h/2 + h^2/12) is the mean of that, and stable however fast.
+    alone : a single state. Where its rate falls it goes as exp(h), as the half step says: 1 / (1 - h/2 + h^2/12) is the
+    mean of that, stable however fast. Value and slope are those of the midpoint rule at h = 0: derivatives of the step
+    have no jump.
     """
     bend = half - start  # h / 2 of the start
-    if not alone or abs(bend) <= FAST * abs(start):
+    if not alone or bend * start >= 0.0:
         return dt * half
     return dt * start**3 / (start * start - start * bend + bend * bend / 3.0)
 
@@ -146,42 +144,9 @@ def _memory_array(rates, force, p, lin, x, v, dt, Z, out):  # type: ignore[no-un
             half[j] = Z[i, j] + 0.5 * dt * d0[j]
         call_rates_at(rates, at_half, mid, speed, p_at, lin_at, to1)
         for j in range(states):
-            Z[i + 1, j] = Z[i, j] + _rise(d0[j], d1[j], dt, states == 1)
+            Z[i + 1, j] = Z[i, j] + rise(d0[j], d1[j], dt, states == 1)
         at += row
         out[i + 1] = call_memory_at(force, at, x[i + 1], v[i + 1], p_at, lin_at)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _steps(rates, force, p, lin, x, v, dt, Z, f, stride, small, H):  # type: ignore[no-untyped-def]
-    """Add to H (lags,) what steps of 1 in x, one every `stride` rows, add to a force f (n,) with states Z (n, states).
-
-    Returns how many steps, and the sum of the tangents of the force to v alone. small : of the steps, m.
-    """
-    states, lags = Z.shape[1], H.size
-    z, half, d0, d1 = np.zeros(states), np.zeros(states), np.zeros(states), np.zeros(states)
-    at, at_half, Z_at = np.uintp(z.ctypes.data), np.uintp(half.ctypes.data), np.uintp(Z.ctypes.data)
-    to0, to1 = np.uintp(d0.ctypes.data), np.uintp(d1.ctypes.data)
-    p_at, lin_at = np.uintp(p.ctypes.data), np.uintp(lin.ctypes.data)
-    launched, tangent = 0, 0.0
-    for i in range(0, x.size - lags, stride):
-        here = Z_at + np.uintp(8 * states * i)
-        call_rates_at(rates, here, x[i], v[i], p_at, lin_at, to0)
-        call_rates_at(rates, here, x[i], v[i] + small / dt, p_at, lin_at, to1)
-        for j in range(states):
-            z[j] = Z[i, j] + dt * (d1[j] - d0[j])
-        moved = call_memory_at(force, here, x[i], v[i] + small / dt, p_at, lin_at)
-        tangent += (moved - f[i]) * dt / small
-        launched += 1
-        for k in range(i, i + lags):
-            H[k - i] += (call_memory_at(force, at, x[k] + small, v[k], p_at, lin_at) - f[k]) / small
-            mid, speed = 0.5 * (x[k] + x[k + 1]) + small, (x[k + 1] - x[k]) / dt
-            call_rates_at(rates, at, mid, speed, p_at, lin_at, to0)
-            for j in range(states):
-                half[j] = z[j] + 0.5 * dt * d0[j]
-            call_rates_at(rates, at_half, mid, speed, p_at, lin_at, to1)
-            for j in range(states):
-                z[j] += _rise(d0[j], d1[j], dt, states == 1)
-    return launched, tangent
 
 
 def _signal(a: NDArray[np.float64] | float, n: int) -> NDArray[np.float64]:
@@ -241,33 +206,6 @@ def remembered(
         states[0] = start
         _memory_array(*laws, p, lin, x, v, 1.0 / rate_hz, states, out)
     return out, states
-
-
-def steps(
-    effect: Effect,
-    p: NDArray[np.float64],
-    lin: NDArray[np.float64],
-    x: NDArray[np.float64],
-    v: NDArray[np.float64],
-    rate_hz: float,
-    known: tuple[NDArray[np.float64], NDArray[np.float64]],
-    stride: int,
-    sums: NDArray[np.float64],
-) -> tuple[int, float]:
-    """Add to sums (lags,), N/m, what steps of displacement leave in the force after every row, a step every `stride`.
-
-    known : what `remembered` says of the path. Returns how many steps, and the sum of the tangents to v alone, N s/m.
-    """
-    f, states = known
-    p, lin = np.ascontiguousarray(p, dtype=np.float64), np.ascontiguousarray(lin, dtype=np.float64)
-    small = SMALL * float(np.abs(x).max())
-    if small == 0.0:
-        return 0, 0.0
-    count, tangent = _steps(*_laws(effect), p, lin, x, v, 1.0 / rate_hz, states, f, stride, small, sums)
-    return int(count), float(tangent)
-
-
-SMALL = 1e-7  # a step over the largest displacement
 
 
 def _laws(effect: Effect) -> tuple[np.uint64, np.uint64]:

@@ -1,4 +1,4 @@
-"""The displacement below the band that a lopsided law makes, beside the one a displacement sensor would have shown."""
+"""The displacement below the band that some laws make, beside the one a displacement sensor would have shown."""
 
 from __future__ import annotations
 
@@ -53,6 +53,22 @@ def test_the_slow_displacement_is_the_one_that_a_sensor_would_show(truth: Model)
     assert ours.mean() == pytest.approx(below[inner].mean(), rel=0.12)
     a, b = ours - ours.mean(), below[inner] - below[inner].mean()
     assert (a @ b) / (a @ a) == pytest.approx(1.0, abs=0.2)  # beside it the random force moves the cap as much again
+
+
+def test_hysteresis_moves_the_cap_slowly_too() -> None:
+    """Its loops end off the centre, now on this side and now on that."""
+    rig = replace(one_bearing(), effects=())
+    effect = CATALOGUE["bouc_wen"]
+    values = strengths(effect, size(rig, "bearing1.x", RATE), 0.3, rig, SECONDS)
+    law = with_effect(rig, effect, values, *rig.places)
+    x = simulate(replace(law, channels=tuple(replace(c, kind="displacement") for c in law.channels)), RATE, SECONDS, 8)
+    data = prepare(law, simulate(law, RATE, SECONDS, seed=8), RATE)
+    linear = [np.array([rig.linear[p][name].value for p in rig.places]) for name in ("kL", "c")]
+    slow = with_slow(data, *linear, placed_of(law, data)).slow
+    assert slow is not None
+    below = oaconvolve(x[:, 0], firwin(4001, 90.0, fs=RATE), mode="same")[np.round(data.t * RATE).astype(int)]
+    ours = oaconvolve(slow[0], firwin(4001, 90.0, fs=RATE), mode="same")[4000:-4000]
+    assert (ours @ below[4000:-4000]) / (ours @ ours) == pytest.approx(1.0, abs=0.2)
 
 
 def test_nothing_smooth_is_left_beside_the_true_law(truth: Model) -> None:
