@@ -134,7 +134,7 @@ def test_spawn_without_a_display_says_so(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr("daq.rerun_sink.VIEWER_PORT", free_port())
     sink = RerunSink("spawn")
     sink.start(session())
-    assert wait(lambda: "is there a display" in str(sink._problem), 30)
+    assert wait(lambda: "is there a display" in str(sink._problem))
     sink.close()
 
 
