@@ -185,12 +185,15 @@ def _negligible(best: Entry) -> bool:
 
 
 def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[Entry, ...]) -> Diagnosis:
-    if before.any_found():
+    if before.any_found() and before.percent(point) >= 100 * missing_force.NEGLIGIBLE:
         return Diagnosis(
             "unknown", entries, shape_of(point, before),
             messages=("the residual force can be predicted, but no effect of the catalogue does it significantly",),
         )  # fmt: skip
-    return Diagnosis("complete", entries, messages=("nothing of the catalogue improves the prediction beyond chance",))
+    said = ["nothing of the catalogue improves the prediction beyond chance"]
+    if point.data.measured_force:
+        said.append("beside a measured force only laws are tried: no lines, no pedestal, no shaped or shared forces")
+    return Diagnosis("complete", entries, messages=tuple(said))
 
 
 def _screen(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress) -> list[screen.Trial]:
