@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 FINER = 2  # of the grid that states are integrated on
 PIECE = 1 << 13  # rows at a time: what is linearised about them stays in the cache
+STRIDE, ENOUGH = 3, 40  # at most, of pieces of which one has steps; how many do, before others are left out
 CYCLES = 8.0  # of the motion, after which a step is forgotten or kept for good
 OFTEN = 2.6  # steps launched in a cycle, at ever other phases: what they do at once counts most, and costs little
 HALVINGS = 5  # every second step is followed to half of CYCLES at most, every second of these to a quarter, ...
@@ -52,13 +53,14 @@ def remember(
     """(n,) N of a force along a path, its states from rest. lin : (3,) m, kL, c. mean : to be given steps."""
     n, rate = x.size, FINER * rate_hz
     out, start = np.empty(n), np.zeros(effect.states)
-    fast = reads(effect, p, lin)[1]
+    fast, stride = reads(effect, p, lin)[1], min(max(n // PIECE // ENOUGH, 1), STRIDE)
     for a in range(0, n, PIECE):
         b = min(a + PIECE, n)
         rows = np.clip(np.arange(a - MARGIN, b + MARGIN), 0, n - 1)
         fine = interpolated(x[rows], FINER)
         speed = interpolated(v[rows], FINER) if fast else np.zeros_like(fine)
-        force, states, about = passed(effect, p, lin, fine, speed, 1.0 / rate, start, mean is not None)
+        stepped = mean is not None and a // PIECE % stride == 0
+        force, states, about = passed(effect, p, lin, fine, speed, 1.0 / rate, start, stepped)
         start = states[(b - a) * FINER].copy()  # HALF rows before the end: where the next piece begins
         out[a:b] = decimated(force, FINER)
         if mean is not None and about is not None:

@@ -14,7 +14,7 @@ from .fluctuation import Fluctuation, fluctuations
 from .model_uses import size
 from .motion_blocks import FOLDS, MotionBlocks, part_of
 from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing, fit, gram
-from .placed import Placed, evaluate
+from .placed import Placed, evaluate, remembers
 from .probe import Probe
 from .self_energy import Mean
 from .side_by_side import each
@@ -23,12 +23,14 @@ from .terms import Spans, dressed, light, linear_terms, reach, terms
 
 Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
+LEAP = 3.0  # from a part of a record to the next
 LAST_ROUNDS = 3  # at most, on the whole of it
 LEAST_NOISE = 1e-4  # of a sensor, over the force noise, that is looked for
 NOISE_STEP = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
 STRIDE = 0.3  # of the reach of a searched parameter: one standard deviation of the step that is taken at once
 SETTLED = 0.1  # standard deviations by which the last step of a fit moves
-SHAKEN = 0.8  # the same where laws are dressed by a probe, whose scatter moves them by so much
+SHAKEN = 0.3  # the same where laws are dressed by a probe, which moves with them
+STILL = 1.0  # the same below which the slow displacement is left as it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +80,8 @@ def fit_model(
     """Fit kL, c, S and every free parameter of the effects, from a start that needs no values of the linear part."""
     P = len(data.places)
     if start is None:
-        part = part_of(data, FIRST_SECONDS)
-        if part is not data:
-            start = fit_model(part, uses, rounds=rounds)
-            uses, rounds = list(start.placed), LAST_ROUNDS
+        start = _approached(data, uses, rounds)
+        uses, rounds = (uses, rounds) if start is None else (list(start.placed), LAST_ROUNDS)
     if start is None:
         kL, c, S = _first_linear(data)
         data = replace(data, left_out=left_out(data.mass, c, kL, S + data.driven, data.band, data.rate_hz))
@@ -91,9 +91,10 @@ def fit_model(
         data = data if start.data is data else replace(data, left_out=start.data.left_out)
         if {u.key for u in uses} - {u.key for u in start.placed}:  # a strong law takes over much of kL and c
             kL, c, _ = _first_linear(data, uses, start.lin)
+    moved = np.full(1, np.inf)
     while True:
+        data = data if moved.max(initial=0.0) < STILL else with_slow(data, kL, c, uses)
         point = _at(data, kL, c, nu, uses)
-        data = point.data
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
         moved = moved[: moved.size - 2 * len(data.shared)]
         kL, c, uses = _moved(point, kL, c)
@@ -104,6 +105,18 @@ def fit_model(
             return replace(point, kL=kL, c=c, placed=tuple(uses))
         rounds -= 1
         del point  # its columns are large: let go before the next are made
+
+
+def _approached(data: MotionBlocks, uses: list[Placed], rounds: int) -> WorkingPoint | None:
+    """The model fitted to a part of a long record, and by a step each to longer ones where a step is dear; None for a
+    short record."""
+    lin = np.stack([data.mass, *np.ones((2, len(data.places)))], axis=1)
+    dear = any(remembers(u, lin[u.at[0]]) for u in uses)
+    start, seconds = None, FIRST_SECONDS
+    while (part := part_of(data, seconds)) is not data and (start is None or dear):
+        start = fit_model(part, uses, start, rounds if start is None else 0)
+        uses, seconds = list(start.placed), LEAP * seconds
+    return start
 
 
 def thinned(point: WorkingPoint, seconds: float) -> WorkingPoint:
@@ -193,10 +206,8 @@ def tangent_at(point: WorkingPoint, f_hz: Array, shaft: NDArray[np.complex128] |
 def _at(
     data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed], longer: WorkingPoint | None = None
 ) -> WorkingPoint:  # fmt: skip
-    """The point at these values. longer : the same model on more of the record, whose slow motion the data have; what
-    its laws fluctuate is taken over."""
+    """The point at these values. longer : the same model on more of the record: what its laws fluctuate is kept."""
     P = len(data.places)
-    data = with_slow(data, kL, c, uses) if longer is None else data
     lin = np.stack([data.mass, kL, c], axis=1)
     own = each(lambda use: terms(use, data, lin), uses)
     F, A, D = _forces(data, kL, c, uses, own)
