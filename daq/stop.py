@@ -71,7 +71,7 @@ def all_or_nothing() -> Iterator[None]:
 
 def go_on() -> None:
     """Before a file is begun. Raises the KeyboardInterrupt that a library has swallowed (pydantic does, in C)."""
-    if _asked:
+    if _asked and threading.current_thread() is threading.main_thread():
         raise KeyboardInterrupt
 
 
