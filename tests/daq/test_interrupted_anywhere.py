@@ -95,7 +95,7 @@ def default_signals() -> Iterator[None]:
     ("what", "number"),
     [*((what, signal.SIGINT) for what in COMMANDS), ("import", signal.SIGTERM), ("recover", signal.SIGHUP)],
 )
-@pytest.mark.parametrize("tries", [50, pytest.param(700, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])])
+@pytest.mark.parametrize("tries", [50, pytest.param(200, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])])
 def test_all_of_the_file_or_none_of_it(
     folder: Path, what: str, number: signal.Signals, tries: int, record_property: Callable[[str, object], None]
 ) -> None:
