@@ -31,8 +31,7 @@ COARSE = np.array([0.3, 1.0, 3.0])
 
 def fit_record(model: Model, data: MotionBlocks) -> WorkingPoint:
     """The model fitted to a record, whatever values its rig file starts from."""
-    uses = placed_of(model, data)
-    uses = _suggested(part_of(data, SHAPE_SECONDS), uses)
+    uses = _suggested(data, placed_of(model, data))
     loose = [k for k, use in enumerate(uses) if _searched(use)]
     if not loose:
         return fit_model(data, uses)
@@ -46,12 +45,13 @@ def fit_record(model: Model, data: MotionBlocks) -> WorkingPoint:
     return fit_model(data, uses)
 
 
-def _suggested(part: MotionBlocks, uses: list[Placed]) -> list[Placed]:
+def _suggested(data: MotionBlocks, uses: list[Placed]) -> list[Placed]:
     """The uses with their pedestals begun where the force of a model without them suggests, if that fits better."""
     shaped = [k for k, use in enumerate(uses) if use.effect.name == "pedestal" and any(use.free)]
     others = [use for k, use in enumerate(uses) if k not in shaped and not _searched(use)]
     if not shaped:
         return uses
+    part = part_of(data, SHAPE_SECONDS)
     without = fit_model(part, others)
     begun = {}
     for k in shaped:
