@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -56,7 +56,7 @@ class MotionBlocks:
     colour: Array  # (places, bins) shape of the force spectrum that the model has, mean about 1
     left_out: Array  # (places, 2) sd of the displacement and velocity outside of the band
     rms: Array  # (3, places) of x, of v and of a, over the whole record
-    driven: Array = field(default_factory=lambda: np.zeros(0))  # (places,) N^2/Hz of the measured forces, 0 without
+    driven: Array  # (places,) N^2/Hz, PSD of the measured forces; 0 without
     slow: Array | None = None  # (places, n) displacement below the band that the laws make: slow_motion.py
     shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
 
