@@ -202,11 +202,19 @@ def pedestal(point: WorkingPoint, i: int) -> Array:
     """(3,) mass, frequency and damping that the spectrum at a place suggests to a model without one, likely or not."""
     c = cells_of(point, i)
     _, u, scale = _plain(point, i, c)
-    peak = float(np.sqrt(point.kL[i] / point.data.mass[i]) / (2 * np.pi))
-    shape = _pedestal(point.data.mass[i], point.kL[i], point.c[i], peak)
+    shape = _pedestal(point.data.mass[i], point.kL[i], point.c[i], _peak(point, i))
+    return shape.values(_shaped(c, shape, u, scale)[1][4:])
+
+
+def _peak(point: WorkingPoint, i: int) -> float:
+    """Hz of the resonance at a place."""
+    return float(np.sqrt(point.kL[i] / point.data.mass[i]) / (2 * np.pi))
+
+
+def _shaped(c: Cells, shape: Shape, u: Array, scale: Array) -> tuple[float, Array, Array]:
+    """Largest likelihood of the base model, at u, with a cause beside it; where, and the standard deviations there."""
     starts = [np.concatenate([u, s]) for s in shape.starts]
-    _, z, _ = _maximum(c, shape.model, starts, np.concatenate([scale, np.full(len(shape.names), 0.3)]))
-    return shape.values(z[4:])
+    return _maximum(c, shape.model, starts, np.concatenate([scale, np.full(len(shape.names), 0.3)]))
 
 
 def _shapes(
@@ -214,7 +222,7 @@ def _shapes(
 ) -> list[Suspect]:
     data = point.data
     place = data.places[i]
-    peak = float(np.sqrt(point.kL[i] / data.mass[i]) / (2 * np.pi))
+    peak = _peak(point, i)
     out = []
     r = c.power / base_model(c, u)
     weight = c.n / c.n.sum()
@@ -223,9 +231,7 @@ def _shapes(
     for shape in (_coloured(peak), _resonance(data.band[1]), _pedestal(data.mass[i], point.kL[i], point.c[i], peak)):
         if shape.effect in taken:
             continue
-        starts = [np.concatenate([u, s]) for s in shape.starts]
-        full = np.concatenate([scale, np.full(len(shape.names), 0.3)])
-        found, z, sd = _maximum(c, shape.model, starts, full)
+        found, z, sd = _shaped(c, shape, u, scale)
         gain = found - level
         if gain < EXPLAINED * (-level - 0.5 * (c.n.size - 4)):
             continue
@@ -236,7 +242,7 @@ def _shapes(
             n: replace(Parameter.judged(float(v), float(s), unit), value=float(v), sd=float(s))
             for n, v, s, unit in zip(shape.names, values, spread, shape.units, strict=True)
         }
-        p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 3 * len(data.places) * len(starts)))
+        p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 3 * len(data.places) * len(shape.starts)))
         out.append(
             Suspect(
                 shape.effect, (place,), gain, q + 2, p, {i: predictable}, "frequency", _where(c, r), {place: settings}
