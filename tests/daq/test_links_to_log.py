@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from promises import PATIENCE_S, least_share, within
+from promises import PATIENCE_S, least_share, until, within
 from ramp_device import PERIOD, Served, ramp_device
 from stand_ins import MomentEstimator, Recorder, paper_rig
 
@@ -29,13 +29,6 @@ def record(
     driver: Driver, path: Path, seconds: float | None, stop: threading.Event | None = None, sink: Recorder | None = None
 ) -> RunSummary:
     return acquire(RIG, driver, [LogWriter(path), *([sink] if sink else [])], seconds, stop, make=MomentEstimator)
-
-
-def wait_for(condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> None:
-    end = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def assert_ramp(log: Recording, restarts: int = 0) -> None:
@@ -114,14 +107,14 @@ def test_unplugged_and_plugged_in_again(tmp_path: Path, record_property: Callabl
 
     thread = threading.Thread(target=session)
     thread.start()
-    wait_for(lambda: samples() > 10_000)
+    until(lambda: samples() > 10_000)
     plug.out()
     before = samples()
     time.sleep(0.3)  # the loss is noticed
     busy = least_share(time.process_time, time.sleep, 0.02)
     plug.into(ramp_device("serial16", seconds=None))
     back = time.monotonic()
-    wait_for(lambda: samples() > before + 10_000)
+    until(lambda: samples() > before + 10_000)
     took = time.monotonic() - back
     stop.set()
     thread.join(PATIENCE_S)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from promises import PATIENCE_S
+from promises import PATIENCE_S, until
 from sessions import feed, make_session, make_stream, write_log
 
 from daq.cli import main
@@ -147,18 +147,11 @@ def growing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     command = [sys.executable, "-m", "daq", "run", "rig.toml", "--link", "virtual:", "--out", path.name, "--quiet"]
     with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE) as service:
         try:
-            wait(lambda: path.exists() and path.stat().st_size > 300_000)
+            until(lambda: path.exists() and path.stat().st_size > 300_000)
             yield path
         finally:
             service.send_signal(signal.SIGTERM)
             assert service.wait(PATIENCE_S) == 0
-
-
-def wait(until: Callable[[], object], seconds: float = PATIENCE_S) -> None:
-    deadline = time.monotonic() + seconds
-    while not until():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 @pytest.mark.parametrize(
@@ -174,7 +167,7 @@ def test_two_do_not_write_one_log(
     )
     before = read_log(growing)
     assert before.growing
-    wait(lambda: read_log(growing).stop > before.stop)  # the first goes on
+    until(lambda: read_log(growing).stop > before.stop)  # the first goes on
     assert logs(growing.parent) == there
     row = f"`{words[0]} --out` to a log that a `run` is writing | for real | refused, the run not disturbed"
     record_property("reliability", f"{row} | status 4, the log grows on")
@@ -275,7 +268,7 @@ def test_a_stop_leaves_no_half_of_a_file(long: Path, what: str, number: signal.S
         text=True,
         preexec_fn=heard,  # noqa: PLW1509
     ) as process:
-        wait(lambda: process.poll() is not None or logs(long) != before)
+        until(lambda: process.poll() is not None or logs(long) != before)
         assert [n for n in logs(long) if n not in before] == [n for n in logs(long) if n.startswith(".o.")]
         asked = time.monotonic()
         process.send_signal(number)
@@ -292,10 +285,10 @@ def test_nohup(folder: Path) -> None:
     command = [sys.executable, "-m", "daq", "run", "rig.toml", "--link", "virtual:", "--out", "b.mcap"]
     ignored = lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)  # noqa: E731 - as nohup does
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, preexec_fn=ignored) as run:  # noqa: PLW1509
-        wait(lambda: (folder / "b.mcap").exists() and (folder / "b.mcap").stat().st_size > 50_000)
+        until(lambda: (folder / "b.mcap").exists() and (folder / "b.mcap").stat().st_size > 50_000)
         run.send_signal(signal.SIGHUP)
         size = (folder / "b.mcap").stat().st_size
-        wait(lambda: (folder / "b.mcap").stat().st_size > size + 60_000)
+        until(lambda: (folder / "b.mcap").stat().st_size > size + 60_000)
         run.send_signal(signal.SIGTERM)
         assert run.wait(PATIENCE_S) == 0
     assert read_log(folder / "b.mcap").complete

@@ -22,7 +22,7 @@ import jsonschema
 import numpy as np
 import pytest
 from cable import Cable
-from promises import PATIENCE_S, Late, within
+from promises import PATIENCE_S, Late, until, within
 from ramp_device import PERIOD
 
 from daq.cli import main
@@ -54,13 +54,6 @@ def start(*arguments: str | Path) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def wait_for(done: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
-    end = time.monotonic() + seconds
-    while not done():
-        assert time.monotonic() < end
-        time.sleep(0.1)
-
-
 def rows(path: Path) -> int:
     """0 as long as nothing is to be read: a new log may just have taken the place of the old one."""
     try:
@@ -80,13 +73,13 @@ def test_one_is_pulled_one_comes_late_one_never(
     devices = [f"{rig}=serial:{cables[0].name}", f"{rig}=serial:{cables[1].name}", f"{rig}=serial:{tmp_path}/ttyC"]
     session = start(*devices, "--out", logs, "--json", result, "--metrics", str(port))
     first, second = logs / "press.mcap", logs / "press-2.mcap"
-    wait_for(lambda: rows(first) > 20_000)
+    until(lambda: rows(first) > 20_000)
     cables[1].plug()
-    wait_for(lambda: rows(second) > 20_000)
+    until(lambda: rows(second) > 20_000)
     served = urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=PATIENCE_S).read().decode()
     cables[1].pull()
     before = rows(first)
-    wait_for(lambda: rows(first) > before + 40_000)
+    until(lambda: rows(first) > before + 40_000)
     asked = time.time()
     session.send_signal(signal.SIGTERM)
     out, said = session.communicate(timeout=PATIENCE_S)
@@ -128,7 +121,7 @@ def test_all_well_and_ctrl_c(rig: Path, cables: list[Cable], tmp_path: Path) -> 
     assert session.returncode == 0, said
     assert [(d["device"], d["samples"]) for d in json.loads(out)["devices"]] == [("press", 25_600), ("fan", 25_600)]
     session = start(*devices, "--out", tmp_path / "logs")
-    wait_for(lambda: rows(tmp_path / "logs" / "fan.mcap") > 40_000)
+    until(lambda: rows(tmp_path / "logs" / "fan.mcap") > 40_000)
     session.send_signal(signal.SIGINT)
     _, said = session.communicate(timeout=PATIENCE_S)
     assert session.returncode == 130
