@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from .errors import DataError
 from .model import Model
+from .model_uses import not_judged
 
 CLIPPED = 0.002  # fraction of samples at the extreme value that is no accident
 
@@ -25,6 +26,7 @@ def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArra
         raise DataError("the model has no motion channel on a bearing: nothing can be estimated")
     if not np.isfinite(rate_hz) or rate_hz <= 0:
         raise DataError(f"sampling rate {rate_hz} Hz: it must be positive")
+    known = not_judged(model, model.places)
     for i, channel in enumerate(model.channels):
         if channel.kind == "tacho":
             continue
@@ -38,11 +40,13 @@ def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArra
         if low == high:
             what = "is zero throughout" if low == 0 else f"is constant at {low:g}"
             raise DataError(f"channel {channel.name} {what}: check the sensor and its cable")
+        if channel.place in model.places and model.places.index(channel.place) in known:
+            continue  # the model says so: the fit does, beside its numbers
         at_end = max(np.mean(z == low), np.mean(z == high))
         if at_end > CLIPPED and at_end * z.size > 4 and np.unique(z[:100000]).size > 16:
             raise DataError(
                 f"channel {channel.name} is clipped: {100 * at_end:.1f} % of its samples are at {high:g} or {low:g}; "
-                "use a larger range, or lower the excitation"
+                "use a larger range, lower the excitation, or add sensor_clipping to the model"
             )
     for place in model.places:
         for key, sign in (("kL", "positive"), ("c", "positive")):

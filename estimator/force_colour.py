@@ -265,7 +265,8 @@ def _noisy(model: Model, point: WorkingPoint, noise: Array) -> list[Suspect]:
         others = np.delete(noise, i)
         if others.size == 0 or place in have:
             continue
-        floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i, 0]))
+        # noise counts where it is loudest: that of an accelerometer low in the band, that of displacement at its top
+        floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i].max()))
         if noise[i] < NOISE_RATIO * floor:
             continue
         rms = float(np.sqrt(noise[i] * data.rate_hz / 2))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from . import force_colour, line_forces, sensor_faults
+from . import force_colour, line_forces, periodic, sensor_faults
 from .model import Model
 from .model_uses import not_judged
 from .suspect import Suspect
@@ -14,12 +16,27 @@ from .working_point import WorkingPoint
 Array = NDArray[np.float64]
 
 
-def suspects(model: Model, point: WorkingPoint, y: Array) -> list[Suspect]:
-    """Lines, shaped or shared forces, sensor faults, strongest first; of a clipped channel nothing else."""
+def suspects(model: Model, point: WorkingPoint, y: Array, everywhere: bool = False) -> list[Suspect]:
+    """Lines, shaped or shared forces, sensor faults, strongest first; of a clipped channel nothing else.
+
+    everywhere : of clipped channels too, for a model that is known to have these effects there.
+    """
     clipped = sensor_faults.find(model, y)
     if point.data.measured_force:
         return clipped  # what is left of a known force has no spectrum of its own to judge
-    bad = {p for s in clipped for p in s.at} | {point.data.places[i] for i in not_judged(model, point.data.places)}
     rest = line_forces.find(model, point, y, point.data.rate_hz) + force_colour.find(model, point)
-    kept = [s for s in rest if not (set(s.at) & bad)]
-    return clipped + sorted(kept, key=lambda s: -s.gain)
+    if not everywhere:
+        bad = {p for s in clipped for p in s.at} | {point.data.places[i] for i in not_judged(model, point.data.places)}
+        rest = [kept for s in rest if (kept := _elsewhere(s, bad, point)) is not None]
+    return clipped + sorted(rest, key=lambda s: -s.gain)
+
+
+def _elsewhere(s: Suspect, bad: set[str], point: WorkingPoint) -> Suspect | None:
+    """A finding without its part at bad places; None if nothing is left. What has a part at each place stands there."""
+    at = tuple(p for p in s.at if p not in bad)
+    if len(at) == len(s.at):
+        return s
+    if not at or s.effect not in periodic.PERIODIC:
+        return None
+    power = {i: P for i, P in s.power.items() if point.data.places[i] not in bad}
+    return replace(s, at=at, power=power, settings={p: v for p, v in s.settings.items() if p not in bad})

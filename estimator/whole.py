@@ -80,7 +80,7 @@ def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
         return Whole(model, fit_record(model, prepare(model, y, rate_hz)), {})
     bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u.name in BLIND))
     point = fit_record(bare, prepare(bare, y, rate_hz))
-    model, found = _all_numbered(model, {u.name for u in uses}, suspects(bare, point, y), point)
+    model, found = _all_numbered(model, {u.name for u in uses}, suspects(bare, point, y, everywhere=True), point)
     point = fit_record(model, prepare(model, y, rate_hz))
     for _ in range(ROUNDS if any(u.name in COLOURS for u in uses) else 0):  # found among laws that they distort
         flat = replace(point, data=replace(point.data, colour=np.ones_like(point.data.colour)))

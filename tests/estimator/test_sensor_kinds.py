@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing
 
+from estimator import force_colour
 from estimator.compare import compare
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
@@ -21,3 +23,16 @@ def test_a_noisy_sensor_of_another_kind(kind: str, noise: float) -> None:
     found = point.nu * point.S
     assert found == pytest.approx([noise**2 / (RATE / 2)] * 2, rel=0.25), "one-sided PSD, unit^2/Hz"
     assert compare(rig, y, RATE).adequate
+
+
+def test_a_displacement_sensor_that_is_noisier_than_its_neighbour_is_named() -> None:
+    """Its noise is loudest at the top of the band: there it is compared with the force, not at the low end."""
+    rig = one_bearing()
+    rig = replace(rig, channels=tuple(replace(c, kind="displacement") for c in rig.channels))
+    y = simulate(rig, RATE, 12.0, seed=5, noise=1e-10)
+    y[:, 0] += 4e-9 * np.random.default_rng(1).standard_normal(len(y))
+    found = force_colour.find(rig, fit_whole(rig, y, RATE).point)
+    assert [(s.effect, s.at) for s in found] == [("sensor_noise", ("bearing1.x",))]
+    rms = found[0].settings["bearing1.x"]["rms"]
+    assert rms.value == pytest.approx(4e-9, rel=0.05)
+    assert rms.unit == "m"
