@@ -14,6 +14,8 @@ from .evidence import Entry
 from .fitted import parameters
 from .model import Model
 from .model_uses import acting, on_trial, searched
+from .periodic import PERIODIC
+from .periodic_fit import found_beside
 from .shape import Shape, shape_of
 from .side_by_side import both, each
 from .suspects import suspects
@@ -80,10 +82,12 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
     before, entries = _ranked(model, point, y, say)
     if not entries or entries[0].p_value > SIGNIFICANT or _negligible(entries[0]):
         return _nothing(point, before, tuple(entries))
-    if not entries[0].placed:
-        return Diagnosis(
-            entries[0].effect, tuple(entries), separates=evidence.separates(entries), messages=entries[0].notes
-        )
+    best = entries[0]
+    if not best.placed:
+        if best.effect in PERIODIC:
+            say(0.85, f"the numbers of {best.effect}")
+            entries[0] = evidence.with_settings(best, found_beside(model, point, best.effect, best.settings))
+        return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries), messages=best.notes)
     return _law(model, point, before, entries, say)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from .screen import Trial
 from .suspect import Suspect
 from .working_point import WorkingPoint
 
+Settings = dict[str, dict[str, Parameter]]  # by canonical place, by name
 JOINT = 1e-2  # p-value, after counting, for a further bearing to be named beside the best one
 COST = 1.5  # nats per parameter in the order of the ranking: what an idle one gains held in, and loses held out
 
@@ -41,7 +42,7 @@ class Entry:
     explained_percent: float = 100.0  # rms of the effect's own part of the force over the bearing force
     placed: tuple[Placed, ...] = ()
     detectable: tuple[float, str] | None = None
-    settings: dict[str, dict[str, Parameter]] = field(default_factory=dict)  # of an effect that is no force law
+    settings: Settings = field(default_factory=dict)  # of an effect that is no force law
     notes: tuple[str, ...] = ()
     amplitude_gain: float | None = None  # nats on the largest amplitudes by parameters fitted to the smaller
 
@@ -135,12 +136,21 @@ def _suspected(point: WorkingPoint, own: list[Suspect], before: Survey) -> Entry
         p_value=min(s.p_value for s in own),
         before_percent=was,
         after_percent=max(was**2 - 1e4 * part / scale, 0.0) ** 0.5,
-        parameters={f"{p}.{own[0].effect}.{n}": v for p, values in settings.items() for n, v in values.items()},
+        parameters=_named(own[0].effect, settings),
         score=first,
         detectable=own[0].detectable,
         settings=settings,
         notes=tuple(dict.fromkeys([s.region for s in own] + [s.note for s in own if s.note])),
     )
+
+
+def _named(effect: str, settings: Settings) -> dict[str, Parameter]:
+    return {f"{place}.{effect}.{name}": p for place, values in settings.items() for name, p in values.items()}
+
+
+def with_settings(entry: Entry, settings: Settings) -> Entry:
+    """The entry of an effect that is no force law with other numbers."""
+    return replace(entry, settings=settings, parameters=_named(entry.effect, settings))
 
 
 def _odds(trials: list[Trial]) -> float:

@@ -17,7 +17,7 @@ from .errors import DataError
 from .features import NEAREST
 from .filtered import Filtered
 from .model import MOTION, Model
-from .periodic import series
+from .periodic import Wave, series, waves
 from .rotor import shaft_at_caps
 from .shaft_angle import measured_phase
 from .side_by_side import each
@@ -59,6 +59,7 @@ class MotionBlocks:
     driven: Array  # (places,) N^2/Hz, PSD of the measured forces; 0 without
     slow: Array | None = None  # (places, n) displacement below the band that the laws make: slow_motion.py
     shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
+    waves: tuple[Wave, ...] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
 
     @property
     def measured_force(self) -> bool:
@@ -239,7 +240,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
         known[i] -= a[P + k]
         driven[i] = np.mean(a[P + k] ** 2) / (model.band[1] - model.band[0])
     rms = np.array([each(np.std, z) for z in (x, v, a[:P])])
-    periodic = series(model, places, t, phase, rate_hz, model.band)
+    periodic = series(model, places, t, phase, rate_hz)
     if periodic is not None:
         known -= periodic
     fold = np.minimum(np.arange(starts.size) * FOLDS // starts.size, FOLDS - 1)
@@ -249,7 +250,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     return MotionBlocks(
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
         shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, driven, None,
-        _shared(model, places),
+        _shared(model, places), waves(model, places, rate_hz),
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import force_colour, modulation, periodic
+from . import force_colour, modulation, periodic, periodic_fit
 from .effect import EffectParameter
 from .effects import CATALOGUE
 from .effects.places import at, written
@@ -90,7 +90,7 @@ def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
         model, found = renewed, found | again
         point = fit_record(model, prepare(model, y, rate_hz))
     for _ in range(ROUNDS if any(u.name in periodic.PERIODIC for u in uses) else 0):
-        model, stepped = periodic.refined(model, point.data, point.force, point.S)
+        model, stepped = periodic_fit.refined(model, point, point.force)
         found |= stepped
         if stepped:
             point = fit_record(model, prepare(model, y, rate_hz))

@@ -14,6 +14,7 @@ from .fluctuation import Fluctuation, fluctuations
 from .model_uses import size
 from .motion_blocks import FOLDS, MotionBlocks, part_of
 from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing, fit, gram
+from .periodic import Wave
 from .placed import Placed, evaluate, remembers
 from .probe import Probe
 from .self_energy import Mean
@@ -96,7 +97,7 @@ def fit_model(
         data = data if moved.max(initial=0.0) < STILL else with_slow(data, kL, c, uses)
         point = _at(data, kL, c, nu, uses)
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
-        moved = moved[: moved.size - 2 * len(data.shared)]
+        moved = moved[: moved.size - 2 * len(data.shared) - len(data.waves)]
         kL, c, uses = _moved(point, kL, c)
         nu_old, (nu, weight) = nu, _noise(point)
         settled = np.allclose(nu * weight, nu_old * weight, rtol=NOISE_STEP, atol=NOISE_STEP * LEAST_NOISE)
@@ -222,6 +223,7 @@ def _at(
         known = {t.name: t.memory for t in longer.terms}
         own = [[replace(t, memory=known[t.name]) for t in ts if t.name in known] for ts in own]
     made += [t for ts in own for t in ts]
+    made += each(lambda wave: _wave(data, wave), data.waves)
     made += [_follows(data, F, i, j) for pair in data.shared for i, j in (pair, pair[::-1])]
     columns = weighing.columns(made)
     G = gram(weighing, spectra, columns)
@@ -277,6 +279,15 @@ def _follows(data: MotionBlocks, F: Array, i: int, j: int) -> Term:
     P = len(data.places)
     rms = max(float(F[j].std()), 1e-300)
     return light(Term(f"{data.places[i]}.follows.{data.places[j]}", "1", {i: F[j]}, np.zeros((P, P, 2)), 1.0 / rms))
+
+
+def _wave(data: MotionBlocks, wave: Wave) -> Term:
+    """What the amplitude of a periodic force may be off by, as a column. Without it a wrong one moves k and c, which
+    are then as wrong as the line about a resonance."""
+    P = len(data.places)
+    made = wave.series(data.t, data.phase)
+    rms = max(float(np.std(z)) for z in made.values())
+    return light(Term(wave.name, wave.unit, made, np.zeros((P, P, 2)), 1.0 / max(rms, 1e-300)))
 
 
 def _whole_power(data: MotionBlocks, fit: PathFit) -> Array:

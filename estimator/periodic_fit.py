@@ -1,0 +1,181 @@
+"""The numbers of periodic forces, from what the rest of the model leaves.
+
+Near the right numbers the inferred force, demodulated in pieces of time, is linear in what they are wrong by (a wrong
+frequency turns the phase from piece to piece): one weighted least-squares step. The line that a force makes in the
+motion goes through the tangents of the fitted model, so what these are uncertain by is added to what the random force
+scatters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .effects.places import written
+from .estimate import Parameter
+from .model import EffectUse, Model, Setting
+from .motion_blocks import MotionBlocks, shaft_response
+from .periodic import FREQUENCY, TURN, UNTOLD, Periodic, acts, periodic_of, series, waves
+from .working_point import WorkingPoint, fit_model, tangent_at
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Settings = Mapping[str, Mapping[str, Parameter]]  # by canonical place, by name
+PIECES = 16  # of the record, to see a phase that turns
+STEPS = 3  # of the numbers, before the model is fitted beside them and after
+
+
+def found_beside(model: Model, point: WorkingPoint, effect: str, settings: Settings) -> dict[str, dict[str, Parameter]]:
+    """Settings of a periodic effect that a model lacks, as it was found -> fitted together, the model beside them.
+
+    Where it was found each number was taken by itself: a frequency from three bins, a phase as if that were known, a
+    strike from the mean over all periods; and the force that the model did not have had moved its k and c.
+    """
+    use = EffectUse(effect, {key: {n: Setting(v.value) for n, v in own.items()} for key, own in settings.items()})
+    alone, bare = replace(model, effects=(use,)), point.data
+    alone, found = _stepped(alone, point, point.force)
+    added = waves(alone, bare.places, bare.rate_hz)
+    data = replace(bare, known=bare.known - _series(alone, bare), waves=(*bare.waves, *added))
+    point = fit_model(data, [*point.placed])
+    _, found = _stepped(alone, point, point.force + bare.known - data.known)
+    return {key: {n: found.get(f"{key}.{effect}.{n}", p) for n, p in own.items()} for key, own in settings.items()}
+
+
+def _stepped(alone: Model, point: WorkingPoint, whole: Array) -> tuple[Model, dict[str, Parameter]]:
+    """Some steps of the numbers. alone : the model with the effect only; whole : (places, n) N inferred without it."""
+    found: dict[str, Parameter] = {}
+    for _ in range(STEPS):
+        alone, found = refined(alone, point, whole - _series(alone, point.data))
+    return alone, found
+
+
+def _series(model: Model, data: MotionBlocks) -> Array:
+    wave = series(model, data.places, data.t, data.phase, data.rate_hz)
+    return np.zeros_like(data.known) if wave is None else wave
+
+
+def refined(model: Model, point: WorkingPoint, force: Array) -> tuple[Model, dict[str, Parameter]]:
+    """The model with the numbers of its periodic effects one step nearer, and these with their standard deviations.
+
+    point : the rest of the model; force : (places, n) N inferred with the effects as they are. Only what lies in the
+    band is moved.
+    """
+    found: dict[str, Parameter] = {}
+    uses = {use.name: dict(use.parameters) for use in model.effects}
+    for one in periodic_of(model):
+        stepped = _step(model, one, point, force)
+        if stepped is None:
+            continue
+        p, sd = stepped
+        old = written(one.effect, next(u for u in model.effects if u.name == one.effect.name), model, one.key)
+        uses[one.effect.name][one.key] = {
+            q.name: replace(old.get(q.name, Setting()), value=float(v))
+            for q, v in zip(one.effect.parameters, p, strict=True)
+        }
+        told = _told(one, p, sd)
+        for k, q in enumerate(one.effect.parameters):
+            value, spread = float(p[k]), float(sd[k])
+            found[f"{one.key}.{one.effect.name}.{q.name}"] = (
+                Parameter(value, 0.0, q.unit, True, "given") if not one.free[k]
+                else Parameter(value, spread, q.unit) if told[k]
+                else Parameter(None, None, q.unit, False, f"{value:.3g} +- {spread:.2g}: {UNTOLD}")
+            )  # fmt: skip
+    effects = tuple(replace(u, parameters=uses[u.name]) for u in model.effects)
+    return replace(model, effects=effects), found
+
+
+def _told(one: Periodic, p: Array, sd: Array) -> list[bool]:
+    """Whether each number is known: the two components of a phasor together, an angle whatever its value."""
+    names = [q.name for q in one.effect.parameters]
+    amplitude = [k for k, q in enumerate(one.effect.parameters) if q.linear]
+    there = bool(np.hypot.reduce(p[amplitude]) > 2.0 * sd[amplitude].max())
+    return [there and (name == "angle" or k in amplitude or s <= 0.5 * abs(v))
+            for k, (name, v, s) in enumerate(zip(names, p, sd, strict=True))]  # fmt: skip
+
+
+def _step(model: Model, one: Periodic, point: WorkingPoint, force: Array) -> tuple[Array, Array] | None:
+    """(k,) numbers after the step and their standard deviations; None if none is free, or no harmonic in the band."""
+    data = point.data
+    count = int(min(data.band[1] / one.hz, TURN // 8))
+    inside = np.flatnonzero((one.hz * np.arange(1, count + 1) >= data.band[0]) & one.sounding(count))
+    loose = [k for k, free in enumerate(one.free) if free]
+    if inside.size == 0 or not loose:
+        return None
+    turned = (
+        2 * np.pi * data.t if one.effect.name == "line" else data.phase
+    )  # theta per unit of the frequency parameter
+    pieces = np.minimum((np.arange(turned.size) * PIECES) // turned.size, PIECES - 1)
+    middle = np.bincount(pieces, turned) / np.bincount(pieces)
+    through = _through_the_model(model, one, point, 1 + inside)
+    rows, right, unsure = [], [], []
+    for i, place in enumerate(data.places):
+        if not acts(one, place):
+            continue
+        seen = _demodulated(force[i], one.angle(data.t, data.phase), pieces, count)[:, inside]
+        slopes = np.zeros((len(loose), *seen.shape), complex)
+        for j, k in enumerate(loose):
+            if k == FREQUENCY.get(one.effect.name):
+                F = one.harmonics(model, place, count)[inside]
+                slopes[j] = 1j * (1 + inside) * F * middle[:, None]
+            else:
+                slopes[j] = _slope(model, one, place, count, k)[inside]
+        scale = np.sqrt(data.t.size / PIECES / (point.S[i] * data.rate_hz))  # 1 / sd of a real part
+        rows.append(slopes.reshape(len(loose), -1) * scale)
+        right.append(seen.ravel() * scale)
+        unsure.append(np.tile(through[:, i] * scale, PIECES))
+    J, d, G = (_real(np.concatenate(z, axis=-1)) for z in (rows, right, unsure))
+    size = np.sqrt(np.sum(J * J, axis=1))
+    size[size == 0] = 1.0
+    information = (J @ J.T) / np.multiply.outer(size, size)
+    inverse = np.linalg.pinv(information, rcond=1e-10) / np.multiply.outer(size, size)
+    step, moved = inverse @ (J @ d), inverse @ (J @ G.T)
+    spread = np.sqrt(np.diag(inverse + moved @ point.fit.covariance @ moved.T))
+    p, sd = one.p.copy(), np.zeros(one.p.size)
+    for j, k in enumerate(loose):
+        q = one.effect.parameters[k]
+        limit = np.inf if q.linear else 0.5 if q.name == "angle" else 0.3 * abs(p[k])
+        p[k] += np.clip(step[j], -limit, limit)
+        if q.name == "angle":
+            p[k] %= 2 * np.pi
+        sd[k] = spread[j]
+    return p, sd
+
+
+def _real(z: Complexes) -> Array:
+    return np.concatenate([z.real, z.imag], axis=-1)
+
+
+def _through_the_model(model: Model, one: Periodic, point: WorkingPoint, orders: NDArray[np.int64]) -> Complexes:
+    """(terms, places, orders) N by which the inferred force of an effect is off per scaled unit of each parameter of
+    the rest: the mean tangent of its term at the motion that the effect makes."""
+    f = np.asarray(one.hz * orders, dtype=np.float64)
+    places, w = point.data.places, 2 * np.pi * f
+    F = np.stack([one.harmonics(model, p, orders[-1])[orders - 1] * acts(one, p) for p in places], axis=1)
+    A = tangent_at(point, f, shaft_response(model, places, f))
+    x = -np.linalg.solve(A, F[..., None])[..., 0] / w[:, None] ** 2
+    tangents = np.stack([t.tangent * t.scale for t in point.terms])
+    return np.asarray(np.einsum("tilc,cf,fl->tif", tangents, np.stack([np.ones_like(w), 1j * w]), x))
+
+
+def _slope(model: Model, one: Periodic, place: str, count: int, k: int) -> Complexes:
+    """(count,) change of the harmonics with parameter k."""
+    q = one.effect.parameters[k]
+    h = 1.0 if q.linear else 0.01 if q.name == "angle" else 0.01 * abs(one.p[k])
+    up, down = one.p.copy(), one.p.copy()
+    up[k] += h
+    down[k] -= h
+    both = (one.harmonics(model, place, count, p) for p in (up, down))
+    return np.asarray((next(both) - next(both)) / (2 * h))
+
+
+def _demodulated(force: Array, angle: Array, pieces: NDArray[np.int64], count: int) -> Complexes:
+    """(pieces, count) harmonics of a force (n,) over an angle, by folding each piece."""
+    bins = 1 << int(np.ceil(np.log2(8 * count)))
+    cell = ((angle / (2 * np.pi)) % 1.0 * bins).astype(np.int64) % bins
+    folded = np.bincount(pieces * bins + cell, force, PIECES * bins).reshape(PIECES, bins)
+    k = np.arange(1, count + 1)
+    F = np.fft.rfft(folded, axis=1)[:, 1 : count + 1] * np.exp(-1j * np.pi * k / bins) / np.sinc(k / bins)
+    return np.asarray(2 * F / np.bincount(pieces)[:, None])
