@@ -85,10 +85,18 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
     best = entries[0]
     if not best.placed:
         if best.effect in PERIODIC:
-            say(0.85, f"the numbers of {best.effect}")
-            entries[0] = evidence.with_settings(best, found_beside(model, point, best.effect, best.settings))
+            say(0.85, f"{best.effect} and the model fitted together")
+            entries[0] = _beside(model, point, before, best)
         return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries), messages=best.notes)
     return _law(model, point, before, entries, say)
+
+
+def _beside(model: Model, point: WorkingPoint, before: missing_force.Survey, entry: Entry) -> Entry:
+    """The entry of a force of time alone, fitted together with the model: about a resonance it had spoiled the fit."""
+    settings, after_point = found_beside(model, point, entry.effect, entry.settings)
+    part = thinned(after_point, missing_force.SURVEY_SECONDS)
+    after = missing_force.survey(part, model, only=before.places_found())
+    return replace(evidence.with_settings(entry, settings), after_percent=after.percent(part))
 
 
 def _law(

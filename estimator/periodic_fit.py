@@ -28,7 +28,9 @@ PIECES = 16  # of the record, to see a phase that turns
 STEPS = 3  # of the numbers, before the model is fitted beside them and after
 
 
-def found_beside(model: Model, point: WorkingPoint, effect: str, settings: Settings) -> dict[str, dict[str, Parameter]]:
+def found_beside(
+    model: Model, point: WorkingPoint, effect: str, settings: Settings
+) -> tuple[dict[str, dict[str, Parameter]], WorkingPoint]:
     """Settings of a periodic effect that a model lacks, as it was found -> fitted together, the model beside them.
 
     Where it was found each number was taken by itself: a frequency from three bins, a phase as if that were known, a
@@ -41,7 +43,8 @@ def found_beside(model: Model, point: WorkingPoint, effect: str, settings: Setti
     data = replace(bare, known=bare.known - _series(alone, bare), waves=(*bare.waves, *added))
     point = fit_model(data, [*point.placed])
     _, found = _stepped(alone, point, point.force + bare.known - data.known)
-    return {key: {n: found.get(f"{key}.{effect}.{n}", p) for n, p in own.items()} for key, own in settings.items()}
+    named = {key: {n: found.get(f"{key}.{effect}.{n}", p) for n, p in own.items()} for key, own in settings.items()}
+    return named, point
 
 
 def _stepped(alone: Model, point: WorkingPoint, whole: Array) -> tuple[Model, dict[str, Parameter]]:

@@ -157,7 +157,7 @@ def test_strikes_that_are_found_are_as_strong_as_they_are() -> None:
     y = record(rig, "local_defect", 0.06)
     point = fit_whole(rig, y, RATE).point
     (seen,) = (s for s in line_forces.find(rig, point, y, RATE) if s.effect == "local_defect")
-    found = found_beside(rig, point, "local_defect", seen.settings)
+    found, _ = found_beside(rig, point, "local_defect", seen.settings)
     truth = strengths(CATALOGUE["local_defect"], size(rig, "bearing1.x", RATE), 0.06, rig, SECONDS)
     for place in rig.places:
         for name in ("strike", "order", "width"):
