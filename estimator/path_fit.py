@@ -244,8 +244,12 @@ def fit(
     start: Array | None = None,
     ridge: Array | None = None,
     steps: int = 30,
+    told: float = 0.0,
 ) -> PathFit:
-    """Maximise L over all terms by Newton's method with halving; ridge : (terms,) added to the information."""
+    """Maximise L over all terms by Newton's method with halving; ridge : (terms,) added to the information.
+
+    told : nothing moves along sums of terms that have less than this share of the information of the terms.
+    """
     G, n = gram.G[:, folds].sum(axis=1), gram.n[:, folds].sum(axis=1)
     B = blocks[folds].sum()
     k = len(gram.names)
@@ -268,7 +272,7 @@ def fit(
         j1, j2 = jacobian.derivatives(gram.tangents, delta)
         gradient = -2 * (GB[:, 1:] / S[:, None]).sum(axis=0) + B * j1 - penalty * delta
         H = 2 * (G[:, 1:, 1:] / S[:, None, None]).sum(axis=0) - B * j2 + np.diag(penalty)
-        step = _solve(H, gradient)
+        step = _solve(H, gradient, told)
         size, new = 1.0, -np.inf
         while size > 1e-3:
             new = objective(delta + size * step)
@@ -287,11 +291,11 @@ def fit(
     return PathFit(gram.names, delta, _inverse(H), S, value, gram.scales)
 
 
-def _solve(H: Array, g: Array) -> Array:
-    """H^-1 g with eigenvalues kept away from zero (relative to the diagonal)."""
+def _solve(H: Array, g: Array, told: float = 0.0) -> Array:
+    """H^-1 g with eigenvalues kept away from zero (relative to the diagonal); those under `told` count as infinite."""
     d = 1 / np.sqrt(np.maximum(np.abs(np.diag(H)), 1e-300))
     e, U = np.linalg.eigh(H * np.multiply.outer(d, d))
-    e = np.maximum(np.abs(e), 1e-6)
+    e = np.where(np.abs(e) < told, np.inf, np.maximum(np.abs(e), 1e-6))
     return np.asarray(d * (U @ ((U.T @ (d * g)) / e)))
 
 
