@@ -204,8 +204,17 @@ def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[E
         )  # fmt: skip
     said = ["nothing of the catalogue improves the prediction beyond chance"]
     if point.data.measured_force:
-        said.append("beside a measured force only laws are tried: no lines, no pedestal, no shaped or shared forces")
+        said.append(_beside_forces(point))
     return Diagnosis("complete", entries, messages=tuple(said))
+
+
+def _beside_forces(point: WorkingPoint) -> str:
+    """What is not tried where the force is measured."""
+    known = [p for p, S in zip(point.data.places, point.data.driven, strict=True) if S > 0.0]
+    return (
+        f"the force at {', '.join(known)} is measured: its colour, and what it shares with another, are its own and "
+        "nothing that the model lacks"
+    )
 
 
 def _screen(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress) -> list[screen.Trial]:

@@ -17,7 +17,7 @@ from .estimate import Parameter
 from .model import DIRECTIONS, EffectUse, Model, Setting
 from .motion_blocks import COLOURS
 from .periodic import PERIODIC
-from .preparation import BLIND
+from .sensor_response import BLIND
 
 FIT = "rotorscope fit has its numbers"
 CLIPPED = "its sensor is clipped: what that took away is missing from the motion"

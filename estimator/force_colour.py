@@ -171,6 +171,9 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
     noise = np.zeros(len(data.places))
     shaped: set[int] = set()
     for i, place in enumerate(data.places):
+        if data.driven[i] > 0.0:  # what is left of a known force is noise: bent_path.py
+            shaped.add(i)
+            continue
         if point.kL[i] <= 0.0:  # a fit far from the rotor: no resonance to begin from
             continue
         c = cells_of(point, i)
@@ -262,7 +265,7 @@ def _noisy(model: Model, point: WorkingPoint, noise: Array) -> list[Suspect]:
     out, heard = [], data.heard(point.A)
     have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
     for i, place in enumerate(data.places):
-        others = np.delete(noise, i)
+        others = np.delete(noise, i)[np.delete(data.driven, i) == 0.0]
         if others.size == 0 or place in have:
             continue
         # noise counts where it is loudest: that of an accelerometer low in the band, that of displacement at its top
@@ -302,7 +305,7 @@ def _shared(model: Model, point: WorkingPoint) -> list[Suspect]:
     have = {p for u in model.effects if u.name == "correlated_force" for p in u.parameters}
     for i, place in enumerate(data.places):
         j = data.opposite(i)
-        if j is None or j < i or place in have:
+        if j is None or j < i or place in have or data.driven[i] > 0.0 or data.driven[j] > 0.0:
             continue
         a, b = point.spectra[i], point.spectra[j]
         n = float(a.size / 2)

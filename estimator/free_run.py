@@ -62,10 +62,11 @@ def resampled(z: Floats, size: int, shift: float) -> Floats:
     return np.asarray(np.fft.irfft(out, size, axis=-1) * (size / z.shape[-1]))
 
 
-def free_run(model: Model, force: Floats, rate_hz: float) -> Floats:
+def free_run(model: Model, force: Floats, rate_hz: float, first: int = 0) -> Floats:
     """(places, n) motion in the kind that each place's channel measures, from rest, under (places, n) N.
 
-    model : every value given. Raises ModelError for an incomplete or unstable model.
+    model : every value given. first : rows of the record before these, for what turns with the time.
+    Raises ModelError for an incomplete or unstable model.
     """
     from .simulate_plan import build
     from .simulate_speed import Speed
@@ -75,6 +76,7 @@ def free_run(model: Model, force: Floats, rate_hz: float) -> Floats:
     plan = build(replace(model, channels=channels))
     speed = Speed(model.speed_rpm) if model.speed_rpm is not None else None
     stepper = Stepper(plan, 1.0 / (rate_hz * OVERSAMPLE), "exponential", speed)
+    stepper.count = first * OVERSAMPLE
     slots = stepper.slots.of_dof[[plan.rig.index(p) for p in model.places]]
     out = np.empty_like(force)
     pad, chunk = int(0.25 * rate_hz), int(CHUNK_S * rate_hz)
@@ -104,16 +106,21 @@ def simulation_rmse(solution: Solution, first: float = 0.0) -> dict[str, float]:
     Fit on the rows before, and simulate those after, for a held-out figure. Raises DataError without a measured force
     at every place.
     """
-    record: Record = solution.record
-    model, rate = record.model, record.rate_hz
+    start = solution.start
+    return beside_record(fitted_model(solution), solution.record, float(np.max(2 * start.m / start.c)), first)
+
+
+def beside_record(model: Model, record: Record, decay_s: float, first: float = 0.0) -> dict[str, float]:
+    """The same of a model whose every value is given. decay_s : until free motion is down to 1 / e."""
+    rate = record.rate_hz
     P = len(model.places)
     if len(force_channels(model)) < P:
         raise DataError("a free run needs a measured force at every place: add channels of kind force")
-    lead = int(SETTLE * 2 * float(np.max(solution.start.m / solution.start.c)) * rate)
+    lead = int(SETTLE * decay_s * rate)
     start = max(int(first * record.motion.rows) - lead, 0)
     valid = record.motion.valid[start:]
     force = np.where(valid, np.stack([record.force[i] for i in range(P)])[:, start:], 0.0)
-    y = free_run(fitted_model(solution), force, rate)
+    y = free_run(model, force, rate, start)
     kinds = [model.channels[c].kind for c in motion_channels(model)]
     simulated = band_limit(y.T, kinds, rate, model.band)
     out = {}

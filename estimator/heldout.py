@@ -7,10 +7,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .effects.custom import effect_of
 from .errors import DataError, ModelError
+from .fitted import fitted_model
 from .missing_force import Survey, ridge_of
 from .model import Model
 from .motion_blocks import FOLDS
+from .sensor_response import undone
 from .subproblem import component, heldout_gain, subproblem
 from .working_point import WorkingPoint
 
@@ -27,15 +30,33 @@ def heldout_rmse(model: Model, y: Array, rate_hz: float) -> dict[str, float]:
     forced = {c.place for c in model.channels if c.kind == "force"}
     if not model.places or not forced.issuperset(model.places):
         return {}
-    from . import spectral
-    from .free_run import simulation_rmse
+    from . import spectral, whole
+    from .free_run import beside_record, simulation_rmse
     from .record import prepare
 
+    part = y[: int(FITTED * len(y))]
     try:
-        solution = spectral.analyse(model, y[: int(FITTED * len(y))], rate_hz)
+        if any(whole.beside_the_laws(u) or effect_of(u).kind == "memory" for u in model.effects):
+            found = whole.fit_whole(model, part, rate_hz)
+            filled = _known(fitted_model(found.model, found.point))
+            record = prepare(filled, undone(filled, y, rate_hz), rate_hz)
+            damping = np.einsum("iik->ik", found.point.slopes)[:, 1]
+            return beside_record(filled, record, float(np.max(2 * found.point.data.mass / damping)), FITTED)
+        solution = spectral.analyse(model, part, rate_hz)
         return simulation_rmse(replace(solution, record=prepare(model, y, rate_hz)), FITTED)
     except (ModelError, DataError):
         return {}
+
+
+def _known(model: Model) -> Model:
+    """The model without what no value was found for."""
+    uses = (
+        replace(
+            u, parameters={p: own for p, own in u.parameters.items() if all(s.value is not None for s in own.values())}
+        )
+        for u in model.effects
+    )
+    return replace(model, effects=tuple(u for u in uses if u.parameters))
 
 
 def heldout_nll(point: WorkingPoint) -> float:
@@ -52,6 +73,7 @@ def heldout_nll(point: WorkingPoint) -> float:
         for f in range(FOLDS):
             rest = np.array([k for k in range(FOLDS) if k != f])
             total -= problem.likelihood(problem.fit(rest), np.array([f]))
+    total -= point.data.blocks * np.log(point.data.sharpened).sum()  # of what was measured, not of what was undone
     for i, _ in point.data.shared:  # each of the two was given the other: what they share has counted twice
         total -= point.gram.n[i].sum() * np.log(point.fit.S[i] / point.S[i])
     return float(total) / (point.data.blocks * point.data.block)

@@ -2,7 +2,8 @@
 
 A line at f in the accelerations of all caps is a force A(f) a(f) on the caps, A the tangent of the fitted model. Its
 strength is judged against the noise of the neighbouring frequencies, so it is seen even where the band ends: a shaft
-order below the band is not hidden. |Y|^2 over its local mean is exponential where there is no line.
+order below the band is not hidden. |Y|^2 over its local mean is exponential where there is no line. Where the force is
+measured, A(f) a(f) less that force is looked at instead: a line that it has itself is nothing that the model lacks.
 
 Which cause: a rotating force on the disc (imbalance, bow: order 1, forward, in the proportion that the shaft passes
 to both caps), a cap force at order 2 (misalignment), a train of harmonics of a bearing order (local_defect), or a
@@ -16,13 +17,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from .balance import shaft_notch
 from .effects import CATALOGUE
 from .effects.places import kinematic, orders
 from .estimate import Parameter
-from .line_spectrum import Spectrum, by_angle, spectrum_of
+from .line_spectrum import Spectrum, by_angle, residual_spectrum, spectrum_of
 from .model import Model
 from .motion_blocks import shaft_response
 from .periodic import known_lines, to_cap
+from .sensor_response import undone
 from .suspect import Suspect
 from .working_point import WorkingPoint, tangent_at
 
@@ -30,12 +33,14 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 SURE = 1.3  # the local noise is known to about a tenth: so much more is asked of a line
 LEVEL = 1e-4  # chance of one false line in a record, in a blind search
+NEAR_DISC = 0.04  # of the disc's resonance on its shaft, on either side
+LEAST = 1.2e-3  # of the bearing force (rms): less is nothing to find beside a measured force
 KNOWN_LEVEL = 1e-4  # at an order that is looked at on purpose
 
 
 def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Suspect]:
     """Every periodic force that the model does not have yet, by cause."""
-    s = spectrum_of(model, y, rate_hz)
+    s = _searched(model, point, y, rate_hz)
     known = known_lines(model)
     rotation = (model.speed_rpm or 0.0) / 60.0
     tracked = [] if s.phase is None else [rotation, 2 * rotation]
@@ -59,6 +64,21 @@ def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Su
         if suspect is not None:
             out.append(suspect)
     return out
+
+
+def _searched(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> Spectrum:
+    """The spectrum that lines are sought in: of the motion, or beside a measured force of what it leaves."""
+    if not point.data.measured_force:
+        return spectrum_of(model, y, rate_hz)
+    places = point.data.places
+    rows = {places.index(c.place): k for k, c in enumerate(model.channels) if c.kind == "force" and c.place in places}
+    s = residual_spectrum(
+        spectrum_of(model, undone(model, y, rate_hz), rate_hz), y, rows,
+        lambda f_hz: tangent_at(point, f_hz, shaft_response(model, places, f_hz)),
+    )  # fmt: skip
+    if (notch := shaft_notch(model)) is not None:  # whatever is wrong rings there like a line
+        s.noise[:, np.abs(s.f_hz / (0.5 * sum(notch)) - 1.0) < NEAR_DISC] = np.inf
+    return s
 
 
 def _standing(s: Spectrum, known: Sequence[float], threshold: float) -> list[float]:
@@ -95,6 +115,8 @@ def forces(point: WorkingPoint, s: Spectrum, hz: float, order: int = 0) -> tuple
     order : of the shaft, if it is one.
     """
     Y, noise = s.at_order(order, hz / order) if order else s.at(hz)
+    if set(s.kinds) == {"force"}:
+        return Y, noise
     A = tangent_at(point, np.array([hz]), shaft_response(s.model, point.data.places, np.array([hz])))[0]
     return A @ Y, (np.abs(A) ** 2) @ noise
 
@@ -113,6 +135,11 @@ def _one_line(
     if Z.max() < needed and total < needed + 3 * P:
         return None
     power = {i: float(np.abs(F[i]) ** 2 / 2) for i in range(P) if Z[i] > 5}
+    if point.data.measured_force:
+        power = {i: w for i, w in power.items() if w > (LEAST * point.bearing_force[i]) ** 2}
+        Z[[i for i in range(P) if i not in power]] = 0.0
+        if not power:
+            return None
     p = float(min(1.0, np.exp(-(total - P)) * (4 if near else Z.size * s.f_hz.size)))
     if near == [1] and model.shaft != "none":
         weights = _disc(model, point, rotation)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .bandlimit import to_acceleration
+from .bandlimit import noise_shape, to_acceleration
 from .model import MOTION, Model
 from .shaft_angle import measured_phase
 
@@ -15,6 +17,8 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 NEIGHBOURS, THIN = 240, 4  # bins either side for the local noise, of which every fourth is looked at
 BESIDE = 20  # bins on either side that a line is to be the main thing in
+LEAST_HZ, CHUNK = 2.0, 1 << 16  # Hz below which no force is inferred; bins at a time
+UNUSUAL = 6.0  # over its surroundings, in power, from where a bin counts for less in them
 STEADY = 0.45  # of the power of these bins, what has the shape of a line
 
 
@@ -96,6 +100,51 @@ def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
     windowed *= np.hanning(keep).astype(np.float32)
     kinds = tuple(model.channels[k].kind for k in columns)
     return _spectrum(windowed, kinds, model, rate_hz, measured_phase(model, y[:keep], rate_hz))
+
+
+def residual_spectrum(
+    s: Spectrum, y: Array, forces: Mapping[int, int], stiffness: Callable[[Array], Complexes]
+) -> Spectrum:
+    """Spectrum of what the motion of `s` asks for beyond the measured forces: places in N, whatever their sensors.
+
+    forces : place -> column of its force in y; stiffness : (f,) Hz -> (f, places, places) force per acceleration.
+    What is in proportion to the measured force, about each frequency, is taken out: an error of the model there makes
+    no line of a line that the measured force itself has.
+    """
+    from scipy.fft import irfft, rfft
+
+    P, n = s.windowed.shape
+    Y = np.asarray(rfft(s.windowed.astype(np.float64), axis=1, workers=2))
+    R = np.zeros_like(Y)
+    for a in range(max(1, int(LEAST_HZ * s.seconds)), Y.shape[1], CHUNK):
+        here = slice(a, a + CHUNK)
+        w = 2 * np.pi * s.f_hz[here]
+        derived = np.stack([_derived(kind, w) for kind in s.kinds])
+        R[:, here] = np.einsum("fij,jf->if", stiffness(s.f_hz[here]), derived * Y[:, here])
+    uneasy = np.ones(R.shape)
+    window = np.hanning(n)
+    for i, column in forces.items():
+        F = np.asarray(rfft(np.nan_to_num(y[:n, column]) * window, workers=2))
+        R[i] -= F
+        R[i, F.size - 1] = 0.0
+        PR, PF = (np.maximum(surroundings(z.real**2 + z.imag**2, NEIGHBOURS), 1e-300) for z in (R[i], F))
+        weight = 1.0 / np.maximum(np.maximum(np.abs(R[i]) ** 2 / PR, np.abs(F) ** 2 / PF) / UNUSUAL, 1.0)
+        proportion = _smooth(weight * R[i] * F.conj()) / np.maximum(_smooth(weight * np.abs(F) ** 2), 1e-300)
+        R[i] -= np.where(s.f_hz > LEAST_HZ, proportion * F, 0.0)
+        uneasy[i] += np.abs(F) ** 2 / PF / (2 * NEIGHBOURS)
+    out = _spectrum(np.asarray(irfft(R, n, axis=1), dtype=np.float32), ("force",) * P, s.model, s.rate_hz, s.phase)
+    return replace(out, noise=out.noise * uneasy)
+
+
+def _derived(kind: str, w: Array) -> Complexes:
+    """(f,) acceleration per unit of a sensor."""
+    return np.asarray(to_acceleration((kind,), 1.0) * np.sqrt(noise_shape((kind,), w)[0]))
+
+
+def _smooth(z: NDArray[Any]) -> NDArray[Any]:
+    from scipy.ndimage import uniform_filter1d
+
+    return np.asarray(uniform_filter1d(z, 2 * NEIGHBOURS + 1, mode="reflect"))
 
 
 def by_angle(s: Spectrum) -> Spectrum:

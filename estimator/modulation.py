@@ -99,7 +99,8 @@ def turning(point: WorkingPoint) -> Turning | None:
 
     def clearest(i: int) -> tuple[float, float]:
         """Nats and Hz of the highest line at a place."""
-        product = np.bincount(rows, point.force[i] * data.x[i])
+        force = _without_lines(point.force[i]) if data.driven[i] > 0.0 else point.force[i]
+        product = np.bincount(rows, force * data.x[i])
         line = rfft(product, size)
         power = line.real**2 + line.imag**2
         nats = power / surroundings(power, NEIGHBOURS)
@@ -110,6 +111,20 @@ def turning(point: WorkingPoint) -> Turning | None:
     if nats < SURE * np.log(np.count_nonzero(usable) * len(data.places) / LEVEL):
         return None
     return Turning(hz / rotation, float(np.sqrt(6.0 / nats) / (2 * np.pi * seconds)) / rotation)
+
+
+def _without_lines(force: Array) -> Array:
+    """What is left of a measured force, (n,), without its lines: they make lines in the motion too, and with these in
+    every product. A stiffness that turns makes none in the force itself."""
+    from scipy.fft import irfft, rfft
+
+    Z = rfft(force * np.hanning(force.size))
+    power = Z.real**2 + Z.imag**2
+    lines = power > SURE * np.log(Z.size / LEVEL) * surroundings(power, NEIGHBOURS)
+    if not lines.any():
+        return force
+    Z[np.convolve(lines, np.ones(5, bool), mode="same")] = 0.0
+    return np.asarray(irfft(Z, force.size))
 
 
 def _between(three: Array) -> float:

@@ -19,6 +19,7 @@ from .filtered import Filtered
 from .model import MOTION, Model
 from .periodic import Wave, series, waves
 from .rotor import shaft_at_caps
+from .sensor_response import forced, of_place
 from .shaft_angle import measured_phase
 from .side_by_side import each
 
@@ -57,6 +58,7 @@ class MotionBlocks:
     left_out: Array  # (places, 2) sd of the displacement and velocity outside of the band
     rms: Array  # (3, places) of x, of v and of a, over the whole record
     driven: Array  # (places,) N^2/Hz, PSD of the measured forces; 0 without
+    sharpened: Array  # (places, bins) by what undoing a sensor's resonance has multiplied its noise, in power
     slow: Array | None = None  # (places, n) displacement below the band that the laws make: slow_motion.py
     shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
     waves: tuple[Wave, ...] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
@@ -76,7 +78,7 @@ class MotionBlocks:
 
     def heard(self, A: NDArray[np.complex128]) -> Array:
         """(places, bins) PSD of force over that of white sensor noise, seen through A (bins, places, places)."""
-        shape = noise_shape(self.kinds, 2 * np.pi * self.f_hz)
+        shape = noise_shape(self.kinds, 2 * np.pi * self.f_hz) * self.sharpened
         return np.asarray(np.einsum("kil,lk->ik", np.abs(A) ** 2, shape))
 
     @property
@@ -195,8 +197,8 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     if not places:
         raise DataError("the rig has no motion channel at a bearing: nothing to compare")
     moving = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind in MOTION) for p in places]
-    forced = {c.place: k for k, c in enumerate(model.channels) if c.kind == "force"}
-    columns = moving + [forced[p] for p in places if p in forced]
+    shaken = {c.place: k for k, c in enumerate(model.channels) if c.kind == "force"}
+    columns = moving + [shaken[p] for p in places if p in shaken]
     for k in columns:
         if not (np.abs(y[:, k]) > 0.0).any():
             raise DataError(f"channel {model.channels[k].name} is zero all along: check the sensor and the link")
@@ -224,6 +226,11 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     turning = np.stack([t, speed * t if angle is None else angle])
     a, v, x, u, (t, phase) = map(valid, (motion.a, motion.v[:P], motion.x[:P], motion.u, turning))
     mass = np.array([model.cap_mass(p) or 1.0 for p in places])
+    measured = {places.index(p): a[P + k] for k, p in enumerate(p for p in places if p in shaken)}
+    for i, force in measured.items():
+        if model.cap_mass(places[i]) is None:  # the scale that the force gives
+            Z = np.stack([a[i], v[i], x[i]])
+            mass[i] = np.linalg.solve(Z @ Z.T, Z @ force)[0]
     known = u[:P] if len(u) else np.zeros_like(x)
     for direction in "xy":
         same = [i for i, p in enumerate(places) if p.endswith(direction)]
@@ -235,10 +242,9 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
                 known[i] += model.shaft_stiffness * x[i]
                 known[i] += model.shaft_damping * v[i]
     driven = np.zeros(P)
-    for k, p in enumerate(q for q in places if q in forced):
-        i = places.index(p)
-        known[i] -= a[P + k]
-        driven[i] = np.mean(a[P + k] ** 2) / (model.band[1] - model.band[0])
+    for i, force in measured.items():
+        known[i] -= force
+        driven[i] = np.mean(force**2) / (model.band[1] - model.band[0])
     rms = np.array([each(np.std, z) for z in (x, v, a[:P])])
     periodic = series(model, places, t, phase, rate_hz)
     if periodic is not None:
@@ -249,8 +255,8 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     kinds = tuple(model.channels[k].kind for k in moving)
     return MotionBlocks(
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
-        shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, driven, None,
-        _shared(model, places), waves(model, places, rate_hz),
+        shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, driven,
+        sharpened(model, places, f), None, _shared(model, places), waves(model, places, rate_hz),
     )  # fmt: skip
 
 
@@ -269,15 +275,25 @@ def _shared(model: Model, places: tuple[str, ...]) -> tuple[tuple[int, int], ...
     return tuple((places.index(p), places.index(f"bearing2.{p[-1]}")) for p in firsts)
 
 
+def sharpened(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
+    """(places, f) |true over measured|^2 of the sensors' responses that are undone beside a measured force."""
+    if not forced(model):
+        return np.ones((len(places), f_hz.size))
+    return np.array([1.0 / np.abs(of_place(model, p, 2 * np.pi * f_hz)) ** 2 for p in places])
+
+
 def colours(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
     """(places, f) what the model's own effects make of a white force: coloured excitation, a resonant sensor."""
     from .effects import CATALOGUE
 
     out = np.ones((len(places), f_hz.size))
+    known = forced(model)
     for use in model.effects:
         if use.name not in COLOURS:
             continue
         for i, place in enumerate(places):
+            if place in known:  # a measured force has the colour that it has, and its sensor is undone
+                continue
             own = [s for k, s in use.parameters.items() if k in (place, place.split(".")[0])]
             if not own:
                 continue

@@ -2,7 +2,8 @@
 
 Newton's method finds them from near by. What a rig file says may be far off, so each effect with such parameters is
 first tried on a coarse grid about its values, on a part of the record, beside the model without it. A pedestal, which
-has no amplitude to judge a node by, is also begun from what the spectrum of the force suggests.
+has no amplitude to judge a node by, is also begun from what the spectrum of the force suggests, or the motion under a
+measured force.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from . import force_colour, screen
+from . import bent_path, force_colour, screen
 from .model import Model
 from .model_uses import placed_of
 from .motion_blocks import MotionBlocks, part_of
@@ -56,7 +57,8 @@ def _suggested(data: MotionBlocks, uses: list[Placed]) -> list[Placed]:
     begun = {}
     for k in shaped:
         if without.kL[uses[k].at[0]] > 0.0:  # not a fit far from the rotor
-            suggested = force_colour.pedestal(without, uses[k].at[0])
+            i = uses[k].at[0]
+            suggested = (bent_path if data.driven[i] > 0.0 else force_colour).pedestal(without, i)
             begun[k] = uses[k].with_values(np.where(uses[k].free, suggested, uses[k].p))
     as_typed, as_found = (
         fit_model(part, [*others, *own]) for own in ([uses[k] for k in shaped], [begun.get(k, uses[k]) for k in shaped])

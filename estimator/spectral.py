@@ -23,6 +23,7 @@ from .maximum import inverse, maximum
 from .model import UNITS, Model
 from .periodic import PERIODIC
 from .record import Bank, Record, prepare, stretches
+from .sensor_response import forced
 from .slow_motion import lopsided, usual
 from .start import Start
 
@@ -167,12 +168,15 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
 
 
 def _more_than_laws(model: Model) -> bool:
-    """Whether the model has effects that the Gram matrices do not hold; a measured force explains the record itself."""
+    """Whether the model has effects that the Gram matrices do not hold; those that move a cap off its centre they hold
+    where the force is measured."""
     known = all(model.cap_mass(place) is not None for place in model.places)
     effects = [effect_of(use) for use in model.effects]
-    more = any(e.kind != "force" or e.name in PERIODIC or lopsided(e, usual(e), np.ones(4)) for e in effects)
-    more |= bool(modulation.laws(model)) and bool(model.speed_rpm)
-    return more and known and not any(c.kind == "force" for c in model.channels)
+    more = any(e.kind != "force" or e.name in PERIODIC for e in effects)
+    if not forced(model):
+        more |= any(lopsided(e, usual(e), np.ones(4)) for e in effects)
+        more |= bool(modulation.laws(model)) and bool(model.speed_rpm)
+    return more and known
 
 
 def messages(solution: Solution) -> tuple[str, ...]:

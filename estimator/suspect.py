@@ -29,7 +29,8 @@ class Suspect:
 
 
 CLAIMED = 1e-3  # p-value above which nothing is counted as missing
-SHAPES = ("coloured_excitation", "sensor_resonance", "pedestal", "sensor_noise")  # causes of one spectrum
+# causes of one spectrum
+SHAPES = ("coloured_excitation", "sensor_resonance", "pedestal", "sensor_noise", "sensor_gain", "sensor_skew")
 
 
 @dataclass(frozen=True, slots=True)

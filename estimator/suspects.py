@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import force_colour, line_forces, periodic, sensor_faults
-from .model import Model
+from . import bent_path, force_colour, line_forces, periodic, sensor_faults
+from .model import EffectUse, Model, Setting
 from .model_uses import not_judged
 from .suspect import Suspect
 from .working_point import WorkingPoint
@@ -19,16 +19,27 @@ Array = NDArray[np.float64]
 def suspects(model: Model, point: WorkingPoint, y: Array, everywhere: bool = False) -> list[Suspect]:
     """Lines, shaped or shared forces, sensor faults, strongest first; of a clipped channel nothing else.
 
+    A measured force has the shape and the company that it has: there, what bends the path to the motion is sought.
     everywhere : of clipped channels too, for a model that is known to have these effects there.
     """
     clipped = sensor_faults.find(model, y)
+    lines = line_forces.find(model, point, y, point.data.rate_hz)
+    rest = lines + force_colour.find(model, point)
     if point.data.measured_force:
-        return clipped  # what is left of a known force has no spectrum of its own to judge
-    rest = line_forces.find(model, point, y, point.data.rate_hz) + force_colour.find(model, point)
+        rest += bent_path.find(model, point, periodic.known_lines(_having(model, lines)))
     if not everywhere:
         bad = {p for s in clipped for p in s.at} | {point.data.places[i] for i in not_judged(model, point.data.places)}
         rest = [kept for s in rest if (kept := _elsewhere(s, bad, point)) is not None]
     return clipped + sorted(rest, key=lambda s: -s.gain)
+
+
+def _having(model: Model, found: list[Suspect]) -> Model:
+    """The model with periodic forces that were found."""
+    uses = tuple(
+        EffectUse(s.effect, {p: {n: Setting(q.value) for n, q in own.items()} for p, own in s.settings.items()})
+        for s in found
+    )
+    return replace(model, effects=(*model.effects, *uses))
 
 
 def _elsewhere(s: Suspect, bad: set[str], point: WorkingPoint) -> Suspect | None:

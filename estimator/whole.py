@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import force_colour, modulation, periodic, periodic_fit
+from . import bent_path, force_colour, modulation, periodic, periodic_fit
 from .effect import EffectParameter
 from .effects import CATALOGUE
 from .effects.places import at, written
@@ -22,8 +22,9 @@ from .fitted import parameters
 from .model import EffectUse, Model, Setting
 from .model_uses import not_judged
 from .motion_blocks import COLOURS
-from .preparation import BLIND, prepare
+from .preparation import prepare
 from .search_start import fit_record
+from .sensor_response import BLIND, LINEAR, forced
 from .shaft_angle import timed
 from .suspect import Suspect
 from .suspects import suspects
@@ -78,23 +79,41 @@ def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
     uses = [u for u in model.effects if beside_the_laws(u)]
     if not uses:
         return Whole(model, fit_record(model, prepare(model, y, rate_hz)), {})
-    bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u.name in BLIND))
+    undone = [u for u in uses if _undone(u, model)]
+    bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u in undone))
     point = fit_record(bare, prepare(bare, y, rate_hz))
-    model, found = _all_numbered(model, {u.name for u in uses}, suspects(bare, point, y, everywhere=True), point)
+    numbered = {u.name for u in uses if u not in undone or not _told(u, model)}
+    model, found = _all_numbered(model, numbered, suspects(bare, point, y, everywhere=True), point)
     point = fit_record(model, prepare(model, y, rate_hz))
-    for _ in range(ROUNDS if any(u.name in COLOURS for u in uses) else 0):  # found among laws that they distort
+    colours = {u.name for u in uses if u.name in COLOURS and not _told(u, model)}
+    for _ in range(ROUNDS if colours else 0):  # found among laws that they distort
         flat = replace(point, data=replace(point.data, colour=np.ones_like(point.data.colour)))
-        renewed, again = _all_numbered(model, set(COLOURS), force_colour.find(bare, flat), flat)
+        renewed, again = _all_numbered(model, colours, force_colour.find(bare, flat), flat)
         if not _moved(found, again):
             break
         model, found = renewed, found | again
         point = fit_record(model, prepare(model, y, rate_hz))
-    for _ in range(ROUNDS if any(u.name in periodic.PERIODIC for u in uses) else 0):
+    for _ in range(ROUNDS if any(u.name in periodic.PERIODIC or _told(u, model) for u in uses) else 0):
+        model, bent = bent_path.refined(model, point)
         model, stepped = periodic_fit.refined(model, point, point.force)
+        stepped |= bent
         found |= stepped
         if stepped:
             point = fit_record(model, prepare(model, y, rate_hz))
     return Whole(model, point, found)
+
+
+def _told(use: EffectUse, model: Model) -> bool:
+    """Whether it is a sensor's response beside a measured force, which tells it."""
+    return use.name in LINEAR and bool(forced(model).intersection(at(CATALOGUE[use.name], use, model)))
+
+
+def _undone(use: EffectUse, model: Model) -> bool:
+    """Whether it is a sensor's response that is undone before anything is known of it: as the rig file gives it."""
+    if not _told(use, model):
+        return use.name in BLIND
+    names = [q.name for q in CATALOGUE[use.name].parameters]
+    return all(own.get(n, Setting()).value is not None for own in use.parameters.values() for n in names)
 
 
 def fit(model: Model, y: Array, rate_hz: float) -> Fit:
@@ -153,8 +172,9 @@ def _numbered(
                 found[name] = own[q.name]
                 setting = replace(setting, value=own[q.name].value)
             else:
-                found[name] = _unseen(use.name, q)
-                setting = setting if use.name in BLIND else replace(setting, value=None)
+                blind = use.name in BLIND and not _told(use, model)
+                found[name] = _unseen(blind, q)
+                setting = setting if blind else replace(setting, value=None)
             new[key][q.name] = setting
     return replace(use, parameters=new), found
 
@@ -186,8 +206,8 @@ def _bow(model: Model, seen: list[dict[str, Parameter]]) -> dict[str, Parameter]
     return {"a": Parameter(force.real, sd, "N"), "b": Parameter(force.imag, sd, "N")}
 
 
-def _unseen(effect: str, q: EffectParameter) -> Parameter:
-    if effect in BLIND:
+def _unseen(blind: bool, q: EffectParameter) -> Parameter:
+    if blind:
         why = "bearings that hardly feel each other say nothing of it: give it, with fixed = true"
     else:
         why = periodic.UNTOLD

@@ -1,0 +1,244 @@
+"""What bends the path from a measured force to a measured motion: a pedestal, or a sensor that is wrong.
+
+Each is tried as the A' of transfer.py, stiffness and damping fitted beside it. The known mass is what tells a gain:
+measured with the gain 1 + error, the rotor's mass seems to be m / (1 + error), and nothing else changes that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from .effects import CATALOGUE
+from .effects.places import at, written
+from .estimate import Parameter
+from .force_colour import NOISE_RATIO
+from .model import MOTION, Model
+from .periodic import known_lines
+from .sensor_response import LINEAR, forced, response
+from .suspect import Suspect
+from .transfer import Peak, Response, exp, highest, left, linear, plain, response_of
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+EXPLAINED = 0.5  # of the nats that a free response gains, for a cause to be the cause
+LEAST = 1.2e-3  # of the bearing force (rms): less is within what filters and integrators leave behind
+FEWEST = 100  # cells that are to be left
+UNEVEN = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
+NOTES = {
+    "pedestal": CATALOGUE["pedestal"].distinguish,
+    "sensor_gain": "a cap mass in the rig file that is off by as much, or a force channel by the inverse, is the same",
+    "sensor_skew": "a force channel that is early by as much is the same: only the two against each other are told",
+    "sensor_resonance": CATALOGUE["sensor_resonance"].distinguish,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """What may bend a tangent. values : parameters in SI of their free form, and `free` the other way; starts : in it.
+
+    bend : A' of a response, the tangent (cells,) without the cause, kL and c, and the parameters."""
+
+    effect: str
+    starts: tuple[tuple[float, ...], ...]
+    values: Callable[[Array], Array]
+    free: Callable[[Array], Array]
+    bend: Callable[[Response, Complexes, float, float, Array], Complexes]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(q.name for q in CATALOGUE[self.effect].parameters)
+
+
+def _pedestal(mass: float, peak: float) -> Cause:
+    size, low, high = np.array([mass, 1.0, 1.0]), np.array([-2.3, 2.0, -6.0]), np.array([3.0, 11.0, -0.36])
+
+    def bend(r: Response, A: Complexes, k: float, c: float, p: Array) -> Complexes:
+        M, w0, zeta = p[0], 2 * np.pi * p[1], p[2]
+        D = k + 1j * r.w * c
+        below = M * (w0**2 - r.w**2 + 2j * zeta * r.w * w0)
+        return np.asarray(A + D * D / (below + D) / r.w**2)
+
+    starts = tuple((m, float(np.log(peak * f)), -3.0) for m in (0.0, 1.5) for f in (0.5, 1.2, 2.0, 3.5))
+    return Cause(
+        "pedestal", starts, lambda z: size * np.exp(np.clip(z, low, high)), lambda p: np.log(p / size), bend
+    )  # fmt: skip
+
+
+def _sensor(effect: str, starts: tuple[tuple[float, ...], ...], unit: float, now: Mapping[str, float | None]) -> Cause:
+    """A fault that is a response. now : its numbers that have been undone. unit : of the free form; 0: logarithms."""
+    names = [q.name for q in CATALOGUE[effect].parameters]
+    limits = np.array([(3.0, 13.0), (-1.5, 6.0)]).T
+
+    def bend(r: Response, A: Complexes, k: float, c: float, p: Array) -> Complexes:
+        return np.asarray(A * response(effect, now, r.w) / response(effect, dict(zip(names, p, strict=True)), r.w))
+
+    if unit == 0.0:
+        return Cause(effect, starts, lambda z: np.exp(np.clip(z, *limits)), np.log, bend)
+    return Cause(effect, starts, lambda z: unit * z, lambda p: p / unit, bend)
+
+
+def _causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str, float | None]]) -> list[Cause]:
+    """Those that a place may have. have : numbers of those that the model has there."""
+    data = point.data
+    peak = float(np.sqrt(point.kL[i] / data.mass[i]) / (2 * np.pi))
+    top = data.band[1]
+    resonances = tuple(
+        (float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4, 2.5) for q in (4, 25)
+    )
+    return [
+        _pedestal(float(data.mass[i]), peak),
+        _sensor("sensor_gain", ((0.1,), (-0.1,), (1.0,), (-0.5,), (-2.0,)), 1.0, have.get("sensor_gain", {})),
+        _sensor("sensor_skew", ((-3.0,), (-1.0,), (-0.2,), (0.2,), (1.0,), (3.0,)), 1.0 / data.rate_hz,
+                have.get("sensor_skew", {})),
+        _sensor("sensor_resonance", resonances, 0.0, have.get("sensor_resonance", {})),
+    ]  # fmt: skip
+
+
+def _bent(
+    point: WorkingPoint, i: int, r: Response, cause: Cause, base: Peak, scale: Array, starts: list[Array]
+) -> Peak:  # fmt: skip
+    """The likeliest numbers of a cause beside k and c."""
+    k, c = float(point.kL[i]), float(point.c[i])
+
+    def bend(d: Array) -> Complexes:
+        return cause.bend(r, linear(r, d), k + d[0], c + d[1], cause.values(d[2:]))
+
+    wide = np.concatenate([scale, np.full(len(cause.names), 0.1)])
+    return max((highest(r, bend, np.concatenate([base.u, z]), wide) for z in starts), key=lambda peak: peak.nats)
+
+
+def _settings(cause: Cause, peak: Peak) -> dict[str, Parameter]:
+    """Parameters of a cause with their standard deviations."""
+    z, q = peak.u[4:], len(cause.names)
+    values = cause.values(z)
+    slopes = np.stack([(cause.values(z + 1e-5 * e) - values) / 1e-5 for e in np.eye(q)])
+    sd = np.sqrt(np.maximum(np.diag(slopes.T @ peak.covariance[4:, 4:] @ slopes), 0.0))
+    return {
+        p.name: Parameter(float(v), float(s), p.unit)
+        for p, v, s in zip(CATALOGUE[cause.effect].parameters, values, sd, strict=True)
+    }
+
+
+def find(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> list[Suspect]:
+    """Pedestals and faulty sensors that the model does not have, at places whose force is measured.
+
+    lines : Hz of what is periodic in the residual, which is left out.
+    """
+    out: list[Suspect] = []
+    heard: dict[int, tuple[Response, Peak, Array]] = {}
+    for i, place in enumerate(point.data.places):
+        if place not in forced(model) or point.kL[i] <= 0.0:
+            continue
+        r = response_of(point, i, lines)
+        if r.n.size < FEWEST:
+            continue
+        base, scale = plain(point, i, r)
+        found = _found(model, point, i, r, base, scale)
+        if not found:
+            heard[i] = r, base, scale
+        out += found
+    return out + _noisy(model, point, heard)
+
+
+def pedestal(point: WorkingPoint, i: int) -> Array:
+    """(3,) mass, frequency and damping that the motion under a measured force suggests, likely or not."""
+    r = response_of(point, i)
+    base, scale = plain(point, i, r)
+    cause = _causes(point, i, {})[0]
+    return cause.values(_bent(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts]).u[4:])
+
+
+def refined(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:
+    """The model with the numbers of its sensors' faults, those undone in the record of the point, one step nearer, and
+    these as parameters. Of two faults of a sensor one after the other."""
+    found: dict[str, Parameter] = {}
+    lines = known_lines(model)
+    uses = []
+    for use in model.effects:
+        new = {key: dict(own) for key, own in use.parameters.items()}
+        for key in at(CATALOGUE[use.name], use, model) if use.name in LINEAR else ():
+            own = written(CATALOGUE[use.name], use, model, key)
+            now = {n: s.value for n, s in own.items()}
+            i = point.data.places.index(key)
+            if key not in forced(model) or all(s.fixed for s in own.values()) or None in now.values():
+                continue
+            if point.kL[i] <= 0.0:
+                continue
+            r = response_of(point, i, lines)
+            base, scale = plain(point, i, r)
+            (cause,) = (c for c in _causes(point, i, {use.name: now}) if c.effect == use.name)
+            starts = [cause.free(np.array([now[n] for n in cause.names])), *map(np.array, cause.starts)]
+            best = _settings(cause, _bent(point, i, r, cause, base, scale, starts))
+            new.pop(key.split(".")[0], None)
+            new[key] = {n: s if s.fixed else replace(s, value=best[n].value) for n, s in own.items()}
+            for n, q in best.items():
+                judged = Parameter.judged(q.value or 0.0, q.sd or 0.0, q.unit)
+                found[f"{key}.{use.name}.{n}"] = Parameter(own[n].value, 0.0, q.unit) if own[n].fixed else judged
+        uses.append(replace(use, parameters=new))
+    return replace(model, effects=tuple(uses)), found
+
+
+def _noisy(model: Model, point: WorkingPoint, heard: Mapping[int, tuple[Response, Peak, Array]]) -> list[Suspect]:
+    """A sensor whose noise stands out of its neighbours', where white noise of force and motion is all that is left."""
+    data = point.data
+    have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
+    out = []
+    for i, (r, base, scale) in heard.items():
+        place = data.places[i]
+        off = np.log(left(r, base.A) / (np.abs(base.A) ** 2 * exp(base.u[1]) * r.noise + exp(base.u[0])))
+        others = [exp(b.u[1]) for j, (_, b, _) in heard.items() if j != i and data.kinds[j] == data.kinds[i]]
+        depth = np.average(off**2 - 1.0 / r.n, weights=r.n)
+        if not others or place in have or depth > UNEVEN**2:
+            continue
+        density, floor = exp(base.u[1]), float(np.median(others))
+        quiet = highest(r, partial(linear, r), np.array([base.u[0], np.log(floor), *base.u[2:]]), scale, held=1)
+        gain = base.nats - quiet.nats
+        if density < NOISE_RATIO * floor or 2 * gain < NOISE_RATIO:
+            continue
+        rms = float(np.sqrt(density * data.rate_hz / 2))
+        name, unit = next(c.name for c in model.channels if c.place == place), MOTION[data.kinds[i]]
+        power = float((density * r.noise * np.abs(r.A) ** 2) @ r.hz)
+        out.append(
+            Suspect(
+                "sensor_noise", (place,), gain, 1, float(chdtrc(1, 2 * gain)) * len(heard), {i: power}, "frequency",
+                f"noise floor of {name}: {rms:.2g} {unit} rms, {np.sqrt(density / floor):.1f} times its neighbours'",
+                {place: {"rms": Parameter(rms, 0.5 * rms * float(np.sqrt(base.covariance[1, 1])), unit)}},
+                "the model is not wrong: a simulation cannot follow what the sensor adds",
+            )
+        )  # fmt: skip
+    return out
+
+
+def _found(model: Model, point: WorkingPoint, i: int, r: Response, base: Peak, scale: Array) -> list[Suspect]:
+    data, place = point.data, point.data.places[i]
+    before = left(r, base.A)
+    open_ = float(r.n @ np.log(before / np.maximum(r.rr - np.abs(r.ra) ** 2 / r.aa, 1e-300))) - r.n.size
+    taken = {u.name for u in model.effects if place in u.parameters or place.split(".")[0] in u.parameters}
+    out = []
+    for cause in _causes(point, i, {}):
+        if cause.effect in taken or (cause.effect == "sensor_gain" and model.cap_mass(place) is None):
+            continue
+        peak = _bent(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts])
+        gain = peak.nats - base.nats
+        power = float(np.maximum(before - left(r, peak.A), 0.0) @ r.hz)
+        if gain < EXPLAINED * open_ or power < (LEAST * point.bearing_force[i]) ** 2:
+            continue
+        q = len(cause.names)
+        p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 4 * len(data.places) * len(cause.starts)))
+        out.append(
+            Suspect(cause.effect, (place,), gain, q, p, {i: power}, "frequency", _where(r, before, peak.A),
+                    {place: _settings(cause, peak)}, NOTES[cause.effect])
+        )  # fmt: skip
+    return out
+
+
+def _where(r: Response, before: Array, A: Complexes) -> str:
+    k = int(np.argmax(r.n * np.log(before / left(r, A))))
+    return f"the motion does not follow the measured force as the model says about {r.w[k] / 2 / np.pi:.0f} Hz"

@@ -1,0 +1,179 @@
+"""The path from a measured force to a measured motion, by frequency, and the likelihood of one that is bent.
+
+Where the force f on a cap is measured, the residual R = A a - f of the fitted model A is coherent with the motion if A
+is not the rotor's: with A' in truth, and noise n of the motion and q of the force, (A' a - f) = A' n - q in every bin.
+Both noises white, the likelihood of A' is that of Whittle,
+
+    -sum n [P / s + ln s - ln |A'|^2],   P = mean |R + (A' - A) a|^2,   s = |A'|^2 N + Q,
+
+the last term being the Jacobian that keeps the noise in a from pulling A' towards zero. Amplitude and phase of every
+bin count, so a thousandth of the force is seen that no power spectrum shows. What may bend A: bent_path.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .bandlimit import noise_shape
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+CELLS = 900
+OVERLAPPED = 0.439  # independent numbers for each bin of a block: Hann windows every half block, 1.944 (1 + 2 / 11.7)
+BESIDE = 2.5  # bins on either side of a line that are left out
+STEPS, SETTLED = 60, 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """Residual R and acceleration a of one place by cells of the band. w : (cells,) rad/s; n : independent numbers.
+
+    rr, ra, aa : mean |R|^2, R a* and |a|^2, one-sided PSD; A : tangent; noise : PSD of acceleration of white noise.
+    """
+
+    w: Array
+    n: Array
+    rr: Array
+    ra: Complexes
+    aa: Array
+    A: Complexes
+    noise: Array
+    hz: Array  # width of each cell
+
+
+def response_of(point: WorkingPoint, i: int, lines: Collection[float] = ()) -> Response:
+    """Of place i; bins beside `lines` (Hz) are left out."""
+    data = point.data
+    R, v = (_spectra(z, data.block, data.start)[:, data.bins] for z in (point.force[i], data.v[i]))
+    w = 2 * np.pi * data.f_hz
+    a = 1j * w * v
+    spacing = data.rate_hz / data.block
+    keep = np.ones(w.size, bool)
+    for hz in lines:
+        keep &= np.abs(data.f_hz - hz) > BESIDE * spacing
+    scale = 2.0 / (data.rate_hz * 0.375 * data.block)
+    power = [scale * np.mean(z, axis=0) for z in (np.abs(R) ** 2, R * a.conj(), np.abs(a) ** 2)]
+    edges = np.unique(np.round(np.geomspace(20, keep.sum(), CELLS)).astype(int))
+    first = np.concatenate([np.arange(min(20, edges[0])), edges[:-1]])
+    width = np.diff(np.append(first, keep.sum())).astype(np.float64)
+
+    def mean(z: NDArray[np.generic]) -> Complexes:
+        return np.asarray(np.add.reduceat(z[keep], first) / width)
+
+    rr, ra, aa, A, ww = (mean(z) for z in (*power, point.A[:, i, i], w))
+    shape = noise_shape(data.kinds[i : i + 1], w)[0] * data.sharpened[i]
+    return Response(ww.real, OVERLAPPED * width * len(R), rr.real, ra, aa.real, A, mean(shape).real, spacing * width)
+
+
+def _spectra(z: Array, block: int, start: NDArray[np.int64]) -> NDArray[np.complex64]:
+    """(blocks, bins) of a series (n,) of blocks laid end to end under Hann windows, half a block apart where the
+    record goes on."""
+    from scipy.fft import rfft
+
+    rows = z.reshape(-1, block).astype(np.float32)
+    on = np.flatnonzero(np.diff(start) == block)
+    half = block // 2
+    between = np.concatenate([rows[on, half:], rows[on + 1, :half]], axis=1)
+    window = (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(block) / block)).astype(np.float32)
+    return np.asarray(rfft(np.concatenate([rows, between]) * window, axis=1))
+
+
+@dataclass(frozen=True, slots=True)
+class Peak:
+    """Where a likelihood is largest. u : ln Q, ln N, changes of k, c (and m), then a cause's free form; nats."""
+
+    nats: float
+    u: Array
+    covariance: Array
+    A: Complexes  # (cells,) A'
+
+
+def highest(
+    r: Response, bend: Callable[[Array], Complexes], start: Array, scale: Array, held: int | None = None
+) -> Peak:
+    """The likelihood climbed from a start by damped scoring. bend : A' of the numbers after ln Q and ln N.
+
+    held : number of one that stays as it is.
+    """
+
+    def at(u: Array) -> tuple[float, Complexes, Complexes, Array]:
+        A = bend(u[2:])
+        G = A - r.A
+        rest = r.ra + G * r.aa  # mean of (A' a - f) a*
+        P = left(r, A)
+        s = np.abs(A) ** 2 * exp(u[1]) * r.noise + exp(u[0])
+        return float(r.n @ (P / s + np.log(s) - 2 * np.log(np.abs(A)))), A, rest, s
+
+    def slopes(u: Array, A: Complexes, rest: Complexes, s: Array) -> tuple[Array, Array]:
+        P = left(r, A)
+        own = exp(u[1]) * r.noise
+        dA = np.zeros((u.size, r.w.size), complex)
+        for j in range(2, u.size):
+            up, down = u[2:].copy(), u[2:].copy()
+            up[j - 2] += 1e-4 * scale[j]
+            down[j - 2] -= 1e-4 * scale[j]
+            dA[j] = (bend(up) - bend(down)) / 2e-4
+        ds = 2 * np.real(A.conj() * dA) * own
+        ds[0], ds[1] = exp(u[0]) * scale[0], np.abs(A) ** 2 * own * scale[1]
+        g = (2 * np.real(dA.conj() * rest) / s + ds * (1 / s - P / s**2) - 2 * np.real(dA / A)) @ r.n
+        H = 2 * np.real((dA.conj() * (r.n * r.aa / s)) @ dA.T) + (ds * (r.n / s**2)) @ ds.T
+        return g, H
+
+    u, damping = start.copy(), 1e-3
+    cost, A, rest, s = at(u)
+    H = np.eye(u.size)
+    for _ in range(STEPS):
+        g, H = slopes(u, A, rest, s)
+        if held is not None:
+            g[held], H[held], H[:, held], H[held, held] = 0.0, 0.0, 0.0, 1.0
+        moved = False
+        while damping < 1e8:
+            step = -np.linalg.solve(H + np.diag(damping * np.diag(H) + 1e-9), g)
+            new = at(u + step * scale)
+            if np.isfinite(new[0]) and new[0] < cost:
+                moved = True
+                break
+            damping *= 6.0
+        if not moved:
+            break
+        gained = cost - new[0]
+        u = u + step * scale
+        cost, A, rest, s = new
+        damping = max(damping / 6.0, 1e-9)
+        if gained < SETTLED:
+            break
+    covariance: Array = np.asarray(np.linalg.pinv(H, rcond=1e-12) * np.multiply.outer(scale, scale), np.float64)
+    return Peak(-cost, u, covariance, A)
+
+
+def exp(z: float) -> float:
+    return float(np.exp(np.clip(z, -90.0, 30.0)))
+
+
+def plain(point: WorkingPoint, i: int, r: Response) -> tuple[Peak, Array]:
+    """The place without a cause, and the scales of its numbers: ln Q, ln N, changes of k and c."""
+    heard = float(np.mean(r.noise * np.abs(r.A) ** 2))
+    scale = np.array([1.0, 1.0, 1e-3 * point.kL[i], 1e-2 * point.c[i] + 1e-9])
+    S = float(np.exp(np.average(np.log(r.rr), weights=r.n)))
+    tried = [
+        highest(r, partial(linear, r), np.array([np.log(S * q), np.log(S * n / heard), 0.0, 0.0]), scale)
+        for q, n in ((1.0, 0.1), (0.1, 1.0), (1.0, 1e-4))
+    ]
+    return max(tried, key=lambda peak: peak.nats), scale
+
+
+def linear(r: Response, d: Array) -> Complexes:
+    """The tangent with changes of k and c."""
+    return np.asarray(r.A - d[0] / r.w**2 + d[1] / (1j * r.w))
+
+
+def left(r: Response, A: Complexes) -> Array:
+    """(cells,) mean |A a - f|^2."""
+    G = A - r.A
+    return np.asarray(np.maximum(r.rr + 2 * np.real(G.conj() * r.ra) + np.abs(G) ** 2 * r.aa, 1e-300))

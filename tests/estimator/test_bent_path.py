@@ -1,0 +1,175 @@
+"""Beside a measured force: a pedestal or a faulty sensor bends the path from force to motion; a periodic force that is
+not in the channel stands in what it leaves. Checked on records made in the frequency domain, not by our simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exact_path import KL, MASS, RATE, RIG, C, record
+from numpy.typing import NDArray
+
+from estimator import bent_path, spectral
+from estimator.diagnose import diagnose
+from estimator.effects import CATALOGUE
+from estimator.heldout import heldout_rmse
+from estimator.improve import improve
+from estimator.model import EffectUse, Model
+from estimator.preparation import prepare
+from estimator.suspects import suspects
+from estimator.transfer import left, linear, plain, response_of
+from estimator.whole import fit_whole
+from estimator.working_point import fit_model
+
+Array = NDArray[np.float64]
+Sensor = Callable[[Array], Array]
+PLACE = "bearing1.x"
+
+
+def heard(name: str, *p: float) -> Sensor:
+    """The catalogue's own sensor effect."""
+    apply = CATALOGUE[name].apply
+    assert apply is not None
+    return lambda y: np.asarray(apply(y, RATE, p, np.random.default_rng(0)))
+
+
+HIDDEN = {
+    "pedestal": (0.4, 2000.0, 0.05),
+    "sensor_gain": (0.05,),
+    "sensor_skew": (0.3 / RATE,),
+    "sensor_resonance": (9600.0, 10.0),
+}
+
+
+def made(name: str, seed: int = 3) -> Array:
+    p = HIDDEN[name]
+    return record(seed=seed, pedestal=p) if name == "pedestal" else record(seed=seed, sensor=heard(name, *p))  # type: ignore[arg-type]
+
+
+def given(name: str) -> Model:
+    """The rig with an effect of unknown numbers."""
+    return replace(RIG, effects=(EffectUse(name, {PLACE: {}}),))
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_what_bends_the_path_is_found_first_and_its_numbers_are_right(name: str) -> None:
+    y = made(name)
+    first = suspects(RIG, fit_whole(RIG, y, RATE).point, y)[0]
+    assert (first.effect, first.at) == (name, (PLACE,))
+    assert first.p_value < 1e-6
+    for p, true in zip(first.settings[PLACE].values(), HIDDEN[name], strict=True):
+        assert p.value == pytest.approx(true, rel=5e-3)
+
+
+def all_slow_but(quick: str) -> list[object]:
+    return [pytest.param(n, marks=[pytest.mark.slow] if n != quick else []) for n in HIDDEN]
+
+
+@pytest.mark.parametrize("name", all_slow_but("sensor_skew"))
+def test_added_without_numbers_it_is_fitted_and_the_free_run_error_is_the_noise(name: str) -> None:
+    y = made(name)
+    noise = heldout_rmse(RIG, record(seed=3), RATE)["a"]
+    before, after = heldout_rmse(RIG, y, RATE)["a"], heldout_rmse(given(name), y, RATE)["a"]
+    assert before > 5 * noise
+    assert after - noise < 0.05 * (before - noise)
+    fit = spectral.fit(given(name), y, RATE).parameters
+    for (key, p), true in zip(
+        ((k, fit[f"{PLACE}.{name}.{k.name}"]) for k in CATALOGUE[name].parameters), HIDDEN[name], strict=True
+    ):
+        assert abs((p.value or 0.0) - true) < 4 * (p.sd or 0.0) + 5e-4 * abs(true), key.name
+    assert fit[f"{PLACE}.kL"].value == pytest.approx(KL, rel=5e-4)
+    assert fit[f"{PLACE}.c"].value == pytest.approx(C, rel=5e-3)
+
+
+def test_stiffness_and_damping_by_the_path_alone() -> None:
+    """From a point 0.2 % off in both: the truth within its standard deviations, and noise is all that is left."""
+    y = record(seed=5, noise=(0.1, 0.003))
+    point = fit_model(prepare(RIG, y, RATE), [])
+    w, part = 2 * np.pi * point.data.f_hz, 0.002
+    bent = point.A - part * (KL / w**2 + 1j * C / w)[:, None, None]
+    off = replace(point, force=point.force + part * (KL * point.data.x + C * point.data.v), A=bent)
+    r = response_of(off, 0)
+    peak, _ = plain(off, 0, r)
+    sd = np.sqrt(np.diag(peak.covariance))
+    k, c = point.kL[0] + part * KL + peak.u[2], point.c[0] + part * C + peak.u[3]
+    assert abs(k - KL) < 3 * sd[2]
+    assert abs(c - C) < 3 * sd[3]
+    assert sd[2] < 2e-5 * KL
+    for u, rms, spread in zip(peak.u, (0.003, 0.1), sd, strict=False):
+        assert abs(u - np.log(rms**2 / (RATE / 2))) < 3 * spread < 0.2
+    assert np.array_equal(left(r, r.A), r.rr)
+    assert np.array_equal(linear(r, np.zeros(2)), r.A)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_complete_model_has_no_suspect(seed: int) -> None:
+    noise = [(0.02, 1e-3), (0.3, 1e-3), (0.02, 0.03), (2.0, 0.1)][seed]
+    y = record(seed=seed, noise=noise)
+    assert suspects(RIG, fit_whole(RIG, y, RATE).point, y) == []
+
+
+def test_what_a_cap_mass_hides_is_not_claimed() -> None:
+    """Without a known mass the force gives the scale, and a sensor's gain is within it."""
+    y = made("sensor_gain")
+    free = replace(RIG, mass={})
+    point = fit_whole(free, y, RATE).point
+    assert point.data.mass[0] == pytest.approx(MASS / 1.05, rel=1e-3)
+    assert suspects(free, point, y) == []
+
+
+def test_a_line_of_the_measured_force_is_no_finding() -> None:
+    def tone(t: Array) -> Array:
+        return 3.0 * np.cos(2 * np.pi * 743.21 * t)
+
+    for sensor in (heard("sensor_gain", 0.0), heard("sensor_gain", 0.05)):
+        y = record(seed=1, force=tone, sensor=sensor)
+        assert "line" not in [s.effect for s in suspects(RIG, fit_whole(RIG, y, RATE).point, y)]
+
+
+def test_a_line_beside_the_measured_force_is_found_added_and_gone() -> None:
+    def tone(t: Array) -> Array:
+        return 0.05 * np.cos(2 * np.pi * 743.21 * t) + 0.08 * np.sin(2 * np.pi * 743.21 * t)
+
+    y = record(seed=2, unseen=tone)
+    ladder = improve(RIG, y, RATE)
+    assert [list(r.effects) for r in ladder.rungs] == [[], ["line"]]
+    assert ladder.last.verdict == "complete"
+    for name, true in (("a", 0.05), ("b", 0.08), ("frequency", 743.21)):
+        assert ladder.parameters[f"{PLACE}.line.{name}"].value == pytest.approx(true, rel=5e-3)
+    before, after = (r.simulation_rmse["a"] for r in ladder.rungs)
+    noise = heldout_rmse(RIG, record(seed=2), RATE)["a"]
+    assert after - noise < 0.05 * (before - noise)
+
+
+@pytest.mark.parametrize("name", all_slow_but("sensor_gain"))
+def test_improve_ends_with_what_was_hidden(name: str) -> None:
+    ladder = improve(RIG, made(name), RATE)
+    assert [list(r.effects) for r in ladder.rungs] == [[], [name]]
+    assert ladder.last.verdict == "complete"
+    assert ladder.rungs[1].heldout_nll < ladder.rungs[0].heldout_nll
+    assert ladder.rungs[1].missing[0] == 0.0
+
+
+def test_where_only_one_force_is_measured_the_other_place_is_judged_as_without() -> None:
+    """Bearing 1 is shaken with a force cell, bearing 2 is driven by what nobody measures, and coloured."""
+    one = made("sensor_skew")
+    white = record(seed=9)
+    f = np.fft.rfftfreq(len(white), 1 / RATE)
+    colour = np.sqrt(1 + 4.0 / (1 + (f / 900.0) ** 2))
+    other = np.fft.irfft(np.fft.rfft(white[:, 0]) * colour, len(white))
+    channels = (*RIG.channels, replace(RIG.channels[0], name="a2", node="bearing2"))
+    both = replace(RIG, channels=channels, mass={"bearing1": MASS, "bearing2": MASS})
+    y = np.column_stack([one, other])
+    point = fit_whole(both, y, RATE).point
+    found = {s.at: s.effect for s in reversed(suspects(both, point, y))}
+    assert found == {("bearing1.x",): "sensor_skew", ("bearing2.x",): "coloured_excitation"}
+    said = diagnose(both, np.column_stack([record(seed=4), white[:, 0]]), RATE)
+    assert said.verdict == "complete"
+    assert "the force at bearing1.x is measured" in said.messages[-1]
+
+
+def test_the_notes_say_what_else_would_look_the_same() -> None:
+    assert "cap mass" in bent_path.NOTES["sensor_gain"]
+    assert "force channel" in bent_path.NOTES["sensor_skew"]
