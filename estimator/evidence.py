@@ -193,10 +193,9 @@ def _parameters(point: WorkingPoint, t: Trial) -> dict[str, Parameter]:
 def _detectable(trials: list[Trial]) -> tuple[float, str] | None:
     """Amplitude that would be claimed in this record: about 5 standard deviations (p = 1e-3 after counting)."""
     best = max(trials, key=lambda t: t.gain)
-    amplitudes = [(n, v) for n, v in best.values.items()]
-    if not amplitudes:
+    if not best.spread:
         return None
-    name, (_, sd) = amplitudes[0]
+    name, sd = next(iter(best.spread.items()))
     unit = next(q.unit for q in best.effect.parameters if q.name == name)
     return float(5.0 * sd), unit
 

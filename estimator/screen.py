@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,8 @@ class Trial:
 
     heldout : (folds,) nats, of a trial that is judged for good.
 
-    values : name -> (value, sd), SI, amplitudes only by their own fit.
+    values : name -> (value, sd), SI, amplitudes only by their own fit, those at their limits left out. spread : the
+    same sds, of all amplitudes, as far as they are free.
     """
 
     effect: Effect
@@ -48,6 +50,7 @@ class Trial:
     gain: float
     df: int
     values: dict[str, tuple[float, float]]
+    spread: dict[str, float]
     problem: Subproblem
     fit: PathFit
     heldout: Array = field(default_factory=lambda: np.zeros(6))
@@ -106,25 +109,35 @@ def trial_columns(point: WorkingPoint, placed: Placed) -> Columns | None:
     return point.weighing.columns(kept) if kept else None
 
 
-def assess(point: WorkingPoint, placed: Placed, steps: int = 3) -> tuple[float, Subproblem, PathFit] | None:
-    """Gain in nats of the amplitudes within their limits, at given searched parameters."""
+class Assessed(NamedTuple):
+    """gain : nats, 0 where every amplitude is at its limit; problem, fit : with those that are not; spread : name ->
+    standard deviation of every amplitude, limits or not."""
+
+    gain: float
+    problem: Subproblem
+    fit: PathFit
+    spread: dict[str, float]
+
+
+def assess(point: WorkingPoint, placed: Placed, steps: int = 3) -> Assessed | None:
+    """Gain of the amplitudes within their limits, at given searched parameters; None if the model has such columns."""
     extra = trial_columns(point, placed)
     if extra is None:
         return None
     problem = subproblem(point, placed.at, extra)
     plain = problem.without_extra()
-    level = plain.likelihood(plain.fit(steps=steps), EVERYTHING)
+    alone = plain.fit(steps=steps)
+    level = plain.likelihood(alone, EVERYTHING)
     limits = {placed.name(k): (q.low, q.high) for k, q in enumerate(placed.effect.parameters)}
-    for _ in range(len(problem.extra) + 1):
+    spread: dict[str, float] = {}
+    while problem.extra:
         fit = problem.fit(steps=steps)
-        bad = [n for n in problem.extra if not limits[n][0] <= fit.value(n)[0] <= limits[n][1]]
-        if not bad:
-            return problem.likelihood(fit, EVERYTHING) - level, problem, fit
-        kept = tuple(n for n in problem.extra if n not in bad)
-        if not kept:
-            return None
-        problem = problem.only(kept)
-    return None
+        spread = spread or {n.rsplit(".", 1)[1]: fit.value(n)[1] for n in problem.extra}
+        inside = tuple(n for n in problem.extra if limits[n][0] <= fit.value(n)[0] <= limits[n][1])
+        if inside == problem.extra:
+            return Assessed(problem.likelihood(fit, EVERYTHING) - level, problem, fit, spread)
+        problem = problem.only(inside)
+    return Assessed(0.0, plain, alone, spread)
 
 
 def best_at(point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Trial | None:
@@ -132,17 +145,17 @@ def best_at(point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Tri
     where = acting(effect, spot, point.data)
     loose = searched(effect, model)
     free = tuple(q.linear for q in effect.parameters)
-    best: tuple[float, Subproblem, PathFit, Placed] | None = None
+    best: tuple[Assessed, Placed] | None = None
     for p in grid(effect, model, point, where[0], loose):
         placed = Placed(effect, f"{spot}.{effect.name}", where, p, free)
         got = assess(point, placed)
-        if got is not None and (best is None or got[0] > best[0]):
-            best = (*got, placed)
-    return None if best is None else _trial(effect, spot, best, loose)
+        if got is not None and (best is None or got.gain > best[0].gain):
+            best = (got, placed)
+    return None if best is None else _trial(effect, spot, *best, loose)
 
 
-def _trial(effect: Effect, spot: str, best: tuple[float, Subproblem, PathFit, Placed], loose: list[int]) -> Trial:
-    gained, problem, fit, placed = best
+def _trial(effect: Effect, spot: str, found: Assessed, placed: Placed, loose: list[int]) -> Trial:
+    gained, problem, fit, spread = found
     values = {n.rsplit(".", 1)[1]: fit.value(n) for n in problem.extra}
     p = placed.p.copy()
     for k, q in enumerate(effect.parameters):
@@ -151,7 +164,8 @@ def _trial(effect: Effect, spot: str, best: tuple[float, Subproblem, PathFit, Pl
     placed = Placed(
         effect, placed.key, placed.at, p, tuple(q.linear or k in loose for k, q in enumerate(effect.parameters))
     )
-    return Trial(effect, spot, placed, gained, len(problem.extra) + len(loose), values, problem, fit)
+    df = max(len(problem.extra) + len(loose), 1)
+    return Trial(effect, spot, placed, gained, df, values, spread, problem, fit)
 
 
 def contenders(trials: Sequence[Trial]) -> list[bool]:
@@ -209,7 +223,7 @@ def again(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:
         found.effect, found.placed.key, found.placed.at, np.where(linear, 1.0, found.placed.p), tuple(linear)
     )
     got = assess(point, placed)
-    return None if got is None else _trial(found.effect, found.spot, (*got, placed), searched(found.effect, model))
+    return None if got is None else _trial(found.effect, found.spot, got, placed, searched(found.effect, model))
 
 
 def borrowed(point: WorkingPoint, model: Model, trials: Sequence[Trial], spots: Sequence[str]) -> list[Trial]:

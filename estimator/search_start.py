@@ -86,14 +86,14 @@ def _started(point: WorkingPoint, uses: list[Placed]) -> list[Placed]:
     pairs = [use for own in nodes for use in own]
     found = each(lambda use: screen.assess(point, use), pairs)
     tried = [found[k : k + len(nodes[0])] for k in range(0, len(pairs), len(nodes[0]))]
-    gains = np.array([[0.0 if got is None else max(got[0], 0.0) for got in own] for own in tried])
+    gains = np.array([[0.0 if got is None else max(got.gain, 0.0) for got in own] for own in tried])
     shared = int(np.argmax(gains.sum(axis=0)))
     out = []
     for use, own, results, gained in zip(uses, nodes, tried, gains, strict=True):
         best = int(np.argmax(gained))
         best = best if gained[best] > gained[shared] + screen.DIFFERENT else shared
         got = results[best]
-        out.append(use if got is None or got[0] <= 0.0 else _amplitudes(own[best], *got[1:]))
+        out.append(use if got is None or got.gain <= 0.0 else _amplitudes(own[best], got.problem, got.fit))
     return out
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing, record
 
@@ -12,6 +13,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
 from estimator.model import Model
 from estimator.model_uses import placed_of
+from estimator.placed import Placed
 from estimator.preparation import prepare
 from estimator.working_point import WorkingPoint, fit_model
 
@@ -47,6 +49,23 @@ def test_steps_on_the_whole_record_find_the_gap(weak: tuple[Model, WorkingPoint,
     best = screen.refined(point, rig, off)
     assert best.gain > off.gain
     assert best.placed.p[1] == pytest.approx(gap, rel=0.1)
+
+
+def test_an_effect_at_its_limit_still_says_from_what_strength_it_would_be_seen(
+    weak: tuple[Model, WorkingPoint, float],
+) -> None:
+    """Friction of the wrong sign is none; its standard deviation is that of a step about zero."""
+    rig, point, _ = weak
+    coulomb = CATALOGUE["coulomb"]
+    where = screen.acting(coulomb, "bearing1.x", point.data)
+    free = screen.assess(point, Placed(coulomb, "bearing1.x.coulomb", where, np.ones(1), (True,)))
+    assert free is not None
+    barred = replace(coulomb, parameters=(replace(coulomb.parameters[0], low=1.0),))  # more than the record has
+    limited = screen.best_at(point, rig, barred, "bearing1.x")
+    assert limited is not None
+    assert (limited.gain, limited.values, limited.df) == (0.0, {}, 1)
+    assert limited.spread == free.spread
+    assert 0.0 < limited.spread["fc"] < 0.05
 
 
 def test_the_whole_record_is_for_what_it_could_bring_forward(weak: tuple[Model, WorkingPoint, float]) -> None:
