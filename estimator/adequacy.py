@@ -57,6 +57,18 @@ def left(before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int
     return float(np.sqrt(min(rest / was, 1.0))) if was > 0.0 else 0.0
 
 
+def worth(point: WorkingPoint, effect: str, places: set[int]) -> dict[int, float]:
+    """Nats, less one for each term, that the smooth terms earn beside an effect at each place where they do."""
+    if effect not in STATE:
+        return {}
+    earned = {}
+    for i in places:
+        _, nats, count = _smooth(point, i, *STATE[effect])
+        if nats > count:
+            earned[i] = nats - count
+    return earned
+
+
 def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) -> tuple[float, float, int]:
     """Mean square in N^2 explained by the polynomials of a state at place i, nats gained, number of terms."""
     data = point.data

@@ -291,20 +291,29 @@ def _by_state(found: missing_force.Survey, places: set[int]) -> dict[str, float]
 def _another_explains(
     model: Model, point: WorkingPoint, left: missing_force.Survey, best: Entry, say: Progress
 ) -> bool:
-    """Whether a second effect, of another family, explains what the first leaves: two missing, not one unknown."""
+    """Whether a second effect, of another family, explains what the first leaves: two missing, not one unknown.
+
+    At all its spots together it is to earn what smooth terms in the state of the first do: a one-sided stop has an odd
+    half, which takes a part of what an odd law of the wrong shape leaves.
+    """
     say(0.93, "one effect or two?")
     small = plain(thinned(point, SEARCH_SECONDS))
     family = FAMILY.get(best.effect, best.effect)
-    where = {point.data.places[r.place] for r in left.residuals if r.found}
+    found = {r.place: sum(f.gain for f in r.found) for r in left.residuals if r.found}
+    smooth = adequacy.worth(point, best.effect, {i for p in best.placed for i in p.at})
     for effect in on_trial(model):
         if FAMILY.get(effect.name, effect.name) == family:
             continue
+        earned, seen = 0.0, False
         for spot in screen.spots(effect, model, point):
-            if not any(p.startswith(spot) for p in where):
-                continue
-            full = screen.tried(small, point, model, effect, spot)
             on = acting(effect, spot, point.data)
-            found_gain = sum(f.gain for r in left.residuals if r.place in on for f in r.found)
-            if full is not None and full.gain > EXPLAINS * found_gain:
-                return True
+            if not {*found, *smooth}.intersection(on):
+                continue
+            trial = screen.tried(small, point, model, effect, spot)
+            if trial is not None:
+                earned += max(trial.gain - trial.df, 0.0)
+                here = sum(found.get(i, 0.0) for i in on)
+                seen |= here > 0.0 and trial.gain > EXPLAINS * here
+        if seen and earned >= sum(smooth.values()):
+            return True
     return False

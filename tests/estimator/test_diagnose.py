@@ -11,7 +11,7 @@ import pytest
 from hidden_effects import RATE, ROOT, SECONDS, one_bearing, record, schema
 
 from daq.rig import load_rig
-from estimator.diagnose import Diagnosis, _law, _promising, _ranked, diagnose, quiet
+from estimator.diagnose import Diagnosis, _another_explains, _law, _promising, _ranked, diagnose, quiet
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
 from estimator.errors import DataError
@@ -108,6 +108,23 @@ def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
     assert near.messages[0].startswith("stop was ahead")
     assert far.verdict == "unknown"
     assert far.ranking[0].effect == "stop"
+
+
+def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The odd half of a one-sided stop takes a part of what an odd law of the wrong shape leaves (|x|^1.5, another
+    simulator): that made a cubic and a stop of one law that is neither."""
+    bare = replace(rig, effects=())
+    point = fit_whole(bare, record(rig, "cubic", 0.0), RATE).point  # the cubic of the rig is what is left
+    left = SimpleNamespace(residuals=[SimpleNamespace(place=0, found=[SimpleNamespace(gain=16.0)])])
+    best = SimpleNamespace(effect="quintic", placed=[SimpleNamespace(at=(0, 1))])
+
+    def explained(gain: float) -> bool:
+        monkeypatch.setattr("estimator.model_uses.CATALOGUE", {"stop": CATALOGUE["stop"]})
+        monkeypatch.setattr("estimator.screen.tried", lambda *_: SimpleNamespace(gain=gain, df=2))
+        return _another_explains(bare, point, left, best, quiet)  # type: ignore[arg-type]
+
+    assert not explained(8.0)
+    assert explained(1000.0)
 
 
 @pytest.mark.slow
