@@ -82,7 +82,7 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
     before, after = best["missing_force_before_percent"], best["missing_force_after_percent"]
     said = [
         f"Diagnosis: {verdict} at {listed(best['at'])} {'was' if past else 'is'} missing "
-        f"(p {odds(best['p_value'])}). With it the missing force {'fell' if past else 'falls'} from "
+        f"(p {odds(best['p_value'])}). With it the missing force there {'fell' if past else 'falls'} from "
         f"{percent(before)} to {percent(after)}."
     ]
     second = runner_up(diagnosis)
