@@ -19,7 +19,7 @@ NEIGHBOURS, THIN = 240, 4  # bins either side for the local noise, of which ever
 BESIDE = 20  # bins on either side that a line is to be the main thing in
 LEAST_HZ, CHUNK = 2.0, 1 << 16  # Hz below which no force is inferred; bins at a time
 UNUSUAL = 6.0  # over its surroundings, in power, from where a bin counts for less in them
-STEADY = 0.45  # of the power of these bins, what has the shape of a line
+STEADY = 0.45  # of the power of these bins beyond the noise, what has the shape of a line
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,15 +77,16 @@ class Spectrum:
         return derived * amplitude, np.abs(derived) ** 2 * self.noise[:, k]
 
     def steady(self, hz: float) -> bool:
-        """Whether what is at a frequency has the shape of a line, where it is largest, in phase as in power: a sharp
-        resonance under random forces (of the disc, say, if its mass is not quite known) wanders over its width."""
+        """Whether what stands out at a frequency has the shape of a line, where it is largest, in phase as in power: a
+        sharp resonance under random forces (of the disc, say, if its mass is not quite known) wanders over its width."""
         k = int(np.clip(round(hz * self.seconds), BESIDE, self.f_hz.size - 1 - BESIDE))
         Y = self.Y[:, k - BESIDE : k + BESIDE + 1]
-        Y = Y[int(np.argmax(np.abs(Y[:, BESIDE]) ** 2 / self.noise[:, k]))]
+        i = int(np.argmax(np.abs(Y[:, BESIDE]) ** 2 / self.noise[:, k]))
+        Y, noise = Y[i], Y.shape[1] * self.noise[i, k]
         x = hz * self.seconds - np.arange(k - BESIDE, k + BESIDE + 1) + 1e-9
         line = np.exp(1j * np.pi * x) * np.sinc(x) / (1 - x * x)  # of a tone under the window
-        together = np.abs(np.vdot(line, Y)) ** 2 / (np.vdot(line, line).real * np.vdot(Y, Y).real)
-        return bool(together > STEADY)
+        tone = np.abs(np.vdot(line, Y)) ** 2 / np.vdot(line, line).real
+        return bool(tone > STEADY * max(np.vdot(Y, Y).real - noise, tone))
 
 
 def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hidden_effects import RATE, ROOT, one_bearing
+from scipy.signal import lfilter
 
 from daq.rig import load_rig
 from estimator import line_forces
@@ -35,6 +36,26 @@ def test_a_disc_of_another_mass_is_no_line() -> None:
     off = replace(rig, mass={**rig.mass, "disc": 0.9 * rig.mass["disc"]})
     point = fit_whole(off, y, RATE).point
     assert line_forces.find(off, point, y, RATE) == []
+
+
+def test_a_weak_line_is_steady_and_a_narrow_resonance_is_not() -> None:
+    """The noise in the bins beside it is no wandering: an imbalance of 7 standard deviations was once dropped."""
+    rig, n, hz = one_bearing(), int(8 * RATE), 500.013
+    rng = np.random.default_rng(3)
+    t = np.arange(n) / RATE
+    steady = []
+    for _ in range(30):
+        y = rng.normal(size=(n, 2))
+        y[:, 0] += 7.0 * (1.5 / n) ** 0.5 * 2**0.5 * np.cos(2 * np.pi * hz * t)  # 7 sd of an amplitude under the window
+        steady.append(spectrum_of(rig, y, RATE).steady(hz))
+    assert sum(steady) >= 28
+    pole = np.exp(2j * np.pi * hz / RATE - np.pi / RATE)  # 1 Hz wide, eight bins
+    y[:, 0] += 0.005 * lfilter([1.0], [1.0, -2 * pole.real, abs(pole) ** 2], rng.normal(size=n))
+    s = spectrum_of(rig, y, RATE)
+    k = round(hz * 8)
+    peak = float(s.f_hz[k - 9 + int(np.argmax(np.abs(s.Y[0, k - 9 : k + 10])))])
+    assert np.abs(s.Y[0, round(peak * 8)]) ** 2 > 100 * s.noise[0, k]
+    assert not s.steady(peak)
 
 
 @pytest.mark.parametrize("kind", ["acceleration", "velocity", "displacement"])
