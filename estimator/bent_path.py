@@ -22,7 +22,7 @@ from .model import MOTION, Model
 from .periodic import known_lines
 from .sensor_response import LINEAR, forced, response
 from .suspect import Suspect
-from .transfer import Peak, Response, exp, highest, left, linear, plain, response_of
+from .transfer import Peak, Response, exp, expected, highest, left, linear, plain, response_of
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -84,24 +84,24 @@ def _sensor(effect: str, starts: tuple[tuple[float, ...], ...], unit: float, now
     return Cause(effect, starts, lambda z: unit * z, lambda p: p / unit, bend)
 
 
-def _causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str, float | None]]) -> list[Cause]:
+def causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str, float | None]]) -> list[Cause]:
     """Those that a place may have. have : numbers of those that the model has there."""
     data = point.data
     peak = float(np.sqrt(point.kL[i] / data.mass[i]) / (2 * np.pi))
     top = data.band[1]
     resonances = tuple(
         (float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4, 2.5) for q in (4, 25)
-    )
+    ) + ((float(np.log(30 * top)), 0.0),)
     return [
         _pedestal(float(data.mass[i]), peak),
-        _sensor("sensor_gain", ((0.1,), (-0.1,), (1.0,), (-0.5,), (-2.0,)), 1.0, have.get("sensor_gain", {})),
-        _sensor("sensor_skew", ((-3.0,), (-1.0,), (-0.2,), (0.2,), (1.0,), (3.0,)), 1.0 / data.rate_hz,
+        _sensor("sensor_gain", ((0.0,), (0.1,), (-0.1,), (1.0,), (-0.5,), (-2.0,)), 1.0, have.get("sensor_gain", {})),
+        _sensor("sensor_skew", ((0.0,), (-3.0,), (-1.0,), (1.0,), (3.0,)), 1.0 / data.rate_hz,
                 have.get("sensor_skew", {})),
         _sensor("sensor_resonance", resonances, 0.0, have.get("sensor_resonance", {})),
     ]  # fmt: skip
 
 
-def _bent(
+def bent(
     point: WorkingPoint, i: int, r: Response, cause: Cause, base: Peak, scale: Array, starts: list[Array]
 ) -> Peak:  # fmt: skip
     """The likeliest numbers of a cause beside k and c."""
@@ -151,8 +151,8 @@ def pedestal(point: WorkingPoint, i: int) -> Array:
     """(3,) mass, frequency and damping that the motion under a measured force suggests, likely or not."""
     r = response_of(point, i)
     base, scale = plain(point, i, r)
-    cause = _causes(point, i, {})[0]
-    return cause.values(_bent(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts]).u[4:])
+    cause = causes(point, i, {})[0]
+    return cause.values(bent(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts]).u[4:])
 
 
 def refined(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:
@@ -173,9 +173,9 @@ def refined(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Paramet
                 continue
             r = response_of(point, i, lines)
             base, scale = plain(point, i, r)
-            (cause,) = (c for c in _causes(point, i, {use.name: now}) if c.effect == use.name)
+            (cause,) = (c for c in causes(point, i, {use.name: now}) if c.effect == use.name)
             starts = [cause.free(np.array([now[n] for n in cause.names])), *map(np.array, cause.starts)]
-            best = _settings(cause, _bent(point, i, r, cause, base, scale, starts))
+            best = _settings(cause, bent(point, i, r, cause, base, scale, starts))
             new.pop(key.split(".")[0], None)
             new[key] = {n: s if s.fixed else replace(s, value=best[n].value) for n, s in own.items()}
             for n, q in best.items():
@@ -192,7 +192,8 @@ def _noisy(model: Model, point: WorkingPoint, heard: Mapping[int, tuple[Response
     out = []
     for i, (r, base, scale) in heard.items():
         place = data.places[i]
-        off = np.log(left(r, base.A) / (np.abs(base.A) ** 2 * exp(base.u[1]) * r.noise + exp(base.u[0])))
+        P, _, s = expected(r, base.A, base.u)
+        off = np.log(P / s)
         others = [exp(b.u[1]) for j, (_, b, _) in heard.items() if j != i and data.kinds[j] == data.kinds[i]]
         depth = np.average(off**2 - 1.0 / r.n, weights=r.n)
         if not others or place in have or depth > UNEVEN**2:
@@ -222,10 +223,10 @@ def _found(model: Model, point: WorkingPoint, i: int, r: Response, base: Peak, s
     open_ = float(r.n @ np.log(before / np.maximum(r.rr - np.abs(r.ra) ** 2 / r.aa, 1e-300))) - r.n.size
     taken = {u.name for u in model.effects if place in u.parameters or place.split(".")[0] in u.parameters}
     out = []
-    for cause in _causes(point, i, {}):
+    for cause in causes(point, i, {}):
         if cause.effect in taken or (cause.effect == "sensor_gain" and model.cap_mass(place) is None):
             continue
-        peak = _bent(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts])
+        peak = bent(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts])
         gain = peak.nats - base.nats
         power = float(np.maximum(before - left(r, peak.A), 0.0) @ r.hz)
         if gain < EXPLAINED * open_ or power < (LEAST * point.bearing_force[i]) ** 2:

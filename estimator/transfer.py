@@ -2,12 +2,13 @@
 
 Where the force f on a cap is measured, the residual R = A a - f of the fitted model A is coherent with the motion if A
 is not the rotor's: with A' in truth, and noise n of the motion and q of the force, (A' a - f) = A' n - q in every bin.
-Both noises white, the likelihood of A' is that of Whittle,
+Both noises white, of densities N and Q, the likelihood of the motion given the force that was measured is Whittle's,
 
-    -sum n [P / s + ln s - ln |A'|^2],   P = mean |R + (A' - A) a|^2,   s = |A'|^2 N + Q,
+    -sum n [P / s + ln s - ln |A'|^2],   P = mean |A' a - (1 - p) f|^2,   s = |A'|^2 N + (1 - p) Q,   p = Q / mean |f|^2
 
-the last term being the Jacobian that keeps the noise in a from pulling A' towards zero. Amplitude and phase of every
-bin count, so a thousandth of the force is seen that no power spectrum shows. What may bend A: bent_path.py.
+(1 - p) f being what the measured force says of the true one. The last term is the Jacobian: it keeps the noise in a
+from pulling A' towards zero, as p keeps that in f from pushing it up. Amplitude and phase of every bin count, so a
+thousandth of the force is seen that no power spectrum shows. What may bend A: bent_path.py.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ STEPS, SETTLED = 60, 1e-4
 class Response:
     """Residual R and acceleration a of one place by cells of the band. w : (cells,) rad/s; n : independent numbers.
 
-    rr, ra, aa : mean |R|^2, R a* and |a|^2, one-sided PSD; A : tangent; noise : PSD of acceleration of white noise.
+    rr, ra, aa, ff : mean |R|^2, R a*, |a|^2 and |A a - R|^2, one-sided PSD; A : tangent; noise : PSD of acceleration of
+    white noise of the sensor.
     """
 
     w: Array
@@ -42,6 +44,7 @@ class Response:
     rr: Array
     ra: Complexes
     aa: Array
+    ff: Array
     A: Complexes
     noise: Array
     hz: Array  # width of each cell
@@ -58,7 +61,8 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = ()) -> R
     for hz in lines:
         keep &= np.abs(data.f_hz - hz) > BESIDE * spacing
     scale = 2.0 / (data.rate_hz * 0.375 * data.block)
-    power = [scale * np.mean(z, axis=0) for z in (np.abs(R) ** 2, R * a.conj(), np.abs(a) ** 2)]
+    f = point.A[:, i, i] * a - R
+    power = [scale * np.mean(z, axis=0) for z in (np.abs(R) ** 2, R * a.conj(), np.abs(a) ** 2, np.abs(f) ** 2)]
     edges = np.unique(np.round(np.geomspace(20, keep.sum(), CELLS)).astype(int))
     first = np.concatenate([np.arange(min(20, edges[0])), edges[:-1]])
     width = np.diff(np.append(first, keep.sum())).astype(np.float64)
@@ -66,9 +70,11 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = ()) -> R
     def mean(z: NDArray[np.generic]) -> Complexes:
         return np.asarray(np.add.reduceat(z[keep], first) / width)
 
-    rr, ra, aa, A, ww = (mean(z) for z in (*power, point.A[:, i, i], w))
+    rr, ra, aa, ff, A, ww = (mean(z) for z in (*power, point.A[:, i, i], w))
     shape = noise_shape(data.kinds[i : i + 1], w)[0] * data.sharpened[i]
-    return Response(ww.real, OVERLAPPED * width * len(R), rr.real, ra, aa.real, A, mean(shape).real, spacing * width)
+    return Response(
+        ww.real, OVERLAPPED * width * len(R), rr.real, ra, aa.real, ff.real, A, mean(shape).real, spacing * width
+    )
 
 
 def _spectra(z: Array, block: int, start: NDArray[np.int64]) -> NDArray[np.complex64]:
@@ -104,14 +110,11 @@ def highest(
 
     def at(u: Array) -> tuple[float, Complexes, Complexes, Array]:
         A = bend(u[2:])
-        G = A - r.A
-        rest = r.ra + G * r.aa  # mean of (A' a - f) a*
-        P = left(r, A)
-        s = np.abs(A) ** 2 * exp(u[1]) * r.noise + exp(u[0])
+        P, rest, s = expected(r, A, u)
         return float(r.n @ (P / s + np.log(s) - 2 * np.log(np.abs(A)))), A, rest, s
 
     def slopes(u: Array, A: Complexes, rest: Complexes, s: Array) -> tuple[Array, Array]:
-        P = left(r, A)
+        P = left(r, A, exp(u[0]))
         own = exp(u[1]) * r.noise
         dA = np.zeros((u.size, r.w.size), complex)
         for j in range(2, u.size):
@@ -127,6 +130,9 @@ def highest(
 
     u, damping = start.copy(), 1e-3
     cost, A, rest, s = at(u)
+    if held is None:  # the noise at first what makes up for a start that is far off
+        u[:2] += np.log(np.average(left(r, A) / s, weights=r.n))
+        cost, A, rest, s = at(u)
     H = np.eye(u.size)
     for _ in range(STEPS):
         g, H = slopes(u, A, rest, s)
@@ -173,7 +179,17 @@ def linear(r: Response, d: Array) -> Complexes:
     return np.asarray(r.A - d[0] / r.w**2 + d[1] / (1j * r.w))
 
 
-def left(r: Response, A: Complexes) -> Array:
-    """(cells,) mean |A a - f|^2."""
-    G = A - r.A
-    return np.asarray(np.maximum(r.rr + 2 * np.real(G.conj() * r.ra) + np.abs(G) ** 2 * r.aa, 1e-300))
+def left(r: Response, A: Complexes, Q: float = 0.0) -> Array:
+    """(cells,) mean |A a - (1 - p) f|^2, with p what noise of the density Q is of the measured force."""
+    p = np.minimum(Q / r.ff, 0.5)
+    G = A - (1 - p) * r.A
+    P = (1 - p) ** 2 * r.rr + 2 * (1 - p) * np.real(G.conj() * r.ra) + np.abs(G) ** 2 * r.aa
+    return np.asarray(np.maximum(P, 1e-300))
+
+
+def expected(r: Response, A: Complexes, u: Array) -> tuple[Array, Complexes, Array]:
+    """(cells,) each: mean |A a - (1 - p) f|^2, the same times a*, and what the first is to be by the noise of u."""
+    Q = exp(u[0])
+    p = np.minimum(Q / r.ff, 0.5)
+    rest = (1 - p) * r.ra + (A - (1 - p) * r.A) * r.aa
+    return left(r, A, Q), rest, np.abs(A) ** 2 * exp(u[1]) * r.noise + (1 - p) * Q
