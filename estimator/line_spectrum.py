@@ -78,7 +78,7 @@ class Spectrum:
 
     def steady(self, hz: float) -> bool:
         """Whether what stands out at a frequency has the shape of a line, where it is largest, in phase as in power: a
-        sharp resonance under random forces (of the disc, say, if its mass is not quite known) wanders over its width."""
+        sharp resonance under random forces (of a disc, say, whose mass is not quite known) wanders over its width."""
         k = int(np.clip(round(hz * self.seconds), BESIDE, self.f_hz.size - 1 - BESIDE))
         Y = self.Y[:, k - BESIDE : k + BESIDE + 1]
         i = int(np.argmax(np.abs(Y[:, BESIDE]) ** 2 / self.noise[:, k]))

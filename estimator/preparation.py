@@ -6,12 +6,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .model import Model
-from .motion_blocks import MotionBlocks, cut
+from .motion_blocks import MotionBlocks, cut, part_of
 from .sensor_response import undone
 
 Array = NDArray[np.float64]
+LONGEST = 240.0  # s of a record that is kept in memory, about 10 MB each; six stretches of it, spread over the whole
 
 
 def prepare(model: Model, y: Array, rate_hz: float) -> MotionBlocks:
     """Blocks of a record y (n, channels), SI. Raises DataError as `cut` does."""
-    return cut(model, undone(model, y, rate_hz), rate_hz)
+    return part_of(cut(model, undone(model, y, rate_hz), rate_hz), LONGEST)
+
+
+def shortened(data: MotionBlocks, y: Array) -> tuple[str, ...]:
+    """What to tell the user of a record longer than what is kept of it."""
+    used, whole = data.seconds, len(y) / data.rate_hz
+    if whole <= 1.25 * LONGEST or used < 0.9 * LONGEST:
+        return ()
+    return (f"of the record's {whole:.0f} s {used:.0f} are judged, in six stretches spread over it",)

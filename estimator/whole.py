@@ -22,7 +22,7 @@ from .fitted import parameters
 from .model import EffectUse, Model, Setting
 from .model_uses import not_judged
 from .motion_blocks import COLOURS
-from .preparation import prepare
+from .preparation import prepare, shortened
 from .search_start import fit_record
 from .sensor_response import BLIND, LINEAR, forced
 from .shaft_angle import timed
@@ -62,7 +62,12 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
 
     Raises DataError.
     """
-    model = timed(model, y, rate_hz)
+    whole = _turning(timed(model, y, rate_hz), y, rate_hz)
+    return replace(whole, messages=(*shortened(whole.point.data, y), *whole.messages))
+
+
+def _turning(model: Model, y: Array, rate_hz: float) -> Whole:
+    """The same at the speed that the model gives, the ball-pass order from the record where the model leaves it."""
     if not modulation.sought(model):
         return _fitted(model, y, rate_hz)
     if laws := modulation.laws(model):

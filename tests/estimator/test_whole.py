@@ -143,3 +143,20 @@ def test_a_line_of_the_model_is_fitted_everywhere_though_one_channel_is_clipped(
     whole = fit_whole(rig, y, RATE)
     seen = suspects(rig, whole.point, y)
     assert [(s.effect, s.at) for s in seen][:2] == [("sensor_clipping", ("bearing1.x",)), ("line", ("bearing1.y",))]
+
+
+def test_of_a_long_record_six_stretches_are_judged_and_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = one_bearing()
+    y = simulate(rig, RATE, 16.0, seed=5, noise=0.02, full_scale=490.5)
+    whole = fit_whole(rig, y, RATE)
+    monkeypatch.setattr("estimator.preparation.LONGEST", 4.0)
+    part = fit_whole(rig, y, RATE)
+    assert whole.messages == ()
+    assert part.messages == ("of the record's 16 s 4 are judged, in six stretches spread over it",)
+    assert part.point.data.t[-1] > 13.0
+    for name, p in whole.parameters.items():
+        less = part.parameters[name]
+        assert p.sd is not None
+        assert less.sd is not None
+        assert less.sd == pytest.approx(2.0 * p.sd, rel=0.3)
+        assert abs((less.value or 0.0) - (p.value or 0.0)) < 4 * less.sd
