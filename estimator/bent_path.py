@@ -147,12 +147,13 @@ def find(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> li
     return out + _noisy(model, point, heard)
 
 
-def pedestal(point: WorkingPoint, i: int) -> Array:
-    """(3,) mass, frequency and damping that the motion under a measured force suggests, likely or not."""
+def pedestal(point: WorkingPoint, i: int) -> tuple[Array, float, float]:
+    """(3,) mass, frequency and damping that the motion under a measured force suggests, likely or not; kL and c."""
     r = response_of(point, i)
     base, scale = plain(point, i, r)
     cause = causes(point, i, {})[0]
-    return cause.values(bent(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts]).u[4:])
+    u = bent(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts]).u
+    return cause.values(u[4:]), float(point.kL[i] + u[2]), float(point.c[i] + u[3])
 
 
 def refined(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:

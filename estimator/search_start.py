@@ -8,6 +8,7 @@ measured force.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -32,10 +33,10 @@ COARSE = np.array([0.3, 1.0, 3.0])
 
 def fit_record(model: Model, data: MotionBlocks) -> WorkingPoint:
     """The model fitted to a record, whatever values its rig file starts from."""
-    uses = _suggested(data, placed_of(model, data))
+    uses, near = _suggested(data, placed_of(model, data))
     loose = [k for k, use in enumerate(uses) if _searched(use)]
     if not loose:
-        return fit_model(data, uses)
+        return fit_model(data, uses, near)
     part = part_of(data, SECONDS)
     kinds = {k: (uses[k].effect.name, *_searched(uses[k])) for k in loose}
     for kind in dict.fromkeys(kinds.values()):
@@ -43,29 +44,37 @@ def fit_record(model: Model, data: MotionBlocks) -> WorkingPoint:
         point = fit_model(part, [u for j, u in enumerate(uses) if j not in loose or j < own[0]])
         for k, use in zip(own, _started(point, [uses[k] for k in own]), strict=True):
             uses[k] = use
-    return fit_model(data, uses)
+    return fit_model(data, uses, near)
 
 
-def _suggested(data: MotionBlocks, uses: list[Placed]) -> list[Placed]:
-    """The uses with their pedestals begun where the force of a model without them suggests, if that fits better."""
+def _suggested(data: MotionBlocks, uses: list[Placed]) -> tuple[list[Placed], WorkingPoint | None]:
+    """The uses with their pedestals begun where the force of a model without them suggests, if that fits better; beside
+    a measured force, which forgives no distance, with the point to begin from."""
     shaped = [k for k, use in enumerate(uses) if use.effect.name == "pedestal" and any(use.free)]
     others = [use for k, use in enumerate(uses) if k not in shaped and not _searched(use)]
     if not shaped:
-        return uses
+        return uses, None
     part = part_of(data, SHAPE_SECONDS)
     without = fit_model(part, others)
     begun = {}
+    kL, c = without.kL.copy(), without.c.copy()
     for k in shaped:
-        if without.kL[uses[k].at[0]] > 0.0:  # not a fit far from the rotor
-            i = uses[k].at[0]
-            suggested = (bent_path if data.driven[i] > 0.0 else force_colour).pedestal(without, i)
+        i = uses[k].at[0]
+        if kL[i] > 0.0:  # not a fit far from the rotor
+            if data.driven[i] > 0.0:
+                suggested, kL[i], c[i] = bent_path.pedestal(without, i)
+            else:
+                suggested = force_colour.pedestal(without, i)
             begun[k] = uses[k].with_values(np.where(uses[k].free, suggested, uses[k].p))
-    as_typed, as_found = (
-        fit_model(part, [*others, *own]) for own in ([uses[k] for k in shaped], [begun.get(k, uses[k]) for k in shaped])
-    )
+    own = [begun.get(k, uses[k]) for k in shaped]
+    if data.measured_force:
+        point = fit_model(part, [*others, *own], replace(without, kL=kL, c=c))
+        fitted = {use.key: use for use in point.placed}
+        return [fitted.get(use.key, use) for use in uses], point
+    as_typed, as_found = (fit_model(part, [*others, *pair]) for pair in ([uses[k] for k in shaped], own))
     if as_found.fit.log_likelihood <= as_typed.fit.log_likelihood:
-        return uses
-    return [begun.get(k, use) for k, use in enumerate(uses)]
+        return uses, None
+    return [begun.get(k, use) for k, use in enumerate(uses)], None
 
 
 def _searched(use: Placed) -> list[int]:

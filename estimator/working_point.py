@@ -28,6 +28,7 @@ LEAP = 3.0  # from a part of a record to the next
 LAST_ROUNDS = 3  # at most, on the whole of it
 LEAST_NOISE = 1e-4  # of a sensor, over the force noise, that is looked for
 NOISE_STEP = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
+LEAST_LEFT = 0.3  # of a stiffness, after a step, where the force is measured
 STRIDE = 0.3  # of the reach of a searched parameter: one standard deviation of the step that is taken at once
 SETTLED = 0.1  # standard deviations by which the last step of a fit moves
 SHAKEN = 0.3  # the same where laws are dressed by a probe, which moves with them
@@ -303,7 +304,8 @@ def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list
     """Values after the increments of the fit, searched parameters kept inside their limits."""
     step = dict(zip(point.fit.names, point.fit.delta * point.fit.scales, strict=True))
     places = point.data.places
-    kL = kL + np.array([step[f"{p}.kL"] for p in places])
+    least = np.where(point.data.driven > 0.0, LEAST_LEFT * kL, -np.inf)  # a known force forgives no step too far
+    kL = np.maximum(kL + np.array([step[f"{p}.kL"] for p in places]), least)
     c = c + np.array([step[f"{p}.c"] for p in places])
     uses = []
     for use in point.placed:

@@ -194,3 +194,14 @@ def test_twice_the_nats_of_an_idle_cause_are_chi_square_whatever_the_noise() -> 
         assert np.mean(np.array(won[name]) > 6.63) < 0.08  # 1 % expected
     for name in won:
         assert np.max(won[name]) < 25.0
+
+
+def test_a_heavy_pedestal_at_the_resonance_is_fitted() -> None:
+    """It takes a third of the stiffness with it: from that of the rest of the model the first step went astray."""
+    true = (1.0, 1006.0, 0.016)
+    y = record(pedestal=true, noise=(0.3, 0.01))
+    fit = spectral.fit(given("pedestal"), y, RATE).parameters
+    for name, value in zip(("mass", "frequency", "damping"), true, strict=True):
+        p = fit[f"{PLACE}.pedestal.{name}"]
+        assert abs((p.value or 0.0) - value) < 4 * (p.sd or 0.0) + 1e-3 * value, (name, p)
+    assert fit[f"{PLACE}.kL"].value == pytest.approx(KL, rel=1e-3)
