@@ -196,9 +196,9 @@ def _strikes(
         fundamentals.append(float(bpfo))
     if model.bearing is not None:
         fundamentals += [v for k, v in orders(model).items() if k != "FTF"]
-    blind = len(lines) >= 4
-    if blind:  # the spacing that most of the lines share
-        spacing = np.diff(np.sort(lines))
+    steady = [hz for hz in lines if s.steady(hz)]  # in a short record a resonance stands out of its surroundings too
+    if len(steady) >= 4:  # the spacing that most of the lines share
+        spacing = np.diff(np.sort(steady))
         fundamentals += [float(d / rotation) for d in np.unique(np.round(spacing, 2)) if d > 0.3 * rotation][:20]
     best: Suspect | None = None
     fundamental = 0.0

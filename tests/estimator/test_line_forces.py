@@ -69,3 +69,11 @@ def test_the_force_of_a_line_does_not_depend_on_the_kind_of_sensor(kind: str) ->
     for name, value in values.items():
         got = found.settings["bearing1.x"][name]
         assert got.value == pytest.approx(value, abs=4 * got.sd)
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_the_resonance_of_a_short_record_makes_no_train_of_strikes(seed: int) -> None:
+    """In 1.2 s it is narrower than the neighbourhood that lines are judged by: some hundred bins of it stand out."""
+    rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    y = simulate(rig, RATE, 1.2, seed=seed, noise=0.02)
+    assert line_forces.find(rig, fit_whole(rig, y, RATE).point, y, RATE) == []
