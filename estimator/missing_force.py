@@ -36,9 +36,6 @@ LEVEL = 1e-3  # of a group at a place, after counting the groups and places trie
 SURVEY_SECONDS = 24.0  # of a long record: enough to see a thousandth of the bearing force
 NEGLIGIBLE = 1.2e-3  # of the rms bearing force: below it lie the band limit and the integrators of any simulation
 DEGREE = 9  # of the smooth curves
-# Mean tangents are known to about a part in a hundred. Where columns of a law of many parameters cancel to a part in
-# ten thousand of their power, what is left of the tangents is that error, and the determinant follows it anywhere.
-TOLD = 1e-5
 RIDGE = 1e-3  # of a column's own information: keeps hat functions that nothing visits at zero
 
 
@@ -153,7 +150,7 @@ def _polynomials(problem: Subproblem, names: tuple[str, ...], knots: Array) -> A
 
 def ridged(problem: Subproblem) -> PathFit:
     """Fit with a weak prior, RIDGE of the mean information of an extra column."""
-    return problem.fit(ridge=ridge_of(problem), steps=6, told=TOLD)
+    return problem.fit(ridge=ridge_of(problem), steps=6)
 
 
 def ridge_of(problem: Subproblem) -> float:

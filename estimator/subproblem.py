@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .motion_blocks import FOLDS
-from .path_fit import Columns, Complexes, Gram, Jacobian, PathFit, Spectrum, fit, log_likelihood
+from .path_fit import TOLD, Columns, Complexes, Gram, Jacobian, PathFit, Spectrum, fit, log_likelihood
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -37,13 +37,11 @@ class Subproblem:
         names = tuple(f"sum.{k}" for k in range(len(weights)))
         return Subproblem(self.places, self.gram.combined(names, weights), self.jacobian, self.blocks, self.base, names)
 
-    def fit(
-        self, folds: NDArray[np.int64] | None = None, ridge: float = 0.0, steps: int = 30, told: float = 0.0
-    ) -> PathFit:  # fmt: skip
-        """Maximum likelihood; `ridge` is a prior information on the scaled extra terms. told : see path_fit.fit."""
+    def fit(self, folds: NDArray[np.int64] | None = None, ridge: float = 0.0, steps: int = 30) -> PathFit:
+        """Maximum likelihood; `ridge` is a prior information on the scaled extra terms."""
         penalty = np.concatenate([np.zeros(len(self.base)), np.full(len(self.extra), ridge)])
         folds = np.arange(FOLDS) if folds is None else folds
-        return fit(self.gram, self.jacobian, folds, self.blocks, None, penalty, steps, told)
+        return fit(self.gram, self.jacobian, folds, self.blocks, None, penalty, steps, TOLD)
 
     def likelihood(self, found: PathFit, folds: NDArray[np.int64]) -> float:
         return log_likelihood(self.gram, self.jacobian, found.delta, found.S, folds, self.blocks)

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator.missing_force import TOLD
 from estimator.motion_blocks import FOLDS
 from estimator.path_fit import THINNED, Gram, Jacobian, fit
+from estimator.subproblem import Subproblem
 
 
 def test_columns_that_cancel_are_not_told_apart_by_the_error_of_their_tangents() -> None:
     """Two columns alike to 1e-4, with mean tangents known to 3 %: their difference moves nothing but the determinant.
 
     A law of three parameters beside hat functions was such a case: 23,000 nats gained and 11 % of the force missing
-    where nothing was (another simulator, Stribeck friction typed as the user's own law).
+    where nothing was (another simulator, Stribeck friction typed as the user's own law); and a held-out likelihood 173
+    nats worse for a law that the record cannot tell from damping, 7 with it.
     """
     rng, bins = np.random.default_rng(0), 300
     force, x, own = (rng.standard_normal(FOLDS * 2000) for _ in range(3))
@@ -25,6 +26,7 @@ def test_columns_that_cancel_are_not_told_apart_by_the_error_of_their_tangents()
     count = np.full((1, FOLDS), 1000.0)
     gram = Gram(G, count, np.zeros((1, FOLDS)), tangents, np.ones(2), ("a", "b"), ("N", "N"))
     blocks = np.full(FOLDS, 1000.0 / bins)
-    free, held = (fit(gram, Jacobian(A0), np.arange(FOLDS), blocks, steps=6, told=told) for told in (0.0, TOLD))
+    free = fit(gram, Jacobian(A0), np.arange(FOLDS), blocks, steps=6)
+    held = Subproblem((0,), gram, Jacobian(A0), blocks, ("a",), ("b",)).fit(steps=6)
     assert np.abs(held.delta).max() < 0.1
     assert np.abs(free.delta).max() > 10 * np.abs(held.delta).max()
