@@ -11,7 +11,7 @@ from typing import Any
 import tomlkit
 from tomlkit.items import Float, InlineTable, Trivia
 
-from estimator.effects import CATALOGUE
+from estimator.effects import CATALOGUE, MORE_LINES, NAMED
 from estimator.effects.places import places
 from estimator.estimate import Parameter
 
@@ -53,7 +53,7 @@ def with_effect(
     """The text of the rig file with an effect added at places (none given: wherever it can act), its values left to
     the fit unless `parameters` (place -> name -> value) has them. Raises ConfigError for an unknown effect, a place
     where it cannot act, or one where it is already."""
-    if effect not in CATALOGUE:
+    if effect not in NAMED:
         candidates = [u.name for u in rig.model.candidates]
         if effect in [c.name for c in rig.file.model.custom if c.name not in candidates]:
             raise ConfigError(f"{_where(rig)}: {effect} is a law of this file already; nothing to add")
@@ -63,7 +63,9 @@ def with_effect(
             raise ConfigError(f'"{effect}" is not an effect; {remedy} ({own})')
     use = next((u for u in rig.model.effects if u.name == effect), None)
     if use is not None and not at:
-        raise ConfigError(f"{_where(rig)}: {effect} is in the model already, at {', '.join(use.at)}; nothing to add")
+        raise ConfigError(
+            f"{_where(rig)}: {effect} is in the model already, at {', '.join(use.at)}; {_again(rig, effect)}"
+        )
     text = rig.text
     if use is None:
         text = _listed(text, effect)
@@ -76,6 +78,13 @@ def with_effect(
     for place, values in (parameters or {}).items():
         text = _with_numbers(text, ("model", effect, *place.split(".")), values)
     return _checked(rig, text)
+
+
+def _again(rig: Rig, effect: str) -> str:
+    """What to do about an effect that is in the model everywhere."""
+    taken = [use.name for use in rig.model.effects]
+    further = next((name for name in MORE_LINES if name not in taken), None) if effect == "line" else None
+    return "nothing to add" if further is None else f"a further line is called {further}"
 
 
 def without_effect(rig: Rig, effect: str, at: Sequence[str] = ()) -> str:
@@ -146,7 +155,7 @@ def _checked(rig: Rig, text: str) -> str:
 def places_at(rig: Rig, effect: str, at: Iterable[str]) -> tuple[str, ...]:
     """The places that --at means for an effect. Raises ConfigError for one where it cannot act."""
     items = [item.strip() for given in at for item in given.split(",")]
-    possible = places(CATALOGUE[effect], rig.model) if effect in CATALOGUE else rig.model.places
+    possible = places(NAMED[effect], rig.model) if effect in NAMED else rig.model.places
     found, problems = at_places(items, possible, {c.name: c.place for c in rig.model.channels})
     if problems:
         raise ConfigError(f"--at: {effect}: {problems[0]}")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from estimator.effects import CATALOGUE
+from estimator.effects import NAMED
 from estimator.model import MOTION, NODES, BearingGeometry, Channel, Model, Setting, Shaft
 
 from .errors import ConfigError
@@ -188,7 +188,7 @@ def _together(data: dict[str, Any], parts: dict[str, Any], base: Path) -> list[P
     if "model" in parts:
         shaft: Shaft = parts["rig"].shaft if "rig" in parts else "none" if "rig" not in data else "chain"
         known = _channels(channels) if motions else tuple(Channel(p, *p.split(".")) for p in CAPS)
-        problems += effects_of(parts["model"], CATALOGUE, Model(known, (1.0, 2.0), shaft), base)[1]
+        problems += effects_of(parts["model"], NAMED, Model(known, (1.0, 2.0), shaft), base)[1]
     return problems
 
 
@@ -206,7 +206,7 @@ def _model(file: RigFile, base: Path, path: Path | None) -> tuple[Model, list[Pr
         bearing=_bearing(rig.bearing),
         name=rig.name or (path.stem if path else "rig"),
     )
-    effects, problems = effects_of(file.model, CATALOGUE, model, base)
+    effects, problems = effects_of(file.model, NAMED, model, base)
     linear = {p: dict.fromkeys(("kL", "c", "S"), Setting()) for p in model.places}
     for node in NODES:
         for direction in ("x", "y"):

@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from estimator.effect import Effect
+from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.errors import ModelError
 from estimator.model import DIRECTIONS, NODES, CustomLaw, EffectUse, Model, Setting
@@ -58,14 +59,14 @@ def effects_of(
     names = list(dict.fromkeys([*table.effects, *customs]))
     for i, name in enumerate(table.effects):
         if name not in catalogue and name not in customs:
-            known = [*catalogue, *customs]
+            known = [*CATALOGUE, *customs]
             text = f'"{name}" is not an effect; {did_you_mean(name, known, "there are")}'
             problems.append(Problem(("model", "effects", i), text))
         if name in table.effects[:i]:
             problems.append(Problem(("model", "effects", i), f'"{name}" is there twice; remove one'))
     for name in extra:
         if name not in names:
-            remedy = did_you_mean(name, [*_KEYS, *names, *catalogue])
+            remedy = did_you_mean(name, [*_KEYS, *names, *CATALOGUE])
             if name in catalogue:
                 remedy = "add it to model.effects, or remove the table"
             problems.append(Problem(("model", name), f"settings of an effect that the model does not have; {remedy}"))

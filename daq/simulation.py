@@ -16,7 +16,7 @@ from drivers.link import Event, Link
 from drivers.reading import LinkStats, Reading
 from drivers.simulated import DeviceConfig, SimulatedDevice
 from estimator.effect import Effect
-from estimator.effects import CATALOGUE
+from estimator.effects import NAMED
 from estimator.estimate import Parameter
 from estimator.model import UNITS, EffectUse, Model, Setting
 
@@ -82,7 +82,7 @@ def _complete_use(model: Model, use: EffectUse, rate_hz: float, assumed: dict[st
         raise ConfigError(f"model.custom: {use.name} has no value for {missing}; give one to simulate it")
     from estimator.effects.strength import size, strengths
 
-    effect: Effect = CATALOGUE[use.name]
+    effect: Effect = NAMED[use.name]
     units = {p.name: p.unit for p in effect.parameters}
     linear = replace(model, effects=())
     out = {}

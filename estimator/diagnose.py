@@ -93,7 +93,7 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
 
 def _beside(model: Model, point: WorkingPoint, before: missing_force.Survey, entry: Entry) -> Entry:
     """The entry of a force of time alone, fitted together with the model: about a resonance it had spoiled the fit."""
-    settings, after_point = found_beside(model, point, entry.effect, entry.settings)
+    settings, after_point = found_beside(model, point, entry.settings)
     part = thinned(after_point, missing_force.SURVEY_SECONDS)
     after = missing_force.survey(part, model, only=before.places_found())
     return replace(evidence.with_settings(entry, settings), after_percent=after.percent(part))

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from .effects import CATALOGUE
+from .effects import CATALOGUE, NAMED
+from .effects.places import at
 from .estimate import Parameter
 from .missing_force import Survey
 from .model import Model
+from .periodic import LINE_NAMES
 from .placed import Placed
 from .screen import Trial
 from .suspect import Suspect
@@ -42,7 +44,7 @@ class Entry:
     explained_percent: float = 100.0  # rms of the effect's own part of the force over the bearing force
     placed: tuple[Placed, ...] = ()
     detectable: tuple[float, str] | None = None
-    settings: Settings = field(default_factory=dict)  # of an effect that is no force law
+    settings: dict[str, Settings] = field(default_factory=dict)  # of an effect that is no force law, by name in a model
     notes: tuple[str, ...] = ()
     amplitude_gain: float | None = None  # nats on the largest amplitudes by parameters fitted to the smaller
 
@@ -73,7 +75,7 @@ def entries(
         by_effect.setdefault(t.effect.name, []).append(t)
     out = [_entry(point, own, tried, before) for own in by_effect.values()]
     for name in dict.fromkeys(s.effect for s in others):
-        out.append(_suspected(point, [s for s in others if s.effect == name], before))
+        out.append(_suspected(model, point, [s for s in others if s.effect == name], before))
     return sorted(out, key=lambda e: -e.score)
 
 
@@ -119,14 +121,14 @@ def _shorter(point: WorkingPoint, used: Sequence[Trial]) -> tuple[str, ...]:
     return (f"gain and p-value are those of {seconds:.0f} s of the record: the rest could not bring it to the front",)
 
 
-def _suspected(point: WorkingPoint, own: list[Suspect], before: Survey) -> Entry:
+def _suspected(model: Model, point: WorkingPoint, own: list[Suspect], before: Survey) -> Entry:
     """Entry of an effect that is not a force law."""
     gain, df = sum(s.gain for s in own), sum(s.df for s in own)
     places = tuple(sorted({i for s in own for i in s.power}))
     was = before.interval(places)[0]
     scale = float(np.sum(before.bearing[list(places)] ** 2))
     part = sum(p for s in own for p in s.power.values())
-    settings = {place: values for s in own for place, values in s.settings.items()}
+    settings = _layers(model, own)
     first = float("inf") if own[0].effect == "sensor_clipping" else gain - COST * df
     return Entry(
         effect=own[0].effect,
@@ -136,7 +138,7 @@ def _suspected(point: WorkingPoint, own: list[Suspect], before: Survey) -> Entry
         p_value=min(s.p_value for s in own),
         before_percent=was,
         after_percent=max(was**2 - 1e4 * part / scale, 0.0) ** 0.5,
-        parameters=_named(own[0].effect, settings),
+        parameters=_named(settings),
         score=first,
         detectable=own[0].detectable,
         settings=settings,
@@ -144,13 +146,38 @@ def _suspected(point: WorkingPoint, own: list[Suspect], before: Survey) -> Entry
     )
 
 
-def _named(effect: str, settings: Settings) -> dict[str, Parameter]:
-    return {f"{place}.{effect}.{name}": p for place, values in settings.items() for name, p in values.items()}
+def _layers(model: Model, own: list[Suspect]) -> dict[str, Settings]:
+    """Settings by the name that they would have in the model: of several lines at a place each has its own."""
+    layers: list[Settings] = []
+    for s in own:
+        for place, values in s.settings.items():
+            free = next((layer for layer in layers if place not in layer), None)
+            if free is None:
+                layers.append(free := {})
+            free[place] = values
+    if own[0].effect != "line":
+        return {own[0].effect: layers[0]} if layers else {}
+    taken = {u.name: set(at(NAMED[u.name], u, model)) for u in model.effects if u.name in LINE_NAMES}
+    out: dict[str, Settings] = {}
+    for layer in layers:
+        name = next((n for n in LINE_NAMES if not taken.get(n, set()).intersection(layer) and n not in out), None)
+        if name is not None:
+            out[name] = layer
+    return out
 
 
-def with_settings(entry: Entry, settings: Settings) -> Entry:
+def _named(settings: dict[str, Settings]) -> dict[str, Parameter]:
+    return {
+        f"{place}.{effect}.{name}": p
+        for effect, own in settings.items()
+        for place, values in own.items()
+        for name, p in values.items()
+    }
+
+
+def with_settings(entry: Entry, settings: dict[str, Settings]) -> Entry:
     """The entry of an effect that is no force law with other numbers."""
-    return replace(entry, settings=settings, parameters=_named(entry.effect, settings))
+    return replace(entry, settings=settings, parameters=_named(settings))
 
 
 def _odds(trials: list[Trial]) -> float:

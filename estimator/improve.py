@@ -16,8 +16,9 @@ from .fitted import fitted_model, parameters
 from .heldout import heldout_nll, heldout_rmse
 from .missing_force import survey
 from .model import EffectUse, Model, Setting
+from .periodic import PERIODIC
 from .suspects import suspects
-from .whole import Whole, fit_whole
+from .whole import fit_whole
 from .working_point import WorkingPoint, fit_model
 
 Array = NDArray[np.float64]
@@ -80,10 +81,11 @@ class Ladder:
 def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = None) -> Ladder:
     """Add what the diagnosis names, as long as the held-out likelihood improves. y : (n, channels), SI."""
     say = progress or (lambda fraction, text: None)
+    given = model.ball_pass_order
     whole = fit_whole(model, y, rate_hz)
     model, point = whole.model, whole.point
     rungs = [rung(model, point, y)]
-    messages = list(whole.messages)
+    messages: list[str] = []
     diagnoses: list[Diagnosis] = []
     for step in range(MOST):
         start = step / (step + 1.0)
@@ -98,33 +100,34 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             break
         if best.placed:
             richer = fit_model(point.data, [*point.placed, *best.placed], start=point)
-            new_whole = Whole(fitted_model(model, richer), richer, whole.beside)
+            new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
         else:
-            new_whole = fit_whole(with_settings(fitted_model(model, point), best), y, rate_hz)
+            # forces of time alone make products with the motion that pass for a stiffness that turns: sought again
+            before = replace(fitted_model(model, point), ball_pass_order=given)
+            new_whole = fit_whole(with_settings(before, best), y, rate_hz)
             new_whole = replace(new_whole, model=fitted_model(new_whole.model, new_whole.point))
         new = rung(new_whole.model, new_whole.point, y)
         if best.effect not in UNSCORED and new.heldout_nll >= rungs[-1].heldout_nll:
             messages.append(f"{found.verdict} was named but does not improve the held-out likelihood: not added")
             break
+        if best.effect in PERIODIC and new.missing[0] >= rungs[-1].missing[0]:
+            messages.append(f"{found.verdict} was named but leaves as much of the force as before: not added")
+            break
         whole, model, point = new_whole, new_whole.model, new_whole.point
         rungs.append(new)
-    messages += idle(point)
+    messages = [*whole.messages, *messages, *idle(point)]
     say(1.0, "done")
     return Ladder(tuple(rungs), fitted_model(model, point), whole.parameters, found, tuple(messages), tuple(diagnoses))
 
 
 def with_settings(model: Model, entry: Entry) -> Model:
     """The model with an effect that is no force law, at the values found."""
-    added = {place: {name: Setting(p.value) for name, p in values.items()} for place, values in entry.settings.items()}
-    for use in model.effects:
-        if use.name == entry.effect:
-            return replace(
-                model,
-                effects=tuple(
-                    replace(u, parameters={**u.parameters, **added}) if u is use else u for u in model.effects
-                ),
-            )
-    return replace(model, effects=(*model.effects, EffectUse(entry.effect, added)))
+    uses = {use.name: use for use in model.effects}
+    for name, own in entry.settings.items():
+        added = {place: {n: Setting(p.value) for n, p in values.items()} for place, values in own.items()}
+        use = uses.get(name, EffectUse(name, {}))
+        uses[name] = replace(use, parameters={**use.parameters, **added})
+    return replace(model, effects=tuple(uses.values()))
 
 
 def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:

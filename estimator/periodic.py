@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .bandlimit import passband
 from .effect import Effect
-from .effects import CATALOGUE
+from .effects import MORE_LINES, NAMED
 from .effects.compiled import force_array
 from .effects.places import at, kinematic, values, written
 from .errors import ModelError
@@ -26,12 +26,13 @@ from .rotor import shaft_at_caps
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-PERIODIC = ("imbalance", "bow", "misalignment", "local_defect", "line")
+LINE_NAMES = ("line", *MORE_LINES)
+PERIODIC = ("imbalance", "bow", "misalignment", "local_defect", *LINE_NAMES)
 TURN = 1 << 14  # points of one period
 UNTOLD = "not told from zero by this record"
 LEAST = 1e-4  # gain of the band filter, below which nothing comes through
 LINES = 399  # harmonics that are looked at
-FREQUENCY = {"line": 2, "local_defect": 1}  # number of the parameter that the angle is proportional to
+FREQUENCY = {"local_defect": 1} | dict.fromkeys(LINE_NAMES, 2)  # number of the parameter that turns the angle
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +47,7 @@ class Periodic:
 
     def angle(self, t: Array, phase: Array) -> Array:
         """(n,) theta, rad."""
-        if self.effect.name == "line":
+        if self.effect.name in LINE_NAMES:
             return np.asarray(2 * np.pi * self.hz * t)
         return phase * self.p[1] if self.effect.name == "local_defect" else phase
 
@@ -85,7 +86,7 @@ def fundamental(effect: Effect, own: Mapping[str, Setting], model: Model) -> flo
         return rotation
     q = effect.parameters[k]
     value = own.get(q.name, Setting()).value or kinematic(q.scale, model) or 0.0
-    return value if effect.name == "line" else rotation * value
+    return value if effect.name in LINE_NAMES else rotation * value
 
 
 def known_lines(model: Model) -> list[float]:
@@ -93,7 +94,7 @@ def known_lines(model: Model) -> list[float]:
     out: dict[float, None] = {}
     for use in model.effects:
         if use.name in PERIODIC:
-            effect = CATALOGUE[use.name]
+            effect = NAMED[use.name]
             orders = 1 + np.flatnonzero(sounding(use.name, LINES))
             for key in at(effect, use, model):
                 hz = fundamental(effect, written(effect, use, model, key), model)
@@ -114,7 +115,7 @@ def periodic_of(model: Model) -> list[Periodic]:
     for use in model.effects:
         if use.name not in PERIODIC:
             continue
-        effect = CATALOGUE[use.name]
+        effect = NAMED[use.name]
         for key in at(effect, use, model):
             try:
                 p = values(effect, use, model, key)

@@ -18,7 +18,7 @@ from .effects.places import written
 from .estimate import Parameter
 from .model import EffectUse, Model, Setting
 from .motion_blocks import MotionBlocks, shaft_response
-from .periodic import FREQUENCY, TURN, UNTOLD, Periodic, acts, periodic_of, series, waves
+from .periodic import FREQUENCY, LINE_NAMES, TURN, UNTOLD, Periodic, acts, periodic_of, series, waves
 from .working_point import WorkingPoint, fit_model, tangent_at
 
 Array = NDArray[np.float64]
@@ -29,21 +29,28 @@ STEPS = 3  # of the numbers, before the model is fitted beside them and after
 
 
 def found_beside(
-    model: Model, point: WorkingPoint, effect: str, settings: Settings
-) -> tuple[dict[str, dict[str, Parameter]], WorkingPoint]:
-    """Settings of a periodic effect that a model lacks, as it was found -> fitted together, the model beside them.
+    model: Model, point: WorkingPoint, settings: Mapping[str, Settings]
+) -> tuple[dict[str, dict[str, dict[str, Parameter]]], WorkingPoint]:
+    """Settings of periodic effects that a model lacks, by name, as they were found -> fitted together, the model beside
+    them.
 
     Where it was found each number was taken by itself: a frequency from three bins, a phase as if that were known, a
     strike from the mean over all periods; and the force that the model did not have had moved its k and c.
     """
-    use = EffectUse(effect, {key: {n: Setting(v.value) for n, v in own.items()} for key, own in settings.items()})
-    alone, bare = replace(model, effects=(use,)), point.data
+    uses = tuple(
+        EffectUse(name, {key: {n: Setting(v.value) for n, v in values.items()} for key, values in own.items()})
+        for name, own in settings.items()
+    )
+    alone, bare = replace(model, effects=uses), point.data
     alone, found = _stepped(alone, point, point.force)
     added = waves(alone, bare.places, bare.rate_hz)
     data = replace(bare, known=bare.known - _series(alone, bare), waves=(*bare.waves, *added))
     point = fit_model(data, [*point.placed])
     _, found = _stepped(alone, point, point.force + bare.known - data.known)
-    named = {key: {n: found.get(f"{key}.{effect}.{n}", p) for n, p in own.items()} for key, own in settings.items()}
+    named = {
+        name: {key: {n: found.get(f"{key}.{name}.{n}", p) for n, p in values.items()} for key, values in own.items()}
+        for name, own in settings.items()
+    }
     return named, point
 
 
@@ -108,7 +115,7 @@ def _step(model: Model, one: Periodic, point: WorkingPoint, force: Array) -> tup
     if inside.size == 0 or not loose:
         return None
     turned = (
-        2 * np.pi * data.t if one.effect.name == "line" else data.phase
+        2 * np.pi * data.t if one.effect.name in LINE_NAMES else data.phase
     )  # theta per unit of the frequency parameter
     pieces = np.minimum((np.arange(turned.size) * PIECES) // turned.size, PIECES - 1)
     middle = np.bincount(pieces, turned) / np.bincount(pieces)

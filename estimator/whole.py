@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from . import bent_path, force_colour, modulation, periodic, periodic_fit
 from .effect import EffectParameter
-from .effects import CATALOGUE
+from .effects import NAMED
 from .effects.places import at, written
 from .estimate import Parameter
 from .fit_result import Fit
@@ -110,14 +110,14 @@ def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
 
 def _told(use: EffectUse, model: Model) -> bool:
     """Whether it is a sensor's response beside a measured force, which tells it."""
-    return use.name in LINEAR and bool(forced(model).intersection(at(CATALOGUE[use.name], use, model)))
+    return use.name in LINEAR and bool(forced(model).intersection(at(NAMED[use.name], use, model)))
 
 
 def _undone(use: EffectUse, model: Model) -> bool:
     """Whether it is a sensor's response that is undone before anything is known of it: as the rig file gives it."""
     if not _told(use, model):
         return use.name in BLIND
-    names = [q.name for q in CATALOGUE[use.name].parameters]
+    names = [q.name for q in NAMED[use.name].parameters]
     return all(own.get(n, Setting()).value is not None for own in use.parameters.values() for n in names)
 
 
@@ -162,7 +162,7 @@ def _numbered(
     use: EffectUse, model: Model, seen: list[Suspect], point: WorkingPoint
 ) -> tuple[EffectUse, dict[str, Parameter]]:
     """The use with what was found for it at each of its places, and that as parameters."""
-    effect = CATALOGUE[use.name]
+    effect = NAMED[use.name]
     found: dict[str, Parameter] = {}
     new: dict[str, dict[str, Setting]] = {}
     for key in at(effect, use, model):
@@ -192,10 +192,27 @@ def _found(
         return {"rms": force_colour.sensor_noise(point, point.data.places.index(key))}
     if use.name == "bow":
         return _bow(model, [s.settings[key] for s in seen if s.effect == "imbalance"])
-    own = [s.settings[key] for s in seen if s.effect == use.name and key in s.settings]
-    if use.name == "line" and (hz := old.get("frequency", Setting()).value):
-        own = sorted(own, key=lambda values: abs((values["frequency"].value or 0.0) - hz))
-    return own[0] if own else {}
+    if use.name in periodic.LINE_NAMES:
+        return _line(use, key, model, [s.settings[key] for s in seen if s.effect == "line" and key in s.settings])
+    return next((s.settings[key] for s in seen if s.effect == use.name and key in s.settings), {})
+
+
+def _line(use: EffectUse, key: str, model: Model, seen: list[dict[str, Parameter]]) -> dict[str, Parameter]:
+    """Of the lines seen at a place the one nearest to the frequency written; without one the strongest that no other
+    line of the model has."""
+    lines = {
+        u.name: written(NAMED[u.name], u, model, key).get("frequency", Setting()).value
+        for u in model.effects
+        if u.name in periodic.LINE_NAMES and key in at(NAMED[u.name], u, model)
+    }
+    left = list(seen)
+    for name, hz in sorted(lines.items(), key=lambda one: not one[1]):
+        if not left:
+            break
+        own = left.pop(min(range(len(left)), key=lambda k: abs((left[k]["frequency"].value or 0.0) - hz) if hz else k))
+        if name == use.name:
+            return own
+    return {}
 
 
 def _bow(model: Model, seen: list[dict[str, Parameter]]) -> dict[str, Parameter]:

@@ -1,5 +1,7 @@
 """The catalogue: one effect per file, listed by hand. A new effect is its file, its test and a line here."""
 
+from dataclasses import replace
+
 from ..effect import Effect
 from .anisotropy import ANISOTROPY
 from .ball_pass import BALL_PASS
@@ -64,3 +66,6 @@ CATALOGUE: dict[str, Effect] = {
     "sensor_resonance": SENSOR_RESONANCE,
     "sensor_noise": SENSOR_NOISE,
 }
+
+MORE_LINES = {f"line_{k}": replace(LINE, name=f"line_{k}") for k in range(2, 10)}  # a place may have more than one
+NAMED = CATALOGUE | MORE_LINES  # what a model's effects may be called

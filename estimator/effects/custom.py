@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..effect import Effect, EffectParameter
 from ..errors import ModelError
 from ..model import EffectUse, Setting
-from . import CATALOGUE
+from . import NAMED
 from .compiled import address, force_array
 from .expression import compile_law
 
@@ -20,9 +20,9 @@ def effect_of(use: EffectUse) -> Effect:
     """The effect that a use names: of the catalogue, or the user's own. Raises ModelError."""
     if use.custom is not None:
         return custom_effect(use)
-    if use.name not in CATALOGUE:
+    if use.name not in NAMED:
         raise ModelError(f"no effect {use.name!r} in the catalogue: see `rotorscope effects`, or use [[model.custom]]")
-    return CATALOGUE[use.name]
+    return NAMED[use.name]
 
 
 def custom_effect(use: EffectUse) -> Effect:

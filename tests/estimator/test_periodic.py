@@ -9,15 +9,18 @@ import pytest
 from hidden_effects import RATE, SECONDS, one_bearing, record
 from numpy.typing import NDArray
 
-from estimator import line_forces
+from estimator import evidence, line_forces
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
+from estimator.improve import with_settings
+from estimator.missing_force import survey
 from estimator.model import EffectUse, Model, Setting
 from estimator.motion_blocks import MotionBlocks
 from estimator.periodic import known_lines, periodic_of, series
 from estimator.periodic_fit import PIECES, found_beside, refined
 from estimator.preparation import prepare
 from estimator.simulate import simulate
+from estimator.suspects import suspects
 from estimator.whole import fit_whole
 from estimator.working_point import WorkingPoint, fit_model
 
@@ -157,13 +160,37 @@ def test_strikes_that_are_found_are_as_strong_as_they_are() -> None:
     y = record(rig, "local_defect", 0.06)
     point = fit_whole(rig, y, RATE).point
     (seen,) = (s for s in line_forces.find(rig, point, y, RATE) if s.effect == "local_defect")
-    found, _ = found_beside(rig, point, "local_defect", seen.settings)
+    found = found_beside(rig, point, {"local_defect": seen.settings})[0]["local_defect"]
     truth = strengths(CATALOGUE["local_defect"], size(rig, "bearing1.x", RATE), 0.06, rig, SECONDS)
     for place in rig.places:
         for name in ("strike", "order", "width"):
             p, value = found[place][name], truth[name]
             assert p.sd is not None
             assert abs((p.value or 0.0) - value) < 4 * p.sd, (place, name)
+
+
+def test_a_place_may_have_more_than_one_line(rig: Model) -> None:
+    """Mains hum comes with its multiples: with one line a place, each took the place of the last."""
+    hums = {"line": (350.0, 0.9), "line_2": (250.0, 0.5), "line_3": (850.0, 0.1)}
+    truth = rig
+    for name, (hz, force) in hums.items():
+        truth = with_use(truth, name, {"a": force, "b": -0.3 * force, "frequency": hz})
+    y = simulate(truth, RATE, 8.0, seed=5, noise=0.02, full_scale=490.5)
+    whole = fit_whole(rig, y, RATE)
+    seen = suspects(rig, whole.point, y)
+    entry = evidence.entries(rig, whole.point, [], survey(whole.point, rig, only=()), seen)[0]
+    assert [*entry.settings] == [*hums]
+    added = fit_whole(with_settings(rig, entry), y, RATE)
+    assert suspects(added.model, added.point, y) == []
+    for name, (hz, force) in hums.items():
+        for key, value in {"a": force, "b": -0.3 * force, "frequency": hz}.items():
+            p = added.parameters[f"bearing1.x.{name}.{key}"]
+            assert p.sd is not None
+            assert abs((p.value or 0.0) - value) < 4 * p.sd, (name, key)
+    further = replace(added.model, effects=tuple(u for u in added.model.effects if u.name != "line_2"))
+    left = [s for s in seen if s.region.startswith("250")]
+    again = evidence.entries(further, whole.point, [], survey(whole.point, rig, only=()), left)[0]
+    assert [*again.settings] == ["line_2"]
 
 
 def test_what_is_fixed_stays(rig: Model, point: WorkingPoint) -> None:
