@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +22,17 @@ from .force_colour import NOISE_RATIO
 from .model import MOTION, Model
 from .periodic import known_lines
 from .sensor_response import LINEAR, forced, response
-from .suspect import Suspect
-from .transfer import Peak, Response, exp, expected, highest, left, linear, plain, response_of
+from .suspect import UNKNOWN, Suspect
+from .transfer import Peak, Response, exp, expected, highest, left, linear, noises, plain, response_of
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-EXPLAINED = 0.5  # of the nats that a free response gains, for a cause to be the cause
+EXPLAINED = 0.5  # of what a free response explains, for a cause to be the cause
+LEVEL = 1e-2  # p-value above which nothing is said
+HALVED = 0.5  # of what the best cause leaves, in power, that two together leave at most
+OWN = slice(4, None)  # of the numbers of a peak, those of a cause
+BEYOND_CHANCE = 8.0  # standard deviations of what a free response gains, for the path to be bent by who knows what
 LEAST = 1.2e-3  # of the bearing force (rms): less is within what filters and integrators leave behind
 FEWEST = 100  # cells that are to be left
 UNEVEN = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
@@ -39,7 +44,7 @@ NOTES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Cause:
     """What may bend a tangent. values : parameters in SI of their free form, and `free` the other way; starts : in it.
 
@@ -110,16 +115,19 @@ def bent(
     def bend(d: Array) -> Complexes:
         return cause.bend(r, linear(r, d), k + d[0], c + d[1], cause.values(d[2:]))
 
-    wide = np.concatenate([scale, np.full(len(cause.names), 0.1)])
-    return max((highest(r, bend, np.concatenate([base.u, z]), wide) for z in starts), key=lambda peak: peak.nats)
+    wide = np.concatenate([scale, np.full(starts[0].size, 0.1)])
+    peaks = [highest(r, bend, np.concatenate([base.u[:4], z]), wide) for z in starts]
+    best = max(peaks, key=lambda peak: peak.nats)
+    again = [highest(r, bend, np.concatenate([noise, best.u[2:]]), wide) for noise in noises(r, best.A)]
+    return max([best, *again], key=lambda peak: peak.nats)
 
 
-def _settings(cause: Cause, peak: Peak) -> dict[str, Parameter]:
-    """Parameters of a cause with their standard deviations."""
-    z, q = peak.u[4:], len(cause.names)
+def _settings(cause: Cause, peak: Peak, part: slice = OWN) -> dict[str, Parameter]:
+    """Parameters of a cause with their standard deviations. part : where its free form is in the peak."""
+    z, q = peak.u[part], len(cause.names)
     values = cause.values(z)
     slopes = np.stack([(cause.values(z + 1e-5 * e) - values) / 1e-5 for e in np.eye(q)])
-    sd = np.sqrt(np.maximum(np.diag(slopes.T @ peak.covariance[4:, 4:] @ slopes), 0.0))
+    sd = np.sqrt(np.maximum(np.diag(slopes.T @ peak.covariance[part, part] @ slopes), 0.0))
     return {
         p.name: Parameter(float(v), float(s), p.unit)
         for p, v, s in zip(CATALOGUE[cause.effect].parameters, values, sd, strict=True)
@@ -219,26 +227,90 @@ def _noisy(model: Model, point: WorkingPoint, heard: Mapping[int, tuple[Response
 
 
 def _found(model: Model, point: WorkingPoint, i: int, r: Response, base: Peak, scale: Array) -> list[Suspect]:
+    """What bends the path at a place: one cause, two together where one leaves much, or who knows what."""
     data, place = point.data, point.data.places[i]
+    least = (LEAST * point.bearing_force[i]) ** 2
     before = left(r, base.A)
-    open_ = float(r.n @ np.log(before / np.maximum(r.rr - np.abs(r.ra) ** 2 / r.aa, 1e-300))) - r.n.size
     taken = {u.name for u in model.effects if place in u.parameters or place.split(".")[0] in u.parameters}
-    out = []
-    for cause in causes(point, i, {}):
-        if cause.effect in taken or (cause.effect == "sensor_gain" and model.cap_mass(place) is None):
-            continue
-        peak = bent(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts])
-        gain = peak.nats - base.nats
+    taken |= {"sensor_gain"} if model.cap_mass(place) is None else set()
+    tried = {
+        cause: bent(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts])
+        for cause in causes(point, i, {})
+        if cause.effect not in taken
+    }
+    coherent = float(r.n @ (_odd(r, base)[0] / before)) - r.n.size  # beyond chance, in units of what is left
+
+    def suspect(cause: Cause, part: slice, peak: Peak, without: Peak) -> list[Suspect]:
         power = float(np.maximum(before - left(r, peak.A), 0.0) @ r.hz)
-        if gain < EXPLAINED * open_ or power < (LEAST * point.bearing_force[i]) ** 2:
-            continue
-        q = len(cause.names)
+        explained = float(r.n @ (1 - left(r, peak.A) / before))
+        if explained < EXPLAINED * coherent or power < least:
+            return []
+        gain, q = peak.nats - without.nats, len(cause.names)
         p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 4 * len(data.places) * len(cause.starts)))
-        out.append(
-            Suspect(cause.effect, (place,), gain, q, p, {i: power}, "frequency", _where(r, before, peak.A),
-                    {place: _settings(cause, peak)}, NOTES[cause.effect])
-        )  # fmt: skip
-    return out
+        if p > LEVEL:
+            return []
+        where = _where(r, before, peak.A)
+        settings = {place: _settings(cause, peak, part)}
+        return [Suspect(cause.effect, (place,), gain, q, p, {i: power}, "frequency", where, settings,
+                        NOTES[cause.effect])]  # fmt: skip
+
+    out = [s for cause, peak in tried.items() for s in suspect(cause, OWN, peak, base)]
+    best = max(tried.values(), key=lambda peak: peak.nats, default=base)
+    if not _bent_still(r, best, least):
+        return out
+    pairs = [(a, b, _both(point, i, r, a, b, tried, scale)) for a, b in combinations(tried, 2)]
+    if pairs:
+        a, b, peak = max(pairs, key=lambda pair: pair[2].nats)
+        k = 4 + len(a.names)
+        two = suspect(a, slice(4, k), peak, tried[b]) + suspect(b, slice(k, None), peak, tried[a])
+        if two and float(left(r, peak.A) @ r.hz) < HALVED * float(left(r, best.A) @ r.hz):
+            return two
+    if out or not _bent_still(r, base, least):
+        return out
+    power, z = _rest(r, base)
+    where = _where(r, before, r.A - r.ra / r.aa)
+    return [Suspect(UNKNOWN, (place,), z * z / 2, r.n.size, float(np.exp(-z * z / 2)), {i: power}, "frequency", where)]
+
+
+def _both(
+    point: WorkingPoint, i: int, r: Response, a: Cause, b: Cause, alone: Mapping[Cause, Peak], scale: Array
+) -> Peak:  # fmt: skip
+    """The likeliest numbers of two causes together, each begun where it is by itself and the other at its starts."""
+    k = len(a.names)
+
+    def apart(of_a: Callable[[Array], Array], of_b: Callable[[Array], Array]) -> Callable[[Array], Array]:
+        return lambda z: np.concatenate([of_a(z[:k]), of_b(z[k:])])
+
+    def bend(r: Response, A: Complexes, kL: float, c: float, p: Array) -> Complexes:
+        return b.bend(r, a.bend(r, A, kL, c, p[:k]), kL, c, p[k:])
+
+    pair = Cause(a.effect, (), apart(a.values, b.values), apart(a.free, b.free), bend)
+    after = [np.concatenate([alone[a].u[4:], z]) for z in b.starts]
+    return max(
+        bent(point, i, r, pair, alone[a], scale, after),
+        bent(point, i, r, pair, alone[b], scale, [np.concatenate([z, alone[b].u[4:]]) for z in a.starts]),
+        key=lambda peak: peak.nats,
+    )
+
+
+def _odd(r: Response, peak: Peak) -> tuple[Array, Array]:
+    """(cells,) of the power that is left what is coherent with the motion beyond the noise in both, and what is not."""
+    P, rest, s = expected(r, peak.A, peak.u)
+    N, p = exp(peak.u[1]) * r.noise, np.minimum(exp(peak.u[0]) / r.ff, 0.5)
+    odd = rest - peak.A * (N + p * (r.aa - N))
+    return np.asarray(np.abs(odd) ** 2 / r.aa), np.maximum(s, P - np.abs(rest) ** 2 / r.aa)
+
+
+def _rest(r: Response, peak: Peak) -> tuple[float, float]:
+    """N^2 that is coherent with the motion still, and by how many standard deviations it is more than chance."""
+    odd, noise = _odd(r, peak)
+    z = float((r.n @ (odd / noise) - r.n.size) / np.sqrt(r.n.size))  # each an exponential variable of mean 1
+    return float((odd - noise / r.n) @ r.hz), z
+
+
+def _bent_still(r: Response, peak: Peak, least: float) -> bool:
+    power, z = _rest(r, peak)
+    return power > least and z > BEYOND_CHANCE
 
 
 def _where(r: Response, before: Array, A: Complexes) -> str:

@@ -200,7 +200,10 @@ def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[E
     if before.any_found() and before.percent(point) >= 100 * missing_force.NEGLIGIBLE:
         return Diagnosis(
             "unknown", entries, shape_of(point, before),
-            messages=("the residual force can be predicted, but no effect of the catalogue does it significantly",),
+            messages=(
+                "the residual force can be predicted, but no effect of the catalogue does it significantly",
+                *dict.fromkeys(s.region for s in before.shares),
+            ),
         )  # fmt: skip
     said = ["nothing of the catalogue improves the prediction beyond chance"]
     if point.data.measured_force:

@@ -17,7 +17,7 @@ from .model import Model
 from .periodic import LINE_NAMES
 from .placed import Placed
 from .screen import Trial
-from .suspect import Suspect
+from .suspect import UNKNOWN, Suspect
 from .working_point import WorkingPoint
 
 Settings = dict[str, dict[str, Parameter]]  # by canonical place, by name
@@ -74,7 +74,7 @@ def entries(
     for t in trials:
         by_effect.setdefault(t.effect.name, []).append(t)
     out = [_entry(point, own, tried, before) for own in by_effect.values()]
-    for name in dict.fromkeys(s.effect for s in others):
+    for name in dict.fromkeys(s.effect for s in others if s.effect != UNKNOWN):
         out.append(_suspected(model, point, [s for s in others if s.effect == name], before))
     return sorted(out, key=lambda e: -e.score)
 

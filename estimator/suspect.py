@@ -29,8 +29,9 @@ class Suspect:
 
 
 CLAIMED = 1e-3  # p-value above which nothing is counted as missing
+UNKNOWN = "unknown"  # effect of a finding that nothing of the catalogue explains
 # causes of one spectrum
-SHAPES = ("coloured_excitation", "sensor_resonance", "pedestal", "sensor_noise", "sensor_gain", "sensor_skew")
+SHAPES = ("coloured_excitation", "sensor_resonance", "pedestal", "sensor_noise", "sensor_gain", "sensor_skew", UNKNOWN)
 
 
 @dataclass(frozen=True, slots=True)

@@ -164,14 +164,16 @@ def exp(z: float) -> float:
 
 def plain(point: WorkingPoint, i: int, r: Response) -> tuple[Peak, Array]:
     """The place without a cause, and the scales of its numbers: ln Q, ln N, changes of k and c."""
-    heard = float(np.mean(r.noise * np.abs(r.A) ** 2))
     scale = np.array([1.0, 1.0, 1e-3 * point.kL[i], 1e-2 * point.c[i] + 1e-9])
-    S = float(np.exp(np.average(np.log(r.rr), weights=r.n)))
-    tried = [
-        highest(r, partial(linear, r), np.array([np.log(S * q), np.log(S * n / heard), 0.0, 0.0]), scale)
-        for q, n in ((1.0, 0.1), (0.1, 1.0), (1.0, 1e-4))
-    ]
+    tried = [highest(r, partial(linear, r), np.array([*noise, 0.0, 0.0]), scale) for noise in noises(r, r.A)]
     return max(tried, key=lambda peak: peak.nats), scale
+
+
+def noises(r: Response, A: Complexes) -> list[tuple[float, float]]:
+    """ln Q and ln N to begin from where A' is about A: mostly the one, mostly the other."""
+    heard = float(np.mean(r.noise * np.abs(A) ** 2))
+    S = float(np.exp(np.average(np.log(left(r, A)), weights=r.n)))
+    return [(float(np.log(S * q)), float(np.log(S * n / heard))) for q, n in ((1.0, 0.1), (0.1, 1.0), (1.0, 1e-4))]
 
 
 def linear(r: Response, d: Array) -> Complexes:

@@ -230,7 +230,7 @@ def _bow(model: Model, seen: list[dict[str, Parameter]]) -> dict[str, Parameter]
 
 def _unseen(blind: bool, q: EffectParameter) -> Parameter:
     if blind:
-        why = "bearings that hardly feel each other say nothing of it: give it, with fixed = true"
+        why = "bearings that hardly feel each other say nothing of it: measure the force, or give it with fixed = true"
     else:
         why = periodic.UNTOLD
     return Parameter(None, None, q.unit, False, why)

@@ -205,3 +205,61 @@ def test_a_heavy_pedestal_at_the_resonance_is_fitted() -> None:
         p = fit[f"{PLACE}.pedestal.{name}"]
         assert abs((p.value or 0.0) - value) < 4 * (p.sd or 0.0) + 1e-3 * value, (name, p)
     assert fit[f"{PLACE}.kL"].value == pytest.approx(KL, rel=1e-3)
+
+
+PAIRS = [
+    pytest.param(("sensor_gain", "sensor_skew"), marks=pytest.mark.slow),
+    ("pedestal", "sensor_gain"),
+]
+
+
+def made_both(pair: tuple[str, str]) -> Array:
+    sensors = [heard(n, *HIDDEN[n]) for n in pair if n != "pedestal"]
+
+    def sensor(a: Array) -> Array:
+        for apply in sensors:
+            a = apply(a)
+        return a
+
+    p = HIDDEN["pedestal"]
+    return record(seed=3, pedestal=(p[0], p[1], p[2]) if "pedestal" in pair else None, sensor=sensor)  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_two_at_one_place_are_told_apart(pair: tuple[str, str]) -> None:
+    """Neither by itself explains half of what is left at 1 / 40 of it."""
+    y = made_both(pair)
+    found = {s.effect: s.settings[PLACE] for s in suspects(RIG, fit_whole(RIG, y, RATE).point, y)}
+    assert set(found) == set(pair)
+    for name in pair:
+        for p, true in zip(found[name].values(), HIDDEN[name], strict=True):
+            assert p.value == pytest.approx(true, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pair", [("sensor_gain", "sensor_skew"), ("pedestal", "sensor_gain")])
+def test_improve_finds_both_and_stops(pair: tuple[str, str]) -> None:
+    ladder = improve(RIG, made_both(pair), RATE)
+    assert set(ladder.rungs[-1].effects) == set(pair)
+    assert ladder.last.verdict == "complete"
+    assert ladder.rungs[-1].simulation_rmse["a"] < 0.05 * ladder.rungs[0].simulation_rmse["a"]
+
+
+def rippled() -> Array:
+    """An acceleration through a cable with a rippled response: nothing of the catalogue."""
+    y = record(seed=3)
+    f = np.fft.rfftfreq(len(y), 1 / RATE)
+    y[:, 0] = np.fft.irfft(np.fft.rfft(y[:, 0]) * (1 + 0.3 * np.sin(f / 150.0)), len(y))
+    return y
+
+
+def test_a_path_that_is_bent_by_nothing_of_the_catalogue_is_unknown() -> None:
+    y = rippled()
+    assert [s.effect for s in suspects(RIG, fit_whole(RIG, y, RATE).point, y)] == ["unknown"]
+
+
+@pytest.mark.slow
+def test_a_path_that_is_bent_by_nothing_of_the_catalogue_is_not_called_complete() -> None:
+    said = diagnose(RIG, rippled(), RATE)
+    assert said.verdict == "unknown"
+    assert any("does not follow the measured force" in text for text in said.messages)
