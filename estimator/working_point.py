@@ -321,6 +321,16 @@ def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list
     return kL, c, uses
 
 
+def _least(grid: Array, cost: Array) -> float:
+    """Where the cost is least between the points of a geometric grid behind 0: the vertex of a parabola."""
+    k = int(np.argmin(cost))
+    if k < 2 or k == grid.size - 1:
+        return float(grid[k])
+    before, here, after = cost[k - 1 : k + 2]
+    shift = 0.5 * (before - after) / (before - 2 * here + after)
+    return float(grid[k] * (grid[k + 1] / grid[k]) ** shift)
+
+
 def _noise(point: WorkingPoint) -> tuple[Array, Array]:
     """nu, (places,), by maximum likelihood on the spectrum of the inferred force; what one of it is there of the force
     noise, in the mean over the band."""
@@ -336,5 +346,5 @@ def _noise(point: WorkingPoint) -> tuple[Array, Array]:
         shape = data.colour[i] + grid[:, None] * heard[i]
         S = np.mean(power / shape, axis=1)
         cost = np.log(S) + np.mean(np.log(shape), axis=1)
-        out[i] = grid[int(np.argmin(cost))]
+        out[i] = _least(grid, cost)
     return out, weight

@@ -36,3 +36,15 @@ def test_a_displacement_sensor_that_is_noisier_than_its_neighbour_is_named() -> 
     rms = found[0].settings["bearing1.x"]["rms"]
     assert rms.value == pytest.approx(4e-9, rel=0.05)
     assert rms.unit == "m"
+
+
+@pytest.mark.parametrize("rms", [0.35, 0.38, 0.42, 0.45])
+def test_the_noise_of_a_sensor_is_no_point_of_a_grid(rms: float) -> None:
+    """It was sought on a grid of 31 %: up to 7 % off, four standard deviations of 20 s."""
+    rig = one_bearing()
+    y = simulate(rig, RATE, 6.0, seed=5)
+    y += rms * np.random.default_rng(2).standard_normal(y.shape)
+    point = fit_whole(rig, y, RATE).point
+    found = [force_colour.sensor_noise(point, i) for i in range(2)]
+    off = [(p.value - rms) / p.sd for p in found if p.value is not None and p.sd is not None]
+    assert np.sqrt(np.mean(np.square(off))) < 1.7
