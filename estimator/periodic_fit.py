@@ -114,9 +114,8 @@ def _step(model: Model, one: Periodic, point: WorkingPoint, force: Array) -> tup
     loose = [k for k, free in enumerate(one.free) if free]
     if inside.size == 0 or not loose:
         return None
-    turned = (
-        2 * np.pi * data.t if one.effect.name in LINE_NAMES else data.phase
-    )  # theta per unit of the frequency parameter
+    # theta per unit of the frequency parameter
+    turned = 2 * np.pi * data.t if one.effect.name in LINE_NAMES else data.phase
     pieces = np.minimum((np.arange(turned.size) * PIECES) // turned.size, PIECES - 1)
     middle = np.bincount(pieces, turned) / np.bincount(pieces)
     through = _through_the_model(model, one, point, 1 + inside)
@@ -132,9 +131,10 @@ def _step(model: Model, one: Periodic, point: WorkingPoint, force: Array) -> tup
                 slopes[j] = 1j * (1 + inside) * F * middle[:, None]
             else:
                 slopes[j] = _slope(model, one, place, count, k)[inside]
-        scale = np.sqrt(data.t.size / PIECES / (point.S[i] * data.rate_hz))  # 1 / sd of a real part
-        rows.append(slopes.reshape(len(loose), -1) * scale)
-        right.append(seen.ravel() * scale)
+        psd = point.S[i] / np.interp(one.hz * (1 + inside), data.f_hz, point.weighing.weight[i])
+        scale = np.sqrt(data.t.size / PIECES / (psd * data.rate_hz))  # 1 / sd of a real part, by order
+        rows.append((slopes * scale).reshape(len(loose), -1))
+        right.append((seen * scale).ravel())
         unsure.append(np.tile(through[:, i] * scale, PIECES))
     J, d, G = (_real(np.concatenate(z, axis=-1)) for z in (rows, right, unsure))
     size = np.sqrt(np.sum(J * J, axis=1))

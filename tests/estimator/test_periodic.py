@@ -138,6 +138,14 @@ def test_a_phase_at_the_start_of_the_record_is_half_as_well_known_as_an_amplitud
     assert b == pytest.approx(2 * sd_of_amplitude(point), rel=2 / PIECES)
 
 
+def test_a_line_in_the_noise_of_a_sensor_is_as_uncertain_as_that_makes_it(rig: Model, point: WorkingPoint) -> None:
+    model = with_use(rig, "line", LINE)
+    noisy = replace(point, weighing=replace(point.weighing, weight=np.full_like(point.weighing.weight, 0.25)))
+    quiet, loud = (refined(model, p, white(p.data, p.S))[1]["bearing1.x.line.a"].sd for p in (point, noisy))
+    assert quiet is not None
+    assert loud == pytest.approx(2 * quiet, rel=0.02)  # four times the power
+
+
 def test_a_line_about_the_resonance_does_not_move_the_rotor() -> None:
     """Its own motion says of k and c what its force is held to be: fitted one after the other, a strong one was half as
     large as it is, and kNL by a quarter off."""
