@@ -95,6 +95,7 @@ def _beside(model: Model, point: WorkingPoint, before: missing_force.Survey, ent
     """The entry of a force of time alone, fitted together with the model: about a resonance it had spoiled the fit."""
     settings, after_point = found_beside(model, point, entry.settings)
     part = thinned(after_point, missing_force.SURVEY_SECONDS)
+    del after_point
     after = missing_force.survey(part, model, only=before.places_found())
     return replace(evidence.with_settings(entry, settings), after_percent=after.percent(part))
 

@@ -46,7 +46,9 @@ def found_beside(
     added = waves(alone, bare.places, bare.rate_hz)
     data = replace(bare, known=bare.known - _series(alone, bare), waves=(*bare.waves, *added))
     point = fit_model(data, [*point.placed])
-    _, found = _stepped(alone, point, point.force + bare.known - data.known)
+    whole = bare.known - data.known
+    whole += point.force
+    _, found = _stepped(alone, point, whole)
     named = {
         name: {key: {n: found.get(f"{key}.{name}.{n}", p) for n, p in values.items()} for key, values in own.items()}
         for name, own in settings.items()
@@ -58,7 +60,8 @@ def _stepped(alone: Model, point: WorkingPoint, whole: Array) -> tuple[Model, di
     """Some steps of the numbers. alone : the model with the effect only; whole : (places, n) N inferred without it."""
     found: dict[str, Parameter] = {}
     for _ in range(STEPS):
-        alone, found = refined(alone, point, whole - _series(alone, point.data))
+        wave = _series(alone, point.data)
+        alone, found = refined(alone, point, np.subtract(whole, wave, out=wave))
     return alone, found
 
 
