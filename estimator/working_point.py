@@ -327,7 +327,8 @@ def _least(grid: Array, cost: Array) -> float:
     if k < 2 or k == grid.size - 1:
         return float(grid[k])
     before, here, after = cost[k - 1 : k + 2]
-    shift = 0.5 * (before - after) / (before - 2 * here + after)
+    bend = before - 2 * here + after
+    shift = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
     return float(grid[k] * (grid[k + 1] / grid[k]) ** shift)
 
 

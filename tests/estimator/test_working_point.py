@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hidden_effects import RATE, one_bearing
 
 from estimator import working_point
@@ -12,6 +13,7 @@ from estimator.model import EffectUse, Setting
 from estimator.model_uses import placed_of
 from estimator.preparation import prepare
 from estimator.simulate import simulate
+from estimator.working_point import _least
 
 
 def test_the_noise_is_that_of_the_values_after_a_step() -> None:
@@ -37,3 +39,14 @@ def test_a_law_that_was_still_zero_can_be_looked_at_on_part_of_the_record() -> N
     part = working_point.thinned(point, 1.0)
     assert part.data.blocks < point.data.blocks
     assert part.columns.names == point.columns.names
+
+
+def test_the_least_of_a_grid_lies_between_its_points_and_a_flat_one_stays() -> None:
+    grid = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 31)])
+    for truth in (0.02, 0.5, 7.0):
+        assert _least(grid, np.log(np.maximum(grid, 1e-9) / truth) ** 2) == pytest.approx(truth, rel=1e-6)
+    flat = np.ones(grid.size)
+    flat[5:9] = 0.0
+    assert _least(grid, flat) <= grid[5] * 1.3
+    assert _least(grid, grid) == 0.0
+    assert _least(grid, -grid) == grid[-1]
