@@ -18,7 +18,8 @@ from scipy.special import chdtrc
 from .effects import CATALOGUE
 from .effects.places import at, written
 from .estimate import Parameter
-from .force_colour import NOISE_RATIO
+from .force_colour import NOISE_RATIO, resonance_hz
+from .missing_force import NEGLIGIBLE
 from .model import MOTION, Model
 from .periodic import known_lines
 from .sensor_response import LINEAR, forced, response
@@ -33,7 +34,6 @@ LEVEL = 1e-2  # p-value above which nothing is said
 HALVED = 0.5  # of what the best cause leaves, in power, that two together leave at most
 OWN = slice(4, None)  # of the numbers of a peak, those of a cause
 BEYOND_CHANCE = 8.0  # standard deviations of what a free response gains, for the path to be bent by who knows what
-LEAST = 1.2e-3  # of the bearing force (rms): less is within what filters and integrators leave behind
 FEWEST = 100  # cells that are to be left
 UNEVEN = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
 NOTES = {
@@ -92,7 +92,7 @@ def _sensor(effect: str, starts: tuple[tuple[float, ...], ...], unit: float, now
 def causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str, float | None]]) -> list[Cause]:
     """Those that a place may have. have : numbers of those that the model has there."""
     data = point.data
-    peak = float(np.sqrt(point.kL[i] / data.mass[i]) / (2 * np.pi))
+    peak = resonance_hz(point, i)
     top = data.band[1]
     resonances = tuple(
         (float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4, 2.5) for q in (4, 25)
@@ -229,7 +229,7 @@ def _noisy(model: Model, point: WorkingPoint, heard: Mapping[int, tuple[Response
 def _found(model: Model, point: WorkingPoint, i: int, r: Response, base: Peak, scale: Array) -> list[Suspect]:
     """What bends the path at a place: one cause, two together where one leaves much, or who knows what."""
     data, place = point.data, point.data.places[i]
-    least = (LEAST * point.bearing_force[i]) ** 2
+    least = (NEGLIGIBLE * point.bearing_force[i]) ** 2
     before = left(r, base.A)
     taken = {u.name for u in model.effects if place in u.parameters or place.split(".")[0] in u.parameters}
     taken |= {"sensor_gain"} if model.cap_mass(place) is None else set()

@@ -205,11 +205,11 @@ def pedestal(point: WorkingPoint, i: int) -> Array:
     """(3,) mass, frequency and damping that the spectrum at a place suggests to a model without one, likely or not."""
     c = cells_of(point, i)
     _, u, scale = _plain(point, i, c)
-    shape = _pedestal(point.data.mass[i], point.kL[i], point.c[i], _peak(point, i))
+    shape = _pedestal(point.data.mass[i], point.kL[i], point.c[i], resonance_hz(point, i))
     return shape.values(_shaped(c, shape, u, scale)[1][4:])
 
 
-def _peak(point: WorkingPoint, i: int) -> float:
+def resonance_hz(point: WorkingPoint, i: int) -> float:
     """Hz of the resonance at a place."""
     return float(np.sqrt(point.kL[i] / point.data.mass[i]) / (2 * np.pi))
 
@@ -225,7 +225,7 @@ def _shapes(
 ) -> list[Suspect]:
     data = point.data
     place = data.places[i]
-    peak = _peak(point, i)
+    peak = resonance_hz(point, i)
     out = []
     r = c.power / base_model(c, u)
     weight = c.n / c.n.sum()

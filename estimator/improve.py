@@ -15,8 +15,9 @@ from .evidence import Entry
 from .fitted import fitted_model, parameters
 from .heldout import heldout_nll, heldout_rmse
 from .missing_force import survey
-from .model import EffectUse, Model, Setting
+from .model import EffectUse, Model
 from .periodic import PERIODIC
+from .suspect import as_use
 from .suspects import suspects
 from .whole import fit_whole
 from .working_point import WorkingPoint, fit_model
@@ -124,7 +125,7 @@ def with_settings(model: Model, entry: Entry) -> Model:
     """The model with an effect that is no force law, at the values found."""
     uses = {use.name: use for use in model.effects}
     for name, own in entry.settings.items():
-        added = {place: {n: Setting(p.value) for n, p in values.items()} for place, values in own.items()}
+        added = as_use(name, own).parameters
         use = uses.get(name, EffectUse(name, {}))
         uses[name] = replace(use, parameters={**use.parameters, **added})
     return replace(model, effects=tuple(uses.values()))

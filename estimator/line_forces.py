@@ -22,6 +22,7 @@ from .effects import CATALOGUE
 from .effects.places import kinematic, orders
 from .estimate import Parameter
 from .line_spectrum import Spectrum, by_angle, residual_spectrum, spectrum_of
+from .missing_force import NEGLIGIBLE
 from .model import Model
 from .motion_blocks import shaft_response
 from .periodic import known_lines, to_cap
@@ -34,7 +35,6 @@ Complexes = NDArray[np.complex128]
 SURE = 1.3  # the local noise is known to about a tenth: so much more is asked of a line
 LEVEL = 1e-4  # chance of one false line in a record, in a blind search
 NEAR_DISC = 0.04  # of the disc's resonance on its shaft, on either side
-LEAST = 1.2e-3  # of the bearing force (rms): less is nothing to find beside a measured force
 KNOWN_LEVEL = 1e-4  # at an order that is looked at on purpose
 
 
@@ -136,7 +136,7 @@ def _one_line(
         return None
     power = {i: float(np.abs(F[i]) ** 2 / 2) for i in range(P) if Z[i] > 5}
     if point.data.measured_force:
-        power = {i: w for i, w in power.items() if w > (LEAST * point.bearing_force[i]) ** 2}
+        power = {i: w for i, w in power.items() if w > (NEGLIGIBLE * point.bearing_force[i]) ** 2}
         Z[[i for i in range(P) if i not in power]] = 0.0
         if not power:
             return None

@@ -67,6 +67,15 @@ class Periodic:
             F *= to_cap(model, place, np.asarray(2 * np.pi * self.hz * k)) - (0.5 if self.effect.name == "bow" else 0.0)
         return np.asarray(F)
 
+    def highest(self, band: tuple[float, float]) -> int:
+        """The last order of its angle that a band, Hz, reaches."""
+        return int(min(band[1] / self.hz, TURN // 8))
+
+    def within(self, band: tuple[float, float]) -> NDArray[np.int64]:
+        """The orders that its law has in a band, Hz."""
+        k = np.arange(1, self.highest(band) + 1)
+        return k[(self.hz * k >= band[0]) & self.sounding(k.size)]
+
     def sounding(self, count: int) -> NDArray[np.bool_]:
         """(count,) which harmonics its law has."""
         return sounding(self.effect.name, count)
@@ -164,8 +173,7 @@ def waves(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[Wave, 
     """The free amplitudes of the model's periodic effects with a harmonic in the band."""
     out = []
     for one in periodic_of(model):
-        f = one.hz * np.arange(1.0, min(model.band[1] / one.hz, TURN // 8))
-        if not ((f >= model.band[0]) & one.sounding(f.size)).any():
+        if one.within(model.band).size == 0:
             continue
         parameters = one.effect.parameters
         for k, q in enumerate(parameters):

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from .effects.places import written
 from .estimate import Parameter
-from .model import EffectUse, Model, Setting
+from .model import Model, Setting
 from .motion_blocks import MotionBlocks, shaft_response
-from .periodic import FREQUENCY, LINE_NAMES, TURN, UNTOLD, Periodic, acts, periodic_of, series, waves
+from .periodic import FREQUENCY, LINE_NAMES, UNTOLD, Periodic, acts, periodic_of, series, waves
+from .suspect import as_use
 from .working_point import WorkingPoint, fit_model, tangent_at
 
 Array = NDArray[np.float64]
@@ -37,12 +38,9 @@ def found_beside(
     Where it was found each number was taken by itself: a frequency from three bins, a phase as if that were known, a
     strike from the mean over all periods; and the force that the model did not have had moved its k and c.
     """
-    uses = tuple(
-        EffectUse(name, {key: {n: Setting(v.value) for n, v in values.items()} for key, values in own.items()})
-        for name, own in settings.items()
-    )
+    uses = tuple(as_use(name, own) for name, own in settings.items())
     alone, bare = replace(model, effects=uses), point.data
-    alone, found = _stepped(alone, point, point.force)
+    alone, _ = _stepped(alone, point, point.force)
     added = waves(alone, bare.places, bare.rate_hz)
     data = replace(bare, known=bare.known - _series(alone, bare), waves=(*bare.waves, *added))
     point = fit_model(data, [*point.placed])
@@ -112,8 +110,7 @@ def _told(one: Periodic, p: Array, sd: Array) -> list[bool]:
 def _step(model: Model, one: Periodic, point: WorkingPoint, force: Array) -> tuple[Array, Array] | None:
     """(k,) numbers after the step and their standard deviations; None if none is free, or no harmonic in the band."""
     data = point.data
-    count = int(min(data.band[1] / one.hz, TURN // 8))
-    inside = np.flatnonzero((one.hz * np.arange(1, count + 1) >= data.band[0]) & one.sounding(count))
+    count, inside = one.highest(data.band), one.within(data.band) - 1
     loose = [k for k, free in enumerate(one.free) if free]
     if inside.size == 0 or not loose:
         return None

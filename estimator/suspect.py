@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from .estimate import Parameter
+from .model import EffectUse, Setting
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,3 +60,8 @@ def shares(suspects: list[Suspect]) -> list[Share]:
             elif place not in shaped or s.gain > shaped[place][0]:
                 shaped[place] = (s.gain, share)
     return [s for s in out + [v for _, v in shaped.values()] if s.power > 0]
+
+
+def as_use(effect: str, settings: Mapping[str, Mapping[str, Parameter]]) -> EffectUse:
+    """An effect at the values found, as a model has it. settings : by canonical place, parameter name -> Parameter."""
+    return EffectUse(effect, {key: {n: Setting(p.value) for n, p in own.items()} for key, own in settings.items()})

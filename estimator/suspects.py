@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import bent_path, force_colour, line_forces, periodic, sensor_faults
-from .model import EffectUse, Model, Setting
+from .model import Model
 from .model_uses import not_judged
-from .suspect import Suspect
+from .suspect import Suspect, as_use
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -35,11 +35,7 @@ def suspects(model: Model, point: WorkingPoint, y: Array, everywhere: bool = Fal
 
 def _having(model: Model, found: list[Suspect]) -> Model:
     """The model with periodic forces that were found."""
-    uses = tuple(
-        EffectUse(s.effect, {p: {n: Setting(q.value) for n, q in own.items()} for p, own in s.settings.items()})
-        for s in found
-    )
-    return replace(model, effects=(*model.effects, *uses))
+    return replace(model, effects=(*model.effects, *(as_use(s.effect, s.settings) for s in found)))
 
 
 def _elsewhere(s: Suspect, bad: set[str], point: WorkingPoint) -> Suspect | None:
