@@ -17,7 +17,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Subproblem:
-    """Gram and Jacobian of some places; `base` names the model's own terms, `extra` those on trial."""
+    """Gram and Jacobian of some places; `base` names the model's own terms, `extra` those on trial.
+
+    caution : (base,) what keeps searched parameters of the model near, as in its own fit.
+    """
 
     places: tuple[int, ...]
     gram: Gram
@@ -25,21 +28,22 @@ class Subproblem:
     blocks: Array
     base: tuple[str, ...]
     extra: tuple[str, ...]
+    caution: Array
 
     def without_extra(self) -> Subproblem:
-        return Subproblem(self.places, self.gram.keep(self.base), self.jacobian, self.blocks, self.base, ())
+        return replace(self, gram=self.gram.keep(self.base), extra=())
 
     def only(self, extra: tuple[str, ...]) -> Subproblem:
-        return Subproblem(self.places, self.gram.keep(self.base + extra), self.jacobian, self.blocks, self.base, extra)
+        return replace(self, gram=self.gram.keep(self.base + extra), extra=extra)
 
     def combined(self, weights: Array) -> Subproblem:
         """With weights (k, extra) sums of the extra terms in their place."""
         names = tuple(f"sum.{k}" for k in range(len(weights)))
-        return Subproblem(self.places, self.gram.combined(names, weights), self.jacobian, self.blocks, self.base, names)
+        return replace(self, gram=self.gram.combined(names, weights), extra=names)
 
     def fit(self, folds: NDArray[np.int64] | None = None, ridge: float = 0.0, steps: int = 30) -> PathFit:
         """Maximum likelihood; `ridge` is a prior information on the scaled extra terms."""
-        penalty = np.concatenate([np.zeros(len(self.base)), np.full(len(self.extra), ridge)])
+        penalty = np.concatenate([self.caution, np.full(len(self.extra), ridge)])
         folds = np.arange(FOLDS) if folds is None else folds
         return fit(self.gram, self.jacobian, folds, self.blocks, None, penalty, steps, TOLD)
 
@@ -87,7 +91,7 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: Columns | No
     merged = Gram(G, point.gram.n[at], point.gram.log_weight[at], tangents, scales, names + new,
                   units + (() if extra is None else extra.units))  # fmt: skip
     jacobian = Jacobian(point.A[:, at[:, None], at])
-    return Subproblem(tuple(int(i) for i in at), merged, jacobian, point.fold_blocks, names, new)
+    return Subproblem(tuple(int(i) for i in at), merged, jacobian, point.fold_blocks, names, new, point.caution[base])
 
 
 def extended(

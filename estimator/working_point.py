@@ -56,6 +56,7 @@ class WorkingPoint:
     gram: Gram
     jacobian: Jacobian
     fit: PathFit
+    caution: Array  # (terms,) information that keeps searched parameters near, in every fit about this point
     A: NDArray[np.complex128]  # (bins, places, places)
     slopes: Array  # (places, places, 2) mean tangent
     fluctuations: tuple[Fluctuation | Probe | None, ...]  # by place, of the laws of the model
@@ -233,7 +234,8 @@ def _at(
             A[:, i, i] += here.whole / (2 * np.pi * data.f_hz) ** 2
     jacobian = Jacobian(A)
     blocks = np.bincount(data.fold, minlength=FOLDS).astype(np.float64)
-    result = _cautious(data, G, jacobian, blocks, uses)
+    caution = _caution(data, G, uses)
+    result = _cautious(G, jacobian, blocks, caution)
     kept = tuple(light(t) for t in made)
     return WorkingPoint(
         data,
@@ -250,6 +252,7 @@ def _at(
         G,
         jacobian,
         result,
+        caution,
         A,
         D,
         tuple(here and here.coarse(data.rate_hz) for here in around),
@@ -257,11 +260,9 @@ def _at(
     )
 
 
-def _cautious(data: MotionBlocks, G: Gram, jacobian: Jacobian, blocks: Array, uses: list[Placed]) -> PathFit:
-    """The fit with its step in searched parameters kept short, and what goes with them: their columns are tangents. A
-    weak law's are free to run far off; of a strong one's a tenth of a standard deviation is lost."""
-    everything = np.arange(FOLDS)
-    result = fit(G, jacobian, everything, blocks)
+def _caution(data: MotionBlocks, G: Gram, uses: list[Placed]) -> Array:
+    """(terms,) prior information, scaled: the columns of searched parameters are tangents, and hold near by. A weak
+    law's are free to run far off; of a strong one's a tenth of a standard deviation is lost."""
     caution = np.zeros(len(G.names))
     for use in uses:
         for k, q in enumerate(use.effect.parameters):
@@ -269,6 +270,13 @@ def _cautious(data: MotionBlocks, G: Gram, jacobian: Jacobian, blocks: Array, us
             if not q.linear and far > 0.0 and use.name(k) in G.names:
                 j = G.names.index(use.name(k))
                 caution[j] = (G.scales[j] / far) ** 2
+    return caution
+
+
+def _cautious(G: Gram, jacobian: Jacobian, blocks: Array, caution: Array) -> PathFit:
+    """The fit with its step in searched parameters kept short, and what goes with them."""
+    everything = np.arange(FOLDS)
+    result = fit(G, jacobian, everything, blocks)
     if not caution.any():
         return result
     return replace(fit(G, jacobian, everything, blocks, ridge=caution), covariance=result.covariance)

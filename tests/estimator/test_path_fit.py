@@ -27,6 +27,6 @@ def test_columns_that_cancel_are_not_told_apart_by_the_error_of_their_tangents()
     gram = Gram(G, count, np.zeros((1, FOLDS)), tangents, np.ones(2), ("a", "b"), ("N", "N"))
     blocks = np.full(FOLDS, 1000.0 / bins)
     free = fit(gram, Jacobian(A0), np.arange(FOLDS), blocks, steps=6)
-    held = Subproblem((0,), gram, Jacobian(A0), blocks, ("a",), ("b",)).fit(steps=6)
+    held = Subproblem((0,), gram, Jacobian(A0), blocks, ("a",), ("b",), np.zeros(1)).fit(steps=6)
     assert np.abs(held.delta).max() < 0.1
     assert np.abs(free.delta).max() > 10 * np.abs(held.delta).max()

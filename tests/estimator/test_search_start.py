@@ -5,16 +5,24 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from hidden_effects import RATE, ROOT
+from hidden_effects import RATE, ROOT, one_bearing
 
-from daq.rig import load_rig
+from daq.rig import Rig, load_rig
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths, with_effect
+from estimator.heldout import heldout_nll
 from estimator.model import EffectUse
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
 SECONDS = 15.0
+WAVY = """
+[[model.custom]]
+name = "wavy"
+expression = "A*(sin(v/b)+g*sin(2.3*v/b)+h*sin(3.4*v/b))"
+at = "bearing1"
+parameters = { A = { value = 0.02, unit = "N" }, b = { value = 0.002, unit = "m/s" }, g = { value = -0.1, unit = "1" }, h = { value = 0.2, unit = "1" } }
+"""  # noqa: E501
 
 
 @pytest.mark.slow
@@ -27,3 +35,13 @@ def test_a_weak_law_at_two_bearings_from_nothing() -> None:
     added = replace(rig, effects=(*rig.effects, EffectUse("hertz", {"bearing1": {}, "bearing2": {}})))
     found, best = (fit_whole(model, y, RATE).point.fit.log_likelihood for model in (added, truth))
     assert abs(found - best) < 0.5
+
+
+def test_a_law_that_the_record_does_not_tell_costs_little_on_held_out_data() -> None:
+    """Its searched parameters are held as near in the fit to five folds as in that to all six: a tangent to them is no
+    law far off. Free, they made a linear model 875 nats worse, and another simulator's complete one lack 0.6 %."""
+    rig = one_bearing()
+    law = Rig.parse((ROOT / "configs/tiwari_vyas_1997.toml").read_text() + WAVY).model.effects[-1]
+    y = simulate(rig, RATE, 6.0, seed=1, noise=0.02, full_scale=490.5)
+    plain, grown = (heldout_nll(fit_whole(m, y, RATE).point) for m in (rig, replace(rig, effects=(*rig.effects, law))))
+    assert len(y) * (grown - plain) < 60.0
