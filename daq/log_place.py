@@ -69,11 +69,22 @@ def opened(path: Path, shown: Path) -> int:
     """The file there, made if need be, open and locked. Raises OSError, and LogError (of `shown`) if it is not ours."""
     if path.is_fifo() or path.is_socket():
         raise LogError(f"cannot write the log {shown}: it is no file, and a log cannot go into a pipe; choose another")
-    fd = os.open(path, FLAGS, 0o644)
-    if not locked(fd):
-        os.close(fd)
-        raise refused(shown)
-    return fd
+    while True:
+        fd = os.open(path, FLAGS, 0o644)
+        if not locked(fd):
+            os.close(fd)
+            raise refused(shown)
+        if _lies_at(fd, path):
+            return fd
+        os.close(fd)  # whoever had it has just moved it aside, or given it its name, and it is theirs
+
+
+def _lies_at(fd: int, path: Path) -> bool:
+    """Whether an open file is still the one of that name."""
+    try:
+        return os.path.samestat(os.fstat(fd), path.stat())
+    except FileNotFoundError:
+        return False
 
 
 def emptied(path: Path, fd: int) -> tuple[int, Path | None]:
@@ -94,7 +105,9 @@ def emptied(path: Path, fd: int) -> tuple[int, Path | None]:
         os.close(fd)
         raise
     os.close(fd)
-    locked(new)
+    if not locked(new) or os.fstat(new).st_size or not _lies_at(new, path):  # somebody found it before it was locked
+        os.close(new)
+        raise refused(path)
     return new, aside
 
 

@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -19,7 +20,9 @@ from promises import PATIENCE_S, until
 from sessions import feed, make_session, make_stream, write_log
 
 from daq.cli import main
-from daq.log_place import being_written, free_name, made
+from daq.errors import LogError
+from daq.log_file import LogFile
+from daq.log_place import being_written, emptied, free_name, made, opened
 from daq.log_reader import read_log
 from daq.log_writer import LogWriter
 from daq.recover import recover
@@ -171,6 +174,83 @@ def test_two_do_not_write_one_log(
     assert logs(growing.parent) == there
     row = f"`{words[0]} --out` to a log that a `run` is writing | for real | refused, the run not disturbed"
     record_property("reliability", f"{row} | status 4, the log grows on")
+
+
+def test_one_who_waits_for_a_lock_does_not_get_what_was_moved_aside(folder: Path) -> None:
+    """Two begin at once, where a measurement lies: the slower one has the measurement open when it is moved."""
+    path, measured = folder / "a.mcap", (folder / "a.mcap").read_bytes()
+    first, refusals = opened(path, path), list[str]()
+
+    def second() -> None:
+        with pytest.raises(LogError) as told:
+            opened(path, path)
+        refusals.append(str(told.value))
+
+    waiting = threading.Thread(target=second)
+    waiting.start()
+    time.sleep(0.05)
+    fd, aside = emptied(path, first)
+    waiting.join()
+    assert "another rotorscope is writing this log" in refusals[0]
+    assert aside is not None
+    assert aside.read_bytes() == measured
+    assert os.fstat(fd).st_ino == path.stat().st_ino
+    os.close(fd)
+
+
+def test_one_who_waits_for_an_import_does_not_empty_what_it_made(folder: Path) -> None:
+    """`import`, `recover` twice at once: the second has the unfinished file open when the first gives it its name."""
+    path = folder / "b.mcap"
+    first = LogFile(path, whole=True)
+    first.write(b"a whole log")
+    first.push()
+    done = threading.Thread(target=lambda: (time.sleep(0.05), first.keep(), first.close()))
+    done.start()
+    second = LogFile(path, whole=True)
+    done.join()
+    assert path.read_bytes() == b"a whole log"
+    second.write(b"another")
+    second.push()
+    second.keep()
+    second.close()
+    assert path.read_bytes() == b"another"
+    assert second.kept is not None
+    assert second.kept.read_bytes() == b"a whole log"
+
+
+def test_two_that_begin_at_once_over_a_measurement(folder: Path, record_property: Row) -> None:
+    """Forty times: at most one of the two is refused, and nothing of the measurement or of theirs is lost."""
+    measured, refused = (folder / "a.mcap").read_bytes(), 0
+    for k in range(40):
+        place = folder / f"at{k}"
+        place.mkdir()
+        (place / "a.mcap").write_bytes(measured)
+        gate, written = threading.Barrier(2), list[str]()
+
+        def one(place: Path = place, gate: threading.Barrier = gate, written: list[str] = written) -> None:
+            gate.wait()
+            try:
+                file = LogFile(place / "a.mcap")
+            except LogError:
+                return
+            text = f"by {threading.get_ident()}"
+            file.write(text.encode())
+            file.push()
+            file.keep()
+            written.append(text)
+            file.close()
+
+        both = [threading.Thread(target=one) for _ in range(2)]
+        for thread in both:
+            thread.start()
+        for thread in both:
+            thread.join()
+        there = [path.read_bytes() for path in place.iterdir()]
+        assert there.count(measured) == 1
+        assert sorted(there) == sorted([measured, *(text.encode() for text in written)])
+        refused += 2 - len(written)
+    row = "two `run --out LOG` at once over a measurement | 40 times, threads let go together"
+    record_property("reliability", f"{row} | nothing is overwritten, never two in one log | {refused} refused, held")
 
 
 def test_readers_of_a_growing_log_agree_with_themselves(growing: Path, record_property: Row) -> None:
