@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -87,7 +88,7 @@ def run_rig(
         summary = acquire(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=operator)
     if importing and stop.event.is_set():
         raise KeyboardInterrupt
-    _report(output, summary, out, {"rig": rig.model.name})
+    _report(output, summary, log_of(sinks, out), {"rig": rig.model.name})
     if stop.interrupted and not operator.lost_log:
         raise KeyboardInterrupt
     wrong = what_is_wrong(summary, operator, strict, link or rig.link.url or "")
@@ -155,7 +156,7 @@ def simulate(
         metadata = {"command": "simulate", "link": "virtual:", "seed": str(seed)}
         operator = Operator(output)
         summary = acquire(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=operator)
-    _report(output, summary, out, value)
+    _report(output, summary, log_of(sinks, out), value)
     if operator.lost_log:
         raise LogError(operator.lost_log)
     if stop.event.is_set():  # by whatever signal: it is shorter than was asked for
@@ -183,7 +184,7 @@ def replay(
         sinks = make_sinks(output, out, rerun, live=False, wall_offset_ns=recording.head.wall_offset_ns)
         sinks += naming(rig, live=False)
         summary = replay_log(recording, rig, sinks, speed=pace, check=check, stop=stop.event, notify=operator)
-    _report(output, summary, out, {})
+    _report(output, summary, log_of(sinks, out), {})
     if operator.lost_log:
         raise LogError(operator.lost_log)
     if stop.event.is_set():
@@ -234,6 +235,16 @@ def make_sinks(
 
         sinks.append(LiveTable(output.to_stderr))
     return sinks
+
+
+def log_of(sinks: Sequence[Sink], out: Path | None) -> Path | None:
+    """Where the log is by now: elsewhere than asked for if it was removed and could not be put back there."""
+    if out is None:
+        return None
+    from .log_writer import LogWriter
+
+    path = next((sink.path for sink in sinks if isinstance(sink, LogWriter)), out)
+    return out if os.path.realpath(path) == os.path.realpath(out) else path
 
 
 def naming(rig: Rig, live: bool) -> list[Sink]:

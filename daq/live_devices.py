@@ -15,7 +15,7 @@ from drivers.reading import Notice
 from .acquire import FINITE, Device, RunSummary, acquire_all
 from .errors import ConfigError, RotorscopeError, exit_status
 from .links import open_driver
-from .live import Operator, in_words, make_sinks, naming, serve_metrics, what_is_wrong
+from .live import Operator, in_words, log_of, make_sinks, naming, serve_metrics, what_is_wrong
 from .output import Output
 from .rerun_process import VIEWER_PORT
 from .rig import load_rig
@@ -109,7 +109,7 @@ def _report(
         wrong: Exception | None
         if isinstance(result, RunSummary):
             wrong = what_is_wrong(result, each.operator, strict, each.link)
-            log = each.log if result.samples or result.lost_samples else None
+            log = log_of(each.device.sinks, each.log) if result.samples or result.lost_samples else None
             value = result.to_json() | value | ({"log": str(log)} if log else {})
             people += ["", f"{name} ({each.link})", *in_words(result, log)]
         else:

@@ -34,6 +34,7 @@ class LogFile:
         self._waiting: deque[memoryview] = deque()
         self._stored = 0
         self.pending = 0
+        self.restored = 0  # bytes, for whoever waits
         self._syncing: threading.Thread | None = None
         self._hidden = path.with_name(f".{path.name}.part") if whole and (path.is_file() or not path.exists()) else None
         self._aside: Path | None = None
@@ -81,9 +82,16 @@ class LogFile:
 
         Done by a thread, since a busy disk takes seconds; a request while one is under way is not needed and not kept.
         """
-        if self._syncing is None or not self._syncing.is_alive():
-            self._syncing = threading.Thread(target=_sync, args=(os.dup(self._fd),), name="log sync", daemon=True)
-            self._syncing.start()
+        if self._syncing is not None and self._syncing.is_alive():
+            return
+        fd = os.dup(self._fd)
+        syncing = threading.Thread(target=_sync, args=(fd,), name="log sync", daemon=True)
+        try:
+            syncing.start()
+        except RuntimeError:  # no more threads to be had: the system writes it when it likes
+            os.close(fd)
+        else:
+            self._syncing = syncing
 
     @property
     def removed(self) -> bool:
@@ -91,24 +99,30 @@ class LogFile:
         ours = self._hidden is not None and not unfinished.wanted(self._hidden)  # at our exit
         return os.fstat(self._fd).st_nlink == 0 and not ours
 
-    def restore(self) -> Path:
-        """Give a removed file its name back (or one beside it, if that is taken), whole. Raises OSError."""
+    def restore(self, folder: Path | None = None) -> Path:
+        """Give a removed file its name back (or one beside it, if that is taken), whole. Raises OSError.
+
+        folder : there instead.
+        """
         wanted = self._hidden or self.path
+        wanted = wanted if folder is None else folder / wanted.name
         wanted.parent.mkdir(parents=True, exist_ok=True)
         path = free_name(wanted) if wanted.exists() else wanted
         fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         try:
+            if not locked(fd):
+                raise OSError(f"{path} was taken while it was made")
             for at in range(0, self._stored, COPY):
                 piece = os.pread(self._fd, min(COPY, self._stored - at), at)
                 if os.pwrite(fd, piece, at) != len(piece):
                     raise OSError(f"disk full while restoring {path}")
+                self.restored += len(piece)
         except OSError:
             os.close(fd)
             path.unlink(missing_ok=True)
             raise
         os.close(self._fd)
         self._fd = fd
-        locked(fd)
         if self._hidden is None:
             self.path = path
         else:

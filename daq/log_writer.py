@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -104,11 +105,12 @@ class LogWriter:
             self._raise_failure()
 
     def _wait(self) -> None:
-        seen, since = -1, self._clock.now_ns()
+        seen, since = (-1, 0), self._clock.now_ns()
         while self._thread.is_alive():
             self._thread.join(0.05)
-            if self._progress != seen:
-                seen, since = self._progress, self._clock.now_ns()
+            now = (self._progress, self._file.restored)
+            if now != seen:
+                seen, since = now, self._clock.now_ns()
             elif self._live and self._clock.now_ns() - since > GIVE_UP_NS:
                 self._abandoned = True
                 why = self._problem or "the disk stalls"
@@ -197,6 +199,8 @@ class LogWriter:
                 self._sleep(RETRY_NS)
             if not self._live:
                 self._keep()
+            elif self._file.removed:
+                self._rescue()
         else:
             self._file.discard()
         self._file.close()
@@ -268,6 +272,18 @@ class LogWriter:
             self._fault(f"removed, and cannot be put back: {error.strerror or error}")
         else:
             self._tell("warning", "log_restored", f"the log was removed; it is back, whole, as {path}")
+
+    def _rescue(self) -> None:
+        """At the end the log has no name, and cannot have its own: in the nearest other folder, rather than nowhere."""
+        before = self._file.path
+        for folder in (*before.absolute().parent.parents, Path(tempfile.gettempdir())):
+            try:
+                path = self._file.restore(folder)
+            except OSError:
+                continue
+            self._tell("warning", "log_restored", f"{before} was removed and cannot be put back; the log is {path}")
+            return
+        self._tell("error", "log_incomplete", f"{before} was removed and cannot be put back anywhere; it is lost")
 
     def _fault(self, problem: str) -> None:
         if problem != self._problem:

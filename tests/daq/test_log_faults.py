@@ -182,6 +182,48 @@ def test_the_folder_is_removed_and_cannot_be_made_again(tmp_path: Path) -> None:
     assert assert_right(folder / "a.mcap", complete=True) == feeder.index
 
 
+def test_a_log_whose_folder_never_comes_back_is_saved_elsewhere(tmp_path: Path, record_property: Property) -> None:
+    """Its bytes live only as long as we hold it open: the end is the last moment to save them."""
+    folder = tmp_path / "disk" / "logs"
+    folder.mkdir(parents=True)
+    feeder = Feeder(LogWriter(folder / "a.mcap"))
+    feeder.feed(200, 0.002)
+    shutil.rmtree(folder)
+    folder.write_text("a file stands in the way")
+    feeder.until(lambda: feeder.heard("log_fault"))
+    begin = time.monotonic()
+    feeder.close()
+    took = time.monotonic() - begin
+    assert feeder.writer.path == tmp_path / "disk" / "a.mcap"
+    assert str(feeder.writer.path) in feeder.told[-1].text
+    assert not feeder.heard("log_incomplete")
+    assert assert_right(feeder.writer.path, complete=True) == feeder.index
+    assert folder.read_text() == "a file stands in the way"
+    how = "and a file stands in its way until the end"
+    row = f"log folder removed | {how} | told, the log complete in the nearest folder within 2 s"
+    record_property("reliability", f"{row} | 0 samples lost, {took:.2f} s")
+    within(took, 2.0)
+
+
+def test_without_a_thread_for_the_disk_the_log_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
+    feeder.feed(20)
+    starts = threading.Thread.start
+
+    def refuse(thread: threading.Thread) -> None:
+        if thread.name == "log sync":
+            raise RuntimeError("can't start new thread")
+        starts(thread)
+
+    monkeypatch.setattr("threading.Thread.start", refuse)
+    handles = len(os.listdir("/proc/self/fd"))
+    feeder.feed(150, 0.01)  # more than one flush to the disk
+    assert len(os.listdir("/proc/self/fd")) <= handles
+    feeder.close()
+    assert not feeder.told
+    assert assert_right(tmp_path / "a.mcap", complete=True) == feeder.index
+
+
 def test_the_log_is_moved_while_it_is_written(tmp_path: Path) -> None:
     feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
     feeder.feed(50, 0.01)
