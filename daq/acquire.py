@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import platform
 import threading
@@ -26,6 +27,7 @@ FINITE = ("capture", "replay", "simulated")  # kinds of link that wait for us; a
 READ_S = 0.1
 LINK_S = 0.5  # a link that is closed wakes whoever reads it
 GRACE_S = 2.0  # a live link may take this much longer than the seconds asked for, from its first sample on
+OPEN_S = 0.05  # a stop is looked for this often while the link is opened
 STOP_S = 0.6  # after a stop, this long for the reader to end, and for the estimator to finish
 ESTIMATOR_S = 10.0  # at the end of the seconds or of the source, this long
 BUSY_S = 0.01
@@ -100,16 +102,15 @@ def acquire(
     live = driver.kind not in FINITE
     make = make or maker(rig.estimator.method, rig.estimator.time_constant_s, rig.estimator.watch)
     rate_hz = rig.acquisition.rate_hz if rig.acquisition else None
-    if rate_hz and live:  # nobody waits for a log
-        _warm_up(make, rig, rate_hz)
-    if live:
-        gc.freeze()  # to go through all that is loaded by now holds every thread for 0.1 s
     about = _about(driver, clock) | dict(metadata or {})
     plan = Plan(rig.model, make, rate_hz, device, rig.attachments(), about, seconds)
     queue = ReadingQueue(live=live)
     pipeline = Pipeline(plan, sinks, clock, live=live, notify=notify, wake=queue.wake if live else None)
     try:
-        driver.open()
+        if live:
+            _open_unless_stopped(driver, stop, lambda: _warm_up(make, rig, rate_hz))
+        else:
+            driver.open()
         reader = threading.Thread(target=_read, args=(driver, queue, stop), name=f"read {driver.kind}", daemon=True)
         reader.start()
         begin_ns, flowing = clock.now_ns(), False
@@ -151,11 +152,37 @@ def _read(driver: Driver, queue: ReadingQueue, stop: threading.Event) -> None:
     queue.end(failure)
 
 
-def _warm_up(make: MakeEstimator, rig: Rig, rate_hz: float) -> None:
-    try:
-        warm_up(make, rig.model, rate_hz, block_rows(rate_hz))
-    except ValueError:
-        return  # the pipeline meets it again, and says so
+def _open_unless_stopped(driver: Driver, stop: threading.Event, before: Callable[[], None]) -> None:
+    """Open the link, after what is done before, in a thread: a host that does not answer must not hold a stop."""
+    failures: list[BaseException] = []
+    left, done = threading.Event(), threading.Event()
+
+    def begin() -> None:
+        try:
+            before()
+            if not left.is_set():
+                driver.open()
+        except BaseException as error:  # raised again below
+            failures.append(error)
+        done.set()
+        if left.is_set():
+            driver.close()
+
+    threading.Thread(target=begin, name=f"open {driver.kind}", daemon=True).start()
+    while not done.wait(OPEN_S):
+        if stop.is_set():
+            left.set()
+            return
+    if failures:
+        raise failures[0]
+
+
+def _warm_up(make: MakeEstimator, rig: Rig, rate_hz: float | None) -> None:
+    """Before a live session: what it compiles and loads must not hold it later."""
+    with contextlib.suppress(ValueError):  # the pipeline meets it again, and says so
+        if rate_hz:
+            warm_up(make, rig.model, rate_hz, block_rows(rate_hz))
+    gc.freeze()  # to go through all that is loaded by now holds every thread for 0.1 s
 
 
 def _about(driver: Driver, clock: Clock) -> dict[str, str]:

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import jsonschema
 import numpy as np
 import pytest
-from promises import within
+from promises import until, within
 from stand_ins import MomentEstimator, Recorder, ScriptedDriver, info_of, paper_rig, vibration
 
 from daq.acquire import Device, RunSummary, acquire, acquire_all
 from daq.errors import ConfigError
+from daq.links import open_driver
 from daq.log_reader import read_log
 from daq.log_writer import LogWriter
 from daq.replay import replay
@@ -126,6 +129,50 @@ def test_a_link_that_cannot_be_opened_closes_the_sinks() -> None:
     with pytest.raises(LinkOpenError, match="no such port"):
         acquire(RIG, Shut([]), [recorder], make=MomentEstimator)
     assert [what for what, _ in recorder.calls] == ["start", "status", "close"]
+
+
+@pytest.fixture
+def mute_host() -> Iterator[str]:
+    """A TCP port that neither answers nor refuses: its queue of connections is full."""
+    with socket.socket() as listener, ExitStack() as others:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen(0)
+        for _ in range(3):
+            other = others.enter_context(socket.socket())
+            other.setblocking(False)
+            other.connect_ex(listener.getsockname())
+        yield f"serial:socket://127.0.0.1:{listener.getsockname()[1]}"
+
+
+def test_a_stop_does_not_wait_for_a_host_that_does_not_answer(mute_host: str, record_property: Property) -> None:
+    stop, recorder = threading.Event(), Recorder()
+    driver = open_driver(mute_host, RIG)
+    threading.Timer(0.3, stop.set).start()
+    begin = time.monotonic()
+    summary = acquire(RIG, driver, [recorder], stop=stop, make=MomentEstimator)
+    took = time.monotonic() - begin - 0.3
+    record_property("reliability", f"stop while the link opens | TCP to a host that is mute | 2 s | {took:.2f} s")
+    within(took, 1.0)
+    assert summary.samples == 0
+    assert recorder.of("close") == [None]
+    with pytest.raises(LinkOpenError, match="timed out"):
+        acquire(RIG, open_driver(mute_host, RIG), [], make=MomentEstimator)
+
+
+def test_a_link_that_opens_after_the_stop_is_closed_again() -> None:
+    class Slow(ScriptedDriver):
+        def open(self) -> None:
+            time.sleep(0.4)
+            events.append("open")
+
+        def close(self) -> None:
+            events.append("close")
+            super().close()
+
+    events, stop = list[str](), threading.Event()
+    threading.Timer(0.1, stop.set).start()
+    acquire(RIG, Slow([]), [], stop=stop, make=MomentEstimator)
+    until(lambda: events[-2:] == ["open", "close"])
 
 
 def test_a_driver_that_breaks_its_contract_is_not_silent_and_loses_nothing(tmp_path: Path) -> None:
