@@ -24,6 +24,7 @@ from .sink import Reporting, Session, Sink, Status
 
 STATUS_NS = 1_000_000_000
 CLIPPED_EVERY_S = 10.0
+WALL_STEP_NS = 500_000_000
 STALE_S = 10.0  # to finish with the estimator of a rate that the device has left
 NEW_CLOCK = ("restart", "reconnect")  # after such a gap, index and host time go together in a new way
 # What the pipeline itself says; a replay says it again, so it is not taken from the log.
@@ -75,6 +76,7 @@ class Pipeline:
         self._reported: set[str] = set()
         self._status_ns = clock.now_ns()
         self._status_samples = 0
+        self._wall_ns = 0  # Unix time minus host time as the log began
         self._clipped_until = -1
         self._lag_s: dict[str, float] = {}
         self.clipped = 0
@@ -120,6 +122,8 @@ class Pipeline:
         seconds, samples = (now - self._status_ns) / 1e9, self.ledger.samples
         rate = (samples - self._status_samples) / seconds if seconds > 0 else 0.0
         self._status_ns, self._status_samples = now, samples
+        if self._live:
+            self._watch_wall_clock()
         health = {type(s).__name__: s.health() for s in self._sinks if isinstance(s, Reporting)}
         for report in health.values():
             self._unsaid += report.notices
@@ -250,6 +254,7 @@ class Pipeline:
             text = f"the device sends {info.rate_hz:g} Hz, the rig file says {expected:g} Hz"
             self._say("warning", "rate_differs", text)
         if first:
+            self._wall_ns = self._clock.wall_offset_ns()
             plan = self._plan
             session = Session(plan.model, info, plan.device, plan.attachments, plan.metadata)
             self._each_sink("start", lambda sink: sink.start(session))
@@ -291,6 +296,16 @@ class Pipeline:
     def _say(self, level: str, code: str, text: str) -> None:
         """To the sinks with the next readings, and to the operator."""
         self._unsaid.append(Notice(self._clock.now_ns(), level, code, text))
+
+    def _watch_wall_clock(self) -> None:
+        """The log's times go by the steady clock and its offset at the start; what is set later leaves them alone."""
+        moved = self._clock.wall_offset_ns() - self._wall_ns
+        if abs(moved) > WALL_STEP_NS:
+            self._wall_ns += moved
+            text = (
+                f"this computer's clock moved by {moved / 1e9:+.3f} s (set, or asleep); times in the log go on"
+            )
+            self._say("warning", "wall_clock_set", text)
 
     def _say_clipped(self, index: int, clipped: NDArray[np.bool_]) -> None:
         self.clipped += int(clipped.sum())

@@ -314,3 +314,27 @@ def test_what_is_said_before_the_device_is_known_is_told_at_once_and_logged_late
     assert told == [silent]
     logged = [r for batch in sink.of("readings") for r in batch if isinstance(r, Notice)]  # type: ignore[attr-defined]
     assert logged == [silent]
+
+
+def test_a_step_of_this_computers_clock_is_told_once() -> None:
+    class Stepped(FakeClock):
+        wall_ns = 0
+
+        def wall_offset_ns(self) -> int:
+            return super().wall_offset_ns() + self.wall_ns
+
+    def told(live: bool) -> list[str]:
+        clock, sink = Stepped(), Recorder()
+        pipeline = Pipeline(PLAN, [sink], clock, live=live)
+        clock.wall_ns = 86_400 * 10**9  # set while the device had said nothing yet: the log begins with the right time
+        pipeline.step([INFO, vibration(0, 500)])
+        for step in (0.0, 0.4, 3600.25, 0.0, -1.5):
+            clock.wall_ns += round(step * 1e9)
+            clock.t_ns += 10**9
+            pipeline.tick(LinkStats(), {})
+        pipeline.finish(LinkStats(), {})
+        notices = [r for r in sink.delivered if isinstance(r, Notice) and r.code == "wall_clock_set"]
+        return [n.text.partition(" (")[0] for n in notices]
+
+    assert told(live=True) == [f"this computer's clock moved by {s} s" for s in ("+3600.650", "-1.500")]
+    assert told(live=False) == []
