@@ -20,6 +20,7 @@ from .self_energy import Complexes, Mean, Spectra, covariance, dressed_response,
 from .side_by_side import each
 
 Array = NDArray[np.float64]
+PER_CYCLE = 40.0  # samples of a cycle: covariances with a jump fall within few, and the error with their square
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +47,12 @@ class Fluctuation:
         Z = _spectra(tangents, self.data, self.g.shape[1])
         return self_energy(covariance(Z, self.K, self.g.shape[1]), self.g, 1.0 / self.data.rate_hz, self.data.f_hz)
 
-    def coarse(self, rate_hz: float) -> Fluctuation:
-        """The same at the rate of the record: enough for laws without jumps."""
+    def coarse(self, rate_hz: float, mean: Mean) -> Fluctuation:
+        """The same at the rate of the record, for laws without jumps, if that follows how fast the motion leaves one of
+        their kinks; if not, at more."""
         by = round(self.data.rate_hz / rate_hz)
+        while by > 1 and self.data.rate_hz / by < PER_CYCLE * mean.hz:
+            by //= 2
         if by == 1:
             return self
         data = coarser(self.data, by)

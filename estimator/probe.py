@@ -66,7 +66,7 @@ class Probe:
             _remembered(law.step, law.force, self.motion, self.lags, a, carried, sums)
         return self._sigma(sums / _impulses(self.motion, self.lags))
 
-    def coarse(self, rate_hz: float) -> Probe:
+    def coarse(self, rate_hz: float, mean: Mean) -> Probe:
         """The same at the rate of the record: enough for laws without jumps."""
         by = round(self.data.rate_hz / rate_hz)
         if by == 1:

@@ -38,6 +38,11 @@ class Mean:
     k: float
 
     @property
+    def hz(self) -> float:
+        """Of its resonance."""
+        return float(np.sqrt(max(self.k / self.m, 0.0)) / (2 * np.pi))
+
+    @property
     def decay(self) -> float:
         """s in which free motion falls by e."""
         return 2 * self.m / self.c

@@ -255,7 +255,7 @@ def _at(
         caution,
         A,
         D,
-        tuple(here and here.coarse(data.rate_hz) for here in around),
+        tuple(here and here.coarse(data.rate_hz, about) for here, about in zip(around, mean, strict=True)),
         Spans(kept),
     )
 
