@@ -16,6 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from . import cli_analyse, cli_demo, cli_files, cli_live, cli_model  # noqa: E402
 from .errors import exit_status  # noqa: E402
+from .output import tell  # noqa: E402
 
 INTERRUPTED = 130
 ABOUT = "Acquire bearing vibration, identify the rotor's stiffness from it, and learn which physics the model lacks."
@@ -100,5 +101,5 @@ def _failed(text: str, status: int, verbose: bool) -> int:
     if verbose:
         traceback.print_exc()
     for line in text.splitlines() or [""]:
-        print(f"rotorscope: {line}", file=sys.stderr)  # noqa: T201
+        tell(line)
     return status

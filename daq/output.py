@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import math
+import os
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
 from . import unfinished
 from .errors import ConfigError
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
 PIPE_WIDTH = 160
+GONE = (errno.EPIPE, errno.EIO)  # whoever read what we say has left: the pipe is closed, the terminal hung up
 
 
 class Progress(Protocol):
@@ -40,39 +43,32 @@ class Output:
 
     @property
     def to_stdout(self) -> Console:
-        from rich.console import Console
-
-        class Pipe(Console):
-            def on_broken_pipe(self) -> None:  # rich would end the process with status 1
-                raise BrokenPipeError
-
-        return Pipe(soft_wrap=False, highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
+        return _console(soft_wrap=False, highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
 
     @property
     def to_stderr(self) -> Console:
-        from rich.console import Console
-
-        return Console(stderr=True, soft_wrap=True, highlight=False)
+        return _console(stderr=True, soft_wrap=True, highlight=False)
 
     def say(self, *parts: RenderableType) -> None:
         """For people, on standard output; on standard error if JSON goes there."""
         if self.quiet:
             return
         console = self.to_stderr if self.json == "-" else self.to_stdout
-        for part in parts:
-            if isinstance(part, str):
-                console.print(part, markup=False, emoji=False, soft_wrap=True)
-            else:
-                console.print(part)
+        with unheard(sys.stderr if self.json == "-" else sys.stdout):
+            for part in parts:
+                if isinstance(part, str):
+                    console.print(part, markup=False, emoji=False, soft_wrap=True)
+                else:
+                    console.print(part)
 
     def note(self, text: str) -> None:
         """Something the user should know that is not the result, on standard error."""
         if not self.quiet:
-            print(f"rotorscope: {text}", file=sys.stderr)  # noqa: T201
+            tell(text)
 
     def detail(self, text: str) -> None:
         if self.verbose:
-            print(f"rotorscope: {text}", file=sys.stderr)  # noqa: T201
+            tell(text)
 
     def result(self, value: dict[str, Any], *people: RenderableType) -> None:
         """The result of the command, once: for people, and as JSON if that was asked for."""
@@ -82,8 +78,9 @@ class Output:
             return
         text = json.dumps(finite(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         if self.json == "-":
-            sys.stdout.write(text)
-            sys.stdout.flush()
+            with unheard(sys.stdout):
+                sys.stdout.write(text)
+                sys.stdout.flush()
         else:
             write_whole(Path(self.json), text)
 
@@ -105,6 +102,35 @@ class Output:
                 bar.update(task, total=1.0, completed=min(max(done, 0.0), 1.0), description=text)
 
             yield told
+
+
+def tell(text: str) -> None:
+    """A line on standard error. That it cannot be said (a terminal that is gone, a full disk) is no reason to stop."""
+    with contextlib.suppress(OSError):
+        print(f"rotorscope: {text}", file=sys.stderr, flush=True)  # noqa: T201
+
+
+@contextlib.contextmanager
+def unheard(stream: TextIO) -> Iterator[None]:
+    """What is said to a pipe or a terminal that is gone goes nowhere from then on; the command goes on."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in GONE:
+            raise
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
+
+
+def _console(**options: Any) -> Console:
+    from rich.console import Console
+
+    class Pipe(Console):
+        def on_broken_pipe(self) -> None:  # rich would end the process with status 1
+            raise BrokenPipeError(errno.EPIPE, "nobody reads it")
+
+    return Pipe(**options)
 
 
 def finite(value: Any) -> Any:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import pty
 import signal
 import socket
 import subprocess
@@ -193,6 +195,46 @@ def test_a_pulled_cable_costs_next_to_no_cpu_and_comes_back(
     assert share < 0.02
     within(returned, 5.0)
     within(took, 2.0)
+
+
+@pytest.mark.parametrize("ears", ["pipe", "terminal", "full disk"])
+def test_nobody_left_to_listen_and_acquisition_goes_on(
+    ears: str, rig: Path, cable: Cable, tmp_path: Path, record_property: Row
+) -> None:
+    """Standard output and error lead nowhere when there is something to say; `run` says it in the log and goes on."""
+    path = tmp_path / "a.mcap"
+    ours, theirs = pty.openpty() if ears == "terminal" else os.pipe()
+    if ears == "full disk":
+        os.close(theirs)
+        theirs = os.open("/dev/full", os.O_WRONLY)
+    command = [sys.executable, "-m", "daq", "run", str(rig), "--link", f"serial:{cable.name}", "--out", str(path)]
+    with subprocess.Popen(command, stdout=theirs, stderr=theirs, env=os.environ | {"TERM": "xterm"}) as process:
+        os.close(theirs)
+        before = wait_for(path, lambda log: log.n_samples > 10_000).n_samples
+        os.close(ours)
+        cable.pull()
+        time.sleep(0.5)
+        cable.plug()
+        wait_for(path, lambda log: log.n_samples > before + 20_000)
+        process.send_signal(signal.SIGTERM)
+        status = process.wait(PATIENCE_S)
+    log = read_log(path)
+    assert_ramp(log)
+    assert {"link_lost", "link_back"} <= {n.code for n in log.notices}
+    assert status == (1 if ears == "full disk" else 0)  # the summary that was asked for could not be written
+    row = f"nobody to tell: {ears} | what `run` writes its notices to is gone, cable pulled | acquisition goes on, told"
+    record_property("reliability", f"{row} in the log | {log.n_samples} samples, complete, status {status}")
+
+
+def test_a_closed_pipe_does_not_change_the_exit_status(rig: Path) -> None:
+    """`run ... | head -0`: a check that failed has failed."""
+    ours, theirs = os.pipe()
+    os.close(ours)
+    command = [sys.executable, "-m", "daq", "run", str(rig), "--link", "serial:/dev/ttyNONE"]
+    assert subprocess.run(command, stdout=theirs, stderr=theirs, timeout=PATIENCE_S, check=False).returncode == 3
+    command = [sys.executable, "-m", "daq", "run", str(rig), "--link", "virtual:", "--seconds", "0.5", "--json", "-"]
+    assert subprocess.run(command, stdout=theirs, stderr=theirs, timeout=PATIENCE_S, check=False).returncode == 0
+    os.close(theirs)
 
 
 def test_no_viewer_a_log_that_vanishes_and_acquisition_goes_on(
