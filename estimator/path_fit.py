@@ -182,19 +182,28 @@ def gram(weighing: Weighing, force: dict[int, Spectrum], *columns: Columns) -> G
 
 
 class Jacobian:
-    """2 sum_f log |det A(f)| per block and its derivatives, about the working point's A0 (bins, places, places)."""
+    """2 sum_f log |det A(f)| per block and its derivatives, about the working point's A0 (bins, places, places).
 
-    def __init__(self, A0: Complexes) -> None:
+    dressing : (bins, places), what of A0 comes from fluctuating tangents (self_energy.py). It is quadratic in the
+    amplitudes of the laws, and a column of one of them has the half of its derivative: the value whose derivatives
+    the columns have is 2 log |det A| - Re tr(A^-1 dressing), stationary in A. Models are compared by it.
+    """
+
+    def __init__(self, A0: Complexes, dressing: Complexes | None = None) -> None:
         self.A0 = A0[THINNED]
         self.bins = np.full(len(self.A0), float(THIN))  # that each stands for
         self.bins[-1] += len(A0) - THIN * len(self.A0)
+        self.half = 0.0
+        if dressing is not None and dressing.any():
+            own = np.einsum("fii->fi", np.linalg.inv(self.A0)) * dressing[THINNED]
+            self.half = float(self.bins @ own.real.sum(axis=1))
 
     def of(self, tangents: Complexes, delta: Array) -> Complexes:
         """A at increments delta, (thinned bins, places, places)."""
         return np.asarray(self.A0 + np.moveaxis(np.tensordot(delta, tangents, 1), 2, 0))
 
     def value(self, tangents: Complexes, delta: Array) -> float:
-        return float(2 * self.bins @ np.log(np.abs(np.linalg.det(self.of(tangents, delta)))))
+        return float(2 * self.bins @ np.log(np.abs(np.linalg.det(self.of(tangents, delta))))) - self.half
 
     def derivatives(self, tangents: Complexes, delta: Array) -> tuple[Array, Array]:
         """Gradient (k,) and second derivative (k, k) to the increments."""

@@ -58,6 +58,7 @@ class WorkingPoint:
     fit: PathFit
     caution: Array  # (terms,) information that keeps searched parameters near, in every fit about this point
     A: NDArray[np.complex128]  # (bins, places, places)
+    dressing: NDArray[np.complex128]  # (bins, places), of A
     slopes: Array  # (places, places, 2) mean tangent
     fluctuations: tuple[Fluctuation | Probe | None, ...]  # by place, of the laws of the model
     spans: Spans  # of the model's own columns, by place
@@ -229,10 +230,12 @@ def _at(
     made += [_follows(data, F, i, j) for pair in data.shared for i, j in (pair, pair[::-1])]
     columns = weighing.columns(made)
     G = gram(weighing, spectra, columns)
+    dressing = np.zeros((len(A), P), complex)
     for i, here in enumerate(around):
         if here is not None:
-            A[:, i, i] += here.whole / (2 * np.pi * data.f_hz) ** 2
-    jacobian = Jacobian(A)
+            dressing[:, i] = here.whole / (2 * np.pi * data.f_hz) ** 2
+            A[:, i, i] += dressing[:, i]
+    jacobian = Jacobian(A, dressing)
     blocks = np.bincount(data.fold, minlength=FOLDS).astype(np.float64)
     caution = _caution(data, G, uses)
     result = _cautious(G, jacobian, blocks, caution)
@@ -254,6 +257,7 @@ def _at(
         result,
         caution,
         A,
+        dressing,
         D,
         tuple(here and here.coarse(data.rate_hz, about) for here, about in zip(around, mean, strict=True)),
         Spans(kept),
