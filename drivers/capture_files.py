@@ -81,15 +81,9 @@ def _open_reader(file: Path, suffix: str) -> Any:
 
 
 def _open_blf(handle: Any) -> Any:
-    """python-can's loop never gets past an object that claims to have no length: such a container is damage."""
-    import can
+    from drivers.blf import BlfReader
 
-    class Reader(can.BLFReader):  # type: ignore[misc]
-        def _parse_container(self, data: bytes) -> Any:
-            _check_objects(bytes(self._tail) + data)
-            return super()._parse_container(data)
-
-    return Reader(handle)
+    return BlfReader(handle)
 
 
 def _open_asc(handle: Any) -> Any:
@@ -120,16 +114,6 @@ def _remembered(lines: Iterator[str], last: list[str]) -> Iterator[str]:
     for line in lines:
         last[:] = [line]
         yield line
-
-
-def _check_objects(data: bytes) -> None:
-    """Raise ValueError unless each object of an unpacked container is at least as long as its header."""
-    at = 0
-    while (at := data.find(b"LOBJ", at, at + 8)) >= 0 and at + 16 <= len(data):
-        size = int.from_bytes(data[at + 8 : at + 12], "little")
-        if size < 16:
-            raise ValueError(f"an object of {size} bytes")
-        at += size
 
 
 def _candump(file: Path, bus: str | None) -> Generator[Batch, None, None]:
@@ -184,37 +168,42 @@ def batches_of(reader: Any, bus: str | None, file: Path) -> Generator[Batch, Non
         while not ended:
             frames: list[tuple[int, bytes, int]] = []
             damaged, why = 0, ""
-            try:
-                while len(frames) < BATCH:
+            while len(frames) < BATCH and damaged < BATCH and not ended:
+                try:
                     message = next(messages, None)
-                    if message is None:
-                        ended = True
-                        break
-                    if bus is not None and str(message.channel) != bus:
-                        continue
-                    flags = EXTENDED if message.is_extended_id else 0
-                    flags |= (REMOTE if message.is_remote_frame else 0) | (ERROR if message.is_error_frame else 0)
-                    # seconds as a float carry microseconds for today's dates, no more
-                    t_ns = round(message.timestamp * 1e6) * 1000
-                    if abs(t_ns) > LATEST_NS:
-                        damaged, why = damaged + 1, why or f"a frame at {message.timestamp:g} s"
-                        continue
-                    if not 0 <= message.arbitration_id <= LARGEST_ID or len(message.data) > 64:
-                        what = f"a frame of identifier {message.arbitration_id:X} with {len(message.data)} bytes"
-                        damaged, why = damaged + 1, why or what
-                        continue
-                    frames.append((message.arbitration_id | flags, bytes(message.data), t_ns))
-            except Exception as error:  # noqa: BLE001 - a damaged file: python-can raises whatever it trips over
-                text = f"{type(error).__name__}: {' '.join(str(error).split())}"
-                damaged, why = damaged + 1, why or text
-                ended = not getattr(reader, "goes_on", False)
-                messages = messages if ended else iter(reader)  # at the next line
+                except Exception as error:  # noqa: BLE001 - a damaged file: python-can raises whatever it trips over
+                    text = f"{type(error).__name__}: {' '.join(str(error).split())}"
+                    damaged, why = damaged + 1, why or text
+                    ended = not getattr(reader, "goes_on", False)
+                    messages = messages if ended else iter(reader)  # behind the damage
+                    continue
+                if message is None:
+                    ended = True
+                elif bus is None or str(message.channel) == bus:
+                    frame = _frame(message)
+                    if isinstance(frame, str):
+                        damaged, why = damaged + 1, why or frame
+                    else:
+                        frames.append(frame)
             if ended and not damaged:
                 why = _cut(reader, file)
                 damaged = 1 if why else 0
             yield Batch(CanFrames.build(frames), damaged, why)
     finally:
         reader.stop()
+
+
+def _frame(message: Any) -> tuple[int, bytes, int] | str:
+    """Identifier, data and time; or why it is none."""
+    flags = EXTENDED if message.is_extended_id else 0
+    flags |= (REMOTE if message.is_remote_frame else 0) | (ERROR if message.is_error_frame else 0)
+    # seconds as a float carry microseconds for today's dates, no more
+    t_ns = round(message.timestamp * 1e6) * 1000
+    if abs(t_ns) > LATEST_NS:
+        return f"a frame at {message.timestamp:g} s"
+    if not 0 <= message.arbitration_id <= LARGEST_ID or len(message.data) > 64:
+        return f"a frame of identifier {message.arbitration_id:X} with {len(message.data)} bytes"
+    return message.arbitration_id | flags, bytes(message.data), t_ns
 
 
 def _cut(reader: Any, file: Path) -> str:
