@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from damage import damaged, damaged_answer, damaged_evenly, damaged_text, damaged_zip
-from seeds import LOG_HEAD, log_ends, seeds, small_logs, small_rigs
+from seeds import BLF_HEAD, LOG_HEAD, blf_containers, log_ends, seeds, small_logs, small_rigs
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +95,11 @@ def _ten(piece: bytes) -> bytes:
     return piece[:10].ljust(10, b"\0")
 
 
+def _padded(piece: bytes) -> bytes:
+    """And what lies between two of them."""
+    return piece + bytes(int.from_bytes(piece[8:12], "little") % 4)
+
+
 def _records(data: bytes) -> list[bytes]:
     """Of an MCAP file: an operation, eight bytes of length, the content."""
     out = []
@@ -129,7 +134,7 @@ KINDS = {
     "wav": Kind("files"),
     "uff": Kind("files", damage=damaged_evenly),
     "asc": Kind("lines", 100, _after(b"\n"), damage=damaged_evenly),
-    "blf": Kind("files", first=1),
+    "blf": Kind("containers", 100, pack=_padded, head=(BLF_HEAD,), good=blf_containers),
     "answer": Kind("answers of the process that reads .mat and .mf4", damage=damaged_answer),
     "mat-parse": Kind("files, parsed by scipy in a process that lives on"),
     "mf4-parse": Kind("files, parsed by asammdf in a process that lives on"),

@@ -264,6 +264,19 @@ def _blf() -> list[bytes]:
     return [*_file("canedge_imu/*.blf"), packed, bare]
 
 
+BLF_HEAD = struct.pack("<4sI136x", b"LOGG", 144)
+
+
+def blf_containers() -> list[bytes]:
+    """Packed and bare, of an object or two; the last begins an object that the one behind it may end."""
+    _, packed, bare = _blf()
+    objects = bare[176:]
+    size = int.from_bytes(objects[8:12], "little")
+    pieces = [objects[:size], objects[size:], objects, objects[: size + 40]]
+    alone = [struct.pack("<4sHHIIH6xI4x", b"LOBJ", 16, 1, 32 + len(p), 10, 0, len(p)) + p for p in pieces]
+    return [packed[144:], bare[144:], *alone]
+
+
 _ASC_HEAD = b"date Mon Jan 1 00:00:00 2024\nbase hex timestamps absolute\ninternal events logged\n"
 _ASC = (
     b" 0.1 1 300 Rx d 8 00 01 02 03 04 05 06 07\n",
