@@ -5,6 +5,9 @@ The server's threads only read values that the core loop has put there; nothing 
 
 from __future__ import annotations
 
+import contextlib
+import socket
+import threading
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
@@ -20,6 +23,7 @@ from .errors import ConfigError
 from .sink import Session, Status
 
 PORT = 9464
+POKE_S = 0.02
 LINK_TOTALS = tuple(f.name for f in fields(LinkStats) if f.name not in ("other", "lost_samples"))
 # name -> (help, labels after the device)
 TOTALS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -55,6 +59,7 @@ class MetricsServer(Collector):
         except (OSError, OverflowError) as problem:
             text = getattr(problem, "strerror", None) or problem
             raise ConfigError(f"metrics on {host}:{port}: {text}; choose another port") from problem
+        self._host = host
         self.url = f"http://{host}:{self._server.server_port}/metrics"
         self._sinks: list[MetricsSink] = []
         registry.register(self)
@@ -78,9 +83,18 @@ class MetricsServer(Collector):
     def closed(self, sink: MetricsSink) -> None:
         if sink in self._sinks and all(s.ended for s in self._sinks):
             self._sinks.clear()
-            self._server.shutdown()
+            self._shut_down()
             self._server.server_close()
             self._thread.join()
+
+    def _shut_down(self) -> None:
+        """By itself the server looks twice a second whether it is to end, and whenever somebody connects."""
+        waiting = threading.Thread(target=self._server.shutdown, daemon=True)
+        waiting.start()
+        while waiting.is_alive():
+            with contextlib.suppress(OSError):
+                socket.create_connection((self._host, self._server.server_port), POKE_S).close()
+            waiting.join(POKE_S)
 
 
 class MetricsSink:

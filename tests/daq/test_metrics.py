@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import socket
+import time
 import urllib.request
 
 import numpy as np
 import psutil
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from promises import PATIENCE_S
+from promises import PATIENCE_S, within
 
 from daq.errors import ConfigError
 from daq.metrics import MetricsServer, MetricsSink
@@ -98,6 +100,22 @@ def test_listens_on_loopback_only_and_ends_with_the_last_device() -> None:
     second.close()
     with pytest.raises(OSError, match="refused"):
         read(server)
+
+
+def test_neither_the_server_nor_a_client_that_says_nothing_holds_the_stop() -> None:
+    """Half of the quarter second that the server alone would take on average."""
+    took = []
+    for _ in range(5):
+        server = MetricsServer(0)
+        port = int(server.url.split(":")[2].split("/")[0])
+        with socket.create_connection(("127.0.0.1", port)) as client:
+            client.sendall(b"GET /metr")
+            sink = server.sink()
+            sink.start(session())
+            begin = time.monotonic()
+            sink.close()
+            took.append(time.monotonic() - begin)
+    within(float(np.mean(took)), 0.12)
 
 
 def test_port_in_use_is_one_line() -> None:
