@@ -264,7 +264,7 @@ class Recording:
         for entry, _ in walk(self.path, self.again()):
             if isinstance(entry, Info) and (entry.rate_hz, len(entry.signals)) != (self.rate_hz, len(self.channels)):
                 raise LogError(
-                    f"{self.path}: the device changed its rate or channels within the log; export or replay it instead"
+                    f"{self.path}: the device changed its rate or channels within the log; replay it instead"
                 )
             yield entry
 

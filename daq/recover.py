@@ -101,7 +101,8 @@ def _lost(recording: Recording) -> str:
     if recording.growing:
         parts.append(f"what comes after sample {recording.stop - 1}: the log is still being written")
     elif not recording.findings.closed:
-        parts.append(f"what came after sample {recording.stop - 1}: at most the last second before the log was cut")
+        much = "at most the last second if the program or its computer was stopped, more if the file was cut later"
+        parts.append(f"what came after sample {recording.stop - 1}: {much}")
     if "rig.toml" not in recording.attachments:
         parts.append("the rig file")
     if not parts:
