@@ -173,11 +173,11 @@ def replay(
 
     if out is not None and out.exists() and log.exists() and out.samefile(log):
         raise ConfigError(f"{out}: is the log to be replayed; choose another --out")
-    if check and rig_path is not None:
-        raise ConfigError("--check compares with the logged estimates, which were made with the log's own rig file: "
-                          "leave --rig out")  # fmt: skip
     pace = _speed(speed)
     recording = read_log(log)
+    if check and rig_path is not None and load_rig(rig_path).text != recording.rig_text:
+        raise ConfigError("--check compares with the logged estimates, which were made with the log's own rig file: "
+                          "leave --rig out, or give that very file")  # fmt: skip
     rig = Rig.parse(recording.rig_text, where=f"{log}: rig.toml") if rig_path is None else load_rig(rig_path)
     operator = Operator(output)
     with Stop() as stop:

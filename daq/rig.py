@@ -39,17 +39,21 @@ class Rig:
 
     @classmethod
     def parse(cls, text: str, base: Path | None = None, path: Path | None = None, where: str = "rig file") -> Rig:
-        """The rig that a TOML text describes. Raises ConfigError with one line for each problem."""
+        """The rig that a TOML text describes. Raises ConfigError with one line for each problem.
+
+        Of a text that came out of a log, no Python file is run.
+        """
         base = base or Path()
+        modules = None if path is None else base
         try:
             data = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
             raise ConfigError(f"{where}: not a TOML file: {error}; correct that line first") from error
-        problems = _tables(data, base)
+        problems = _tables(data, modules)
         if not problems:
             try:
                 file = RigFile.model_validate(data)
-                model, problems = _model(file, base, path)
+                model, problems = _model(file, modules, path)
             except ValidationError as error:
                 problems = of_validation(error, RigFile)
         if problems:
@@ -90,8 +94,13 @@ class Rig:
         return None if self.link.dbc is None else self.base / self.link.dbc
 
     def attachments(self) -> dict[str, bytes]:
-        """What a log must hold to be replayed alone: the rig file, the DBC, modules of laws of the user's own."""
+        """What a log must hold to be replayed alone: the rig file, the DBC, modules of laws of the user's own.
+
+        What a log says of files here is not followed.
+        """
         files = {"rig.toml": self.text.encode()}
+        if self.path is None:
+            return files
         modules = {c.module.rpartition(":")[0] for c in self.file.model.custom if c.module}
         for path in [*([self.dbc] if self.dbc else []), *(self.base / m for m in sorted(modules))]:
             if path.is_file():
@@ -112,7 +121,7 @@ def load_rig(path: str | Path) -> Rig:
     return Rig.parse(text, path.parent, path, str(path))
 
 
-def _tables(data: dict[str, Any], base: Path) -> list[Problem]:
+def _tables(data: dict[str, Any], base: Path | None) -> list[Problem]:
     """Each table by itself, so that a mistake in one hides none in another; and what the tables say together."""
     problems: list[Problem] = []
     parts: dict[str, Any] = {}
@@ -151,7 +160,7 @@ _MISSING = {
 }
 
 
-def _together(data: dict[str, Any], parts: dict[str, Any], base: Path) -> list[Problem]:
+def _together(data: dict[str, Any], parts: dict[str, Any], base: Path | None) -> list[Problem]:
     problems: list[Problem] = []
     channels: list[ChannelTable] = parts.get("channel", [])
     seen: dict[Any, int] = {}
@@ -192,7 +201,7 @@ def _together(data: dict[str, Any], parts: dict[str, Any], base: Path) -> list[P
     return problems
 
 
-def _model(file: RigFile, base: Path, path: Path | None) -> tuple[Model, list[Problem]]:
+def _model(file: RigFile, base: Path | None, path: Path | None) -> tuple[Model, list[Problem]]:
     rig, spring = file.rig, file.rig.shaft_spring
     model = Model(
         channels=_channels(file.channel),

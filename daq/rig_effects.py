@@ -39,11 +39,11 @@ def at_places(
 
 
 def effects_of(
-    table: ModelTable, catalogue: Mapping[str, Effect], model: Model, base: Folder
+    table: ModelTable, catalogue: Mapping[str, Effect], model: Model, base: Folder | None
 ) -> tuple[tuple[EffectUse, ...], list[Problem]]:
     """The effects of a [model] table in their order, those that are but candidates too, and everything wrong with them.
 
-    model : the rig without them; base : where paths of modules start.
+    model : the rig without them; base : where paths of modules start; None: none is run.
     """
     channels = {c.name: c.place for c in model.channels}
     problems: list[Problem] = []
@@ -95,10 +95,15 @@ def effects_of(
     return tuple(uses), problems
 
 
-def _law(own: CustomTable, model: Model, base: Folder) -> tuple[CustomLaw, tuple[str, ...], list[tuple[str, str]]]:
+def _law(
+    own: CustomTable, model: Model, base: Folder | None
+) -> tuple[CustomLaw, tuple[str, ...], list[tuple[str, str]]]:
     """A law of the user's own, the places it can act at, and what is wrong with it: (key, text)."""
     units = {k: p.unit or "1" for k, p in own.parameters.items()}
-    if own.module is not None:
+    if own.module is not None and base is None:
+        text = f"{own.module} is a Python file, and none that a log names is run; give the rig file itself: --rig"
+        return CustomLaw(None, own.module, units), model.places, [("module", text)]
+    if own.module is not None and base is not None:
         from .custom_module import load_effect
 
         try:

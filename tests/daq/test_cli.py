@@ -17,6 +17,7 @@ from promises import PATIENCE_S, until, within
 
 from daq.cli import application, main
 from daq.log_reader import read_log
+from daq.rig import Rig
 from daq.rig_schema import rig_schema
 
 ROOT = Path(__file__).parents[2]
@@ -169,6 +170,34 @@ def test_every_problem_of_a_rig_file_is_a_line(tmp_path: Path, capsys: pytest.Ca
 
 
 # ---- from a simulated rig to everything that can be done with its log
+
+
+def test_nothing_that_a_log_names_is_run_or_copied(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A rig file may name a Python file of its user's; a log may come from anybody."""
+    effect = "from estimator.effects.quintic import QUINTIC as Mine\nopen(__file__ + '.ran', 'w').close()\n"
+    (tmp_path / "laws.py").write_text(effect)
+    (tmp_path / "secret").write_text("BO_ nobody's business")
+    law = f'[[model.custom]]\nname = "mine"\nmodule = "{tmp_path}/laws.py:Mine"\nparameters = {{ k5 = 1e30 }}\n'
+    text = rig.read_text().replace("[link]", f'{law}[link]\ndbc = "{tmp_path}/secret"\n', 1)
+    (tmp_path / "rig.toml").write_text(text)
+    log, again, ran = tmp_path / "a.mcap", tmp_path / "b.mcap", tmp_path / "laws.py.ran"
+    assert main(["simulate", str(tmp_path / "rig.toml"), "--seconds", "2", "--out", str(log), "--quiet"]) == 0
+    assert {"laws.py", "secret", "rig.toml"} <= set(read_log(log).attachments)
+    assert ran.exists()
+    ran.unlink()
+    sys.modules.pop(next(name for name in sys.modules if name.startswith("rotorscope_custom_laws")))
+    assert main(["replay", str(log), "--out", str(again)]) == 2
+    assert "laws.py:Mine is a Python file" in capsys.readouterr().err
+    assert not ran.exists()
+    assert main(["replay", str(log), "--rig", str(tmp_path / "rig.toml"), "--check", "--quiet"]) == 0  # the user's own
+    assert ran.exists()
+    (tmp_path / "rig.toml").write_text(text + "# another\n")
+    assert main(["replay", str(log), "--rig", str(tmp_path / "rig.toml"), "--check"]) == 2
+    assert "give that very file" in capsys.readouterr().err
+    rig_of_a_log = Rig.parse(text.replace(law, ""))
+    assert set(rig_of_a_log.attachments()) == {"rig.toml"}
 
 
 def test_a_simulated_log_replays_bit_for_bit(rig: Path, log: Path, tmp_path: Path) -> None:
