@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from damage import damaged, damaged_answer, damaged_evenly, damaged_text, damaged_zip
-from seeds import BLF_HEAD, LOG_HEAD, blf_containers, log_ends, seeds, small_logs, small_rigs
+from seeds import BLF_HEAD, LOG_HEAD, blf_containers, log_ends, seeds, small_logs, small_rigs, tiny_logs
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,5 +138,5 @@ KINDS = {
     "answer": Kind("answers of the process that reads .mat and .mf4", damage=damaged_answer),
     "mat-parse": Kind("files, parsed by scipy in a process that lives on"),
     "mf4-parse": Kind("files, parsed by asammdf in a process that lives on"),
-    "mcap": Kind("files", last=1),
+    "mcap": Kind("files", good=tiny_logs),
 }

@@ -90,6 +90,26 @@ def small_logs() -> list[bytes]:
     return [LOG_HEAD + first + b"".join(_chunk(b"".join(_message(c, d) for c, d in chunk)) for chunk in chunks)]
 
 
+def tiny_logs() -> list[bytes]:
+    """Whole logs of a chunk or two, an attachment and a footer: the time goes with the length."""
+    start = [(codec.SESSION, codec.encode_session("dev", 0, {})), (codec.INFO, codec.encode_info(make_info()))]
+    block = (codec.RAW, codec.encode_blocks([make_block(0, 4)]))
+    gap, more = (codec.GAP, codec.encode_gap(Gap(4, 2, "crc"))), (codec.RAW, codec.encode_blocks([make_block(6, 4)]))
+    one = _chunk(b"".join(_message(c, d) for c, d in [*start, block, gap, more, *_events(9)]))
+    two = _chunk(b"".join(_message(c, d) for c, d in [*start, block]))
+    rest = _chunk(b"".join(_message(c, d) for c, d in [gap, more]))
+    rig = bytes(16) + b"\x08\0\0\0rig.toml\x01\0\0\0t" + struct.pack("<Q", 10) + b"schema = 1"
+    rig += struct.pack("<I", zlib.crc32(rig))
+    attached = log_scan.RECORD.pack(log_scan.ATTACHMENT, len(rig)) + rig
+    return [_closed(LOG_HEAD + one), _closed(LOG_HEAD + attached + two + rest), LOG_HEAD + two + rest]
+
+
+def _closed(log: bytes) -> bytes:
+    """With a footer, and an index that says nothing."""
+    footer = log_scan.RECORD.pack(log_scan.FOOTER, 20) + struct.pack("<QQ", len(log) - 1, 0)
+    return log + footer + struct.pack("<I", zlib.crc32(footer)) + log_scan.MAGIC
+
+
 def log_ends() -> list[bytes]:
     """Index and footer."""
     raw = _whole_log()
