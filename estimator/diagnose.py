@@ -32,6 +32,10 @@ FOREMOST = 3  # of the ranking, judged on the largest amplitudes too
 CLOSE = 10.0  # nats behind the first of the ranking, where the shape of what is left decides
 REFINED, NEAR = 12, 0.3  # trials refined at most; share of the best gain at a bearing that earns it, everywhere
 FAR = 0.2  # share of the best effect's gain under which it is not asked what searched numbers of another spot would do
+OTHERWISE = (
+    "the caps answer each other otherwise than the shaft of the rig file lets them: its spring or the disc's mass is "
+    "another, or a sensor has a wrong gain or is late"
+)
 FAMILY = {
     "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
     "quadratic": "even in x", "stop": "even in x",
@@ -199,13 +203,13 @@ def _negligible(best: Entry) -> bool:
 
 def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[Entry, ...]) -> Diagnosis:
     if before.any_found() and before.percent(point) >= 100 * missing_force.NEGLIGIBLE:
-        return Diagnosis(
-            "unknown", entries, shape_of(point, before),
-            messages=(
-                "the residual force can be predicted, but no effect of the catalogue does it significantly",
-                *dict.fromkeys(s.region for s in before.shares),
-            ),
-        )  # fmt: skip
+        said = [
+            "the residual force can be predicted, but no effect of the catalogue does it significantly",
+            *dict.fromkeys(s.region for s in before.shares),
+        ]
+        if any(f.group == "other_bearing" for r in before.residuals for f in r.found):
+            said.append(OTHERWISE)
+        return Diagnosis("unknown", entries, shape_of(point, before), messages=tuple(said))
     said = ["nothing of the catalogue improves the prediction beyond chance"]
     if point.data.measured_force:
         said.append(_beside_forces(point))

@@ -150,3 +150,16 @@ def test_an_effect_near_the_front_at_one_bearing_is_refined_at_the_other() -> No
     found = {(t.effect.name, t.spot) for t in _promising(trials)}  # type: ignore[arg-type]
     assert {e for e, _ in found} == {"quintic", "clearance"}
     assert ("clearance", "bearing1.x") in found
+
+
+def test_a_shaft_that_is_stiffer_than_the_rig_file_says_is_unknown_and_said() -> None:
+    """No effect of the catalogue is a wrong spring: what is missing is seen against the other bearing."""
+    stiff = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    stiff = replace(
+        stiff, channels=tuple(c for c in stiff.channels if c.direction == "x"), effects=(), shaft="beam",
+        linear={p: v for p, v in stiff.linear.items() if p.endswith("x")}, shaft_stiffness=1e6, band=(600.0, 8000.0),
+    )  # fmt: skip
+    y = simulate(replace(stiff, shaft_stiffness=1.2e6), RATE, 6.0, seed=1, noise=0.02)
+    found = diagnose(stiff, y, RATE)
+    assert found.verdict == "unknown"
+    assert any("shaft of the rig file" in m for m in found.messages)
