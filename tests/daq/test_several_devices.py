@@ -128,6 +128,52 @@ def test_all_well_and_ctrl_c(rig: Path, cables: list[Cable], tmp_path: Path) -> 
     assert all(read_log(tmp_path / "logs" / f"{name}.mcap").complete for name in ("press", "fan"))
 
 
+FLOOD = """
+import socket
+from ramp_device import ramp_device
+from drivers import cobs
+device, listener = ramp_device("serial16", seconds=None), socket.create_server(("127.0.0.1", 0))
+print(listener.getsockname()[1], flush=True)
+reader, _ = listener.accept()
+try:
+    while True:
+        reader.sendall(b"".join(cobs.encode(frame.data) for frame in device.next(400)))
+except OSError:
+    pass
+"""
+
+
+def test_one_that_floods_does_not_disturb_another(
+    rig: Path, cables: list[Cable], tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    """A device that sends as fast as TCP takes it, tens of times what was agreed, beside one that keeps its pace."""
+    logs = tmp_path / "logs"
+    path = os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", ""), str(ROOT)])
+    with subprocess.Popen(
+        [sys.executable, "-c", FLOOD], stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path}
+    ) as flood:
+        assert flood.stdout is not None
+        port = int(flood.stdout.readline())
+        session = start(f"{rig}=serial:{cables[0].name}", f"{rig}=serial:socket://127.0.0.1:{port}", "--out", logs)
+        until(lambda: rows(logs / "press.mcap") > 100_000)
+        session.send_signal(signal.SIGTERM)
+        asked = time.monotonic()
+        session.communicate(timeout=PATIENCE_S)
+        took = time.monotonic() - asked
+        flood.kill()
+    calm, flooded = read_log(logs / "press.mcap"), read_log(logs / "press-2.mcap")
+    assert session.returncode == 0
+    assert calm.complete
+    assert flooded.complete
+    assert not calm.gaps
+    assert {gap.reason for gap in flooded.gaps} <= {"overflow"}
+    times = (flooded.n_samples + flooded.lost_samples) / calm.n_samples
+    row = "a device that floods | TCP, as fast as it goes, beside one that keeps its pace | the other has no gap,"
+    measured = f"{times:.0f} times its rate, {flooded.lost_samples} samples lost by name; closed in {took:.2f} s"
+    record_property("reliability", f"{row} its own loss is a gap `overflow`, both closed within 2 s | {measured}")
+    within(took, 2.0)
+
+
 def test_mistakes_are_told_before_anything_begins(
     rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
