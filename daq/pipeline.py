@@ -302,9 +302,7 @@ class Pipeline:
         moved = self._clock.wall_offset_ns() - self._wall_ns
         if abs(moved) > WALL_STEP_NS:
             self._wall_ns += moved
-            text = (
-                f"this computer's clock moved by {moved / 1e9:+.3f} s (set, or asleep); times in the log go on"
-            )
+            text = f"this computer's clock moved by {moved / 1e9:+.3f} s (set, or asleep); times in the log go on"
             self._say("warning", "wall_clock_set", text)
 
     def _say_clipped(self, index: int, clipped: NDArray[np.bool_]) -> None:

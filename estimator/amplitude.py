@@ -123,7 +123,8 @@ def _gram(
             tangents[t.name] = tangents.get(t.name, 0.0) + t.tangent
     index = np.array(at)
     responses = [
-        term_response(replace(t, tangent=tangents.get(t.name, t.tangent)), data)[index][:, index] for t in all_terms
+        term_response(replace(t, tangent=tangents.get(t.name, t.tangent)), point.weighing.s)[index][:, index]
+        for t in all_terms
     ]
     names, scales = tuple(t.name for t in all_terms), np.array([t.scale for t in all_terms])
     units = tuple(t.unit for t in all_terms)
@@ -142,8 +143,7 @@ def _in_band(point: WorkingPoint, spectrum: NDArray[np.float32]) -> Array:
 
 
 def _jacobian(point: WorkingPoint, at: tuple[int, ...]) -> Jacobian:
-    index = np.array(at)
-    return Jacobian(point.A[:, index[:, None], index])
+    return point.jacobian.at(np.array(at))
 
 
 def _fitted(point: WorkingPoint, at: tuple[int, ...], gram: Gram, blocks: float) -> PathFit:

@@ -228,7 +228,7 @@ def _beside_forces(point: WorkingPoint) -> str:
 def _screen(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress) -> list[screen.Trial]:
     """The best trial of every force effect at every spot on part of the record, on the whole of it where that can tell
     more; searched parameters refined for the promising ones."""
-    small = plain(thinned(part, SEARCH_SECONDS))
+    small = plain(part, SEARCH_SECONDS)
     pairs = [(e, s) for e in on_trial(model) for s in screen.spots(e, model, point)]
 
     def said(done: int) -> None:
@@ -305,7 +305,7 @@ def _another_explains(
     half, which takes a part of what an odd law of the wrong shape leaves.
     """
     say(0.93, "one effect or two?")
-    small = plain(thinned(point, SEARCH_SECONDS))
+    small = plain(point, SEARCH_SECONDS)
     family = FAMILY.get(best.effect, best.effect)
     found = {r.place: sum(f.gain for f in r.found) for r in left.residuals if r.found}
     smooth = adequacy.worth(point, best.effect, {i for p in best.placed for i in p.at})

@@ -7,11 +7,13 @@ log-likelihood of increments delta is, in nats,
     L(delta) = sum_i [ -n_i log Q_i(delta) + sum log W ] + 2 sum log |det A(delta)|,  Q_i = (1, delta) G_i (1, delta)
 
 with G_i the Gram matrix of [force, columns] of place i: all that is needed of the data. A term may act at several
-places with one parameter. A(w) is the mean tangent of the whole model over the places, over -w^2.
+places with one parameter. A(w) is the mean tangent of the whole model over the places, over -w^2; its determinant is
+taken along a line that leaves all modes to the left: contour.py.
 """
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,17 +21,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from .contour import THIN, THINNED, turns
 from .motion_blocks import FOLDS, MotionBlocks
 from .side_by_side import each
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Spectrum = NDArray[np.float32]
-THIN = 3
+CROSSED = (
+    1.5 * np.pi
+)  # of the turn of det A: a mode that crosses its line gives two pi, one that leaves the band one pi
 # Mean tangents are known to about a part in a hundred. Where columns of a law of many parameters cancel to a part in
 # ten thousand of their power, what is left of the tangents is that error, and the determinant follows it anywhere.
 TOLD = 1e-5
-THINNED = slice(THIN // 2, None, THIN)  # the middle one of every three bins is enough for the determinant
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,17 +54,17 @@ class Term:
     memory: dict[int, Complexes] = field(default_factory=dict)
 
 
-def response(tangent: Array, data: MotionBlocks) -> Complexes:
-    """(..., thinned bins) contribution to A of a mean tangent (..., 2)."""
-    w = 2 * np.pi * data.f_hz[THINNED]
-    return np.asarray(-tangent[..., :1] / w**2 + tangent[..., 1:] / (1j * w))
+def response(tangent: Array, s: Complexes) -> Complexes:
+    """(..., thinned bins) contribution to A at s (bins,) of a mean tangent (..., 2)."""
+    s = s[THINNED]
+    return np.asarray(tangent[..., :1] / s**2 + tangent[..., 1:] / s)
 
 
-def term_response(term: Term, data: MotionBlocks) -> Complexes:
-    """(places, places, thinned bins) contribution to A of one scaled unit of a term."""
-    out = response(term.tangent, data)
+def term_response(term: Term, s: Complexes) -> Complexes:
+    """(places, places, thinned bins) contribution to A at s (bins,) of one scaled unit of a term."""
+    out = response(term.tangent, s)
     for i, more in term.memory.items():
-        out[i, i] -= (more / (2 * np.pi * data.f_hz) ** 2)[THINNED]
+        out[i, i] += (more / s**2)[THINNED]
     return out * term.scale
 
 
@@ -108,10 +112,12 @@ class Gram:
 
 @dataclass
 class Weighing:
-    """Turns series into weighted block spectra at a working point. weight : (places, bins)."""
+    """Turns series into weighted block spectra at a working point. weight : (places, bins); s : (bins,) of the
+    determinant."""
 
     data: MotionBlocks
     weight: Array
+    s: Complexes
     _root: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -139,7 +145,7 @@ class Weighing:
             return out
 
         spectra = dict(zip(index, each(at, index), strict=True))
-        tangents = np.array([term_response(t, self.data) for t in terms])
+        tangents = np.array([term_response(t, self.s) for t in terms])
         return Columns(
             tuple(t.name for t in terms), tuple(t.unit for t in terms), np.array([t.scale for t in terms]), tangents,
             spectra, {i: np.array(k) for i, k in index.items()},
@@ -184,26 +190,43 @@ def gram(weighing: Weighing, force: dict[int, Spectrum], *columns: Columns) -> G
 class Jacobian:
     """2 sum_f log |det A(f)| per block and its derivatives, about the working point's A0 (bins, places, places).
 
+    offset : to be taken from it for the line that A0 is given along: contour.py.
     dressing : (bins, places), what of A0 comes from fluctuating tangents (self_energy.py). It is quadratic in the
     amplitudes of the laws, and a column of one of them has the half of its derivative: the value whose derivatives
     the columns have is 2 log |det A| - Re tr(A^-1 dressing), stationary in A. Models are compared by it.
     """
 
-    def __init__(self, A0: Complexes, dressing: Complexes | None = None) -> None:
-        self.A0 = A0[THINNED]
+    def __init__(self, A0: Complexes, offset: float = 0.0, dressing: Complexes | None = None) -> None:
+        self.A0, self.offset = A0[THINNED], offset
+        self.dressing = np.zeros(self.A0.shape[:2], complex) if dressing is None else dressing[THINNED]
         self.bins = np.full(len(self.A0), float(THIN))  # that each stands for
         self.bins[-1] += len(A0) - THIN * len(self.A0)
-        self.half = 0.0
-        if dressing is not None and dressing.any():
-            own = np.einsum("fii->fi", np.linalg.inv(self.A0)) * dressing[THINNED]
+        self._begun()
+
+    def _begun(self) -> None:
+        self.turned, self.half = turns(np.linalg.det(self.A0)), 0.0
+        if self.dressing.any():
+            own = np.einsum("fii->fi", np.linalg.inv(self.A0)) * self.dressing
             self.half = float(self.bins @ own.real.sum(axis=1))
+
+    def at(self, places: NDArray[np.int64]) -> Jacobian:
+        """The same of some places by themselves."""
+        out = copy(self)
+        out.A0, out.dressing = self.A0[:, places[:, None], places], self.dressing[:, places]
+        out.offset = self.offset * places.size / self.A0.shape[1]
+        out._begun()
+        return out
 
     def of(self, tangents: Complexes, delta: Array) -> Complexes:
         """A at increments delta, (thinned bins, places, places)."""
         return np.asarray(self.A0 + np.moveaxis(np.tensordot(delta, tangents, 1), 2, 0))
 
     def value(self, tangents: Complexes, delta: Array) -> float:
-        return float(2 * self.bins @ np.log(np.abs(np.linalg.det(self.of(tangents, delta))))) - self.half
+        """-inf where a mode has crossed the line: what the sum gives there is that of its mirror image."""
+        determinant = np.linalg.det(self.of(tangents, delta))
+        if turns(determinant) > self.turned + CROSSED:
+            return -np.inf
+        return float(2 * self.bins @ np.log(np.abs(determinant))) - self.offset - self.half
 
     def derivatives(self, tangents: Complexes, delta: Array) -> tuple[Array, Array]:
         """Gradient (k,) and second derivative (k, k) to the increments."""

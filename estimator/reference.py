@@ -13,8 +13,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from .contour import THINNED
 from .motion_blocks import FOLDS, MotionBlocks, fold_of
-from .path_fit import THINNED, Complexes, response
+from .path_fit import Complexes, response
 from .reference_tangents import dressings
 from .subproblem import Subproblem, base_of, extended, products, subproblem
 from .working_point import WorkingPoint
@@ -191,9 +192,9 @@ def _tangents(point: WorkingPoint, i: int, group: Group) -> Complexes:
     P = len(point.data.places)
     out = np.zeros((len(group.tangents), P, P, point.columns.tangents.shape[-1]), complex)
     for k, t in enumerate(group.tangents):
-        out[k, i] = response(t, point.data)
+        out[k, i] = response(t, point.weighing.s)
     if (here := point.fluctuations[i]) is not None:
-        w2 = (2 * np.pi * point.data.f_hz[THINNED]) ** 2
+        s2 = point.weighing.s[THINNED] ** 2
         for k, sigma in enumerate(dressings(group.name, here, point.data.rms[:2, i], group.knots)):
-            out[k, i, i] += sigma[THINNED] / w2
+            out[k, i, i] -= sigma[THINNED] / s2
     return out

@@ -12,12 +12,13 @@ from . import modulation
 from .balance import Balance
 from .checks import check_record
 from .columns import Columns
+from .contour import modes_at
 from .effects.custom import effect_of
 from .estimate import Parameter
 from .fit_result import Fit
 from .fold_tangents import excess
 from .gram import spectra, taper, valid_blocks
-from .likelihood import Likelihood, Local, Point, active
+from .likelihood import Likelihood, Local, Point, active, responses
 from .lines import begin, describe
 from .maximum import inverse, maximum
 from .model import UNITS, Model
@@ -156,13 +157,16 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
     """Parameters with standard deviations from (n, channels) rows in SI. Raises DataError.
 
     A model with more than laws of the states of a cap, with a force that remembers, or with a law that moves the cap
-    off its centre is fitted as compare fits it.
+    off its centre is fitted as compare fits it, and so is a rotor beyond whirl.
     """
-    if _more_than_laws(model):
-        from . import whole
+    from . import whole
 
+    known = all(model.cap_mass(place) is not None for place in model.places)
+    if known and _more_than_laws(model):
         return whole.fit(model, check_record(model, y, rate_hz), rate_hz)
     solution = analyse(model, y, rate_hz, phase)
+    if known and _whirls(solution):
+        return whole.fit(model, check_record(model, y, rate_hz), rate_hz)
     samples = int(solution.record.motion.valid.sum())
     return Fit(report(solution), -solution.local.nll, samples, "spectral", messages(solution))
 
@@ -170,13 +174,22 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
 def _more_than_laws(model: Model) -> bool:
     """Whether the model has effects that the Gram matrices do not hold; those that move a cap off its centre they hold
     where the force is measured."""
-    known = all(model.cap_mass(place) is not None for place in model.places)
     effects = [effect_of(use) for use in model.effects]
     more = any(e.kind != "force" or e.name in PERIODIC for e in effects)
     if not forced(model):
         more |= any(lopsided(e, usual(e), np.ones(4)) for e in effects)
         more |= bool(modulation.laws(model)) and bool(model.speed_rpm)
-    return more and known
+    return more
+
+
+def _whirls(solution: Solution) -> bool:
+    """Whether a mode of the mean response grows, so that only the law's bend holds it: see contour.py."""
+    balance, nodes = solution.balance, solution.start.nodes
+    A = balance.coefficients(solution.point.beta) @ responses(balance, solution.bank.tangents, nodes.f_hz)
+    near = int(np.argmin(np.abs(np.linalg.det(A))))
+    mass = np.array([balance.coefficients(solution.point.beta)[i, i] for i in range(len(balance.places))])
+    modes, _ = modes_at(A[near], mass, 2j * np.pi * nodes.f_hz[near])
+    return bool(np.any((modes.real > 0.0) & (modes.imag > 0.0)))
 
 
 def messages(solution: Solution) -> tuple[str, ...]:

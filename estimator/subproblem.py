@@ -90,7 +90,7 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: Columns | No
     new = () if extra is None else extra.names
     merged = Gram(G, point.gram.n[at], point.gram.log_weight[at], tangents, scales, names + new,
                   units + (() if extra is None else extra.units))  # fmt: skip
-    jacobian = Jacobian(point.A[:, at[:, None], at], point.dressing[:, at])
+    jacobian = point.jacobian.at(at)
     return Subproblem(tuple(int(i) for i in at), merged, jacobian, point.fold_blocks, names, new, point.caution[base])
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .bandlimit import left_out
+from .contour import along, contour
 from .effects.strength import search_range
 from .fluctuation import Fluctuation, fluctuations
 from .model_uses import size
@@ -58,7 +59,6 @@ class WorkingPoint:
     fit: PathFit
     caution: Array  # (terms,) information that keeps searched parameters near, in every fit about this point
     A: NDArray[np.complex128]  # (bins, places, places)
-    dressing: NDArray[np.complex128]  # (bins, places), of A
     slopes: Array  # (places, places, 2) mean tangent
     fluctuations: tuple[Fluctuation | Probe | None, ...]  # by place, of the laws of the model
     spans: Spans  # of the model's own columns, by place
@@ -129,9 +129,13 @@ def thinned(point: WorkingPoint, seconds: float) -> WorkingPoint:
     return point if part is point.data else _at(part, point.kL, point.c, point.nu, list(point.placed), point)
 
 
-def plain(point: WorkingPoint) -> WorkingPoint:
-    """The same for a quick search: new laws are not dressed by those of the model."""
-    return replace(point, fluctuations=(None,) * len(point.fluctuations))
+def plain(point: WorkingPoint, seconds: float) -> WorkingPoint:
+    """The same on part of the record for a quick search, far from where it ends: no law is dressed by the others, as
+    what dresses it holds for small steps of theirs only."""
+    remembering = {u.name(k) for u in point.placed if u.effect.kind == "memory" for k in range(u.p.size)}
+    bare = tuple(t if t.name in remembering else replace(t, memory={}) for t in point.terms)
+    longer = replace(point, terms=bare, fluctuations=(None,) * len(point.fluctuations))
+    return _at(part_of(point.data, seconds), point.kL, point.c, point.nu, list(point.placed), longer)
 
 
 def _first_linear(
@@ -215,10 +219,11 @@ def _at(
     lin = np.stack([data.mass, kL, c], axis=1)
     own = each(lambda use: terms(use, data, lin), uses)
     F, A, D = _forces(data, kL, c, uses, own)
-    weighing = Weighing(data, 1.0 / (data.colour + nu[:, None] * data.heard(A)))
+    line = contour(A, data.mass, D, data.f_hz)
+    weighing = Weighing(data, 1.0 / (data.colour + nu[:, None] * data.heard(A)), line.s)
     spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
     mean = [Mean(float(data.mass[i]), float(D[i, i, 1]), float(D[i, i, 0])) for i in range(P)]
-    around = fluctuations(data, uses, mean, lin) if longer is None else longer.fluctuations
+    around = fluctuations(data, uses, mean, lin, line.growing) if longer is None else longer.fluctuations
     made = [t for i in range(P) for t in linear_terms(data, i)]
     if longer is None:
         own = each(lambda k: dressed(own[k], uses[k], around), range(len(uses)))
@@ -235,7 +240,8 @@ def _at(
         if here is not None:
             dressing[:, i] = here.whole / (2 * np.pi * data.f_hz) ** 2
             A[:, i, i] += dressing[:, i]
-    jacobian = Jacobian(A, dressing)
+    there = (1j * line.s.imag / line.s) ** 2  # over -w^2 becomes over s^2
+    jacobian = Jacobian(along(line.s, A, data.mass, D), line.offset, dressing * there[:, None])
     blocks = np.bincount(data.fold, minlength=FOLDS).astype(np.float64)
     caution = _caution(data, G, uses)
     result = _cautious(G, jacobian, blocks, caution)
@@ -257,7 +263,6 @@ def _at(
         result,
         caution,
         A,
-        dressing,
         D,
         tuple(here and here.coarse(data.rate_hz, about) for here, about in zip(around, mean, strict=True)),
         Spans(kept),

@@ -10,8 +10,9 @@ import pytest
 from hidden_effects import RATE, one_bearing, record, schema
 
 from estimator.compare import compare
+from estimator.contour import THINNED
 from estimator.model import Model
-from estimator.path_fit import THINNED, Jacobian
+from estimator.path_fit import Jacobian
 from estimator.sensor_faults import clipping_level
 from estimator.simulate import simulate
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from estimator.contour import THINNED
 from estimator.motion_blocks import FOLDS
-from estimator.path_fit import THINNED, Gram, Jacobian, fit
+from estimator.path_fit import Gram, Jacobian, fit
 from estimator.subproblem import Subproblem
 
 

@@ -1,0 +1,85 @@
+"""The line that the determinant is summed along: exact where the axis is, and right where the axis is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from reference_rig import CROSS, RATE, TRUTH, rig_model, rig_record
+
+from estimator.contour import MARGIN, THIN, THINNED, along, contour
+from estimator.model import EffectUse
+from estimator.path_fit import Jacobian, response
+from estimator.spectral import fit
+from estimator.whole import fit_whole
+
+BLOCK_S = 0.32
+F_HZ = np.arange(200.0, 8000.0, 1 / BLOCK_S)
+MASS = np.array([0.2])
+
+
+def tangents(k: float, c: float) -> NDArray[np.float64]:
+    return np.array([[[k, c]]])
+
+
+def value(k: float, c: float) -> tuple[float, NDArray[np.float64], float]:
+    """2 sum log |A| per block, its slopes by k and c, and the shift."""
+    D = tangents(k, c)
+    iw = 2j * np.pi * F_HZ
+    A = (MASS[0] + k / iw**2 + c / iw)[:, None, None]
+    line = contour(A, MASS, D, F_HZ)
+    J = Jacobian(along(line.s, A, MASS, D), line.offset)
+    units = response(np.array([[[[1.0, 0.0]]], [[[0.0, 1.0]]]]), line.s)
+    return J.value(units, np.zeros(2)), J.derivatives(units, np.zeros(2))[0], float(line.s[0].real)
+
+
+def test_a_well_damped_mode_is_left_on_the_axis() -> None:
+    assert value(1e7, 60.0)[2] == 0.0
+
+
+@settings(deadline=None, max_examples=30)
+@given(f0=st.floats(600.0, 3000.0), decay=st.floats(-200.0, 400.0))
+def test_the_sum_is_linear_in_the_damping_whether_the_mode_decays_or_grows(f0: float, decay: float) -> None:
+    """-T times Re p of the mode, without a fold where the mode begins to grow: Jensen's formula."""
+    k, c = MASS[0] * (2 * np.pi * f0) ** 2, 2 * MASS[0] * decay
+    spacing = 2 * np.pi * THIN / BLOCK_S
+    here, slopes, shift = value(k, c)
+    assert shift == pytest.approx(max(0.0, MARGIN * spacing - decay), abs=1.0)
+    assert slopes[1] == pytest.approx(BLOCK_S / (2 * MASS[0]), rel=0.06)  # T d(-Re p)/dc
+    broad, slopes_there, _ = value(k, 2 * MASS[0] * 300.0)
+    by_chance = np.exp(-2 * np.pi * MARGIN) * BLOCK_S * 2 * np.pi * f0 / k  # where the mode lies between two bins
+    assert slopes[0] == pytest.approx(slopes_there[0], rel=0.03, abs=2 * by_chance)
+    assert here - broad == pytest.approx(BLOCK_S * (decay - 300.0), abs=0.05 * BLOCK_S * abs(300.0 - decay) + 0.3)
+
+
+def test_the_axis_cannot_tell_growth_from_decay() -> None:
+    """What the line is for: on the axis the slope by c turns round."""
+    D, iw = tangents(1e7, -24.0), 2j * np.pi * F_HZ
+    A = (MASS[0] + 1e7 / iw**2 - 24.0 / iw)[:, None, None]
+    on_axis = Jacobian(A).derivatives((1.0 / iw)[None, None, None, THINNED], np.zeros(1))[0][0]
+    assert on_axis == pytest.approx(-BLOCK_S / (2 * MASS[0]), rel=0.1)
+    assert contour(A, MASS, D, F_HZ).growing.all()
+
+
+@pytest.mark.parametrize("k", [3.7e5, 5.2e5, 6e5])
+def test_cross_coupling_near_whirl_and_beyond_is_fitted(k: float) -> None:
+    """c w is 4.1e5 N/m, and the stiffnesses differ: whirl begins at 5.4e5. On the axis 3.5e5 came out as 5.4e5, and c
+    as 34 for 60 N s/m; 6e5 as 5.9e5 with intervals of 0.4 %."""
+    hidden = np.zeros((4, 7))
+    hidden[:2, CROSS] = k
+    y = rig_record(10.0, seed=1, hidden=hidden)
+    model = rig_model("cubic")
+    use = EffectUse("cross_coupling", {"bearing1": {}})
+    whole = replace(model, effects=(*model.effects, use))
+    true = {"bearing1.cross_coupling.k": k, "bearing1.x.c": TRUTH["c"][0], "bearing1.y.c": TRUTH["c"][1]}
+    for found in (fit_whole(whole, y, RATE).parameters, fit(whole, y, RATE).parameters):
+        for name, wanted in true.items():
+            p = found[name]
+            assert p.value is not None
+            assert p.sd is not None
+            assert abs(p.value - wanted) < 3.5 * p.sd
+            assert p.sd < 0.1 * wanted
