@@ -26,11 +26,13 @@ from .start import Start, linear_start
 Floats = NDArray[np.float64]
 FALSE_ALARM = 1e-5  # of a record
 LONGER, FEWEST = 4, 60  # blocks as much longer as leave this many, to resolve lines
-STRONG = 8.0  # over its surroundings: no resonance rises so within four bins
+STRONG = 8.0  # over its surroundings, of a tone that is taken out before anything is known of the rotor
+STEADY = 1.5  # mean square over squared mean of a bin's powers, block by block: 1 of a tone, 2 of random motion
 
 
-def spectrum_by_bin(record: Record, B: Floats | None, start: Start | None) -> tuple[Floats, float]:
-    """(bins, places) mean |F|^2 of the force of the linear balance B, and the number of blocks; without B: of a."""
+def spectrum_by_bin(record: Record, B: Floats | None, start: Start | None) -> tuple[Floats, Floats, float]:
+    """(bins, places) mean |F|^2 and |F|^4 of the force of the linear balance B, and the number of blocks; without B: of
+    a."""
     columns = None
     if B is not None and start is not None:
         columns = Columns(build(replace(record.model, effects=())), record.scales, start.widths)
@@ -44,10 +46,11 @@ def spectrum_by_bin(record: Record, B: Floats | None, start: Start | None) -> tu
         else:
             force = B @ columns.evaluate(stretch)[0]
         F = spectra(force, group - group[0], record.grid)
-        return np.asarray((F.real**2 + F.imag**2).sum(axis=1))
+        power = F.real**2 + F.imag**2
+        return np.stack([power.sum(axis=1), np.einsum("pbf,pbf->pf", power, power)])
 
-    power = np.sum(each(part, stretches(blocks, 12)), axis=0)
-    return power.T / blocks.size, float(blocks.size)
+    power, fourth = np.sum(each(part, stretches(blocks, 12)), axis=0)
+    return power.T / blocks.size, fourth.T / blocks.size, float(blocks.size)
 
 
 def linear_balance(record: Record, start: Start) -> Floats:
@@ -56,10 +59,19 @@ def linear_balance(record: Record, start: Start) -> Floats:
     return balance.coefficients(initial(balance, start, {}).beta)
 
 
-def find_lines(power: Floats, blocks: float, f_hz: Floats, least: float = 1.0) -> tuple[tuple[float, float], ...]:
+def strong_lines(record: Record) -> tuple[tuple[float, float], ...]:
+    """Those that stand out of the acceleration, in Hz. A resonance of light damping does too in bins of its width, but
+    its motion comes and goes from block to block."""
+    power, fourth, blocks = spectrum_by_bin(record, None, None)
+    return find_lines(power, blocks, record.grid.f_hz, STRONG, fourth < STEADY * power**2)
+
+
+def find_lines(
+    power: Floats, blocks: float, f_hz: Floats, least: float = 1.0, steady: NDArray[np.bool_] | None = None
+) -> tuple[tuple[float, float], ...]:
     """Stretches (f1, f2) in Hz to leave out. power : (bins, places); f_hz : (bins,) evenly spaced but for notches.
 
-    least : ratio to the surroundings that a line must have, at least.
+    least : ratio to the surroundings that a line must have, at least. steady : (bins, places) where one may be.
     """
     from scipy.special import betaincinv  # scipy.stats would take 0.7 s to import
 
@@ -72,7 +84,8 @@ def find_lines(power: Floats, blocks: float, f_hz: Floats, least: float = 1.0) -
     ratio = power / np.maximum(around.mean(axis=0), np.sort(around, axis=0)[2])
     spacing = float(np.min(np.diff(f_hz)))
     found: list[tuple[float, float]] = []
-    for k in np.flatnonzero((ratio > limit).any(axis=1)):
+    there = ratio > limit if steady is None else (ratio > limit) & steady
+    for k in np.flatnonzero(there.any(axis=1)):
         strength = float(ratio[k].max())
         half = (3.5 if strength < 300.0 else 4.5 if strength < 1e5 else 10.5) * spacing  # out to 3 % or less of S
         a, b = float(f_hz[k] - half), float(f_hz[k] + half)
@@ -94,17 +107,17 @@ def begin(record: Record, longest: int = LONGER, known: tuple[tuple[float, float
         raise DataError(f"nowhere {length:.2g} s of samples without a gap; look after the link, or record for longer")
     if known:
         record = _leave_out(record, known, record.grid.longer)
-    strong = find_lines(*spectrum_by_bin(record, None, None), record.grid.f_hz, least=STRONG)
+    strong = strong_lines(record)
     if strong:
         blocks, longer = valid_blocks(record.motion.valid, record.grid).size, 1
         while 2 * longer <= longest and blocks / (2 * longer) >= FEWEST:
             longer *= 2
         if longer > 1:
             record = _leave_out(record, known, longer)
-            strong = find_lines(*spectrum_by_bin(record, None, None), record.grid.f_hz, least=STRONG)
+            strong = strong_lines(record)
         record = _leave_out(record, (*known, *strong), longer)
     start = linear_start(record)
-    power, count = spectrum_by_bin(record, linear_balance(record, start), start)
+    power, _, count = spectrum_by_bin(record, linear_balance(record, start), start)
     more = find_lines(power, count, record.grid.f_hz)
     if not more:
         return record, start
