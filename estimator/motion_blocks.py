@@ -17,7 +17,7 @@ from .errors import DataError
 from .features import NEAREST
 from .filtered import Filtered
 from .model import MOTION, Model
-from .periodic import Wave, series, waves
+from .periodic import Push, Wave, pushes, series, waves
 from .rotor import shaft_at_caps
 from .sensor_response import forced, of_place
 from .shaft_angle import measured_phase
@@ -61,6 +61,7 @@ class MotionBlocks:
     sharpened: Array  # (places, bins) by what undoing a sensor's resonance has multiplied its noise, in power
     slow: Array | None = None  # (places, n) displacement below the band that the laws make: slow_motion.py
     shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
+    pushes: tuple[Push, ...] = ()  # the model's periodic forces below the band, which laws feel
     waves: tuple[Wave, ...] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
 
     @property
@@ -256,7 +257,8 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     return MotionBlocks(
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
         shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, driven,
-        sharpened(model, places, f), None, _shared(model, places), waves(model, places, rate_hz),
+        sharpened(model, places, f), None, _shared(model, places), pushes(model, places),
+        waves(model, places, rate_hz),
     )  # fmt: skip
 
 

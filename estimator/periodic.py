@@ -8,7 +8,7 @@ reaches a cap through the shaft.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -198,6 +198,43 @@ def series(model: Model, places: tuple[str, ...], t: Array, phase: Array, rate_h
     return out
 
 
+@dataclass(frozen=True, slots=True)
+class Push:
+    """A periodic force below the band. force : by index of the place, (orders,) N of its harmonics there, from the
+    first."""
+
+    one: Periodic
+    force: dict[int, Complexes]
+
+    def displacement(self, t: Array, phase: Array, response: Callable[[int, Array], Complexes]) -> dict[int, Array]:
+        """(n,) m by index of the place. response : (index, w (f,) rad/s) -> (f,) m/N."""
+        made = {}
+        for i, F in self.force.items():
+            w = 2 * np.pi * self.one.hz * np.arange(1.0, F.size + 1)
+            made[i] = _turned(F * response(i, w))
+        return Wave("", "m", self.one, made).series(t, phase)
+
+
+def pushes(model: Model, places: tuple[str, ...]) -> tuple[Push, ...]:
+    """The model's periodic forces, their part below the band."""
+    out = []
+    for one in periodic_of(model):
+        count = int(min(model.band[0] / one.hz, TURN // 8))
+        heard = one.sounding(count)
+        if heard.any():
+            force = {i: one.harmonics(model, p, count) * heard for i, p in enumerate(places) if acts(one, p)}
+            out.append(Push(one, force))
+    return tuple(out)
+
+
+def _turned(harmonics: Complexes) -> Array:
+    """(TURN + 1,) of harmonics (orders,), from the first, over a turn of the angle."""
+    spectrum = np.zeros(TURN // 2 + 1, complex)
+    spectrum[1 : harmonics.size + 1] = 0.5 * TURN * harmonics
+    wave = np.fft.irfft(spectrum, TURN)
+    return np.append(wave, wave[0])
+
+
 def _tables(model: Model, one: Periodic, places: tuple[str, ...], rate_hz: float) -> dict[int, Array]:
     """(TURN + 1,) N over a turn of the angle by index of the places it acts on, if the band lets it through."""
     count = int(min(0.5 * rate_hz / one.hz, TURN // 8))
@@ -207,10 +244,7 @@ def _tables(model: Model, one: Periodic, places: tuple[str, ...], rate_hz: float
         return tables
     for i, place in enumerate(places):
         if acts(one, place):
-            spectrum = np.zeros(TURN // 2 + 1, complex)
-            spectrum[1 : count + 1] = 0.5 * TURN * gain * one.harmonics(model, place, count)
-            wave = np.fft.irfft(spectrum, TURN)
-            tables[i] = np.append(wave, wave[0])
+            tables[i] = _turned(gain * one.harmonics(model, place, count))
     return tables
 
 

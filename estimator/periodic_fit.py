@@ -18,7 +18,7 @@ from .effects.places import written
 from .estimate import Parameter
 from .model import Model, Setting
 from .motion_blocks import MotionBlocks, shaft_response
-from .periodic import FREQUENCY, LINE_NAMES, UNTOLD, Periodic, acts, periodic_of, series, waves
+from .periodic import FREQUENCY, LINE_NAMES, UNTOLD, Periodic, acts, periodic_of, pushes, series, waves
 from .suspect import as_use
 from .working_point import WorkingPoint, fit_model, tangent_at
 
@@ -42,7 +42,8 @@ def found_beside(
     alone, bare = replace(model, effects=uses), point.data
     alone, _ = _stepped(alone, point, point.force)
     added = waves(alone, bare.places, bare.rate_hz)
-    data = replace(bare, known=bare.known - _series(alone, bare), waves=(*bare.waves, *added))
+    pushed = (*bare.pushes, *pushes(alone, bare.places))
+    data = replace(bare, known=bare.known - _series(alone, bare), waves=(*bare.waves, *added), pushes=pushed)
     point = fit_model(data, [*point.placed])
     whole = bare.known - data.known
     whole += point.force

@@ -2,9 +2,10 @@
 
 A law with an even part (a quadratic one, a one-sided stop) pushes the cap off its centre, by more while the vibration
 is stronger: x_slow = -h(phi(x + x_slow)), h the stiffness-controlled response below the band. Left out, kq of 6 % of
-the bearing force comes out 4 % too small, and the law works about the wrong centre. Hysteresis does it by loops that
-end off the centre, now on this side and now on that: less, but what it loses so near the edge of the band, and about
-twice the resonance, would be taken for stiffness.
+the bearing force comes out 4 % too small, and the law works about the wrong centre. A periodic force below the band,
+such as an imbalance, turns the stiffness of a law that sees only the rest. Hysteresis pushes by loops that end off the
+centre, now on this side and now on that: less, but what it loses so near the edge of the band, and about twice the
+resonance, would be taken for stiffness.
 """
 
 from __future__ import annotations
@@ -58,11 +59,11 @@ def below(
 
 
 def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -> MotionBlocks:
-    """The record with the slow displacement of the laws as they stand. kL, c : (places,)."""
+    """The record with the slow displacement of the laws as they stand, and of periodic forces. kL, c : (places,)."""
     lin = np.stack([data.mass, kL, c], axis=1)
     own = [[u for u in uses if i in u.at and u.p.any() and (lopsided(u.effect, u.p, data.sizes(i)) or
             remembers(u, lin[i]))] for i in range(len(data.places))]  # fmt: skip
-    if not any(own):
+    if not any(own) and not data.pushes:
         return data
     stiffness = kL + np.diag(data.shaft[0].real)  # N/m at the lowest bin
 
@@ -71,10 +72,16 @@ def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -
             return evaluate(use, data, i, lin[i])[0]
         return memory_array(use.effect, use.p, lin[i], data.seen(i), data.v[i], data.rate_hz)
 
+    def response(i: int) -> Callable[[Array], Complexes]:
+        return below((float(data.mass[i]), float(stiffness[i]), float(c[i])), data.rate_hz, data.band)
+
     def at(i: int) -> Array:
-        response = below((float(data.mass[i]), float(stiffness[i]), float(c[i])), data.rate_hz, data.band)
         if not own[i]:
             return np.zeros(data.x.shape[1])
-        return filtered(response, np.sum([force(u, i) for u in own[i]], axis=0), data.rate_hz)
+        return filtered(response(i), np.sum([force(u, i) for u in own[i]], axis=0), data.rate_hz)
 
-    return replace(data, slow=np.stack(each(at, range(len(data.places)))))
+    slow = np.stack(each(at, range(len(data.places))))
+    for push in data.pushes:
+        for i, x in push.displacement(data.t, data.phase, lambda i, w: -response(i)(w)).items():
+            slow[i] += x
+    return replace(data, slow=slow)

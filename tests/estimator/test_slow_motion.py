@@ -9,15 +9,16 @@ import pytest
 from hidden_effects import RATE, one_bearing
 from scipy.signal import firwin, oaconvolve
 
-from estimator import adequacy, spectral
+from estimator import adequacy, missing_force, spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths, with_effect
-from estimator.model import Model
+from estimator.model import EffectUse, Model, Setting
 from estimator.model_uses import placed_of
 from estimator.preparation import prepare
 from estimator.rolling import RollingSpectral
 from estimator.simulate import simulate
 from estimator.slow_motion import lopsided, usual, with_slow
+from estimator.whole import fit_whole
 from estimator.working_point import fit_model
 
 SECONDS = 12.0
@@ -127,3 +128,15 @@ def test_gaps_and_chunks_change_nothing_else(truth: Model) -> None:
                 p = last[0][f"{place}.{use.name}.{name}"]
                 assert p.value is not None
                 assert abs(p.value - (setting.value or 0.0)) < 3.5 * (p.sd or 0.0)
+
+
+def test_a_law_feels_a_line_below_the_band() -> None:
+    """A stop of 6 % and 100 Hz of 30 % of the bearing force under a band from 150 Hz: of the displacement without it
+    1.4 % of the force was left, as a stiffness that turns with the shaft."""
+    rig = replace(one_bearing(), effects=())
+    stop, natural = CATALOGUE["stop"], size(rig, "bearing1.x", RATE)
+    truth = with_effect(rig, stop, strengths(stop, natural, 0.06, rig, 8.0), *rig.places)
+    line = {"a": Setting(0.3 * np.sqrt(2.0) * natural.force), "b": Setting(0.0), "frequency": Setting(100.0)}
+    truth = replace(truth, effects=(*truth.effects, EffectUse("line", dict.fromkeys(rig.places, line))))
+    whole = fit_whole(truth, simulate(truth, RATE, 8.0, seed=1, noise=0.002), RATE)
+    assert not missing_force.survey(whole.point, whole.model).any_found()
