@@ -25,16 +25,18 @@ THIN = 3
 THINNED = slice(THIN // 2, None, THIN)  # the middle one of every three bins is enough for the determinant
 MARGIN = 1.0  # of the spacing of those bins, at least, from any mode to the line: a sum is then good to exp(-2 pi)
 TAKES_PART = 0.1  # of the largest motion in a mode
+LASTING = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Contour:
     """s : (bins,) rad/s. offset : what the way there adds to 2 sum log |det A| of a block of the record, nats.
-    growing : (places,) whether a place takes part in a mode that grows."""
+    lasting : (places,) whether a place takes part in a mode that grows, or decays at less than half of the rate of the
+    place by itself: its own response is not what it does."""
 
     s: Complexes
     offset: float
-    growing: NDArray[np.bool_]
+    lasting: NDArray[np.bool_]
 
 
 def contour(A: Complexes, mass: Array, D: Array, f_hz: Array) -> Contour:
@@ -47,12 +49,14 @@ def contour(A: Complexes, mass: Array, D: Array, f_hz: Array) -> Contour:
     modes, motion = modes_at(A[near], mass, iw[near])
     inside = (modes.imag > iw[0].imag) & (modes.imag < iw[-1].imag)
     modes, motion = modes[inside], np.abs(motion[:, inside])
-    growing = np.any(motion > TAKES_PART * motion.max(axis=0, initial=0.0), axis=1, where=modes.real > 0.0)
+    alone = np.maximum(np.diag(D[..., 1]) / (2 * mass), 0.0)
+    slow = modes.real[None] > -LASTING * alone[:, None]
+    lasting = np.any(slow & (motion > TAKES_PART * motion.max(axis=0, initial=0.0)), axis=1)
     shift = max(0.0, float(modes.real.max(initial=-np.inf)) + MARGIN * THIN * 2 * np.pi / length)
     low, high = shift + iw[0], shift + iw[-1]
     every = np.concatenate([modes, modes.conj()])
     turned = np.sum(np.angle(high - every) - np.angle(low - every)) - modes.size * 2 * np.angle(high / low)
-    return Contour(shift + iw, float(length * shift * turned / np.pi), growing)
+    return Contour(shift + iw, float(length * shift * turned / np.pi), lasting)
 
 
 def modes_at(A: Complexes, mass: Array, s: complex) -> tuple[Complexes, Complexes]:
@@ -75,5 +79,5 @@ def along(s: Complexes, A: Complexes, mass: Array, D: Array) -> Complexes:
 
 
 def turns(determinant: Complexes) -> float:
-    """rad by which det A (bins,) turns along a line: -pi for every mode that lies to the left, pi to the right."""
+    """rad by which det A (bins,) turns along a line: pi for every mode that lies to the left, -pi to the right."""
     return float(np.angle(determinant[1:] / determinant[:-1]).sum())

@@ -70,16 +70,16 @@ def fluctuations(
     uses: Sequence[Placed],
     mean: Sequence[Mean],
     lin: Array,
-    growing: NDArray[np.bool_] | None = None,
+    lasting: NDArray[np.bool_] | None = None,
 ) -> tuple[Fluctuation | Probe | None, ...]:
     """By place, None without a law there, or where the laws are too strong for the second order.
 
-    mean : mean response of each place, the laws included that remember nothing. lin : (places, 3) m, kL, c. growing :
-    (places,) of those whose mean response does not decay, as beyond whirl: what has been is never forgotten there.
+    mean : mean response of each place, the laws included that remember nothing. lin : (places, 3) m, kL, c. lasting :
+    (places,) of those that respond for longer than by themselves, as near whirl: contour.py.
     """
     own = [[u for u in uses if i in u.at and u.effect.kind == "force"] for i in range(len(mean))]
     remembering = [[u for u in uses if i in u.at and remembers(u, lin[i])] for i in range(len(mean))]
-    sound = [m.c > 0 and m.k > 0 and (growing is None or not growing[i]) for i, m in enumerate(mean)]
+    sound = [m.c > 0 and m.k > 0 and (lasting is None or not lasting[i]) for i, m in enumerate(mean)]
     used = [i for i, laws in enumerate(own) if laws and sound[i] and not remembering[i]]
     probing = [i for i, laws in enumerate(remembering) if laws and sound[i]]
     part = part_of(data, max(mean[i].seconds() for i in used)) if used else data

@@ -28,9 +28,7 @@ from .side_by_side import each
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Spectrum = NDArray[np.float32]
-CROSSED = (
-    1.5 * np.pi
-)  # of the turn of det A: a mode that crosses its line gives two pi, one that leaves the band one pi
+CROSSED = 1.5 * np.pi  # a mode that crosses its line takes two pi off the turn of det A, one that leaves the band one
 # Mean tangents are known to about a part in a hundred. Where columns of a law of many parameters cancel to a part in
 # ten thousand of their power, what is left of the tangents is that error, and the determinant follows it anywhere.
 TOLD = 1e-5
@@ -224,7 +222,7 @@ class Jacobian:
     def value(self, tangents: Complexes, delta: Array) -> float:
         """-inf where a mode has crossed the line: what the sum gives there is that of its mirror image."""
         determinant = np.linalg.det(self.of(tangents, delta))
-        if turns(determinant) > self.turned + CROSSED:
+        if turns(determinant) < self.turned - CROSSED:
             return -np.inf
         return float(2 * self.bins @ np.log(np.abs(determinant))) - self.offset - self.half
 

@@ -27,6 +27,10 @@ Spectra = tuple[NDArray[np.complex64] | None, ...]
 SECONDS, DECAYS = 8.0, 1000.0  # of the record that the covariances are taken from: the longer of the two
 ROUNDS = 10  # of the self-consistent response
 STRONG = 1.0  # rms of the tangent stiffness over its mean, above which the second order is not used
+WIDE = (
+    10.0  # the same over the half-width of the resonance, c w0: beside a cubic of 20 to 50 of them the intervals held
+)
+# 70 % of the truth dressed and 95 % undressed, at 7 to 9 it made no difference
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +96,9 @@ def dressed_response(total: Floats, dt: float, mean: Mean) -> Floats | None:
 
     total : (2, 2, lags) covariance of K. None where K is so strong that the second order means nothing.
     """
-    if mean.c <= 0 or mean.k <= 0 or total[0, 0, 0] > (STRONG * mean.k) ** 2:
+    if mean.c <= 0 or mean.k <= 0:
+        return None
+    if total[0, 0, 0] > min(STRONG * mean.k, WIDE * mean.c * np.sqrt(mean.k / mean.m)) ** 2:
         return None
     lags = total.shape[2]
     tau, iw = np.arange(lags) * dt, 2j * np.pi * np.fft.rfftfreq(2 * lags, dt)

@@ -56,13 +56,23 @@ def test_the_sum_is_linear_in_the_damping_whether_the_mode_decays_or_grows(f0: f
     assert here - broad == pytest.approx(BLOCK_S * (decay - 300.0), abs=0.05 * BLOCK_S * abs(300.0 - decay) + 0.3)
 
 
+def test_a_step_that_takes_a_mode_across_the_line_is_not_taken() -> None:
+    D, iw = tangents(1e7, 60.0), 2j * np.pi * F_HZ
+    A = (MASS[0] + 1e7 / iw**2 + 60.0 / iw)[:, None, None]
+    J, damping = Jacobian(A), response(np.array([[[[0.0, 1.0]]]]), contour(A, MASS, D, F_HZ).s)
+    assert J.value(damping, np.array([-40.0])) < J.value(damping, np.zeros(1))
+    assert J.value(damping, np.array([-100.0])) == -np.inf
+    stiffness = response(np.array([[[[1.0, 0.0]]]]), iw)
+    assert np.isfinite(J.value(stiffness, np.array([-0.99e7])))  # out of the band
+
+
 def test_the_axis_cannot_tell_growth_from_decay() -> None:
     """What the line is for: on the axis the slope by c turns round."""
     D, iw = tangents(1e7, -24.0), 2j * np.pi * F_HZ
     A = (MASS[0] + 1e7 / iw**2 - 24.0 / iw)[:, None, None]
     on_axis = Jacobian(A).derivatives((1.0 / iw)[None, None, None, THINNED], np.zeros(1))[0][0]
     assert on_axis == pytest.approx(-BLOCK_S / (2 * MASS[0]), rel=0.1)
-    assert contour(A, MASS, D, F_HZ).growing.all()
+    assert contour(A, MASS, D, F_HZ).lasting.all()
 
 
 @pytest.mark.parametrize("k", [3.7e5, 5.2e5, 6e5])
