@@ -40,6 +40,7 @@ from .rig import load_rig
 from .rig_problems import did_you_mean
 
 RATE_HZ = 25600.0
+FULL_SCALE = 490.5  # m/s^2, of the simulated counts
 FRACTIONS = {"weak": 0.02, "strong": 0.06}
 COMPLETE = "complete"
 AT = ("bearing1", "both")
@@ -109,7 +110,8 @@ def hidden(model: Model, case: Case, seconds: float) -> tuple[Model, Model, floa
 def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
     """Simulate and diagnose one case."""
     truth, known, noise = hidden(model, case, seconds)
-    y = simulate(truth, RATE_HZ, seconds, seed=7000 + case.seed, noise=noise, full_scale=490.5)
+    y = simulate(truth, RATE_HZ, seconds, seed=7000 + case.seed, noise=noise, full_scale=FULL_SCALE)
+    y[np.abs(y) > (1.0 - 1e-6) * FULL_SCALE] = np.nan  # left out, as from a log
     begin = time.process_time()
     fitted = fit_whole(known, y, RATE_HZ)
     found = diagnose_point(fitted.model, fitted.point, y)
