@@ -14,6 +14,7 @@ from .checks import check_record
 from .columns import Columns
 from .contour import modes_at
 from .effects.custom import effect_of
+from .errors import DataError
 from .estimate import Parameter
 from .fit_result import Fit
 from .fold_tangents import excess
@@ -22,6 +23,7 @@ from .likelihood import Likelihood, Local, Point, active, responses
 from .lines import begin, describe
 from .maximum import inverse, maximum
 from .model import UNITS, Model
+from .model_uses import searched
 from .periodic import PERIODIC
 from .record import Bank, Record, prepare, stretches
 from .sensor_response import forced
@@ -29,6 +31,7 @@ from .slow_motion import lopsided, usual
 from .start import Start
 
 Floats = NDArray[np.float64]
+START_SECONDS = 20.0  # of a record, for where a gap is begun
 OVERLAP = 0.106  # correlation of the energies of neighbouring blocks (sums of w^2 w'^2 over w^4, gram.taper)
 
 
@@ -60,10 +63,12 @@ class Solution:
         }
 
 
-def analyse(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) -> Solution:
-    """Fit a model to (n, channels) rows in SI. Raises DataError."""
+def analyse(
+    model: Model, y: Floats, rate_hz: float, phase: Floats | None = None, values: Mapping[str, float] | None = None
+) -> Solution:
+    """Fit a model to (n, channels) rows in SI. values : to begin from, by name. Raises DataError."""
     record = prepare(model, check_record(model, y, rate_hz), rate_hz, phase)
-    return solve(*begin(record), model)
+    return solve(*begin(record), model, values)
 
 
 def solve(record: Record, start: Start, model: Model, values: Mapping[str, float] | None = None) -> Solution:
@@ -164,11 +169,26 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
     known = all(model.cap_mass(place) is not None for place in model.places)
     if known and _more_than_laws(model):
         return whole.fit(model, check_record(model, y, rate_hz), rate_hz)
-    solution = analyse(model, y, rate_hz, phase)
+    solution = analyse(model, y, rate_hz, phase, _begun(model, y, rate_hz) if known else None)
     if known and _whirls(solution):
         return whole.fit(model, check_record(model, y, rate_hz), rate_hz)
     samples = int(solution.record.motion.valid.sum())
     return Fit(report(solution), -solution.local.nll, samples, "spectral", messages(solution))
+
+
+def _begun(model: Model, y: Floats, rate_hz: float) -> dict[str, float] | None:
+    """Values by name to begin from, where a law has numbers that no linear fit finds, as compare finds them: from a
+    gap of another size Gauss-Newton ends at a maximum of its own. None without such a law."""
+    from . import preparation, search_start
+
+    if not any(searched(effect_of(use), model) for use in model.effects):
+        return None
+    part = y[: int(START_SECONDS * rate_hz)]
+    try:
+        point = search_start.fit_record(model, preparation.prepare(model, part, rate_hz))
+    except DataError:
+        return None  # the fit itself says what is wrong
+    return {use.name(k): float(v) for use in point.placed for k, v in enumerate(use.p)}
 
 
 def _more_than_laws(model: Model) -> bool:
