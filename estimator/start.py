@@ -19,6 +19,11 @@ from .record import Record, gather
 
 Floats = NDArray[np.float64]
 SECONDS = 20.0  # of the record that the start is taken from
+LEAST_DAMPING = 0.002  # of critical: where the scan begins
+FEEDING = (
+    "cross_coupling",
+    "rub",
+)  # effects that do work on the rotor, so that it may lose next to nothing without them
 MASSES = np.array([0.05, 0.15, 0.5, 1.5])  # of the disc, that unknown cap masses are started from
 
 
@@ -48,7 +53,7 @@ def scan(evidence: Evidence, row: int, mass: float, band: tuple[float, float]) -
     P, grid = len(evidence.balance.places), evidence.grid
     G = evidence.gram.sum(axis=0)[np.ix_([row, P + row, 2 * P + row], [row, P + row, 2 * P + row])]
     w0 = 2 * np.pi * np.geomspace(band[0], band[1], 240)
-    zeta = np.geomspace(0.002, 0.8, 14)
+    zeta = np.geomspace(LEAST_DAMPING, 0.8, 14)
     c, k = mass * 2 * zeta[None, :] * w0[:, None], np.broadcast_to((mass * w0**2)[:, None], (w0.size, zeta.size))
     Q = (
         mass * mass * G[0, 0] + c * c * G[1, 1] + k * k * G[2, 2]
@@ -87,6 +92,9 @@ def linear_start(record: Record) -> Start:
     local = _best(Likelihood(evidence), Point(beta, S, np.zeros(P)), model)
     B = balance.coefficients(local.point.beta)
     m, c, kL = _diagonals(B)
+    for i, place in enumerate(balance.places):
+        if _fed(record.model, place):
+            c[i] = B[i, P + i] = max(c[i], 2 * LEAST_DAMPING * np.sqrt(max(kL[i] * m[i], 0.0)))
     x, v, a = record.rms("x"), record.rms("v"), record.rms("a")
     for i, place in enumerate(balance.places):
         _judge(place, m[i], c[i], kL[i], record)
@@ -169,8 +177,19 @@ def _judge(place: str, m: float, c: float, kL: float, record: Record) -> None:
             "and check that the channel is the bearing's"
         )
     correlation = 2 * m / c
+    if correlation > record.seconds:
+        raise DataError(
+            f"{place} seems to lose nothing (c = {c:.2g} N s/m): something feeds it, as cross-coupling near whirl does "
+            "(rotorscope diagnose), or the record is far too short"
+        )
     if record.seconds < 10 * correlation:
         raise DataError(
             f"the record ({record.seconds:.2f} s valid) is shorter than ten correlation times of {place} "
             f"({correlation:.2g} s each): record at least {10 * correlation:.1f} s"
         )
+
+
+def _fed(model: Model, place: str) -> bool:
+    """Whether the model has an effect there that may give back what damping takes."""
+    own = (place, place.split(".")[0])
+    return any(p in own for u in model.effects if u.name in FEEDING or u.custom for p in u.parameters)

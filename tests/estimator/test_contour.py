@@ -14,7 +14,9 @@ from reference_rig import CROSS, RATE, TRUTH, rig_model, rig_record
 from estimator.contour import MARGIN, THIN, THINNED, along, contour
 from estimator.model import EffectUse
 from estimator.path_fit import Jacobian, response
+from estimator.record import prepare
 from estimator.spectral import fit
+from estimator.start import LEAST_DAMPING, linear_start
 from estimator.whole import fit_whole
 
 BLOCK_S = 0.32
@@ -93,3 +95,21 @@ def test_cross_coupling_near_whirl_and_beyond_is_fitted(k: float) -> None:
             assert p.sd is not None
             assert abs(p.value - wanted) < 3.5 * p.sd
             assert p.sd < 0.1 * wanted
+
+
+def test_beyond_whirl_the_start_has_the_damping_that_the_effect_feeds() -> None:
+    """The linear start knows no effects: c came out as 4e-5 N s/m, and the fit asked for a record of 93,114 s."""
+    hidden = np.zeros((4, 7))
+    hidden[:, CROSS] = 7e5
+    y = rig_record(6.0, seed=3, hidden=hidden)
+    model = rig_model("cubic")
+    use = EffectUse("cross_coupling", {"bearing1": {}, "bearing2": {}})
+    whole = replace(model, effects=(*model.effects, use))
+    start = linear_start(prepare(whole, y, RATE))
+    assert (start.c >= 2 * LEAST_DAMPING * np.sqrt(start.kL * start.m)).all()
+    found = fit(whole, y, RATE).parameters
+    for node in ("bearing1", "bearing2"):
+        p = found[f"{node}.cross_coupling.k"]
+        assert p.value is not None
+        assert p.sd is not None
+        assert abs(p.value - 7e5) < 3.5 * p.sd
