@@ -25,7 +25,7 @@ THIN = 3
 THINNED = slice(THIN // 2, None, THIN)  # the middle one of every three bins is enough for the determinant
 MARGIN = 1.0  # of the spacing of those bins, at least, from any mode to the line: a sum is then good to exp(-2 pi)
 TAKES_PART = 0.1  # of the largest motion in a mode
-LASTING = 0.5
+LASTING = 0.5  # of the rate at which a place would decay by itself
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +40,10 @@ class Contour:
 
 
 def contour(A: Complexes, mass: Array, D: Array, f_hz: Array) -> Contour:
-    """The line for a mean response A (bins, places, places) kg at f_hz, evenly spaced, with mean tangents D (places,
-    places, 2) of displacement and velocity, N/m and N s/m."""
+    """The line for a mean response A (bins, places, places) kg at f_hz, evenly spaced but for gaps, and mean tangents
+    D (places, places, 2) of displacement and velocity, N/m and N s/m."""
     iw: Complexes = np.asarray(2j * np.pi * f_hz, dtype=np.complex128)
-    length = 1.0 / float(f_hz[1] - f_hz[0])
+    length = 1.0 / float(np.diff(f_hz).min())
     resonance = np.sqrt(np.median(np.maximum(np.diag(D[..., 0]) / mass, 0.0)))
     near = int(np.argmin(np.abs(iw.imag - resonance)))
     modes, motion = modes_at(A[near], mass, iw[near])
