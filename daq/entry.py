@@ -19,12 +19,24 @@ def main() -> int:
     try:
         signal.signal(signal.SIGINT, before)
         status = run()
+        _drop_unsaid()
         if before is signal.default_int_handler:
             signal.signal(signal.SIGINT, _leave)
         return status
     except KeyboardInterrupt:
         _leave()
         raise
+
+
+def _drop_unsaid() -> None:
+    """What could not be written is in the stream's buffer still, and Python would end with status 120 for it."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, stream.fileno())
+            os.close(nowhere)
 
 
 def _leave(*_: object) -> None:

@@ -30,6 +30,8 @@ from drivers.reading import Block
 from drivers.simulated import SimulatedDevice, WireFrame
 
 CONFIGS = Path(__file__).parents[2] / "configs"
+# as a user has it: what cannot be written stays in the buffer
+BUFFERED = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
 Row = Callable[[str, object], None]
 
 
@@ -208,7 +210,7 @@ def test_nobody_left_to_listen_and_acquisition_goes_on(
         os.close(theirs)
         theirs = os.open("/dev/full", os.O_WRONLY)
     command = [sys.executable, "-m", "daq", "run", str(rig), "--link", f"serial:{cable.name}", "--out", str(path)]
-    with subprocess.Popen(command, stdout=theirs, stderr=theirs, env=os.environ | {"TERM": "xterm"}) as process:
+    with subprocess.Popen(command, stdout=theirs, stderr=theirs, env=BUFFERED | {"TERM": "xterm"}) as process:
         os.close(theirs)
         before = wait_for(path, lambda log: log.n_samples > 10_000).n_samples
         os.close(ours)
@@ -231,9 +233,10 @@ def test_a_closed_pipe_does_not_change_the_exit_status(rig: Path) -> None:
     ours, theirs = os.pipe()
     os.close(ours)
     command = [sys.executable, "-m", "daq", "run", str(rig), "--link", "serial:/dev/ttyNONE"]
-    assert subprocess.run(command, stdout=theirs, stderr=theirs, timeout=PATIENCE_S, check=False).returncode == 3
+    said = {"stdout": theirs, "stderr": theirs, "env": BUFFERED}
+    assert subprocess.run(command, **said, timeout=PATIENCE_S, check=False).returncode == 3
     command = [sys.executable, "-m", "daq", "run", str(rig), "--link", "virtual:", "--seconds", "0.5", "--json", "-"]
-    assert subprocess.run(command, stdout=theirs, stderr=theirs, timeout=PATIENCE_S, check=False).returncode == 0
+    assert subprocess.run(command, **said, timeout=PATIENCE_S, check=False).returncode == 0
     os.close(theirs)
 
 
