@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from . import cli_analyse, cli_demo, cli_files, cli_live, cli_model  # noqa: E402
 from .errors import exit_status  # noqa: E402
-from .output import tell  # noqa: E402
+from .output import tell, to_nowhere  # noqa: E402
 
 INTERRUPTED = 130
 ABOUT = "Acquire bearing vibration, identify the rotor's stiffness from it, and learn which physics the model lacks."
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _failed("interrupted", INTERRUPTED, verbose=False)
     except BrokenPipeError:  # the reader of our output has seen enough
         with contextlib.suppress(OSError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            to_nowhere(sys.stdout)
         return 0
     except Exception as error:
         if _interrupted(error):

@@ -30,13 +30,13 @@ def main() -> int:
 
 def _drop_unsaid() -> None:
     """What could not be written is in the stream's buffer still, and Python would end with status 120 for it."""
+    from .output import to_nowhere
+
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
         except OSError:
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, stream.fileno())
-            os.close(nowhere)
+            to_nowhere(stream)
 
 
 def _leave(*_: object) -> None:

@@ -110,6 +110,13 @@ def tell(text: str) -> None:
         print(f"rotorscope: {text}", file=sys.stderr, flush=True)  # noqa: T201
 
 
+def to_nowhere(stream: TextIO) -> None:
+    """Let a stream lead nowhere from now on, what is in its buffer included."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
+
+
 @contextlib.contextmanager
 def unheard(stream: TextIO) -> Iterator[None]:
     """What is said to a pipe or a terminal that is gone goes nowhere from then on; the command goes on."""
@@ -118,9 +125,7 @@ def unheard(stream: TextIO) -> Iterator[None]:
     except OSError as error:
         if error.errno not in GONE:
             raise
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
+        to_nowhere(stream)
 
 
 def _console(**options: Any) -> Console:

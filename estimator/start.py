@@ -20,10 +20,7 @@ from .record import Record, gather
 Floats = NDArray[np.float64]
 SECONDS = 20.0  # of the record that the start is taken from
 LEAST_DAMPING = 0.002  # of critical: where the scan begins
-FEEDING = (
-    "cross_coupling",
-    "rub",
-)  # effects that do work on the rotor, so that it may lose next to nothing without them
+FEEDING = ("cross_coupling", "rub")  # do work on the rotor: without them it may seem to lose nothing
 MASSES = np.array([0.05, 0.15, 0.5, 1.5])  # of the disc, that unknown cap masses are started from
 
 
