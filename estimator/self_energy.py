@@ -27,8 +27,8 @@ Spectra = tuple[NDArray[np.complex64] | None, ...]
 SECONDS, DECAYS = 8.0, 1000.0  # of the record that the covariances are taken from: the longer of the two
 ROUNDS = 10  # of the self-consistent response
 STRONG = 1.0  # rms of the tangent stiffness over its mean, above which the second order is not used
-# the same over the half-width of the resonance, c w0: beside a cubic of 20 to 50 of them, dressed, the scatter was 2 to
-# 2.8 times what the intervals say, undressed 0.8; at 7 to 9 it made no difference
+# the same over the half-width of the resonance, c w0: beside a cubic of 20 to 50 of them, dressed, the scatter was 1.7
+# to 2.8 times what the intervals say, undressed 0.8; at 7 to 9 it made no difference
 WIDE = 10.0
 
 
