@@ -196,14 +196,13 @@ def test_mistakes_are_told_before_anything_begins(
 
 
 def test_a_terminal_shows_a_row_for_each(rig: Path, tmp_path: Path) -> None:
-    """Standard error is a real terminal, 160 columns wide."""
+    """Standard error is a real terminal, 160 columns wide; a worker of the test run says that it has 80."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 160, 0, 0))
     devices = [f"{rig}=virtual:", f"{rig}=virtual:", f"{rig}=serial:{tmp_path}/ttyC"]
     command = [sys.executable, "-m", "daq", "run", *devices, "--seconds", "3"]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=theirs, env=os.environ | {"TERM": "xterm"}
-    ) as session:
+    environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")} | {"TERM": "xterm"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs, env=environment) as session:
         os.close(theirs)
         shown = b""
         while True:
