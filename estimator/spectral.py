@@ -204,11 +204,11 @@ def _more_than_laws(model: Model) -> bool:
 
 def _whirls(solution: Solution) -> bool:
     """Whether a mode of the mean response grows, so that only the law's bend holds it: see contour.py."""
-    balance, nodes = solution.balance, solution.start.nodes
-    A = balance.coefficients(solution.point.beta) @ responses(balance, solution.bank.tangents, nodes.f_hz)
+    balance, f_hz = solution.balance, solution.start.nodes.f_hz
+    B = balance.coefficients(solution.point.beta)
+    A = B @ responses(balance, solution.bank.tangents, f_hz)
     near = int(np.argmin(np.abs(np.linalg.det(A))))
-    mass = np.array([balance.coefficients(solution.point.beta)[i, i] for i in range(len(balance.places))])
-    modes, _ = modes_at(A[near], mass, 2j * np.pi * nodes.f_hz[near])
+    modes, _ = modes_at(A[near], np.diag(B), 2j * np.pi * f_hz[near])
     return bool(np.any((modes.real > 0.0) & (modes.imag > 0.0)))
 
 
