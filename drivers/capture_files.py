@@ -6,7 +6,6 @@ import logging
 import re
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -87,33 +86,9 @@ def _open_blf(handle: Any) -> Any:
 
 
 def _open_asc(handle: Any) -> Any:
-    """python-can reads the head at the start of each loop, and a line too much; here a loop may begin anew behind a
-    damaged line, and the line behind the head is read."""
-    import can
+    from drivers.asc import AscReader
 
-    class Reader(can.ASCReader):  # type: ignore[misc]
-        goes_on = True
-        _begun = False
-
-        def _extract_header(self) -> None:
-            if self._begun:
-                return
-            self._begun = True
-            last: list[str] = []
-            self.file = _remembered(_bounded(handle), last)
-            super()._extract_header()
-            self.file = chain(last, _bounded(handle))
-
-        def stop(self) -> None:
-            handle.close()
-
-    return Reader(handle)
-
-
-def _remembered(lines: Iterator[str], last: list[str]) -> Iterator[str]:
-    for line in lines:
-        last[:] = [line]
-        yield line
+    return AscReader(handle, _bounded(handle))
 
 
 def _candump(file: Path, bus: str | None) -> Generator[Batch, None, None]:
@@ -133,7 +108,7 @@ def _candump(file: Path, bus: str | None) -> Generator[Batch, None, None]:
                     why = why or f"line {number} has a wrong length or time"
                 else:
                     frames.append(frame)
-            if len(frames) >= BATCH:
+            if len(frames) >= BATCH or damaged >= BATCH:
                 yield Batch(CanFrames.build(frames), damaged, why)
                 frames, damaged, why = [], 0, ""
     yield Batch(CanFrames.build(frames), damaged, why)
@@ -172,7 +147,8 @@ def batches_of(reader: Any, bus: str | None, file: Path) -> Generator[Batch, Non
                 try:
                     message = next(messages, None)
                 except Exception as error:  # noqa: BLE001 - a damaged file: python-can raises whatever it trips over
-                    text = f"{type(error).__name__}: {' '.join(str(error).split())}"
+                    text = " ".join(str(error).split())
+                    text = text if text and isinstance(error, ValueError) else f"{type(error).__name__}: {text}"
                     damaged, why = damaged + 1, why or text
                     ended = not getattr(reader, "goes_on", False)
                     messages = messages if ended else iter(reader)  # behind the damage

@@ -120,6 +120,39 @@ def test_a_damaged_asc_line_costs_that_line_alone(tmp_path: Path) -> None:
     assert [(batch.damaged, "0Z" in batch.why) for batch in batches if batch.damaged] == [(1, True)]
 
 
+def test_what_may_be_a_damaged_frame_of_an_asc_is_told_and_other_events_are_not(tmp_path: Path) -> None:
+    """python-can leaves out in silence every line that it does not know."""
+    others = [
+        "date Mon Jan 1 00:00:00 2024", "base hex timestamps absolute", "internal events logged", "// version 9.0.0",
+        "Begin Triggerblock Mon Jan 1 00:00:00 2024", " 0.000000 Start of measurement", "",
+        " 0.0159 CAN 1 Status:chip status error active - TxErr: 8 RxErr: 0", " 0.016 L1 3C Rx 2 00 00 checksum = ff",
+        " 0.016 1  Statistic: D 0 R 0 XD 0 XR 0 E 0 O 0 B 0.00%", " 0.017 SV: 3 0 1 ::a = 5", " 0.018 1 ErrorFrame",
+        " 0.018 1  J1939TP FEE3p 6 0 0 - Rx d 23 A0 0F A6", " 0.019 log trigger event", "End TriggerBlock",
+    ]  # fmt: skip
+    good = " 0.02 1  300x Rx   d 2 07 00"
+    bad = [
+        " 0.02 1  3\ufffd0x Rx   d 2 07 00", " 0 02 1  300x Rx   d 2 07 00", " 0.02 1  300x Rz   d 2 07 00",
+        " 0.02 q  300x Rx   d 2 07 00", " 0.02 1  300x Rx   d 2 07", " 0.02 CANFE 1 Rx 301 1 0 9 2 00 01",
+        "0 Rx d 2 07", " 0.02 CANFD 1 Rx 301 1 0 9 12 00 01 02", "\x00\x00\x00",
+    ]  # fmt: skip
+    path = tmp_path / "a.asc"
+    path.write_text("\n".join(others))
+    assert [batch.damaged for batch in open_capture(str(path), None)] == [0]
+    for line in bad:
+        path.write_text("\n".join([*others, good, line, good]), encoding="utf-8")
+        (batch,) = open_capture(str(path), None)
+        assert (batch.damaged, len(batch.frames)) == (1, 3), line  # and the error frame
+        assert f"line {len(others) + 2} is neither" in batch.why or "a frame of" in batch.why
+
+
+def test_junk_is_left_at_a_stop_not_read_to_its_end(tmp_path: Path) -> None:
+    """Each batch has an end, so that whoever closes it gets a turn."""
+    for suffix in (".asc", ".log"):
+        path = tmp_path / f"a{suffix}"
+        path.write_text(10_000 * "junk\n")
+        assert [batch.damaged for batch in open_capture(str(path), None)] == [4096, 4096, 1808]
+
+
 def test_cut_mf4_of_a_finished_recording_does_not_open(tmp_path: Path) -> None:
     path = tmp_path / "whole.mf4"
     with MDF(DATA / FILES[2]) as mdf:
