@@ -24,6 +24,7 @@ from .sink import Reporting, Session, Sink, Status
 
 STATUS_NS = 1_000_000_000
 CLIPPED_EVERY_S = 10.0
+OVERFLOW_EVERY_NS = 10_000_000_000
 WALL_STEP_NS = 500_000_000
 STALE_S = 10.0  # to finish with the estimator of a rate that the device has left
 NEW_CLOCK = ("restart", "reconnect")  # after such a gap, index and host time go together in a new way
@@ -78,6 +79,8 @@ class Pipeline:
         self._status_samples = 0
         self._wall_ns = 0  # Unix time minus host time as the log began
         self._clipped_until = -1
+        self._overflowed = 0  # samples, as last told
+        self._overflow_ns = clock.now_ns() - OVERFLOW_EVERY_NS
         self._lag_s: dict[str, float] = {}
         self.clipped = 0
         self.ledger = Ledger()
@@ -114,6 +117,7 @@ class Pipeline:
     def tick(self, stats: LinkStats, dropped: Mapping[str, int], *, final: bool = False) -> None:
         """Once in a while: hear the sinks, say what is unsaid, and once a second give the status."""
         self._hear_sinks()
+        self._watch_overflow(dropped.get("reader", 0), final)
         self._collect()
         self._take([])
         now = self._clock.now_ns()
@@ -304,6 +308,14 @@ class Pipeline:
             self._wall_ns += moved
             text = f"this computer's clock moved by {moved / 1e9:+.3f} s (set, or asleep); times in the log go on"
             self._say("warning", "wall_clock_set", text)
+
+    def _watch_overflow(self, dropped: int, final: bool) -> None:
+        """At once, then every ten seconds while it goes on: the gaps themselves come when the core loop gets there."""
+        new, now = dropped - self._overflowed, self._clock.now_ns()
+        if new and (final or now - self._overflow_ns >= OVERFLOW_EVERY_NS):
+            self._overflowed, self._overflow_ns = dropped, now
+            text = f"samples come faster than they are taken in: {new} of the oldest that waited are dropped"
+            self._say("error", "overflow", f"{text}; leave this computer less to do, or lower the rate")
 
     def _say_clipped(self, index: int, clipped: NDArray[np.bool_]) -> None:
         self.clipped += int(clipped.sum())

@@ -195,10 +195,13 @@ def test_a_device_without_the_rigs_channels_is_refused(tmp_path: Path) -> None:
 class Slow(MomentEstimator):
     """An estimator that hangs for a second in the middle."""
 
+    over = False
+
     def update(self, block: np.ndarray) -> None:
         super().update(block)
         if len(self.blocks) == 20:
             time.sleep(1.0)
+            Slow.over = True
 
 
 def flood(rows: int = 4096, count: int = 100) -> Iterator[list[Reading]]:
@@ -218,7 +221,12 @@ def test_a_stalled_estimator_costs_the_oldest_by_name(
     monkeypatch.setattr("daq.estimator_runner.BUSY_BLOCKS", 8)
     monkeypatch.setattr("daq.acquire._warm_up", lambda *_: None)
     path = tmp_path / "a.mcap"
-    summary = acquire(RIG, ScriptedDriver(flood()), [LogWriter(path)], make=Slow)
+    monkeypatch.setattr(Slow, "over", False)
+    told: list[bool] = []
+    summary = acquire(
+        RIG, ScriptedDriver(flood()), [LogWriter(path)], make=Slow,
+        notify=lambda notice: told.append(Slow.over) if notice.code == "overflow" else None,
+    )  # fmt: skip
     log = read_log(path)
     assert summary.samples + summary.lost_samples == 409_600
     assert summary.lost_samples > 0
@@ -227,6 +235,9 @@ def test_a_stalled_estimator_costs_the_oldest_by_name(
     assert log.lost_samples == summary.lost_samples
     assert log.last_status is not None
     assert log.last_status.dropped["reader"] == summary.lost_samples
+    assert told[0] is False  # to the operator at once, while the estimator still stalls
+    assert len(told) <= 2  # and what came since, at the end
+    assert [n.code for n in log.notices].count("overflow") == len(told)
     counts = log.counts()
     there = counts[:, 0] != np.iinfo(np.int32).min
     np.testing.assert_array_equal(counts[there], vibration(0, 409_600).counts[: len(counts)][there])
