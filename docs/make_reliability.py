@@ -7,15 +7,21 @@
     python tests/fuzz/mass.py tally.json --report fuzz.xml
     python docs/make_reliability.py report.xml soak.xml guest.xml fuzz.xml
 
+With --keep, rows of tests that are in none of the reports stay as the page has them: a part can be measured anew.
 A test adds a row with pytest's record_property("reliability", "fault | how it is provoked | promised | measured").
 """
 
 from __future__ import annotations
 
 # ruff: noqa: E501 - the lines of a table
+import argparse
+import re
 import sys
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
 from pathlib import Path
+
+_TEST = re.compile(r"\| (`\w+::[^|]*`) \|$")
 
 HEAD = """\
 # What can go wrong, and what then happens
@@ -31,7 +37,7 @@ TAIL = """
 
 | queue | bound | when full | told by |
 |---|---|---|---|
-| reader to core loop | 32 MiB of readings | the oldest samples go; the reader never waits | gap `overflow` with exact indices, `dropped.reader` in the status, exit summary |
+| reader to core loop | 32 MiB of readings | the oldest samples go; the reader never waits | gap `overflow` with exact indices, notice `overflow` to the operator at once, `dropped.reader` in the status, exit summary |
 | core loop to estimator | 250 blocks (10 s) or 32 MiB | nothing is dropped: the core loop takes no more, and the reader's queue fills | `lag_s.estimate` in the status |
 | core loop to disk | 64 MiB of readings, 16 MiB of file | the newest samples are not stored; the core loop never waits | gap `storage`, notices `log_overflow` and `log_resumed`, `dropped.LogWriter` |
 | core loop to viewer | see `daq/rerun_sink.py` | the oldest samples are not shown | notice, `dropped.RerunSink` |
@@ -54,17 +60,35 @@ for bit, and says what was lost. All reading commands take a cut log as it is.
 
 
 def main() -> None:
-    rows: dict[str, None] = {}  # a property test records its row for every example
-    for case in (case for path in sys.argv[1:] for case in ElementTree.parse(path).getroot().iter("testcase")):
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("reports", nargs="+", type=Path)
+    parser.add_argument("--keep", action="store_true")
+    options = parser.parse_args()
+    page = Path(__file__).with_name("reliability.md")
+    new: dict[str, dict[str, None]] = {}  # a property test records its row for every example
+    for path in options.reports:
+        for test, row in rows_of(path):
+            new.setdefault(test, {})[row] = None
+    if not new:
+        names = " ".join(map(str, options.reports))
+        sys.exit(f"{names}: no test recorded a row; give the reports of pytest --junitxml")
+    rows: dict[str, dict[str, None]] = {}
+    for row in page.read_text(encoding="utf-8").splitlines() if options.keep else ():
+        if found := _TEST.search(row):
+            rows.setdefault(found[1], {})[row] = None
+    rows |= new  # in its old place, if it had one
+    lines = [row for ones in rows.values() for row in ones]
+    page.write_text(HEAD + "\n".join(lines) + "\n" + TAIL, encoding="utf-8")
+
+
+def rows_of(path: Path) -> Iterator[tuple[str, str]]:
+    """Of a report: the test and its row."""
+    for case in ElementTree.parse(path).getroot().iter("testcase"):
         failed = case.find("failure") is not None or case.find("error") is not None
         for item in case.iter("property"):
             if item.get("name") == "reliability":
                 test = f"`{case.get('classname', '').rpartition('.')[2]}::{case.get('name')}`"
-                measured = " **FAILED**" if failed else ""
-                rows[f"| {item.get('value')}{measured} | {test} |"] = None
-    if not rows:
-        sys.exit(f"{' '.join(sys.argv[1:])}: no test recorded a row; give the reports of pytest --junitxml")
-    Path(__file__).with_name("reliability.md").write_text(HEAD + "\n".join(rows) + "\n" + TAIL, encoding="utf-8")
+                yield test, f"| {item.get('value')}{' **FAILED**' if failed else ''} | {test} |"
 
 
 if __name__ == "__main__":
