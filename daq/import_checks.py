@@ -55,6 +55,8 @@ def checked(
     if rig.model.band[1] >= rate / 2:
         text = f"band.high = {rig.model.band[1]:g} Hz of the rig is not below half its rate of {rate:g} Hz"
         raise LogError(f"{path}: {text}; lower band.high, or check the rate")
+    if columns.odd:
+        note(f"{path}: {columns.odd}")
     missing = _finite(path, names, values, rate, gaps)
     factors = tuple(_factor(path, columns, rig, c.name) for c in rig.file.channel)
     if rig.acquisition is not None and abs(rate / rig.acquisition.rate_hz - 1) > RATE_TOLERANCE:

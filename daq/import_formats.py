@@ -8,12 +8,12 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TextIO
+from typing import Any, Literal, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from .memory import bounded_memory
 
 Column = NDArray[Any]
 CSV_ROWS = 200_000  # parsed at a time
+MOST_CHUNKS = 10_000  # of a .wav before its samples
 _UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\s*$")  # "b1x [g]", "b1x (m/s^2)"
 
 
@@ -31,7 +32,8 @@ _UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\s*$")  # "b1x [g]", "b1x
 class Columns:
     """What a file holds. units : of those columns whose unit the file says; time : s, if the file has one.
 
-    full_scale_counts : the count at full scale if the columns are bare counts (PCM audio), else None.
+    full_scale_counts : the count at full scale if the columns are bare counts (PCM audio), else None. odd : what the
+    user should know of a file that was read all the same.
     """
 
     values: Mapping[str, Column]
@@ -39,6 +41,7 @@ class Columns:
     time: Column | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     full_scale_counts: int | None = None
+    odd: str = ""
 
 
 def read(path: Path, names: Sequence[str]) -> Columns:
@@ -70,10 +73,16 @@ def _npz(path: Path, names: Sequence[str]) -> Columns:
         file = np.load(stream, allow_pickle=False)
         if not isinstance(file, np.lib.npyio.NpzFile):
             raise LogError(f"{path}: one array without a name; write it with numpy.savez(FILE, b1x=..., rate_hz=...)")
-        rate = _scalar(path, file["rate_hz"]) if "rate_hz" in file.files else None
-        time = file["time"] if "time" in file.files and rate is None else None
-        others = {k: np.empty(0) for k in file.files if k not in (*names, "rate_hz", "time")}  # for messages only
-        return Columns({k: file[k] for k in file.files if k in names} | others, rate, time)
+        return of_npz(path, file, names)
+
+
+def of_npz(path: Path, file: Mapping[str, Column], names: Sequence[str]) -> Columns:
+    """An open archive. Raises whatever numpy does over a damaged member."""
+    rate = _scalar(path, file["rate_hz"]) if "rate_hz" in file else None
+    time = file["time"] if "time" in file and rate is None else None
+    known = {*names, "rate_hz", "time"}
+    others = dict.fromkeys([k for k in file if k not in known], np.empty(0))  # for messages only
+    return Columns({k: file[k] for k in names if k in file} | others, rate, time)
 
 
 def _scalar(path: Path, value: Any) -> float:
@@ -95,14 +104,17 @@ def _csv(path: Path, names: Sequence[str]) -> Columns:
         wanted = [i for i, t in enumerate(titles) if t in names or t.lower() == "time"]
         others = {t: np.empty(0) for t in titles if t not in names and t.lower() != "time"}  # for messages only
         parts: list[NDArray[np.float64]] = []
-        row = skipped + 1
+        row, last = skipped + 1, "\n"
         while lines := list(islice(file, CSV_ROWS)):
             parts.append(_numbers(path, lines, delimiter, row, titles, wanted))
-            row += len(lines)
+            row, last = row + len(lines), lines[-1]
+    odd = (
+        "" if last.endswith(("\n", "\r")) else "the last line has no end; if the file was cut, its last number is wrong"
+    )
     table = np.concatenate(parts) if parts else np.empty((0, len(wanted)))
     columns = {titles[i]: table[:, k] for k, i in enumerate(wanted)}
     time = next((columns.pop(t) for t in list(columns) if t.lower() == "time" and t not in names), None)
-    return Columns(columns | others, None, time, units)
+    return Columns(columns | others, None, time, units, odd=odd)
 
 
 def _header(file: TextIO) -> tuple[int, list[str], str]:
@@ -170,7 +182,11 @@ def _uff(path: Path, names: Sequence[str]) -> Columns:
     import pyuff
 
     file = pyuff.UFF(str(path))
-    sets = [file.read_sets(i) for i, kind in enumerate(file.get_set_types()) if int(kind) == 58]
+    return of_uff(path, (file.read_sets(i) for i, kind in enumerate(file.get_set_types()) if int(kind) == 58), names)
+
+
+def of_uff(path: Path, sets: Iterable[Mapping[str, Any]], names: Sequence[str]) -> Columns:
+    """Data sets 58 as pyuff has them."""
     records = [s for s in sets if s.get("func_type") == 1]  # time response
     if not records:
         raise LogError(f"{path}: holds no time response (dataset 58, function type 1); export the time histories")
@@ -181,7 +197,12 @@ def _uff(path: Path, names: Sequence[str]) -> Columns:
         name = next((label for label in labels if label in names), labels[0] or f"record {len(values) + 1}")
         if name in values:
             raise LogError(f'{path}: two time responses are called "{name}"; name each after its channel')
-        values[name] = np.real(s["data"])
+        values[name] = column = np.real(s["data"])
+        if len(column) != s["num_pts"]:
+            text = f"{name} has {len(column)} values, its header says {s['num_pts']}"
+            raise LogError(f"{path}: {text}; the file is cut or damaged: export it again")
+        if np.imag(s["data"]).any():
+            raise LogError(f"{path}: {name} is complex; a time response is real: export the time histories")
         if unit := str(s.get("ordinate_axis_units_lab", "")).strip().strip("-").removeprefix("NONE"):
             units[name] = unit
     steps = {float(s.get("abscissa_inc", 0.0)) for s in records}
@@ -195,6 +216,10 @@ def _wav(path: Path, names: Sequence[str]) -> Columns:
 
     from scipy.io import wavfile
 
+    missing = _beyond_the_end(path)
+    if missing:
+        text = f"{missing} bytes of the samples it announces are missing: it is cut, or was written through a pipe"
+        raise LogError(f"{path}: {text}; copy or export it again")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", wavfile.WavFileWarning)  # chunks that carry no samples
         rate, data = wavfile.read(path, mmap=False)
@@ -208,6 +233,26 @@ def _wav(path: Path, names: Sequence[str]) -> Columns:
     if data.dtype == np.uint8:
         raise LogError(f"{path}: 8-bit sound; 16, 24 or 32 bits, or floats, are needed")
     return Columns(values, float(rate), full_scale_counts=2 ** (8 * data.dtype.itemsize - 1))
+
+
+def _beyond_the_end(path: Path) -> int:
+    """Bytes of samples that a .wav announces and does not hold; the library takes what there is, and is silent."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        order: Literal["little", "big"] = "big" if file.read(12)[:4] == b"RIFX" else "little"
+        long = None  # of a file that may be above 4 GB
+        for _ in range(MOST_CHUNKS):
+            head = file.read(8)
+            name, length = head[:4], int.from_bytes(head[4:], order)
+            if name == b"ds64":
+                long = int.from_bytes(file.read(16)[8:], "little")
+                length -= 16
+            elif name == b"data":
+                return max(file.tell() + (length if long is None else long) - size, 0)
+            file.seek(max(length, 0) + length % 2, 1)
+            if len(head) < 8:
+                break
+    return 0
 
 
 READERS: dict[str, Callable[[Path, Sequence[str]], Columns]] = {

@@ -1,6 +1,7 @@
 """Files in and out: whole round trips for every format, exactness, and a clear refusal of everything doubtful."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -107,27 +108,72 @@ def test_out_and_in_again(folder: Path, ending: str) -> None:
     np.testing.assert_allclose(second.samples(), first.samples(), rtol=0, atol=atol)
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff's writer leaves its file open
-def test_uff_dataset_58(folder: Path) -> None:
+def write_uff(path: Path, y: np.ndarray, binary: int) -> Path:
     import pyuff
 
-    y = samples(1000)
-    file = pyuff.UFF(str(folder / "a.uff"))
+    file = pyuff.UFF(str(path))
     for k, name in enumerate(("b1x", "b1y")):
-        x = np.arange(1000) / RATE
+        x = np.arange(len(y)) / RATE
         file.write_sets(
             pyuff.prepare_58(
-                binary=1, func_type=1, ver_num=1, load_case_id=0, rsp_ent_name=name, rsp_node=1, rsp_dir=1,
+                binary=binary, func_type=1, ver_num=1, load_case_id=0, rsp_ent_name=name, rsp_node=1, rsp_dir=1,
                 ref_ent_name="NONE", ref_node=0, ref_dir=0, data=y[:, k], x=x, id1=name, id2="", id3="", id4="", id5="",
                 ord_data_type=4, orddenom_spec_data_type=0, z_axis_spec_data_type=0, abscissa_spacing=1,
-                abscissa_min=0.0, abscissa_inc=1 / RATE, num_pts=1000,
+                abscissa_min=0.0, abscissa_inc=1 / RATE, num_pts=len(y),
             ),
             mode="add",
         )  # fmt: skip
-    assert load(folder, folder / "a.uff") == 0
+    return path
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff's writer leaves its file open
+def test_uff_dataset_58(folder: Path) -> None:
+    y = samples(1000)
+    assert load(folder, write_uff(folder / "a.uff", y, binary=1)) == 0
     log = read_log(folder / "log.mcap")
     assert log.rate_hz == pytest.approx(RATE, rel=1e-4)  # text of the file: 1/5120 with few digits
     np.testing.assert_allclose(log.samples(), y * FACTORS, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_uff_that_lost_some_characters_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """pyuff reads what is there, by columns of the text, and compares it with nothing."""
+    text = write_uff(folder / "whole.uff", samples(1000), binary=0).read_bytes()
+    lines = text.split(b"\n")
+    for damage in ([*lines[:100], *lines[101:]], [*lines[:100], lines[100][:-20], *lines[101:]]):
+        (folder / "a.uff").write_bytes(b"\n".join(damage))
+        said = refused(folder, folder / "a.uff", capsys)
+        assert "values, its header says 1000; the file is cut or damaged" in said
+
+
+def test_a_cut_sound_is_refused_wherever_it_is_cut(
+    folder: Path, capsys: pytest.CaptureFixture[str], record_property: Callable[[str, object], None]
+) -> None:
+    """The library takes what there is, and does not say so."""
+    from scipy.io import wavfile
+
+    wavfile.write(folder / "whole.wav", int(RATE), samples(3000).astype(np.float32))
+    whole = (folder / "whole.wav").read_bytes()
+    for cut in (60, 1000, len(whole) // 2, len(whole) - 8, len(whole) - 1):
+        (folder / "a.wav").write_bytes(whole[:cut])
+        assert "it announces are missing: it is cut" in refused(folder, folder / "a.wav", capsys)
+    piped = whole.replace(
+        b"data" + (len(whole) - whole.index(b"data") - 8).to_bytes(4, "little"), b"data" + 4 * b"\xff"
+    )
+    assert piped != whole
+    (folder / "a.wav").write_bytes(piped)  # by a program that could not go back to say how long it became
+    assert "or was written through a pipe" in refused(folder, folder / "a.wav", capsys)
+    row = "cut file of others | `import` of a .wav cut at five places, a .uff that lost a line or a value"
+    record_property("reliability", f"{row} | refused, as .npz, .mat and .mf4 are by their libraries | refused")
+
+
+def test_a_table_whose_last_line_has_no_end_is_read_and_it_is_said(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = write_csv(folder / "a.csv", samples()).read_text()
+    (folder / "a.csv").write_text(text[:-3])
+    assert load(folder, folder / "a.csv", "--rate", str(RATE)) == 0
+    assert "if the file was cut, its last number is wrong" in capsys.readouterr().err
 
 
 def test_pcm_sound_needs_full_scale_and_has_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
