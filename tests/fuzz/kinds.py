@@ -6,8 +6,19 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from damage import damaged, damaged_answer, damaged_evenly, damaged_text, damaged_zip
-from seeds import BLF_HEAD, LOG_HEAD, blf_containers, log_ends, seeds, small_logs, small_rigs, tiny_logs
+from damage import damaged, damaged_answer, damaged_evenly, damaged_npy, damaged_table, damaged_text, damaged_zip
+from seeds import (
+    BLF_HEAD,
+    LOG_HEAD,
+    RIG_HEAD,
+    blf_containers,
+    log_ends,
+    rig_tables,
+    seeds,
+    small_logs,
+    small_rigs,
+    tiny_logs,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,8 +26,9 @@ class Kind:
     """How a target's inputs are made. split : a good file -> its inputs; pack : an input -> its part of the stream;
     many : inputs in one stream.
 
-    head : what comes before them; tails : one of these, or a damaged copy of it, behind them; first, last : which of
-    the good files; good : these instead of seeds.py's; damage : how one is damaged.
+    once : each good piece once in a stream. head : what comes before them; tails : one of these, or a damaged copy of
+    it, behind them; first, last : which of the good files; good : these instead of seeds.py's; damage : how one is
+    damaged.
     """
 
     what: str
@@ -25,6 +37,7 @@ class Kind:
     pack: Callable[[bytes], bytes] = lambda piece: piece
     head: tuple[bytes, ...] = (b"",)
     target: str = ""
+    once: bool = False
     first: int = 0
     last: int | None = None
     good: Callable[[], list[bytes]] | None = None
@@ -110,6 +123,28 @@ def _records(data: bytes) -> list[bytes]:
     return out
 
 
+def _behind_length(data: bytes) -> list[bytes]:
+    out = []
+    while len(data) > 2:
+        stop = 2 + int.from_bytes(data[:2], "little")
+        out.append(data[2:stop])
+        data = data[stop:]
+    return out
+
+
+def _with_length(piece: bytes) -> bytes:
+    return len(piece).to_bytes(2, "little") + piece
+
+
+def _sets(data: bytes) -> list[bytes]:
+    """What lies between two lines of -1; a damaged one of them would cost all sets behind it."""
+    return [part for part in data.split(b"    -1\n") if part]
+
+
+def _set(piece: bytes) -> bytes:
+    return b"    -1\n" + piece + b"\n    -1\n"
+
+
 KINDS = {
     "cobs": Kind("frames", 500, _after(b"\0")),
     "slcan": Kind("lines", 500, _after(b"\r")),
@@ -129,8 +164,20 @@ KINDS = {
         "messages of a log that is recovered", 100, _sized(1), _with_size(1), head=(b"\2",), target="recover", first=1
     ),
     "rig": Kind("files", good=small_rigs, damage=damaged_text),
+    "rig-tables": Kind(
+        "tables",
+        len(rig_tables()),
+        head=(RIG_HEAD,),
+        target="rig",
+        good=rig_tables,
+        once=True,
+        damage=damaged_table,
+        pack=lambda piece: piece + b"\n",
+    ),
     "csv": Kind("files", damage=damaged_evenly),
     "npz": Kind("files", damage=damaged_zip),
+    "npz-members": Kind("members of an archive", 25, _behind_length, _with_length, damage=damaged_npy),
+    "uff-sets": Kind("data sets", 30, _sets, _set),
     "wav": Kind("files"),
     "uff": Kind("files", damage=damaged_evenly),
     "asc": Kind("lines", 100, _after(b"\n"), damage=damaged_evenly),

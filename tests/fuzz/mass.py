@@ -45,7 +45,7 @@ def _batch(kind: Kind, good: list[bytes], rng: random.Random) -> list[bytes]:
     """Inputs of one stream: of any order, or one after the other; some of them whole."""
     if kind.many == 1:
         return [kind.damage(rng.choice(good), rng)]
-    if rng.random() < 0.5:
+    if not kind.once and rng.random() < 0.5:
         pieces = rng.choices(good, k=kind.many)
     else:
         start = int(rng.random() * len(good))

@@ -140,6 +140,27 @@ _TABLES: tuple[bytes, ...] = (
     b'[estimator]\nmethod = "spectral"\n',
 )
 
+RIG_HEAD = b"schema = 1\n"
+
+
+def rig_tables() -> list[bytes]:
+    """All that may stand together in one file, each by itself."""
+    band = b"[band]\nlow = 20\nhigh = 900.0"
+    channel = b'[[channel]]\nname = "%b%b"\nnode = "%b"\ndirection = "%b"\nkind = "%b"\nunit = "%b"'
+    kinds = ((b"acceleration", b"g"), (b"force", b"N"), (b"displacement", b"um"))
+    channels = [
+        channel % (node, axis, node, axis, *kind)
+        for kind in kinds for node in (b"bearing1", b"bearing2") for axis in (b"x", b"y")
+    ]  # fmt: skip
+    effects = [b"[model.%b]\nvalue = 1e3\nmin = 0\nfixed = false" % name for name in (b"quintic", b"clearance")]
+    effects += [b"[model.hertz.bearing1.x]\nkH = { value = 1e9, min = 1, max = 1e12 }\npreload = 1e-6"]
+    settings = b"kL = { value = 1e7, min = 1, max = 1e9, fixed = true }\nc = 20\nS = 0.1"
+    linear = [b"[model.linear.bearing%b]\n%b" % (place, settings) for place in (b"1.x", b"1.y", b"2.x", b"2.y")]
+    law = b'[[model.custom]]\nname = "%b"\nexpression = "k*x**3"\nparameters = { k = { value = 1e6, unit = "N/m^3" } }'
+    once = [table.strip() for table in _TABLES if b"custom" not in table and b"linear" not in table]
+    return [band, *channels, *effects, *linear, *once, *(law % name for name in (b"s", b"t", b"u", b"v"))]
+
+
 _CUSTOM = b"""schema = 1
 [band]
 low = 20.0
@@ -226,20 +247,43 @@ def _file(pattern: str, write: object = None) -> list[bytes]:
 
 
 def _uff() -> list[bytes]:
+    both = b"".join(_set_58(name, column) for name, column in zip(_PAIR, _ROWS.T, strict=True))
+    return [both, both[: len(both) // 2]]
+
+
+def _uff_sets() -> list[bytes]:
+    """Of each kind of number, even and not, as text and not."""
+    column = _ROWS[:, 0]
+    texts = [_set_58("b1x", column + (1j if kind > 4 else 0), kind, even) for kind in (2, 4, 5, 6) for even in (0, 1)]
+    return [b"".join(texts), *(_set_58("b1x", column, 4, even, binary=1) for even in (0, 1))]
+
+
+def _set_58(name: str, column: np.ndarray, kind: int = 4, even: int = 1, binary: int = 0) -> bytes:
     import pyuff
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.uff"
-        for k, name in enumerate(_PAIR):
-            data = pyuff.prepare_58(
-                binary=0, func_type=1, ver_num=1, load_case_id=0, rsp_ent_name=name, rsp_node=1, rsp_dir=1,
-                ref_ent_name="NONE", ref_node=0, ref_dir=0, data=_ROWS[:, k], x=np.arange(6) / 25600, id1=name,
-                id2="", id3="", id4="", id5="", ord_data_type=4, orddenom_spec_data_type=0, z_axis_spec_data_type=0,
-                abscissa_spacing=1, abscissa_min=0.0, abscissa_inc=1 / 25600, num_pts=6,
-            )  # fmt: skip
-            pyuff.UFF(str(path)).write_sets(data, mode="add")
-        both = path.read_bytes()
-        return [both, both[: len(both) // 2]]
+        data = pyuff.prepare_58(
+            binary=binary, func_type=1, ver_num=1, load_case_id=0, rsp_ent_name=name, rsp_node=1, rsp_dir=1,
+            ref_ent_name="NONE", ref_node=0, ref_dir=0, data=column, x=np.arange(6) / 25600, id1=name,
+            id2="", id3="", id4="", id5="", ord_data_type=kind, orddenom_spec_data_type=0, z_axis_spec_data_type=0,
+            abscissa_spacing=even, abscissa_min=0.0, abscissa_inc=1 / 25600, num_pts=6,
+        )  # fmt: skip
+        pyuff.UFF(str(path)).write_sets(data, mode="add")
+        return path.read_bytes()
+
+
+def _npz_members() -> list[bytes]:
+    """Columns of some types, a shape and a layout that are none, a text, an empty one."""
+    column = _ROWS[:, 0]
+    values = [column, column.astype("<f4"), column.astype("<i2"), column.astype(">i4"), column[:, None], column[:0]]
+    values += [np.asfortranarray(_ROWS), np.array(["a", "bc"]), np.array(25600.0), column + 1j, column > 2]
+    out = []
+    for value in values:
+        buffer = io.BytesIO()
+        np.save(buffer, value)
+        out.append(len(buffer.getvalue()).to_bytes(2, "little") + buffer.getvalue())
+    return [b"".join(out)]
 
 
 def _mf4can() -> list[bytes]:
@@ -307,6 +351,7 @@ _ASC = (
 _MAKERS = {
     "cobs": _cobs, "slcan": _slcan, "serial": _serial, "can": _can, "mapped": lambda: [bytes(range(60))],
     "mcap": _mcap, "recover": _mcap, "rig": _rig, "expression": _expression, "csv": _csv, "npz": _npz, "wav": _wav,
+    "npz-members": _npz_members, "uff-sets": _uff_sets,
     "mat": _mat, "uff": _uff, "mf4": _mf4, "mf4can": _mf4can, "answer": _answer, "mat-parse": _mat, "mf4-parse": _mf4,
     "candump": lambda: _file("canedge_imu/*.log"), "blf": _blf,
     "asc": lambda: [_ASC_HEAD + b"".join(_ASC)],

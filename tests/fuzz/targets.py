@@ -11,10 +11,13 @@ import os
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import zstandard
+from damage import zipped
 from parsers import Parser
 from ramp_device import CHANNELS, ramp_device
 
@@ -61,6 +64,7 @@ direction = "y"
 kind = "acceleration"
 unit = "g"
 """)  # small files are cheap: what is imported has two channels
+ONE = Rig.parse(PAIR.text[: PAIR.text.rindex("[[channel]]")])
 Target = Callable[[bytes, Path], None]
 
 
@@ -286,6 +290,49 @@ def _import(suffix: str) -> Target:
     return target
 
 
+def npz_members(data: bytes, folder: Path) -> None:
+    """An archive of members, each behind its length of two bytes here, and each read by itself."""
+    members, at = list[tuple[bytes, bytes]](), 0
+    while at + 2 <= len(data):
+        stop = at + 2 + int.from_bytes(data[at : at + 2], "little")
+        members.append((b"m%d.npy" % len(members), data[at + 2 : stop]))
+        at = stop
+    path = folder / "a.npz"
+    _put(zipped(members), path)
+    with path.open("rb") as stream:
+        file = np.load(stream, allow_pickle=False)
+        for k in range(len(members)):
+            _alone(path, partial(import_formats.of_npz, path, file, (f"m{k}",)))
+
+
+def uff_sets(data: bytes, folder: Path) -> None:
+    """A file of data sets 58, each read by itself."""
+    import pyuff
+
+    path = folder / "a.uff"
+    _put(data, path)
+    try:
+        file = pyuff.UFF(str(path))
+        kinds = file.get_set_types()
+    except Exception:  # noqa: BLE001 - import_formats tells it, whatever it is
+        return
+    for k in np.flatnonzero(kinds == 58).tolist():
+        _alone(path, lambda k=k: import_formats.of_uff(path, [file.read_sets(k)], ("b1x",)))
+
+
+def _alone(path: Path, read_one: Callable[[], import_formats.Columns]) -> None:
+    """The first column of what is read, as the only channel."""
+    try:
+        columns = read_one()
+    except Exception:  # noqa: BLE001 - import_formats.read tells it, whatever it is
+        return
+    with contextlib.suppress(LogError):
+        values = {"b1x": next(iter(columns.values.values()))}
+        rate_hz = 25_600.0 if columns.rate_hz is None else None
+        record = checked(path, replace(columns, values=values, units={}), ONE, rate_hz, lambda text: None)
+        assert record.si().shape == (record.samples, 1)
+
+
 def _answered(path: Path, names: Sequence[str]) -> import_formats.Columns:
     """A file of a status, and what the process that reads .mat and .mf4 said or wrote with it."""
     data, out = path.read_bytes(), path.with_suffix(".npz")
@@ -330,7 +377,8 @@ def _capture(suffix: str) -> Target:
 TARGETS: dict[str, Target] = {
     "cobs": cobs_codec, "slcan": slcan, "serial": serial, "can": can_decoder, "mapped": mapped, "mcap": mcap,
     "recover": recover_log,
-    "rig": rig, "expression": expression, "csv": _import(".csv"), "npz": _import(".npz"), "wav": _import(".wav"),
+    "rig": rig, "expression": expression, "csv": _import(".csv"), "npz": _import(".npz"),
+    "npz-members": npz_members, "uff-sets": uff_sets, "wav": _import(".wav"),
     "mat": _import(".mat"), "uff": _import(".uff"), "mf4": _import(".mf4"),
     "answer": _import(".answer"), "mat-parse": _parse(".mat"), "mf4-parse": _parse(".mf4"),
     "candump": _capture(".log"), "blf": _capture(".blf"), "asc": _capture(".asc"), "mf4can": _capture(".mf4"),
