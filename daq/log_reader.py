@@ -229,19 +229,29 @@ class Recording:
 
     def samples(self) -> NDArray[np.float64]:
         """(stop - first, channels) in SI; rows of a gap are NaN."""
+        return self._in_si(list(range(len(self.channels))), keep_clipped=True)[0]
+
+    def unclipped(self, columns: list[int]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """The same of these channels with NaN also for what is at full scale; (columns,) how many samples that are."""
+        return self._in_si(columns, keep_clipped=False)
+
+    def _in_si(self, columns: list[int], keep_clipped: bool) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         self._affordable(8)
-        out = np.empty((self.stop - self.first, len(self.channels)))
-        at, scaling = 0, Scaling(self.info)
+        out = np.empty((self.stop - self.first, len(columns)))
+        at, scaling, hits = 0, Scaling(self.info, columns), np.zeros(len(columns), np.int64)
         for entry in self._entries():
             if isinstance(entry, Info):
-                scaling = Scaling(entry)
+                scaling = Scaling(entry, columns)
             elif isinstance(entry, RawBlock):
-                start = entry.index - self.first
+                start, counts = entry.index - self.first, scaling.select(entry.counts)
                 out[at:start] = np.nan
-                at = start + len(entry.counts)
-                scaling.si(entry.counts, out[start:at])
+                at = start + len(counts)
+                scaling.si(counts, out[start:at])
+                if not keep_clipped and (clipped := scaling.clipped(counts)) is not None:
+                    out[start:at][clipped] = np.nan
+                    hits += clipped.sum(axis=0)
         out[at:] = np.nan
-        return out
+        return out, hits
 
     def readings(self, joined: bool = True) -> Iterator[Reading]:
         """What the link delivered, in order, a piece at a time: for replay. Memory does not grow with the log.

@@ -14,7 +14,6 @@ from .rig import Rig
 from .rig_problems import did_you_mean
 
 RATE_TOLERANCE = 2e-3
-CLIPPED_NOTE = 1  # clipped samples from which on they are mentioned
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +54,6 @@ def _measured(path: Path, y: NDArray[np.float64], rate_hz: float) -> Measurement
 
 def _of_log(path: Path, rig: Rig, note: Callable[[str], None]) -> tuple[NDArray[np.float64], float]:
     from .log_reader import read_log
-    from .scaling import Scaling
 
     log = read_log(path)
     columns = []
@@ -69,7 +67,7 @@ def _of_log(path: Path, rig: Rig, note: Callable[[str], None]) -> tuple[NDArray[
         if unit and unit != rig.si_units[k]:
             name = rig.model.channels[k].name
             raise LogError(f"{path}: {name} is in {unit} there, and a {rig.model.channels[k].kind} in the rig file")
-    y = log.samples()[:, columns]
+    y, hits = log.unclipped(columns)
     if not len(y):
         raise LogError(f"{path}: holds no samples")
     if log.growing:
@@ -79,13 +77,7 @@ def _of_log(path: Path, rig: Rig, note: Callable[[str], None]) -> tuple[NDArray[
     if log.lost_samples:
         real = sum(1 for g in log.gaps if g.count)
         note(f"{path}: {log.lost_samples} samples are missing in {real} gaps; they are left out, not bridged")
-    counts = log.counts()
-    scaling = Scaling(log.info, columns)
-    there: NDArray[np.bool_] = np.isfinite(y)
-    clipped = scaling.clipped(np.where(there, counts[:, columns], 0))
-    if clipped is not None:
-        y[clipped] = np.nan
-        columns_hit: list[int] = np.flatnonzero(np.any(clipped, axis=0)).tolist()
-        names = ", ".join(rig.model.channels[k].name for k in columns_hit)
-        note(f"{path}: {int(clipped.sum())} samples of {names} are at full scale; they are left out")
+    if hits.any():
+        names = ", ".join(rig.model.channels[k].name for k in np.flatnonzero(hits))
+        note(f"{path}: {hits.sum()} samples of {names} are at full scale; they are left out")
     return y, log.rate_hz
