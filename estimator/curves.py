@@ -18,6 +18,7 @@ from .missing_force import Residual, Survey, ridged
 from .motion_blocks import part_of
 from .path_fit import PathFit
 from .shape import Shape
+from .side_by_side import each
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -55,15 +56,15 @@ def curves(
     """
     data = part_of(point.data, SECONDS)
     rows = _rows(point, data.start)
-    shapes: list[Shape] = []
-    laws: list[Law] = []
-    for residual in found.residuals:
+
+    def at(residual: Residual) -> tuple[list[Shape], list[Law]]:
         i, name = residual.place, channel[point.data.places[residual.place]]
-        groups = {g.name: g for g in reference.groups(data, i, orders)}
+        shapes: list[Shape] = []
+        laws: list[Law] = []
         for state in STATES:
-            if state not in groups:
-                continue
             fit, names = _fit(residual, state)
+            if not names:
+                continue
             if state == "displacement" or state == "velocity":
                 z = data.x[i] if state == "displacement" else data.v[i]
                 shape, law = _of_hats(point, residual, fit, names, state, z, rows, name)
@@ -72,10 +73,13 @@ def curves(
             elif state == "shaft_angle":
                 shapes.append(_against_angle(fit, names, orders, name))
             else:
-                o = data.other(i)
-                if o is not None:
-                    shapes.append(_against_other(fit, names, groups[state], data.x[o], name))
-    return tuple(shapes), tuple(laws)
+                group, o = reference.other_direction(data, i), data.other(i)
+                if group is not None and o is not None:
+                    shapes.append(_against_other(fit, names, group, data.x[o], name))
+        return shapes, laws
+
+    drawn = each(at, found.residuals)
+    return tuple(s for shapes, _ in drawn for s in shapes), tuple(law for _, laws in drawn for law in laws)
 
 
 def _rows(point: WorkingPoint, starts: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -86,9 +90,9 @@ def _rows(point: WorkingPoint, starts: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _fit(residual: Residual, group: str) -> tuple[PathFit, list[str]]:
-    """The joint fit of a group and of all that was found, whose part is thereby taken out."""
+    """The joint fit of a group and of all that was found, whose part is thereby taken out; no names without it."""
     names = [n for n in residual.pool.extra if n.split(".")[0] == group]
-    if names[0] in residual.fit.names:
+    if not names or names[0] in residual.fit.names:
         return residual.fit, names
     return ridged(residual.pool.only((*residual.problem.extra, *names))), names
 

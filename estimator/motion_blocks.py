@@ -120,13 +120,15 @@ class MotionBlocks:
         """With v, x and the slow displacement, (places, n) each, as `of` makes them, and other fields as given."""
         return replace(self, v=of(self.v), x=of(self.x), slow=None if self.slow is None else of(self.slow), **rest)
 
-    def at(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp], **rest: Any) -> MotionBlocks:
+    def at(self, rows: slice | list[slice] | NDArray[np.bool_], **rest: Any) -> MotionBlocks:
         """Only these rows: views of them if they are a slice. rest : fields that change with them."""
 
         def taken(z: Array) -> Array:
-            return z[:, rows] if isinstance(rows, slice) else np.ascontiguousarray(z[:, rows])
+            if isinstance(rows, list):
+                return np.concatenate([z[..., run] for run in rows], axis=-1)
+            return z[..., rows] if isinstance(rows, slice) else np.ascontiguousarray(z[..., rows])
 
-        return self.states(taken, known=taken(self.known), t=self.t[rows], phase=self.phase[rows], **rest)
+        return self.states(taken, known=taken(self.known), t=taken(self.t), phase=taken(self.phase), **rest)
 
 
 def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
@@ -135,8 +137,7 @@ def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
     if data.blocks <= 1.25 * per_fold * FOLDS:
         return data
     pick = np.concatenate([np.flatnonzero(data.fold == f)[:per_fold] for f in range(FOLDS)])
-    rows = (pick[:, None] * data.block + np.arange(data.block)).ravel()
-    return data.at(rows, start=data.start[pick], fold=data.fold[pick])
+    return data.at(_runs(pick * data.block, data.block), start=data.start[pick], fold=data.fold[pick])
 
 
 def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:

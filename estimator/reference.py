@@ -6,7 +6,7 @@ mean derivative); of two states, low products. u = x / rms, w = v / rms, r^2 = u
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,6 +58,63 @@ def _hats(z, low, step, out, slopes):  # type: ignore[no-untyped-def]
         slopes[j] /= n * step
 
 
+@njit(cache=True, nogil=True)
+def _level(u, w, out, slopes):  # type: ignore[no-untyped-def]
+    """Products of u and w, and what goes with r = |(u, w)|. slopes (k, 4): sums of d/du, d/dw, d/duo, d/dwo."""
+    for i in range(u.size):
+        x, v = u[i], w[i]
+        r = max(np.sqrt(x * x + v * v), 1e-6)
+        out[0, i], out[1, i], out[2, i], out[3, i], out[4, i] = x * v, x * x * v, x * v * v, r * x, r * v
+        slopes[0, 0] += v
+        slopes[0, 1] += x
+        slopes[1, 0] += 2 * x * v
+        slopes[1, 1] += x * x
+        slopes[2, 0] += v * v
+        slopes[2, 1] += 2 * x * v
+        slopes[3, 0] += r + x * x / r
+        slopes[3, 1] += x * v / r
+        slopes[4, 0] += x * v / r
+        slopes[4, 1] += r + v * v / r
+
+
+@njit(cache=True, nogil=True)
+def _beside(u, uo, wo, out, slopes):  # type: ignore[no-untyped-def]
+    """What depends on the other direction: its state, products, and radial springs with a gap. slopes as in _level."""
+    for i in range(u.size):
+        x, y = u[i], uo[i]
+        out[0, i], out[1, i], out[2, i], out[3, i] = y, wo[i], y * y, x * y
+        out[4, i], out[5, i], out[6, i] = y * y * y, x * x * y, x * y * y
+        slopes[0, 2] += 1.0
+        slopes[1, 3] += 1.0
+        slopes[2, 2] += 2 * y
+        slopes[3, 0] += y
+        slopes[3, 2] += x
+        slopes[4, 2] += 3 * y * y
+        slopes[5, 0] += 2 * x * y
+        slopes[5, 2] += x * x
+        slopes[6, 0] += y * y
+        slopes[6, 2] += 2 * x * y
+        r = max(np.sqrt(x * x + y * y), 1e-6)
+        for k in range(2):
+            gap = k + 1.0
+            over, bend = (1.0 - gap / r, gap / (r * r * r)) if r > gap else (0.0, 0.0)
+            out[7 + 2 * k, i], out[8 + 2 * k, i] = over * x, over * y
+            slopes[7 + 2 * k, 0] += over + bend * x * x
+            slopes[7 + 2 * k, 2] += bend * x * y
+            slopes[8 + 2 * k, 0] += bend * x * y
+            slopes[8 + 2 * k, 2] += over + bend * y * y
+
+
+LEVELS, BESIDE = 5, 11  # columns of these
+
+
+def _filled(law: Callable[..., None], columns: int, *states: Series) -> tuple[list[Series], Array]:
+    """Series of the columns, and the means of their slopes."""
+    out, slopes = np.empty((columns, states[0].size), np.float32), np.zeros((columns, 4))
+    law(*states, out, slopes)
+    return list(out), slopes / states[0].size
+
+
 def hat_group(name: str, z: Array, scale: float, place: int, which: int, places: int, step: float) -> Group:
     """Hats over +-SPAN rms (scale) of a state; which: 0 for x, 1 for v."""
     half = int(np.ceil(SPAN / step))
@@ -85,6 +142,25 @@ def velocity_step(point: WorkingPoint, i: int) -> float:
     return max(V_STEP, KICKED * float(np.sqrt(2.0 * c * tau)), float(np.sqrt(k)) * tau)
 
 
+def _group(data: MotionBlocks, i: int, name: str, series: list[Series], slopes: Array) -> Group:
+    """slopes : (columns, 4) mean d/du, d/dw, d/duo, d/dwo."""
+    o = data.other(i)
+    tangents = np.zeros((len(series), len(data.places), 2))
+    tangents[:, i] = slopes[:, :2] / data.rms[:2, i]
+    if o is not None:
+        tangents[:, o] = slopes[:, 2:] / data.rms[:2, o]
+    return Group(name, series, list(tangents))
+
+
+def other_direction(data: MotionBlocks, i: int) -> Group | None:
+    """What place i has in common with the other direction of its node, if that is measured."""
+    o = data.other(i)
+    if o is None:
+        return None
+    states = [data.seen(i) / data.rms[0, i], data.seen(o) / data.rms[0, o], data.v[o] / data.rms[1, o]]
+    return _group(data, i, "other_direction", *_filled(_beside, BESIDE, *(z.astype(np.float32) for z in states)))
+
+
 def groups(
     data: MotionBlocks,
     i: int,
@@ -103,44 +179,14 @@ def groups(
     yield hat_group("displacement", data.seen(i), sx, i, 0, P, X_STEP)
     yield hat_group("velocity", data.v[i], sv, i, 1, P, v_step)
 
-    def group(name: str, columns: list[tuple[Series, float, float, float, float]]) -> Group:
-        """(series, mean d/du, d/dw, d/duo, d/dwo)."""
-        o = data.other(i)
-        tangents = []
-        for _, du, dw, duo, dwo in columns:
-            t = np.zeros((P, 2))
-            t[i] = du / sx, dw / sv
-            if o is not None:
-                t[o] = duo / data.rms[0, o], dwo / data.rms[1, o]
-            tangents.append(t)
-        return Group(name, [c[0] for c in columns], tangents)
 
     def m(z: Series) -> float:
         return float(np.mean(z, dtype=np.float64))
 
-    r = np.sqrt(u * u + w * w)
-    rr = np.maximum(r, 1e-6)
-    yield group("level", [
-        (u * w, m(w), m(u), 0, 0), (u * u * w, m(2 * u * w), m(u * u), 0, 0), (u * w * w, m(w * w), m(2 * u * w), 0, 0),
-        (r * u, m(r + u * u / rr), m(u * w / rr), 0, 0), (r * w, m(u * w / rr), m(r + w * w / rr), 0, 0),
-    ])  # fmt: skip
-    o = data.other(i)
-    if o is not None:
-        uo, wo = (data.seen(o) / data.rms[0, o]).astype(np.float32), (data.v[o] / data.rms[1, o]).astype(np.float32)
-        columns = [
-            (uo, 0.0, 0.0, 1.0, 0.0), (wo, 0.0, 0.0, 0.0, 1.0), (uo * uo, 0.0, 0.0, m(2 * uo), 0.0),
-            (u * uo, m(uo), 0.0, m(u), 0.0), (uo * uo * uo, 0.0, 0.0, m(3 * uo * uo), 0.0),
-            (u * u * uo, m(2 * u * uo), 0.0, m(u * u), 0.0), (u * uo * uo, m(uo * uo), 0.0, m(2 * u * uo), 0.0),
-        ]  # fmt: skip
-        radius = np.maximum(np.sqrt(u * u + uo * uo), 1e-6)
-        for gap in (1.0, 2.0):
-            over = np.maximum(1 - gap / radius, 0).astype(np.float32)
-            bend = np.where(radius > gap, gap / (radius * radius * radius), 0)
-            columns += [
-                (over * u, m(over + bend * u * u), 0.0, m(bend * u * uo), 0.0),
-                (over * uo, m(bend * u * uo), 0.0, m(over + bend * uo * uo), 0.0),
-            ]
-        yield group("other_direction", columns)
+    yield _group(data, i, "level", *_filled(_level, LEVELS, u, w))
+    beside = other_direction(data, i)
+    if beside is not None:
+        yield beside
     q = data.opposite(i)
     if q is not None:
         tx, tv = np.zeros((P, 2)), np.zeros((P, 2))
@@ -150,16 +196,14 @@ def groups(
     first, last = (float(data.t[0]), float(data.t[-1])) if times is None else times
     tau = (2 * (data.t - first) / max(last - first, 1e-9) - 1).astype(np.float32)
     second = 1.5 * tau**2 - 0.5
-    yield group("time", [
-        (tau * u, m(tau), 0, 0, 0), (tau * w, 0, m(tau), 0, 0),
-        (second * u, m(second), 0, 0, 0), (second * w, 0, m(second), 0, 0),
-    ])  # fmt: skip
+    slopes = np.zeros((4, 4))
+    slopes[0, 0] = slopes[1, 1] = m(tau)
+    slopes[2, 0] = slopes[3, 1] = m(second)
+    yield _group(data, i, "time", [tau * u, tau * w, second * u, second * w], slopes)
     if data.speed > 0.0:
-        columns = []
-        for k in orders:
-            c, s = np.cos(k * data.phase).astype(np.float32), np.sin(k * data.phase).astype(np.float32)
-            columns += [(c * u, m(c), 0.0, 0.0, 0.0), (s * u, m(s), 0.0, 0.0, 0.0)]
-        yield group("shaft_angle", columns)
+        turning = [wave(k * data.phase).astype(np.float32) for k in orders for wave in (np.cos, np.sin)]
+        slopes = np.array([[m(z), 0.0, 0.0, 0.0] for z in turning])
+        yield _group(data, i, "shaft_angle", [z * u for z in turning], slopes)
 
 
 def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subproblem, dict[str, Array]]:
@@ -198,12 +242,6 @@ def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subpro
     names = tuple(f"{g.name}.{k}" for g in whole for k in range(len(g.tangents)))
     knots = {g.name: g.knots for g in whole if g.knots is not None}
     return extended(plain, i, made, names, scales, tangents), knots
-
-
-def _mean(parts: list[Group]) -> Group:
-    """A group from its weighted parts."""
-    tangents = [np.sum(t, axis=0) for t in zip(*(g.tangents for g in parts), strict=True)]
-    return replace(parts[0], tangents=tangents)
 
 
 def _tangents(point: WorkingPoint, i: int, group: Group) -> Complexes:

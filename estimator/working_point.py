@@ -117,7 +117,7 @@ def _approached(data: MotionBlocks, uses: list[Placed], rounds: int) -> WorkingP
     lin = np.stack([data.mass, *np.ones((2, len(data.places)))], axis=1)
     dear = any(remembers(u, lin[u.at[0]]) for u in uses)
     start, seconds = None, FIRST_SECONDS
-    while (part := part_of(data, seconds)) is not data and (start is None or dear):
+    while (start is None or dear) and (part := part_of(data, seconds)) is not data:
         start = fit_model(part, uses, start, rounds if start is None else 0)
         uses, seconds = list(start.placed), LEAP * seconds
     return start
@@ -354,8 +354,9 @@ def _noise(point: WorkingPoint) -> tuple[Array, Array]:
     noise, in the mean over the band."""
     data = point.data
     heard = data.heard(point.A)
-    out, weight = np.zeros(len(data.places)), heard.mean(axis=1)
-    for i in range(len(data.places)):
+    weight = heard.mean(axis=1)
+
+    def at(i: int) -> float:
         step = point.fit.delta[point.columns.index[i]].astype(np.float32)  # the noise is of the values after it
         Z = point.spectra[i] + np.tensordot(step, point.columns.spectra[i], 1)
         Z = Z.reshape(data.blocks, -1, 2)
@@ -364,5 +365,6 @@ def _noise(point: WorkingPoint) -> tuple[Array, Array]:
         shape = data.colour[i] + grid[:, None] * heard[i]
         S = np.mean(power / shape, axis=1)
         cost = np.log(S) + np.mean(np.log(shape), axis=1)
-        out[i] = _least(grid, cost)
-    return out, weight
+        return _least(grid, cost)
+
+    return np.array(each(at, range(len(data.places)))), weight
