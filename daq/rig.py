@@ -24,6 +24,7 @@ from .rig_file import AcquisitionTable, BearingTable, ChannelTable, EstimatorTab
 from .rig_problems import Problem, did_you_mean, line_numbers, of_validation
 from .units import SI, factor
 
+LARGEST, DEEPEST = 200_000, 100  # characters of a file; dots in a line
 CAPS = ("bearing1.x", "bearing1.y", "bearing2.x", "bearing2.y")
 
 
@@ -45,10 +46,7 @@ class Rig:
         """
         base = base or Path()
         modules = None if path is None else base
-        try:
-            data = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise ConfigError(f"{where}: not a TOML file: {error}; correct that line first") from error
+        data = _toml(text, where)
         problems = _tables(data, modules)
         if not problems:
             try:
@@ -108,11 +106,29 @@ class Rig:
         return files
 
 
+def _toml(text: str, where: str) -> dict[str, Any]:
+    """The tables of a text. What no rig file needs is refused: the library takes long over it, or trips."""
+    if len(text) > LARGEST:
+        raise ConfigError(f"{where}: larger than {LARGEST / 1e3:g} kB; a rig file has a few: check the path")
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.count(".") > DEEPEST and not line.lstrip().startswith("#"):
+            raise ConfigError(
+                f"{where}:{number}: a key of more than {DEEPEST} levels, or much in one line; simplify it"
+            )
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise ConfigError(f"{where}: lists or tables nested too deeply; a rig file needs a few levels") from error
+    except ValueError as error:  # of TOML, or a whole number of thousands of digits
+        raise ConfigError(f"{where}: not a TOML file: {error}; correct that line first") from error
+
+
 def load_rig(path: str | Path) -> Rig:
     """The rig file at `path`. Raises ConfigError: missing, not text, not TOML, or any number of problems."""
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig") as file:
+            text = file.read(LARGEST + 1)
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: no such rig file; check the path, or begin from one of configs/") from error
     except (OSError, UnicodeDecodeError) as error:

@@ -1,5 +1,6 @@
 """The rig file: contract.md's own example, everything wrong at once, units, effects and where they act."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -279,3 +280,25 @@ def test_the_rig_says_what_the_rolling_estimator_watches_for(word: str, least: i
     assert isinstance(made, RollingSpectral)
     assert least <= len(made.watch) <= most
     maker("score-matching", 10.0, table.watch)(rig.model, 25_600.0)
+
+
+def test_what_no_rig_file_needs_is_refused_in_a_line(
+    tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    """The library trips over some of it, and would take minutes over a key of thousands of levels."""
+    hostile = {
+        "lists or tables nested too deeply": "x = " + 2000 * "[" + 2000 * "]",
+        "not a TOML file: Exceeds the limit": "x = " + 5000 * "9",
+        "a key of more than 100 levels": "\n".join(f"[{'a.' * 4000}b{k}]" for k in range(20)),
+        "larger than 200 kB": 50_000_000 * "#",
+    }
+    path = tmp_path / "rig.toml"
+    for said, text in hostile.items():
+        path.write_text(text)
+        with pytest.raises(ConfigError, match=said) as error:
+            load_rig(path)
+        assert "\n" not in str(error.value)
+    with pytest.raises(ConfigError, match="larger than 200 kB"):
+        load_rig("/dev/zero")
+    row = "hostile rig file | 50 MB, /dev/zero, 2000 levels of lists, keys of 4000 levels, a number of 5000 digits"
+    record_property("reliability", f"{row} | one line, bounded memory and time | held")
