@@ -31,8 +31,7 @@ LASTING = 0.5  # of the rate at which a place would decay by itself
 @dataclass(frozen=True, slots=True)
 class Contour:
     """s : (bins,) rad/s. offset : what the way there adds to 2 sum log |det A| of a block of the record, nats.
-    lasting : (places,) whether a place takes part in a mode that grows, or decays at less than half of the rate of the
-    place by itself: its own response is not what it does."""
+    lasting : (places,) see below."""
 
     s: Complexes
     offset: float
@@ -46,28 +45,51 @@ def contour(A: Complexes, mass: Array, D: Array, f_hz: Array) -> Contour:
     length = 1.0 / float(np.diff(f_hz).min())
     resonance = np.sqrt(np.median(np.maximum(np.diag(D[..., 0]) / mass, 0.0)))
     near = int(np.argmin(np.abs(iw.imag - resonance)))
-    modes, motion = modes_at(A[near], mass, iw[near])
-    inside = (modes.imag > iw[0].imag) & (modes.imag < iw[-1].imag)
-    modes, motion = modes[inside], np.abs(motion[:, inside])
-    alone = np.maximum(np.diag(D[..., 1]) / (2 * mass), 0.0)
-    slow = modes.real[None] > -LASTING * alone[:, None]
-    lasting = np.any(slow & (motion > TAKES_PART * motion.max(axis=0, initial=0.0)), axis=1)
-    shift = max(0.0, float(modes.real.max(initial=-np.inf)) + MARGIN * THIN * 2 * np.pi / length)
-    low, high = shift + iw[0], shift + iw[-1]
-    every = np.concatenate([modes, modes.conj()])
-    turned = np.sum(np.angle(high - every) - np.angle(low - every)) - modes.size * 2 * np.angle(high / low)
-    return Contour(shift + iw, float(length * shift * turned / np.pi), lasting)
+    modes, motion = modes_at(A[near], mass, iw[near], (f_hz[0], f_hz[-1]))
+    shift, turned = past(modes, MARGIN * THIN / length, (f_hz[0], f_hz[-1]))
+    return Contour(shift + iw, length * shift * turned / np.pi, lasting(modes, motion, np.diag(D[..., 1]) / (2 * mass)))
 
 
-def modes_at(A: Complexes, mass: Array, s: complex) -> tuple[Complexes, Complexes]:
-    """(2 places,) rad/s and (places, 2 places) motion of the modes of m s^2 + c s + k, real: s^2 A at s = iw."""
+def past(modes: Complexes, margin_hz: float | Array, band: tuple[float, float]) -> tuple[float, float]:
+    """The shift of the line past the slowest of the modes of the band, (0, 0) where none is near the axis; and rad by
+    which det A turns along a line half-way, each mode taken as one to its left: a block of T seconds has T / pi of that
+    for each rad/s of shift.
+
+    margin_hz : from each mode to the line, at least.
+    """
+    if modes.size == 0 or (shift := float((modes.real + 2 * np.pi * margin_hz).max())) <= 0.0:
+        return 0.0, 0.0
+    low, high = 2 * np.pi * band[0], 2 * np.pi * band[1]
+    r, w = 0.5 * shift - modes.real, modes.imag
+    turned = np.pi - np.arctan(r / (high - w)) - np.arctan(r / (w - low)) + np.arctan(r / (low + w))
+    turned -= np.arctan(r / (high + w)) + 2 * (np.arctan(0.5 * shift / low) - np.arctan(0.5 * shift / high))
+    return shift, float(turned.sum())
+
+
+def lasting(modes: Complexes, motion: Array, alone: Array) -> NDArray[np.bool_]:
+    """(places,) whether a place takes part in a mode that grows, or decays at less than half of the rate of the place
+    by itself, `alone` (places,) 1/s: its own response is not what it does."""
+    slow = modes.real[None] > -LASTING * np.maximum(alone, 0.0)[:, None]
+    return np.asarray(np.any(slow & (motion > TAKES_PART * motion.max(axis=0, initial=0.0)), axis=1))
+
+
+def modes_at(A: Complexes, mass: Array, s: complex, band: tuple[float, float]) -> tuple[Complexes, Array]:
+    """(modes,) rad/s and (places, modes) size of the motion of the modes in the band, Hz, of m s^2 + c s + k, real:
+    s^2 A at s = iw."""
     P = mass.size
     rest = (A - np.diag(mass)) * s**2
     free = np.zeros((2 * P, 2 * P))
     free[:P, P:] = np.eye(P)
     free[P:] = -np.hstack([rest.real, rest.imag / s.imag]) / mass[:, None]
     values, vectors = np.linalg.eig(free)
-    return values, vectors[:P]
+    inside = (values.imag > 2 * np.pi * band[0]) & (values.imag < 2 * np.pi * band[1])
+    return values[inside], np.abs(vectors[:P, inside])
+
+
+def modes_of(A: Complexes, mass: Array, f_hz: Array) -> tuple[Complexes, Array]:
+    """The same of A (f, places, places), as it is where its determinant is least."""
+    near = int(np.argmin(np.abs(np.linalg.det(A))))
+    return modes_at(A[near], mass, 2j * np.pi * f_hz[near], (f_hz[0], f_hz[-1]))
 
 
 def along(s: Complexes, A: Complexes, mass: Array, D: Array) -> Complexes:

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from .balance import Balance
 from .columns import Columns
+from .contour import lasting, modes_of
 from .gram import valid_blocks
+from .likelihood import responses
 from .record import Record, stretches
 from .self_energy import SECONDS, Mean, covariance, dressed_response, self_energy, spectra
 
@@ -18,15 +20,22 @@ Complexes = NDArray[np.complex128]
 
 
 def self_energies(
-    record: Record, columns: Columns, B: Floats, mean: list[Mean], f_hz: Floats, seconds: float = SECONDS
-) -> Complexes:
+    record: Record, columns: Columns, B: Floats, tangents: Floats, f_hz: Floats, seconds: float = SECONDS
+) -> Complexes | None:
     """(f, columns, columns) N/m, at f_hz, per pair of law columns at one place: Sigma_j is its sum over k times B_k.
 
-    B : (places, columns) coefficients of the balance; mean : of each place.
+    B : (places, columns) coefficients of the balance; tangents : (columns, 4) means. Nothing where a place takes part
+    in a mode that lasts or grows (contour.py), as what decays is needed. None where the mean response of a place does
+    not decay, or no law is there.
     """
     balance = columns.balance
+    mean = mean_responses(balance, B, tangents)
+    if all(law.effect.kind != "force" for law in balance.laws) or any(m.c <= 0 or m.k <= 0 for m in mean):
+        return None
+    modes, motion = modes_of(B @ responses(balance, tangents, f_hz), np.diag(B), f_hz)
+    lasts = lasting(modes, motion, np.array([1.0 / m.decay for m in mean]))
     out = np.zeros((f_hz.size, len(balance.columns), len(balance.columns)), complex)
-    for row in range(len(balance.places)):
+    for row in np.flatnonzero(~lasts).tolist():
         laws = [
             k
             for k, c in enumerate(balance.columns)

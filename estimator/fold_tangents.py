@@ -20,14 +20,16 @@ def excess(likelihood: Likelihood, local: Local, tangents: Floats, blocks: Float
     """(folds, p) what is to be taken off the scores of folds, by beta. tangents : (folds, columns, 4) of each fold."""
     evidence, point = likelihood.evidence, local.point
     balance, nodes = evidence.balance, evidence.nodes
-    A = balance.coefficients(point.beta) @ likelihood.R
+    B = balance.coefficients(point.beta)
+    A = B @ likelihood.R
+    line = likelihood.line(B, A)
     inside = point.S + (np.abs(A) ** 2 * likelihood.noise_shape[:, None, :]) @ point.noise
     kappa = inside / local.spread[nodes.cell] * nodes.weight[:, None]
-    weighted = np.linalg.inv(A) * kappa[:, None, :]
-    w = 2 * np.pi * nodes.f_hz
+    weighted = np.linalg.inv(line.A) * kappa[:, None, :]
+    s = line.shift + 2j * np.pi * nodes.f_hz
     # (places, places) : the gradient by a coefficient at row j of a force that answers with 1 to x, to v, of place i
-    to_x = np.einsum("f,fij->ij", -1 / w**2, weighted.real)
-    to_v = np.einsum("f,fij->ij", 1 / w, weighted.imag)
+    to_x = np.einsum("f,fij->ij", 1 / s**2, weighted).real
+    to_v = np.einsum("f,fij->ij", 1 / s, weighted).real
     apart = (tangents - np.average(tangents, axis=0, weights=blocks)) * blocks[:, None, None]
     out = np.zeros((blocks.size, likelihood.row.size))
     for e, (row, column) in enumerate(zip(likelihood.row, likelihood.column, strict=True)):

@@ -2,9 +2,9 @@
 
 Per block and frequency bin, in nats (constants left out):  F^H S^-1 F + log det S - log |det A|^2,  F = B Z,  A = B R,
 where R is what each column answers to the acceleration of each place: 1 for a, 1 / (i w) for v, -1 / w^2 for x, the
-mean tangents of a law times those. S = diag(S_i) + sensor noise seen through A. The factor 1/2 in front is the
-redundancy of the overlapping blocks (gram.py). Where S varies within a cell, the Jacobian is weighted as the
-quadratic form is, so that the score stays unbiased: E[F F^H] = S at every frequency.
+mean tangents of a law times those; det A is summed where contour.py says. S = diag(S_i) + sensor noise seen through A.
+The factor 1/2 in front is the redundancy of the overlapping blocks (gram.py). Where S varies within a cell, the
+Jacobian is weighted as the quadratic form is, so that the score stays unbiased: E[F F^H] = S at every frequency.
 """
 
 from __future__ import annotations
@@ -16,20 +16,26 @@ from numpy.typing import NDArray
 
 from .balance import Balance
 from .bandlimit import noise_shape
+from .contour import modes_of, past
 from .gram import Layout, Nodes
 from .jacobian import levels, log_determinant, noise_slope
+
+MARGIN = 2.0  # spacings of the nodes from a mode to the line of the determinant: the slopes are good to exp(-4 pi)
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 
-def responses(balance: Balance, tangents: Floats, f_hz: Floats) -> Complexes:
-    """(f, columns, places) R: each column per acceleration of each place. tangents (columns, 4): x, v, xo, vo."""
-    w = 2 * np.pi * f_hz
-    to = {"a": np.ones_like(w, complex), "v": 1 / (1j * w), "x": (-1 / w**2).astype(complex)}
+def responses(balance: Balance, tangents: Floats, f_hz: Floats, shift: float = 0.0) -> Complexes:
+    """(f, columns, places) R: each column per acceleration of each place. tangents (columns, 4): x, v, xo, vo.
+
+    shift : rad/s, for R at s = shift + iw; the shaft's stiffness is taken to be the same there.
+    """
+    s: Complexes = np.asarray(shift + 2j * np.pi * f_hz, np.complex128)
+    to = {"a": np.ones_like(s), "v": 1 / s, "x": 1 / s**2}
     if balance.common is not None:
         to["u"] = balance.common(f_hz) * to["x"]
-    R = np.zeros((w.size, len(balance.columns), len(balance.places)), complex)
+    R = np.zeros((s.size, len(balance.columns), len(balance.places)), complex)
     for k, column in enumerate(balance.columns):
         if column.kind in to:
             R[:, k, column.row] = to[column.kind]
@@ -81,16 +87,26 @@ class Local:
     spread: Floats
 
 
+@dataclass(frozen=True, slots=True)
+class Line:
+    """R and A along s = shift + iw; total : sum of log |det A|^2 over the bins of a block, as it is on either side of
+    the axis (contour.py). ends : R half-way there at the ends of the band, inverses : of A there."""
+
+    shift: float
+    R: Complexes
+    A: Complexes
+    total: float
+    ends: Complexes
+    inverses: Complexes
+
+
 class Likelihood:
     """Evaluates one `Evidence`; what does not depend on the parameters is prepared once."""
 
     def __init__(self, evidence: Evidence) -> None:
         self.evidence = evidence
         balance, nodes = evidence.balance, evidence.nodes
-        self.R = responses(balance, evidence.tangents, nodes.f_hz)
-        if evidence.dressing is not None:
-            for k, column in enumerate(balance.columns):
-                self.R[:, k, column.row] += evidence.dressing[:, k]
+        self.R = self._responses(0.0)
         entries = [(p, i, k, x) for p, f in enumerate(balance.free) for i, k, x in f.entries]
         self.row = np.array([e[1] for e in entries], dtype=np.intp)
         self.column = np.array([e[2] for e in entries], dtype=np.intp)
@@ -101,6 +117,39 @@ class Likelihood:
         flat, colour = np.ones((1, len(balance.places))), evidence.colour
         self.colour = (flat, flat) if colour is None else (colour, nodes.mean_by_cell(colour, evidence.grid.per_cell))
         self.noise_shape = noise_shape(balance.kinds, w).T  # (f, P)
+
+    def _responses(self, shift: float) -> Complexes:
+        """(f, columns, places) of the columns, dressed, at s = shift + iw."""
+        ev, f_hz = self.evidence, self.evidence.nodes.f_hz
+        R = responses(ev.balance, ev.tangents, f_hz, shift)
+        if ev.dressing is not None:
+            iw = 2j * np.pi * f_hz
+            dressing = ev.dressing if shift == 0.0 else ev.dressing * ((iw / (shift + iw)) ** 2)[:, None]
+            for k, column in enumerate(ev.balance.columns):
+                R[:, k, column.row] += dressing[:, k]
+        return R
+
+    def line(self, B: Floats, A: Complexes) -> Line:
+        """Where the determinant is summed: beside the axis that A is given along if a mode is too near to it."""
+        nodes, mass, grid = self.evidence.nodes, np.diag(B), self.evidence.grid
+        f, length, shift = nodes.f_hz, grid.size / grid.rate_hz, 0.0
+        if mass.min() > 0.0:
+            modes, _ = modes_of(A, mass, f)
+            after = np.clip(np.searchsorted(f, modes.imag / (2 * np.pi)), 1, f.size - 1)
+            margin = MARGIN / length * np.maximum(nodes.weight[after - 1], nodes.weight[after])
+            shift, turned = past(modes, margin, (f[0], f[-1]))
+        if shift == 0.0:
+            return Line(0.0, self.R, A, self._sum(A), self.R[:0], A[:0])
+        R, ends = self._responses(shift), self._responses(0.5 * shift)[[0, -1]]
+        low, high = np.linalg.det(B @ ends)
+        turned += float(np.angle(high / low * np.exp(-1j * turned)))  # exactly
+        total = self._sum(B @ R) - length * shift * turned / np.pi
+        inverses: Complexes = np.asarray(np.linalg.inv(B @ ends), np.complex128)
+        return Line(shift, R, B @ R, total, ends, inverses)
+
+    def _sum(self, A: Complexes) -> float:
+        """Of log |det A|^2 over the bins of a block."""
+        return 2 * float(np.log(np.abs(np.linalg.det(A))) @ self.evidence.nodes.weight)
 
     def force_power(self, B: Floats, gram: Floats | None = None) -> Floats:
         """(cells, P, P) sums of F F^H."""
@@ -136,13 +185,13 @@ class Likelihood:
         count = ev.blocks * grid.per_cell
         total = self.force_power(B)
         diagonal = np.einsum("cii->ci", total)
-        logdet = np.log(np.abs(np.linalg.det(A))) * 2
-        logs = float(np.sum(count[:, None] * np.log(spread)) - ev.blocks * (logdet @ ev.nodes.weight))
+        line = self.line(B, A)
+        logs = float(np.sum(count[:, None] * np.log(spread)) - ev.blocks * line.total)
         nll = 0.5 * (float(np.sum(diagonal / spread)) + logs)
 
         gram_rows = np.einsum("ci,ckl->ikl", 1 / spread, ev.gram)  # weighted Gram of each row
         quad_g, quad_h = self._quadratic(B, gram_rows)
-        jac_g, jac_h = self._jacobian(A, point, spread)
+        jac_g, jac_h = self._jacobian(A, line, point, spread)
         # the spread of a row depends on its entries through the noise that is seen through A
         s, n, shift = spread[:, self.row], count[:, None], self._spread_slope(A, point)  # (cells, E)
         excess = (n - diagonal[:, self.row] / s) / s
@@ -169,7 +218,7 @@ class Likelihood:
         point, ev = local.point, self.evidence
         B = ev.balance.coefficients(point.beta)
         A = B @ self.R
-        jac_g, _ = self._jacobian(A, point, local.spread, hessian=False)
+        jac_g, _ = self._jacobian(A, self.line(B, A), point, local.spread, hessian=False)
         shift = self._spread_slope(A, point)
         D = self._nuisance(point, local.floor)
         out = []
@@ -193,10 +242,11 @@ class Likelihood:
 
         pairs : (nodes, columns, columns) self-energies, see dressing.py.
         """
-        ev, w2 = self.evidence, (2 * np.pi * self.evidence.nodes.f_hz) ** 2
-        A = ev.balance.coefficients(local.point.beta) @ self.R
-        own = np.einsum("fii->fi", np.linalg.inv(A))[:, self.row]  # (f, E) response of each entry's own place
-        slope = pairs[:, self.column[:, None], self.column] / w2[:, None, None]
+        ev, B = self.evidence, self.evidence.balance.coefficients(local.point.beta)
+        line = self.line(B, B @ self.R)
+        s2 = (line.shift + 2j * np.pi * ev.nodes.f_hz) ** 2
+        own = np.einsum("fii->fi", np.linalg.inv(line.A))[:, self.row]  # (f, E) response of each entry's own place
+        slope = -pairs[:, self.column[:, None], self.column] / s2[:, None, None]
         change = np.einsum("fab,fa,f->ab", slope, own, ev.nodes.weight).real
         change = np.where(self.row[:, None] == self.row, change, 0.0)
         hessian, p = local.hessian.copy(), local.point.beta.size
@@ -218,12 +268,23 @@ class Likelihood:
             return g, np.empty((0, 0))
         return g, np.where(r[:, None] == r, rows[r[:, None], k[:, None], k], 0.0)
 
-    def _jacobian(self, A: Complexes, point: Point, spread: Floats, hessian: bool = True) -> tuple[Floats, Floats]:
-        """Gradient (E,) and Hessian (E, E) of 1/2 sum over bins of log |det A|^2."""
+    def _jacobian(
+        self, A: Complexes, line: Line, point: Point, spread: Floats, hessian: bool = True
+    ) -> tuple[Floats, Floats]:
+        """Gradient (E,) and Hessian (E, E) of 1/2 sum over bins of log |det A|^2 along the line."""
         nodes = self.evidence.nodes
         inside = point.S * self.colour[0] + (np.abs(A) ** 2 * self.noise_shape[:, None, :]) @ point.noise
         kappa = inside / spread[nodes.cell] * nodes.weight[:, None]  # 1 per bin where S is flat within the cell
-        return log_determinant(A, self.R, self.row, self.column, kappa, hessian)
+        g, h = log_determinant(line.A, line.R, self.row, self.column, kappa, hessian)
+        return (g - self._ways(line), h) if line.shift > 0.0 else (g, h)
+
+    def _ways(self, line: Line) -> Floats:
+        """(E,) gradient of half of what the ways between axis and line add at the ends of the band: what det A turns
+        there, half-way."""
+        turned = np.einsum("seq,sqe->se", line.ends[:, self.column], line.inverses[:, :, self.row])
+        grid = self.evidence.grid
+        length = grid.size / grid.rate_hz
+        return np.asarray(length * line.shift / (2 * np.pi) * (turned[1] - turned[0]).imag)
 
 
 def active(point: Point) -> NDArray[np.intp]:

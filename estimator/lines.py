@@ -21,7 +21,7 @@ from .gram import CELLS, layout, spectra, valid_blocks
 from .maximum import initial
 from .record import CELLS_WITH_FORCE, Record, notches, stretches
 from .side_by_side import each
-from .start import Start, linear_start
+from .start import Start, fed, linear_start
 
 Floats = NDArray[np.float64]
 FALSE_ALARM = 1e-5  # of a record
@@ -117,8 +117,10 @@ def begin(record: Record, longest: int = LONGER, known: tuple[tuple[float, float
             strong = strong_lines(record)
         record = _leave_out(record, (*known, *strong), longer)
     start = linear_start(record)
-    power, _, count = spectrum_by_bin(record, linear_balance(record, start), start)
-    more = find_lines(power, count, record.grid.f_hz)
+    power, fourth, count = spectrum_by_bin(record, linear_balance(record, start), start)
+    # what feeds a rotor makes resonances that the start knows nothing of
+    steady = fourth < STEADY * power**2 if any(fed(record.model, p) for p in record.model.places) else None
+    more = find_lines(power, count, record.grid.f_hz, steady=steady)
     if not more:
         return record, start
     record = _leave_out(record, tuple(sorted((*known, *strong, *more))), record.grid.longer)

@@ -139,16 +139,10 @@ class Tangents:
 
 def tangents_of(record: Record, start: Start, bank: Bank, local: Local) -> Tangents | None:
     """What the fluctuating tangents of the laws do at a point; None if no law has any."""
-    balance = bank.balance
-    if not any(law.effect.kind == "force" for law in balance.laws):
-        return None
-    B = balance.coefficients(local.point.beta)
-    mean = mean_responses(balance, B, bank.tangents)
-    if any(m.c <= 0 or m.k <= 0 for m in mean):
-        return None
-    columns = Columns(balance, record.scales, start.widths, start.linear)
-    pairs = self_energies(record, columns, B, mean, start.nodes.f_hz)
-    return Tangents(pairs, flutter(record, columns) if local.point.noise.any() else None)
+    columns = Columns(bank.balance, record.scales, start.widths, start.linear)
+    B = bank.balance.coefficients(local.point.beta)
+    pairs = self_energies(record, columns, B, bank.tangents, start.nodes.f_hz)
+    return None if pairs is None else Tangents(pairs, flutter(record, columns) if local.point.noise.any() else None)
 
 
 def without_flutter(record: Record, bank: Bank, local: Local, tangents: Tangents | None) -> Bank:

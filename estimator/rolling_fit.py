@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .balance import Balance, build, restrict
 from .block_spectra import BlockSpectra
 from .columns import Columns
-from .dressing import dressed, mean_responses, self_energies
+from .dressing import dressed, self_energies
 from .estimate import Parameter
 from .features import MARGIN
 from .jacobian import levels
@@ -127,9 +127,8 @@ class RollingFit:
         B = self.balance.coefficients(self.local.point.beta)
         self.states.follow(B, record)
         record = self.centre.whole(record, B)
-        mean = mean_responses(self.balance, B, self.slow.tangents / self.slow.rows)
-        if any(law.effect.kind == "force" for law in self.balance.laws) and all(m.c > 0 and m.k > 0 for m in mean):
-            self.pairs = self_energies(record, self.columns, B, mean, self.start.nodes.f_hz, WARM_UP_S)
+        mean = self.slow.tangents / self.slow.rows
+        self.pairs = self_energies(record, self.columns, B, mean, self.start.nodes.f_hz, WARM_UP_S)
 
     def forget(self) -> None:
         for memory in (self.slow, self.fast, self.seen):

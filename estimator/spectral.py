@@ -12,7 +12,7 @@ from . import modulation
 from .balance import Balance
 from .checks import check_record
 from .columns import Columns
-from .contour import modes_at
+from .contour import modes_of
 from .effects.custom import effect_of
 from .errors import DataError
 from .estimate import Parameter
@@ -207,9 +207,8 @@ def _whirls(solution: Solution) -> bool:
     balance, f_hz = solution.balance, solution.start.nodes.f_hz
     B = balance.coefficients(solution.point.beta)
     A = B @ responses(balance, solution.bank.tangents, f_hz)
-    near = int(np.argmin(np.abs(np.linalg.det(A))))
-    modes, _ = modes_at(A[near], np.diag(B), 2j * np.pi * f_hz[near])
-    return bool(np.any((modes.real > 0.0) & (modes.imag > 0.0)))
+    modes, _ = modes_of(A, np.diag(B), f_hz)
+    return bool(np.any(modes.real > 0.0))
 
 
 def messages(solution: Solution) -> tuple[str, ...]:

@@ -90,7 +90,7 @@ def linear_start(record: Record) -> Start:
     B = balance.coefficients(local.point.beta)
     m, c, kL = _diagonals(B)
     for i, place in enumerate(balance.places):
-        if _fed(record.model, place):
+        if fed(record.model, place):
             c[i] = B[i, P + i] = max(c[i], 2 * LEAST_DAMPING * np.sqrt(max(kL[i] * m[i], 0.0)))
     x, v, a = record.rms("x"), record.rms("v"), record.rms("a")
     for i, place in enumerate(balance.places):
@@ -186,7 +186,7 @@ def _judge(place: str, m: float, c: float, kL: float, record: Record) -> None:
         )
 
 
-def _fed(model: Model, place: str) -> bool:
+def fed(model: Model, place: str) -> bool:
     """Whether the model has an effect there that may give back what damping takes."""
     own = (place, place.split(".")[0])
     return any(p in own for u in model.effects if u.name in FEEDING or u.custom for p in u.parameters)

@@ -29,11 +29,13 @@ def test_it_is_the_gradient_with_the_tangents_of_the_fold_less_that_with_the_mea
     likelihood = Likelihood(replace(evidence, tangents=mean))
     found = excess(likelihood, local, bank.fold_tangents, bank.blocks)
     assert found.sum(axis=0) == pytest.approx(0.0, abs=1e-9 * np.abs(found).max())
-    A = evidence.balance.coefficients(local.point.beta) @ likelihood.R
-    whole, _ = likelihood._jacobian(A, local.point, local.spread, hessian=False)
+    B = evidence.balance.coefficients(local.point.beta)
+    A = B @ likelihood.R
+    line = likelihood.line(B, A)
+    whole, _ = likelihood._jacobian(A, line, local.point, local.spread, hessian=False)
     for fold in (0, 7):
         other = Likelihood(replace(evidence, tangents=bank.fold_tangents[fold]))
-        own, _ = other._jacobian(A, local.point, local.spread, hessian=False)
+        own, _ = other._jacobian(A, replace(line, R=other.R), local.point, local.spread, hessian=False)
         assert found[fold] == pytest.approx(bank.blocks[fold] * (likelihood.T @ (own - whole)), rel=1e-6, abs=1e-12)
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from reference_rig import RATE, rig_model, rig_record
 
 from estimator.jacobian import levels, log_determinant
-from estimator.likelihood import Likelihood, Point
+from estimator.likelihood import Likelihood, Line, Point
 from estimator.record import Record, gather, prepare
 
 Floats = NDArray[np.float64]
@@ -24,12 +24,14 @@ class InArrays(Likelihood):
         weighted = A[:, self.row].conj() * self.R[:, self.column] * self.noise_shape[:, None, :]
         return self.evidence.nodes.mean_by_cell(2.0 * (weighted @ point.noise).real, self.evidence.grid.per_cell)
 
-    def _jacobian(self, A: Floats, point: Point, spread: Floats, hessian: bool = True) -> tuple[Floats, Floats]:
+    def _jacobian(
+        self, A: Floats, line: Line, point: Point, spread: Floats, hessian: bool = True
+    ) -> tuple[Floats, Floats]:
         """Gradient (E,) and Hessian (E, E) of 1/2 sum over bins of log |det A|^2."""
         nodes = self.evidence.nodes
         inside = point.S + (np.abs(A) ** 2 * self.noise_shape[:, None, :]) @ point.noise
         kappa = inside / spread[nodes.cell] * nodes.weight[:, None]  # 1 per bin where S is flat within the cell
-        Y = self.R[:, self.column] @ np.linalg.inv(A)  # (f, E, P)
+        Y = line.R[:, self.column] @ np.linalg.inv(line.A)  # (f, E, P)
         X = Y[:, :, self.row]  # tr(A^-1 dA_e A^-1 dA_e') = X_ee' X_e'e
         g = np.einsum("fe,fe->e", np.einsum("fee->fe", X).real, kappa[:, self.row])
         if not hessian:
