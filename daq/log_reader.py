@@ -332,6 +332,8 @@ def read_log(path: str | Path) -> Recording:
         if len(gaps) + len(notices) + len(estimates) + len(clocks) + len(findings.damage) > MOST_EVENTS:
             text = f"holds more than {MOST_EVENTS} gaps, notices and estimates; it was not made by Rotorscope"
             raise LogError(f"{path}: {text}")
+    if info is None and written:
+        raise LogError(f"{path}: is being written, and holds nothing yet; try again when samples have come")
     if info is None:
         what = "nothing in it is intact" if findings.damage else "it holds no session"
         raise LogError(f"{path}: no Rotorscope log can be read from it: {what}; check that it is the right file")

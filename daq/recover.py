@@ -101,7 +101,10 @@ def _lost(recording: Recording) -> str:
     if recording.growing:
         parts.append(f"what comes after sample {recording.stop - 1}: the log is still being written")
     elif not recording.findings.closed:
-        much = "at most the last second if the program or its computer was stopped, more if the file was cut later"
+        much = (
+            "at most the last second if the program or its computer was stopped, more if the disk was full or the file"
+        )
+        much += " was cut later"
         parts.append(f"what came after sample {recording.stop - 1}: {much}")
     if "rig.toml" not in recording.attachments:
         parts.append("the rig file")

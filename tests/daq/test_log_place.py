@@ -279,6 +279,15 @@ def test_what_is_said_of_a_growing_log(growing: Path, capsys: pytest.CaptureFixt
     with np.load(folder / "x.npz") as file:
         last = len(file["b1x"]) - 1
     assert f"live.mcap: is being written; x.npz ends with sample {last}\n" in capsys.readouterr().err
+    assert rotorscope(folder, "replay", growing.name) == 0
+    assert "live.mcap: is being written; it is replayed up to sample" in capsys.readouterr().err
+
+
+def test_a_log_that_holds_nothing_yet_is_not_called_another_file(folder: Path) -> None:
+    writer = LogWriter(folder / "new.mcap")
+    with pytest.raises(LogError, match="is being written, and holds nothing yet; try again when samples have come"):
+        read_log(folder / "new.mcap")
+    writer.close()
 
 
 def test_a_log_into_a_pipe_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
