@@ -86,6 +86,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = exit_status(error)
         if status is not None:
             return _failed(str(error), status, verbose)
+        if isinstance(error, OSError) and error.filename is not None and error.strerror:  # of a name none has looked at
+            return _failed(f"{error.filename}: {error.strerror}; choose another name or place", 4, verbose)
         text = f"unexpected {type(error).__name__}: {error}; run it again with --verbose and report what it prints"
         return _failed(text, 1, verbose)
 

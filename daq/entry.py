@@ -13,6 +13,7 @@ OBJECTS = 20_000  # new ones between two searches for garbage: what is imported 
 
 def main() -> int:
     """Run the command line; its exit status."""
+    _fill_closed()
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:  # not ignored, as it is for a shell's background jobs
         signal.signal(signal.SIGINT, _leave)
@@ -29,6 +30,17 @@ def main() -> int:
     except KeyboardInterrupt:
         _leave()
         raise
+
+
+def _fill_closed() -> None:
+    """A standard stream that was closed for us: the next file to be opened, a log, would get its number."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest number that is free is this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "w" if number else "r", encoding="utf-8", closefd=False))  # noqa: SIM115
 
 
 def _drop_unsaid() -> None:

@@ -1,4 +1,4 @@
-"""Ctrl-C before there is anything to close."""
+"""Ctrl-C before there is anything to close; standard streams that are closed; names that cannot be."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from promises import PATIENCE_S
+
+from daq.cli import main
+from daq.log_reader import read_log
 
 RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 BEGIN = """
@@ -46,3 +50,36 @@ def test_an_interrupt_while_python_imports_ends_quietly(
     assert len(said.splitlines()) <= 1
     row = f"stop while Python imports | SIGINT {after_s:g} s after the program's start | one line, status 130"
     record_property("reliability", f"{row} | status {process.returncode}, {len(said.splitlines())} lines")
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_standard_streams_neither_stop_a_command_nor_end_up_in_its_log(
+    closed: str, tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    """As some init scripts start a service: the next file that is opened would be descriptor 0, 1 or 2."""
+    write_columns(tmp_path / "a.npz")
+    command = f"exec {sys.executable} -m daq import a.npz --rig {RIG} --out a.mcap {closed}"
+    done = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    log = read_log(tmp_path / "a.mcap")
+    assert log.complete
+    assert log.n_samples == 2000
+    row = f"standard streams closed | `import`, {closed} | as ever, and nothing of theirs in the log"
+    record_property("reliability", f"{row} | status 0, complete")
+
+
+def write_columns(path: Path) -> Path:
+    y = np.random.default_rng(0).standard_normal((2000, 4))
+    columns = dict(zip(("b1x", "b1y", "b2x", "b2y"), y.T, strict=True))
+    np.savez(path, allow_pickle=False, rate_hz=25_600.0, **columns)
+    return path
+
+
+def test_a_name_that_is_too_long_is_told_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good = str(write_columns(tmp_path / "a.npz"))
+    assert main(["import", good, "--rig", str(RIG), "--out", 300 * "a" + ".mcap"]) == 4
+    assert main(["import", 300 * "a" + ".npz", "--rig", str(RIG), "--out", "a.mcap"]) == 4
+    said = capsys.readouterr().err
+    assert said.count("\n") == 2
+    assert said.count("File name too long; choose another name or place") == 2
+    assert "unexpected" not in said
