@@ -49,7 +49,7 @@ def unlock(fd: int) -> None:
 
 def being_written(path: Path) -> bool:
     """Whether somebody is writing this log now."""
-    if fcntl is None:
+    if fcntl is None or path.is_fifo():  # to open a pipe would wait
         return False
     try:
         with path.open("rb") as file:

@@ -57,6 +57,8 @@ class Findings:
 def scan(path: Path, findings: Findings) -> Iterator[list[Message]]:
     """The messages of each intact chunk, in the file's order. Raises LogError if the file cannot be read."""
     try:
+        if path.is_fifo():  # to open it would wait for somebody who writes
+            raise LogError(f"{path}: is a pipe; write the log to a file first")
         with path.open("rb", STEP) as file:
             findings.size = os.fstat(file.fileno()).st_size if findings.size is None else findings.size
             yield from _scan(file, findings.size, findings)

@@ -46,6 +46,8 @@ def open_capture(path: str, bus: str | None) -> Batches:
         what = suffix or "a file without ending"
         raise LinkOpenError(f"capture:{path}: cannot read {what}: use {', '.join(SUFFIXES)}")
     try:
+        if file.exists() and not file.is_file():  # a pipe would hold us until somebody writes
+            raise LinkOpenError(f"capture:{path}: is not a file that can be read to its end: save the traffic first")
         with file.open("rb") as handle:
             handle.read(1)
     except OSError as error:

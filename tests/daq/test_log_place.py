@@ -290,6 +290,18 @@ def test_a_log_that_holds_nothing_yet_is_not_called_another_file(folder: Path) -
     writer.close()
 
 
+def test_a_log_out_of_a_pipe_is_refused_and_holds_no_stop(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """To open one waits for somebody who writes, and a stop's handler does not end that."""
+    os.mkfifo(folder / "in.mcap")
+    os.mkfifo(folder / "in.log")
+    for words in (["info", "in.mcap"], ["replay", "in.mcap"]):
+        assert rotorscope(folder, *words) == 4
+        assert "in.mcap: is a pipe" in capsys.readouterr().err
+    for link in ("replay:in.mcap", "capture:in.log"):
+        assert rotorscope(folder, "run", "rig.toml", "--link", link, "--out", "out.mcap") in (3, 4)
+    assert not (folder / "out.mcap").exists()
+
+
 def test_a_log_into_a_pipe_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     os.mkfifo(folder / "pipe")
     assert rotorscope(folder, "run", "rig.toml", "--link", "virtual:", "--seconds", "0.1", "--out", "pipe") == 4

@@ -175,6 +175,9 @@ def test_an_mf4_file_may_be_left_before_its_end() -> None:
 def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:
     with pytest.raises(LinkOpenError, match="check the path"):
         capture(tmp_path / "none.log")
+    os.mkfifo(tmp_path / "pipe.log")
+    with pytest.raises(LinkOpenError, match="save the traffic first"):
+        capture(tmp_path / "pipe.log")
     (tmp_path / "data.txt").write_text("x")
     with pytest.raises(LinkOpenError, match="use .log, .blf, .asc, .mf4"):
         capture(tmp_path / "data.txt")
