@@ -24,6 +24,7 @@ from .memory import bounded_memory
 
 Column = NDArray[Any]
 CSV_ROWS = 200_000  # parsed at a time
+LONGEST_LINE = 1 << 20  # bytes
 MOST_CHUNKS = 10_000  # of a .wav before its samples
 _UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\s*$")  # "b1x [g]", "b1x (m/s^2)"
 
@@ -94,6 +95,12 @@ def _scalar(path: Path, value: Any) -> float:
 
 
 def _csv(path: Path, names: Sequence[str]) -> Columns:
+    with path.open("rb") as file:
+        start = file.read(LONGEST_LINE)
+        if len(start) == LONGEST_LINE and not {*b"\r\n"} & {*start}:
+            raise LogError(
+                f"{path}: its first line does not end within a megabyte; a table with a row a line is needed"
+            )
     with path.open(encoding="utf-8-sig", newline="") as file:
         skipped, header, delimiter = _header(file)
         titles = [m[1] if (m := _UNIT.match(h)) else h for h in header]

@@ -1,6 +1,7 @@
 """Files in and out: whole round trips for every format, exactness, and a clear refusal of everything doubtful."""
 
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -174,6 +175,14 @@ def test_a_table_whose_last_line_has_no_end_is_read_and_it_is_said(
     (folder / "a.csv").write_text(text[:-3])
     assert load(folder, folder / "a.csv", "--rate", str(RATE)) == 0
     assert "if the file was cut, its last number is wrong" in capsys.readouterr().err
+
+
+def test_a_table_of_one_endless_line_is_refused_at_once(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with (folder / "a.csv").open("wb") as file:
+        file.truncate(2 << 30)  # two gigabytes that take no room
+    begin = time.process_time()
+    assert "first line does not end within a megabyte" in refused(folder, folder / "a.csv", capsys)
+    assert time.process_time() - begin < 2  # its lines were read whole, in ten
 
 
 def test_pcm_sound_needs_full_scale_and_has_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
