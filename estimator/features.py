@@ -208,15 +208,22 @@ def _shrinking(effect: Effect, p: Floats, scale: Floats, points: int) -> float:
     """By how much the largest second difference of the force falls from orbits of `points` to those of four times."""
     largest = []
     for n in (points, 4 * points):
-        at = np.linspace(0.0, 2 * np.pi, n)
+        at, orbit = _orbit(n)
         worst = 0.0
         for size in (1.3, 2.6, 4.1):
-            x, v, xo, vo = (size * scale[i] * np.sin(at + shift) for i, shift in enumerate((0.1, 1.67, 2.3, 3.9)))
+            x, v, xo, vo = size * scale[:, None] * orbit
             f = force_array(effect, p, x, v, xo, vo, at / 10.0, at)
             if np.ptp(f) > 0:
                 worst = max(worst, float(np.abs(np.diff(f, 2)).max() / np.ptp(f)))
         largest.append(worst)
     return largest[0] / largest[1] if largest[1] > 0.0 else np.inf
+
+
+@cache
+def _orbit(n: int) -> tuple[Floats, Floats]:
+    """(n,) angles of a turn, and (4, n) x, v, xo, vo of size 1 there."""
+    at = np.linspace(0.0, 2 * np.pi, n)
+    return at, np.sin(at + np.array([[0.1], [1.67], [2.3], [3.9]]))
 
 
 def law_force(

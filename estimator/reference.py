@@ -179,7 +179,6 @@ def groups(
     yield hat_group("displacement", data.seen(i), sx, i, 0, P, X_STEP)
     yield hat_group("velocity", data.v[i], sv, i, 1, P, v_step)
 
-
     def m(z: Series) -> float:
         return float(np.mean(z, dtype=np.float64))
 

@@ -12,7 +12,7 @@ INF = float("inf")
 
 def force(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
     # Rotation takes x to y, so the surface drags the shaft along (y, -x) / r: backward.
-    r = math.hypot(x, xo)
+    r = math.sqrt(x * x + xo * xo)  # a third of the time of hypot, whose care for very large numbers is not needed
     if r <= p[2]:
         return 0.0
     return (r - p[2]) / r * (p[0] * x - s * p[1] * xo)
