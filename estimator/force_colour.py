@@ -230,7 +230,7 @@ def _shapes(
     r = c.power / base_model(c, u)
     weight = c.n / c.n.sum()
     # one-step prediction error of a process with spectrum r: what of it is predictable from its own past
-    predictable = float(1 - np.exp(weight @ np.log(r)) / (weight @ r)) * float(point.force[i].var())
+    predictable = float(1 - np.exp(weight @ np.log(r)) / (weight @ r)) * _variance(point, i)
     for shape in (_coloured(peak), _resonance(data.band[1]), _pedestal(data.mass[i], point.kL[i], point.c[i], peak)):
         if shape.effect in taken:
             continue
@@ -252,6 +252,14 @@ def _shapes(
             )
         )
     return out
+
+
+def _variance(point: WorkingPoint, i: int) -> float:
+    """N^2 of the force whose spectra are given, within the bins looked at."""
+    data = point.data
+    Z = point.spectra[i].reshape(data.blocks, -1, 2)
+    power = np.einsum("bkc,bkc->k", Z, Z).astype(np.float64) / data.blocks / point.weighing.weight[i]
+    return float(power.sum()) * data.rate_hz / data.block
 
 
 def _where(c: Cells, r: Array) -> str:
@@ -314,7 +322,7 @@ def _shared(model: Model, point: WorkingPoint) -> list[Suspect]:
         p = float(min(1.0, chdtrc(1, 2 * gain) * len(data.places)))
         if p > LEVEL or abs(rho) < 0.02:
             continue
-        power = {k: rho**2 * float(point.force[k].var()) for k in (i, j)}
+        power = {k: rho**2 * _variance(point, k) for k in (i, j)}
         sd = (1 - rho**2) / np.sqrt(2 * n)
         out.append(
             Suspect(

@@ -156,6 +156,10 @@ class Wave:
         theta = self.one.angle(t, phase)
         return {i: _along(theta, table) for i, table in self.tables.items()}
 
+    def at(self, i: int, t: Array, phase: Array) -> Array | None:
+        """(n,) the same at one place; None where it does not act."""
+        return _along(self.one.angle(t, phase), self.tables[i]) if i in self.tables else None
+
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _along(theta, table):  # type: ignore[no-untyped-def]
@@ -191,11 +195,18 @@ def series(model: Model, places: tuple[str, ...], t: Array, phase: Array, rate_h
     t, phase : (n,) s and rad.
     """
     out: Array | None = None
-    for one in periodic_of(model):
-        for i, z in Wave("", "N", one, _tables(model, one, places, rate_hz)).series(t, phase).items():
+    for one in whole_waves(model, places, rate_hz):
+        for i, z in one.series(t, phase).items():
             out = np.zeros((len(places), t.size)) if out is None else out
             out[i] += z
     return out
+
+
+def whole_waves(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[Wave, ...]:
+    """What the model's periodic effects put on the caps, all numbers of each together, where the band lets it
+    through."""
+    made = [Wave("", "N", one, _tables(model, one, places, rate_hz)) for one in periodic_of(model)]
+    return tuple(wave for wave in made if wave.tables)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import bent_path, force_colour, line_forces, periodic, sensor_faults
-from .model import Model
+from .model import EffectUse, Model
 from .model_uses import not_judged
+from .path_fit import Spectrum
+from .side_by_side import each
 from .suspect import Suspect, as_use
 from .working_point import WorkingPoint
 
@@ -24,7 +26,7 @@ def suspects(model: Model, point: WorkingPoint, y: Array, everywhere: bool = Fal
     """
     clipped = sensor_faults.find(model, y)
     lines = line_forces.find(model, point, y, point.data.rate_hz)
-    rest = lines + force_colour.find(model, point)
+    rest = lines + force_colour.find(model, _without(lines, model, point))
     if point.data.measured_force:
         rest += bent_path.find(model, point, periodic.known_lines(_having(model, lines)))
     if not everywhere:
@@ -35,7 +37,30 @@ def suspects(model: Model, point: WorkingPoint, y: Array, everywhere: bool = Fal
 
 def _having(model: Model, found: list[Suspect]) -> Model:
     """The model with periodic forces that were found."""
-    return replace(model, effects=(*model.effects, *(as_use(s.effect, s.settings) for s in found)))
+    return replace(model, effects=(*model.effects, *_uses(found)))
+
+
+def _uses(found: list[Suspect]) -> tuple[EffectUse, ...]:
+    return tuple(as_use(s.effect, s.settings) for s in found)
+
+
+def _without(found: list[Suspect], model: Model, point: WorkingPoint) -> WorkingPoint:
+    """The point with the spectra of what is left of the force without periodic ones that were found: a line in all of
+    the spectrum of a block is no colour, and at both bearings no common force."""
+    data = point.data
+    made = periodic.whole_waves(replace(model, effects=_uses(found)), data.places, data.rate_hz)
+    if not made:
+        return point
+
+    def left(i: int) -> Spectrum:
+        force = point.force[i].copy()
+        for wave in made:
+            if (own := wave.at(i, data.t, data.phase)) is not None:
+                force -= own
+        return point.weighing.spectrum(i, force)
+
+    hit = sorted({i for wave in made for i in wave.tables})
+    return replace(point, spectra=point.spectra | dict(zip(hit, each(left, hit), strict=True)))
 
 
 def _elsewhere(s: Suspect, bad: set[str], point: WorkingPoint) -> Suspect | None:

@@ -12,9 +12,10 @@ from scipy.signal import lfilter
 from daq.rig import load_rig
 from estimator import line_forces
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import with_effect
+from estimator.effects.strength import size, strengths, with_effect
 from estimator.line_spectrum import spectrum_of
 from estimator.simulate import simulate
+from estimator.suspects import suspects
 from estimator.whole import fit_whole
 
 
@@ -77,3 +78,14 @@ def test_the_resonance_of_a_short_record_makes_no_train_of_strikes(seed: int) ->
     rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
     y = simulate(rig, RATE, 1.2, seed=seed, noise=0.02)
     assert line_forces.find(rig, fit_whole(rig, y, RATE).point, y, RATE) == []
+
+
+@pytest.mark.parametrize("strength", [0.06, 0.3])
+def test_a_line_at_both_bearings_is_no_common_force_and_no_colour(strength: float) -> None:
+    """It stands in the whole spectrum of a block; what is judged is what is left of the force without it."""
+    rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    e = CATALOGUE["line"]
+    values = strengths(e, size(rig, "bearing1.x", RATE), strength, rig, 8.0)
+    y = simulate(with_effect(rig, e, values, *rig.places), RATE, 8.0, seed=4, noise=0.02, full_scale=490.5)
+    found = suspects(rig, fit_whole(rig, y, RATE).point, y)
+    assert {s.effect for s in found} == {"line"}
