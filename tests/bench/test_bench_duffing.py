@@ -20,6 +20,7 @@ from estimator.model import Channel, EffectUse, Model
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
 W, ZETA, RATE, STEPS, SECONDS = 2 * np.pi * 50.0, 0.03, 1000.0, 16, 60.0
 SEEDS = int(os.environ.get("ROTORSCOPE_SEEDS", "10"))
+KEYS = {"kL": "kL", "c": "c", "kNL": "cubic.kNL"}
 TRUTH = {"kL": W**2, "c": 2 * ZETA * W, "cubic.kNL": W**2}
 
 
@@ -49,6 +50,32 @@ def record(seed: int, noise: float, sigma: float) -> tuple[np.ndarray, float]:
     _integrate(F, 1 / (RATE * STEPS), TRUTH["c"], TRUTH["kL"], x)
     x = x[::STEPS][int(2 * RATE) :]
     return x + noise * x.std() * rng.normal(size=x.size), S
+
+
+@njit(cache=True)
+def _path_sums(F, h, c, k, skip, out):  # type: ignore[no-untyped-def]
+    """Adds psi (psi, F)^T of psi = (x, v, x^3) before each step."""
+    path = np.zeros(F.size)
+    _integrate(F, h, c, k, path)
+    for n in range(skip, F.size - 1):
+        x, v = path[n], (path[n] - path[n - 1]) / h  # after step n; v in its middle
+        v += 0.5 * h * (F[n] - c * v - k * (x + x**3))
+        psi = (x, v, x**3)
+        for i in range(3):
+            for j in range(3):
+                out[i, j] += psi[i] * psi[j]
+            out[i, 3] += psi[i] * F[n + 1]
+
+
+def exact_path(seed: int, sigma: float) -> dict[str, float]:
+    """kL, c, kNL of maximum likelihood from the whole path of a record without noise, all 16 kHz of it: what no
+    method can know more than. Its error is the luck of the record."""
+    S, fs = 4 * TRUTH["c"] * TRUTH["kL"] * sigma**2, RATE * STEPS
+    F = np.random.default_rng(seed).normal(size=int((SECONDS + 2) * fs)) * np.sqrt(S / 2 * fs)
+    sums = np.zeros((3, 4))
+    _path_sums(F, 1 / fs, TRUTH["c"], TRUTH["kL"], int(2 * fs), sums)
+    error = -np.linalg.solve(sums[:, :3], sums[:, 3])
+    return {key: float(TRUTH[name] + e) for (key, name), e in zip(KEYS.items(), error, strict=True)}
 
 
 @pytest.mark.parametrize("sigma", [0.25, 0.5, 0.7, 1.0])

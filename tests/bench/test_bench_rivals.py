@@ -42,6 +42,7 @@ RESULTS = os.environ.get("ROTORSCOPE_RESULTS")
 KNL = 1.3e18
 BAND = (150.0, 8000.0)  # Hz, of the rig
 KEYS = ("kL", "c", "kNL", "S")
+EXACT = "(exact path)"  # the whole path without noise: the luck of the record
 OURS = {"spectral": spectral, "score matching": score_matching, "eq. (36), response form": fokker_planck}
 SLOW = {"SFI": int(os.environ.get("ROTORSCOPE_SLOW_SEEDS", "1"))}
 
@@ -99,14 +100,28 @@ def table(test: str, methods: list[str]) -> None:
         for note in sorted({n for _, _, n in rows if n}):
             print(f"|  | {note} | | | | | |")
     lost = []
-    for method in methods[1:]:  # rms over the records that both have
+    for method in (m for m in methods[1:] if m != EXACT):  # rms over the records that both have
         seeds = [key.rsplit("/", 1)[1] for key in DONE if key.startswith(f"{test}/{method}/")]
         for k in KEYS:
             ours, theirs = (values([DONE[f"{test}/{m}/{seed}"][0] for seed in seeds], k) for m in ("spectral", method))
             a, b = (float(np.sqrt(np.mean(e**2))) if e.size else np.inf for e in (ours, theirs))
             if b < a:
                 lost.append(f"{k} to {method} (rms {b:.2f} % against {a:.2f} %, {len(seeds)} records)")
+    if EXACT in methods:
+        less = [f"{m} {apart(test, m)}" for m in ("spectral", *(m for m in methods if m == "SFI"), "regression")]
+        print("Without the luck of the records (mean error less that of the exact path): " + "; ".join(less))
     print("We lose: " + ("; ".join(lost) if lost else "nowhere"))
+
+
+def apart(test: str, method: str) -> str:
+    """What a method's errors are beyond those of the exact path, in the mean, with the standard error."""
+    words = []
+    for k in ("kL", "kNL"):
+        seeds = [key.rsplit("/", 1)[1] for key in DONE if key.startswith(f"{test}/{method}/")]
+        d = np.array([values([DONE[f"{test}/{m}/{s}"][0] for s in seeds], k) for m in (method, EXACT)])
+        d = d[0] - d[1]
+        words.append(f"{k} {d.mean():+.2f} +- {d.std() / np.sqrt(max(d.size, 1)):.2f}")
+    return ", ".join(words)
 
 
 def values(results: list[Result], key: str) -> np.ndarray:
@@ -207,4 +222,5 @@ def test_one_degree(noise: float, sigma: float) -> None:
         for method, solve in rivals.METHODS.items():
             if wanted(method, seed):
                 run(f"{test}/{method}/{seed}", lambda f=solve, z=place: {"bearing1.x": f(z)}, truth)
-    table(test, [*OURS, *rivals.METHODS])
+        run(f"{test}/{EXACT}/{seed}", lambda n=seed: {"bearing1.x": duffing.exact_path(n, sigma)}, truth)
+    table(test, [*OURS, *rivals.METHODS, EXACT])
