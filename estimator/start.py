@@ -165,14 +165,19 @@ def resonances(evidence: Evidence, B: Floats) -> tuple[Floats, Floats]:
     return f[peaks], np.asarray(widths, dtype=np.float64)
 
 
-def _judge(place: str, m: float, c: float, kL: float, record: Record) -> None:
-    low, high = record.model.band
+def refuse_without_resonance(place: str, m: float, c: float, kL: float, band: tuple[float, float]) -> None:
+    """Raises DataError if a place with this mean response does not resonate inside the band, Hz."""
+    low, high = band
     f0 = np.sqrt(kL / m) / (2 * np.pi) if kL > 0 and m > 0 else 0.0
-    if not (1.02 * low < f0 < 0.98 * high) or c <= 0 or c > 1.8 * np.sqrt(kL * m):
+    if not (1.02 * low < f0 < 0.98 * high) or c > 1.8 * np.sqrt(kL * m):
         raise DataError(
             f"no resonance of {place} inside the band {low:g}-{high:g} Hz: choose a band around the bearing resonance, "
             "and check that the channel is the bearing's"
         )
+
+
+def _judge(place: str, m: float, c: float, kL: float, record: Record) -> None:
+    refuse_without_resonance(place, m, c if c > 0 else np.inf, kL, record.model.band)
     correlation = 2 * m / c
     if correlation > record.seconds:
         raise DataError(

@@ -26,6 +26,7 @@ from .preparation import prepare, shortened
 from .search_start import fit_record
 from .sensor_response import BLIND, LINEAR, forced
 from .shaft_angle import timed
+from .start import refuse_without_resonance
 from .suspect import Suspect
 from .suspects import suspects
 from .working_point import WorkingPoint
@@ -60,9 +61,13 @@ def beside_the_laws(use: EffectUse) -> bool:
 def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     """Fit everything in a model to (n, channels) rows, SI, NaN where missing. A tacho channel gives the speed.
 
-    Raises DataError.
+    Raises DataError, also where no force is measured and a place does not resonate in the band: nothing is told of its
+    stiffness and damping then, and so of what is missing beside them.
     """
     whole = _turning(timed(model, y, rate_hz), y, rate_hz)
+    data, slopes = whole.point.data, whole.point.slopes
+    for i, place in enumerate(() if data.measured_force else data.places):
+        refuse_without_resonance(place, float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band)
     return replace(whole, messages=(*shortened(whole.point.data, y), *whole.messages))
 
 

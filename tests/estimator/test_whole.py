@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hidden_effects import RATE, ROOT, one_bearing, record
+from reference_rig import rig_model, rig_record
 
 from daq.rig import load_rig
 from estimator import spectral
@@ -160,3 +161,12 @@ def test_of_a_long_record_six_stretches_are_judged_and_it_is_said(monkeypatch: p
         assert less.sd is not None
         assert less.sd == pytest.approx(2.0 * p.sd, rel=0.3)
         assert abs((less.value or 0.0) - (p.value or 0.0)) < 4 * less.sd
+
+
+@pytest.mark.parametrize("what", ["noise", "band"])
+def test_without_a_resonance_in_the_band_nothing_is_said(what: str) -> None:
+    """Of white noise diagnose said "sensor_noise", of a band above the resonance "unknown"; fit has refused both."""
+    y = np.random.default_rng(0).normal(size=(int(3 * RATE), 4)) if what == "noise" else rig_record(3.0, seed=1)
+    model = rig_model() if what == "noise" else rig_model("cubic", band=(3000.0, 8000.0))
+    with pytest.raises(DataError, match="no resonance of bearing1.x inside the band"):
+        fit_whole(model, y, RATE)
