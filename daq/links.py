@@ -14,6 +14,7 @@ from drivers.reading import Driver
 from .errors import ConfigError
 from .rig import Rig
 
+LARGEST_DBC = 64 << 20  # bytes; a whole vehicle's has some
 _DBC = re.compile(r"([?&])dbc=([^&]*)&?")
 
 
@@ -62,6 +63,10 @@ def _dbc(path: Path | None) -> bytes:
     if path is None:
         raise ConfigError("link.signals needs a DBC: add dbc = FILE to [link] of the rig file, or ?dbc=FILE")
     try:
+        if path.exists() and not path.is_file():
+            raise ConfigError(f"{path}: the DBC of [link] is not a file; correct dbc in the rig file, or add ?dbc=FILE")
+        if path.stat().st_size > LARGEST_DBC:
+            raise ConfigError(f"{path}: the DBC of [link] is larger than {LARGEST_DBC >> 20} MB; check the path")
         return path.read_bytes()
     except OSError as error:
         text = f"{path}: the DBC of [link] cannot be read: {error.strerror}"

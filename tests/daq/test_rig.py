@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.errors import ConfigError
+from daq.links import open_driver
 from daq.rig import Rig, load_rig
 from daq.rig_problems import line_numbers
 from daq.units import UNITS, canonical, factor
@@ -302,3 +303,15 @@ def test_what_no_rig_file_needs_is_refused_in_a_line(
         load_rig("/dev/zero")
     row = "hostile rig file | 50 MB, /dev/zero, 2000 levels of lists, keys of 4000 levels, a number of 5000 digits"
     record_property("reliability", f"{row} | one line, bounded memory and time | held")
+
+
+@pytest.mark.parametrize(
+    ("dbc", "said"), [("/dev/zero", "is not a file"), ("big.dbc", "larger than 64 MB"), ("no.dbc", "No such file")]
+)
+def test_a_dbc_without_end_is_refused(dbc: str, said: str, tmp_path: Path) -> None:
+    with (tmp_path / "big.dbc").open("wb") as file:
+        file.truncate(100 << 30)  # takes no room
+    link = f'[link]\ndbc = "{dbc}"\nsignals = {{ b1x = "A.B" }}\n'
+    rig = Rig.parse(HEAD + CHANNELS + link, tmp_path, tmp_path / "rig.toml")
+    with pytest.raises(ConfigError, match=said):
+        open_driver("capture:x.log", rig)
