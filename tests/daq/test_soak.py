@@ -89,7 +89,12 @@ def _moves(early: list[dict[str, tuple[float, float]]], late: list[dict[str, tup
 
 @pytest.mark.parametrize(("method", "least"), [("score-matching", 20.0), ("spectral", 10.0)])
 def test_two_hours(method: str, least: float, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
-    """least : times real time, on a machine with other work; the page says what it was."""
+    """least : times real time, on a machine with other work; the page says what it was.
+
+    Seen with mallinfo2 over 150 minutes of data, score-matching: until minute 50 free space inside the allocator grows,
+    2.5 MB; then it is all 0.9 MB an hour. Of that the log's packed index is a part (0.25, see log_index.py), and so are
+    the notes of this test: the number of Python's objects grows by theirs, 51 a minute, and by no others.
+    """
     seconds = float(os.environ.get("ROTORSCOPE_SOAK_S", "7200"))
     watch = Watch()
     begin, cpu = time.monotonic(), time.process_time()
