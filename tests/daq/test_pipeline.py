@@ -252,8 +252,10 @@ def test_a_sink_with_a_thread_is_heard() -> None:
     assert {"core", "estimate"} <= set(status.lag_s)
     pipeline.tick(LinkStats(), {})
     assert len(sink.of("status")) == 1  # a second has not passed
-    assert told
-    assert set(told) == {Notice(1, "error", "log_fault", "disk full")}
+    assert Notice(1, "error", "log_fault", "disk full") in told
+    assert {notice.code for notice in told} == {"log_fault", "overflow"}
+    assert any(" 5 of the oldest that waited are dropped" in notice.text for notice in told)
+    assert [notice.code for notice in told].count("overflow") == 1  # not again before ten seconds
 
 
 def test_the_session_says_what_the_log_must_know() -> None:
