@@ -29,6 +29,7 @@ SECONDS = 6.0
 SHAPE_SECONDS = 20.0  # for the spectrum of the force
 FACTORS = {1: np.geomspace(0.1, 10.0, 13), 2: np.geomspace(0.1, 10.0, 5)}
 COARSE = np.array([0.3, 1.0, 3.0])
+CLOSER = np.array([0.56, 1.0, 1.8])  # about the best node of a grid of several numbers, whose steps are wide
 
 
 def fit_record(model: Model, data: MotionBlocks) -> WorkingPoint:
@@ -89,9 +90,17 @@ def _searched(use: Placed) -> list[int]:
 
 
 def _started(point: WorkingPoint, uses: list[Placed]) -> list[Placed]:
-    """The uses of one effect at the best of a grid about their values, amplitudes as they fit there. Places are alike
-    unless the record says otherwise: one has a node of its own where that is worth screen.DIFFERENT nats."""
-    nodes = [_grid(use) for use in uses]
+    """The uses of one effect at the best of a grid about their values, amplitudes as they fit there; of several numbers
+    also of a closer one about that."""
+    loose = len(_searched(uses[0]))
+    begun = _best(point, uses, FACTORS.get(loose, COARSE))
+    return begun if loose == 1 else _best(point, begun, CLOSER)
+
+
+def _best(point: WorkingPoint, uses: list[Placed], factors: Array) -> list[Placed]:
+    """The same of the grid of these factors. Places are alike unless the record says otherwise: one has a node of its
+    own where that is worth screen.DIFFERENT nats."""
+    nodes = [_grid(use, factors) for use in uses]
     pairs = [use for own in nodes for use in own]
     found = each(lambda use: screen.assess(point, use), pairs)
     tried = [found[k : k + len(nodes[0])] for k in range(0, len(pairs), len(nodes[0]))]
@@ -106,12 +115,12 @@ def _started(point: WorkingPoint, uses: list[Placed]) -> list[Placed]:
     return out
 
 
-def _grid(use: Placed) -> list[Placed]:
+def _grid(use: Placed, factors: Array) -> list[Placed]:
     """The use at every node, its free amplitudes 1."""
     loose = _searched(use)
     p = np.where([q.linear and free for q, free in zip(use.effect.parameters, use.free, strict=True)], 1.0, use.p)
     nodes = []
-    for scale in product(FACTORS.get(len(loose), COARSE), repeat=len(loose)):
+    for scale in product(factors, repeat=len(loose)):
         node = p.copy()
         node[loose] *= scale
         nodes.append(use.with_values(node))
