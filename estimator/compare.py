@@ -86,6 +86,7 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         lambda: missing_force.survey(point, model),
     )
     found = found.beside(others)
+    clipped = [f"{s.region}: {s.note}" for s in others if s.effect == "sensor_clipping"]
     say(0.85, "held-out likelihood")
     nll = heldout_nll(point)
     reference = reference_nll(point, found, nll)
@@ -107,5 +108,5 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         orbits=beside.orbits,
         parameters=whole.parameters,
         simulation_rmse=heldout_rmse(model, y, point.data.rate_hz),
-        messages=(*whole.messages, *((beside.message,) if beside.message else ())),
+        messages=(*whole.messages, *clipped, *((beside.message,) if beside.message else ())),
     )

@@ -12,15 +12,22 @@ from .suspect import Suspect
 Array = NDArray[np.float64]
 
 
+PILE = 20  # samples of one and the same extreme value, on three times as many as have the next
+
+
 def clipping_level(y: Array) -> tuple[float, int] | None:
     """Level and number of samples at it, if the extremes of a channel pile up; None if they thin out as they should.
 
-    The density of any vibration falls towards its extremes. A limiter puts everything beyond it into a spike there,
-    blurred by what noise comes after. Both ends together.
+    The density of any vibration falls towards its extremes. A limiter puts everything beyond it into a spike there: of
+    one value, as a converter does, or blurred by what noise comes after, both ends together.
     """
-    size = np.abs(y[np.isfinite(y)])
-    if size.size < 1000:
+    there = y[np.isfinite(y)]
+    if there.size < 1000:
         return None
+    piled = [found for z in (there, -there) if (found := _piled(z)) is not None]
+    if piled:
+        return max(level for level, _ in piled), sum(count for _, count in piled)
+    size = np.abs(there)
     top = float(size.max())
     edge = np.partition(size, -20)[-20:].mean()  # a spike in the noise does not make the level
     at = int(np.sum(size > 0.993 * edge))
@@ -28,6 +35,16 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
     if at > 40 and at > 3 * before + 40 and top < 1.3 * edge:
         return float(np.median(size[size > 0.993 * edge])), at
     return None
+
+
+def _piled(z: Array) -> tuple[float, int] | None:
+    """Largest value and number of samples that have it, if that is more than the fall of a density allows."""
+    top = z.max()
+    count = int(np.count_nonzero(z == top))
+    below = z[z < top]
+    if count <= PILE or not below.size:
+        return None
+    return (float(top), count) if count > 3 * np.count_nonzero(below == below.max()) + PILE else None
 
 
 def find(model: Model, y: Array) -> list[Suspect]:

@@ -88,3 +88,23 @@ def test_clipping_is_seen_in_the_raw_samples_and_a_gaussian_is_not_clipped() -> 
     found = clipping_level(np.clip(y, -2.5, 2.5) + 0.002 * np.random.default_rng(2).standard_normal(y.size))
     assert found is not None
     assert found[0] == pytest.approx(2.5, rel=0.01)
+
+
+@pytest.mark.parametrize("step", [1e-4, 0.01, 0.25])
+def test_a_converters_full_scale_is_seen_in_a_few_samples_and_its_steps_are_none(step: float) -> None:
+    """0.02 % of a record at one value made S 10 % too large, and was not told; a log marks them, other files do not."""
+    y = np.round(np.random.default_rng(1).standard_normal(400_000) / step) * step
+    assert clipping_level(y) is None
+    if step < 0.1:  # a coarser step has as many samples beside the limit as at it
+        top = float(np.quantile(np.abs(y), 0.9998))
+        found = clipping_level(np.clip(y, -top, top))
+        assert found is not None
+        assert found[0] == top
+        assert 60 < found[1] < 400
+
+
+def test_a_comparison_says_that_a_channel_is_clipped(rig: Model) -> None:
+    y = simulate(rig, RATE, 5.0, seed=8, noise=0.02, full_scale=490.5)
+    top = float(np.quantile(np.abs(y[:, 0]), 0.9995))
+    said = " ".join(compare(rig, np.clip(y, -top, top), RATE).messages)
+    assert "b1x is limited to" in said
