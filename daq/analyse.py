@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,15 +67,17 @@ def about(log: Path, data: Measurement) -> Iterator[None]:
 
 
 def fitted(rig: Rig, data: Measurement, method: str) -> Fit:
-    """The fit of a record by the method's name."""
+    """The fit of a record by the method's name, with what is said of clipped channels."""
     from importlib import import_module
 
+    from estimator import sensor_faults
     from estimator.shaft_angle import measured_phase
 
     module = import_module(f"estimator.{method.replace('-', '_')}")
     phase = measured_phase(rig.model, data.y, data.rate_hz) if method == "spectral" else None
     result: Fit = module.fit(rig.model, data.y, data.rate_hz, **({} if phase is None else {"phase": phase}))
-    return result
+    clipped = [sensor_faults.said(s) for s in sensor_faults.find(rig.model, data.y)]
+    return replace(result, messages=(*result.messages, *clipped))
 
 
 def _likelihood(result: Fit) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import missing_force
+from . import missing_force, sensor_faults
 from .curves import Law, curves
 from .estimate import Parameter
 from .fitted import fitted_model
@@ -86,7 +86,7 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         lambda: missing_force.survey(point, model),
     )
     found = found.beside(others)
-    clipped = [f"{s.region}: {s.note}" for s in others if s.effect == "sensor_clipping"]
+    clipped = [sensor_faults.said(s) for s in others if s.effect == "sensor_clipping"]
     say(0.85, "held-out likelihood")
     nll = heldout_nll(point)
     reference = reference_nll(point, found, nll)

@@ -70,3 +70,8 @@ def find(model: Model, y: Array) -> list[Suspect]:
             )
         )  # fmt: skip
     return out
+
+
+def said(clipped: Suspect) -> str:
+    """A clipped channel in a line."""
+    return f"{clipped.region}: {clipped.note}"

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.analyse import with_verdict
+from daq.analyse import fitted, with_verdict
 from daq.cli import main
+from daq.measurement import Measurement
 from daq.rig import load_rig
+from estimator.simulate import simulate
 
 PAPER = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 
@@ -36,6 +38,15 @@ def test_a_record_that_cannot_answer_is_named(tmp_path: Path, capsys: pytest.Cap
     np.savez(short, rate_hz=25600.0, **{n: rng.standard_normal(4000) for n in ("b1x", "b1y", "b2x", "b2y")})
     assert main(["compare", str(short), "--rig", str(PAPER)]) == 4
     assert f"{short}: only" in capsys.readouterr().err
+
+
+def test_a_fit_says_that_a_channel_of_a_file_is_at_its_full_scale(tmp_path: Path) -> None:
+    rig = load_rig(PAPER)
+    y = simulate(rig.model, 25600.0, 5.0, seed=1, noise=0.02)
+    top = float(np.quantile(np.abs(y[:, 2]), 0.9995))
+    y[:, 2] = np.clip(y[:, 2], -top, top)
+    messages = fitted(rig, Measurement(y, 25600.0, {}), "spectral").messages
+    assert any(said.startswith(f"b2x is limited to +-{top:.3g}") for said in messages)
 
 
 def test_where_to_show_it_is_checked_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
