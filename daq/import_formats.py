@@ -178,11 +178,15 @@ def answered(path: Path, out: Path, status: int, said: str) -> Columns:
     if status:
         raise ValueError(f"the library that reads it crashed (status {status})")
     with np.load(out, allow_pickle=False) as file:
-        values = {str(name): file[f"column {k}"] for k, name in enumerate(json.loads(file["names"].tobytes()))}
-        units = {str(name): str(unit) for name, unit in json.loads(file["units"].tobytes()).items()}
-        rate = _scalar(path, file["rate"]) if "rate" in file.files else None
-        time = file["time"] if "time" in file.files else None
-        return Columns(values, rate, time, units)
+        return of_answer(path, file)
+
+
+def of_answer(path: Path, file: Mapping[str, Column]) -> Columns:
+    """An open file of columns. Raises whatever numpy and json do over a damaged one."""
+    values = {str(name): file[f"column {k}"] for k, name in enumerate(json.loads(file["names"].tobytes()))}
+    units = {str(name): str(unit) for name, unit in json.loads(file["units"].tobytes()).items()}
+    rate = _scalar(path, file["rate"]) if "rate" in file else None
+    return Columns(values, rate, file.get("time"), units)
 
 
 def _uff(path: Path, names: Sequence[str]) -> Columns:

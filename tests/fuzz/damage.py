@@ -25,6 +25,12 @@ NPY_VALUES = (
     b"(99999999999,)", b"(4294967296, 4294967296)", b"(9223372036854775807,)", b"(0, 9999999999999999999999)", b"''",
 )  # fmt: skip
 _NPY_VALUE = re.compile(rb"'[<>|=][^']*'|\([^)]*\)|True|False")
+JSON_VALUES = (
+    b"null", b"true", b"[]", b"{}", b'[["b1x"]]', b'{"b1x": 1}', b'""', b'"b1x"', b'"b1y"', b'"time"', b'"m/s^2"',
+    b"NaN", b'"\\u0000"', b'"\\ud800"', b"-1e999",
+    b"9" * 5000, b"[" * 3000, b'"' + b"x" * 2000 + b'"', b'"\xff"', b'"a\nb"',
+)  # fmt: skip
+_JSON_VALUE = re.compile(rb'"[^"]*"|\d+')
 _LOCAL, _CENTRAL, _END = struct.Struct("<4s5H3I2H"), struct.Struct("<4s6H3I5H2I"), struct.Struct("<4s4H2IH")
 
 
@@ -107,6 +113,28 @@ def damaged_npy(data: bytes, rng: random.Random) -> bytes:
     new = data[10 : one.start()] + NPY_VALUES[int(rng.random() * len(NPY_VALUES))] + data[one.end() : at]
     new = new.rstrip(b" \n")
     return data[:10] + new.ljust(max(at - 11, len(new))) + b"\n" + data[at:]
+
+
+def damaged_answer_member(data: bytes, rng: random.Random) -> bytes:
+    """Its place, its array, or the text that it is."""
+    how = rng.random()
+    if how < 0.1:
+        return bytes((int(rng.random() * 256),)) + data[1:]
+    if how < 0.4 and b"|u1" in data:  # names, units
+        at = 11 + int.from_bytes(data[9:11], "little")
+        text = damaged_json(data[at:], rng)
+        head = re.sub(rb"\(\d+,\), } *", b"(%d,), }" % len(text), data[11 : at - 1])
+        return data[:11] + head.ljust(at - 12) + b"\n" + text
+    return data[:1] + damaged_npy(data[1:], rng)
+
+
+def damaged_json(data: bytes, rng: random.Random) -> bytes:
+    """Bytes of it, or one of its texts by another value."""
+    found = list(_JSON_VALUE.finditer(data))
+    if rng.random() < 0.5 or not found:
+        return damaged_evenly(data, rng)
+    one = found[int(rng.random() * len(found))]
+    return data[: one.start()] + JSON_VALUES[int(rng.random() * len(JSON_VALUES))] + data[one.end() :]
 
 
 def damaged_zip(data: bytes, rng: random.Random) -> bytes:

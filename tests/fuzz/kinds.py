@@ -6,7 +6,16 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from damage import damaged, damaged_answer, damaged_evenly, damaged_npy, damaged_table, damaged_text, damaged_zip
+from damage import (
+    damaged,
+    damaged_answer,
+    damaged_answer_member,
+    damaged_evenly,
+    damaged_npy,
+    damaged_table,
+    damaged_text,
+    damaged_zip,
+)
 from seeds import (
     BLF_HEAD,
     LOG_HEAD,
@@ -177,6 +186,13 @@ KINDS = {
     "csv": Kind("files", damage=damaged_evenly),
     "npz": Kind("files", damage=damaged_zip),
     "npz-members": Kind("members of an archive", 25, _behind_length, _with_length, damage=damaged_npy),
+    "answer-members": Kind(
+        "members of answers of the process that reads .mat and .mf4",
+        25,
+        _behind_length,
+        _with_length,
+        damage=damaged_answer_member,
+    ),
     "uff-sets": Kind("data sets", 30, _sets, _set),
     "wav": Kind("files"),
     "uff": Kind("files", damage=damaged_evenly),

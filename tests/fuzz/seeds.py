@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from sessions import make_block, make_estimate, make_info, make_status, make_stream, write_log
-from targets import _STARTS, ROOT, _chunk, _message
+from targets import _STARTS, ANSWER_PLACES, GOOD_ANSWER, ROOT, _chunk, _message
 
 from daq import log_codec as codec
 from daq import log_scan
@@ -278,12 +278,29 @@ def _npz_members() -> list[bytes]:
     column = _ROWS[:, 0]
     values = [column, column.astype("<f4"), column.astype("<i2"), column.astype(">i4"), column[:, None], column[:0]]
     values += [np.asfortranarray(_ROWS), np.array(["a", "bc"]), np.array(25600.0), column + 1j, column > 2]
-    out = []
-    for value in values:
-        buffer = io.BytesIO()
-        np.save(buffer, value)
-        out.append(len(buffer.getvalue()).to_bytes(2, "little") + buffer.getvalue())
-    return [b"".join(out)]
+    return [b"".join(map(_behind_length, map(_npy, values)))]
+
+
+def _answer_members() -> list[bytes]:
+    """Of those of a good answer some more often than others: names and units are ours to read, and so is a rate."""
+    more = [
+        ("names", b'["b1y", "b1x"]'), ("names", b'["b1x", 7]'), ("names", b'{"b1x": 1, "b1y": [1e999]}'),
+        ("names", b'"b1"'), ("units", b'{"b1y": "m/s^2"}'), ("units", b'{"b1x": null, "b1y": {}}'), ("units", b"[]"),
+    ]  # fmt: skip
+    texts = [(place, np.frombuffer(text, np.uint8)) for place, text in more]
+    rates = [("rate", np.array(25600.0)), ("rate", np.array([25600])), ("rate", np.array([[2.56e4]], ">f4"))]
+    members = [*GOOD_ANSWER.items(), *texts, *rates]
+    return [b"".join(_behind_length(bytes((ANSWER_PLACES.index(place),)) + _npy(v)) for place, v in members)]
+
+
+def _npy(value: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, value)
+    return buffer.getvalue()
+
+
+def _behind_length(data: bytes) -> bytes:
+    return len(data).to_bytes(2, "little") + data
 
 
 def _mf4can() -> list[bytes]:
@@ -351,7 +368,7 @@ _ASC = (
 _MAKERS = {
     "cobs": _cobs, "slcan": _slcan, "serial": _serial, "can": _can, "mapped": lambda: [bytes(range(60))],
     "mcap": _mcap, "recover": _mcap, "rig": _rig, "expression": _expression, "csv": _csv, "npz": _npz, "wav": _wav,
-    "npz-members": _npz_members, "uff-sets": _uff_sets,
+    "npz-members": _npz_members, "answer-members": _answer_members, "uff-sets": _uff_sets,
     "mat": _mat, "uff": _uff, "mf4": _mf4, "mf4can": _mf4can, "answer": _answer, "mat-parse": _mat, "mf4-parse": _mf4,
     "candump": lambda: _file("canedge_imu/*.log"), "blf": _blf,
     "asc": lambda: [_ASC_HEAD + b"".join(_ASC)],

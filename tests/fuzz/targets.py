@@ -7,17 +7,16 @@ Each target takes bytes and a scratch folder; the folder is all that may be writ
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import zstandard
-from damage import zipped
 from parsers import Parser
 from ramp_device import CHANNELS, ramp_device
 
@@ -64,6 +63,11 @@ direction = "y"
 kind = "acceleration"
 unit = "g"
 """)  # small files are cheap: what is imported has two channels
+GOOD_ANSWER = {
+    "names": np.frombuffer(b'["b1x", "b1y"]', np.uint8), "units": np.frombuffer(b'{"b1x": "g"}', np.uint8),
+    "column 0": np.arange(6.0), "column 1": np.arange(6.0), "time": np.arange(6) / 25_600,
+}  # fmt: skip
+ANSWER_PLACES = (*GOOD_ANSWER, "rate")
 ONE = Rig.parse(PAIR.text[: PAIR.text.rindex("[[channel]]")])
 Target = Callable[[bytes, Path], None]
 
@@ -290,19 +294,37 @@ def _import(suffix: str) -> Target:
     return target
 
 
-def npz_members(data: bytes, folder: Path) -> None:
-    """An archive of members, each behind its length of two bytes here, and each read by itself."""
-    members, at = list[tuple[bytes, bytes]](), 0
+def _members(data: bytes) -> Iterator[bytes]:
+    """Each behind its length of two bytes."""
+    at = 0
     while at + 2 <= len(data):
         stop = at + 2 + int.from_bytes(data[at : at + 2], "little")
-        members.append((b"m%d.npy" % len(members), data[at + 2 : stop]))
+        yield data[at + 2 : stop]
         at = stop
+
+
+def _array(data: bytes) -> np.ndarray:
+    """A member as numpy has it of an archive."""
+    if not data.startswith(np.lib.format.MAGIC_PREFIX):
+        return data  # type: ignore[return-value]
+    return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+
+
+def npz_members(data: bytes, folder: Path) -> None:
+    """Members of an archive, each read by itself."""
     path = folder / "a.npz"
-    _put(zipped(members), path)
-    with path.open("rb") as stream:
-        file = np.load(stream, allow_pickle=False)
-        for k in range(len(members)):
-            _alone(path, partial(import_formats.of_npz, path, file, (f"m{k}",)))
+    for member in _members(data):
+        _alone(path, lambda member=member: import_formats.of_npz(path, {"m": _array(member)}, ("m",)))
+
+
+def answer_members(data: bytes, folder: Path) -> None:
+    """Members of answers of the process that reads .mat and .mf4: each in a good one, where its first byte says."""
+    path = folder / "a.mf4"
+    for member in _members(data):
+        place = ANSWER_PLACES[member[0] % len(ANSWER_PLACES)] if member else "rate"
+        columns = _columns(lambda: import_formats.of_answer(path, GOOD_ANSWER | {place: _array(member[1:])}))  # noqa: B023
+        if columns is not None:
+            _check(path, columns, PAIR, None)
 
 
 def uff_sets(data: bytes, folder: Path) -> None:
@@ -320,17 +342,26 @@ def uff_sets(data: bytes, folder: Path) -> None:
         _alone(path, lambda k=k: import_formats.of_uff(path, [file.read_sets(k)], ("b1x",)))
 
 
+def _columns(read_one: Callable[[], import_formats.Columns]) -> import_formats.Columns | None:
+    try:
+        return read_one()
+    except Exception:  # noqa: BLE001 - import_formats.read tells it, whatever it is
+        return None
+
+
 def _alone(path: Path, read_one: Callable[[], import_formats.Columns]) -> None:
     """The first column of what is read, as the only channel."""
-    try:
-        columns = read_one()
-    except Exception:  # noqa: BLE001 - import_formats.read tells it, whatever it is
-        return
-    with contextlib.suppress(LogError):
+    columns = _columns(read_one)
+    if columns is not None:
         values = {"b1x": next(iter(columns.values.values()))}
         rate_hz = 25_600.0 if columns.rate_hz is None else None
-        record = checked(path, replace(columns, values=values, units={}), ONE, rate_hz, lambda text: None)
-        assert record.si().shape == (record.samples, 1)
+        _check(path, replace(columns, values=values, units={}), ONE, rate_hz)
+
+
+def _check(path: Path, columns: import_formats.Columns, rig: Rig, rate_hz: float | None) -> None:
+    with contextlib.suppress(LogError):
+        record = checked(path, columns, rig, rate_hz, lambda text: None)
+        assert record.si().shape == (record.samples, len(rig.model.channels))
 
 
 def _answered(path: Path, names: Sequence[str]) -> import_formats.Columns:
@@ -380,7 +411,8 @@ TARGETS: dict[str, Target] = {
     "rig": rig, "expression": expression, "csv": _import(".csv"), "npz": _import(".npz"),
     "npz-members": npz_members, "uff-sets": uff_sets, "wav": _import(".wav"),
     "mat": _import(".mat"), "uff": _import(".uff"), "mf4": _import(".mf4"),
-    "answer": _import(".answer"), "mat-parse": _parse(".mat"), "mf4-parse": _parse(".mf4"),
+    "answer": _import(".answer"), "answer-members": answer_members,
+    "mat-parse": _parse(".mat"), "mf4-parse": _parse(".mf4"),
     "candump": _capture(".log"), "blf": _capture(".blf"), "asc": _capture(".asc"), "mf4can": _capture(".mf4"),
 }  # fmt: skip
 assert tuple(c.name for c in RIG.model.channels) == CHANNELS
