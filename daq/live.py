@@ -50,6 +50,7 @@ def run(
     asked = [rig_and_link(text) for text in rigs]
     if link is not None and (len(asked) > 1 or asked[0][1] is not None):
         raise ConfigError("--link is for one rig without a link of its own; say RIG=LINK for each of several")
+    output.prepare()
     options = {"seconds": seconds, "rerun": rerun, "strict": strict, "metrics": metrics}
     if len(asked) > 1:
         from .live_devices import run_devices

@@ -49,6 +49,11 @@ class Output:
     def to_stderr(self) -> Console:
         return _console(stderr=True, soft_wrap=True, highlight=False)
 
+    def prepare(self) -> None:
+        """Import what a result is said with: not at the stop of a session."""
+        if not self.quiet and self.json != "-":
+            _ = self.to_stdout
+
     def say(self, *parts: RenderableType) -> None:
         """For people, on standard output; on standard error if JSON goes there."""
         if self.quiet:

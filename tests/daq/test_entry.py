@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
@@ -50,6 +51,23 @@ def test_an_interrupt_while_python_imports_ends_quietly(
     assert len(said.splitlines()) <= 1
     row = f"stop while Python imports | SIGINT {after_s:g} s after the program's start | one line, status 130"
     record_property("reliability", f"{row} | status {process.returncode}, {len(said.splitlines())} lines")
+
+
+STUCK = """
+import time
+from concurrent.futures import ThreadPoolExecutor
+from daq.entry import main
+ThreadPoolExecutor(1).submit(time.sleep, 600)
+main()
+"""
+
+
+def test_the_end_does_not_wait_for_a_thread_that_still_computes() -> None:
+    """The rolling estimator's, after the stop: Python waits for what a pool has begun."""
+    command = [sys.executable, "-c", STUCK, "effects", "--json", "-"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["effects"]
 
 
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
