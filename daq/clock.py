@@ -32,9 +32,14 @@ class SystemClock:
         return time.monotonic_ns()
 
     def wall_offset_ns(self) -> int:
-        return time.time_ns() - time.monotonic_ns()
+        try:
+            wall_ns = time.time_ns()
+        except OverflowError:  # a clock beyond the year 2262
+            wall_ns = LATEST_NS
+        return wall_ns - time.monotonic_ns()
 
 
+LATEST_NS = 2**63 - 1
 WINDOW_S = 0.25
 WINDOWS = 240  # one minute of them
 FEWEST = 8

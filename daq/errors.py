@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+from pathlib import Path
+
+FULL = (errno.ENOSPC, errno.EFBIG, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC))
+
 
 class RotorscopeError(Exception):
     """One line: what, where, what to do."""
@@ -23,6 +28,13 @@ class LogError(RotorscopeError):
     """A log or data file is missing, unreadable, cut, or does not fit the rig."""
 
     exit_status = 4
+
+
+def not_written(path: Path, error: OSError) -> RotorscopeError:
+    """Of a disk that takes no more, or of a place that is none."""
+    if error.errno in FULL:
+        return LogError(f"{path}: cannot be written: {error.strerror}; make room, or choose another place")
+    return ConfigError(f"{path}: cannot be written: {error.strerror}; choose another place")
 
 
 def exit_status(error: Exception) -> int | None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import ConfigError, LogError
+from .errors import ConfigError, LogError, not_written
 from .log_reader import Recording, read_log
 from .output import Output
 from .rig import Rig
@@ -44,7 +44,7 @@ def export(output: Output, log: Path, to: Path) -> None:
                 writer(table, temporary)
                 temporary.replace(to)
         except OSError as error:
-            raise ConfigError(f"{to}: cannot be written: {error.strerror}; choose another place") from error
+            raise not_written(to, error) from error
     for line in gap_lines(recording.gaps, recording.first, recording.rate_hz):
         output.note(line)
     if recording.lost_samples:

@@ -97,7 +97,8 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _bounded(file_bytes: int) -> None:
-    """Memory is bounded by whoever started us."""
+    """Memory is bounded by whoever started us. The last line we say is ours: no library's that goes half-made."""
+    sys.unraisablehook = lambda _: None
     with contextlib.suppress(ImportError):  # not on this system
         import resource
 

@@ -65,8 +65,10 @@ def read(path: Path, names: Sequence[str]) -> Columns:
         text = f"reading it takes more than {bound / 1e9:.2g} GB of memory"
         raise LogError(f"{path}: {text}; cut it into parts, or check that it is what it says") from error
     except Exception as error:  # a damaged file may raise anything in the library that reads it
-        text = " ".join(str(error).split()) or type(error).__name__
-        raise LogError(f"{path}: cannot be read as {path.suffix}: {text}; check how it was written") from error
+        text = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        raise LogError(
+            f"{path}: cannot be read as {path.suffix}: {text}; check that it is whole, and how it was written"
+        ) from error
 
 
 def _npz(path: Path, names: Sequence[str]) -> Columns:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
 from . import unfinished
-from .errors import ConfigError
+from .errors import not_written
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -155,8 +155,8 @@ def finite(value: Any) -> Any:
 
 
 def write_whole(path: Path, data: str | bytes) -> None:
-    """Write a file so that nobody ever sees half of it. Raises ConfigError if it cannot be written."""
+    """Write a file so that nobody ever sees half of it. Raises ConfigError or LogError if it cannot be."""
     try:
         unfinished.write(path, data.encode() if isinstance(data, str) else data)
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}; choose another place") from error
+        raise not_written(path, error) from error

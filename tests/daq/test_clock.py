@@ -154,6 +154,15 @@ def test_the_system_clock() -> None:
     assert abs(clock.wall_offset_ns() - clock.wall_offset_ns()) < 10**9
 
 
+def test_a_clock_set_beyond_what_python_can_say_ends_no_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    def far_future() -> int:
+        raise OverflowError("timestamp too large to convert to C _PyTime_t")
+
+    monkeypatch.setattr("time.time_ns", far_future)
+    beyond_s = SystemClock().wall_offset_ns() / 1e9
+    assert beyond_s > 7e9  # the pipeline tells that it has moved
+
+
 def test_a_source_faster_than_time_has_no_clock() -> None:
     """A simulated bus at full speed: ten seconds of data in one."""
     clock = DeviceClock(25_600.0)

@@ -168,6 +168,22 @@ def test_a_cut_sound_is_refused_wherever_it_is_cut(
     record_property("reliability", f"{row} | refused, as .npz, .mat and .mf4 are by their libraries | refused")
 
 
+def test_a_cut_mf4_is_refused_with_its_librarys_reason(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of the half-made object that goes then, it has more to say, and that came last."""
+    from asammdf import MDF, Signal
+
+    with MDF() as file:
+        file.append([Signal(samples(1000)[:, 0], np.arange(1000) / RATE, name="b1x")])
+        file.save(folder / "whole.mf4")
+    whole = (folder / "whole.mf4").read_bytes()
+    for cut in (64, len(whole) - 100):
+        (folder / "a.mf4").write_bytes(whole[:cut])
+        said = refused(folder, folder / "a.mf4", capsys)
+        assert "cannot be read as .mf4: " in said
+        assert "; check that it is whole" in said
+        assert "AttributeError" not in said
+
+
 def test_a_table_whose_last_line_has_no_end_is_read_and_it_is_said(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

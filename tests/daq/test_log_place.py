@@ -412,11 +412,26 @@ def test_a_full_disk_leaves_no_half_of_a_file(
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     (said,) = capsys.readouterr().err.splitlines()
-    assert status == (2 if what == "export" else 4)
+    assert status == 4
     assert "File too large; " in said
     assert logs(long) == before
     row = f"`{words[0]}` on a full disk | limit on the file's size, {words[1]} | one line, no half of a file"
     record_property("reliability", f"{row} | nothing left, status {status}")
+
+
+def test_a_full_disk_is_no_mistake_of_the_users(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Status 4, not 2, of whatever is written; the folder that is not there stays a 2."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+    try:
+        assert rotorscope(tmp_path, "effects", "--quiet", "--json", "e.json") == 4
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert rotorscope(tmp_path, "effects", "--quiet", "--json", "nowhere/e.json") == 2
+    full, nowhere = capsys.readouterr().err.splitlines()
+    assert "File too large; make room" in full
+    assert "No such file or directory; choose another place" in nowhere
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "inf", "nan", "1e-9"])
