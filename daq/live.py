@@ -22,7 +22,7 @@ from .tables import gap_lines, gap_reasons, parameters_table
 if TYPE_CHECKING:
     from .metrics import MetricsServer
 
-LOG_LOST = ("log_incomplete", "log_failed")
+LOG_LOST = ("log_incomplete", "log_failed", "log_cut")
 
 
 class Operator:

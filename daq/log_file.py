@@ -35,6 +35,7 @@ class LogFile:
         self._stored = 0
         self.pending = 0
         self.restored = 0  # bytes, for whoever waits
+        self.cut = False  # by another program: what was stored is not there any more
         self._syncing: threading.Thread | None = None
         self._hidden = path.with_name(f".{path.name}.part") if whole and (path.is_file() or not path.exists()) else None
         self._aside: Path | None = None
@@ -67,6 +68,9 @@ class LogFile:
 
     def push(self) -> None:
         """Write all that waits. Raises OSError; what was not written still waits, and may be pushed again."""
+        if self._waiting:
+            about = os.fstat(self._fd)
+            self.cut |= stat.S_ISREG(about.st_mode) and about.st_size < self._stored
         while self._waiting:
             head = self._waiting[0]
             written = os.pwrite(self._fd, head, self._stored)
@@ -98,6 +102,18 @@ class LogFile:
         """Somebody deleted the file or its folder. The bytes live as long as we hold it open."""
         ours = self._hidden is not None and not unfinished.wanted(self._hidden)  # at our exit
         return os.fstat(self._fd).st_nlink == 0 and not ours
+
+    def follow(self) -> bool:
+        """Whether somebody gave the file another name; `path` is that now, where the system says which."""
+        if self._hidden is not None or self._aside is not None or self.removed:
+            return False
+        with contextlib.suppress(OSError):
+            if os.path.samestat(os.stat(self.path), os.fstat(self._fd)):
+                return False
+        before = os.path.realpath(self.path)
+        with contextlib.suppress(OSError):
+            self.path = Path(os.readlink(f"/proc/self/fd/{self._fd}"))
+        return str(self.path) != before
 
     def restore(self, folder: Path | None = None) -> Path:
         """Give a removed file its name back (or one beside it, if that is taken), whole. Raises OSError.

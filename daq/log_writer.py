@@ -34,7 +34,8 @@ class LogWriter:
         and the same file goes on when it recovers. False: the caller waits for the disk (import, fast replay), and a
         fault of the disk is a LogError from any method. The log gets its name when it is complete, if `wanted` then.
     A log without samples or gaps is not left behind; a measurement that lay there gets another name, and stays.
-    A file that was removed, alone or with its folder, is put back with all its bytes. `health` tells the operator.
+    A file that was removed, alone or with its folder, is put back with all its bytes; one that was moved is followed;
+    of one that another program cut, what is gone is gone. `health` tells the operator.
     """
 
     def __init__(
@@ -58,6 +59,7 @@ class LogWriter:
         self._progress = 0
         self._behind_since_ns: int | None = None
         self._problem = ""
+        self._told_cut = False
         self._failed = ""
         self._thread = threading.Thread(target=self._run, name=f"log {path}", daemon=True)
         self._thread.start()
@@ -261,9 +263,16 @@ class LogWriter:
             self._progress += 1
             self._behind_since_ns = None
         self._well()
+        if self._file.cut and not self._told_cut:
+            self._told_cut = True
+            text = "another program cut or overwrote the log: what it held is lost; it goes on, and recover reads it"
+            self._tell("error", "log_cut", f"{self.path}: {text}")
         return True
 
     def _look_after_file(self) -> None:
+        before = self._file.path
+        if self._file.follow():
+            self._tell("warning", "log_moved", f"{before}: the log was moved; it goes on as {self._file.path}")
         if not self._file.removed:
             return
         try:

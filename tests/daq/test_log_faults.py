@@ -20,6 +20,7 @@ from daq.errors import LogError
 from daq.log_file import LogFile
 from daq.log_reader import read_log
 from daq.log_writer import LogWriter
+from daq.recover import recover
 from drivers.reading import Notice
 
 ROWS = 256
@@ -224,14 +225,35 @@ def test_without_a_thread_for_the_disk_the_log_goes_on(tmp_path: Path, monkeypat
     assert assert_right(tmp_path / "a.mcap", complete=True) == feeder.index
 
 
-def test_the_log_is_moved_while_it_is_written(tmp_path: Path) -> None:
+def test_the_log_is_moved_while_it_is_written(tmp_path: Path, record_property: Property) -> None:
     feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
     feeder.feed(50, 0.01)
     (tmp_path / "a.mcap").rename(tmp_path / "b.mcap")
-    feeder.feed(50, 0.01)
+    feeder.until(lambda: feeder.heard("log_moved"))
     feeder.close()
+    assert feeder.writer.path == tmp_path / "b.mcap"
+    assert str(feeder.writer.path) in feeder.told[0].text
+    assert len(feeder.told) == 1
     assert not (tmp_path / "a.mcap").exists()
     assert assert_right(tmp_path / "b.mcap", complete=True) == feeder.index
+    row = "log moved | `mv` while it is written | told, complete under its new name, which the summary gives"
+    record_property("reliability", f"{row} | 0 samples lost")
+
+
+def test_another_program_cuts_the_log(tmp_path: Path, record_property: Property) -> None:
+    """As `> a.mcap` or a copy onto it do."""
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
+    feeder.until(lambda: (tmp_path / "a.mcap").stat().st_size > 100_000)
+    os.truncate(tmp_path / "a.mcap", 10)
+    feeder.until(lambda: feeder.heard("log_cut"))
+    feeder.feed(100, 0.01)
+    feeder.close()
+    assert [n.code for n in feeder.told] == ["log_cut"]
+    lost = feeder.index - assert_right(tmp_path / "a.mcap", complete=False)
+    assert recover(tmp_path / "a.mcap", tmp_path / "b.mcap").samples == feeder.index - lost
+    assert 0 < lost < feeder.index - 100 * ROWS
+    row = "log cut by another program | truncated to 10 bytes while it is written | told, status 4, the rest readable"
+    record_property("reliability", f"{row} | {lost} of {feeder.index} samples lost, what came afterwards is there")
 
 
 class StalledFile(LogFile):
