@@ -103,17 +103,24 @@ class LogFile:
         ours = self._hidden is not None and not unfinished.wanted(self._hidden)  # at our exit
         return os.fstat(self._fd).st_nlink == 0 and not ours
 
+    @property
+    def in_place(self) -> bool:
+        """What is found under `path` is this file; of one that was removed or has no name yet, nobody asks."""
+        return self._hidden is not None or self._aside is not None or self.removed or self._is(self.path)
+
     def follow(self) -> bool:
-        """Whether somebody gave the file another name; `path` is that now, where the system says which."""
-        if self._hidden is not None or self._aside is not None or self.removed:
-            return False
+        """To the name that somebody gave it, as `path`; False if it has none, or the system does not say which."""
         with contextlib.suppress(OSError):
-            if os.path.samestat(os.stat(self.path), os.fstat(self._fd)):
-                return False
-        before = os.path.realpath(self.path)
+            now = Path(os.readlink(f"/proc/self/fd/{self._fd}"))
+            if self._is(now):
+                self.path = now
+                return True
+        return False
+
+    def _is(self, path: Path) -> bool:
         with contextlib.suppress(OSError):
-            self.path = Path(os.readlink(f"/proc/self/fd/{self._fd}"))
-        return str(self.path) != before
+            return os.path.samestat(os.stat(path), os.fstat(self._fd))
+        return False
 
     def restore(self, folder: Path | None = None) -> Path:
         """Give a removed file its name back (or one beside it, if that is taken), whole. Raises OSError.

@@ -59,7 +59,7 @@ class LogWriter:
         self._progress = 0
         self._behind_since_ns: int | None = None
         self._problem = ""
-        self._told_cut = False
+        self._told_cut = self._told_hidden = False
         self._failed = ""
         self._thread = threading.Thread(target=self._run, name=f"log {path}", daemon=True)
         self._thread.start()
@@ -270,9 +270,8 @@ class LogWriter:
         return True
 
     def _look_after_file(self) -> None:
-        before = self._file.path
-        if self._file.follow():
-            self._tell("warning", "log_moved", f"{before}: the log was moved; it goes on as {self._file.path}")
+        if not self._file.in_place:
+            self._look_for_file()
         if not self._file.removed:
             return
         try:
@@ -281,6 +280,17 @@ class LogWriter:
             self._fault(f"removed, and cannot be put back: {error.strerror or error}")
         else:
             self._tell("warning", "log_restored", f"the log was removed; it is back, whole, as {path}")
+
+    def _look_for_file(self) -> None:
+        before = self._file.path
+        if self._file.follow():
+            self._tell("warning", "log_moved", f"{before}: the log was moved; it goes on as {self._file.path}")
+        elif not self._told_hidden:
+            self._told_hidden = True
+            text = (
+                "the disk of the log was unmounted, or another mounted over it; the log goes on there, and is not to be"
+            )
+            self._tell("error", "log_hidden", f"{before}: {text} found under this name until that disk is back")
 
     def _rescue(self) -> None:
         """At the end the log has no name, and cannot have its own: in the nearest other folder, rather than nowhere."""

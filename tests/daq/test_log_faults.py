@@ -240,6 +240,20 @@ def test_the_log_is_moved_while_it_is_written(tmp_path: Path, record_property: P
     record_property("reliability", f"{row} | 0 samples lost")
 
 
+def test_a_log_that_is_out_of_reach_is_told_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As behind an unmounted disk, which a test may not do: the file lives, and has no name that leads to it."""
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
+    feeder.feed(50, 0.01)
+    monkeypatch.setattr("os.readlink", lambda path: "/a.mcap")
+    (tmp_path / "a.mcap").rename(tmp_path / "b.mcap")
+    feeder.until(lambda: feeder.heard("log_hidden"))
+    feeder.feed(100, 0.01)
+    feeder.close()
+    assert len(feeder.told) == 1
+    assert feeder.writer.path == tmp_path / "a.mcap"
+    assert assert_right(tmp_path / "b.mcap", complete=True) == feeder.index
+
+
 def test_another_program_cuts_the_log(tmp_path: Path, record_property: Property) -> None:
     """As `> a.mcap` or a copy onto it do."""
     feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
