@@ -27,9 +27,9 @@ FINE_HZ = 0.05  # resolves a resonance that rings for some seconds
 _POWERS = {"acceleration": (0, -1, -2), "velocity": (1, 0, -1), "displacement": (2, 1, 0), "force": (0,)}
 
 
-def to_acceleration(kinds: Sequence[str], w: float) -> NDArray[np.complex128]:
-    """(channels,) acceleration at w rad/s per unit of what sensors of these kinds measure there."""
-    return np.array([(1j * w) ** _POWERS[kind][0] for kind in kinds])
+def to_acceleration(kinds: Sequence[str], w: float | Floats) -> NDArray[np.complex128]:
+    """(..., channels) acceleration at w (...) rad/s per unit of what sensors of these kinds measure there."""
+    return np.stack([(1j * np.asarray(w)) ** _POWERS[kind][0] for kind in kinds], axis=-1)
 
 
 def noise_shape(kinds: Sequence[str], w: Floats) -> Floats:

@@ -5,6 +5,7 @@ where R is what each column answers to the acceleration of each place: 1 for a, 
 mean tangents of a law times those; det A is summed where contour.py says. S = diag(S_i) + sensor noise seen through A.
 The factor 1/2 in front is the redundancy of the overlapping blocks (gram.py). Where S varies within a cell, the
 Jacobian is weighted as the quadratic form is, so that the score stays unbiased: E[F F^H] = S at every frequency.
+Where the force is measured at every place the slopes have none of the determinant (known_force.py).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from .bandlimit import noise_shape
 from .contour import modes_of, past
 from .gram import Layout, Nodes
 from .jacobian import levels, log_determinant, noise_slope
+from .known_force import is_known, seen_through, taken_back, worse
 
 MARGIN = 2.0  # spacings of the nodes from a mode to the line of the determinant: the slopes are good to exp(-4 pi)
 
@@ -107,6 +109,8 @@ class Likelihood:
         self.evidence = evidence
         balance, nodes = evidence.balance, evidence.nodes
         self.R = self._responses(0.0)
+        self.known = is_known(balance)
+        self.seen = seen_through(balance, self.R) if self.known else self.R  # how the sensors' noise enters a column
         entries = [(p, i, k, x) for p, f in enumerate(balance.free) for i, k, x in f.entries]
         self.row = np.array([e[1] for e in entries], dtype=np.intp)
         self.column = np.array([e[2] for e in entries], dtype=np.intp)
@@ -235,7 +239,7 @@ class Likelihood:
         """(cells, E) derivative of the spread of its row by each entry."""
         nodes, per_cell = self.evidence.nodes, self.evidence.grid.per_cell
         psd = self.noise_shape * point.noise
-        return noise_slope(A, self.R, self.row, self.column, psd, nodes.weight, nodes.cell, per_cell)
+        return noise_slope(A, self.seen, self.row, self.column, psd, nodes.weight, nodes.cell, per_cell)
 
     def with_slope_of_dressing(self, local: Local, pairs: Complexes) -> Local:
         """The Hessian as it is when the dressing follows the parameters, which the steps to the maximum hold.
@@ -252,6 +256,13 @@ class Likelihood:
         hessian, p = local.hessian.copy(), local.point.beta.size
         hessian[:p, :p] -= ev.blocks * self.T @ (0.5 * (change + change.T)) @ self.T.T
         return replace(local, hessian=hessian)
+
+    def better(self, trial: Local, here: Local) -> bool:
+        """Whether a step has not made the model less likely."""
+        if self.known:
+            count: Floats = np.asarray(self.evidence.blocks * self.evidence.grid.per_cell, dtype=np.float64)
+            return not worse(here, trial, self.colour[1], count)
+        return trial.nll <= here.nll + 1e-9 * abs(here.nll)
 
     def _nuisance(self, point: Point, gain: Floats) -> Floats:
         P = point.S.size
@@ -273,6 +284,10 @@ class Likelihood:
     ) -> tuple[Floats, Floats]:
         """Gradient (E,) and Hessian (E, E) of 1/2 sum over bins of log |det A|^2 along the line."""
         nodes = self.evidence.nodes
+        if self.known:
+            psd = self.noise_shape * point.noise * nodes.weight[:, None]
+            share = psd[:, None, :] / spread[nodes.cell][:, :, None]
+            return taken_back(A, self.seen, self.row, self.column, share)
         inside = point.S * self.colour[0] + (np.abs(A) ** 2 * self.noise_shape[:, None, :]) @ point.noise
         kappa = inside / spread[nodes.cell] * nodes.weight[:, None]  # 1 per bin where S is flat within the cell
         g, h = log_determinant(line.A, line.R, self.row, self.column, kappa, hessian)
@@ -325,7 +340,7 @@ def maximise(likelihood: Likelihood, start: Point, iterations: int = 40, toleran
         step, decrement = _step(here, damping)
         trial = profiled(here.point.beta + step, here.point)
         stable = likelihood.damping(trial.point.beta).min() > 0 or likelihood.damping(here.point.beta).min() <= 0
-        if stable and np.isfinite(trial.nll) and trial.nll <= here.nll + 1e-9 * abs(here.nll):
+        if stable and np.isfinite(trial.nll) and likelihood.better(trial, here):
             here, damping, tried = trial, damping / 8 if damping > 1e-4 else 0.0, damping
             if decrement < tolerance and tried == 0.0:
                 return here, True

@@ -13,6 +13,7 @@ from .bandlimit import passband
 from .columns import Columns
 from .dressing import Flutter, dressed, flutter, mean_responses, self_energies
 from .errors import DataError
+from .known_force import is_known
 from .likelihood import Likelihood, Local, Point, active, maximise
 from .model import Model
 from .record import Bank, Record, gather
@@ -138,7 +139,9 @@ class Tangents:
 
 
 def tangents_of(record: Record, start: Start, bank: Bank, local: Local) -> Tangents | None:
-    """What the fluctuating tangents of the laws do at a point; None if no law has any."""
+    """What the fluctuating tangents of the laws do at a point; None if no law has any, or the force is known."""
+    if is_known(bank.balance):  # no determinant, and a path without the sensors' noise
+        return None
     columns = Columns(bank.balance, record.scales, start.widths, start.linear)
     B = bank.balance.coefficients(local.point.beta)
     pairs = self_energies(record, columns, B, bank.tangents, start.nodes.f_hz)

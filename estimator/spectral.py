@@ -19,9 +19,11 @@ from .estimate import Parameter
 from .fit_result import Fit
 from .fold_tangents import excess
 from .gram import spectra, taper, valid_blocks
+from .known_force import is_known
 from .likelihood import Likelihood, Local, Point, active, responses
+from .likely_path import along_likely_path
 from .lines import begin, describe
-from .maximum import inverse, maximum
+from .maximum import SETTLED, inverse, maximum
 from .model import UNITS, Model
 from .model_uses import searched
 from .periodic import PERIODIC
@@ -32,6 +34,7 @@ from .start import Start
 
 Floats = NDArray[np.float64]
 START_SECONDS = 20.0  # of a record, for where a gap is begun
+PATHS = 4  # that a law is fitted along where the force is known, each from the last fit
 OVERLAP = 0.106  # correlation of the energies of neighbouring blocks (sums of w^2 w'^2 over w^4, gram.taper)
 
 
@@ -67,8 +70,16 @@ def analyse(
     model: Model, y: Floats, rate_hz: float, phase: Floats | None = None, values: Mapping[str, float] | None = None
 ) -> Solution:
     """Fit a model to (n, channels) rows in SI. values : to begin from, by name. Raises DataError."""
-    record = prepare(model, check_record(model, y, rate_hz), rate_hz, phase)
-    return solve(*begin(record), model, values)
+    y = check_record(model, y, rate_hz)
+    solution = solve(*begin(prepare(model, y, rate_hz, phase)), model, values)
+    if not (is_known(solution.balance) and solution.balance.laws):
+        return solution
+    for _ in range(PATHS):
+        before, sd = solution.point.beta, np.sqrt(np.diag(solution.covariance))
+        solution = solve(*along_likely_path(solution, y), model, solution.values)
+        if np.nanmax(np.abs(solution.point.beta - before) / sd[: before.size]) < SETTLED:
+            break
+    return solution
 
 
 def solve(record: Record, start: Start, model: Model, values: Mapping[str, float] | None = None) -> Solution:
@@ -84,7 +95,8 @@ def sandwich(likelihood: Likelihood, local: Local, bank: Bank) -> Floats:
     if folds < 3 * used.size:
         return bread
     g = likelihood.scores(local, bank.grams, bank.blocks)
-    g[:, : local.point.beta.size] -= excess(likelihood, local, bank.fold_tangents, bank.blocks)
+    if not likelihood.known:
+        g[:, : local.point.beta.size] -= excess(likelihood, local, bank.fold_tangents, bank.blocks)
     g = g[:, used]
     m = float(bank.blocks.mean())
     lost = (1 + 2 * OVERLAP) / (1 + 2 * OVERLAP * (m - 1) / m)  # neighbouring folds share half a block
