@@ -1,8 +1,10 @@
-"""Where numba keeps compiled code. It gives up where it can keep none: a read-only installation and no home."""
+"""Where numba keeps compiled code. It gives up where it can keep none, and over what a power cut left of some."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+import pickle
 import stat
 import tempfile
 from pathlib import Path
@@ -10,12 +12,41 @@ from pathlib import Path
 VARIABLE = "NUMBA_CACHE_DIR"
 
 
+PARTS = ("estimator", "drivers", "effects")  # whose functions are compiled
+
+
 def choose() -> None:
-    """Before numba is imported: a folder among the temporary files, if its own places cannot be written."""
-    package = Path(__file__).parents[1] / "estimator"
-    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-    if VARIABLE not in os.environ and not (_writable(package / "__pycache__") or _writable(home / "numba")):
+    """Before numba is imported: a folder among the temporary files, if its own places cannot be written.
+
+    A read-only installation, and no home.
+    """
+    home, root = _home(), Path(__file__).parents[1]
+    if VARIABLE not in os.environ and not (_writable(root / PARTS[0] / "__pycache__") or _writable(home)):
         os.environ[VARIABLE] = str(_ours(Path(tempfile.gettempdir())))
+
+
+def clean() -> None:
+    """Remove files that are empty or have no end: numba would end every command over one, for ever."""
+    root = Path(__file__).parents[1]
+    folders = [root / "estimator", root / "drivers", root / "estimator" / "effects"]
+    places = [folder / "__pycache__" for folder in folders]
+    for cache in (_home(), Path(os.environ.get(VARIABLE) or _home())):
+        places += [place for part in PARTS for place in cache.glob(f"{part}_*")]
+    for path in (path for place in places for path in place.glob("*.nb[ic]")):
+        with contextlib.suppress(OSError):
+            if not _has_end(path):
+                path.unlink()
+
+
+def _home() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "numba"
+
+
+def _has_end(path: Path) -> bool:
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(size - 1, 0))
+        return file.read() == pickle.STOP
 
 
 def _writable(folder: Path) -> bool:

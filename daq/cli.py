@@ -74,7 +74,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 2
         text = error.format_message().rstrip(".").replace("\n", " ")
         return _failed(f"{text}; see {command} --help", 2, verbose)
-    except (KeyboardInterrupt, typer.Abort):
+    except (KeyboardInterrupt, typer.Abort) as error:
+        if isinstance(error.__cause__, EOFError):  # typer takes it for Ctrl-D at a question, and we ask none
+            return _unexpected(error.__cause__, verbose)
         return _failed("interrupted", INTERRUPTED, verbose=False)
     except BrokenPipeError:  # the reader of our output has seen enough
         with contextlib.suppress(OSError):
@@ -88,8 +90,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _failed(str(error), status, verbose)
         if isinstance(error, OSError) and error.filename is not None and error.strerror:  # of a name none has looked at
             return _failed(f"{error.filename}: {error.strerror}; choose another name or place", 4, verbose)
-        text = f"unexpected {type(error).__name__}: {error}; run it again with --verbose and report what it prints"
-        return _failed(text, 1, verbose)
+        return _unexpected(error, verbose)
+
+
+def _unexpected(error: Exception, verbose: bool) -> int:
+    text = f"unexpected {type(error).__name__}: {error}; run it again with --verbose and report what it prints"
+    return _failed(text, 1, verbose)
 
 
 def _interrupted(error: BaseException | None) -> bool:

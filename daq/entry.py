@@ -20,9 +20,10 @@ def main() -> NoReturn:
     if before is signal.default_int_handler:  # not ignored, as it is for a shell's background jobs
         signal.signal(signal.SIGINT, _leave)
     gc.set_threshold(OBJECTS)
-    from .cache_place import choose
+    from . import cache_place
 
-    choose()
+    cache_place.choose()
+    cache_place.clean()
     from .cli import main as run
 
     try:

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import os
+import pickle
 import stat
+import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from daq.cache_place import VARIABLE, choose
+from daq.cache_place import VARIABLE, choose, clean
+
+RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 
 
 @pytest.fixture
@@ -52,3 +58,42 @@ def test_a_place_that_another_may_have_prepared_is_not_taken(nowhere: Path, trap
     assert taken != first
     assert taken.parent == nowhere
     assert stat.S_IMODE(taken.stat().st_mode) == 0o700
+
+
+@pytest.mark.slow  # compiles twice
+def test_compiled_code_that_a_power_cut_spoilt_is_compiled_again(
+    tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    """Files that were not written to the disk before it: empty, cut, or zeros."""
+    code = "from daq import cache_place; cache_place.clean(); from drivers import cobs; print(cobs.encode(b'a').hex())"
+    environment = os.environ | {VARIABLE: str(tmp_path / "cache"), "PYTHONPATH": str(RIG.parents[1])}
+
+    def encode() -> tuple[str, list[Path]]:
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+        return done.stdout, sorted((tmp_path / "cache").rglob("*.nb[ic]"))
+
+    said, files = encode()
+    assert len(files) >= 2
+    for k, path in enumerate(files):
+        data = path.read_bytes()
+        path.write_bytes((b"", data[: len(data) // 2], data[:-100] + bytes(100))[k % 3])
+    assert encode() == (said, files)
+    row = "power cut | compiled code on the disk is empty, cut, or ends in zeros | compiled again, no word"
+    record_property("reliability", f"{row} | {len(files)} files, status 0")
+
+
+def test_whole_files_of_compiled_code_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    ours, theirs = tmp_path / "drivers_1", tmp_path / "others_1"
+    for folder in (ours, theirs):
+        folder.mkdir()
+        (folder / "whole.nbi").write_bytes(pickle.dumps("x"))
+        (folder / "cut.nbi").write_bytes(pickle.dumps("x")[:-1])
+        (folder / "zeros.nbc").write_bytes(pickle.dumps("x")[:-1] + bytes(9))
+        (folder / "empty.nbc").write_bytes(b"")
+    clean()
+    assert [path.name for path in ours.iterdir()] == ["whole.nbi"]
+    assert len(list(theirs.iterdir())) == 4
