@@ -54,9 +54,7 @@ class Cells:
 
 def cells_of(point: WorkingPoint, i: int) -> Cells:
     """Cells about evenly spread in log frequency, fine at the resonance."""
-    data = point.data
-    Z = point.spectra[i].reshape(data.blocks, -1, 2)
-    power = np.einsum("bkc,bkc->k", Z, Z).astype(np.float64) / data.blocks / point.weighing.weight[i]
+    data, power = point.data, _power(point, i)
     edges = np.unique(np.round(np.geomspace(12, power.size, CELLS)).astype(int))
     first = np.concatenate([[0], edges[:-1]])
     width = np.diff(np.append(first, power.size)).astype(np.float64)
@@ -69,6 +67,12 @@ def cells_of(point: WorkingPoint, i: int) -> Cells:
     return Cells(
         mean(power), width * data.blocks, mean(w), mean(A.real) + 1j * mean(A.imag), mean(data.colour[i]), mean(noise)
     )
+
+
+def _power(point: WorkingPoint, i: int) -> Array:
+    """(bins,) mean |F|^2 of the force at a place, N^2/Hz."""
+    Z = point.spectra[i].reshape(point.data.blocks, -1, 2)
+    return np.asarray(np.einsum("bkc,bkc->k", Z, Z).astype(np.float64) / point.data.blocks / point.weighing.weight[i])
 
 
 def _exp(z: float) -> float:
@@ -255,11 +259,8 @@ def _shapes(
 
 
 def _variance(point: WorkingPoint, i: int) -> float:
-    """N^2 of the force whose spectra are given, within the bins looked at."""
-    data = point.data
-    Z = point.spectra[i].reshape(data.blocks, -1, 2)
-    power = np.einsum("bkc,bkc->k", Z, Z).astype(np.float64) / data.blocks / point.weighing.weight[i]
-    return float(power.sum()) * data.rate_hz / data.block
+    """N^2 of the force at a place, within the bins looked at."""
+    return float(_power(point, i).sum()) * point.data.rate_hz / point.data.block
 
 
 def _where(c: Cells, r: Array) -> str:

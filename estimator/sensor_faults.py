@@ -10,9 +10,7 @@ from .model import Model
 from .suspect import Suspect
 
 Array = NDArray[np.float64]
-
-
-PILE = 20  # samples of one and the same extreme value, on three times as many as have the next
+PILE = 20  # samples of one and the same extreme value, beside three times as many as have the next
 
 
 def clipping_level(y: Array) -> tuple[float, int] | None:
