@@ -75,11 +75,11 @@ def spectra(tangents: NDArray[np.floating], lags: int) -> Spectra:
 @njit(cache=True, nogil=True)
 def _cross(Z, K):  # type: ignore[no-untyped-def]
     """(f,) mean over the pieces of Z conj(K), both (pieces, f)."""
-    out = np.zeros(Z.shape[1], np.complex128)
+    out, each = np.zeros(Z.shape[1], np.complex128), 1.0 / Z.shape[0]
     for p in range(Z.shape[0]):
         for f in range(out.size):
-            out[f] += Z[p, f] * K[p, f].conjugate()
-    return out / Z.shape[0]
+            out[f] += each * Z[p, f] * K[p, f].conjugate()
+    return out
 
 
 def covariance(Z: Spectra, K: Spectra, lags: int) -> Floats:

@@ -117,8 +117,8 @@ def rk4(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: ignore[n
         for i in range(nz):
             z[i] += h / 6.0 * (d1[i] + 2.0 * d2[i] + 2.0 * d3[i] + d4[i])
         _emit(out, k, chan, x, v, x1, v1, Fk, h)
-        x[:] = x1
-        v[:] = v1
+        for i in range(n):  # x[:] = x1 takes four seconds to compile, for the message of an error
+            x[i], v[i] = x1[i], v1[i]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -161,8 +161,8 @@ def exponential(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: 
                     x1[o + i] += xi
                     v1[o + i] += vi
         _emit(out, k, chan, x, v, x1, v1, Fk, h)
-        x[:] = x1
-        v[:] = v1
+        for i in range(n):
+            x[i], v[i] = x1[i], v1[i]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract", "nsz"})

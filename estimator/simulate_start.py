@@ -52,7 +52,7 @@ def start_state(
         else:
             steps = round(BURN_S / stepper.dt)
             stepper.count = first - steps
-            stepper.advance(rng, np.empty((len(plan.channels), steps)))
+            stepper.run_in(rng, steps)
     return stepper.x, stepper.v, stepper.z, first
 
 
@@ -65,7 +65,7 @@ def _thermalise(plan: Plan, stepper: Stepper, rng: np.random.Generator, temperat
     other.x, other.v, other.z = stepper.x, stepper.v, stepper.z
     steps = round(60.0 / (0.5 * w.min()) / stepper.dt)
     while steps > 0:
-        other.advance(rng, np.empty((len(plan.channels), min(steps, 65536))))
+        other.run_in(rng, min(steps, 65536))
         steps -= 65536
     stepper.x, stepper.v, stepper.z = other.x, other.v, other.z
 

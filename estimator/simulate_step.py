@@ -54,6 +54,11 @@ class Stepper:
         F[:, self.slots.of_dof[self.driven]] = self._force(rng, steps)
         self.step(F, out)
 
+    def run_in(self, rng: np.random.Generator, steps: int) -> None:
+        """Step without looking."""
+        room = np.empty((len(self._channels), steps + 1))
+        self.advance(rng, room[:, 1:])  # a slice, as when it is looked at: one layout to compile for
+
     def step(self, F: Array, out: Array) -> None:
         """Step under the given held forces F (steps, slots) N."""
         steps = len(F)
