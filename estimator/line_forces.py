@@ -83,20 +83,16 @@ def _searched(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> Sp
 
 def _standing(s: Spectrum, known: Sequence[float], threshold: float) -> list[float]:
     """Frequencies of the bins that stand out in any channel, neighbours joined, strongest first, refined."""
-    Z = (s.Y.real**2 + s.Y.imag**2) / s.noise
+    best = np.max([(Y.real**2 + Y.imag**2) / noise for Y, noise in zip(s.Y, s.noise, strict=True)], axis=0)
     usable = (s.f_hz > max(3.0, 20 / s.seconds)) & (s.f_hz < 0.47 * s.rate_hz)
     for hz in known:
         usable &= np.abs(s.f_hz - hz) > s.width(hz)
-    Z[:, ~usable] = 0.0
-    best = Z.max(axis=0)
-    order = np.argsort(-best)
+    high = np.flatnonzero(usable & (best >= threshold))
     out: list[float] = []
-    for k in order[:4000]:
-        if best[k] < threshold:
-            break
+    for k in high[np.argsort(-best[high])][:4000]:
         hz = float(s.f_hz[k])
         if all(abs(hz - h) > 4.0 / s.seconds for h in out):
-            out.append(_centre(s, int(k), int(np.argmax(Z[:, k]))))
+            out.append(_centre(s, int(k), int(np.argmax(np.abs(s.Y[:, k]) ** 2 / s.noise[:, k]))))
         if len(out) >= 200:
             break
     return out

@@ -97,8 +97,10 @@ def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
     keep = len(y)
     while next_fast_len(keep, real=True) != keep:
         keep -= 1
-    windowed = np.nan_to_num(np.ascontiguousarray(y[:keep, columns].T, dtype=np.float32), copy=False)
-    windowed *= np.hanning(keep).astype(np.float32)
+    windowed, window = np.empty((len(columns), keep), np.float32), np.hanning(keep)
+    for row, k in zip(windowed, columns, strict=True):
+        np.multiply(y[:keep, k], window, out=row)
+        row[~np.isfinite(row)] = 0.0
     kinds = tuple(model.channels[k].kind for k in columns)
     return _spectrum(windowed, kinds, model, rate_hz, measured_phase(model, y[:keep], rate_hz))
 

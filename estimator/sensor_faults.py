@@ -10,6 +10,7 @@ from .model import Model
 from .suspect import Suspect
 
 Array = NDArray[np.float64]
+FAR = 0.3  # of the extremes: less far in are a few samples of any vibration
 PILE = 20  # samples of one and the same extreme value, beside three times as many as have the next
 
 
@@ -19,14 +20,17 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
     The density of any vibration falls towards its extremes. A limiter puts everything beyond it into a spike there: of
     one value, as a converter does, or blurred by what noise comes after, both ends together.
     """
-    there = y[np.isfinite(y)]
-    if there.size < 1000:
+    if np.count_nonzero(np.isfinite(y)) < 1000:
         return None
-    piled = [found for z in (there, -there) if (found := _piled(z)) is not None]
+    low, high = np.nanmin(y), np.nanmax(y)
+    reach = FAR * (high - low)
+    piled = [found for z in (y[y >= high - reach], -y[y <= low + reach]) if (found := _piled(z)) is not None]
     if piled:
         return max(level for level, _ in piled), sum(count for _, count in piled)
-    size = np.abs(there)
-    top = float(size.max())
+    top = float(max(high, -low))
+    size = np.abs(y[(y > (1.0 - FAR) * top) | (y < (FAR - 1.0) * top)])
+    if size.size <= 40:
+        return None
     edge = np.partition(size, -20)[-20:].mean()  # a spike in the noise does not make the level
     at = int(np.sum(size > 0.993 * edge))
     before = int(np.sum((size > 0.965 * edge) & (size <= 0.979 * edge)))
