@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 from .edit import with_effect, with_values
 from .errors import ConfigError, LogError
 from .measurement import Measurement, measure
+from .memory import keep_freed
 from .output import Output, write_whole
 from .rig import Rig, load_rig
 from .tables import ladder_table, number, parameters_table
@@ -48,6 +49,7 @@ def given(output: Output, log: Path, rig_path: Path) -> tuple[Rig, Measurement]:
     """Model and measurement of a command, checked."""
     from .check import check_laws
 
+    keep_freed()
     rig = load_rig(rig_path)
     check_laws(rig, rig_path)
     return rig, measure(log, rig, output.note)
