@@ -109,7 +109,7 @@ def _gram(
     tangents: dict[str, Array] = {}
     for row, (i, mask) in enumerate(zip(at, masks, strict=True)):
         own = [j for j, t in enumerate(all_terms) if i in t.series]
-        spectra = [point.spectra[i], *(point.weighing.spectrum(i, all_terms[j].series[i] * all_terms[j].scale)
+        spectra = [point.spectra[i], *(point.weighing.spectrum(i, all_terms[j].series[i], all_terms[j].scale)
                                        for j in own)]  # fmt: skip
         Z = np.stack([_in_band(point, z)[mask] for z in spectra])
         rows = np.array([0] + [1 + j for j in own])

@@ -16,6 +16,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -28,6 +29,7 @@ from .effect import Effect
 from .effects.compiled import address, call_force, force_array
 
 Floats = NDArray[np.float64]
+Series = NDArray[np.floating[Any]]
 NEAREST = 0.02  # least smoothing, in standard deviations of the state: a step needs some width to have a derivative
 FINER = 4
 HALF = 12  # half support of the interpolation, in samples of the coarse grid
@@ -144,12 +146,12 @@ class State:
     h : (4,) half-widths of the smoothing for x, v, xo, vo. valid : (n,) bool.
     """
 
-    x: Floats
-    v: Floats
-    xo: Floats
-    vo: Floats
-    t: Floats
-    phase: Floats
+    x: Series
+    v: Series
+    xo: Series
+    vo: Series
+    t: Series
+    phase: Series
     s: float
     h: Floats
     valid: NDArray[np.bool_]
@@ -167,7 +169,7 @@ class State:
         n = (self.x.size - 2 * HALF) * FINER
         zero = np.zeros(n)
 
-        def linear(z: Floats) -> Floats:
+        def linear(z: Series) -> Floats:
             out = np.empty(n)
             _between(z[HALF : n // FINER + HALF + 1], out)
             return out
@@ -235,14 +237,13 @@ def law_force(
 ) -> tuple[Floats, Floats]:
     """(n,) smoothed force in N on the grid of `state`, and (4,) sums of its tangents over the valid rows.
 
-    series : arrays to fill with the tangents along x and v.
+    reads : of x, v, xo, vo, as `depends` has it. series : arrays to fill with the tangents along x and v.
     """
     along, p, sums = ready(effect), np.ascontiguousarray(p), np.zeros(4)
-    signals = [
-        z if z.flags.c_contiguous and z.flags.writeable else z.copy()  # what the compiled loops are made for
-        for z in (state.x, state.v, state.xo, state.vo, state.t, state.phase)
-    ]
-    f, up, down = (np.empty_like(state.x) for _ in range(3))
+    t, phase = (_signal(z) for z in (state.t, state.phase))
+    own = zip((state.x, state.v, state.xo, state.vo), reads, strict=True)
+    signals = [*(_signal(z) if read else t for z, read in own), t, phase]  # anything will do for what is not read
+    f, up, down = (np.empty(state.x.size) for _ in range(3))
     along(p, *signals, np.zeros(4), state.s, f)
     out = f
     for k, h in enumerate(np.where(reads, state.h, 0.0).tolist()):
@@ -262,6 +263,11 @@ def law_force(
 _NONE = np.empty(0)
 
 
+def _signal(z: Series) -> Floats:
+    """What the compiled loops are made for."""
+    return np.require(z, np.float64, ["C", "W"])
+
+
 def ready(effect: Effect) -> Callable[..., None]:
     """The law of an effect, compiled (`_along`). Raises ValueError if the effect has none."""
     if effect.force is None:
@@ -269,10 +275,10 @@ def ready(effect: Effect) -> Callable[..., None]:
     return _along(effect.force)
 
 
-def interpolated(z: Floats, finer: int = FINER) -> Floats:
+def interpolated(z: Series, finer: int = FINER) -> Floats:
     """A signal on the finer grid, without HALF (coarse) rows on either side."""
     out = np.empty((z.size - 2 * HALF) * finer)
-    _interpolate(z, _prototype(finer)[0], out)
+    _interpolate(np.asarray(z, np.float64), _prototype(finer)[0], out)
     return out
 
 

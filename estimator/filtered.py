@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,9 +68,9 @@ class Filtered(BandLimit):
             out[:, :, a - lo : e - lo] = z[:, :, a - b * self._hop : e - b * self._hop]
         return out
 
-    def whole(self) -> Motion:
+    def whole(self, dtype: type[np.floating[Any]] = np.float64) -> Motion:
         """All of it, held."""
-        out = [np.empty((len(self.kinds), self.rows)) for _ in range(self._outputs)]
+        out: list[NDArray[Any]] = [np.empty((len(self.kinds), self.rows), dtype) for _ in range(self._outputs)]
 
         def fill(b: int) -> None:
             first, z = b * self._hop, self._filtered(b)
@@ -77,7 +78,7 @@ class Filtered(BandLimit):
                 whole[:, first : first + self._hop] = part
 
         each(fill, range(-(-self.rows // self._hop)))
-        u = out[3] if self._outputs == 4 else np.empty((0, self.rows))
+        u = out[3] if self._outputs == 4 else np.empty((0, self.rows), dtype)
         return Motion(0, out[0], out[1], out[2], u, self.valid)
 
     @cached_property

@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .effect import Effect
-from .features import MARGIN, decimated, interpolated
+from .features import MARGIN, Series, decimated, interpolated
 from .linearised import Linearised, passed, reads
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ class MeanResponse:
 
 
 def remember(
-    effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: float, mean: Steps | None = None
+    effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float, mean: Steps | None = None
 ) -> Array:  # fmt: skip
     """(n,) N of a force along a path, its states from rest. lin : (3,) m, kL, c. mean : to be given steps."""
     n, rate = x.size, FINER * rate_hz
@@ -68,7 +68,7 @@ def remember(
     return out
 
 
-def along(effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: float) -> tuple[Array, MeanResponse]:
+def along(effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float) -> tuple[Array, MeanResponse]:
     """The same with the mean response."""
     mean = Steps(x, v, 1.0 / (FINER * rate_hz))
     return remember(effect, p, lin, x, v, rate_hz, mean), mean.response()
@@ -77,7 +77,7 @@ def along(effect: Effect, p: Array, lin: Array, x: Array, v: Array, rate_hz: flo
 class Steps:
     """Sums of the answers to steps along a path x, v (any rate), whose rows are to be dt apart."""
 
-    def __init__(self, x: Array, v: Array, dt: float) -> None:
+    def __init__(self, x: Series, v: Series, dt: float) -> None:
         cycle = 2 * np.pi * float(np.sqrt(np.dot(x, x) / np.dot(v, v))) / dt  # rows
         self.dt, self.stride = dt, max(1, int(cycle / OFTEN))
         self.sums, self.counts = np.zeros((2, int(CYCLES * cycle) + 2))

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from .effect import Effect
 from .effects.compiled import rise
+from .features import Series
 
 Array = NDArray[np.float64]
 SMALL = 1e-7  # change of a state or of the motion over its largest value, for derivatives
@@ -55,7 +56,7 @@ def together(laws: list[Linearised]) -> Linearised:
 
 
 def passed(
-    effect: Effect, p: Array, lin: Array, x: Array, v: Array, dt: float, start: Array, about: bool = True
+    effect: Effect, p: Array, lin: Array, x: Series, v: Series, dt: float, start: Array, about: bool = True
 ) -> tuple[Array, Array, Linearised | None]:  # fmt: skip
     """(n,) N of the force along a path (n,) from states (S,) at its start; (n, S) its states; linearised if asked."""
     if effect.rates is None or effect.memory_force is None:

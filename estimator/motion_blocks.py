@@ -14,7 +14,7 @@ from .bandlimit import noise_shape
 from .effects.custom import effect_of
 from .effects.places import at
 from .errors import DataError
-from .features import NEAREST
+from .features import NEAREST, Series
 from .filtered import Filtered
 from .model import MOTION, Model
 from .periodic import Push, Wave, pushes, series, waves
@@ -36,6 +36,8 @@ class MotionBlocks:
     v, x : (places, n) band-limited motion; known : (places, n) N, the part of the force that needs no estimate:
     m a + shaft and disc. t : (n,) s from the start of the record; phase : (n,) rad, of the shaft, by a tacho or at the
     model's speed. start : (blocks,) first row of each block in the record. fold : (blocks,) number of the time fold.
+    v, x, known and slow are in single precision. It rounds a force by some millionths of k x; memory, which is most of
+    what a record of minutes costs, is half.
     """
 
     places: tuple[str, ...]
@@ -46,9 +48,9 @@ class MotionBlocks:
     bins: NDArray[np.int64]  # of the block spectrum: those in the band, without the resonance of the disc
     start: NDArray[np.int64]
     fold: NDArray[np.int64]
-    v: Array
-    x: Array
-    known: Array
+    v: Series
+    x: Series
+    known: Series
     t: Array
     phase: Array
     mass: Array
@@ -59,7 +61,7 @@ class MotionBlocks:
     rms: Array  # (3, places) of x, of v and of a, over the whole record
     driven: Array  # (places,) N^2/Hz, PSD of the measured forces; 0 without
     sharpened: Array  # (places, bins) by what undoing a sensor's resonance has multiplied its noise, in power
-    slow: Array | None = None  # (places, n) displacement below the band that the laws make: slow_motion.py
+    slow: Series | None = None  # (places, n) displacement below the band that the laws make: slow_motion.py
     shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
     pushes: tuple[Push, ...] = ()  # the model's periodic forces below the band, which laws feel
     waves: tuple[Wave, ...] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
@@ -98,7 +100,7 @@ class MotionBlocks:
         name = f"{'bearing2' if node == 'bearing1' else 'bearing1'}.{direction}"
         return self.places.index(name) if name in self.places else None
 
-    def seen(self, i: int) -> Array:
+    def seen(self, i: int) -> Series:
         """(n,) displacement at a place as its laws see it."""
         return np.asarray(self.x[i] if self.slow is None else self.x[i] + self.slow[i])
 
@@ -116,14 +118,14 @@ class MotionBlocks:
     def sign(self, i: int) -> float:
         return 1.0 if self.places[i].endswith("x") else -1.0
 
-    def states(self, of: Callable[[Array], Array], **rest: Any) -> MotionBlocks:
+    def states(self, of: Callable[[Series], Series], **rest: Any) -> MotionBlocks:
         """With v, x and the slow displacement, (places, n) each, as `of` makes them, and other fields as given."""
         return replace(self, v=of(self.v), x=of(self.x), slow=None if self.slow is None else of(self.slow), **rest)
 
     def at(self, rows: slice | list[slice] | NDArray[np.bool_], **rest: Any) -> MotionBlocks:
         """Only these rows: views of them if they are a slice. rest : fields that change with them."""
 
-        def taken(z: Array) -> Array:
+        def taken(z: Series) -> Series:
             if isinstance(rows, list):
                 return np.concatenate([z[..., run] for run in rows], axis=-1)
             return z[..., rows] if isinstance(rows, slice) else np.ascontiguousarray(z[..., rows])
@@ -151,7 +153,7 @@ def finer(data: MotionBlocks, by: int = 4) -> MotionBlocks:
     """Displacement, velocity, time and phase of the blocks at `by` times the rate; the rest as it was."""
     from scipy.fft import irfft, rfft
 
-    def fine(z: Array) -> Array:
+    def fine(z: Series) -> Series:
         Z = rfft(z.reshape(len(z), data.blocks, -1), axis=2)
         Z[..., -1] *= 0.5  # the Nyquist frequency is two lines there
         return np.asarray(by * irfft(Z, by * data.block, axis=2)).reshape(len(z), -1)
@@ -209,7 +211,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     used = y if columns == [*range(y.shape[1])] else y[:, columns]
     motion = Filtered(
         used, [model.channels[k].kind for k in columns], rate_hz, model.band, shaft_reaction(model)
-    ).whole()
+    ).whole(np.float32)
     starts = _valid_starts(motion.valid, block)
     if starts.size < 2 * FOLDS:
         raise DataError(
@@ -219,7 +221,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     P = len(places)
     runs = _runs(starts, block)
 
-    def valid(z: Array) -> Array:
+    def valid(z: Series) -> Series:
         return z[:, runs[0]] if len(runs) == 1 else np.concatenate([z[:, run] for run in runs], axis=1)
 
     t = np.arange(len(y)) / rate_hz
@@ -231,7 +233,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     measured = {places.index(p): a[P + k] for k, p in enumerate(p for p in places if p in shaken)}
     for i, force in measured.items():
         if model.cap_mass(places[i]) is None:  # the scale that the force gives
-            Z = np.stack([a[i], v[i], x[i]])
+            Z = np.stack([a[i], v[i], x[i]]).astype(np.float64)
             mass[i] = np.linalg.solve(Z @ Z.T, Z @ force)[0]
     known = u[:P] if len(u) else np.zeros_like(x)
     for direction in "xy":

@@ -21,6 +21,7 @@ from .effects import MORE_LINES, NAMED
 from .effects.compiled import force_array
 from .effects.places import at, kinematic, values, written
 from .errors import ModelError
+from .features import Series
 from .model import Model, Setting
 from .rotor import shaft_at_caps
 
@@ -189,15 +190,15 @@ def waves(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[Wave, 
     return tuple(out)
 
 
-def series(model: Model, places: tuple[str, ...], t: Array, phase: Array, rate_hz: float) -> Array | None:
+def series(model: Model, places: tuple[str, ...], t: Array, phase: Array, rate_hz: float) -> Series | None:
     """(places, n) N that the periodic effects put on the caps, as far as the band lets it through; None without any.
 
     t, phase : (n,) s and rad.
     """
-    out: Array | None = None
+    out: Series | None = None
     for one in whole_waves(model, places, rate_hz):
         for i, z in one.series(t, phase).items():
-            out = np.zeros((len(places), t.size)) if out is None else out
+            out = np.zeros((len(places), t.size), np.float32) if out is None else out
             out[i] += z
     return out
 

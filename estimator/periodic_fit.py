@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .effects.places import written
 from .estimate import Parameter
+from .features import Series
 from .model import Model, Setting
 from .motion_blocks import MotionBlocks, shaft_response
 from .periodic import FREQUENCY, LINE_NAMES, UNTOLD, Periodic, acts, periodic_of, pushes, series, waves
@@ -55,7 +56,7 @@ def found_beside(
     return named, point
 
 
-def _stepped(alone: Model, point: WorkingPoint, whole: Array) -> tuple[Model, dict[str, Parameter]]:
+def _stepped(alone: Model, point: WorkingPoint, whole: Series) -> tuple[Model, dict[str, Parameter]]:
     """Some steps of the numbers. alone : the model with the effect only; whole : (places, n) N inferred without it."""
     found: dict[str, Parameter] = {}
     for _ in range(STEPS):
@@ -64,12 +65,12 @@ def _stepped(alone: Model, point: WorkingPoint, whole: Array) -> tuple[Model, di
     return alone, found
 
 
-def _series(model: Model, data: MotionBlocks) -> Array:
+def _series(model: Model, data: MotionBlocks) -> Series:
     wave = series(model, data.places, data.t, data.phase, data.rate_hz)
     return np.zeros_like(data.known) if wave is None else wave
 
 
-def refined(model: Model, point: WorkingPoint, force: Array) -> tuple[Model, dict[str, Parameter]]:
+def refined(model: Model, point: WorkingPoint, force: Series) -> tuple[Model, dict[str, Parameter]]:
     """The model with the numbers of its periodic effects one step nearer, and these with their standard deviations.
 
     point : the rest of the model; force : (places, n) N inferred with the effects as they are. Only what lies in the
@@ -108,7 +109,7 @@ def _told(one: Periodic, p: Array, sd: Array) -> list[bool]:
             for k, (name, v, s) in enumerate(zip(names, p, sd, strict=True))]  # fmt: skip
 
 
-def _step(model: Model, one: Periodic, point: WorkingPoint, force: Array) -> tuple[Array, Array] | None:
+def _step(model: Model, one: Periodic, point: WorkingPoint, force: Series) -> tuple[Array, Array] | None:
     """(k,) numbers after the step and their standard deviations; None if none is free, or no harmonic in the band."""
     data = point.data
     count, inside = one.highest(data.band), one.within(data.band) - 1
@@ -182,7 +183,7 @@ def _slope(model: Model, one: Periodic, place: str, count: int, k: int) -> Compl
     return np.asarray((next(both) - next(both)) / (2 * h))
 
 
-def _demodulated(force: Array, angle: Array, pieces: NDArray[np.int64], count: int) -> Complexes:
+def _demodulated(force: Series, angle: Array, pieces: NDArray[np.int64], count: int) -> Complexes:
     """(pieces, count) harmonics of a force (n,) over an angle, by folding each piece."""
     bins = 1 << int(np.ceil(np.log2(8 * count)))
     cell = ((angle / (2 * np.pi)) % 1.0 * bins).astype(np.int64) % bins

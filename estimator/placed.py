@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from . import linear_memory
 from .effect import Effect
-from .features import FINER, MARGIN, State, decimated, depends, jumps, law_force
+from .features import FINER, MARGIN, Series, State, decimated, depends, jumps, law_force
 from .hidden_states import along
 from .motion_blocks import MotionBlocks
 
@@ -74,7 +74,8 @@ def _along(
     reads = depends(effect, p, np.maximum(size, 1e-300))
     sharp = tangents is None and jumps(effect, p, size)
     zero = np.zeros(n)
-    own, (xo, vo) = data.seen(i), (zero, zero) if o is None else (data.seen(o), data.v[o])
+    own: Series = data.seen(i)
+    xo, vo = (zero, zero) if o is None else (data.seen(o), data.v[o])
     out, sums = np.empty(n), np.zeros(4)
     for a in range(0, n, PIECE):
         b = min(a + PIECE, n)

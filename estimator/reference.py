@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -115,7 +116,9 @@ def _filled(law: Callable[..., None], columns: int, *states: Series) -> tuple[li
     return list(out), slopes / states[0].size
 
 
-def hat_group(name: str, z: Array, scale: float, place: int, which: int, places: int, step: float) -> Group:
+def hat_group(
+    name: str, z: NDArray[np.floating[Any]], scale: float, place: int, which: int, places: int, step: float
+) -> Group:
     """Hats over +-SPAN rms (scale) of a state; which: 0 for x, 1 for v."""
     half = int(np.ceil(SPAN / step))
     knots: Array = np.arange(-half, half + 1, dtype=np.float64) * step * scale
@@ -200,7 +203,9 @@ def groups(
     slopes[2, 0] = slopes[3, 1] = m(second)
     yield _group(data, i, "time", [tau * u, tau * w, second * u, second * w], slopes)
     if data.speed > 0.0:
-        turning = [wave(k * data.phase).astype(np.float32) for k in orders for wave in (np.cos, np.sin)]
+        turns = data.phase / (2 * np.pi)
+        angles = [2 * np.pi * (k * turns - np.floor(k * turns)) for k in orders]
+        turning = [wave(z.astype(np.float32)) for z in angles for wave in (np.cos, np.sin)]
         slopes = np.array([[m(z), 0.0, 0.0, 0.0] for z in turning])
         yield _group(data, i, "shaft_angle", [z * u for z in turning], slopes)
 
@@ -216,7 +221,7 @@ def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subpro
     own = float(np.sqrt(np.vdot(point.spectra[i], point.spectra[i]) / point.spectra[i].size))
     made: list[tuple[NDArray[np.int64], Array, Array]] = []
     by_fold: list[list[Group]] = []
-    v_step = velocity_step(point, i)
+    v_step, room = velocity_step(point, i), np.empty(0, np.float32)
     for f in range(FOLDS):
         part = fold_of(data, f)
         found = []
@@ -225,7 +230,10 @@ def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subpro
         for g in groups(part, i, orders, times, v_step):
             spectra += [point.weighing.spectrum(i, z) for z in g.series]
             found.append(Group(g.name, [], [t * weight for t in g.tangents], g.knots))
-        X = np.stack(spectra)
+        if not room.size:  # the same for all folds: memory that is new takes longer than what is computed in it
+            room = np.empty(len(spectra) * -(-data.blocks // FOLDS) * spectra[0].shape[1], np.float32)
+        X = room[: len(spectra) * spectra[0].size].reshape(len(spectra), *spectra[0].shape)
+        np.stack(spectra, out=X)
         del spectra
         made.append(products(point, i, base, f, X))
         by_fold.append(found)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from .bandlimit import passband
 from .effect import Effect
 from .effects.compiled import force_array, memory_array
+from .features import Series
 from .linear_memory import filtered
 from .motion_blocks import MotionBlocks
 from .placed import Placed, evaluate, remembers
@@ -75,10 +76,11 @@ def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -
     def response(i: int) -> Callable[[Array], Complexes]:
         return below((float(data.mass[i]), float(stiffness[i]), float(c[i])), data.rate_hz, data.band)
 
-    def at(i: int) -> Array:
+    def at(i: int) -> Series:
         if not own[i]:
-            return np.zeros(data.x.shape[1])
-        return filtered(response(i), np.sum([force(u, i) for u in own[i]], axis=0), data.rate_hz)
+            return np.zeros(data.x.shape[1], np.float32)
+        total = np.sum([force(u, i) for u in own[i]], axis=0)
+        return filtered(response(i), total, data.rate_hz).astype(np.float32)
 
     slow = np.stack(each(at, range(len(data.places))))
     for push in data.pushes:

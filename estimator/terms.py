@@ -43,7 +43,7 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
         ends = _ends(placed, k, data)
         for i in placed.at:
             made = [at(i, p) for p, _ in ends]
-            series[i] = _summed([w * f for (_, w), (f, _, _) in zip(ends, made, strict=True)])
+            series[i] = _summed([f if w == 1.0 else w * f for (_, w), (f, _, _) in zip(ends, made, strict=True)])
             slopes[i] = _summed([w * s for (_, w), (_, s, _) in zip(ends, made, strict=True)])
             if placed.effect.kind == "memory":
                 memory[i] = _summed([w * m for (_, w), (_, _, m) in zip(ends, made, strict=True) if m is not None])
@@ -147,10 +147,10 @@ class Span:
 
 
 @njit(cache=True, nogil=True)
-def _subtract(z, weight, other):  # type: ignore[no-untyped-def]
-    """z -= weight * other, (n,), in double precision."""
+def add_to(z, weight, other):  # type: ignore[no-untyped-def]
+    """z += weight * other, (n,), without memory for the product: that takes longer than the sum."""
     for i in range(z.size):
-        z[i] -= weight * other[i]
+        z[i] += weight * other[i]
 
 
 STRIDE = 4  # of the samples that the projection is computed from; it need not be exact, only subtracted exactly
@@ -191,7 +191,7 @@ def orthogonal(term: Term, spans: Spans, least: float = 1e-4) -> Term | None:
         weights = np.linalg.lstsq(base.gram, base.part @ z[::STRIDE], rcond=1e-10)[0]
         rest = z.astype(np.float64)
         for weight, b in zip(weights, base.base, strict=True):
-            _subtract(rest, weight * b.scale, b.series[i])
+            add_to(rest, -weight * b.scale, b.series[i])
         slopes[i] -= np.tensordot(weights, base.slopes, 1)
         if base.memory is not None:
             memory[i] = memory.get(i, 0.0) - weights @ base.memory
@@ -213,5 +213,6 @@ def linear_terms(data: MotionBlocks, i: int) -> list[Term]:
     for which, (name, unit, z) in enumerate((("kL", "N/m", data.x[i]), ("c", "N s/m", data.v[i]))):
         slope = np.zeros((P, P, 2))
         slope[i, i, which] = 1.0
-        out.append(Term(f"{data.places[i]}.{name}", unit, {i: z}, slope, 1.0 / max(float(z.std()), 1e-300)))
+        rms = max(float(data.rms[which, i]), 1e-300)
+        out.append(Term(f"{data.places[i]}.{name}", unit, {i: z}, slope, 1.0 / rms))
     return out

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .bandlimit import left_out
 from .contour import along, contour
 from .effects.strength import search_range
+from .features import Series
 from .fluctuation import Fluctuation, fluctuations
 from .model_uses import size
 from .motion_blocks import FOLDS, MotionBlocks, part_of
@@ -21,7 +22,7 @@ from .probe import Probe
 from .self_energy import Mean
 from .side_by_side import each
 from .slow_motion import with_slow
-from .terms import Spans, dressed, light, linear_terms, reach, terms
+from .terms import Spans, add_to, dressed, light, linear_terms, reach, terms
 
 Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
@@ -49,7 +50,7 @@ class WorkingPoint:
     S: Array
     nu: Array
     placed: tuple[Placed, ...]
-    force: Array  # (places, n) N, inferred excitation
+    force: Series  # (places, n) N, inferred excitation
     weighing: Weighing
     spectra: dict[int, Spectrum]  # of the force
     terms: tuple[Term, ...]
@@ -163,7 +164,7 @@ def _first_linear(
 
 def _forces(
     data: MotionBlocks, kL: Array, c: Array, uses: list[Placed], made: list[list[Term]]
-) -> tuple[Array, NDArray[np.complex128], Array]:
+) -> tuple[Series, NDArray[np.complex128], Array]:
     """Inferred force (places, n), A (bins, places, places) and the mean tangent (places, places, 2).
 
     made : the terms of each use.
@@ -177,9 +178,9 @@ def _forces(
     lin = np.stack([data.mass, kL, c], axis=1)
 
     def add(i: int) -> None:
-        np.multiply(data.x[i], kL[i], out=F[i])
-        F[i] += data.known[i]
-        F[i] += c[i] * data.v[i]
+        F[i] = data.known[i]
+        add_to(F[i], kL[i], data.x[i])
+        add_to(F[i], c[i], data.v[i])
         for use, own in zip(uses, made, strict=True):
             if i not in use.at:
                 continue
@@ -188,12 +189,12 @@ def _forces(
             if amplitudes and all(use.name(k) in units for k in amplitudes):
                 for k in amplitudes:
                     unit = units[use.name(k)]
-                    F[i] += use.p[k] * unit.series[i]
+                    add_to(F[i], use.p[k], unit.series[i])
                     D[i] += use.p[k] * unit.tangent[i]
                     M[:, i, i] += use.p[k] * unit.memory.get(i, 0.0)
                 continue
             f, slope, memory = evaluate(use, data, i, lin[i])
-            F[i] += f
+            add_to(F[i], 1.0, f)
             D[i] += slope
             if memory is not None:
                 M[:, i, i] += memory
@@ -291,7 +292,7 @@ def _cautious(G: Gram, jacobian: Jacobian, blocks: Array, caution: Array) -> Pat
     return replace(fit(G, jacobian, everything, blocks, ridge=caution), covariance=result.covariance)
 
 
-def _follows(data: MotionBlocks, F: Array, i: int, j: int) -> Term:
+def _follows(data: MotionBlocks, F: Series, i: int, j: int) -> Term:
     """What the unknown force at place i has in common with that at j, as a column. With it the rest of F_i is
     independent of F_j and of all motion that F_j makes; the determinant does not change."""
     P = len(data.places)

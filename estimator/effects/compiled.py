@@ -178,8 +178,8 @@ def memory_array(
     effect: Effect,
     p: NDArray[np.float64],
     lin: NDArray[np.float64],
-    x: NDArray[np.float64],
-    v: NDArray[np.float64],
+    x: NDArray[np.floating[Any]],
+    v: NDArray[np.floating[Any]],
     rate_hz: float,
 ) -> NDArray[np.float64]:
     """(n,) N, the force of a memory effect along displacement and velocity, its states from rest.
@@ -193,8 +193,8 @@ def remembered(
     effect: Effect,
     p: NDArray[np.float64],
     lin: NDArray[np.float64],
-    x: NDArray[np.float64],
-    v: NDArray[np.float64],
+    x: NDArray[np.floating[Any]],
+    v: NDArray[np.floating[Any]],
     rate_hz: float,
     start: NDArray[np.float64] | float = 0.0,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
