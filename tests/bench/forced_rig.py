@@ -21,7 +21,7 @@ KNL = 1.3e18
 STEPS = 8  # a sample
 EDGE_HZ = 11500.0  # half of the force's amplitude
 LEAD_S = 4.0  # from rest, not kept: the disc on its shaft loses 1/e in a second
-CHUNK = 8192
+CHUNK, REACH = 8192, 64  # samples at a time; under the interpolating filter
 KEYS = ("kL", "c", "kNL")
 NOISE = 0.02  # m/s^2 rms, of each accelerometer
 COUNT = 490.5 / 32768  # m/s^2
@@ -34,7 +34,7 @@ def truth() -> Floats:
 
 
 @njit(cache=True)
-def _accelerate(x, v, f, p, a):  # type: ignore[no-untyped-def]
+def accelerate(x, v, f, p, a):  # type: ignore[no-untyped-def]
     for q in range(2):
         a[4 + q] = 0.0
     for i in range(4):
@@ -49,17 +49,22 @@ def _integrate(f, x, v, h, p, steps, out):  # type: ignore[no-untyped-def]
     """f : (2 steps n + 1, 4) at every half step; out : (n, 4) acceleration at the samples."""
     a1, a2, a3, a4 = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
     for n in range(out.shape[0] * steps):
-        _accelerate(x, v, f[2 * n], p, a1)
+        accelerate(x, v, f[2 * n], p, a1)
         if n % steps == 0:
             out[n // steps] = a1[:4]
         v2 = v + 0.5 * h * a1
-        _accelerate(x + 0.5 * h * v, v2, f[2 * n + 1], p, a2)
+        accelerate(x + 0.5 * h * v, v2, f[2 * n + 1], p, a2)
         v3 = v + 0.5 * h * a2
-        _accelerate(x + 0.5 * h * v2, v3, f[2 * n + 1], p, a3)
+        accelerate(x + 0.5 * h * v2, v3, f[2 * n + 1], p, a3)
         v4 = v + h * a3
-        _accelerate(x + h * v3, v4, f[2 * n + 2], p, a4)
+        accelerate(x + h * v3, v4, f[2 * n + 2], p, a4)
         x += h / 6 * (v + 2 * v2 + 2 * v3 + v4)
         v += h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+
+
+def taps(finer: int) -> Floats:
+    """Of the filter that makes the force on a grid so many times finer."""
+    return np.asarray(firwin(REACH * finer + 1, EDGE_HZ, fs=RATE * finer, window=("kaiser", 10.0)) * finer)
 
 
 def respond(white: Floats, p: Floats, steps: int = STEPS) -> tuple[Floats, Floats]:
@@ -68,14 +73,12 @@ def respond(white: Floats, p: Floats, steps: int = STEPS) -> tuple[Floats, Float
     p : (12,) as in `truth`.
     """
     fine = 2 * steps
-    taps = firwin(64 * fine + 1, EDGE_HZ, fs=RATE * fine, window=("kaiser", 10.0)) * fine
-    reach = 64  # samples that a filter covers
     x, v = np.zeros(6), np.zeros(6)
     accelerations, forces = [], []
-    for start in range(0, len(white) - reach - 1, CHUNK):
-        part = white[start : start + CHUNK + reach + 1]
-        n = len(part) - reach - 1
-        f = upfirdn(taps, part, up=fine, axis=0)[reach * fine : (reach + n) * fine + 1]
+    for start in range(0, len(white) - REACH - 1, CHUNK):
+        part = white[start : start + CHUNK + REACH + 1]
+        n = len(part) - REACH - 1
+        f = upfirdn(taps(fine), part, up=fine, axis=0)[REACH * fine : (REACH + n) * fine + 1]
         out = np.empty((n, 4))
         _integrate(np.ascontiguousarray(f), x, v, 1 / (RATE * steps), p.reshape(4, 3), steps, out)
         accelerations.append(out)

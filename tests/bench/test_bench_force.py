@@ -27,6 +27,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import forced_rig as rig
 from reference_rig import DISC, MASS, PLACES, RATE, SHAFT, SHAFT_DAMPING, rig_model
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+from scipy.signal import upfirdn
 
 from estimator import spectral
 from estimator.free_run import beside_record, simulation_rmse
@@ -152,6 +155,26 @@ def table(found: list[Result], limit: np.ndarray) -> None:
             f"{np.median(z):.3g} | {np.sqrt(np.mean((x / z) ** 2)):.2f} | {100 * np.mean(np.abs(x) < 1.96 * s):.1f} |"
         )
         assert abs(x.mean()) < 5 * x.std() / np.sqrt(x.size)
+
+
+def test_the_integrator_beside_another() -> None:
+    """scipy's DOP853 under a spline through the same force, 5 ms from rest."""
+    white = rig.white(0.0, 5)[:200]
+    a, _ = rig.respond(white, rig.truth())
+    t = np.arange(len(a)) / RATE
+    dense = upfirdn(rig.taps(32), white, up=32, axis=0)[rig.REACH * 32 :]
+    force = CubicSpline(np.arange(len(dense)) / (32 * RATE), dense)
+
+    def slope(at: float, state: np.ndarray) -> np.ndarray:
+        out = np.empty(6)
+        rig.accelerate(state[:6].copy(), state[6:].copy(), force(at), rig.truth().reshape(4, 3), out)
+        return np.concatenate([state[6:], out])
+
+    path = solve_ivp(slope, (0, t[-1]), np.zeros(12), "DOP853", t, rtol=1e-9, atol=1e-18, max_step=0.5 / RATE)
+    other = np.array([slope(at, z)[6:10] for at, z in zip(t, path.y.T, strict=True)])
+    apart = np.sqrt(np.mean((a - other) ** 2) / np.mean(a**2))
+    print(f"\naccelerations of the two integrators differ by {apart:.1e} of their rms")
+    assert apart < 2e-6
 
 
 def test_measured_force() -> None:
