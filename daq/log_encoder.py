@@ -18,6 +18,7 @@ from .sink import Session, Status
 
 PROFILE = "rotorscope"
 CHUNK_BYTES = 256 * 1024
+LARGEST = 64 << 20  # chunks are ended here, before the library would
 JOINED_ROWS = 4096  # blocks of a link are joined into messages of about this many rows
 ENVELOPE_HZ = 50.0  # least and greatest of each window: 100 preview rows a second
 MEDIA_TYPES = {".toml": "application/toml", ".dbc": "text/plain"}
@@ -30,10 +31,10 @@ class Output(Protocol):
 
 
 class LogEncoder:
-    """Writes MCAP to `output`. Each `flush` ends a chunk, and the next one starts with session and info again."""
+    """Writes MCAP to `output`. Every chunk starts with session and info again, and can be read alone."""
 
     def __init__(self, output: Output) -> None:
-        self._mcap = Writer(output, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._mcap = Writer(output, chunk_size=LARGEST, compression=CompressionType.ZSTD)
         self._mcap._Writer__chunk_indices = PackedIndex()  # it has no way to be told
         self._mcap.start(PROFILE)
         self._ids = [0, *(self._register(topic) for topic in codec.TOPICS)]
@@ -45,6 +46,7 @@ class LogEncoder:
         self._envelope: Envelope | None = None
         self._axis_ns = 0  # Unix time of sample 0 on the device's nominal time axis
         self._last_ns = 0
+        self._chunk_bytes = 0
         self.fresh = True  # nothing since the last flush
 
     def start(self, session: Session, wall_offset_ns: int) -> None:
@@ -84,8 +86,7 @@ class LogEncoder:
     def raw_message(self, topic: int, log_time: int, publish_time: int, data: bytes) -> None:
         """A message as it was in another log: for `recover`."""
         self._last_ns = log_time
-        self.fresh = False
-        self._mcap.add_message(self._ids[topic], log_time, data, publish_time)
+        self._add(topic, log_time, data, publish_time)
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
         self._mcap.add_attachment(0, 0, name, media_type, data)
@@ -98,8 +99,7 @@ class LogEncoder:
         if self.fresh:
             return
         self._join()
-        self._mcap.flush()
-        self._introduce()
+        self._end_chunk()
         self.fresh = True
 
     def finish(self) -> None:
@@ -118,10 +118,21 @@ class LogEncoder:
 
     def _introduce(self) -> None:
         if self._session and self._info is not None:
-            self._add(codec.SESSION, self._last_ns, self._session)
-            self._add(codec.INFO, self._last_ns, codec.encode_info(self._info))
+            self._put(codec.SESSION, self._last_ns, self._session)
+            self._put(codec.INFO, self._last_ns, codec.encode_info(self._info))
+
+    def _end_chunk(self) -> None:
+        self._mcap.flush()
+        self._introduce()
+        self._chunk_bytes = 0
 
     def _add(self, topic: int, log_time: int, data: bytes, publish_time: int | None = None) -> None:
+        if self._chunk_bytes >= CHUNK_BYTES:
+            self._end_chunk()
+        self._chunk_bytes += len(data)
+        self._put(topic, log_time, data, publish_time)
+
+    def _put(self, topic: int, log_time: int, data: bytes, publish_time: int | None = None) -> None:
         self.fresh = False
         self._mcap.add_message(self._ids[topic], log_time, data, log_time if publish_time is None else publish_time)
 

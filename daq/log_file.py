@@ -15,6 +15,7 @@ from .log_place import being_written, emptied, free_name, locked, made, moved_as
 from .stop import unbroken
 
 COPY = 1 << 20
+WITNESS_BYTES = 64
 SYNC_WAIT_S = 0.3
 
 
@@ -36,6 +37,7 @@ class LogFile:
         self.pending = 0
         self.restored = 0  # bytes, for whoever waits
         self.cut = False  # by another program: what was stored is not there any more
+        self._tail = self._witness = (0, b"")  # offset and bytes: the end of the last write, and of the one before
         self._syncing: threading.Thread | None = None
         self._hidden = path.with_name(f".{path.name}.part") if whole and (path.is_file() or not path.exists()) else None
         self._aside: Path | None = None
@@ -68,18 +70,25 @@ class LogFile:
 
     def push(self) -> None:
         """Write all that waits. Raises OSError; what was not written still waits, and may be pushed again."""
-        if self._waiting:
-            about = os.fstat(self._fd)
-            self.cut |= stat.S_ISREG(about.st_mode) and about.st_size < self._stored
         while self._waiting:
             head = self._waiting[0]
+            self._look_for_cut()
             written = os.pwrite(self._fd, head, self._stored)
+            end = bytes(head[max(0, written - WITNESS_BYTES) : written])
             self._stored += written
+            self._witness, self._tail = self._tail, (self._stored - len(end), end)
             self.pending -= written
             if written == len(head):
                 self._waiting.popleft()
             else:
                 self._waiting[0] = head[written:]
+
+    def _look_for_cut(self) -> None:
+        """A cut between a look and the write that follows leaves the size right, and a hole before what was written."""
+        about = os.fstat(self._fd)
+        if stat.S_ISREG(about.st_mode) and not self.cut:
+            at, end = self._witness
+            self.cut = about.st_size < self._stored or os.pread(self._fd, len(end), at) != end
 
     def sync(self) -> None:
         """Ask for what was pushed to go from the operating system to the disk: for a power cut, a crash needs none.

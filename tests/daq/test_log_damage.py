@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import jsonschema
@@ -12,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from sessions import RIG_TEXT, counts_at, make_estimate, make_info, make_session, make_stream, truth
+from sessions import RIG_TEXT, counts_at, make_block, make_estimate, make_info, make_session, make_stream, truth
 
 from daq import log_codec as codec
 from daq.errors import LogError
@@ -20,6 +22,7 @@ from daq.info import info
 from daq.log_encoder import LogEncoder
 from daq.log_file import LogFile
 from daq.log_reader import Recording, read_log
+from daq.log_scan import MAGIC, SIGNATURE, SIGNATURE_AT
 from daq.recover import recover
 from drivers.reading import Block, Gap, Notice
 
@@ -194,6 +197,23 @@ def test_recovery_of_a_whole_log_and_its_mistakes(tmp_path: Path, whole: Bytes) 
         recover(tmp_path / "none.mcap", tmp_path / "c.mcap")
     with pytest.raises(LogError, match="cannot write"):
         recover(tmp_path / "a.mcap", tmp_path / "no" / "folder.mcap")
+
+
+def test_every_chunk_can_be_read_alone(tmp_path: Path) -> None:
+    """Also those that ended because they were full, as behind a slow disk."""
+    file = LogFile(tmp_path / "a.mcap")
+    encoder = LogEncoder(file)
+    encoder.start(make_session(), 0)
+    for k in range(400):
+        encoder.reading(make_block(256 * k, 256))
+    encoder.finish()
+    file.push()
+    file.close()
+    data = (tmp_path / "a.mcap").read_bytes()
+    starts = [m.start() - SIGNATURE_AT for m in re.finditer(re.escape(SIGNATURE), data)]
+    alone = [read(tmp_path / "b.mcap", MAGIC + data[a:b]) for a, b in pairwise([*starts, len(data)])]
+    assert len(alone) > 3
+    assert sum(log.n_samples for log in alone if log is not None) == 400 * 256
 
 
 def test_a_lost_chunk_is_a_gap_that_says_so(tmp_path: Path, whole: Bytes) -> None:
