@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -298,8 +298,10 @@ def test_a_device_in_another_process(rig: Path, device: str, tmp_path: Path) -> 
     assert read_log(tmp_path / "a.mcap").complete
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
-def test_a_signal_ends_a_run_with_a_complete_log(rig: Path, tmp_path: Path, number: int, status: int) -> None:
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 0), (signal.SIGHUP, 0)])
+def test_a_signal_ends_a_run_with_a_complete_log(
+    rig: Path, tmp_path: Path, number: signal.Signals, status: int, record_property: Callable[[str, object], None]
+) -> None:
     log = tmp_path / "a.mcap"
     command = [sys.executable, "-m", "daq", "run", str(rig), "--link", "virtual:", "--out", str(log)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -309,6 +311,10 @@ def test_a_signal_ends_a_run_with_a_complete_log(rig: Path, tmp_path: Path, numb
         _, error = process.communicate(timeout=PATIENCE_S)
         took = time.monotonic() - started
     assert process.returncode == status, error
+    row = (
+        f"stop of `rotorscope run` | {number.name}, live link, log, estimator | complete log, program ended within 2 s"
+    )
+    record_property("reliability", f"{row} | {took:.2f} s, status {status}")
     within(took, 2.0)
     assert read_log(log).complete
     assert "Traceback" not in error
