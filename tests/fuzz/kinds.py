@@ -35,9 +35,10 @@ class Kind:
     """How a target's inputs are made. split : a good file -> its inputs; pack : an input -> its part of the stream;
     many : inputs in one stream.
 
-    once : each good piece once in a stream. head : what comes before them; tails : one of these, or a damaged copy of
-    it, behind them; first, last : which of the good files; good : these instead of seeds.py's; damage : how one is
-    damaged.
+    whole : share of those that are not damaged, for what a stream carries on behind a damaged one; 0 where each is read
+    by itself. once : each good piece once in a stream. head : what comes before them; tails : one of these, or a
+    damaged copy of it, behind them; first, last : which of the good files; good : these instead of seeds.py's; damage :
+    how one is damaged.
     """
 
     what: str
@@ -46,6 +47,7 @@ class Kind:
     pack: Callable[[bytes], bytes] = lambda piece: piece
     head: tuple[bytes, ...] = (b"",)
     target: str = ""
+    whole: float = 0.3
     once: bool = False
     first: int = 0
     last: int | None = None
@@ -185,15 +187,16 @@ KINDS = {
     ),
     "csv": Kind("files", damage=damaged_evenly),
     "npz": Kind("files", damage=damaged_zip),
-    "npz-members": Kind("members of an archive", 25, _behind_length, _with_length, damage=damaged_npy),
+    "npz-members": Kind("members of an archive", 25, _behind_length, _with_length, whole=0.0, damage=damaged_npy),
     "answer-members": Kind(
         "members of answers of the process that reads .mat and .mf4",
         25,
         _behind_length,
         _with_length,
+        whole=0.0,
         damage=damaged_answer_member,
     ),
-    "uff-sets": Kind("data sets", 30, _sets, _set),
+    "uff-sets": Kind("data sets", 30, _sets, _set, whole=0.0),
     "wav": Kind("files"),
     "uff": Kind("files", damage=damaged_evenly),
     "asc": Kind("lines", 100, _after(b"\n"), damage=damaged_evenly),

@@ -28,6 +28,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parents[1])]
 
+from again import remembering  # noqa: E402
 from guard import guarded  # noqa: E402
 from kinds import KINDS, Kind  # noqa: E402
 from targets import PARSER, TARGETS, Target  # noqa: E402
@@ -50,7 +51,7 @@ def _batch(kind: Kind, good: list[bytes], rng: random.Random) -> list[bytes]:
     else:
         start = int(rng.random() * len(good))
         pieces = [good[(start + k) % len(good)] for k in range(kind.many)]
-    return [kind.pack(piece if rng.random() < 0.3 else kind.damage(piece, rng)) for piece in pieces]
+    return [kind.pack(piece if rng.random() < kind.whole else kind.damage(piece, rng)) for piece in pieces]
 
 
 class _Hang(BaseException):
@@ -184,7 +185,8 @@ def begun(page: Path) -> dict[str, dict[str, float]]:
 
 
 def _how(kind: Kind) -> str:
-    return f"damaged {kind.what}" + (f", {kind.many} in a stream, 3 of 10 whole" if kind.many > 1 else "")
+    whole = f", {10 * kind.whole:.0f} of 10 whole" if kind.whole else ""
+    return f"damaged {kind.what}" + (f", {kind.many} in a stream{whole}" if kind.many > 1 else "")
 
 
 def main() -> int:
@@ -199,7 +201,8 @@ def main() -> int:
     signal.signal(signal.SIGALRM, _alarm)
     failed = 0
     for name in options.targets or ([] if options.report else KINDS):
-        problem = fuzz(name, tally, options.inputs, lambda: _keep(options.tally, tally))
+        with remembering():
+            problem = fuzz(name, tally, options.inputs, lambda: _keep(options.tally, tally))
         print(name, f"{tally[name]['inputs']:.0f}", f"{tally[name]['cpu_s']:.0f} s", problem, flush=True)
         failed += bool(problem)
     if options.report:

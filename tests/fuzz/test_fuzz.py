@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import gc
 import random
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.io
+from again import remembering
 from asammdf import MDF, Signal
 from guard import Forbidden, guarded
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from kinds import KINDS
+from pyuff.datasets import dataset_58
 from seeds import seeds
-from targets import PARSER, TARGETS, _chunk, _message, _records
+from targets import PARSER, TARGETS, _array, _chunk, _message, _records
 
 from daq import log_codec as codec
 from daq import log_scan
@@ -125,6 +129,38 @@ def test_a_pickle_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="allow_pickle=False"):
         read(tmp_path / "a.npz", ["b1x"])
     assert not (tmp_path / "owned").exists()
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_what_a_library_says_again_is_what_it_said() -> None:
+    """Damaged arrays and lines of data sets: asked, asked with a memory, and asked of the memory."""
+    rng = random.Random(1)
+    [(_, good)] = KINDS["npz-members"].pools("npz-members")
+    arrays = [KINDS["npz-members"].damage(rng.choice(good), rng) for _ in range(1000)]
+    lines = [line.decode("latin-1") for data in seeds("uff-sets") for line in data.splitlines()[2:14]]
+    lines += [KINDS["uff"].damage(line.encode("latin-1"), rng).decode("latin-1") for line in lines * 20]
+
+    def said() -> list[str]:
+        told = []
+        for ask, inputs in ((_array, arrays), (_line, lines)):
+            for one in inputs:
+                try:
+                    told.append(repr(ask(one)))  # type: ignore[operator]
+                except Exception as error:  # noqa: BLE001 - what it says is what is compared
+                    told.append(re.sub(" at 0x[0-9a-f]+", "", repr(error)))
+        return told
+
+    asked = said()
+    with remembering():
+        assert said() == asked
+        assert said() == asked
+    assert len(set(asked)) > 500
+    assert said() == asked
+
+
+def _line(text: str) -> object:
+    names = ["a", "b", "c", "d", "e", "f"]
+    return dataset_58._parse_header_line(text, 4, [10, 5, 5, 5, 21, 21], [2, 2, 2, 2, 1, 1], names)
 
 
 def test_the_guard_guards(tmp_path: Path) -> None:
