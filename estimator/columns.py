@@ -100,7 +100,7 @@ class Columns:
             terms = ((up, 0.5 / d), (down, -0.5 / d))
         if law.effect.kind == "memory":
             return _Law(terms, np.zeros(4, bool), False)
-        ready(law.effect)  # here, before several threads ask for it
+        ready(law.effect)
         reads = np.any([depends(law.effect, p, scale) for p, _ in terms], axis=0)
         return _Law(terms, reads, column.law < self.fine and rough(law.effect, terms[0][0], scale))
 

@@ -45,31 +45,70 @@ def _by_address(law, p, x, v, xo, vo, t, phase, shift, s, out):  # type: ignore[
 
 
 @cache
-def _along(law: Callable[..., float]) -> Callable[..., None]:
-    """What fills out (n,) with a law along signals moved by shift (4,): (p, x, v, xo, vo, t, phase, shift, s, out).
-
-    A law of the catalogue is compiled into the loop, which is several times faster than calls by address, and kept on
-    disk beside this file; one that no module holds (made from an expression, say) is called by its address.
-    """
+def _version(law: Callable[..., float]) -> int:
+    """Of the source of a law, which is made known to numba; -1 of one that no module holds, as of an expression."""
     module = sys.modules.get(law.__module__)
     try:
         source = inspect.getsource(module) if module and getattr(module, law.__name__, None) is law else ""
     except (OSError, TypeError):
         source = ""
     if not source:
+        return -1
+    overload(law, strict=False, jit_options={"error_model": "numpy"})(lambda x, v, xo, vo, t, phase, s, p: law)
+    return crc32(source.encode())
+
+
+ONE = "float64[::1]"
+
+
+@cache
+def _along(law: Callable[..., float]) -> Callable[..., None]:
+    """What fills out (n,) with a law along signals moved by shift (4,): (p, x, v, xo, vo, t, phase, shift, s, out).
+
+    A law of the catalogue is compiled into the loop, which is several times faster than calls by address, and kept on
+    disk beside this file; another is called by its address.
+    """
+    version = _version(law)  # belongs to what is kept on disk: a changed law is compiled anew
+    if version < 0:
         at = np.uint64(address(law))
         return lambda *arguments: _by_address(at, *arguments)
-    version = crc32(source.encode())  # belongs to what is kept on disk: a changed law is compiled anew
-    overload(law, strict=False, jit_options={"error_model": "numpy"})(lambda x, v, xo, vo, t, phase, s, p: law)
-    one = "float64[::1]"
 
-    @njit(f"void({', '.join([one] * 8)}, float64, {one})", cache=True, error_model="numpy", nogil=True)
+    @njit(f"void({', '.join([ONE] * 8)}, float64, {ONE})", cache=True, error_model="numpy", nogil=True)
     def along(p, x, v, xo, vo, t, phase, shift, s, out):  # type: ignore[no-untyped-def]
         dx, dv, dxo, dvo = shift[0], shift[1], shift[2], shift[3]
         for i in range(x.size if version >= 0 else 0):
             out[i] = law(x[i] + dx, v[i] + dv, xo[i] + dxo, vo[i] + dvo, t[i], phase[i], s, p)
 
     return along  # type: ignore[no-any-return]
+
+
+@cache
+def _smoothed(law: Callable[..., float]) -> Callable[..., float] | None:
+    """The same for the first state that is smoothed, whose nodes are `shift` (4,) to either side: fills f with the law,
+    out with its mean, and returns the sum of the tangent over the valid rows. What the three have in common, cos phi
+    say, is computed once. (p, x, v, xo, vo, t, phase, shift, s, valid, f, out) -> float. None of a law by address.
+    """
+    version = _version(law)
+    if version < 0:
+        return None
+
+    @njit(
+        f"float64({', '.join([ONE] * 8)}, float64, boolean[::1], {ONE}, {ONE})",
+        cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"},
+    )  # fmt: skip
+    def smoothed(p, x, v, xo, vo, t, phase, shift, s, valid, f, out):  # type: ignore[no-untyped-def]
+        dx, dv, dxo, dvo = shift[0], shift[1], shift[2], shift[3]
+        total = 0.0
+        for i in range(x.size if version >= 0 else 0):
+            here = law(x[i], v[i], xo[i], vo[i], t[i], phase[i], s, p)
+            up = law(x[i] + dx, v[i] + dv, xo[i] + dxo, vo[i] + dvo, t[i], phase[i], s, p)
+            down = law(x[i] - dx, v[i] - dv, xo[i] - dxo, vo[i] - dvo, t[i], phase[i], s, p)
+            f[i] = here
+            out[i] = here + (up + down - 2.0 * here) / 6.0
+            total += up - down if valid[i] else 0.0
+        return total / (2.0 * (dx + dv + dxo + dvo))
+
+    return smoothed  # type: ignore[no-any-return]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
@@ -239,24 +278,31 @@ def law_force(
 
     reads : of x, v, xo, vo, as `depends` has it. series : arrays to fill with the tangents along x and v.
     """
-    along, p, sums = ready(effect), np.ascontiguousarray(p), np.zeros(4)
+    law, p, sums = _law(effect), np.ascontiguousarray(p), np.zeros(4)
+    smoothed = None if series else _smoothed(law)
     t, phase = (_signal(z) for z in (state.t, state.phase))
     own = zip((state.x, state.v, state.xo, state.vo), reads, strict=True)
     signals = [*(_signal(z) if read else t for z, read in own), t, phase]  # anything will do for what is not read
-    f, up, down = (np.empty(state.x.size) for _ in range(3))
-    along(p, *signals, np.zeros(4), state.s, f)
-    out = f
+    out, f, moved = np.empty(state.x.size), np.empty(0), list[Floats]()
     for k, h in enumerate(np.where(reads, state.h, 0.0).tolist()):
         if h <= 0.0:
             continue
-        if out is f:
-            out = f.copy()
         shift = np.zeros(4)
-        for sign, moved in ((1.0, up), (-1.0, down)):
-            shift[k] = sign * h
-            along(p, *signals, shift, state.s, moved)
+        shift[k] = h
+        if not f.size and smoothed is not None:
+            f = np.empty(out.size)
+            sums[k] = smoothed(p, *signals, shift, state.s, state.valid, f, out)
+            continue
+        if not f.size:
+            _along(law)(p, *signals, np.zeros(4), state.s, out)
+            f = out.copy()
+        moved = moved or [np.empty(out.size), np.empty(out.size)]
+        for sign, z in zip((1.0, -1.0), moved, strict=True):
+            _along(law)(p, *signals, sign * shift, state.s, z)
         tangent = _NONE if series is None or k > 1 else series[k]
-        sums[k] = _smooth(f, up, down, h, state.valid, out, tangent)
+        sums[k] = _smooth(f, *moved, h, state.valid, out, tangent)
+    if not f.size:
+        _along(law)(p, *signals, np.zeros(4), state.s, out)
     return out, sums
 
 
@@ -268,11 +314,16 @@ def _signal(z: Series) -> Floats:
     return np.require(z, np.float64, ["C", "W"])
 
 
-def ready(effect: Effect) -> Callable[..., None]:
-    """The law of an effect, compiled (`_along`). Raises ValueError if the effect has none."""
+def ready(effect: Effect) -> None:
+    """Compile the law of an effect, before several threads ask for it. Raises ValueError if the effect has none."""
+    _along(_law(effect))
+    _smoothed(_law(effect))
+
+
+def _law(effect: Effect) -> Callable[..., float]:
     if effect.force is None:
         raise ValueError(f"{effect.name}: no force law (kind {effect.kind})")
-    return _along(effect.force)
+    return effect.force
 
 
 def interpolated(z: Series, finer: int = FINER) -> Floats:

@@ -119,15 +119,31 @@ class Assessed(NamedTuple):
     spread: dict[str, float]
 
 
-def assess(point: WorkingPoint, placed: Placed, steps: int = 3) -> Assessed | None:
-    """Gain of the amplitudes within their limits, at given searched parameters; None if the model has such columns."""
+class Alone(NamedTuple):
+    """The model by itself at some places, fitted. level : nats."""
+
+    problem: Subproblem
+    fit: PathFit
+    level: float
+
+
+def alone(point: WorkingPoint, places: tuple[int, ...], steps: int = 3) -> Alone:
+    """What an effect at these places is judged against."""
+    plain = subproblem(point, places)
+    fit = plain.fit(steps=steps)
+    return Alone(plain, fit, plain.likelihood(fit, EVERYTHING))
+
+
+def assess(point: WorkingPoint, placed: Placed, steps: int = 3, against: Alone | None = None) -> Assessed | None:
+    """Gain of the amplitudes within their limits, at given searched parameters; None if the model has such columns.
+
+    against : `alone`, if it is known.
+    """
     extra = trial_columns(point, placed)
     if extra is None:
         return None
     problem = subproblem(point, placed.at, extra)
-    plain = problem.without_extra()
-    alone = plain.fit(steps=steps)
-    level = plain.likelihood(alone, EVERYTHING)
+    plain, base, level = against or alone(point, placed.at, steps)
     limits = {placed.name(k): (q.low, q.high) for k, q in enumerate(placed.effect.parameters)}
     spread: dict[str, float] = {}
     while problem.extra:
@@ -137,7 +153,7 @@ def assess(point: WorkingPoint, placed: Placed, steps: int = 3) -> Assessed | No
         if inside == problem.extra:
             return Assessed(problem.likelihood(fit, EVERYTHING) - level, problem, fit, spread)
         problem = problem.only(inside)
-    return Assessed(0.0, plain, alone, spread)
+    return Assessed(0.0, plain, base, spread)
 
 
 def best_at(point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Trial | None:
@@ -146,9 +162,10 @@ def best_at(point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Tri
     loose = searched(effect, model)
     free = tuple(q.linear for q in effect.parameters)
     best: tuple[Assessed, Placed] | None = None
+    base = alone(point, where)
     for p in grid(effect, model, point, where[0], loose):
         placed = Placed(effect, f"{spot}.{effect.name}", where, p, free)
-        got = assess(point, placed)
+        got = assess(point, placed, against=base)
         if got is not None and (best is None or got.gain > best[0].gain):
             best = (got, placed)
     return None if best is None else _trial(effect, spot, *best, loose)
