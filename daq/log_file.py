@@ -97,11 +97,14 @@ class LogFile:
         """
         if self._syncing is not None and self._syncing.is_alive():
             return
-        fd = os.dup(self._fd)
+        try:
+            fd = os.dup(self._fd)
+        except OSError:  # no more files to be had: the system writes it when it likes
+            return
         syncing = threading.Thread(target=_sync, args=(fd,), name="log sync", daemon=True)
         try:
             syncing.start()
-        except RuntimeError:  # no more threads to be had: the system writes it when it likes
+        except RuntimeError:  # nor threads
             os.close(fd)
         else:
             self._syncing = syncing

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
 
-from prometheus_client import CollectorRegistry, start_http_server
+from prometheus_client import CollectorRegistry
 from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
@@ -20,6 +20,7 @@ from drivers.reading import Block, Gap, LinkStats, Notice, Reading
 from estimator.estimate import Estimate
 
 from .errors import ConfigError
+from .metrics_http import serve
 from .sink import Session, Status
 
 PORT = 9464
@@ -55,7 +56,7 @@ class MetricsServer(Collector):
     def __init__(self, port: int = PORT, host: str = "127.0.0.1") -> None:
         registry = CollectorRegistry()
         try:
-            self._server, self._thread = start_http_server(port, addr=host, registry=registry)
+            self._server, self._thread = serve(registry, port, host)
         except (OSError, OverflowError) as problem:
             text = getattr(problem, "strerror", None) or problem
             raise ConfigError(f"metrics on {host}:{port}: {text}; choose another port") from problem

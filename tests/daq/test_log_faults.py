@@ -225,6 +225,30 @@ def test_without_a_thread_for_the_disk_the_log_goes_on(tmp_path: Path, monkeypat
     assert assert_right(tmp_path / "a.mcap", complete=True) == feeder.index
 
 
+def test_without_a_free_handle_the_log_goes_on(tmp_path: Path, record_property: Property) -> None:
+    """As when others hold all the open files that a process may have: asking for the disk takes one."""
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
+    feeder.feed(10, pause_s=0.01)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    held = os.dup(0)
+    os.close(held)  # the lowest that is free: below it, none is
+    resource.setrlimit(resource.RLIMIT_NOFILE, (held, hard))
+    try:
+        begin = time.monotonic()
+        while time.monotonic() - begin < 2.5:
+            feeder.feed(1, pause_s=0.02)
+        begin = time.monotonic()
+        feeder.close()
+        took = time.monotonic() - begin
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    row = "no open file to be had | limit of the process, 2.5 s and at the end | complete log within 2 s, nothing told"
+    record_property("reliability", f"{row} | {took:.2f} s, {len(feeder.told)} notices")
+    assert [n.text for n in feeder.told] == []
+    assert assert_right(tmp_path / "a.mcap", complete=True) == feeder.index
+    within(took, 2.0)
+
+
 def test_the_log_is_moved_while_it_is_written(tmp_path: Path, record_property: Property) -> None:
     feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
     feeder.feed(50, 0.01)

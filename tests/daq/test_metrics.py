@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
+import struct
+import threading
 import time
 import urllib.request
+from collections.abc import Callable
 
 import numpy as np
 import psutil
@@ -14,6 +18,7 @@ from promises import PATIENCE_S, within
 
 from daq.errors import ConfigError
 from daq.metrics import MetricsServer, MetricsSink
+from daq.metrics_http import MOST
 from daq.sink import ClockState, Session, Status
 from drivers.reading import Block, Gap, Info, LinkStats, Notice, Signal
 from estimator.estimate import Estimate, Parameter
@@ -116,6 +121,40 @@ def test_neither_the_server_nor_a_client_that_says_nothing_holds_the_stop() -> N
             sink.close()
             took.append(time.monotonic() - begin)
     within(float(np.mean(took)), 0.12)
+
+
+def test_many_clients_that_say_nothing_take_few_files_and_hold_nobody(
+    capfd: pytest.CaptureFixture[str], record_property: Callable[[str, object], None]
+) -> None:
+    """A service that a thousand of them left without an open file could not complete its log."""
+    server = MetricsServer(0)
+    address = "127.0.0.1", int(server.url.split(":")[2].split("/")[0])
+    sink = server.sink()
+    sink.start(session())
+    fill(sink)
+    before = threading.active_count()
+    clients = []
+    for _ in range(200):
+        clients.append(socket.create_connection(address, PATIENCE_S))
+        clients[-1].sendall(b"GET /metr")
+    assert threading.active_count() - before <= MOST
+    assert read(server)[("samples_total", "SN7")] == 266
+    for hostile in (b"\0" * 100_000, b"GET " + b"/" * 70_000, b"GET /metrics HTTP/9\r\n\r\n", b"A\r\nB: c\r\n" * 500):
+        with socket.create_connection(address, PATIENCE_S) as client, contextlib.suppress(ConnectionError):
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # its end is a reset
+            client.sendall(hostile)
+    assert read(server)[("samples_total", "SN7")] == 266
+    begin = time.monotonic()
+    sink.close()
+    took = time.monotonic() - begin
+    ended = sum(client.recv(1) == b"" for client in clients[:150])
+    for client in clients:
+        client.close()
+    row = "metrics: clients that say nothing | 200 at once, and hostile requests | at most 16 files, a scrape goes on"
+    record_property("reliability", f"{row} | held; {ended} of the first 150 ended, closed in {took:.2f} s")
+    assert ended == 150
+    assert capfd.readouterr().err == ""
+    within(took, 0.5)
 
 
 def test_port_in_use_is_one_line() -> None:
