@@ -135,7 +135,7 @@ def shaft_reaction(model: Model) -> Callable[[Floats], Complexes] | None:
 
 def _split(effect: Effect) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Indices of the parameters that the law is jointly linear in, and of the others that may be searched."""
-    from .effects.compiled import force_array
+    from .effects.law_loop import force_array
 
     linear = [j for j, p in enumerate(effect.parameters) if p.linear]
     if effect.force is not None and len(linear) > 1:

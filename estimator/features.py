@@ -11,22 +11,17 @@ is evaluated on a grid finer by `FINER` and brought back through a low-pass filt
 
 from __future__ import annotations
 
-import inspect
-import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 from numba import njit
-from numba.extending import overload
 from numpy.typing import NDArray
 
 from . import low_pass
 from .effect import Effect
-from .effects.compiled import address, call_force, force_array
+from .effects.law_loop import compiled, force_array, law_of, smoothed
 
 Floats = NDArray[np.float64]
 Series = NDArray[np.floating[Any]]
@@ -34,95 +29,6 @@ NEAREST = 0.02  # least smoothing, in standard deviations of the state: a step n
 FINER = 4
 HALF = 12  # half support of the interpolation, in samples of the coarse grid
 MARGIN = 2 * HALF  # rows needed on either side of those that come out
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _by_address(law, p, x, v, xo, vo, t, phase, shift, s, out):  # type: ignore[no-untyped-def]
-    for i in range(x.size):
-        out[i] = call_force(
-            law, x[i] + shift[0], v[i] + shift[1], xo[i] + shift[2], vo[i] + shift[3], t[i], phase[i], s, p
-        )
-
-
-@cache
-def _version(law: Callable[..., float]) -> int:
-    """Of the source of a law, which is made known to numba; -1 of one that no module holds, as of an expression."""
-    module = sys.modules.get(law.__module__)
-    try:
-        source = inspect.getsource(module) if module and getattr(module, law.__name__, None) is law else ""
-    except (OSError, TypeError):
-        source = ""
-    if not source:
-        return -1
-    overload(law, strict=False, jit_options={"error_model": "numpy"})(lambda x, v, xo, vo, t, phase, s, p: law)
-    return crc32(source.encode())
-
-
-ONE = "float64[::1]"
-
-
-@cache
-def _along(law: Callable[..., float]) -> Callable[..., None]:
-    """What fills out (n,) with a law along signals moved by shift (4,): (p, x, v, xo, vo, t, phase, shift, s, out).
-
-    A law of the catalogue is compiled into the loop, which is several times faster than calls by address, and kept on
-    disk beside this file; another is called by its address.
-    """
-    version = _version(law)  # belongs to what is kept on disk: a changed law is compiled anew
-    if version < 0:
-        at = np.uint64(address(law))
-        return lambda *arguments: _by_address(at, *arguments)
-
-    @njit(f"void({', '.join([ONE] * 8)}, float64, {ONE})", cache=True, error_model="numpy", nogil=True)
-    def along(p, x, v, xo, vo, t, phase, shift, s, out):  # type: ignore[no-untyped-def]
-        dx, dv, dxo, dvo = shift[0], shift[1], shift[2], shift[3]
-        for i in range(x.size if version >= 0 else 0):
-            out[i] = law(x[i] + dx, v[i] + dv, xo[i] + dxo, vo[i] + dvo, t[i], phase[i], s, p)
-
-    return along  # type: ignore[no-any-return]
-
-
-@cache
-def _smoothed(law: Callable[..., float]) -> Callable[..., float] | None:
-    """The same for the first state that is smoothed, whose nodes are `shift` (4,) to either side: fills f with the law,
-    out with its mean, and returns the sum of the tangent over the valid rows. What the three have in common, cos phi
-    say, is computed once. (p, x, v, xo, vo, t, phase, shift, s, valid, f, out) -> float. None of a law by address.
-    """
-    version = _version(law)
-    if version < 0:
-        return None
-
-    @njit(
-        f"float64({', '.join([ONE] * 8)}, float64, boolean[::1], {ONE}, {ONE})",
-        cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"},
-    )  # fmt: skip
-    def smoothed(p, x, v, xo, vo, t, phase, shift, s, valid, f, out):  # type: ignore[no-untyped-def]
-        dx, dv, dxo, dvo = shift[0], shift[1], shift[2], shift[3]
-        total = 0.0
-        for i in range(x.size if version >= 0 else 0):
-            here = law(x[i], v[i], xo[i], vo[i], t[i], phase[i], s, p)
-            up = law(x[i] + dx, v[i] + dv, xo[i] + dxo, vo[i] + dvo, t[i], phase[i], s, p)
-            down = law(x[i] - dx, v[i] - dv, xo[i] - dxo, vo[i] - dvo, t[i], phase[i], s, p)
-            f[i] = here
-            out[i] = here + (up + down - 2.0 * here) / 6.0
-            total += up - down if valid[i] else 0.0
-        return total / (2.0 * (dx + dv + dxo + dvo))
-
-    return smoothed  # type: ignore[no-any-return]
-
-
-@njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
-def _smooth(f, a, b, h, valid, out, tangent):  # type: ignore[no-untyped-def]
-    """Add to out (n,) what the mean over +-h has over f, from a and b, the law there; the sum of (a - b) / 2 h over the
-    valid rows. tangent : (n,) to be filled with it, or of no length."""
-    total = 0.0
-    for i in range(f.size):
-        out[i] += (a[i] + b[i] - 2.0 * f[i]) / 6.0
-        d = (a[i] - b[i]) / (2.0 * h)
-        total += d if valid[i] else 0.0
-    for i in range(tangent.size):
-        tangent[i] = (a[i] - b[i]) / (2.0 * h)
-    return total
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
@@ -278,35 +184,18 @@ def law_force(
 
     reads : of x, v, xo, vo, as `depends` has it. series : arrays to fill with the tangents along x and v.
     """
-    law, p, sums = _law(effect), np.ascontiguousarray(p), np.zeros(4)
-    smoothed = None if series else _smoothed(law)
+    law, p, sums = law_of(effect), np.ascontiguousarray(p), np.zeros(4)
     t, phase = (_signal(z) for z in (state.t, state.phase))
     own = zip((state.x, state.v, state.xo, state.vo), reads, strict=True)
     signals = [*(_signal(z) if read else t for z, read in own), t, phase]  # anything will do for what is not read
-    out, f, moved = np.empty(state.x.size), np.empty(0), list[Floats]()
-    for k, h in enumerate(np.where(reads, state.h, 0.0).tolist()):
-        if h <= 0.0:
-            continue
+    out, spare = np.empty(state.x.size), np.empty(state.x.size)
+    widths = [(k, h) for k, h in enumerate(np.where(reads, state.h, 0.0).tolist()) if h > 0.0]
+    for number, (k, h) in enumerate(widths or [(0, 0.0)]):
         shift = np.zeros(4)
         shift[k] = h
-        if not f.size and smoothed is not None:
-            f = np.empty(out.size)
-            sums[k] = smoothed(p, *signals, shift, state.s, state.valid, f, out)
-            continue
-        if not f.size:
-            _along(law)(p, *signals, np.zeros(4), state.s, out)
-            f = out.copy()
-        moved = moved or [np.empty(out.size), np.empty(out.size)]
-        for sign, z in zip((1.0, -1.0), moved, strict=True):
-            _along(law)(p, *signals, sign * shift, state.s, z)
-        tangent = _NONE if series is None or k > 1 else series[k]
-        sums[k] = _smooth(f, *moved, h, state.valid, out, tangent)
-    if not f.size:
-        _along(law)(p, *signals, np.zeros(4), state.s, out)
+        tangent = spare if series is None or k > 1 else series[k]
+        sums[k] = smoothed(law, p, signals, shift, state.s, state.valid, out, tangent, number > 0)
     return out, sums
-
-
-_NONE = np.empty(0)
 
 
 def _signal(z: Series) -> Floats:
@@ -316,14 +205,7 @@ def _signal(z: Series) -> Floats:
 
 def ready(effect: Effect) -> None:
     """Compile the law of an effect, before several threads ask for it. Raises ValueError if the effect has none."""
-    _along(_law(effect))
-    _smoothed(_law(effect))
-
-
-def _law(effect: Effect) -> Callable[..., float]:
-    if effect.force is None:
-        raise ValueError(f"{effect.name}: no force law (kind {effect.kind})")
-    return effect.force
+    compiled(law_of(effect))
 
 
 def interpolated(z: Series, finer: int = FINER) -> Floats:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from .bandlimit import passband
 from .effect import Effect
 from .effects import MORE_LINES, NAMED
-from .effects.compiled import force_array
+from .effects.law_loop import force_array
 from .effects.places import at, kinematic, values, written
 from .errors import ModelError
 from .features import Series

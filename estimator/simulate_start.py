@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from .effects.compiled import force_array
+from .effects.law_loop import force_array
 from .errors import ModelError
 from .model import Model
 from .rotor import Array, linear_covariance, stationarity

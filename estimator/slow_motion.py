@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from .bandlimit import passband
 from .effect import Effect
-from .effects.compiled import force_array, memory_array
+from .effects.compiled import memory_array
+from .effects.law_loop import force_array
 from .features import Series
 from .linear_memory import filtered
 from .motion_blocks import MotionBlocks

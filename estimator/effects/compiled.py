@@ -1,7 +1,7 @@
 """Laws as machine code: every law gets one C signature, so one compiled kernel can call any of them by address.
 
-That keeps start-up short: the kernels are compiled once and cached on disk whatever the model, a law of the catalogue
-is cached beside its file, and only a user's own law is compiled anew (about 0.1 s).
+That keeps start-up short: the kernels of simulations are compiled once and cached on disk whatever the model, a law of
+the catalogue is cached beside its file, and only a user's own law is compiled anew (about 0.1 s).
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from ..errors import ModelError
 
 F = types.float64
 P = types.CPointer(F)
-ARRAY = types.Array(F, 1, "C")
 FORCE = F(F, F, F, F, F, F, F, P)  # x, v, xo, vo, t, phase, s, p
 RATES = types.void(P, F, F, P, P, P)  # z, x, v, p, lin, dz
 MEMORY = F(P, F, F, P, P)  # z, x, v, p, lin
@@ -36,8 +35,18 @@ def address(law: Callable[..., Any], kind: str = "force") -> int:
     """
     signature = {"force": FORCE, "rates": RATES, "memory": MEMORY}[kind]
     on_disk = not law.__code__.co_filename.startswith("<")  # a law made from an expression has no file
+    compiled = machine_code(law, signature, law, cache=on_disk)
+    _KEEP.append(compiled)
+    return int(compiled.address)
+
+
+def machine_code(law: Callable[..., Any], signature: Any, function: Callable[..., Any], **options: Any) -> Any:
+    """A C function of a signature from a function that calls a law, or the law itself.
+
+    Raises ModelError for a law that numba cannot compile.
+    """
     try:
-        compiled = cfunc(signature, cache=on_disk, error_model="numpy")(law)
+        return cfunc(signature, error_model="numpy", **options)(function)
     except NumbaError as error:
         why = str(error).strip().splitlines()
         said = next((line.strip() for line in why[1:] if line.strip()), why[0])
@@ -45,50 +54,35 @@ def address(law: Callable[..., Any], kind: str = "force") -> int:
             f"law {law.__name__} of {law.__code__.co_filename}: numba cannot compile it: {said}; "
             "use floats, the math module and the arguments of the seam (estimator/effect.py)"
         ) from error
-    _KEEP.append(compiled)
-    return int(compiled.address)
 
 
 _KEEP: list[Any] = []  # the code lives as long as its object
 
 
-def _caller(signature: Any, arrays: Sequence[int] = (), addresses: Sequence[int] = ()) -> Any:
+def _caller(signature: Any, addresses: Sequence[int]) -> Any:
     """Argument types and code of an intrinsic that calls the function at an address (its first argument).
 
-    arrays : arguments given as 1-d arrays, passed on as pointers to their data; addresses : given as integers.
+    addresses : pointers, given as integers: no view of an array is made and counted for every call.
     """
-    args = [ARRAY if i in arrays else types.uintp if i in addresses else a for i, a in enumerate(signature.args)]
+    args = [types.uintp if i in addresses else a for i, a in enumerate(signature.args)]
 
     def generate(context: Any, builder: Any, sig: Any, values: Any) -> Any:
         pointer = ir.DoubleType().as_pointer()
         low = [pointer if t == P else ir.DoubleType() for t in signature.args]
         void = signature.return_type == types.void
         kind = ir.FunctionType(ir.VoidType() if void else ir.DoubleType(), low)
-        given = []
-        for i, value in enumerate(values[1:]):
-            if i in arrays:
-                value = context.make_array(ARRAY)(context, builder, value).data
-            elif i in addresses:
-                value = builder.inttoptr(value, pointer)
-            given.append(value)
+        given = [builder.inttoptr(v, pointer) if i in addresses else v for i, v in enumerate(values[1:])]
         result = builder.call(builder.inttoptr(values[0], kind.as_pointer()), given)
         return context.get_dummy_value() if void else result
 
     return args, generate
 
 
-_FORCE_ARGS, _FORCE_CODE = _caller(FORCE, arrays=(7,))
-_FORCE_AT_ARGS, _FORCE_AT_CODE = _caller(FORCE, addresses=(7,))
-_RATES_AT_ARGS, _RATES_AT_CODE = _caller(RATES, addresses=(0, 3, 4, 5))
-_MEMORY_AT_ARGS, _MEMORY_AT_CODE = _caller(MEMORY, addresses=(0, 3, 4))
+_FORCE_AT_ARGS, _FORCE_AT_CODE = _caller(FORCE, (7,))
+_RATES_AT_ARGS, _RATES_AT_CODE = _caller(RATES, (0, 3, 4, 5))
+_MEMORY_AT_ARGS, _MEMORY_AT_CODE = _caller(MEMORY, (0, 3, 4))
 
 
-@intrinsic
-def call_force(typingctx, law, x, v, xo, vo, t, phase, s, p):  # type: ignore[no-untyped-def]
-    return types.float64(types.uint64, *_FORCE_ARGS), _FORCE_CODE
-
-
-# The same with addresses in place of arrays: no view is made and counted for every call.
 @intrinsic
 def call_force_at(typingctx, law, x, v, xo, vo, t, phase, s, p):  # type: ignore[no-untyped-def]
     return types.float64(types.uint64, *_FORCE_AT_ARGS), _FORCE_AT_CODE
@@ -102,12 +96,6 @@ def call_rates_at(typingctx, law, z, x, v, p, lin, dz):  # type: ignore[no-untyp
 @intrinsic
 def call_memory_at(typingctx, law, z, x, v, p, lin):  # type: ignore[no-untyped-def]
     return types.float64(types.uint64, *_MEMORY_AT_ARGS), _MEMORY_AT_CODE
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _force_array(law, p, x, v, xo, vo, t, phase, s, out):  # type: ignore[no-untyped-def]
-    for i in range(x.size):
-        out[i] = call_force(law, x[i], v[i], xo[i], vo[i], t[i], phase[i], s, p)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -147,31 +135,6 @@ def _memory_array(rates, force, p, lin, x, v, dt, Z, out):  # type: ignore[no-un
             Z[i + 1, j] = Z[i, j] + rise(d0[j], d1[j], dt, states == 1)
         at += row
         out[i + 1] = call_memory_at(force, at, x[i + 1], v[i + 1], p_at, lin_at)
-
-
-def _signal(a: NDArray[np.float64] | float, n: int) -> NDArray[np.float64]:
-    return np.ascontiguousarray(np.broadcast_to(np.asarray(a, dtype=np.float64), (n,)))
-
-
-def force_array(
-    effect: Effect,
-    p: NDArray[np.float64],
-    x: NDArray[np.float64],
-    v: NDArray[np.float64] | float = 0.0,
-    xo: NDArray[np.float64] | float = 0.0,
-    vo: NDArray[np.float64] | float = 0.0,
-    t: NDArray[np.float64] | float = 0.0,
-    phase: NDArray[np.float64] | float = 0.0,
-    s: float = 1.0,
-) -> NDArray[np.float64]:
-    """(n,) N, the restoring force of an effect's law along signals; scalars are held. p : parameters in their order."""
-    if effect.force is None:
-        raise ValueError(f"{effect.name}: no force law (kind {effect.kind})")
-    x = np.ascontiguousarray(x, dtype=np.float64)
-    out = np.empty_like(x)
-    rest = [_signal(a, x.size) for a in (v, xo, vo, t, phase)]
-    _force_array(np.uint64(address(effect.force)), np.ascontiguousarray(p, dtype=np.float64), x, *rest, float(s), out)
-    return out
 
 
 def memory_array(

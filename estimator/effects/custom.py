@@ -9,8 +9,9 @@ from ..effect import Effect, EffectParameter
 from ..errors import ModelError
 from ..model import EffectUse, Setting
 from . import NAMED
-from .compiled import address, force_array
+from .compiled import address
 from .expression import compile_law
+from .law_loop import force_array
 
 Array = NDArray[np.float64]
 SCALE_OF_UNIT = {"m": "x", "m/s": "v", "Hz": "hz_peak"}

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ..effect import Effect, EffectParameter
 from ..model import EffectUse, Model, Setting
-from .compiled import force_array, memory_array
+from .compiled import memory_array
+from .law_loop import force_array
 from .places import kinematic, places
 
 STATES = 4096  # Gaussian states that the rms of a law is taken over

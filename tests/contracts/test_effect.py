@@ -10,7 +10,8 @@ import pytest
 
 from estimator.effect import Effect
 from estimator.effects import CATALOGUE
-from estimator.effects.compiled import force_array, memory_array
+from estimator.effects.compiled import memory_array
+from estimator.effects.law_loop import force_array
 from estimator.effects.page import markdown
 from estimator.effects.strength import OTHER, Size, defaults, rms, search_range, strengths
 

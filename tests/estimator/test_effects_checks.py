@@ -7,7 +7,8 @@ import pytest
 from scipy.signal import csd, welch
 
 from estimator.effects import CATALOGUE
-from estimator.effects.compiled import force_array, memory_array
+from estimator.effects.compiled import memory_array
+from estimator.effects.law_loop import force_array
 from estimator.effects.places import orders
 from estimator.model import BearingGeometry, Model
 

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.effects import CATALOGUE
-from estimator.effects.compiled import force_array
 from estimator.effects.custom import custom_effect
 from estimator.effects.expression import FUNCTIONS, ExpressionError, compile_law
+from estimator.effects.law_loop import force_array
 from estimator.errors import ModelError
 from estimator.model import CustomLaw, EffectUse, Setting
 

@@ -12,7 +12,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import csd, freqz, welch
 
 from estimator.effects import CATALOGUE
-from estimator.effects.compiled import force_array
+from estimator.effects.law_loop import force_array
 from estimator.errors import ModelError
 from estimator.model import Channel, EffectUse, Model, Setting
 from estimator.rotor import assemble, dynamic_stiffness, linear_covariance, propagator

@@ -1,0 +1,108 @@
+"""A law along signals as machine code: one loop with the law and its neighbours to either side in a state.
+
+What the three have in common, cos phi say, is computed once, and a law of products is vectorised. Every law has a loop
+of its own, as a call of it for every sample takes several times as long. Arrays go in by address: a quarter of a second
+to compile, a third of what numba's arrays need. Calls let go of the interpreter.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import inspect
+import sys
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from numba import types
+from numba.extending import overload
+from numpy.typing import NDArray
+
+from ..effect import Effect
+from .compiled import machine_code
+
+Floats = NDArray[np.float64]
+F, P = types.float64, types.CPointer(types.float64)
+LOOP = F(P, P, P, P, P, P, P, F, P, types.CPointer(types.uint8), F, types.int64, P, P, types.int64)
+ADDRESS, NUMBER = ctypes.c_void_p, ctypes.c_double
+TYPE = ctypes.CFUNCTYPE(
+    NUMBER, *[ADDRESS] * 7, NUMBER, ADDRESS, ADDRESS, NUMBER, ctypes.c_int64, ADDRESS, ADDRESS, ctypes.c_int64
+)
+
+
+@cache
+def compiled(law: Callable[..., float]) -> Callable[..., float]:
+    """The loop of a law. Raises ModelError for one that numba cannot compile."""
+    version = _version(law)  # belongs to what is kept on disk: a changed law is compiled anew
+    overload(law, strict=False, jit_options={"error_model": "numpy"})(lambda x, v, xo, vo, t, phase, s, p: law)
+
+    def loop(x, v, xo, vo, t, phase, shift, s, p, valid, weight, further, out, tangent, n):  # type: ignore[no-untyped-def]
+        dx, dv, dxo, dvo = shift[0], shift[1], shift[2], shift[3]
+        total = 0.0
+        for i in range(n if version >= -1 else 0):
+            here = law(x[i], v[i], xo[i], vo[i], t[i], phase[i], s, p)
+            up = law(x[i] + dx, v[i] + dv, xo[i] + dxo, vo[i] + dvo, t[i], phase[i], s, p)
+            down = law(x[i] - dx, v[i] - dv, xo[i] - dxo, vo[i] - dvo, t[i], phase[i], s, p)
+            out[i] = (out[i] if further else here) + (up + down - 2.0 * here) / 6.0
+            tangent[i] = weight * (up - down)
+            total += tangent[i] if valid[i] else 0.0
+        return total
+
+    options = {"cache": version >= 0, "fastmath": {"reassoc", "contract"}}
+    made = machine_code(law, LOOP, loop, **options)
+    _KEEP.append(made)
+    return TYPE(made.address)
+
+
+_KEEP: list[Any] = []  # the code lives as long as its object
+
+
+def _version(law: Callable[..., float]) -> int:
+    """Of the source of a law; -1 of one that no module holds, as of an expression."""
+    module = sys.modules.get(law.__module__)
+    try:
+        source = inspect.getsource(module) if module and getattr(module, law.__name__, None) is law else ""
+    except (OSError, TypeError):
+        source = ""
+    return crc32(source.encode()) if source else -1
+
+
+def law_of(effect: Effect) -> Callable[..., float]:
+    """Raises ValueError if it has none."""
+    if effect.force is None:
+        raise ValueError(f"{effect.name}: no force law (kind {effect.kind})")
+    return effect.force
+
+
+def smoothed(
+    law: Callable[..., float], p: Floats, signals: Sequence[Floats], shift: Floats, s: float, valid: NDArray[np.bool_],
+    out: Floats, tangent: Floats, further: bool = False,
+) -> float:  # fmt: skip
+    """Fill out (n,) with the mean of a law over the nodes -shift, 0, +shift (4,) in one of x, v, xo, vo, weights 1/6,
+    2/3, 1/6; tangent (n,) with its central difference there, 0 without a shift; return the sum of that over the valid
+    rows. further : out holds the mean over another state already, and gets what this one adds.
+
+    signals : x, v, xo, vo, t, phase, (n,); all arrays float64 and contiguous.
+    """
+    wide = float(shift.sum())
+    at = [z.ctypes.data for z in (*signals, shift)]
+    return compiled(law)(
+        *at, s, p.ctypes.data, valid.ctypes.data, 0.5 / wide if wide else 0.0, further, out.ctypes.data,
+        tangent.ctypes.data, out.size,
+    )  # fmt: skip
+
+
+def force_array(
+    effect: Effect, p: Floats, x: Floats, v: Floats | float = 0.0, xo: Floats | float = 0.0, vo: Floats | float = 0.0,
+    t: Floats | float = 0.0, phase: Floats | float = 0.0, s: float = 1.0,
+) -> Floats:  # fmt: skip
+    """(n,) N, the restoring force of an effect's law along signals; scalars are held. p : parameters in their order."""
+    law, p = law_of(effect), np.ascontiguousarray(p, dtype=np.float64)
+    x = np.ascontiguousarray(x, dtype=np.float64)
+    held = (np.broadcast_to(np.asarray(a, np.float64), x.shape) for a in (v, xo, vo, t, phase))
+    signals = [x, *map(np.ascontiguousarray, held)]
+    out, spare = np.empty_like(x), np.empty_like(x)
+    smoothed(law, p, signals, np.zeros(4), float(s), np.zeros(x.size, bool), out, spare)
+    return out
