@@ -33,14 +33,27 @@ AGAINST = {
     "time": ("time", "s"),
     "level": ("vibration level", "m"),
 }
+LEFT, RIGHT, BOTTOM, TOP = 0.72, 0.16, 0.46, 0.28  # inches about each picture of a grid
+BETWEEN = 0.3  # of those that share an axis
 FIRST = ("displacement", "velocity", "shaft_angle", "other_direction")  # of which curves are drawn
 
 
-def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **more: Any) -> tuple[Figure, list[Axes]]:
+def new_figure(
+    width: float, height: float, rows: int = 1, columns: int = 1, fixed: bool = True, **more: Any
+) -> tuple[Figure, list[Axes]]:
+    """Inches. fixed : a grid has the margins above; to fit them to the numbers takes as long as to draw it."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
+    fixed = fixed and rows * columns > 1
+    figure = Figure(figsize=(width, height), layout=None if fixed else "constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **more)
+    if fixed:
+        beside, above = BETWEEN if "sharey" in more else LEFT, BOTTOM + TOP
+        wide = (width - LEFT - RIGHT - (columns - 1) * beside) / columns
+        high = (height - above - (rows - 1) * above) / rows
+        figure.subplots_adjust(
+            LEFT / width, BOTTOM / height, 1 - RIGHT / width, 1 - TOP / height, beside / wide, above / high
+        )
     for ax in axes.flat:
         ax.grid(True, color="#dddddd", linewidth=0.6)
         ax.set_axisbelow(True)
@@ -113,7 +126,8 @@ def where_map(after: Sequence[Json], before: Sequence[Json] | None = None, chann
     against = list(AGAINST)
     if not channels or not everything:
         return None
-    figure, axes = new_figure(5.4 * len(maps) if len(maps) > 1 else 7.6, 1.3 + 0.36 * len(channels), 1, len(maps))
+    size = (5.4 * len(maps) if len(maps) > 1 else 7.6, 1.3 + 0.36 * len(channels))
+    figure, axes = new_figure(*size, 1, len(maps), fixed=False)
     for ax, (name, rows) in zip(axes, maps.items(), strict=True):
         share = np.zeros((len(channels), len(against)))
         for r in rows:
