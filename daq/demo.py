@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.rule import Rule
 
@@ -24,6 +24,9 @@ from .output import Output, write_whole
 from .rig import Rig, load_rig
 from .sink import Session, Sink, Status
 from .tables import ladder_table, parameters_table
+
+if TYPE_CHECKING:
+    from estimator.compare import Comparison
 
 SECONDS = 20.0
 SEED = 7
@@ -159,14 +162,15 @@ def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tupl
     from estimator.compare import compare
     from estimator.diagnose import diagnose
 
-    from .analyse import diagnosis_text, fitted, step
+    from .analyse import comparison_text, diagnosis_text, step
     from .measurement import measure
     from .report import write_report
     from .rerun_comparison import log_comparison
 
     data = measure(log, rig, output.note)
     output.say(Rule("3  compare"))
-    before = _compared(output, compare, rig, data)
+    before = _compared(output, compare, rig, data).to_json()
+    output.say(*comparison_text(before))
     output.say(Rule("4  diagnose"))
     with output.progress("diagnosing") as progress:
         diagnosis = diagnose(rig.model, data.y, data.rate_hz, progress=progress).to_json()
@@ -178,12 +182,11 @@ def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tupl
     output.say(Rule(f"5  add {verdict}"))
     top = diagnosis["ranking"][0]
     better = Rig.parse(with_effect(rig, verdict, top["at"]), rig.base, rig.path)
-    fit = fitted(better, data, "spectral")
+    found = _compared(output, compare, better, data)
+    after = found.to_json()
     improved = out / "improved.toml"
-    write_whole(improved, with_values(better, fit.parameters))
-    better = load_rig(improved)
-    output.say(parameters_table(fit.parameters, known_values(truth)))
-    after = _compared(output, compare, better, data)
+    write_whole(improved, with_values(better, found.parameters))
+    output.say(parameters_table(found.parameters, known_values(truth)), *comparison_text(after))
     steps.append(step(better, after))
     output.say(Rule("the error falls"), ladder_table(steps))
     report = out / "report.html"
@@ -197,10 +200,7 @@ def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tupl
     return steps, [improved, report, view]
 
 
-def _compared(output: Output, compare: Any, rig: Rig, data: Measurement) -> dict[str, Any]:
-    from .analyse import comparison_text
-
+def _compared(output: Output, compare: Any, rig: Rig, data: Measurement) -> Comparison:
     with output.progress("comparing") as progress:
-        value: dict[str, Any] = compare(rig.model, data.y, data.rate_hz, progress=progress).to_json()
-    output.say(*comparison_text(value))
+        value: Comparison = compare(rig.model, data.y, data.rate_hz, progress=progress)
     return value
