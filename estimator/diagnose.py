@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from . import adequacy, amplitude, evidence, missing_force, screen
 from .evidence import Entry
+from .features import ready
 from .fitted import parameters
 from .model import Model
 from .model_uses import acting, on_trial, searched
@@ -230,6 +231,8 @@ def _screen(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress
     more; searched parameters refined for the promising ones."""
     small = plain(part, SEARCH_SECONDS)
     pairs = [(e, s) for e in on_trial(model) for s in screen.spots(e, model, point)]
+    for effect in {e.name: e for e, _ in pairs if e.force is not None}.values():
+        ready(effect)
 
     def said(done: int) -> None:
         effect, spot = pairs[done - 1]
