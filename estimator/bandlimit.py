@@ -278,10 +278,21 @@ def band_limit(
     return Motion(0, a, v, x, u, valid)
 
 
-def left_out(m: Floats, c: Floats, kL: Floats, S: Floats, band: tuple[float, float], rate_hz: float) -> Floats:
-    """(places, 2) sd of the displacement and velocity outside of the pass band, from the linear response to S."""
+def left_out(
+    m: Floats,
+    c: Floats,
+    kL: Floats,
+    S: Floats,
+    band: tuple[float, float],
+    rate_hz: float,
+    also: Callable[[Floats], Floats] | None = None,
+) -> Floats:
+    """(places, 2) sd of the displacement and velocity outside of the pass band, from the linear response to S.
+
+    also : gain at f_hz of what is seen besides.
+    """
     f = np.concatenate([np.linspace(0.0, band[0], 200), np.geomspace(band[0], 1e3 * rate_hz, 4000)[1:]])
-    lost = (1.0 - passband(f, rate_hz, band)) ** 2
+    lost = (1.0 - passband(f, rate_hz, band) - (0.0 if also is None else also(f))) ** 2
     w = 2 * np.pi * f
     response = S[:, None] / np.abs(kL[:, None] + 1j * w * c[:, None] - m[:, None] * w**2) ** 2
     both = np.stack([np.trapezoid(response * lost, f), np.trapezoid(response * lost * w**2, f)], axis=1)

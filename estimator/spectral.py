@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from . import modulation
 from .balance import Balance
+from .below_band import seen_below
 from .checks import check_record
 from .columns import Columns
 from .contour import modes_of
@@ -71,7 +72,10 @@ def analyse(
 ) -> Solution:
     """Fit a model to (n, channels) rows in SI. values : to begin from, by name. Raises DataError."""
     y = check_record(model, y, rate_hz)
-    solution = solve(*begin(prepare(model, y, rate_hz, phase)), model, values)
+    record, start = begin(prepare(model, y, rate_hz, phase))
+    if model.effects:
+        record, start = seen_below(record, start, y)
+    solution = solve(record, start, model, values)
     if not (is_known(solution.balance) and solution.balance.laws):
         return solution
     for _ in range(PATHS):
