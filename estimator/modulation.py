@@ -105,7 +105,7 @@ def turning(point: WorkingPoint) -> Turning | None:
         power = line.real**2 + line.imag**2
         nats = power / surroundings(power, NEIGHBOURS)
         k = int(np.argmax(np.where(usable, nats, 0.0)))
-        return float(nats[k]), float(f[k] + _between(nats[k - 1 : k + 2]) * f[1])
+        return float(nats[k]), float(f[k] + _between(power[k - 1 : k + 2]) * f[1])  # its floor may step
 
     nats, hz = max(each(clearest, range(len(data.places))))
     if nats < SURE * np.log(np.count_nonzero(usable) * len(data.places) / LEVEL):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from hidden_effects import RATE, SECONDS, one_bearing
 
@@ -54,3 +56,20 @@ def test_an_order_that_is_given_is_not_sought(rig: Model) -> None:
     typed = {place: {"order": Setting(2.1)} for place in WHERE}
     assert not modulation.sought(replace(rig, effects=(EffectUse("ball_pass", typed),)))
     assert modulation.sought(replace(rig, effects=(EffectUse("ball_pass", {"bearing1": {}}),)))
+
+
+def test_the_order_is_as_certain_as_it_says() -> None:
+    """Force and motion that are white, and a strong law: 60 orders anywhere between the bins."""
+    rng = np.random.default_rng(4)
+    n, rate, speed = 1 << 16, 12800.0, 300.0
+    t = np.arange(n) / rate
+    data = SimpleNamespace(speed=speed, rate_hz=rate, phase=speed * t, t=t, places=("a",), driven=np.zeros(1))
+    scores = []
+    for order in rng.uniform(2.1, 3.9, 60):
+        x = rng.normal(size=n)
+        force = rng.normal(size=n) + 0.3 * np.cos(order * data.phase) * x
+        found = modulation.turning(SimpleNamespace(data=SimpleNamespace(**vars(data), x=[x]), force=[force]))  # type: ignore[arg-type]
+        assert found is not None
+        scores.append((found.order - order) / found.sd)
+    assert 0.7 < float(np.sqrt(np.mean(np.square(scores)))) < 1.3
+    assert max(map(abs, scores)) < 4.0
