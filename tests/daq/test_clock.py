@@ -169,3 +169,40 @@ def test_a_source_faster_than_time_has_no_clock() -> None:
     for k in range(1, 4000):
         clock.feed(64 * k, 10**12 + k * 250_000, 64)
     assert clock.state() is None
+
+
+@pytest.mark.parametrize("lost", [True, False], ids=["buffers overflow", "all comes late"])
+def test_a_suspended_process_makes_no_bound_untrue(lost: bool, record_property: Callable[[str, object], None]) -> None:
+    """Stopped for 20 s, it finds what waited for it, up to 20 s old; a device at +50 ppm."""
+    rate_hz, true_hz, rows, stall_s = 25_600.0, 25_600.0 * (1 + 50e-6), 64, 20.0
+    rng = np.random.default_rng(3)
+    states, bounds, silent = 0, [], 0
+    for before in (3.0, 10.0, 61.0):
+        clock, asked = DeviceClock(rate_hz), 0.0
+        for stop in range(rows, int((before + stall_s + 40.0) * rate_hz), rows):
+            taken = (stop - 1) / true_hz
+            t = taken + rng.exponential(1e-3)
+            if before < taken < before + stall_s:
+                if lost and taken > before + 3.0:
+                    continue
+                t = before + stall_s + 0.01 * (taken - before)  # a hundred times as fast as they were taken
+            elif before + stall_s <= taken < before + 1.01 * stall_s:
+                t = max(t, before + 1.01 * stall_s)
+            clock.feed(stop, round(t * 1e9), rows)
+            if taken < asked + 1.0:
+                continue
+            asked, state = taken, clock.state()
+            if state is None:
+                silent += 1
+                continue
+            states += 1
+            bounds.append(state.bound_ns)
+            assert abs(state.offset_ns + (stop - 1) / state.rate_hz * 1e9 - taken * 1e9) <= state.bound_ns, (
+                before,
+                taken,
+            )
+    how = "20 s, after 3, 10 and 61 s, device at +50 ppm"
+    row = f"clock, process suspended | {how} | the stated bound is true, or none is stated"
+    measured = f"true in all {states} states, none in {silent} s; median bound {np.median(bounds) / 1e6:.1f} ms"
+    record_property("reliability", f"{row} | {measured}")
+    assert states > 100
