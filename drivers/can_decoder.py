@@ -74,6 +74,9 @@ class CanDecoder:
         return out + self.notices.take()
 
     def _run(self, kind: int, payload: protocol.U8, lengths: protocol.U8, t_host_ns: int, out: list[Reading]) -> None:
+        if self._device.mixed(t_host_ns) and kind not in (protocol.ID_INFO, protocol.ID_INFO_PART):
+            count(self.stats, "mixed_frames", len(payload))
+            return
         if kind in protocol.SAMPLE_ID.values():
             self._samples(kind, payload, lengths, t_host_ns, out)
             return

@@ -19,6 +19,18 @@ class Expected:
     channels: tuple[str, ...] = ()
 
 
+MIXED_NS = 3_000_000_000  # a device describes itself each second
+
+
+@dataclass(frozen=True, slots=True)
+class _Heard:
+    """A device that described itself; times : how often lately."""
+
+    serial: int
+    t_host_ns: int
+    times: int
+
+
 class DeviceInfo:
     """`info` and `layout` are None until one record of every channel has come."""
 
@@ -28,6 +40,8 @@ class DeviceInfo:
         self._notices = notices
         self._expected = expected or Expected()
         self._records: dict[int, InfoRecord] = {}
+        self._heard: list[_Heard] = []  # the last one last
+        self._mixed_ns: int | None = None  # when two were last heard in turn
         self._parts: dict[int, list[bytes]] = {}
 
     def record(self, data: bytes, t_host_ns: int) -> Info | None:
@@ -38,6 +52,9 @@ class DeviceInfo:
             return None
         if record.version != VERSION:
             self.other_version(record.version, t_host_ns)
+            return None
+        self._listen(record.serial_number, t_host_ns)
+        if self.mixed(t_host_ns):
             return None
         self._records[record.channel] = record
         device = (record.serial_number, record.epoch, record.layout, record.channels, record.rate_hz, record.count_bits)
@@ -56,6 +73,28 @@ class DeviceInfo:
         self._compare(info, t_host_ns)
         self.info, self.layout = info, _BY_CODE[record.layout]
         return info
+
+    def mixed(self, t_host_ns: int) -> bool:
+        """Two devices send with the same identifiers: nothing says whose a sample is."""
+        return self._mixed_ns is not None and t_host_ns - self._mixed_ns < MIXED_NS
+
+    def _listen(self, serial: int, t_host_ns: int) -> None:
+        """Another device after one may have taken its place; the first again behind it, and there are two.
+
+        Each has to be heard twice: on a link without check sums a damaged record names a device that is none.
+        """
+        known = [one for one in self._heard if t_host_ns - one.t_host_ns < MIXED_NS]
+        before = next((one.times for one in known if one.serial == serial), 0)
+        if before and known[-1].serial != serial and known[-1].times > 1:
+            self._mixed_ns = t_host_ns
+            one, other = sorted((serial, known[-1].serial))
+            text = (
+                f"devices {one:08X} and {other:08X} send with the same identifiers, and nothing says whose a sample "
+                "is: dropped, and what came since the second one did is of both; give one of them another base"
+            )
+            self._notices.add(t_host_ns, "error", "two_devices", text)
+        others = [one for one in known if one.serial != serial]
+        self._heard = [*others[-3:], _Heard(serial, t_host_ns, before + 1)]
 
     def part(self, payload: bytes, t_host_ns: int) -> Info | None:
         """Take one classic CAN part of a record: parts must come in order, a missing one voids the record."""

@@ -88,6 +88,8 @@ class SerialDecoder:
                 if info is not None:
                     self._axis.describe(info.rate_hz)
                     out.append(info)
+        elif self._device.mixed(t_host_ns):
+            self.stats.other["mixed_frames"] = self.stats.other.get("mixed_frames", 0) + n
         elif kind in (KIND_SAMPLES16, KIND_SAMPLES24) and length >= _HEAD.itemsize:
             self._samples(bodies, SERIAL16 if kind == KIND_SAMPLES16 else SERIAL24, t_host_ns, out)
         else:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,13 +17,14 @@ from drivers.can_frames import CanFrames
 from drivers.continuity import Continuity
 from drivers.faults import Fault
 from drivers.notices import Notices
-from drivers.protocol import NO_MODULUS, SampleFrames
+from drivers.protocol import BASE_ID, ID_INFO, NO_MODULUS, SampleFrames, pack_info, unpack_info
 from drivers.reading import Block, Gap, LinkStats, Reading
 from drivers.serial_decoder import SerialDecoder
 from drivers.simulated import SimulatedDevice, WireFrame
 
 LAYOUTS = ("fd16", "fd24", "classic", "serial16", "serial24")
 SLICE_S = 0.01
+INFO = BASE_ID + ID_INFO
 
 
 class Wire:
@@ -156,6 +158,49 @@ def test_another_description_begins_anew(layout: str) -> None:
     assert [info.rate_hz for info in wire.record.infos] == [25_600.0, 12_800.0]
     assert [gap.reason for gap in wire.record.gaps] == ["restart"]
     assert wire.record.codes() == {"info_changed", "device_restart"}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_two_devices_with_the_same_identifiers_are_told_and_not_mixed(
+    layout: str, record_property: Callable[[str, object], None]
+) -> None:
+    """Started at once, their counters and clocks agree: half of each would look like a record without a loss."""
+    rate_hz = 512.0 if layout == "classic" else 2048.0
+    first, second = (ramp_device(layout, rate_hz, None, serial_number=k) for k in (0xA1, 0xB2))
+    wire = Wire(first, batch=1)
+    rows = first.config.frame_rows
+    per_s = round(rate_hz / rows)
+    apart = ramp_device(layout, rate_hz, None, serial_number=0xA1)
+    wire.feed(frame for _ in range(4 * per_s) for frame in (*first.next(1), *second.next(1)))
+    mixed = wire.record.samples
+    assert wire.record.codes() >= {"two_devices"}
+    assert wire.stats.other["mixed_frames"] > 4 * per_s
+    assert mixed < 2.1 * rate_hz, "until both have described themselves twice"
+    apart.next(4 * per_s)
+    wire.feed(apart.next(8 * per_s))  # the other is gone
+    alone = wire.record.samples - mixed
+    assert alone > 3 * rate_hz
+    assert max(n.t_host_ns for n in wire.record.notices if n.code == "two_devices") < 5.5e9
+    texts = [n.text for n in wire.record.notices if n.code == "two_devices"]
+    assert "000000A1 and 000000B2" in texts[0]
+    row = f"two devices with the same identifiers, {layout} | frames of both in turn for 4 s, then of one | "
+    row += "told, no sample of either taken for the other's while both are heard, data again 3 s after one is gone"
+    record_property(
+        "reliability", f"{row} | {mixed / rate_hz:.1f} s until known; then none, and {alone / rate_hz:.1f} s"
+    )
+
+
+def test_a_damaged_serial_number_makes_no_second_device() -> None:
+    """Without a check sum a record may say anything, once."""
+    wire = Wire(ramp_device("fd16", 2048.0, None))
+    for k in range(6):
+        frames = wire.device.next(293)
+        wire.feed(frames)
+        record = unpack_info(next(f.data for f in frames if f.identifier == INFO))
+        assert record is not None
+        wire.feed([WireFrame(frames[-1].due_s, INFO, pack_info(replace(record, serial_number=77 + k)))])
+    assert wire.record.codes() == set()
+    assert wire.record.samples == 6 * 293 * wire.device.config.frame_rows
 
 
 def test_restart_without_epochs_is_seen_by_the_clock() -> None:
