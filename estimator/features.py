@@ -200,7 +200,7 @@ def law_force(
 
 def _signal(z: Series) -> Floats:
     """What the compiled loops are made for."""
-    return np.require(z, np.float64, ["C", "W"])
+    return np.ascontiguousarray(z, dtype=np.float64)
 
 
 def ready(effect: Effect) -> None:

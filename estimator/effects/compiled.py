@@ -35,18 +35,16 @@ def address(law: Callable[..., Any], kind: str = "force") -> int:
     """
     signature = {"force": FORCE, "rates": RATES, "memory": MEMORY}[kind]
     on_disk = not law.__code__.co_filename.startswith("<")  # a law made from an expression has no file
-    compiled = machine_code(law, signature, law, cache=on_disk)
-    _KEEP.append(compiled)
-    return int(compiled.address)
+    return machine_code(law, signature, law, cache=on_disk)
 
 
-def machine_code(law: Callable[..., Any], signature: Any, function: Callable[..., Any], **options: Any) -> Any:
-    """A C function of a signature from a function that calls a law, or the law itself.
+def machine_code(law: Callable[..., Any], signature: Any, function: Callable[..., Any], **options: Any) -> int:
+    """Address of a C function of a signature from a function that calls a law, or the law itself. Kept alive.
 
     Raises ModelError for a law that numba cannot compile.
     """
     try:
-        return cfunc(signature, error_model="numpy", **options)(function)
+        compiled = cfunc(signature, error_model="numpy", **options)(function)
     except NumbaError as error:
         why = str(error).strip().splitlines()
         said = next((line.strip() for line in why[1:] if line.strip()), why[0])
@@ -54,6 +52,8 @@ def machine_code(law: Callable[..., Any], signature: Any, function: Callable[...
             f"law {law.__name__} of {law.__code__.co_filename}: numba cannot compile it: {said}; "
             "use floats, the math module and the arguments of the seam (estimator/effect.py)"
         ) from error
+    _KEEP.append(compiled)
+    return int(compiled.address)
 
 
 _KEEP: list[Any] = []  # the code lives as long as its object

@@ -12,7 +12,6 @@ import inspect
 import sys
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -36,7 +35,8 @@ TYPE = ctypes.CFUNCTYPE(
 def compiled(law: Callable[..., float]) -> Callable[..., float]:
     """The loop of a law. Raises ModelError for one that numba cannot compile."""
     version = _version(law)  # belongs to what is kept on disk: a changed law is compiled anew
-    overload(law, strict=False, jit_options={"error_model": "numpy"})(lambda x, v, xo, vo, t, phase, s, p: law)
+    strict = {"error_model": "numpy", "fastmath": False}  # the bits are those of the law called for one sample
+    overload(law, strict=False, jit_options=strict)(lambda x, v, xo, vo, t, phase, s, p: law)
 
     def loop(x, v, xo, vo, t, phase, shift, s, p, valid, weight, further, out, tangent, n):  # type: ignore[no-untyped-def]
         dx, dv, dxo, dvo = shift[0], shift[1], shift[2], shift[3]
@@ -50,13 +50,7 @@ def compiled(law: Callable[..., float]) -> Callable[..., float]:
             total += tangent[i] if valid[i] else 0.0
         return total
 
-    options = {"cache": version >= 0, "fastmath": {"reassoc", "contract"}}
-    made = machine_code(law, LOOP, loop, **options)
-    _KEEP.append(made)
-    return TYPE(made.address)
-
-
-_KEEP: list[Any] = []  # the code lives as long as its object
+    return TYPE(machine_code(law, LOOP, loop, cache=version >= 0, fastmath={"reassoc", "contract"}))
 
 
 def _version(law: Callable[..., float]) -> int:

@@ -1,5 +1,6 @@
 """Smoothed laws against the integral they stand for; tangents; the finer grid against a dense one."""
 
+import ctypes
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from scipy.special import erf
 
 from estimator.effects import CATALOGUE
+from estimator.effects.compiled import address
 from estimator.effects.law_loop import force_array
 from estimator.features import MARGIN, State, decimated, depends, law_force, rough
 
@@ -86,6 +88,10 @@ def test_a_law_in_its_loop_is_the_law_called_by_its_address(name: str) -> None:
     p[[q.linear for q in effect.parameters]] = 1.0
     out, _ = law_force(effect, p, replace(s, xo=s.x[::-1].copy(), vo=s.v[::-1].copy()), np.ones(4, bool))
     assert np.array_equal(out, force_array(effect, p, s.x, s.v, s.x[::-1], s.v[::-1], s.t, s.phase))
+    assert effect.force is not None
+    law = ctypes.CFUNCTYPE(*[ctypes.c_double] * 8, ctypes.c_void_p)(address(effect.force))
+    rows = zip(s.x, s.v, s.x[::-1], s.v[::-1], s.t, s.phase, strict=True)
+    assert np.array_equal(out, [law(*row, s.s, p.ctypes.data) for row in rows])
 
 
 def test_signals_that_may_not_be_written_or_lie_apart() -> None:
