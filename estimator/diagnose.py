@@ -231,8 +231,9 @@ def _screen(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress
     more; searched parameters refined for the promising ones."""
     small = plain(part, SEARCH_SECONDS)
     pairs = [(e, s) for e in on_trial(model) for s in screen.spots(e, model, point)]
-    for effect in {e.name: e for e, _ in pairs if e.force is not None}.values():
-        ready(effect)
+    for effect, _ in pairs:
+        if effect.force is not None:
+            ready(effect)
 
     def said(done: int) -> None:
         effect, spot = pairs[done - 1]
