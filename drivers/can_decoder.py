@@ -61,7 +61,7 @@ class CanDecoder:
         ours = (offset >= 0) & (offset <= protocol.ID_INFO_PART)
         others = int(len(frames) - ours.sum())
         if others:
-            count(self.stats, "other_frames", others)
+            self.stats.count("other_frames", others)
             if others == len(frames):
                 return out
         kinds = np.where(ours, offset, -1)
@@ -75,7 +75,7 @@ class CanDecoder:
 
     def _run(self, kind: int, payload: protocol.U8, lengths: protocol.U8, t_host_ns: int, out: list[Reading]) -> None:
         if self._device.mixed(t_host_ns) and kind not in (protocol.ID_INFO, protocol.ID_INFO_PART):
-            count(self.stats, "mixed_frames", len(payload))
+            self.stats.count("mixed_frames", len(payload))
             return
         if kind in protocol.SAMPLE_ID.values():
             self._samples(kind, payload, lengths, t_host_ns, out)
@@ -111,7 +111,7 @@ class CanDecoder:
         if layout is None or info is None:
             return  # the record begins with the first description
         if kind != protocol.SAMPLE_ID.get(layout.name):
-            count(self.stats, "layout_mismatch", len(payload))
+            self.stats.count("layout_mismatch", len(payload))
             text = f"sample frames of another layout than the device's info says ({layout.name}): dropped"
             self.notices.add(t_host_ns, "warning", "layout_mismatch", text)
             return
@@ -161,7 +161,7 @@ class CanDecoder:
             self.stats.crc_errors += len(payload)
             self.notices.add(t_host_ns, "warning", "short_frame", "sample frames with too few bytes: dropped")
         else:
-            count(self.stats, "other_version", len(payload))
+            self.stats.count("other_version", len(payload))
             self._device.other_version(int(protocol.flags_version(payload[:1, 3])[0]), t_host_ns)
         self._axis.cause("crc" if short else "version")
 
@@ -186,8 +186,3 @@ class CanDecoder:
         frames = self._classic.sync(index, flags >> 4, time_us, info.rate_hz, len(info.signals), t_host_ns)
         if frames is not None:
             out.extend(self._axis.feed(frames, t_host_ns))
-
-
-def count(stats: LinkStats, name: str, number: int) -> None:
-    """Add to one of the link's own counters."""
-    stats.other[name] = stats.other.get(name, 0) + number

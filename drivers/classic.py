@@ -64,7 +64,7 @@ class ClassicWindow:
         if (steps[1:] == 0).any() or window - 1 - int(place[-1]) != behind:
             self._notices.add(t_host_ns, "warning", "window_dropped",
                               f"{len(counts)} samples between two sync frames cannot be placed: dropped")  # fmt: skip
-            self._stats.other["unplaced_samples"] = self._stats.other.get("unplaced_samples", 0) + len(counts)
+            self._stats.count("unplaced_samples", len(counts))
             return None
         n = len(counts)
         return SampleFrames(

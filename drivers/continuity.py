@@ -178,7 +178,7 @@ class Continuity:
     def _stuck(self, count: int, t_host_ns: int, out: list[Reading]) -> None:
         """The counter stands still: these samples have no place, but their time has passed."""
         self._notices.add(t_host_ns, "error", "stuck_counter", "the device repeats one counter value: dropped")
-        self._stats.other["stuck_frames"] = self._stats.other.get("stuck_frames", 0) + 1
+        self._stats.count("stuck_frames")
         self.lose(count, "stuck", out)
 
     def _changed(self, f: SampleFrames, start: int) -> bool:
@@ -191,7 +191,7 @@ class Continuity:
         behind: int = min(stop - start, -(-(last.rows - total) // rows))
         first = last.index + total
         if any(low <= first < high for low, high in self._holes):
-            self._stats.other["reordered"] = self._stats.other.get("reordered", 0) + behind
+            self._stats.count("reordered", behind)
             self._notices.add(t_host_ns, "warning", "reordered", "frames came after their gap was declared: dropped")
         else:
             self._stats.duplicates += behind

@@ -137,7 +137,7 @@ class MappedDecoder:
         same = address == first
         others = int((hit & ~same).sum())
         if others:
-            self.stats.other["other_source"] = self.stats.other.get("other_source", 0) + others
+            self.stats.count("other_source", others)
             text = f"{message.name} comes from several source addresses: only 0x{first:02X} is taken"
             self.notices.add(t_host_ns, "warning", "other_source", text)
         return np.asarray(same)

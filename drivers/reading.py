@@ -92,6 +92,10 @@ class LinkStats:
     lost_samples: int = 0
     other: dict[str, int] = field(default_factory=dict)
 
+    def count(self, name: str, number: int = 1) -> None:
+        """Add to one of the link's own counters."""
+        self.other[name] = self.other.get(name, 0) + number
+
 
 class Driver(Protocol):
     """One link. Construct without I/O; `open` connects; `read` is called from one thread only.

@@ -80,7 +80,7 @@ class SerialDecoder:
         version, kind = int(bodies[0, 0]), int(bodies[0, 1]) if length > 1 else 0
         if version != VERSION:
             self._device.other_version(version, t_host_ns)
-            self.stats.other["other_version"] = self.stats.other.get("other_version", 0) + n
+            self.stats.count("other_version", n)
             self._axis.cause("version")
         elif kind == KIND_INFO and length == INFO_BODY:
             for body in bodies:
@@ -89,7 +89,7 @@ class SerialDecoder:
                     self._axis.describe(info.rate_hz)
                     out.append(info)
         elif self._device.mixed(t_host_ns):
-            self.stats.other["mixed_frames"] = self.stats.other.get("mixed_frames", 0) + n
+            self.stats.count("mixed_frames", n)
         elif kind in (KIND_SAMPLES16, KIND_SAMPLES24) and length >= _HEAD.itemsize:
             self._samples(bodies, SERIAL16 if kind == KIND_SAMPLES16 else SERIAL24, t_host_ns, out)
         else:
@@ -121,7 +121,7 @@ class SerialDecoder:
         out.extend(self._axis.feed(frames, t_host_ns))
 
     def _unknown(self, n: int, t_host_ns: int) -> None:
-        self.stats.other["unknown_frames"] = self.stats.other.get("unknown_frames", 0) + n
+        self.stats.count("unknown_frames", n)
         self.notices.add(t_host_ns, "warning", "unknown_frame", "frames of an unknown kind or shape: dropped")
 
 

@@ -56,7 +56,7 @@ class SlcanDecoder:
         self.stats.bytes += len(chunk)
         lines = self._codec.feed(chunk, t_host_ns)
         if lines.refused:
-            self.stats.other["refused_commands"] = self.stats.other.get("refused_commands", 0) + lines.refused
+            self.stats.count("refused_commands", lines.refused)
             text = "the adapter refused a command: check bitrate and data_bitrate"
             self.notices.add(t_host_ns, "warning", "adapter_refused", text)
         frames, out = lines.frames, list[Reading]()
