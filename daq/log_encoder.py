@@ -13,12 +13,12 @@ from estimator.estimate import Estimate
 from . import log_codec as codec
 from .envelope import Envelope, Extremes
 from .log_index import PackedIndex
+from .log_scan import LARGEST
 from .log_schema import FLOAT64_MULTI_ARRAY, descriptor_set
 from .sink import Session, Status
 
 PROFILE = "rotorscope"
 CHUNK_BYTES = 256 * 1024
-LARGEST = 64 << 20  # chunks are ended here, before the library would
 JOINED_ROWS = 4096  # blocks of a link are joined into messages of about this many rows
 ENVELOPE_HZ = 50.0  # least and greatest of each window: 100 preview rows a second
 MEDIA_TYPES = {".toml": "application/toml", ".dbc": "text/plain"}
