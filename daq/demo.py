@@ -186,6 +186,7 @@ def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tupl
     after = found.to_json()
     improved = out / "improved.toml"
     write_whole(improved, with_values(better, found.parameters))
+    better = load_rig(improved)
     output.say(parameters_table(found.parameters, known_values(truth)), *comparison_text(after))
     steps.append(step(better, after))
     output.say(Rule("the error falls"), ladder_table(steps))
