@@ -10,9 +10,9 @@ import tempfile
 from pathlib import Path
 
 VARIABLE = "NUMBA_CACHE_DIR"
-
-
 PARTS = ("estimator", "drivers", "effects")  # whose functions are compiled
+BOOT = Path("/proc/sys/kernel/random/boot_id")
+CHECKED = "checked-in-boot"  # beside the files that were
 
 
 def choose() -> None:
@@ -26,16 +26,41 @@ def choose() -> None:
 
 
 def clean() -> None:
-    """Remove files that are empty or have no end: numba would end every command over one, for ever."""
-    root = Path(__file__).parents[1]
-    folders = [root / "estimator", root / "drivers", root / "estimator" / "effects"]
-    places = [folder / "__pycache__" for folder in folders]
-    for cache in (_home(), Path(os.environ.get(VARIABLE) or _home())):
-        places += [place for part in PARTS for place in cache.glob(f"{part}_*")]
-    for path in (path for place in places for path in place.glob("*.nb[ic]")):
-        with contextlib.suppress(OSError):
-            if not _has_end(path):
-                path.unlink()
+    """Remove files that are empty or have no end: numba would end every command over one, for ever.
+
+    Once in each place after the computer has started: numba itself leaves none, a power cut does. By the kernel's name
+    for this start, not by times: a computer without a clock of its own starts in the past.
+    """
+    root, boot = Path(__file__).parents[1], _boot()
+    places = {
+        folder / "__pycache__" for folder in (root / "estimator", root / "drivers", root / "estimator" / "effects")
+    }
+    for cache in {_home(), Path(os.environ.get(VARIABLE) or _home())}:
+        places |= {place for part in PARTS for place in cache.glob(f"{part}_*")}
+    for place in places:
+        if boot and _checked(place) == boot:
+            continue
+        for path in place.glob("*.nb[ic]"):
+            with contextlib.suppress(OSError):
+                if not _has_end(path):
+                    path.unlink()
+        with contextlib.suppress(OSError):  # not ours to write to, or not there
+            (place / CHECKED).write_bytes(boot)
+
+
+def _boot() -> bytes:
+    """Empty where the system does not say: then all are looked at each time."""
+    try:
+        return BOOT.read_bytes().strip()
+    except OSError:
+        return b""
+
+
+def _checked(place: Path) -> bytes:
+    try:
+        return (place / CHECKED).read_bytes()
+    except OSError:
+        return b""
 
 
 def _home() -> Path:

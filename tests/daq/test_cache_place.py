@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.cache_place import VARIABLE, choose, clean
+from daq.cache_place import CHECKED, VARIABLE, choose, clean
 
 RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 
@@ -80,20 +80,58 @@ def test_compiled_code_that_a_power_cut_spoilt_is_compiled_again(
     for k, path in enumerate(files):
         data = path.read_bytes()
         path.write_bytes((b"", data[: len(data) // 2], data[:-100] + bytes(100))[k % 3])
+        (path.parent / CHECKED).write_bytes(b"of the start before the power cut")
     assert encode() == (said, files)
     row = "power cut | compiled code on the disk is empty, cut, or ends in zeros | compiled again, no word"
     record_property("reliability", f"{row} | {len(files)} files, status 0")
+
+
+def _some_code(folder: Path) -> None:
+    folder.mkdir(exist_ok=True)
+    (folder / "whole.nbi").write_bytes(pickle.dumps("x"))
+    (folder / "cut.nbi").write_bytes(pickle.dumps("x")[:-1])
+    (folder / "zeros.nbc").write_bytes(pickle.dumps("x")[:-1] + bytes(9))
+    (folder / "empty.nbc").write_bytes(b"")
 
 
 def test_whole_files_of_compiled_code_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     ours, theirs = tmp_path / "drivers_1", tmp_path / "others_1"
     for folder in (ours, theirs):
-        folder.mkdir()
-        (folder / "whole.nbi").write_bytes(pickle.dumps("x"))
-        (folder / "cut.nbi").write_bytes(pickle.dumps("x")[:-1])
-        (folder / "zeros.nbc").write_bytes(pickle.dumps("x")[:-1] + bytes(9))
-        (folder / "empty.nbc").write_bytes(b"")
+        _some_code(folder)
     clean()
-    assert [path.name for path in ours.iterdir()] == ["whole.nbi"]
+    assert {path.name for path in ours.iterdir()} <= {"whole.nbi", CHECKED}
     assert len(list(theirs.iterdir())) == 4
+
+
+@pytest.mark.parametrize("mark", [None, b"", bytes(36), b"another-start"])
+def test_compiled_code_is_looked_at_once_after_the_computer_has_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mark: bytes | None
+) -> None:
+    """mark : what a power cut left of it, or one that is older than the power cut."""
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    monkeypatch.setattr("daq.cache_place.BOOT", tmp_path / "boot_id")
+    (tmp_path / "boot_id").write_text("this-start\n")
+    folder = tmp_path / "drivers_1"
+    _some_code(folder)
+    if mark is not None:
+        (folder / CHECKED).write_bytes(mark)
+    clean()
+    assert sorted(path.name for path in folder.iterdir()) == [CHECKED, "whole.nbi"]
+    _some_code(folder)
+    clean()
+    assert len(list(folder.iterdir())) == 5, "looked at again"
+    (tmp_path / "boot_id").write_text("the-next-start\n")
+    clean()
+    assert sorted(path.name for path in folder.iterdir()) == [CHECKED, "whole.nbi"]
+
+
+def test_compiled_code_is_looked_at_each_time_where_the_system_names_no_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    monkeypatch.setattr("daq.cache_place.BOOT", tmp_path / "nowhere")
+    for _ in range(2):
+        _some_code(tmp_path / "drivers_1")
+        clean()
+        assert len(list((tmp_path / "drivers_1").glob("*.nb[ic]"))) == 1
