@@ -39,7 +39,7 @@ from daq.memory import bounded_memory  # noqa: E402
 HANG_S = 30
 SAVE_S = 5.0
 PAGE = HERE.parents[1] / "docs" / "reliability.md"
-GROUP = 64  # single inputs between two looks at the clock
+GROUP = 256  # inputs between two looks at the clock: what guards them costs as much as some of them
 
 
 def _batch(kind: Kind, good: list[bytes], rng: random.Random) -> list[bytes]:
@@ -95,7 +95,7 @@ def fuzz(name: str, tally: dict[str, dict[str, float]], wanted: int, save: Calla
         saved, cpu = time.monotonic(), time.process_time()
         while mine["inputs"] < wanted:
             streams = []
-            for _ in range(GROUP if kind.many == 1 else 1):
+            for _ in range(max(1, GROUP // kind.many)):
                 head, good = pools[int(rng.random() * len(pools))]
                 tail = tails[int(rng.random() * len(tails))]
                 tail = tail if not tail or rng.random() < 0.5 else kind.damage(tail, rng)

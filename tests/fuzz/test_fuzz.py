@@ -6,6 +6,7 @@ import gc
 import random
 import re
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 import pytest
@@ -147,14 +148,16 @@ def test_what_a_library_says_again_is_what_it_said() -> None:
                 try:
                     told.append(repr(ask(one)))  # type: ignore[operator]
                 except Exception as error:  # noqa: BLE001 - what it says is what is compared
-                    told.append(re.sub(" at 0x[0-9a-f]+", "", repr(error)))
+                    text = re.sub(" at 0x[0-9a-f]+", "", repr(error))
+                    no_python = isinstance(error, TokenError) or "Cannot parse header" in text  # either: ours is told
+                    told.append("no header" if no_python else text)
         return told
 
     asked = said()
     with remembering():
         assert said() == asked
         assert said() == asked
-    assert len(set(asked)) > 500
+    assert len(set(asked)) > 400
     assert said() == asked
 
 
