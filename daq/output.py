@@ -99,12 +99,14 @@ class Output:
         from rich.progress import Progress as Bar
 
         columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
-        with Bar(*columns, TimeElapsedColumn(), console=self.to_stderr, transient=True) as bar:
+        # Without a thread of its own: the estimator works in two processes where this one has one thread.
+        with Bar(*columns, TimeElapsedColumn(), console=self.to_stderr, transient=True, auto_refresh=False) as bar:
             task = bar.add_task(what, total=None)
+            bar.refresh()
 
             def told(done: float, now: str = "", /) -> None:
                 text = f"{what}: {now}" if now else what
-                bar.update(task, total=1.0, completed=min(max(done, 0.0), 1.0), description=text)
+                bar.update(task, total=1.0, completed=min(max(done, 0.0), 1.0), description=text, refresh=True)
 
             yield told
 

@@ -13,6 +13,7 @@ tr(I_up I_low^-1) / 2 nats. It is refused only if it makes the upper part worse 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from scipy.special import chdtri
 from .adequacy import STATE
 from .path_fit import Gram, Jacobian, PathFit, Term, fit, log_likelihood, term_response
 from .placed import Placed
-from .side_by_side import each
+from .side_by_side import answers
 from .subproblem import component
 from .terms import dressed, linear_terms, terms
 from .working_point import WorkingPoint, thinned
@@ -62,7 +63,7 @@ def extrapolated(point: WorkingPoint, placed: tuple[Placed, ...]) -> Extrapolati
     """How laws with given searched parameters do on the largest amplitudes. None if the lower part says nothing."""
     point = thinned(point, SECONDS)
     total, allowed = 0.0, MARGIN
-    for found in each(lambda one: _one(point, one), placed):
+    for found in answers([partial(_one, point, one) for one in placed]):
         if found is None:
             return None
         total, allowed = total + found[0], allowed + found[1]

@@ -16,11 +16,12 @@ from .fitted import fitted_model
 from .heldout import heldout_nll, heldout_rmse, reference_nll
 from .model import Model
 from .shape import Shape
-from .side_by_side import both
+from .side_by_side import answers
 from .suspects import suspects
 from .twin import twin
 from .where import Where, where_of
 from .whole import fit_whole
+from .working_point import thinned
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -81,11 +82,14 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     whole = fit_whole(model, y, rate_hz)
     model, point = whole.model, whole.point
     say(0.4, "what can still be predicted")
-    (others, beside), found = both(
-        lambda: (suspects(model, point, y), twin(fitted_model(model, point), point, y)),
-        lambda: missing_force.survey(point, model),
-    )
-    found = found.beside(others)
+    part = thinned(point, missing_force.SURVEY_SECONDS)
+    asked: list[Callable[[], Any]] = [
+        *missing_force.questions(part, model),
+        lambda: suspects(model, point, y),
+        lambda: twin(fitted_model(model, point), point, y),
+    ]
+    *residuals, others, beside = answers(asked)
+    found = missing_force.Survey(tuple(residuals), part.bearing_force).beside(others)
     clipped = [sensor_faults.said(s) for s in others if s.effect == "sensor_clipping"]
     say(0.85, "held-out likelihood")
     nll = heldout_nll(point)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from .model_uses import acting, on_trial, searched
 from .periodic import PERIODIC
 from .periodic_fit import found_beside
 from .shape import Shape, shape_of
-from .side_by_side import both, each
+from .side_by_side import answers
 from .suspects import suspects
 from .whole import fit_whole
 from .working_point import WorkingPoint, fit_model, plain, thinned
@@ -153,10 +154,13 @@ def _fits(
     that is no more than a law of the right shape may leave."""
     after_point = fit_model(point.data, [*point.placed, *entry.placed], start=point, rounds=2)
     joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
-    smooth = adequacy.left(point, after_point, entry.effect, {i for p in entry.placed for i in p.at})
     after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
-    del after_point
-    after = missing_force.survey(after_part, model, only=before.places_found())
+    asked: list[Callable[[], Any]] = [
+        lambda: adequacy.left(point, after_point, entry.effect, {i for p in entry.placed for i in p.at}),
+        *missing_force.questions(after_part, model, only=before.places_found()),
+    ]
+    smooth, *residuals = answers(asked)
+    after = missing_force.Survey(tuple(residuals), after_part.bearing_force)
     values = {k: joint.get(k, p) for k, p in entry.parameters.items()}
     entry = replace(entry, after_percent=after.percent(after_part), parameters=values)
     left = _same_state_left(before, after, entry) if smooth is None else smooth
@@ -172,8 +176,9 @@ def _ranked(
     """What is missing, and what could be it, the likeliest first."""
     say(0.15, "what can still be predicted")
     part = thinned(point, missing_force.SURVEY_SECONDS)
-    others, before = both(lambda: suspects(model, point, y), lambda: missing_force.survey(part, model))
-    before = before.beside(others)
+    asked: list[Callable[[], Any]] = [*missing_force.questions(part, model), lambda: suspects(model, point, y)]
+    *residuals, others = answers(asked)
+    before = missing_force.Survey(tuple(residuals), part.bearing_force).beside(others)
     trials = _screen(model, point, part, say)
     entries = evidence.entries(model, point, trials, before, others)
     say(0.8, "largest amplitudes")
@@ -239,7 +244,8 @@ def _screen(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress
         effect, spot = pairs[done - 1]
         say(0.25 + 0.35 * done / len(pairs), f"{effect.name} at {spot}")
 
-    tried = each(lambda pair: screen.tried(small, part, model, *pair), pairs, said)
+    effects = [e for e, _ in pairs]
+    tried = answers([partial(screen.tried, small, part, model, *pair) for pair in pairs], effects, said)
     by_effect: dict[str, list[screen.Trial]] = {}
     for t in tried:
         if t is not None:
@@ -253,7 +259,7 @@ def _screen(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress
         return screen.borrowed(part, model, by_effect[name], [s for e, s in pairs if e.name == name])
 
     say(0.6, "the whole record")
-    trials = [t for own in each(lent, by_effect) for t in own]
+    trials = [t for own in answers([partial(lent, name) for name in by_effect], effects) for t in own]
     trials.sort(key=lambda t: -t.gain)
     promising = [t for t in _promising(trials) if searched(t.effect, model)][:REFINED]
 
@@ -265,7 +271,8 @@ def _screen(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress
             found = found if again is None else screen.refined(point, model, again) if near else again
         return screen.judged(found)
 
-    return each(lambda pair: whole(*pair), zip(trials, screen.contenders(trials), strict=True))
+    worth = zip(trials, screen.contenders(trials), strict=True)
+    return answers([partial(whole, *pair) for pair in worth], effects)
 
 
 def _promising(trials: list[screen.Trial]) -> list[screen.Trial]:

@@ -12,8 +12,9 @@ with Q the Gram matrix of the found columns per second, freed from what the mode
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermeval
@@ -26,7 +27,7 @@ from .effects.places import kinematic
 from .model import Model
 from .model_uses import not_judged
 from .path_fit import PathFit
-from .side_by_side import each
+from .side_by_side import answers
 from .subproblem import Subproblem
 from .suspect import SHAPES, Share, Suspect, shares
 from .working_point import WorkingPoint, thinned
@@ -257,8 +258,12 @@ def survey(
     seconds : of the record to look at.
     """
     point = thinned(point, seconds)
+    return Survey(tuple(answers(questions(point, model, only))), point.bearing_force).beside(others)
+
+
+def questions(point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None) -> list[Callable[[], Residual]]:
+    """What a survey asks at every place (or some), to be answered in any order."""
     left_out = not_judged(model, point.data.places)
     places = [i for i in (range(len(point.data.places)) if only is None else only) if i not in left_out]
     tries = len(point.data.places) * len(reference.GROUPS)
-    residuals = tuple(each(lambda i: explain(point, i, orders_of(model), tries), places))
-    return Survey(residuals, point.bearing_force).beside(others)
+    return [partial(explain, point, i, orders_of(model), tries) for i in places]
