@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .balance import Balance
 from .errors import DataError
-from .features import FINER, HALF, MARGIN, State, decimated, depends, law_force, ready, rough
+from .features import FINER, HALF, MARGIN, State, decimated, depends, folds, law_force, ready, rough
 from .hidden_states import along, remember
 from .linear_memory import filtered, response
 
@@ -57,7 +57,7 @@ class _Law:
 
     terms: tuple[tuple[Floats, float], ...]
     reads: NDArray[np.bool_]
-    rough: bool
+    fine: bool  # evaluated on the finer grid
 
 
 class Columns:
@@ -65,12 +65,19 @@ class Columns:
 
     rms : (places, 2) of x and v. widths : (places, 2) sd of what the band leaves out of x and v. linear : (places, 3)
     m, kL, c for effects with a memory. fine : only the first so many laws get the finer grid where they need it.
+    folding_hz : the sampling rate less the upper band edge.
     """
 
     def __init__(
-        self, balance: Balance, rms: Floats, widths: Floats, linear: Floats | None = None, fine: int | None = None
+        self,
+        balance: Balance,
+        rms: Floats,
+        widths: Floats,
+        linear: Floats | None = None,
+        fine: int | None = None,
+        folding_hz: float = np.inf,
     ) -> None:
-        self.balance, self.widths = balance, widths
+        self.balance, self.widths, self._folding_hz = balance, widths, folding_hz
         self.fine = len(balance.laws) if fine is None else fine
         self.linear = np.ones((len(balance.places), 3)) if linear is None else linear
         self._laws: dict[int, _Law] = {}
@@ -80,7 +87,7 @@ class Columns:
                 other = balance.other(column.row)
                 scale = np.concatenate([rms[column.row], rms[other] if other >= 0 else np.zeros(2)])
                 self._laws[k] = law = self._law(k, scale)
-                self._read[column.row] |= law.reads & law.rough
+                self._read[column.row] |= law.reads & law.fine
 
     def _law(self, k: int, scale: Floats) -> _Law:
         column = self.balance.columns[k]
@@ -102,7 +109,9 @@ class Columns:
             return _Law(terms, np.zeros(4, bool), False)
         ready(law.effect)
         reads = np.any([depends(law.effect, p, scale) for p, _ in terms], axis=0)
-        return _Law(terms, reads, column.law < self.fine and rough(law.effect, terms[0][0], scale))
+        p = terms[0][0]
+        finer = rough(law.effect, p, scale) or folds(law.effect, p, scale, self._folding_hz)
+        return _Law(terms, reads, column.law < self.fine and finer)
 
     def state(self, row: int, stretch: Stretch) -> State:
         """What the laws at a place see."""
@@ -152,10 +161,10 @@ class Columns:
         effect = self.balance.laws[column.law].effect
         if effect.kind == "memory":
             return self._memory(k, stretch, slice(MARGIN, MARGIN + stretch.rows))
-        key = (column.row, law.rough)
+        key = (column.row, law.fine)
         if key not in states:
             wide = self.state(column.row, stretch)
-            states[key] = wide.finer(self._read[column.row]) if law.rough else wide.inner()
+            states[key] = wide.finer(self._read[column.row]) if law.fine else wide.inner()
         total, tangents = law_force(effect, law.terms[0][0], states[key], law.reads)
         first = law.terms[0][1]
         if first != 1.0:
@@ -165,7 +174,7 @@ class Columns:
             force, sums = law_force(effect, p, states[key], law.reads)
             total += weight * force
             tangents += weight * sums
-        return (decimated(total), tangents / FINER) if law.rough else (total, tangents)
+        return (decimated(total), tangents / FINER) if law.fine else (total, tangents)
 
     def not_finite(self, k: int) -> DataError:
         """What is wrong where the force of law column k is not a number."""
@@ -179,7 +188,7 @@ class Columns:
         """Tangents of column k along x and v, and how many rows there are to a row of the stretch."""
         column, law = self.balance.columns[k], self._laws[k]
         wide = self.state(column.row, stretch)
-        state = wide.finer(self._read[column.row]) if law.rough else wide.inner()
+        state = wide.finer(self._read[column.row]) if law.fine else wide.inner()
         effect = self.balance.laws[column.law].effect
         kx, kv = np.zeros(state.x.size), np.zeros(state.x.size)
         for p, weight in law.terms:
@@ -187,7 +196,7 @@ class Columns:
             law_force(effect, p, state, law.reads, series)
             kx += weight * series[0]
             kv += weight * series[1]
-        if law.rough:
+        if law.fine:
             return kx[HALF * FINER : -HALF * FINER], kv[HALF * FINER : -HALF * FINER], FINER
         return kx, kv, 1
 

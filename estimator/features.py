@@ -6,7 +6,8 @@ point Gauss-Hermite rule gives both: nodes at -h, 0, +h with h = sqrt(3) sd(e), 
 is the central difference over the same nodes (Stein's identity), so a jump such as sgn(v) gets its density term.
 
 A law with a jump or a kink has harmonics above the Nyquist frequency; sampled, they would fold back into the band. It
-is evaluated on a grid finer by `FINER` and brought back through a low-pass filter.
+is evaluated on a grid finer by `FINER` and brought back through a low-pass filter. So is a smooth law at a resonance so
+high that its own few harmonics fold.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ Floats = NDArray[np.float64]
 Series = NDArray[np.floating[Any]]
 NEAREST = 0.02  # least smoothing, in standard deviations of the state: a step needs some width to have a derivative
 FINER = 4
+FASTEST = 9  # harmonic of a smooth law that is looked at
+HEARD = 0.02  # of the fundamental: a harmonic of a law that counts
+SPREAD = 1.1  # over the mean frequency of a motion, of what is still strong in it
 HALF = 12  # half support of the interpolation, in samples of the coarse grid
 MARGIN = 2 * HALF  # rows needed on either side of those that come out
 
@@ -149,6 +153,25 @@ def rough(effect: Effect, p: Floats, scale: Floats) -> bool:
 def jumps(effect: Effect, p: Floats, scale: Floats) -> bool:
     """Whether the law has a jump along such orbits."""
     return _shrinking(effect, p, scale, 512) < 2.0  # by 1 at a jump
+
+
+def folds(effect: Effect, p: Floats, scale: Floats, folding_hz: float) -> bool:
+    """Whether a harmonic of the law lies where sampling folds it into the band: above `folding_hz`, the sampling rate
+    less the upper band edge. scale : (4,) rms of x, v, xo, vo."""
+    x, v = scale[::2], scale[1::2]
+    if not (x * folding_hz < SPREAD * FASTEST * v / (2 * np.pi)).any():
+        return False
+    moving = x > 0.0
+    hz = SPREAD * float((v[moving] / (2 * np.pi * x[moving])).max(initial=0.0))
+    return highest(effect, p, scale) * hz > folding_hz
+
+
+def highest(effect: Effect, p: Floats, scale: Floats) -> int:
+    """The highest harmonic that the law makes of an orbit of 2.6 standard deviations, none above `FASTEST`."""
+    _, orbit = _orbit(64)
+    x, v, xo, vo = 2.6 * scale[:, None] * orbit[:, :-1]
+    size = np.abs(np.fft.rfft(force_array(effect, p, x, v, xo, vo)))[1 : FASTEST + 1]
+    return 1 + int(np.flatnonzero(size > HEARD * size.max(initial=0.0)).max(initial=0))
 
 
 def _shrinking(effect: Effect, p: Floats, scale: Floats, points: int) -> float:

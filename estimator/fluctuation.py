@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .features import jumps
 from .hidden_states import FINER
 from .motion_blocks import MotionBlocks, coarser, finer, part_of
-from .placed import Placed, remembers, tangent_series
+from .placed import Placed, remembers, sharp_at, tangent_series
 from .probe import LEAST, SHARE, Probe, probed
 from .self_energy import Complexes, Mean, Spectra, covariance, dressed_response, self_energy, spectra
 from .side_by_side import each
@@ -83,7 +82,7 @@ def fluctuations(
     used = [i for i, laws in enumerate(own) if laws and sound[i] and not remembering[i]]
     probing = [i for i, laws in enumerate(remembering) if laws and sound[i]]
     part = part_of(data, max(mean[i].seconds() for i in used)) if used else data
-    if any(jumps(u.effect, u.p, data.sizes(i)) for i in used for u in own[i]):
+    if any(sharp_at(u.effect, u.p, data, i) for i in used for u in own[i]):
         part = finer(part)
     path = finer(part_of(data, max(LEAST, SHARE * data.seconds)), FINER) if probing else data
     dt = 1.0 / part.rate_hz

@@ -50,7 +50,7 @@ def along_likely_path(solution: Solution, y: Floats) -> tuple[Record, Start]:
     widths = start.widths.copy()
     widths[:, 0] = np.maximum(sd, NEAREST * record.scales[:, 0])
     start = replace(start, widths=widths)
-    columns = Columns(balance, record.scales, start.widths, start.linear)
+    columns = record.columns(balance, start.widths, start.linear)
     B = balance.coefficients(solution.point.beta)
     for _ in range(ROUNDS):
         signals = np.concatenate([motion, force, -_laws(record, columns, B)])

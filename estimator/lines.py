@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .balance import build
-from .columns import Columns
 from .errors import DataError
 from .features import MARGIN
 from .gram import CELLS, layout, spectra, valid_blocks
@@ -35,7 +34,7 @@ def spectrum_by_bin(record: Record, B: Floats | None, start: Start | None) -> tu
     a."""
     columns = None
     if B is not None and start is not None:
-        columns = Columns(build(replace(record.model, effects=())), record.scales, start.widths)
+        columns = record.columns(build(replace(record.model, effects=())), start.widths)
     blocks = valid_blocks(record.motion.valid, record.grid)
 
     def part(group: NDArray[np.intp]) -> Floats:

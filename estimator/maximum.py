@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from .balance import Balance, build
 from .bandlimit import passband
-from .columns import Columns
 from .dressing import Flutter, dressed, flutter, mean_responses, self_energies
 from .errors import DataError
 from .known_force import is_known
@@ -142,7 +141,7 @@ def tangents_of(record: Record, start: Start, bank: Bank, local: Local) -> Tange
     """What the fluctuating tangents of the laws do at a point; None if no law has any, or the force is known."""
     if is_known(bank.balance):  # no determinant, and a path without the sensors' noise
         return None
-    columns = Columns(bank.balance, record.scales, start.widths, start.linear)
+    columns = record.columns(bank.balance, start.widths, start.linear)
     B = bank.balance.coefficients(local.point.beta)
     pairs = self_energies(record, columns, B, bank.tangents, start.nodes.f_hz)
     return None if pairs is None else Tangents(pairs, flutter(record, columns) if local.point.noise.any() else None)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from . import linear_memory
 from .effect import Effect
-from .features import FINER, MARGIN, Series, State, decimated, depends, jumps, law_force
+from .features import FINER, MARGIN, Series, State, decimated, depends, folds, jumps, law_force
 from .hidden_states import along
 from .motion_blocks import MotionBlocks
 
@@ -62,17 +62,23 @@ def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | 
     return out, slopes, None
 
 
+def sharp_at(effect: Effect, p: Array, data: MotionBlocks, i: int) -> bool:
+    """Whether the samples of a law at place i do not hold what it does: it jumps, or its harmonics fold."""
+    size = data.sizes(i)
+    return jumps(effect, p, size) or folds(effect, p, size, data.rate_hz - data.band[1])
+
+
 def _along(
     effect: Effect, p: Array, data: MotionBlocks, i: int, tangents: Array | None = None
 ) -> tuple[Array, Array]:  # fmt: skip
     """(n,) N of a law along the motion of place i, and (4,) its mean tangents: features.py, as the fit has them.
 
-    A law with a jump is evaluated on a finer grid: its harmonics above Nyquist would fold back. tangents : (2, n) to
+    A law with a jump, or whose harmonics fold back into the band, is evaluated on a finer grid. tangents : (2, n) to
     be filled with those along x and v, on the grid of the data.
     """
     o, n, size = data.other(i), data.x.shape[1], data.sizes(i)
     reads = depends(effect, p, np.maximum(size, 1e-300))
-    sharp = tangents is None and jumps(effect, p, size)
+    sharp = tangents is None and sharp_at(effect, p, data, i)
     zero = np.zeros(n)
     own: Series = data.seen(i)
     xo, vo = (zero, zero) if o is None else (data.seen(o), data.v[o])

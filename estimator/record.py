@@ -69,6 +69,13 @@ class Record:
         """(places, 2) rms of x and v."""
         return np.stack([self.rms("x"), self.rms("v")], axis=1)
 
+    def columns(
+        self, balance: Balance, widths: Floats, linear: Floats | None = None, fine: int | None = None
+    ) -> Columns:
+        """What evaluates the columns of a balance along the record: columns.Columns."""
+        folding_hz = self.rate_hz - self.model.band[1]
+        return Columns(balance, self.scales, widths, linear, fine, folding_hz)
+
     def stretch(self, start: int, stop: int) -> Stretch:
         """Rows start ... stop - 1 and the margins that their evaluation needs, zeros beyond the record."""
         m, n = self.motion, self.motion.rows
@@ -190,7 +197,7 @@ def gather(
 ) -> Bank:
     """The bank of a record, or of its first seconds. per_fold : blocks in a fold of time."""
     grid, k = record.grid, len(balance.columns)
-    columns = Columns(balance, record.scales, widths, linear, fine)
+    columns = record.columns(balance, widths, linear, fine)
     if record.force:
         per_fold *= 4
     most = max(1, min(8, int(_MEMORY / (k * grid.size) / per_fold))) * per_fold

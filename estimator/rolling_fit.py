@@ -55,7 +55,7 @@ class RollingFit:
         self.start, self.wide, self.grid = start, wide, grid
         self.balance, own = restrict(wide, set(range(laws)))
         self.own = np.array(own, dtype=np.intp)
-        self.columns = Columns(self.balance, record.scales, start.widths, columns.linear)
+        self.columns = record.columns(self.balance, start.widths, columns.linear)
         self.states = HiddenStates(self.columns, start.nodes.f_hz)
         self.colour = _colour(record, start)
         self.spectra = BlockSpectra(columns, self.own, grid)
@@ -97,7 +97,7 @@ class RollingFit:
             point = point or initial(own, start, values)
             B = own.coefficients(point.beta)
             linear[:] = linear_of(own, B)
-            columns = Columns(own, record.scales, start.widths, linear)
+            columns = record.columns(own, start.widths, linear)
             centre, states = SlowMotion(columns, record), HiddenStates(columns, start.nodes.f_hz)
             states.follow(B, record)
             bank = gather(record, own, start.widths, linear)
@@ -112,7 +112,7 @@ class RollingFit:
             start = renewed(start, record, first, point)
             record = centre.whole(record, own.coefficients(point.beta))
         wide = build(with_candidates(model, watch), start.sizes, values, search=False)
-        columns = Columns(wide, record.scales, start.widths, linear, fine=len(own.laws))
+        columns = record.columns(wide, start.widths, linear, fine=len(own.laws))
         fitted = cls(record, start, wide, len(own.laws), time_constant_s, columns)
         fitted.local, fitted.held = local, held
         return fitted

@@ -12,11 +12,8 @@ from . import modulation
 from .balance import Balance
 from .below_band import seen_below
 from .checks import check_record
-from .columns import Columns
 from .contour import modes_of
-from .effect import Effect
 from .effects.custom import effect_of
-from .effects.law_loop import force_array
 from .errors import DataError
 from .estimate import Parameter
 from .fit_result import Fit
@@ -122,7 +119,7 @@ def inferred_force(solution: Solution) -> Floats:
     Synthesised from the same blocks as the likelihood: window, bins of the band, window, overlap and add.
     """
     record, grid, balance = solution.record, solution.record.grid, solution.balance
-    columns = Columns(balance, record.scales, solution.start.widths, solution.start.linear)
+    columns = record.columns(balance, solution.start.widths, solution.start.linear)
     B = balance.coefficients(solution.point.beta)
     out, weight = np.zeros((len(balance.places), record.motion.rows)), np.zeros(record.motion.rows)
     w = taper(grid.size)
@@ -229,30 +226,6 @@ def _whirls(solution: Solution) -> bool:
     return bool(np.any(modes.real > 0.0))
 
 
-def _folded(solution: Solution) -> list[str]:
-    """Places whose smooth laws have a third harmonic beyond half the sampling rate, from where it folds back."""
-    record, balance = solution.record, solution.balance
-    x, v = record.scales.T
-    hz, out = v / (2 * np.pi * x), []
-    for i, place in enumerate(balance.places):
-        laws = {c.law for c in balance.columns if c.kind == "law" and c.row == i}
-        z = np.random.default_rng(0).normal(size=(4, 32)) * np.array([x[i], v[i], x[i], v[i]])[:, None]
-        bent = [e for e in (balance.laws[k].effect for k in laws) if e.kind == "force" and _bends(e, z)]
-        if bent and 3.0 * hz[i] > 0.5 * record.rate_hz:
-            out.append(
-                f"{place}: three times its resonance of {hz[i]:.0f} Hz lies beyond half of the sampling rate, and the "
-                f"third harmonic of {bent[0].name} folds back into the band: its numbers may be many deviations "
-                f"off; sample at {6.0 * hz[i]:.0f} S/s or more"
-            )
-    return out
-
-
-def _bends(effect: Effect, z: Floats) -> bool:
-    """Whether a law is not proportional to the state z (4, n)."""
-    once, twice = (force_array(effect, usual(effect), *(a * z)) for a in (1.0, 2.0))
-    return bool(np.abs(twice - 2.0 * once).max() > 1e-6 * np.abs(twice).max())
-
-
 def messages(solution: Solution) -> tuple[str, ...]:
     """What the user should know beside the numbers: what was assumed and does not hold, what sets no scale."""
     out = []
@@ -263,7 +236,6 @@ def messages(solution: Solution) -> tuple[str, ...]:
     if record.lines:
         out.append(f"left out as lines: {describe(record.lines, record.model.speed_rpm)}")
     values, sd = solution.values, np.sqrt(np.diag(solution.covariance))
-    out += _folded(solution)
     for i, place in enumerate(places):
         name = f"{place}.m"
         if name in values and not np.isfinite(sd[solution.balance.names.index(name)]):
