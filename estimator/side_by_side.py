@@ -48,6 +48,7 @@ def answers(
     back, found = os.pipe()
     parent, copy = os.getpid(), _forked()
     if copy == 0:
+        os.close(back)  # so that it cannot wait for ever for a reader that is gone
         _answer_in_copy(questions, kept, todo, found, parent)
     os.close(found)
     out, data, status = {}, b"", -1

@@ -92,7 +92,7 @@ except DataError as error:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
 def test_a_stop_ends_both_processes(number: signal.Signals) -> None:
-    text = BEGIN + "answers([lambda: os.write(1, b'%d\\n' % os.getpid()) and time.sleep(0.2)] * 100)"
+    text = BEGIN + "answers([lambda: os.write(1, b'%d\\n' % os.getpid()) and time.sleep(0.2) or bytes(10**6)] * 100)"
     with subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
         assert child.stdout is not None
         pids = {int(child.stdout.readline()) for _ in range(4)}
