@@ -30,6 +30,7 @@ NEAREST = 0.02  # least smoothing, in standard deviations of the state: a step n
 FINER = 4
 FASTEST = 9  # harmonic of a smooth law that is looked at
 HEARD = 0.02  # of the fundamental: a harmonic of a law that counts
+ORBITS = (1.3, 2.6, 4.1)  # standard deviations, that a law is tried along
 SPREAD = 1.1  # over the mean frequency of a motion, of what is still strong in it
 HALF = 12  # half support of the interpolation, in samples of the coarse grid
 MARGIN = 2 * HALF  # rows needed on either side of those that come out
@@ -133,16 +134,22 @@ class State:
 
 def depends(effect: Effect, p: Floats, scale: Floats) -> NDArray[np.bool_]:
     """(4,) whether the law reads x, v, xo, vo, by trying 64 states of rms `scale` (4,)."""
+    z, t, phase = _tried_states()
+    x, v, xo, vo = scale[:, None] * z
+    force = force_array(effect, p, x, v, xo, vo, t, phase).reshape(5, 64)
+    return np.asarray(np.any(force[1:] != force[0], axis=1))
+
+
+@cache
+def _tried_states() -> tuple[Floats, Floats, Floats]:
+    """(4, 320) x, v, xo, vo of rms 2, five times the same 64, from the second time on one of the four anew; (320,) t
+    and phase."""
     rng = np.random.default_rng(0)
-    z = rng.normal(size=(4, 64)) * scale[:, None] * 2.0
+    z = np.tile(2.0 * rng.normal(size=(4, 64)), 5)
     t, phase = rng.uniform(0, 10, 64), rng.uniform(0, 2 * np.pi, 64)
-    reads = np.zeros(4, bool)
-    base = force_array(effect, p, z[0], z[1], z[2], z[3], t, phase)
     for k in range(4):
-        other = z.copy()
-        other[k] = rng.normal(size=64) * scale[k] * 2.0
-        reads[k] = not np.array_equal(base, force_array(effect, p, other[0], other[1], other[2], other[3], t, phase))
-    return reads
+        z[k, 64 * (k + 1) : 64 * (k + 2)] = 2.0 * rng.normal(size=64)
+    return z, np.tile(t, 5), np.tile(phase, 5)
 
 
 def rough(effect: Effect, p: Floats, scale: Floats) -> bool:
@@ -168,8 +175,7 @@ def folds(effect: Effect, p: Floats, scale: Floats, folding_hz: float) -> bool:
 
 def highest(effect: Effect, p: Floats, scale: Floats) -> int:
     """The highest harmonic that the law makes of an orbit of 2.6 standard deviations, none above `FASTEST`."""
-    _, orbit = _orbit(64)
-    x, v, xo, vo = 2.6 * scale[:, None] * orbit[:, :-1]
+    x, v, xo, vo = 2.6 * scale[:, None] * _orbit(np.linspace(0.0, 2 * np.pi, 63, endpoint=False))
     size = np.abs(np.fft.rfft(force_array(effect, p, x, v, xo, vo)))[1 : FASTEST + 1]
     return 1 + int(np.flatnonzero(size > HEARD * size.max(initial=0.0)).max(initial=0))
 
@@ -178,22 +184,26 @@ def _shrinking(effect: Effect, p: Floats, scale: Floats, points: int) -> float:
     """By how much the largest second difference of the force falls from orbits of `points` to those of four times."""
     largest = []
     for n in (points, 4 * points):
-        at, orbit = _orbit(n)
-        worst = 0.0
-        for size in (1.3, 2.6, 4.1):
-            x, v, xo, vo = size * scale[:, None] * orbit
-            f = force_array(effect, p, x, v, xo, vo, at / 10.0, at)
-            if np.ptp(f) > 0:
-                worst = max(worst, float(np.abs(np.diff(f, 2)).max() / np.ptp(f)))
-        largest.append(worst)
+        at, states = _orbits(n)
+        x, v, xo, vo = scale[:, None] * states
+        f = force_array(effect, p, x, v, xo, vo, at / 10.0, at).reshape(-1, n)
+        size = np.ptp(f, axis=1)
+        sharpest = np.abs(np.diff(f, 2)).max(axis=1)
+        largest.append(float(np.max(sharpest[size > 0] / size[size > 0], initial=0.0)))
     return largest[0] / largest[1] if largest[1] > 0.0 else np.inf
 
 
 @cache
-def _orbit(n: int) -> tuple[Floats, Floats]:
-    """(n,) angles of a turn, and (4, n) x, v, xo, vo of size 1 there."""
+def _orbits(n: int) -> tuple[Floats, Floats]:
+    """Angles of a turn in n steps, and (4, ...) x, v, xo, vo there in units of their rms, one of `ORBITS` after the
+    other."""
     at = np.linspace(0.0, 2 * np.pi, n)
-    return at, np.sin(at + np.array([[0.1], [1.67], [2.3], [3.9]]))
+    return np.tile(at, len(ORBITS)), np.concatenate([size * _orbit(at) for size in ORBITS], axis=1)
+
+
+def _orbit(at: Floats) -> Floats:
+    """(4, n) x, v, xo, vo of size 1 at these angles."""
+    return np.asarray(np.sin(at + np.array([[0.1], [1.67], [2.3], [3.9]])))
 
 
 def law_force(
