@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from . import pedestal_form
 from .effects import CATALOGUE
 from .effects.places import at, written
 from .estimate import Parameter
@@ -62,18 +63,11 @@ class Cause:
 
 
 def _pedestal(mass: float, peak: float) -> Cause:
-    size, low, high = np.array([mass, 1.0, 1.0]), np.array([-2.3, 2.0, -6.0]), np.array([3.0, 11.0, -0.36])
-
     def bend(r: Response, A: Complexes, k: float, c: float, p: Array) -> Complexes:
-        M, w0, zeta = p[0], 2 * np.pi * p[1], p[2]
-        D = k + 1j * r.w * c
-        below = M * (w0**2 - r.w**2 + 2j * zeta * r.w * w0)
-        return np.asarray(A + D * D / (below + D) / r.w**2)
+        return np.asarray(A + pedestal_form.lost(r.w, k, c, p) / r.w**2)
 
-    starts = tuple((m, float(np.log(peak * f)), -3.0) for m in (0.0, 1.5) for f in (0.5, 1.2, 2.0, 3.5))
-    return Cause(
-        "pedestal", starts, lambda z: size * np.exp(np.clip(z, low, high)), lambda p: np.log(p / size), bend
-    )  # fmt: skip
+    values, free = partial(pedestal_form.values, cap_mass=mass), partial(pedestal_form.free, cap_mass=mass)
+    return Cause("pedestal", pedestal_form.starts(peak), values, free, bend)
 
 
 def _sensor(effect: str, starts: tuple[tuple[float, ...], ...], unit: float, now: Mapping[str, float | None]) -> Cause:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from . import pedestal_form
 from .bandlimit import noise_shape
 from .effects import CATALOGUE
 from .estimate import Parameter
@@ -124,21 +126,14 @@ def _resonance(top: float) -> Shape:
 
 
 def _pedestal(mass: float, kL: float, c0: float, peak: float) -> Shape:
-    def values(z: Array) -> Array:
-        return np.array(
-            [mass * np.exp(np.clip(z[0], -2.3, 3)), np.exp(np.clip(z[1], 2, 11)), np.exp(np.clip(z[2], -6, -0.36))]
-        )
+    values = partial(pedestal_form.values, cap_mass=mass)
 
     def model(c: Cells, u: Array) -> Array:
-        M, f0, zeta = values(u[4:])
-        w, w0 = c.w, 2 * np.pi * f0
-        k, damping = kL + u[2], c0 + u[3]
-        D = k + 1j * w * damping
-        below = M * (w0**2 - w**2 + 2j * zeta * w * w0)
-        return c.spectrum(u, c.tangent(u) + (D * D / (below + D)) / w**2)
+        lost = pedestal_form.lost(c.w, kL + u[2], c0 + u[3], values(u[4:]))
+        return c.spectrum(u, c.tangent(u) + lost / c.w**2)
 
-    starts = tuple((m, float(np.log(peak * f)), -3.0) for m in (0.0, 1.5) for f in (0.5, 1.2, 2.0, 3.5))
-    return Shape("pedestal", ("mass", "frequency", "damping"), ("kg", "Hz", "1"), starts, model, values)
+    names, units = ("mass", "frequency", "damping"), ("kg", "Hz", "1")
+    return Shape("pedestal", names, units, pedestal_form.starts(peak), model, values)
 
 
 def _maximum(
