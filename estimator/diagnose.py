@@ -154,13 +154,10 @@ def _fits(
     that is no more than a law of the right shape may leave."""
     after_point = fit_model(point.data, [*point.placed, *entry.placed], start=point, rounds=2)
     joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
+    smooth = adequacy.left(point, after_point, entry.effect, {i for p in entry.placed for i in p.at})
     after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
-    asked: list[Callable[[], Any]] = [
-        lambda: adequacy.left(point, after_point, entry.effect, {i for p in entry.placed for i in p.at}),
-        *missing_force.questions(after_part, model, only=before.places_found()),
-    ]
-    smooth, *residuals = answers(asked)
-    after = missing_force.Survey(tuple(residuals), after_part.bearing_force)
+    del after_point
+    after = missing_force.survey(after_part, model, only=before.places_found())
     values = {k: joint.get(k, p) for k, p in entry.parameters.items()}
     entry = replace(entry, after_percent=after.percent(after_part), parameters=values)
     left = _same_state_left(before, after, entry) if smooth is None else smooth

@@ -27,7 +27,7 @@ from .effects.places import kinematic
 from .model import Model
 from .model_uses import not_judged
 from .path_fit import PathFit
-from .side_by_side import answers
+from .side_by_side import each
 from .subproblem import Subproblem
 from .suspect import SHAPES, Share, Suspect, shares
 from .working_point import WorkingPoint, thinned
@@ -258,7 +258,8 @@ def survey(
     seconds : of the record to look at.
     """
     point = thinned(point, seconds)
-    return Survey(tuple(answers(questions(point, model, only))), point.bearing_force).beside(others)
+    found = each(lambda question: question(), questions(point, model, only))
+    return Survey(tuple(found), point.bearing_force).beside(others)
 
 
 def questions(point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None) -> list[Callable[[], Residual]]:
