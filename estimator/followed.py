@@ -87,13 +87,18 @@ def _law(effect: Effect) -> bool:
 
 
 def _held(effect: Effect, model: Model, remembers: bool) -> list[str]:
-    """Parameters that are not estimated. remembers : beside hidden states no shape of a law is searched."""
+    """Parameters that are not estimated. remembers : beside hidden states no shape of a law is searched.
+
+    Nor is the order at which stiffness turns: the first seconds tell it to some thousandths of a turn a second, and the
+    phase is lost within the memory.
+    """
     if effect.name in (*COLOURS, "sensor_gain"):
         return [q.name for q in effect.parameters]
-    if effect.kind == "memory" or (_law(effect) and remembers):
-        searched = [q for q in effect.parameters if not q.linear and not q.given]
-        return [q.name for q in searched if kinematic(q.scale, model) is None]
-    return []
+    if effect.kind != "memory" and not _law(effect):
+        return []
+    searched = [q for q in effect.parameters if not q.linear and not q.given and kinematic(q.scale, model) is None]
+    all_of_them = effect.kind == "memory" or remembers
+    return [q.name for q in searched if all_of_them or q.scale == "bpfo"]
 
 
 def _reason(effect: Effect, missing: list[str]) -> str:

@@ -4,6 +4,9 @@ Imbalance, bow, misalignment, a line and a local defect are forces of time alone
 determinant, and the motion that they cause stays in the displacement that the laws see. A force is written by its
 harmonics, sum_k Re F_k exp(i k theta), with theta the shaft angle, the defect's angle or 2 pi f t; on the disc it
 reaches a cap through the shaft.
+
+Numbers are those at the mean speed of the record. While the speed changes an imbalance grows with its square, and the
+shaft between disc and cap answers otherwise (`swing`).
 """
 
 from __future__ import annotations
@@ -32,6 +35,9 @@ PERIODIC = ("imbalance", "bow", "misalignment", "local_defect", *LINE_NAMES)
 TURN = 1 << 14  # points of one period
 UNTOLD = "not told from zero by this record"
 LEAST = 1e-4  # gain of the band filter, below which nothing comes through
+RATIOS = np.geomspace(0.1, 10.0, 1201)  # of speeds to the mean one, that a swing is known at
+STEADY = 1e-3  # of the speed: so much it may change and be constant
+SMOOTHED_S = 0.25  # to either side, that a speed is the mean of
 LINES = 399  # harmonics that are looked at
 FREQUENCY = {"local_defect": 1} | dict.fromkeys(LINE_NAMES, 2)  # number of the parameter that turns the angle
 
@@ -151,15 +157,26 @@ class Wave:
     unit: str
     one: Periodic
     tables: dict[int, Array]
+    swings: dict[int, Complexes]  # (RATIOS,) by place index, where the force depends on the speed
 
     def series(self, t: Array, phase: Array) -> dict[int, Array]:
         """(n,) N per unit by place index, at t in s and phase in rad."""
-        theta = self.one.angle(t, phase)
-        return {i: _along(theta, table) for i, table in self.tables.items()}
+        made = {i: self.at(i, t, phase) for i in self.tables}
+        return {i: z for i, z in made.items() if z is not None}
 
     def at(self, i: int, t: Array, phase: Array) -> Array | None:
         """(n,) the same at one place; None where it does not act."""
-        return _along(self.one.angle(t, phase), self.tables[i]) if i in self.tables else None
+        if i not in self.tables:
+            return None
+        theta = self.one.angle(t, phase)
+        out: Array = np.asarray(_along(theta, self.tables[i]), dtype=np.float64)
+        if i not in self.swings:
+            return out
+        ratio = speeds(t, phase) / (2 * np.pi * self.one.hz)
+        if np.abs(ratio - 1.0).max() < STEADY:
+            return out
+        g = swung(self.swings[i], ratio)
+        return np.asarray(out * g.real + g.imag * _along(theta + 0.5 * np.pi, self.tables[i]))  # Re(g F e^(i theta))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -174,6 +191,34 @@ def _along(theta, table):  # type: ignore[no-untyped-def]
     return out
 
 
+def speeds(t: Array, phase: Array) -> Array:
+    """(n,) rad/s along t in s and phase in rad, which need not be evenly spaced; smooth, as pulses are few."""
+    rows = np.arange(t.size)
+    reach = max(1, int(SMOOTHED_S / max(float(t[1] - t[0]), 1e-12))) if t.size > 1 else 0
+    before, after = np.maximum(rows - reach, 0), np.minimum(rows + reach, t.size - 1)
+    return np.asarray((phase[after] - phase[before]) / np.maximum(t[after] - t[before], 1e-12))
+
+
+def swing(model: Model, one: Periodic, place: str) -> Complexes | None:
+    """(RATIOS,) force on a cap over that at the mean speed; None where it does not depend on the speed."""
+    if one.effect.kind not in ("disc", "shaft") or one.sounding(2)[1]:
+        return None
+    omega = 2 * np.pi * one.hz * np.append(RATIOS, 1.0)
+    through = to_cap(model, place, omega) - (0.5 if one.effect.name == "bow" else 0.0)
+    grown = RATIOS**2 if one.effect.name == "imbalance" else np.ones(RATIOS.size)
+    return np.asarray(grown * through[:-1] / through[-1])
+
+
+def swung(swing: Complexes, ratio: Array) -> Complexes:
+    """(n,) a swing at these ratios of the speed to the mean one."""
+    return np.asarray(np.interp(ratio, RATIOS, swing.real) + 1j * np.interp(ratio, RATIOS, swing.imag))
+
+
+def _swings(model: Model, one: Periodic, places: tuple[str, ...]) -> dict[int, Complexes]:
+    found = {i: swing(model, one, place) for i, place in enumerate(places) if acts(one, place)}
+    return {i: g for i, g in found.items() if g is not None}
+
+
 def waves(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[Wave, ...]:
     """The free amplitudes of the model's periodic effects with a harmonic in the band."""
     out = []
@@ -186,7 +231,8 @@ def waves(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[Wave, 
                 p = np.where([other.linear for other in parameters], 0.0, one.p)
                 p[k] = 1.0
                 tables = _tables(model, replace(one, p=p), places, rate_hz)
-                out.append(Wave(f"{one.key}.{one.effect.name}.{q.name}", q.unit, one, tables))
+                name = f"{one.key}.{one.effect.name}.{q.name}"
+                out.append(Wave(name, q.unit, one, tables, _swings(model, one, places)))
     return tuple(out)
 
 
@@ -206,8 +252,8 @@ def series(model: Model, places: tuple[str, ...], t: Array, phase: Array, rate_h
 def whole_waves(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[Wave, ...]:
     """What the model's periodic effects put on the caps, all numbers of each together, where the band lets it
     through."""
-    made = [Wave("", "N", one, _tables(model, one, places, rate_hz)) for one in periodic_of(model)]
-    return tuple(wave for wave in made if wave.tables)
+    made = [(one, _tables(model, one, places, rate_hz)) for one in periodic_of(model)]
+    return tuple(Wave("", "N", one, tables, _swings(model, one, places)) for one, tables in made if tables)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,6 +263,7 @@ class Push:
 
     one: Periodic
     force: dict[int, Complexes]
+    swings: dict[int, Complexes]
 
     def displacement(self, t: Array, phase: Array, response: Callable[[int, Array], Complexes]) -> dict[int, Array]:
         """(n,) m by index of the place. response : (index, w (f,) rad/s) -> (f,) m/N."""
@@ -224,7 +271,7 @@ class Push:
         for i, F in self.force.items():
             w = 2 * np.pi * self.one.hz * np.arange(1.0, F.size + 1)
             made[i] = _turned(F * response(i, w))
-        return Wave("", "m", self.one, made).series(t, phase)
+        return Wave("", "m", self.one, made, self.swings).series(t, phase)
 
 
 def pushes(model: Model, places: tuple[str, ...]) -> tuple[Push, ...]:
@@ -235,7 +282,7 @@ def pushes(model: Model, places: tuple[str, ...]) -> tuple[Push, ...]:
         heard = one.sounding(count)
         if heard.any():
             force = {i: one.harmonics(model, p, count) * heard for i, p in enumerate(places) if acts(one, p)}
-            out.append(Push(one, force))
+            out.append(Push(one, force, _swings(model, one, places)))
     return tuple(out)
 
 

@@ -19,7 +19,20 @@ from .estimate import Parameter
 from .features import Series
 from .model import Model, Setting
 from .motion_blocks import MotionBlocks, shaft_response
-from .periodic import FREQUENCY, LINE_NAMES, UNTOLD, Periodic, acts, periodic_of, pushes, series, waves
+from .periodic import (
+    FREQUENCY,
+    LINE_NAMES,
+    UNTOLD,
+    Periodic,
+    acts,
+    periodic_of,
+    pushes,
+    series,
+    speeds,
+    swing,
+    swung,
+    waves,
+)
 from .suspect import as_use
 from .working_point import WorkingPoint, fit_model, tangent_at
 
@@ -120,6 +133,7 @@ def _step(model: Model, one: Periodic, point: WorkingPoint, force: Series) -> tu
     turned = 2 * np.pi * data.t if one.effect.name in LINE_NAMES else data.phase
     pieces = np.minimum((np.arange(turned.size) * PIECES) // turned.size, PIECES - 1)
     middle = np.bincount(pieces, turned) / np.bincount(pieces)
+    ratio = np.bincount(pieces, speeds(data.t, data.phase)) / np.bincount(pieces) / (2 * np.pi * one.hz)
     through = _through_the_model(model, one, point, 1 + inside)
     rows, right, unsure = [], [], []
     for i, place in enumerate(data.places):
@@ -133,6 +147,8 @@ def _step(model: Model, one: Periodic, point: WorkingPoint, force: Series) -> tu
                 slopes[j] = 1j * (1 + inside) * F * middle[:, None]
             else:
                 slopes[j] = _slope(model, one, place, count, k)[inside]
+                if (swinging := swing(model, one, place)) is not None:
+                    slopes[j] *= swung(swinging, ratio)[:, None]
         psd = point.S[i] / np.interp(one.hz * (1 + inside), data.f_hz, point.weighing.weight[i])
         scale = np.sqrt(data.t.size / PIECES / (psd * data.rate_hz))  # 1 / sd of a real part, by order
         rows.append((slopes * scale).reshape(len(loose), -1))

@@ -58,9 +58,9 @@ def test_at_given_numbers_the_rest_comes_out_right(rig: Model, name: str) -> Non
             assert p.value == setting.value or (key == "k" and p.value == pytest.approx(setting.value, rel=0.4))
 
 
-@pytest.mark.parametrize("name", ["bouc_wen", "pedestal", "coloured_excitation", "sensor_resonance"])
+@pytest.mark.parametrize("name", ["bouc_wen", "pedestal", "coloured_excitation", "sensor_resonance", "ball_pass"])
 def test_without_its_numbers_nothing_is_said_but_why(rig: Model, name: str) -> None:
-    everywhere = replace(rig, effects=(*rig.effects, EffectUse(name, {p: {} for p in rig.places})))
+    everywhere = replace(rig, effects=(*rig.effects, EffectUse(name, {p: {} for p in rig.places})), bearing=None)
     y = np.random.default_rng(0).normal(size=(int(6 * RATE), 2))
     last = rolled(everywhere, y)
     assert not last.parameters
