@@ -89,6 +89,7 @@ def coverage(cases: int) -> tuple[float, float, float]:
     return float((error <= bound).mean()), float(np.median(bound)), float(np.median(drift))
 
 
+@pytest.mark.slow
 def test_the_bound_holds_the_truth(record_property: Callable[[str, object], None]) -> None:
     held, bound_s, drift_ppm = coverage(100)
     row = "clock | 100 simulated devices: 50 ppm, bursts of 16 ms, a busy host | the bound holds the truth in 99 %"

@@ -199,6 +199,7 @@ def test_a_pulled_cable_costs_next_to_no_cpu_and_comes_back(
     within(took, 2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ears", ["pipe", "terminal", "full disk"])
 def test_nobody_left_to_listen_and_acquisition_goes_on(
     ears: str, rig: Path, cable: Cable, tmp_path: Path, record_property: Row
@@ -228,6 +229,7 @@ def test_nobody_left_to_listen_and_acquisition_goes_on(
     record_property("reliability", f"{row} in the log | {log.n_samples} samples, complete, status {status}")
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_does_not_change_the_exit_status(rig: Path) -> None:
     """`run ... | head -0`: a check that failed has failed."""
     ours, theirs = os.pipe()
@@ -240,6 +242,7 @@ def test_a_closed_pipe_does_not_change_the_exit_status(rig: Path) -> None:
     os.close(theirs)
 
 
+@pytest.mark.slow
 def test_no_viewer_a_log_that_vanishes_and_acquisition_goes_on(
     rig: Path, cable: Cable, tmp_path: Path, record_property: Row
 ) -> None:

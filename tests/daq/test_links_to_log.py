@@ -131,6 +131,7 @@ def test_unplugged_and_plugged_in_again(tmp_path: Path, record_property: Callabl
     assert any(n.level in ("warning", "error") for n in log.notices)
 
 
+@pytest.mark.slow
 def test_the_clock_in_the_log_holds_the_truth(tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
     """50 ppm, bursts of 16 ms, a busy host: the stated bound holds the simulated device's true time."""
     device = ramp_device("serial16", seconds=None, clock_ppm=50.0, jitter_s=1e-3, burst_s=0.016)

@@ -384,6 +384,7 @@ def test_an_import_into_a_full_disk_fails_with_one_line(tmp_path: Path) -> None:
             writer.close() if call == "close" else feeder.feed(100_000)
 
 
+@pytest.mark.slow
 def test_memory_stays_bounded_while_the_disk_is_full(tmp_path: Path, record_property: Property) -> None:
     import psutil
 

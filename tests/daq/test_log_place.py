@@ -253,6 +253,7 @@ def test_two_that_begin_at_once_over_a_measurement(folder: Path, record_property
     record_property("reliability", f"{row} | nothing is overwritten, never two in one log | {refused} refused, held")
 
 
+@pytest.mark.slow
 def test_readers_of_a_growing_log_agree_with_themselves(growing: Path, record_property: Row) -> None:
     assert being_written(growing)
     for _ in range(5):
@@ -381,6 +382,7 @@ def test_a_stop_leaves_no_half_of_a_file(long: Path, what: str, number: signal.S
     record_property("reliability", f"{row} | nothing left, {took:.2f} s")
 
 
+@pytest.mark.slow
 def test_nohup(folder: Path) -> None:
     """The terminal goes, a measurement that was told to stay does."""
     command = [sys.executable, "-m", "daq", "run", "rig.toml", "--link", "virtual:", "--out", "b.mcap"]

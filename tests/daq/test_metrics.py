@@ -123,6 +123,7 @@ def test_neither_the_server_nor_a_client_that_says_nothing_holds_the_stop() -> N
     within(float(np.mean(took)), 0.12)
 
 
+@pytest.mark.slow
 def test_many_clients_that_say_nothing_take_few_files_and_hold_nobody(
     capfd: pytest.CaptureFixture[str], record_property: Callable[[str, object], None]
 ) -> None:

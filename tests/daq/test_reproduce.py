@@ -22,6 +22,7 @@ def rows(numbers: dict[str, Any], table: str, **wanted: str) -> list[dict[str, A
     return [r for r in numbers["tables"][table] if all(r[k] == v for k, v in wanted.items())]
 
 
+@pytest.mark.slow
 def test_figures_4_to_19_are_there_and_are_pictures(made: tuple[Path, dict[str, Any], list[float]]) -> None:
     out, _, _ = made
     for n in range(4, 20):

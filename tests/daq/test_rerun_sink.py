@@ -99,6 +99,7 @@ def viewer(port: int, save: Path) -> Iterator[subprocess.Popen[bytes]]:
         process.wait()
 
 
+@pytest.mark.slow
 def test_file_has_everything(tmp_path: Path) -> None:
     out = tmp_path / "session.rrd"
     sink = RerunSink(str(out))
@@ -154,6 +155,7 @@ def test_closed_port_is_said_once_and_costs_nothing() -> None:
     within(time.monotonic() - before, 1.5)
 
 
+@pytest.mark.slow
 def test_black_hole_never_blocks() -> None:
     """A port that accepts and then says nothing."""
     with socket.create_server(("127.0.0.1", 0), backlog=16) as hole:
@@ -205,6 +207,7 @@ def test_drawing_process_killed_loses_only_a_counted_batch(tmp_path: Path) -> No
     sink.close()
 
 
+@pytest.mark.slow
 def test_a_replay_waits_rather_than_drop(tmp_path: Path) -> None:
     sink = RerunSink(str(tmp_path / "a.rrd"), capacity_bytes=200_000, live=False)
     sink.start(session())

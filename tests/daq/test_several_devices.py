@@ -62,6 +62,7 @@ def rows(path: Path) -> int:
         return 0
 
 
+@pytest.mark.slow
 def test_one_is_pulled_one_comes_late_one_never(
     rig: Path, cables: list[Cable], tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
@@ -143,6 +144,7 @@ except OSError:
 """
 
 
+@pytest.mark.slow
 def test_one_that_floods_does_not_disturb_another(
     rig: Path, cables: list[Cable], tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
@@ -195,6 +197,7 @@ def test_mistakes_are_told_before_anything_begins(
     assert not list((tmp_path / "logs").glob("*"))
 
 
+@pytest.mark.slow
 def test_a_terminal_shows_a_row_for_each(rig: Path, tmp_path: Path) -> None:
     """Standard error is a real terminal, 160 columns wide; a worker of the test run says that it has 80."""
     ours, theirs = pty.openpty()

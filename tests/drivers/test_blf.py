@@ -69,6 +69,7 @@ def write(tmp_path: Path) -> Callable[..., Path]:
     return file
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_costs_the_container_that_it_is_in(tmp_path: Path, record_property: Row) -> None:
     whole, data = frames(read(REAL)), REAL.read_bytes()
     starts = containers(data)

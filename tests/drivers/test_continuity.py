@@ -321,6 +321,7 @@ FAULTS = st.lists(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=200)
 @given(st.sampled_from(LAYOUTS), FAULTS, st.integers(1, 200))
 def test_no_fault_ever_shifts_the_axis(layout: str, faults: list[Fault], batch: int) -> None:

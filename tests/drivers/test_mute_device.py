@@ -9,6 +9,7 @@ from drivers.faults import Fault
 from drivers.links import make_driver, parse_link
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("link", "layout"), [("serial:pty", "serial16"), ("slcan:pty", "fd16")])
 def test_info_without_samples_is_told_and_its_gap_is_silent(
     link: str, layout: str, monkeypatch: pytest.MonkeyPatch

@@ -67,6 +67,7 @@ def all_slow_but(quick: str) -> list[object]:
     return [pytest.param(n, marks=[pytest.mark.slow] if n != quick else []) for n in HIDDEN]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", all_slow_but("sensor_skew"))
 def test_added_without_numbers_it_is_fitted_and_the_free_run_error_is_the_noise(name: str) -> None:
     y = made(name)
@@ -119,6 +120,7 @@ def test_what_a_cap_mass_hides_is_not_claimed() -> None:
     assert suspects(free, point, y) == []
 
 
+@pytest.mark.slow
 def test_a_line_of_the_measured_force_is_no_finding() -> None:
     def tone(t: Array) -> Array:
         return 3.0 * np.cos(2 * np.pi * 743.21 * t)
@@ -128,6 +130,7 @@ def test_a_line_of_the_measured_force_is_no_finding() -> None:
         assert "line" not in [s.effect for s in suspects(RIG, fit_whole(RIG, y, RATE).point, y)]
 
 
+@pytest.mark.slow
 def test_a_line_beside_the_measured_force_is_found_added_and_gone() -> None:
     def tone(t: Array) -> Array:
         return 0.05 * np.cos(2 * np.pi * 743.21 * t) + 0.08 * np.sin(2 * np.pi * 743.21 * t)
@@ -143,6 +146,7 @@ def test_a_line_beside_the_measured_force_is_found_added_and_gone() -> None:
     assert after - noise < 0.05 * (before - noise)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", all_slow_but("sensor_gain"))
 def test_improve_ends_with_what_was_hidden(name: str) -> None:
     ladder = improve(RIG, made(name), RATE)
@@ -152,6 +156,7 @@ def test_improve_ends_with_what_was_hidden(name: str) -> None:
     assert ladder.rungs[1].missing[0] == 0.0
 
 
+@pytest.mark.slow
 def test_where_only_one_force_is_measured_the_other_place_is_judged_as_without() -> None:
     """Bearing 1 is shaken with a force cell, bearing 2 is driven by what nobody measures, and coloured."""
     one = made("sensor_skew")
@@ -196,6 +201,7 @@ def test_twice_the_nats_of_an_idle_cause_are_chi_square_whatever_the_noise() -> 
         assert np.max(won[name]) < 25.0
 
 
+@pytest.mark.slow
 def test_a_heavy_pedestal_at_the_resonance_is_fitted() -> None:
     """It takes a third of the stiffness with it: from that of the rest of the model the first step went astray."""
     true = (1.0, 1006.0, 0.016)
@@ -225,6 +231,7 @@ def made_both(pair: tuple[str, str]) -> Array:
     return record(seed=3, pedestal=(p[0], p[1], p[2]) if "pedestal" in pair else None, sensor=sensor)  # type: ignore[misc]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", PAIRS)
 def test_two_at_one_place_are_told_apart(pair: tuple[str, str]) -> None:
     """Neither by itself explains half of what is left at 1 / 40 of it."""
@@ -253,6 +260,7 @@ def rippled() -> Array:
     return y
 
 
+@pytest.mark.slow
 def test_a_path_that_is_bent_by_nothing_of_the_catalogue_is_unknown() -> None:
     y = rippled()
     assert [s.effect for s in suspects(RIG, fit_whole(RIG, y, RATE).point, y)] == ["unknown"]

@@ -29,6 +29,7 @@ def columns_of(record: Record, fine: int | None = None) -> Columns:
     return Columns(balance, record.scales, 0.05 * record.scales, fine=fine)
 
 
+@pytest.mark.slow
 def test_the_same_gram_matrices_and_tangents_as_of_whole_blocks(record: Record) -> None:
     grid, columns = record.grid, columns_of(record)
     k = len(columns.balance.columns)

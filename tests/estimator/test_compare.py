@@ -41,6 +41,7 @@ def test_complete_model_leaves_nothing(rig: Model) -> None:
     assert max(c.psd_distance_db.values()) < 2.0
 
 
+@pytest.mark.slow
 def test_the_map_points_at_the_state_and_the_curve_shows_the_law(rig: Model) -> None:
     c = compare(rig, record(rig, "quadratic", 0.06), RATE)
     assert not c.adequate
@@ -103,6 +104,7 @@ def test_a_converters_full_scale_is_seen_in_a_few_samples_and_its_steps_are_none
         assert 60 < found[1] < 400
 
 
+@pytest.mark.slow
 def test_a_comparison_says_that_a_channel_is_clipped(rig: Model) -> None:
     y = simulate(rig, RATE, 5.0, seed=8, noise=0.02, full_scale=490.5)
     top = float(np.quantile(np.abs(y[:, 0]), 0.9995))

@@ -106,6 +106,7 @@ def test_the_axis_cannot_tell_growth_from_decay() -> None:
     assert contour(A, MASS, D, F_HZ).lasting.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [3.7e5, 5.2e5, 6e5])
 def test_cross_coupling_near_whirl_and_beyond_is_fitted(k: float) -> None:
     """c w is 4.1e5 N/m, and the stiffnesses differ: whirl begins at 5.4e5. On the axis 3.5e5 came out as 5.4e5, and c
@@ -130,6 +131,7 @@ def test_cross_coupling_near_whirl_and_beyond_is_fitted(k: float) -> None:
             assert p.sd < 0.1 * wanted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("k", "seed"), [(4.7e5, 2), (5.2e5, 1)])
 def test_near_whirl_the_resonance_and_its_third_harmonic_are_not_left_out_as_lines(k: float, seed: int) -> None:
     """The force of a start without cross-coupling has them: y.kL was 6 and c 4 standard deviations off (20 s)."""
@@ -140,6 +142,7 @@ def test_near_whirl_the_resonance_and_its_third_harmonic_are_not_left_out_as_lin
     assert not record.lines
 
 
+@pytest.mark.slow
 def test_beyond_whirl_the_start_has_the_damping_that_the_effect_feeds() -> None:
     """The linear start knows no effects: c came out as 4e-5 N s/m, and the fit asked for a record of 93,114 s."""
     hidden = np.zeros((4, 7))

@@ -19,6 +19,7 @@ def test_a_projection_on_hats_keeps_straight_lines_and_kinks() -> None:
     assert got[seen, 1] == pytest.approx(np.abs(knots[seen]), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_dead_zone_shows_as_a_dead_zone() -> None:
     model = one_bearing()
     hidden = compare(model, record(model, "clearance", 0.06), RATE)
@@ -34,6 +35,7 @@ def test_a_dead_zone_shows_as_a_dead_zone() -> None:
     assert {"displacement", "velocity", "other_direction"} <= {c.against for c in hidden.curves}
 
 
+@pytest.mark.slow
 def test_the_law_of_a_complete_model_lies_in_its_band() -> None:
     from estimator.simulate import simulate
 

@@ -38,6 +38,7 @@ def test_a_complete_model_is_called_complete_and_stays_as_it_is(rig: Model) -> N
     jsonschema.validate(ladder.last.to_json(), schema("diagnose"))
 
 
+@pytest.mark.slow
 def test_a_hidden_quadratic_stiffness_is_named_added_and_nothing_is_left(rig: Model) -> None:
     """Samples that were lost are left out."""
     y = record(rig, "quadratic", 0.06)
@@ -64,6 +65,7 @@ def test_named_first(rig: Model, effect: str) -> None:
     jsonschema.validate(found.to_json(), schema("diagnose"))
 
 
+@pytest.mark.slow
 def test_a_faulty_sensor_is_not_reported_as_rotor_physics(rig: Model) -> None:
     found = diagnose(rig, record(rig, "sensor_clipping", 0.06), RATE)
     assert found.verdict == "sensor_clipping"
@@ -89,6 +91,7 @@ def test_catalogue(effect: str, strength: float) -> None:
     assert diagnose(model, record(model, effect, strength, seconds=60.0), RATE).verdict == effect
 
 
+@pytest.mark.slow
 def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
     rig: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -152,6 +155,7 @@ def test_an_effect_near_the_front_at_one_bearing_is_refined_at_the_other() -> No
     assert ("clearance", "bearing1.x") in found
 
 
+@pytest.mark.slow
 def test_a_shaft_that_is_stiffer_than_the_rig_file_says_is_unknown_and_said() -> None:
     """No effect of the catalogue is a wrong spring: what is missing is seen against the other bearing."""
     stiff = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model

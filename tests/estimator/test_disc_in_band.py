@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hidden_effects import RATE, ROOT
 
 from daq.rig import load_rig
@@ -12,6 +13,7 @@ from estimator.compare import compare
 from estimator.simulate import simulate
 
 
+@pytest.mark.slow
 def test_a_sharp_disc_resonance_in_the_band_is_no_missing_force() -> None:
     rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
     disc = 4.0 * 4e5 / (2 * np.pi * 300.0) ** 2  # 300 Hz, Q about 2000

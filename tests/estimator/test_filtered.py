@@ -33,6 +33,7 @@ def test_every_piece_has_the_bits_of_the_stream(extra: object) -> None:
     assert np.allclose(pieces.rms[2], rms, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_large_record_is_fitted_without_its_motion_held(monkeypatch: pytest.MonkeyPatch) -> None:
     y = rig_record(8.0, seed=1)
     small = spectral.analyse(rig_model("cubic"), y, RATE)

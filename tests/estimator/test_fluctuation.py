@@ -36,6 +36,7 @@ def strong(request: pytest.FixtureRequest) -> Case:
     return name, model, y, fit_model(data, placed_of(model, data))
 
 
+@pytest.mark.slow
 def test_diagnosis_and_fit_estimate_the_same(strong: Case) -> None:
     name, model, y, point = strong
     fitted = spectral.fit(model, y, RATE).parameters
@@ -48,6 +49,7 @@ def test_diagnosis_and_fit_estimate_the_same(strong: Case) -> None:
         assert abs(here.p[0] - parameter.value) < 0.5 * parameter.sd  # uncorrected, they are two to ten sd apart
 
 
+@pytest.mark.slow
 def test_nothing_is_found_beside_the_right_law(strong: Case) -> None:
     name, model, _, point = strong
     assert not missing_force.survey(point, model).any_found()

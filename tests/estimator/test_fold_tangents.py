@@ -22,6 +22,7 @@ def solution() -> Solution:
     return analyse(rig_model("cubic", "coulomb", "cross_coupling"), rig_record(16.0, seed=8, hidden=friction), RATE)
 
 
+@pytest.mark.slow
 def test_it_is_the_gradient_with_the_tangents_of_the_fold_less_that_with_the_mean(solution: Solution) -> None:
     bank, local = solution.bank, solution.local
     evidence = bank.evidence(solution.start.nodes)

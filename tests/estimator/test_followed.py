@@ -102,6 +102,7 @@ def test_strikes_too_weak_to_stand_out_are_left_out_where_they_are_known_to_be(r
         assert "lines are left out" in found[f"{place}.local_defect.strike"].reason
 
 
+@pytest.mark.slow
 def test_a_number_of_the_first_seconds_is_shown_as_such(rig: Model) -> None:
     y = record(rig, "clearance", 0.06, seconds=7.0)
     use = EffectUse("clearance", {p: {} for p in rig.places})

@@ -25,6 +25,7 @@ def truth() -> Model:
     return Model(motion + force, (150.0, 8000.0), "chain", mass, 155e3, 0.5, linear=linear, effects=(cubic,))
 
 
+@pytest.mark.slow
 def test_a_measured_force_brings_the_parameters_to_its_own_bound(truth: Model) -> None:
     y = simulate(truth, RATE, 8.0, seed=1)
     blank = replace(truth, linear={}, effects=(EffectUse("cubic", {p: {} for p in PLACES}),))
@@ -54,6 +55,7 @@ def test_resampling_of_a_band_limited_signal_is_exact() -> None:
     assert np.allclose(got, np.sin(2 * np.pi * 37 * fine), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_friction_under_a_measured_force(truth: Model) -> None:
     """What the band leaves out of the motion is what the whole force makes of it, not the little that is unknown: with
     that, friction was 8 % low."""

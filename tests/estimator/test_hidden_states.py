@@ -119,6 +119,7 @@ def test_laws_together_are_each_on_its_own() -> None:
     assert both.force[7] @ [*z, *motion] == pytest.approx(sum(force))
 
 
+@pytest.mark.slow
 def test_a_probe_and_covariances_say_the_same_of_a_law_that_remembers_nothing() -> None:
     rig = one_bearing()
     y = record(rig, "quadratic_damping", 0.06, seed=5, seconds=20.0)
@@ -137,6 +138,7 @@ def test_a_probe_and_covariances_say_the_same_of_a_law_that_remembers_nothing() 
     assert abs((sent.whole - known.whole)[near].mean()) < 0.1 * abs(known.whole[near].mean())
 
 
+@pytest.mark.slow
 def test_hysteresis_is_fitted_from_nothing() -> None:
     """Undressed and on straight lines between the samples, k and slip came out 20 % too small."""
     rig = one_bearing()

@@ -108,6 +108,7 @@ def test_a_law_of_no_catalogue_is_unknown_and_explained_when_the_user_types_it(r
     assert after.heldout_nll < before.heldout_nll
 
 
+@pytest.mark.slow
 def test_a_law_that_the_user_types_as_a_candidate_is_tried_like_one_of_the_catalogue(
     rig: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:

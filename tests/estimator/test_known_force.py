@@ -78,6 +78,7 @@ def test_noise_of_the_force_sensors_pulls_nothing(noisy: Floats) -> None:
     assert found["bearing1.x.c"].sd < 0.012 * 60.0  # type: ignore[operator]
 
 
+@pytest.mark.slow
 def test_beside_a_gap_too(noisy: Floats) -> None:
     y = noisy.copy()
     y[int(3.1 * RATE) : int(3.15 * RATE)] = np.nan
@@ -90,6 +91,7 @@ def test_beside_a_gap_too(noisy: Floats) -> None:
             assert q.value == pytest.approx(p.value, abs=0.7 * p.sd)
 
 
+@pytest.mark.slow
 def test_a_law_that_pushes_the_cap_off_its_centre() -> None:
     """Where the cap goes no accelerometer shows; it follows from the law. Without it kNL was 48 % too small."""
     kq = ("kq", 3e12)

@@ -30,6 +30,7 @@ def test_a_record_without_a_mean_has_no_line_at_its_lowest_frequencies() -> None
     assert ratio.max() < 15.0
 
 
+@pytest.mark.slow
 def test_a_disc_of_another_mass_is_no_line() -> None:
     """Its resonance is sharp, and where the rig file does not say: but it wanders as no line does."""
     rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
@@ -80,6 +81,7 @@ def test_the_resonance_of_a_short_record_makes_no_train_of_strikes(seed: int) ->
     assert line_forces.find(rig, fit_whole(rig, y, RATE).point, y, RATE) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strength", [0.06, 0.3])
 def test_a_line_at_both_bearings_is_no_common_force_and_no_colour(strength: float) -> None:
     """It stands in the whole spectrum of a block; what is judged is what is left of the force without it."""

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hidden_effects import one_bearing
 from reference_rig import PLACES, RATE, TRUTH, rig_model, rig_record
 
@@ -11,6 +12,7 @@ from estimator.lines import find_lines
 from estimator.simulate import simulate
 
 
+@pytest.mark.slow
 def test_tones_on_the_resonance_do_not_disturb_the_fit() -> None:
     tones = tuple((35.0 * n, 0.2) for n in (5, 10, 31, 32, 33))
     model = rig_model("cubic", speed_rpm=2100.0)

@@ -54,6 +54,7 @@ def test_a_smooth_curve_sees_a_weaker_law_than_free_hat_functions(hats: Hats) ->
     assert p_bound < 0.1 * p_free
 
 
+@pytest.mark.slow
 def test_hats_of_the_velocity_win_no_more_than_their_number() -> None:
     """Twice the nats of columns that say nothing are their degrees of freedom in the mean. At 5 % damping and a band up
     to four times the resonance hats of half an rms won 28 with 15, for the force of the instant itself."""

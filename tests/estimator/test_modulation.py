@@ -24,6 +24,7 @@ def rig() -> Model:
     return one_bearing()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "order"), [("ball_pass", 2.137), ("ball_pass", 3.6)])
 @pytest.mark.parametrize("geometry", [True, False])
 def test_an_order_that_slips_is_found_and_fitted(rig: Model, name: str, order: float, geometry: bool) -> None:

@@ -129,6 +129,7 @@ def rolled(model: Model, y: np.ndarray) -> list[Estimate]:
     return out[::12]
 
 
+@pytest.mark.slow
 def test_a_run_up_does_not_disturb_the_estimate() -> None:
     """The shaft's tenth order, forty times the random force in its bin, rises through the band."""
     quiet = rolled(rig_model("cubic"), rig_record(SECONDS, seed=4))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 from hidden_effects import one_bearing
 
 from estimator.effects import CATALOGUE
@@ -13,6 +14,7 @@ from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
 
+@pytest.mark.slow
 def test_a_weak_pedestal_far_from_the_usual_numbers_is_found() -> None:
     """From the usual numbers the fit ended tens of nats below the truth, at 6.4 kHz."""
     rate = 20480.0

@@ -146,6 +146,7 @@ def test_a_line_in_the_noise_of_a_sensor_is_as_uncertain_as_that_makes_it(rig: M
     assert loud == pytest.approx(2 * quiet, rel=0.02)  # four times the power
 
 
+@pytest.mark.slow
 def test_a_line_about_the_resonance_does_not_move_the_rotor() -> None:
     """Its own motion says of k and c what its force is held to be: fitted one after the other, a strong one was half as
     large as it is, and kNL by a quarter off."""
@@ -177,6 +178,7 @@ def test_strikes_that_are_found_are_as_strong_as_they_are() -> None:
             assert abs((p.value or 0.0) - value) < 4 * p.sd, (place, name)
 
 
+@pytest.mark.slow
 def test_a_place_may_have_more_than_one_line(rig: Model) -> None:
     """Mains hum comes with its multiples: with one line a place, each took the place of the last."""
     hums = {"line": (350.0, 0.9), "line_2": (250.0, 0.5), "line_3": (850.0, 0.1)}

@@ -65,6 +65,7 @@ def test_unknown_mass_without_a_shaft_says_what_to_give() -> None:
     assert found["bearing1.x.cubic.lambda"].value == pytest.approx(LAMBDA, rel=0.3)
 
 
+@pytest.mark.slow
 def test_velocity_form_needs_no_equal_temperatures_and_little_data() -> None:
     """Noise-to-damping ratios of 1 and 3 at the two caps: kL within 0.5 % from 8 s, where the density wanders 2 %."""
     m, c, kL = [0.2, 0.22], [60.0, 50.0], np.array([1.0e7, 1.2e7])

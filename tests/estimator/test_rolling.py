@@ -25,6 +25,7 @@ def run(rolling: RollingSpectral, y: np.ndarray, block: int = BLOCK) -> list[Est
     return out
 
 
+@pytest.mark.slow
 def test_nothing_is_shown_until_it_means_something_then_twice_a_second(record: np.ndarray) -> None:
     estimates = run(RollingSpectral(rig_model("cubic"), RATE, 10.0), record)
     shown = [bool(e.parameters) for e in estimates]
@@ -37,6 +38,7 @@ def test_nothing_is_shown_until_it_means_something_then_twice_a_second(record: n
     assert len(different) >= 2.0 * (len(record) / RATE - first * BLOCK / RATE)
 
 
+@pytest.mark.slow
 def test_with_a_long_memory_it_agrees_with_the_fit(record: np.ndarray) -> None:
     last = run(RollingSpectral(rig_model("cubic"), RATE, 1e4), record)[-1]
     fit = spectral.fit(rig_model("cubic"), record, RATE)
@@ -93,6 +95,7 @@ def test_a_change_of_two_per_cent_is_followed_within_two_time_constants() -> Non
     assert at[0].parameters["bearing1.x.kL"].value > 1.01 * TRUTH["kL"][0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("watch", [CANDIDATES, every()], ids=["usual", "catalogue"])
 def test_what_is_missing_is_seen_and_named_as_it_rolls(record: np.ndarray, watch: tuple[str, ...]) -> None:
     model, friction = rig_model("cubic"), np.zeros((4, 7))

@@ -38,6 +38,7 @@ def test_a_weak_law_at_two_bearings_from_nothing() -> None:
     assert abs(found - best) < 0.5
 
 
+@pytest.mark.slow
 def test_a_law_that_the_record_does_not_tell_costs_little_on_held_out_data() -> None:
     """Its searched parameters are held as near in the fit to five folds as in that to all six: a tangent to them is no
     law far off. Free, they made a linear model 875 nats worse, and another simulator's complete one lack 0.6 %."""
@@ -48,6 +49,7 @@ def test_a_law_that_the_record_does_not_tell_costs_little_on_held_out_data() -> 
     assert len(y) * (grown - plain) < 60.0
 
 
+@pytest.mark.slow
 def test_fit_finds_a_gap_of_twice_the_rms_beside_a_cubic_law() -> None:
     """From a gap of one rms Gauss-Newton ended 30 to 50 nats below, at -0.6e6 +- 0.1e6 N/m for 3e6."""
     rig = one_bearing()
@@ -72,6 +74,7 @@ parameters = { k = { value = 3e6, unit = "N/m" }, g = { value = 3e-7, unit = "m"
 """  # noqa: E501
 
 
+@pytest.mark.slow
 def test_a_typed_law_of_three_searched_numbers_may_be_far_off() -> None:
     """By 5, 0.5 and 3: of the widest grid alone 5.5 of the missing 7.1 % was left, at four places."""
     rig = one_bearing()

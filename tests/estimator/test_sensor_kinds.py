@@ -14,6 +14,7 @@ from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "noise"), [("velocity", 1e-5), ("displacement", 4e-10)])
 def test_a_noisy_sensor_of_another_kind(kind: str, noise: float) -> None:
     rig = one_bearing()

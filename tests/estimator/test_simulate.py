@@ -118,6 +118,7 @@ def exact_path(model: Model, seconds: float, start: np.ndarray) -> np.ndarray:
     return solve_ivp(flow, (0, seconds), u0, method="DOP853", rtol=1e-12, atol=1e-20).y[: 2 * n, -1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scheme", "order", "factors"), [("rk4", 4, (4, 8, 16)), ("exponential", 2, (8, 16, 32))])
 def test_order_of_convergence(scheme: str, order: int, factors: tuple[int, ...]) -> None:
     """Every kind of effect at once: cap, memory, shaft, circulating, parametric."""

@@ -81,6 +81,7 @@ def test_nothing_smooth_is_left_beside_the_true_law(truth: Model) -> None:
         assert nats < 5 + 2 * terms
 
 
+@pytest.mark.slow
 def test_a_quadratic_law_and_the_cubic_one_beside_it_come_out_right(truth: Model) -> None:
     """Without the slow displacement kq is 3.5 % and kNL 20 % too small."""
     rows = []
@@ -98,6 +99,7 @@ def test_a_quadratic_law_and_the_cubic_one_beside_it_come_out_right(truth: Model
         assert abs(error.mean()) < 2.5 * sd.mean() / np.sqrt(error.size), name
 
 
+@pytest.mark.slow
 def test_the_rolling_estimate_sees_it_too(truth: Model) -> None:
     """As the fit of the same record has them: without it kNL was 2.8 and 3.5 standard deviations below, kL 2."""
     y = simulate(truth, RATE, SECONDS, seed=1, noise=0.02, full_scale=490.5)
@@ -130,6 +132,7 @@ def test_gaps_and_chunks_change_nothing_else(truth: Model) -> None:
                 assert abs(p.value - (setting.value or 0.0)) < 3.5 * (p.sd or 0.0)
 
 
+@pytest.mark.slow
 def test_a_law_feels_a_line_below_the_band() -> None:
     """A stop of 6 % and 100 Hz of 30 % of the bearing force under a band from 150 Hz: of the displacement without it
     1.4 % of the force was left, as a stiffness that turns with the shaft."""

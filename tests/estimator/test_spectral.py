@@ -96,6 +96,7 @@ def test_a_disc_that_rings_beside_or_in_the_band_biases_nothing(hz: float, low: 
     assert np.sqrt(np.mean(z**2)) < 1.5
 
 
+@pytest.mark.slow
 def test_a_stiff_shaft_moves_the_resonances_and_biases_nothing() -> None:
     linear = {p: {k: Setting(float(TRUTH[k][i])) for k in ("kL", "c", "S")} for i, p in enumerate(PLACES)}
     known = {"disc": DISC, "bearing1": MASS, "bearing2": MASS}

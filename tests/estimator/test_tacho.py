@@ -44,6 +44,7 @@ def record(rig: Model) -> np.ndarray:
     return simulate(truth, RATE, SECONDS, seed=2, noise=0.02, full_scale=490.5, speed=WANDER)
 
 
+@pytest.mark.slow
 def test_orders_are_found_although_the_speed_wanders(rig: Model, record: np.ndarray) -> None:
     whole = fit_whole(replace(rig, speed_rpm=None), record, RATE)
     found = line_forces.find(whole.model, whole.point, record, RATE)

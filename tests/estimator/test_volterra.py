@@ -68,6 +68,7 @@ def test_harmonic_probing_against_the_integrated_equation() -> None:
     assert first == pytest.approx(fine.h1(one)[0] * F + 0.75 * F**3 * fine.h3(one, one, -one)[0], rel=2e-4)
 
 
+@pytest.mark.slow
 def test_identify_from_a_measured_white_force() -> None:
     force = smooth_force(6 * 25600, 1, 0.6)
     x = driven(force, TRUE)[:, 0]

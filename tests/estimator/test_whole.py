@@ -56,6 +56,7 @@ def test_an_effect_added_without_numbers_is_fitted(
         assert abs((p.value or 0.0) - truth[key]) < 4 * (p.sd or 0.0) + 1e-3 * abs(truth[key]), (key, p, truth[key])
 
 
+@pytest.mark.slow
 def test_the_true_model_with_a_strong_line_is_adequate(rig: Model) -> None:
     """The laws see the whole motion: a line taken out of it first would leave 3 kNL x x_line^2 behind."""
     y = record(rig, "line", 0.06)
@@ -79,6 +80,7 @@ def test_what_a_record_does_not_have_is_said(rig: Model) -> None:
     assert fit.parameters["bearing1.x.kL"].identifiable
 
 
+@pytest.mark.slow
 def test_forces_that_the_bearings_share_leave_nothing_once_they_are_in_the_model() -> None:
     """ln(1 - rho^2) nats a bin and pair are won; the motion of the other bearing no longer tells of the force."""
     rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
@@ -126,6 +128,7 @@ def test_what_cannot_be_told_apart_is_used_and_not_shown(rig: Model) -> None:
     assert not compare(rig, y, RATE).adequate
 
 
+@pytest.mark.slow
 def test_a_line_of_the_model_is_fitted_everywhere_though_one_channel_is_clipped(rig: Model) -> None:
     """Without its number the line of the other channel bent its stiffness and damping."""
     y = record(rig, "line", 0.06)

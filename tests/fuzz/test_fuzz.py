@@ -78,6 +78,7 @@ def test_what_a_fuzzer_found_stays_found(case: Path, tmp_path: Path) -> None:
     PARSER.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".npz", ".mat", ".mf4"])
 def test_a_small_file_that_unpacks_to_much_is_refused(
     suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
