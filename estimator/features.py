@@ -166,11 +166,9 @@ def folds(effect: Effect, p: Floats, scale: Floats, folding_hz: float) -> bool:
     """Whether a harmonic of the law lies where sampling folds it into the band: above `folding_hz`, the sampling rate
     less the upper band edge. scale : (4,) rms of x, v, xo, vo."""
     x, v = scale[::2], scale[1::2]
-    if not (x * folding_hz < SPREAD * FASTEST * v / (2 * np.pi)).any():
-        return False
     moving = x > 0.0
     hz = SPREAD * float((v[moving] / (2 * np.pi * x[moving])).max(initial=0.0))
-    return highest(effect, p, scale) * hz > folding_hz
+    return FASTEST * hz > folding_hz and highest(effect, p, scale) * hz > folding_hz
 
 
 def highest(effect: Effect, p: Floats, scale: Floats) -> int:

@@ -188,7 +188,7 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
             continue
         shaped.add(i)
         out += _shapes(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
-    out += [s for s in _noisy(model, point, noise) if data.places.index(s.at[0]) not in shaped]
+    out += [s for s in noisy(model, point, noise) if data.places.index(s.at[0]) not in shaped]
     return out + _shared(model, point)
 
 
@@ -266,13 +266,14 @@ def _where(c: Cells, r: Array) -> str:
     return f"force spectrum {'above' if r[k] > 1 else 'below'} the model about {c.w[k] / 2 / np.pi:.0f} Hz"
 
 
-def _noisy(model: Model, point: WorkingPoint, noise: Array) -> list[Suspect]:
-    """A sensor whose noise floor stands out of its neighbours'."""
+def noisy(model: Model, point: WorkingPoint, noise: Array) -> list[Suspect]:
+    """A sensor whose noise floor stands out of its neighbours' of the same kind: others have another unit."""
     data = point.data
     out, heard = [], data.heard(point.A)
     have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
     for i, place in enumerate(data.places):
-        others = np.delete(noise, i)[np.delete(data.driven, i) == 0.0]
+        alike = [k for k, kind in enumerate(data.kinds) if k != i and kind == data.kinds[i] and data.driven[k] == 0.0]
+        others = noise[alike]
         if others.size == 0 or place in have:
             continue
         # noise counts where it is loudest: that of an accelerometer low in the band, that of displacement at its top

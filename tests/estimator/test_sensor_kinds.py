@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden_effects import RATE, one_bearing
+from hidden_effects import RATE, ROOT, one_bearing
 
+from daq.rig import load_rig
 from estimator import force_colour
 from estimator.compare import compare
 from estimator.simulate import simulate
@@ -49,3 +50,13 @@ def test_the_noise_of_a_sensor_is_no_point_of_a_grid(rms: float) -> None:
     found = [force_colour.sensor_noise(point, i) for i in range(2)]
     off = [(p.value - rms) / p.sd for p in found if p.value is not None and p.sd is not None]
     assert np.sqrt(np.mean(np.square(off))) < 1.7
+
+
+def test_sensors_of_two_kinds_are_not_each_others_measure() -> None:
+    """An accelerometer was 9500 times as noisy as the displacement sensor at the other bearing: m/s^2 over m."""
+    rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    kinds = {"bearing1": "acceleration", "bearing2": "displacement"}
+    rig = replace(rig, channels=tuple(replace(c, kind=kinds[c.node]) for c in rig.channels))
+    point = fit_whole(rig, simulate(rig, RATE, 6.0, seed=5), RATE).point
+    quiet = np.array([0.02, 0.02, 1e-10, 1e-10]) ** 2 / (RATE / 2)
+    assert not force_colour.noisy(rig, point, quiet)
