@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import gc
+import io
 import os
 import signal
 import sys
@@ -16,6 +17,7 @@ OBJECTS = 20_000  # new ones between two searches for garbage: what is imported 
 def main() -> NoReturn:
     """Run the command line, and end with its status."""
     _fill_closed()
+    _say_anything()
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:  # not ignored, as it is for a shell's background jobs
         signal.signal(signal.SIGINT, _leave)
@@ -35,6 +37,13 @@ def main() -> NoReturn:
         _end(status)
     except KeyboardInterrupt:
         _leave()
+
+
+def _say_anything() -> None:
+    """Also names of files that are no text, and what a terminal of few letters has not."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _fill_closed() -> None:
@@ -69,7 +78,8 @@ def _end(status: int) -> NoReturn:
 
 def _leave(*_: object) -> NoReturn:
     """Nothing has begun, or all has been closed, that had to be."""
-    if "daq.unfinished" in sys.modules:
-        sys.modules["daq.unfinished"].remove_all()
+    remove_all = getattr(sys.modules.get("daq.unfinished"), "remove_all", None)  # none while that is imported
+    if remove_all is not None:
+        remove_all()
     os.write(2, b"rotorscope: interrupted\n")
     os._exit(INTERRUPTED)

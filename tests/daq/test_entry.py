@@ -31,6 +31,13 @@ sys.exit(main())
 """
 
 
+def test_an_interrupt_while_what_clears_away_is_imported_itself() -> None:
+    half = "import sys, types; sys.modules['daq.unfinished'] = types.ModuleType('half')"
+    code = f"{half}; from daq.entry import _leave; _leave()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=PATIENCE_S, check=False)
+    assert (done.returncode, done.stderr) == (130, b"rotorscope: interrupted\n")
+
+
 @pytest.mark.parametrize("after_s", [0.005, 0.02, 0.05, 0.1, 0.2, 0.3])
 def test_an_interrupt_while_python_imports_ends_quietly(
     after_s: float, tmp_path: Path, record_property: Callable[[str, object], None]
