@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -247,7 +248,9 @@ def log_of(sinks: Sequence[Sink], out: Path | None) -> Path | None:
     from .log_writer import LogWriter
 
     path = next((sink.path for sink in sinks if isinstance(sink, LogWriter)), out)
-    return out if os.path.realpath(path) == os.path.realpath(out) else path
+    with contextlib.suppress(OSError):  # the folder that we were started in is gone
+        return out if os.path.realpath(path) == os.path.realpath(out) else path
+    return path
 
 
 def naming(rig: Rig, live: bool) -> list[Sink]:

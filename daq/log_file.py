@@ -11,7 +11,7 @@ from pathlib import Path
 
 from . import unfinished
 from .errors import LogError
-from .log_place import being_written, emptied, free_name, locked, made, moved_aside, opened, refused, unlock
+from .log_place import being_written, emptied, free_name, locked, made, moved_aside, no_file, opened, refused, unlock
 from .stop import unbroken
 
 COPY = 1 << 20
@@ -28,9 +28,12 @@ class LogFile:
     """
 
     def __init__(self, path: Path, whole: bool = False) -> None:
+        if path.is_fifo() or path.is_socket():  # /dev/stdout, too: before what it points to gets another name
+            raise no_file(path)
         if path.is_symlink():  # the link stays, and the log goes where it points to
             path = Path(os.path.realpath(path))
         self.path = path
+        self.folder = _here() / path.parent  # whatever becomes of the one that we were started in
         self.kept: Path | None = None  # where that is which lay at `path` and cannot be made again
         self._waiting: deque[memoryview] = deque()
         self._stored = 0
@@ -125,7 +128,7 @@ class LogFile:
         with contextlib.suppress(OSError):
             now = Path(os.readlink(f"/proc/self/fd/{self._fd}"))
             if self._is(now):
-                self.path = now
+                self.path, self.folder = now, now.parent
                 return True
         return False
 
@@ -139,8 +142,7 @@ class LogFile:
 
         folder : there instead.
         """
-        wanted = self._hidden or self.path
-        wanted = wanted if folder is None else folder / wanted.name
+        wanted = (folder or self.folder) / (self._hidden or self.path).name
         wanted.parent.mkdir(parents=True, exist_ok=True)
         path = free_name(wanted) if wanted.exists() else wanted
         fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
@@ -200,6 +202,13 @@ class LogFile:
             self._syncing.join(SYNC_WAIT_S)
         unlock(self._fd)  # that thread may hold the file open for longer
         os.close(self._fd)
+
+
+def _here() -> Path:
+    try:
+        return Path.cwd()
+    except OSError:  # it was removed before we were
+        return Path()
 
 
 def _sync(fd: int) -> None:

@@ -65,10 +65,14 @@ def refused(path: Path) -> LogError:
     return LogError(f"{path}: another rotorscope is writing this log; stop that one, or choose another --out")
 
 
+def no_file(path: Path) -> LogError:
+    return LogError(f"cannot write the log {path}: it is no file, and a log cannot go into a pipe; choose another")
+
+
 def opened(path: Path, shown: Path) -> int:
     """The file there, made if need be, open and locked. Raises OSError, and LogError (of `shown`) if it is not ours."""
     if path.is_fifo() or path.is_socket():
-        raise LogError(f"cannot write the log {shown}: it is no file, and a log cannot go into a pipe; choose another")
+        raise no_file(shown)
     while True:
         fd = os.open(path, FLAGS, 0o644)
         if not locked(fd):

@@ -295,7 +295,7 @@ class LogWriter:
     def _rescue(self) -> None:
         """At the end the log has no name, and cannot have its own: in the nearest other folder, rather than nowhere."""
         before = self._file.path
-        for folder in (*before.absolute().parent.parents, Path(tempfile.gettempdir())):
+        for folder in (*self._file.folder.parents, Path(tempfile.gettempdir())):
             try:
                 path = self._file.restore(folder)
             except OSError:
