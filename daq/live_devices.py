@@ -131,9 +131,10 @@ def _names(paths: Sequence[Path]) -> list[str]:
     """Of the rig files, with a number where two are alike."""
     names: list[str] = []
     for path in paths:
-        name, number = path.stem, 2
+        stem = path.stem.encode(errors="backslashreplace").decode()  # a log and metrics hold text only
+        name, number = stem, 2
         while name in names:
-            name, number = f"{path.stem}-{number}", number + 1
+            name, number = f"{stem}-{number}", number + 1
         names.append(name)
     return names
 

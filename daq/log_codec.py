@@ -43,9 +43,14 @@ TOPICS = (
 )
 
 
+def text(said: str) -> str:
+    """As a log can hold it: names of files may hold bytes that are no text."""
+    return said.encode(errors="backslashreplace").decode()
+
+
 def encode_session(device: str, wall_offset_ns: int, metadata: Mapping[str, str]) -> bytes:
-    pairs = [{"key": k, "value": v} for k, v in metadata.items()]
-    return _bytes("Session", device=device, wall_offset_ns=wall_offset_ns, metadata=pairs)
+    pairs = [{"key": text(k), "value": text(v)} for k, v in metadata.items()]
+    return _bytes("Session", device=text(device), wall_offset_ns=wall_offset_ns, metadata=pairs)
 
 
 def decode_session(data: bytes) -> tuple[str, int, dict[str, str]]:
@@ -136,7 +141,7 @@ def encode_notice(notice: Notice, wall_ns: int) -> bytes:
     out: bytes = message("foxglove.Log")(
         timestamp={"seconds": seconds, "nanos": nanos},
         level=LEVELS.get(notice.level, 3),
-        message=notice.text,
+        message=text(notice.text),
         name=notice.code,
     ).SerializeToString()
     return out

@@ -53,10 +53,10 @@ class LogEncoder:
         """wall_offset_ns : Unix time = host monotonic time + this."""
         self._wall_offset_ns = wall_offset_ns
         self._session = codec.encode_session(session.device, wall_offset_ns, session.metadata)
-        self._mcap.add_metadata("session", dict(session.metadata) | {"device": session.device})
+        self.metadata("session", dict(session.metadata) | {"device": session.device})
         for name, data in session.attachments.items():
             media_type = MEDIA_TYPES.get(name[name.rfind(".") :], "application/octet-stream")
-            self._mcap.add_attachment(0, 0, name, media_type, data)
+            self.attachment(name, media_type, data)
         self.reading(session.info)
 
     def reading(self, reading: Reading) -> None:
@@ -89,10 +89,10 @@ class LogEncoder:
         self._add(topic, log_time, data, publish_time)
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
-        self._mcap.add_attachment(0, 0, name, media_type, data)
+        self._mcap.add_attachment(0, 0, codec.text(name), media_type, data)
 
     def metadata(self, name: str, values: dict[str, str]) -> None:
-        self._mcap.add_metadata(name, values)
+        self._mcap.add_metadata(name, {codec.text(k): codec.text(v) for k, v in values.items()})
 
     def flush(self) -> None:
         """End the chunk under way and hand every byte to the output."""

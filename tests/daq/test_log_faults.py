@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -104,6 +105,29 @@ def test_a_full_disk_that_gets_room_again_costs_nothing(tmp_path: Path, record_p
     record_property("reliability", f"{row} | 0 samples lost; slowest call {1e3 * feeder.slowest_s:.1f} ms")
 
 
+def test_a_full_disk_and_names_that_are_no_text(tmp_path: Path, record_property: Property) -> None:
+    """What is said of the fault names the log, and goes into it; so do the link and the DBC."""
+    path = tmp_path / os.fsdecode(b"a\xff.mcap")
+    session = make_session()
+    odd = os.fsdecode(b"\xff.dbc")
+    session = replace(session, device=odd, attachments=session.attachments | {odd: b"x"}, metadata={"link": odd})
+    feeder = Feeder(LogWriter(path), start=False)
+    feeder.writer.start(session)
+    feeder.feed(100)
+    with file_size_limit(400_000):
+        feeder.until(lambda: feeder.heard("log_fault"))
+        feeder.writer.readings([n for n in feeder.told if n.code == "log_fault"])  # as the pipeline does
+    feeder.until(lambda: feeder.heard("log_recovered"))
+    feeder.close()
+    assert assert_right(path, complete=True) == feeder.index
+    log = read_log(path)
+    assert "a\\udcff.mcap" in log.notices[-1].text
+    assert (log.head.device, log.metadata["link"]) == ("\\udcff.dbc", "\\udcff.dbc")
+    assert log.attachments["\\udcff.dbc"] == b"x"
+    row = "names that are no text, and a full disk | bytes above 127 in the names of log, link, DBC; a full disk"
+    record_property("reliability", f"{row} | the log goes on | 0 samples lost")
+
+
 def test_a_disk_full_for_long_costs_the_newest_by_name(tmp_path: Path, record_property: Property) -> None:
     feeder = Feeder(LogWriter(tmp_path / "a.mcap", limit_bytes=1 << 20))
     with file_size_limit(300_000):
@@ -140,6 +164,30 @@ def test_a_disk_that_stays_full_leaves_a_readable_log_and_a_quick_end(
         stored = assert_right(tmp_path / "a.mcap", complete=False)
         assert stored > 30_000
         assert (tmp_path / "a.mcap").stat().st_size == 500_000
+
+
+def test_the_folder_that_we_were_started_in_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Property
+) -> None:
+    """A name without a folder means nothing any more."""
+    home = tmp_path / "home"
+    home.mkdir()
+    monkeypatch.chdir(home)
+    feeder = Feeder(LogWriter("a.mcap"))
+    feeder.feed(100)
+    feeder.until(lambda: Path("a.mcap").stat().st_size > 0)
+    shutil.rmtree(home)
+    feeder.until(lambda: feeder.heard("log_restored"))
+    shutil.rmtree(home)
+    home.write_text("in its way")  # until the end
+    feeder.feed(50)
+    feeder.close()
+    assert assert_right(tmp_path / "a.mcap", complete=True) == feeder.index
+    assert feeder.told[-1].text.endswith(f"cannot be put back; the log is {tmp_path / 'a.mcap'}")
+    row = (
+        "the folder that `run` was started in is removed | `--out` names no folder; twice, and a file stands in its way"
+    )
+    record_property("reliability", f"{row} | the log put back whole, then in the nearest folder | 0 samples lost")
 
 
 def test_the_log_folder_is_removed(tmp_path: Path, record_property: Property) -> None:
