@@ -23,7 +23,7 @@ from .edit import with_effect, with_values
 from .errors import ConfigError, LogError
 from .measurement import Measurement, measure
 from .memory import keep_freed
-from .output import Output, write_whole
+from .output import Output, spare, write_whole
 from .rig import Rig, load_rig
 from .tables import ladder_table, number, parameters_table
 
@@ -32,6 +32,8 @@ NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is miss
 
 
 def fit(output: Output, log: Path, rig_path: Path, method: str, out: Path | None) -> None:
+    if out is not None:
+        spare(out)
     rig, data = given(output, log, rig_path)
     with output.progress(f"fitting ({method})"), about(log, data):
         result = fitted(rig, data, method)
@@ -207,6 +209,7 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
     from estimator.improve import improve as improve_model
 
     pages = Pages(html, rerun)
+    spare(out)
     rig, data = given(output, log, rig_path)
     with output.progress("improving") as progress, about(log, data):
         ladder = improve_model(rig.model, data.y, data.rate_hz, progress=progress)
@@ -314,6 +317,8 @@ class Pages:
         """Raises ConfigError for a place that cannot be written, before the work is done."""
         if html is not None and not html.absolute().parent.is_dir():
             raise ConfigError(f"--html {html}: folder {html.parent} does not exist; create it first")
+        if html is not None:
+            spare(html, ".toml")
         if rerun is not None:
             from .rerun_process import viewer_target
 

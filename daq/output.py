@@ -14,12 +14,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
 from . import unfinished
-from .errors import not_written
+from .errors import ConfigError, not_written
 
 if TYPE_CHECKING:
-    from rich.console import Console, RenderableType
+    from rich.console import Console, ConsoleOptions, RenderableType
 
 PIPE_WIDTH = 160
+CONTROL = {c: "\N{REPLACEMENT CHARACTER}" for c in (*range(32), *range(127, 160)) if chr(c) not in "\n\t"}
+MEASUREMENTS = (".mcap", ".npz", ".csv", ".mat", ".mf4", ".uff", ".unv", ".wav", ".log", ".blf", ".asc")
+LOG_BEGINS = b"\x89MCAP0\r\n"
 GONE = (errno.EPIPE, errno.EIO)  # whoever read what we say has left: the pipe is closed, the terminal hung up
 
 
@@ -40,6 +43,10 @@ class Output:
     json: str | None = None
     quiet: bool = False
     verbose: bool = False
+
+    def __post_init__(self) -> None:
+        if self.json is not None and self.json != "-":
+            spare(Path(self.json), ".toml")
 
     @property
     def to_stdout(self) -> Console:
@@ -114,7 +121,7 @@ class Output:
 def tell(text: str) -> None:
     """A line on standard error. That it cannot be said (a terminal that is gone, a full disk) is no reason to stop."""
     with contextlib.suppress(OSError):
-        print(f"rotorscope: {text}", file=sys.stderr, flush=True)  # noqa: T201
+        print(f"rotorscope: {text}".translate(CONTROL), file=sys.stderr, flush=True)  # noqa: T201
 
 
 def to_nowhere(stream: TextIO) -> None:
@@ -136,9 +143,15 @@ def unheard(stream: TextIO) -> Iterator[None]:
 
 
 def _console(**options: Any) -> Console:
+    """What devices, files and their names say cannot command the terminal."""
     from rich.console import Console
+    from rich.segment import Segment
 
     class Pipe(Console):
+        def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+            for text, style, control in super().render(renderable, options):
+                yield Segment(text if control else text.translate(CONTROL), style, control)
+
         def on_broken_pipe(self) -> None:  # rich would end the process with status 1
             raise BrokenPipeError(errno.EPIPE, "nobody reads it")
 
@@ -156,9 +169,23 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def spare(path: Path, *others: str) -> None:
+    """Of a result that is to be written there. Raises ConfigError if a log, a data file, or a file of another ending
+    that it is not to replace, would be lost."""
+    if not path.is_file():
+        return
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        if path.suffix.lower() in (*MEASUREMENTS, *others) or file.read(len(LOG_BEGINS)) == LOG_BEGINS:
+            raise ConfigError(f"{path}: a result is not written over a file of this kind; choose another name")
+
+
 def write_whole(path: Path, data: str | bytes) -> None:
-    """Write a file so that nobody ever sees half of it. Raises ConfigError or LogError if it cannot be."""
+    """Write a file so that nobody ever sees half of it. Raises ConfigError or LogError if it cannot be.
+
+    What no text can hold, such as a file's name that is none, is written as JSON has it.
+    """
+    spare(path)
     try:
-        unfinished.write(path, data.encode() if isinstance(data, str) else data)
+        unfinished.write(path, data.encode(errors="backslashreplace") if isinstance(data, str) else data)
     except OSError as error:
         raise not_written(path, error) from error
