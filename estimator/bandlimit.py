@@ -6,6 +6,9 @@ the middle is taken out, so row k of every output belongs to row k of the input.
 save at fixed absolute positions) runs live and offline: results do not depend, to the last bit, on how the input was
 cut into chunks. A row is valid if no missing (NaN) sample lies within the support of its filter.
 
+A law sees the whole displacement. Below the band an accelerometer shows none of it; a sensor of displacement does, down
+to where its offset and drift begin (`slow_part`), and that is one more output.
+
 Because integration is done before any windowing, m a + c v + k x = F holds sample by sample for the band-limited
 force, and a window applied later commutes with it: no leakage error in the coefficients.
 """
@@ -14,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +26,7 @@ from .errors import DataError
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+DRIFT = 0.05  # of the lower band edge: below lie offset and drift of a sensor; the filter is as long as the band's
 FINE_HZ = 0.05  # resolves a resonance that rings for some seconds
 # powers of (i w) that turn what is measured into (a, v, x)
 _POWERS = {"acceleration": (0, -1, -2), "velocity": (1, 0, -1), "displacement": (2, 1, 0), "force": (0,)}
@@ -44,6 +49,8 @@ class Motion:
     a, v, x : (channels, n); for a channel of kind force, `a` holds the force and v, x are zero.
     u : (channels, n), the extra output (see BandLimit) or an array of no channels.
     valid : (n,) bool, no missing sample in the support of the filters, in any channel.
+    slow : (channels, n) displacement below the band as sensors of displacement measure it, zero for others; None where
+        there are none, or it was not asked for.
     """
 
     start: int
@@ -52,6 +59,7 @@ class Motion:
     x: Floats
     u: Floats
     valid: NDArray[np.bool_]
+    slow: Floats | None = None
 
     @property
     def rows(self) -> int:
@@ -88,6 +96,18 @@ def passband(f_hz: Floats, rate_hz: float, band: tuple[float, float]) -> Floats:
     return _step((f - stop1) / (pass1 - stop1)) * _step((stop2 - f) / (stop2 - pass2))
 
 
+def slow_part(f_hz: Floats, rate_hz: float, band: tuple[float, float]) -> Floats:
+    """The real gain from what a sensor of displacement measures to what laws see of it below the band."""
+    steady = np.exp(-0.5 * (f_hz / (DRIFT * band[0])) ** 2)
+    return np.where(np.abs(f_hz) < band[0], (1.0 - passband(f_hz, rate_hz, band)) * (1.0 - steady), 0.0)
+
+
+def unseen(f_hz: Floats, rate_hz: float, band: tuple[float, float], kind: str) -> Floats:
+    """The real gain from the displacement to what a sensor of this kind leaves out of it."""
+    beside = slow_part(f_hz, rate_hz, band) if kind == "displacement" else 0.0
+    return np.asarray(1.0 - passband(f_hz, rate_hz, band) - beside)
+
+
 def half_length(rate_hz: float, band: tuple[float, float]) -> int:
     """Half the support of the filters, in samples: what is lost at each end of a record and beside each gap."""
     stop1, pass1, pass2, stop2 = edges(rate_hz, band)
@@ -96,11 +116,28 @@ def half_length(rate_hz: float, band: tuple[float, float]) -> int:
 
 def _taps(response: Callable[[Floats], Complexes], rate_hz: float, band: tuple[float, float], half: int) -> Floats:
     """(2 half + 1,) taps of H(f) * response(f), middle tap at index half; within 3e-5 of it in the band."""
-    size = 1 << int(np.ceil(np.log2(16 * half)))
-    f: Floats = np.asarray(np.fft.rfftfreq(size, 1.0 / rate_hz), dtype=np.float64)
+    f = _frequencies(half, rate_hz)
     gain = passband(f, rate_hz, band)
     wanted = np.zeros(f.size, complex)
     wanted[gain > 1e-14] = gain[gain > 1e-14] * response(f[gain > 1e-14])
+    return _nearest(wanted, half)
+
+
+def _slow_taps(rate_hz: float, band: tuple[float, float], half: int) -> Floats:
+    """(2 half + 1,) taps of `slow_part`; an offset, which may be a thousand times the vibration, gives nothing."""
+    h = _nearest(slow_part(_frequencies(half, rate_hz), rate_hz, band).astype(complex), half)
+    window = np.kaiser(h.size, 3.0)
+    return np.asarray(h - h.sum() * window / window.sum())
+
+
+def _frequencies(half: int, rate_hz: float) -> Floats:
+    size = 1 << int(np.ceil(np.log2(16 * half)))
+    return np.asarray(np.fft.rfftfreq(size, 1.0 / rate_hz), dtype=np.float64)
+
+
+def _nearest(wanted: Complexes, half: int) -> Floats:
+    """(2 half + 1,) taps whose response, on half a grid of frequencies, is near to what is wanted."""
+    size = 2 * (wanted.size - 1)
     target = wanted.copy()
     window = np.kaiser(2 * half + 1, 3.0)
     for _ in range(2):  # the window smooths the spectrum: put back once what that took away
@@ -164,6 +201,7 @@ class BandLimit:
 
     kinds : of each channel: acceleration, velocity, displacement or force.
     extra : response(f_hz) from displacement to one more output, `Motion.u` (the shaft's reaction, for instance).
+    slow : whether `Motion.slow` is asked for.
     """
 
     def __init__(
@@ -172,12 +210,14 @@ class BandLimit:
         rate_hz: float,
         band: tuple[float, float],
         extra: Callable[[Floats], Complexes] | None = None,
+        slow: bool = False,
     ) -> None:
         self.kinds, self.rate_hz, self.band = tuple(kinds), rate_hz, band
         self.half = half_length(rate_hz, band)
         self._size = _block_size(self.half, rate_hz)
         self._hop = self._size - 2 * self.half  # fixed, so that block positions never depend on the chunks
-        self._outputs = 3 if extra is None else 4
+        slow = slow and "displacement" in self.kinds
+        self.outputs = ("a", "v", "x", *(["u"] if extra is not None else []), *(["slow"] if slow else []))
         self._filters: dict[str, Complexes] = {}
         held = None
         if extra is not None and set(self.kinds) != {"force"}:
@@ -188,6 +228,8 @@ class BandLimit:
                 p = _POWERS[kind][2]
                 responses.append(lambda f, p=p: (2j * np.pi * f) ** float(p) * held(f))  # type: ignore[misc]
             taps = np.array([_taps(r, rate_hz, band, self.half) for r in responses])
+            if slow and kind == "displacement":
+                taps = np.vstack([taps, _slow_taps(rate_hz, band, self.half)])
             self._filters[kind] = np.fft.rfft(taps, self._size, axis=1)
         # as if the record were preceded by missing samples
         self._held = np.full((len(self.kinds), self.half), np.nan)
@@ -231,14 +273,15 @@ class BandLimit:
         self._held = self._held[:, :0]
         motion = self._join(parts)
         a, v, x, u = (z[:, :count] for z in (motion.a, motion.v, motion.x, motion.u))
-        return Motion(motion.start, a, v, x, u, motion.valid[:count])
+        slow = None if motion.slow is None else motion.slow[:, :count]
+        return Motion(motion.start, a, v, x, u, motion.valid[:count], slow)
 
     def _block(self, y: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """(outputs, channels, hop) and (hop,) validity from (channels, size) samples."""
         finite = np.isfinite(y)
         whole = bool(finite.all())
         spectra = np.fft.rfft(y if whole else np.where(finite, y, 0.0), axis=1)
-        out = np.zeros((self._outputs, len(self.kinds), self._hop))
+        out = np.zeros((len(self.outputs), len(self.kinds), self._hop))
         for k, kind in enumerate(self.kinds):
             filters = self._filters[kind]
             series = np.fft.irfft(filters * spectra[k], self._size, axis=1)
@@ -252,12 +295,17 @@ class BandLimit:
     def _join(self, parts: list[tuple[Floats, NDArray[np.bool_]]]) -> Motion:
         start = self._next
         if not parts:
-            parts = [(np.empty((self._outputs, len(self.kinds), 0)), np.empty(0, bool))]
+            parts = [(np.empty((len(self.outputs), len(self.kinds), 0)), np.empty(0, bool))]
         out = parts[0][0] if len(parts) == 1 else np.concatenate([p[0] for p in parts], axis=2)
         valid = parts[0][1] if len(parts) == 1 else np.concatenate([p[1] for p in parts])
         self._next += valid.size
-        u = out[3] if self._outputs == 4 else np.empty((0, valid.size))
-        return Motion(start, out[0], out[1], out[2], u, valid)
+        return self.motion(start, [*out], valid)
+
+    def motion(self, start: int, out: list[NDArray[Any]], valid: NDArray[np.bool_]) -> Motion:
+        """Outputs (channels, n) in their order, as motion."""
+        found = dict(zip(self.outputs, out, strict=True))
+        u = found.get("u", np.empty((0, valid.size), out[0].dtype))
+        return Motion(start, found["a"], found["v"], found["x"], u, valid, found.get("slow"))
 
 
 def band_limit(
@@ -285,14 +333,14 @@ def left_out(
     S: Floats,
     band: tuple[float, float],
     rate_hz: float,
-    also: Callable[[Floats], Floats] | None = None,
+    kinds: Sequence[str],
 ) -> Floats:
-    """(places, 2) sd of the displacement and velocity outside of the pass band, from the linear response to S.
+    """(places, 2) sd of the displacement and velocity that laws do not see, from the linear response to S.
 
-    also : gain at f_hz of what is seen besides.
+    kinds : of the sensor at each place.
     """
     f = np.concatenate([np.linspace(0.0, band[0], 200), np.geomspace(band[0], 1e3 * rate_hz, 4000)[1:]])
-    lost = (1.0 - passband(f, rate_hz, band) - (0.0 if also is None else also(f))) ** 2
+    lost = np.array([unseen(f, rate_hz, band, kind) for kind in kinds]) ** 2
     w = 2 * np.pi * f
     response = S[:, None] / np.abs(kL[:, None] + 1j * w * c[:, None] - m[:, None] * w**2) ** 2
     both = np.stack([np.trapezoid(response * lost, f), np.trapezoid(response * lost * w**2, f)], axis=1)

@@ -29,8 +29,9 @@ class Filtered(BandLimit):
         rate_hz: float,
         band: tuple[float, float],
         extra: Callable[[Floats], Complexes] | None = None,
+        slow: bool = False,
     ) -> None:
-        super().__init__(kinds, rate_hz, band, extra)
+        super().__init__(kinds, rate_hz, band, extra, slow)
         self._y = y
         missing = np.concatenate([[0], np.cumsum(~np.isfinite(y).all(axis=1))])
         self.valid: NDArray[np.bool_] = np.zeros(len(y), bool)
@@ -45,7 +46,7 @@ class Filtered(BandLimit):
 
     @property
     def large(self) -> bool:
-        return self._outputs * self._y.nbytes > LARGE
+        return len(self.outputs) * self._y.nbytes > LARGE
 
     def _filtered(self, b: int) -> Floats:
         """(outputs, channels, hop) of the rows b hop ... of the grid that a stream has."""
@@ -57,12 +58,12 @@ class Filtered(BandLimit):
         return self._block(np.ascontiguousarray(y))[0]
 
     def cut(self, lo: int, hi: int) -> Floats:
-        """(outputs, channels, hi - lo) of rows lo ... hi - 1: a, v, x and the extra output."""
+        """(outputs, channels, hi - lo) of rows lo ... hi - 1, in the order of `outputs`."""
         blocks = range(lo // self._hop, (hi - 1) // self._hop + 1)
         known = self._recent
         recent = {b: known[b] if b in known else self._filtered(b) for b in blocks}
         self._recent = recent  # whole, so that it may be called from two threads
-        out = np.empty((self._outputs, len(self.kinds), hi - lo))
+        out = np.empty((len(self.outputs), len(self.kinds), hi - lo))
         for b, z in recent.items():
             a, e = max(lo, b * self._hop), min(hi, (b + 1) * self._hop)
             out[:, :, a - lo : e - lo] = z[:, :, a - b * self._hop : e - b * self._hop]
@@ -70,7 +71,7 @@ class Filtered(BandLimit):
 
     def whole(self, dtype: type[np.floating[Any]] = np.float64) -> Motion:
         """All of it, held."""
-        out: list[NDArray[Any]] = [np.empty((len(self.kinds), self.rows), dtype) for _ in range(self._outputs)]
+        out: list[NDArray[Any]] = [np.empty((len(self.kinds), self.rows), dtype) for _ in self.outputs]
 
         def fill(b: int) -> None:
             first, z = b * self._hop, self._filtered(b)
@@ -78,8 +79,7 @@ class Filtered(BandLimit):
                 whole[:, first : first + self._hop] = part
 
         each(fill, range(-(-self.rows // self._hop)))
-        u = out[3] if self._outputs == 4 else np.empty((0, self.rows), dtype)
-        return Motion(0, out[0], out[1], out[2], u, self.valid)
+        return self.motion(0, out, self.valid)
 
     @cached_property
     def rms(self) -> Floats:

@@ -61,7 +61,8 @@ class MotionBlocks:
     rms: Array  # (3, places) of x, of v and of a, over the whole record
     driven: Array  # (places,) N^2/Hz, PSD of the measured forces; 0 without
     sharpened: Array  # (places, bins) by what undoing a sensor's resonance has multiplied its noise, in power
-    slow: Series | None = None  # (places, n) displacement below the band that the laws make: slow_motion.py
+    measured: Series | None = None  # (places, n) displacement below the band, where the sensor is one of displacement
+    slow: Series | None = None  # (places, n) all of it that the laws see: slow_motion.py
     shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
     pushes: tuple[Push, ...] = ()  # the model's periodic forces below the band, which laws feel
     waves: tuple[Wave, ...] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
@@ -120,7 +121,8 @@ class MotionBlocks:
 
     def states(self, of: Callable[[Series], Series], **rest: Any) -> MotionBlocks:
         """With v, x and the slow displacement, (places, n) each, as `of` makes them, and other fields as given."""
-        return replace(self, v=of(self.v), x=of(self.x), slow=None if self.slow is None else of(self.slow), **rest)
+        measured, slow = (None if z is None else of(z) for z in (self.measured, self.slow))
+        return replace(self, v=of(self.v), x=of(self.x), measured=measured, slow=slow, **rest)
 
     def at(self, rows: slice | list[slice] | NDArray[np.bool_], **rest: Any) -> MotionBlocks:
         """Only these rows: views of them if they are a slice. rest : fields that change with them."""
@@ -210,7 +212,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
         block //= 2
     used = y if columns == [*range(y.shape[1])] else y[:, columns]
     motion = Filtered(
-        used, [model.channels[k].kind for k in columns], rate_hz, model.band, shaft_reaction(model)
+        used, [model.channels[k].kind for k in columns], rate_hz, model.band, shaft_reaction(model), slow=True
     ).whole(np.float32)
     starts = _valid_starts(motion.valid, block)
     if starts.size < 2 * FOLDS:
@@ -229,6 +231,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     angle = measured_phase(model, y, rate_hz)
     turning = np.stack([t, speed * t if angle is None else angle])
     a, v, x, u, (t, phase) = map(valid, (motion.a, motion.v[:P], motion.x[:P], motion.u, turning))
+    below = None if motion.slow is None else valid(motion.slow[:P])
     mass = np.array([model.cap_mass(p) or 1.0 for p in places])
     measured = {places.index(p): a[P + k] for k, p in enumerate(p for p in places if p in shaken)}
     for i, force in measured.items():
@@ -260,7 +263,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     return MotionBlocks(
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
         shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, driven,
-        sharpened(model, places, f), None, _shared(model, places), pushes(model, places),
+        sharpened(model, places, f), below, below, _shared(model, places), pushes(model, places),
         waves(model, places, rate_hz),
     )  # fmt: skip
 

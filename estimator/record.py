@@ -39,7 +39,7 @@ class Record:
     phase: Floats
     grid: Layout
     lines: tuple[tuple[float, float], ...] = ()  # Hz, stretches left out of the grid (lines.py)
-    slow: Floats | None = None  # (places, n) displacement below the band that lopsided laws make (slow_motion.py)
+    slow: Floats | None = None  # (places, n) displacement below the band that laws see instead of what sensors measure
     _rms: dict[str, Floats] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -90,11 +90,12 @@ class Record:
         force = {i: padded(f[lo:hi]) for i, f in self.force.items()}
         phase = np.pad(self.phase[lo:hi], pad, mode="edge") if any(pad) else self.phase[lo:hi]
         if isinstance(m, Filtered):
-            z = padded(m.cut(lo, hi))
-            a, v, x, u = z[0], z[1], z[2], z[3] if len(z) > 3 else z[0, :0]
+            cut = m.motion(lo, [*padded(m.cut(lo, hi))], valid)
+            a, v, x, u, measured = cut.a, cut.v, cut.x, cut.u, cut.slow
         else:
             a, v, x, u = (padded(z[:, lo:hi]) for z in (m.a, m.v, m.x, m.u))
-        slow = None if self.slow is None else padded(self.slow[:, lo:hi])
+            measured = None if m.slow is None else padded(m.slow[:, lo:hi])
+        slow = measured if self.slow is None else padded(self.slow[:, lo:hi])
         return Stretch(a, v, x, u, valid, force, t, phase, self.rate_hz, slow)
 
 
@@ -115,13 +116,14 @@ def prepare(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None
     P, force = len(motions), {}
     motion: Motion | Filtered
     filtered = Filtered(
-        y if used == [*range(y.shape[1])] else y[:, used], kinds, rate_hz, model.band, shaft_reaction(model)
+        y if used == [*range(y.shape[1])] else y[:, used], kinds, rate_hz, model.band, shaft_reaction(model), slow=True
     )
     if filtered.large and not forces:
         motion = filtered
     else:
         both = filtered.whole()
-        motion = Motion(0, both.a[:P], both.v[:P], both.x[:P], both.u[:P], both.valid)
+        slow = None if both.slow is None else both.slow[:P]
+        motion = Motion(0, both.a[:P], both.v[:P], both.x[:P], both.u[:P], both.valid, slow)
         force = {row: both.a[P + i] for i, row in enumerate(forces)}
     if phase is None:
         turns_per_s = (model.speed_rpm or 0.0) / 60.0
@@ -140,7 +142,9 @@ def as_record(model: Model, rate_hz: float, parts: list[Motion], grid: Layout) -
     P = len(model.places)
     a, v, x, u = (np.concatenate([getattr(p, name) for p in parts], axis=1) for name in "avxu")
     valid = np.concatenate([p.valid for p in parts])
-    motion = Motion(parts[0].start, a[:P], v[:P], x[:P], u[:P], valid)
+    slow = [p.slow[:P] for p in parts if p.slow is not None]
+    below = np.concatenate(slow, axis=1) if slow else None
+    motion = Motion(parts[0].start, a[:P], v[:P], x[:P], u[:P], valid, below)
     turns_per_s = (model.speed_rpm or 0.0) / 60.0
     rows = np.arange(motion.start, motion.start + motion.rows)
     phase = np.asarray(2 * np.pi * turns_per_s / rate_hz * rows, dtype=np.float64)

@@ -59,7 +59,7 @@ class RollingSpectral:
         motions, forces = motion_channels(model), force_channels(model)
         self._used = [*motions, *forces.values()]
         kinds = [model.channels[c].kind for c in self._used]
-        self._filter = BandLimit(kinds, rate_hz, model.band, shaft_reaction(model))
+        self._filter = BandLimit(kinds, rate_hz, model.band, shaft_reaction(model), slow=True)
         self._grid: Layout = layout(rate_hz, model.band, notches(model))
         self._lines = _lines(model, self._grid)
         self._kept: list[Motion] = []  # what the next blocks and a new start need

@@ -54,19 +54,20 @@ class SlowMotion:
     def _along(self, stretch: Stretch, B: Floats) -> Floats:
         """(places, rows), sound but for `reach` rows at either end; a missing sample has the mean of the force."""
         balance, P, inner = self._columns.balance, len(B), slice(MARGIN, MARGIN + stretch.rows)
+        measured = np.zeros((P, stretch.t.size)) if stretch.slow is None else stretch.slow
         valid, out = stretch.valid[inner], np.zeros((P, stretch.rows))
         if not valid.any():
             return out
         shaft = 0.0 if balance.common is None else float(balance.common(np.array([self._band[0]]))[0].real)
         for _ in range(ROUNDS):
-            seen = replace(stretch, slow=np.pad(out, [(0, 0), (MARGIN, MARGIN)], mode="edge"))
+            seen = replace(stretch, slow=measured + np.pad(out, [(0, 0), (MARGIN, MARGIN)], mode="edge"))
             states: dict[tuple[int, bool], State] = {}
             out = np.zeros_like(out)
             for row, laws in self._laws.items():
                 push = np.sum([B[row, k] * self._columns.law(k, seen, states)[0] for k in laws], axis=0)
                 mean = float(push[valid].mean())
                 linear = (float(B[row, row]), float(B[row, 2 * P + row]) + shaft, float(B[row, P + row]))
-                response = below(linear, self._rate_hz, self._band)
+                response = below(linear, self._rate_hz, self._band, balance.kinds[row])
                 out[row] = filtered(response, np.where(valid, push - mean, 0.0), self._rate_hz)
                 out[row] += mean * float(response(np.zeros(1))[0].real)
-        return out
+        return np.asarray(measured[:, inner] + out)

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .bandlimit import passband
+from .bandlimit import unseen
 from .effect import Effect
 from .effects.compiled import memory_array
 from .effects.law_loop import force_array
@@ -47,21 +47,23 @@ def usual(effect: Effect) -> Array:
 
 
 def below(
-    linear: tuple[float, float, float], rate_hz: float, band: tuple[float, float]
+    linear: tuple[float, float, float], rate_hz: float, band: tuple[float, float], kind: str
 ) -> Callable[[Array], Complexes]:
-    """Displacement below the band per restoring force, m/N at w (f,) rad/s. linear : m, k, c."""
+    """Displacement below the band per restoring force, m/N at w (f,) rad/s, as far as a sensor of this kind does not
+    show it. linear : m, k, c."""
     m, k, c = linear
 
     def response(w: Array) -> Complexes:
         f = w / (2 * np.pi)
-        part = np.where(f < band[0], 1.0 - passband(f, rate_hz, band), 0.0)
+        part = np.where(f < band[0], unseen(f, rate_hz, band, kind), 0.0)
         return np.asarray(-part / (k + 1j * w * c - m * w**2))
 
     return response
 
 
 def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -> MotionBlocks:
-    """The record with the slow displacement of the laws as they stand, and of periodic forces. kL, c : (places,)."""
+    """The record with the slow displacement of the laws as they stand, and of periodic forces, beside what sensors
+    measure of it. kL, c : (places,)."""
     lin = np.stack([data.mass, kL, c], axis=1)
     own = [[u for u in uses if i in u.at and u.p.any() and (lopsided(u.effect, u.p, data.sizes(i)) or
             remembers(u, lin[i]))] for i in range(len(data.places))]  # fmt: skip
@@ -75,7 +77,7 @@ def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -
         return memory_array(use.effect, use.p, lin[i], data.seen(i), data.v[i], data.rate_hz)
 
     def response(i: int) -> Callable[[Array], Complexes]:
-        return below((float(data.mass[i]), float(stiffness[i]), float(c[i])), data.rate_hz, data.band)
+        return below((float(data.mass[i]), float(stiffness[i]), float(c[i])), data.rate_hz, data.band, data.kinds[i])
 
     def at(i: int) -> Series:
         if not own[i]:
@@ -87,4 +89,6 @@ def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -
     for push in data.pushes:
         for i, x in push.displacement(data.t, data.phase, lambda i, w: -response(i)(w)).items():
             slow[i] += x
+    if data.measured is not None:
+        slow += data.measured
     return replace(data, slow=slow)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from . import modulation
 from .balance import Balance
-from .below_band import seen_below
 from .checks import check_record
 from .contour import modes_of
 from .effects.custom import effect_of
@@ -72,8 +71,6 @@ def analyse(
     """Fit a model to (n, channels) rows in SI. values : to begin from, by name. Raises DataError."""
     y = check_record(model, y, rate_hz)
     record, start = begin(prepare(model, y, rate_hz, phase))
-    if model.effects:
-        record, start = seen_below(record, start, y)
     solution = solve(record, start, model, values)
     if not (is_known(solution.balance) and solution.balance.laws):
         return solution

@@ -121,7 +121,8 @@ def _about(record: Record, evidence: Evidence, B: Floats, S: Floats) -> tuple[Fl
     alone = np.sqrt(kL / m) / (2 * np.pi), c / m / (2 * np.pi)
     at = nodes(record.grid, *(np.concatenate(pair) for pair in zip(coupled, alone, strict=True)))
     return np.maximum(
-        left_out(m, c, kL, S + record.driven, record.model.band, record.rate_hz), NEAREST * record.scales
+        left_out(m, c, kL, S + record.driven, record.model.band, record.rate_hz, evidence.balance.kinds),
+        NEAREST * record.scales,
     ), at
 
 

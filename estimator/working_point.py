@@ -89,7 +89,7 @@ def fit_model(
         uses, rounds = (uses, rounds) if start is None else (list(start.placed), LAST_ROUNDS)
     if start is None:
         kL, c, S = _first_linear(data)
-        data = replace(data, left_out=left_out(data.mass, c, kL, S + data.driven, data.band, data.rate_hz))
+        data = replace(data, left_out=left_out(data.mass, c, kL, S + data.driven, data.band, data.rate_hz, data.kinds))
         nu = np.zeros(P)
     else:
         kL, c, nu = start.kL.copy(), start.c.copy(), start.nu.copy()

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from estimator.below_band import seen_below
+from estimator import preparation
+from estimator.bandlimit import BandLimit, band_limit
+from estimator.filtered import Filtered
 from estimator.lines import begin
 from estimator.model import Channel, EffectUse, Model
-from estimator.record import Record, prepare
-from estimator.start import Start
+from estimator.record import prepare
+from estimator.slow_motion import with_slow
 
 RATE, SECONDS, BAND = 1000.0, 40.0, (10.0, 450.0)
 
@@ -25,27 +28,53 @@ def response(rng: np.random.Generator) -> np.ndarray:
     return np.fft.irfft(np.fft.rfft(rng.normal(size=n)) / ((100 * np.pi) ** 2 + 6j * np.pi * w - w**2), n)
 
 
-def prepared(y: np.ndarray, kind: str = "displacement") -> tuple[Record, Start, Record, Start]:
-    record, start = begin(prepare(rig(kind), y, RATE))
-    return record, start, *seen_below(record, start, y)
+def probed() -> tuple[np.ndarray, np.ndarray]:
+    """(n,) displacement, and (n, 1) what a proximity probe makes of it: an offset, a gap."""
+    x = response(np.random.default_rng(1))
+    y = (x + 1000 * x.std())[:, None]
+    y[3000:3005] = np.nan
+    return x, y
 
 
 def test_laws_see_what_a_displacement_sensor_measures_below_the_band() -> None:
-    x = response(np.random.default_rng(1))
-    y = (x + 40 * x.std())[:, None]  # a proximity probe has an offset
-    y[3000:3005] = np.nan
-    record, start, other, wider = prepared(y)
-    valid = record.motion.valid
+    x, y = probed()
+    record, start = begin(prepare(rig("displacement"), y, RATE))
+    valid, stretch = record.motion.valid, record.stretch(0, record.motion.rows)
     left = (x - record.motion.x[0])[valid]
-    now = (x - record.motion.x[0] - other.slow[0])[valid]
-    # above 450 Hz nothing of note; the linear start's own idea of what is left out holds for both
+    now = (x - stretch.seen(0)[24:-24])[valid]
+    # above 450 Hz nothing of note; the linear start's own idea of what is left out holds
     assert now.std() < 0.4 * left.std()
-    np.testing.assert_allclose(left.std(), start.widths[0, 0], rtol=0.25)
-    np.testing.assert_allclose(now.std(), wider.widths[0, 0], rtol=0.4)
+    assert abs(now.mean() - x[valid].mean()) < 0.01 * x.std(), "the offset"
+    np.testing.assert_allclose(now.std(), start.widths[0, 0], rtol=0.4)
 
 
-def test_an_accelerometer_sees_nothing_there() -> None:
+def test_and_so_it_is_where_a_model_is_compared() -> None:
+    x, y = probed()
+    model = rig("displacement")
+    data = preparation.prepare(model, y, RATE)
+    rows = np.round(data.t * RATE).astype(int)
+    assert data.slow is not None
+    now, left = x[rows] - data.seen(0), x[rows] - data.x[0]
+    assert now.std() < 0.4 * left.std()
+    assert with_slow(data, np.ones(1), np.ones(1), ()).slow is data.slow
+
+
+def test_a_stream_and_a_record_have_the_same_bits() -> None:
+    y = probed()[1]
+    whole = band_limit(y, ["displacement"], RATE, BAND)
+    assert whole.slow is None, "nobody asked"
+    stream = BandLimit(["displacement"], RATE, BAND, slow=True)
+    parts = [stream.push(part) for part in np.array_split(y, 37)] + [stream.flush()]
+    held = Filtered(y, ["displacement"], RATE, BAND, slow=True).whole()
+    assert held.slow is not None
+    assert np.array_equal(np.concatenate([p.slow for p in parts if p.slow is not None], axis=1), held.slow)
+    assert np.array_equal(held.x, whole.x)
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "velocity"])
+def test_another_sensor_sees_nothing_there(kind: str) -> None:
     y = response(np.random.default_rng(2))[:, None]
-    record, start, other, same = prepared(y, "acceleration")
-    assert other is record
-    assert same is start
+    record = prepare(rig(kind), y, RATE)
+    assert record.motion.slow is None
+    assert record.stretch(0, 1000).slow is None
+    assert preparation.prepare(rig(kind), y, RATE).slow is None
