@@ -58,7 +58,7 @@ class MetricsServer(Collector):
         try:
             self._server, self._thread = serve(registry, port, host)
         except (OSError, OverflowError) as problem:
-            text = getattr(problem, "strerror", None) or problem
+            text = str(getattr(problem, "strerror", None) or problem).rstrip(".")
             raise ConfigError(f"metrics on {host}:{port}: {text}; choose another port") from problem
         self._host = host
         self.url = f"http://{host}:{self._server.server_port}/metrics"

@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import pty
+import resource
 import signal
 import socket
 import subprocess
@@ -266,6 +267,42 @@ def test_no_viewer_a_log_that_vanishes_and_acquisition_goes_on(
     row = "no viewer, log folder removed | at once, under `rotorscope run`"
     measured = f"{log.n_samples} samples, 0 lost; closed in {took:.2f} s"
     record_property("reliability", f"{row} | both told, no sample lost, quick end | {measured}")
+    within(took, 2.0)
+
+
+@pytest.mark.slow
+def test_all_at_once_and_all_comes_back(rig: Path, cable: Cable, tmp_path: Path, record_property: Row) -> None:
+    """No viewer, the disk full, then the cable pulled, then the program suspended; then all of it back."""
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        port = closed.getsockname()[1]
+    path = tmp_path / "a.mcap"
+    viewer = f"rerun+http://127.0.0.1:{port}/proxy"
+    process = run(rig, "--link", f"serial:{cable.name}", "--out", str(path), "--rerun", viewer)
+    wait_for(path, lambda log: log.n_samples > 20_000)
+    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (path.stat().st_size + 10_000, resource.RLIM_INFINITY))
+    time.sleep(2.0)
+    cable.pull()
+    time.sleep(1.0)
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(2.0)
+    process.send_signal(signal.SIGCONT)
+    full = read_log(path)
+    time.sleep(1.0)
+    cable.plug()
+    time.sleep(2.0)
+    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    wait_for(path, lambda log: log.n_samples > full.n_samples + 60_000)
+    took, said = stop(process, path)
+    log = read_log(path)
+    assert_ramp(log)
+    assert {g.reason for g in log.gaps if g.count > 64 * 400} == {"reconnect"}
+    assert "reconnect" in said
+    assert {"viewer_lost", "log_fault", "log_recovered", "link_lost", "link_back"} <= {n.code for n in log.notices}
+    row = "all at once | no viewer, the disk full (EFBIG), the cable pulled, the program suspended, then all back"
+    measured = (
+        f"{log.n_samples} samples, the {log.lost_samples} of the pulled cable lost by name; closed in {took:.2f} s"
+    )
+    record_property("reliability", f"{row} | each told, only what the cable cost is lost | {measured}")
     within(took, 2.0)
 
 
