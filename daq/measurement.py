@@ -79,5 +79,8 @@ def _of_log(path: Path, rig: Rig, note: Callable[[str], None]) -> tuple[NDArray[
         note(f"{path}: {log.lost_samples} samples are missing in {real} gaps; they are left out, not bridged")
     if hits.any():
         names = ", ".join(rig.model.channels[k].name for k in np.flatnonzero(hits))
-        note(f"{path}: {hits.sum()} samples of {names} are at full scale; they are left out")
+        note(
+            f"{path}: {hits.sum()} samples of {names} are at full scale; they are left out, and the loudest moments "
+            "with them: damping comes out too high"
+        )
     return y, log.rate_hz

@@ -18,6 +18,7 @@ from .errors import DataError
 from .features import MARGIN
 from .gram import CELLS, layout, spectra, valid_blocks
 from .maximum import initial
+from .moving_lines import MovingLines
 from .record import CELLS_WITH_FORCE, Record, notches, stretches
 from .side_by_side import each
 from .start import Start, fed, linear_start
@@ -26,6 +27,7 @@ Floats = NDArray[np.float64]
 FALSE_ALARM = 1e-5  # of a record
 LONGER, FEWEST = 4, 60  # blocks as much longer as leave this many, to resolve lines
 STRONG = 8.0  # over its surroundings, of a tone that is taken out before anything is known of the rotor
+CONSTANT = 3e-3  # of the speed, by which it changes where its lines stand still
 STEADY = 1.5  # mean square over squared mean of a bin's powers, block by block: 1 of a tone, 2 of random motion
 
 
@@ -123,6 +125,36 @@ def begin(record: Record, longest: int = LONGER, known: tuple[tuple[float, float
     if not more:
         return record, start
     record = _leave_out(record, tuple(sorted((*known, *strong, *more))), record.grid.longer)
+    return record, linear_start(record)
+
+
+def swept(record: Record, start: Start) -> tuple[Record, Start]:
+    """The same without the lines that a changing speed carries along, where a tacho tells it: block by block, as the
+    rolling estimate leaves them out. Raises DataError as `linear_start` does."""
+    grid, model = record.grid, record.model
+    if not any(c.kind == "tacho" for c in model.channels):
+        return record, start
+    begins = np.arange(0, record.motion.rows - grid.size + 1, grid.hop)
+    turned = record.phase[begins + grid.size - 1] - record.phase[begins]
+    speed_hz = turned * record.rate_hz / (2 * np.pi * (grid.size - 1))
+    blocks = valid_blocks(record.motion.valid, grid)
+    if np.ptp(speed_hz[blocks]) <= CONSTANT * np.abs(speed_hz[blocks]).max():
+        return record, start
+    B, lines = linear_balance(record, start), MovingLines(grid.f_hz, orders=True)
+    columns = record.columns(build(replace(model, effects=())), start.widths)
+    weights, before = np.ones((begins.size, grid.bins.size)), -1
+    for group in stretches(blocks, 12):
+        stretch = record.stretch(int(group[0]) * grid.hop, int(group[-1]) * grid.hop + grid.size)
+        F = spectra(B @ columns.evaluate(stretch)[0], group - group[0], grid)
+        for k, b in enumerate(group.tolist()):
+            if b != before + 1:
+                lines.restart()
+            own, before = lines(F[:, k], float(speed_hz[b])), b
+            if own is not None:
+                weights[b] = own
+    if (weights == 1.0).all():
+        return record, start
+    record = replace(record, weights=weights)
     return record, linear_start(record)
 
 

@@ -40,6 +40,7 @@ class Record:
     grid: Layout
     lines: tuple[tuple[float, float], ...] = ()  # Hz, stretches left out of the grid (lines.py)
     slow: Floats | None = None  # (places, n) displacement below the band that laws see instead of what sensors measure
+    weights: Floats | None = None  # (blocks, bins) what each bin of each block counts for (moving_lines.py); None: 1
     _rms: dict[str, Floats] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -55,6 +56,15 @@ class Record:
             valid, z = self.motion.valid, getattr(self.motion, name)
             self._rms[name] = np.sqrt(np.array([np.dot(row * valid, row) for row in z]) / valid.sum())
         return self._rms[name].copy()
+
+    @property
+    def counted(self) -> Floats:
+        """(cells,) what a bin of each cell counts for in the mean, 1 where no line moves."""
+        grid = self.grid
+        if self.weights is None:
+            return np.ones(grid.starts.size)
+        mean = self.weights[valid_blocks(self.motion.valid, grid)].mean(axis=0)
+        return np.maximum(np.add.reduceat(mean, grid.starts) / grid.per_cell, 1e-3)
 
     @property
     def driven(self) -> Floats:
@@ -217,7 +227,10 @@ def gather(
             f = group[i : i + per_fold]
             own = sums[i : i + f.size + 1]  # the window halves the weight of the first and of the last
             mean = (own.sum(axis=0) - 0.5 * (own[0] + own[-1])) / (f.size * grid.hop)
-            G = gram(spectra(z, f - group[0], grid), grid)
+            Z = spectra(z, f - group[0], grid)
+            if record.weights is not None:
+                Z = Z * np.sqrt(record.weights[f])
+            G = gram(Z, grid)
             folds.append((G, f.size, f[0] * grid.hop / record.rate_hz, mean))
         return folds, sums.sum(axis=0), last - first
 

@@ -21,7 +21,7 @@ from .gram import spectra, taper, valid_blocks
 from .known_force import is_known
 from .likelihood import Likelihood, Local, Point, active, responses
 from .likely_path import along_likely_path
-from .lines import begin, describe
+from .lines import begin, describe, swept
 from .maximum import SETTLED, inverse, maximum
 from .model import UNITS, Model
 from .model_uses import searched
@@ -70,7 +70,7 @@ def analyse(
 ) -> Solution:
     """Fit a model to (n, channels) rows in SI. values : to begin from, by name. Raises DataError."""
     y = check_record(model, y, rate_hz)
-    record, start = begin(prepare(model, y, rate_hz, phase))
+    record, start = swept(*begin(prepare(model, y, rate_hz, phase)))
     solution = solve(record, start, model, values)
     if not (is_known(solution.balance) and solution.balance.laws):
         return solution
@@ -244,7 +244,7 @@ def messages(solution: Solution) -> tuple[str, ...]:
             )
         if solution.record.force:  # what is left is the sensor's noise, not a force
             continue
-        excess = solution.local.power[:, i] / solution.local.spread[:, i] - 1.0
+        excess = solution.local.power[:, i] / (solution.local.spread[:, i] * record.counted) - 1.0
         count = 0.5 * solution.bank.blocks.sum() * solution.record.grid.per_cell
         z = excess * np.sqrt(count)
         worst = int(np.argmax(np.abs(z)))

@@ -26,6 +26,7 @@ def test_the_harmonics_of_a_law(effect: str, order: int) -> None:
     assert not folds(law, p, scale, 1200.0 * order)
 
 
+@pytest.mark.slow
 def test_a_cubic_at_a_resonance_near_a_third_of_the_rate() -> None:
     """10 s: kNL and kL were 4 to 6 standard deviations off."""
     m, w = 0.2, 2 * np.pi * HZ

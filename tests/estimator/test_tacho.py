@@ -10,13 +10,13 @@ from hidden_effects import RATE, ROOT
 from scipy.integrate import solve_ivp
 
 from daq.rig import load_rig
-from estimator import line_forces
+from estimator import line_forces, spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import with_effect
 from estimator.model import Channel, Model
 from estimator.modulation import turning
 from estimator.periodic import series, whole_waves
-from estimator.shaft_angle import timed
+from estimator.shaft_angle import measured_phase, timed
 from estimator.simulate import simulate
 from estimator.simulate_speed import Speed
 from estimator.whole import fit_whole
@@ -97,3 +97,21 @@ def test_at_a_constant_speed_nothing_swings(rig: Model) -> None:
     still = replace(wave, swings={})
     for i, z in wave.series(t, 2 * np.pi * 200.0 * t).items():
         assert np.array_equal(z, still.series(t, 2 * np.pi * 200.0 * t)[i])
+
+
+@pytest.mark.slow
+def test_a_line_that_the_speed_carries_along_is_left_out_of_a_fit(rig: Model) -> None:
+    """An imbalance that the model lacks, 200 to 240 Hz in 12 s: S was 60 and c 14 standard deviations off."""
+    ramp = Speed(12000.0, ramp_rpm_per_s=200.0)
+    y = simulate(
+        with_effect(rig, CATALOGUE["imbalance"], {"a": 19.0, "b": 0.0}, "disc"), RATE, 12.0, seed=3, speed=ramp
+    )
+    found = spectral.fit(rig, y, RATE, measured_phase(rig, y, RATE))
+    assert not [m for m in found.messages if "not white" in m]
+    for place in rig.places:
+        for key in ("kL", "c", "S"):
+            p, true = found.parameters[f"{place}.{key}"], rig.linear[place][key].value
+            assert p.value is not None
+            assert p.sd is not None
+            assert true is not None
+            assert abs(p.value - true) < 4.0 * p.sd, (place, key)
