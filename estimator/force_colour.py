@@ -211,6 +211,18 @@ def pedestal(point: WorkingPoint, i: int) -> Array:
     return shape.values(_shaped(c, shape, u, scale)[1][4:])
 
 
+def level(point: WorkingPoint, i: int, gain: float, corner: float) -> Parameter:
+    """S of a place whose excitation has a colour by these numbers, found in the same spectrum: they leave S many times
+    more uncertain than its number of bins says."""
+    flat = replace(point, data=replace(point.data, colour=np.ones_like(point.data.colour)))
+    c, shape = cells_of(flat, i), _coloured(resonance_hz(point, i))
+    _, u, scale = _plain(flat, i, c)
+    u[0] = np.log(point.S[i])
+    begun = replace(shape, starts=((float(np.log(gain + 0.985)), float(np.log(corner))),))
+    sd = _shaped(c, begun, u, scale)[2][0]  # of ln S
+    return Parameter.judged(float(point.S[i]), float(point.S[i] * sd), "N^2/Hz")
+
+
 def resonance_hz(point: WorkingPoint, i: int) -> float:
     """Hz of the resonance at a place."""
     return float(np.sqrt(point.kL[i] / point.data.mass[i]) / (2 * np.pi))

@@ -110,7 +110,18 @@ def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
         found |= stepped
         if stepped:
             point = fit_record(model, prepare(model, y, rate_hz))
-    return Whole(model, point, found)
+    return Whole(model, point, found | _levels(model, found, point))
+
+
+def _levels(model: Model, found: Mapping[str, Parameter], point: WorkingPoint) -> dict[str, Parameter]:
+    """S of the places whose excitation has a colour that was found."""
+    out = {}
+    for i, place in enumerate(point.data.places):
+        for node in (place, place.split(".")[0]):
+            gain, corner = (found.get(f"{node}.coloured_excitation.{n}") for n in ("gain", "corner"))
+            if gain and corner and gain.value is not None and corner.value is not None and (gain.sd or corner.sd):
+                out[f"{place}.S"] = force_colour.level(point, i, gain.value, corner.value)
+    return out
 
 
 def _told(use: EffectUse, model: Model) -> bool:

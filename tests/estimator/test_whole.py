@@ -56,6 +56,18 @@ def test_an_effect_added_without_numbers_is_fitted(
         assert abs((p.value or 0.0) - truth[key]) < 4 * (p.sd or 0.0) + 1e-3 * abs(truth[key]), (key, p, truth[key])
 
 
+def test_what_a_colour_is_uncertain_by_its_level_is_too(rig: Model) -> None:
+    """It was given as if the colour were known: errors were up to five of its standard deviations (10 places)."""
+    y = record(rig, "coloured_excitation", 0.06)
+    added = replace(rig, effects=(*rig.effects, EffectUse("coloured_excitation", {"bearing1.x": {}, "bearing1.y": {}})))
+    fit = spectral.fit(added, y, RATE)
+    known = np.sqrt(1.0 / ((rig.band[1] - rig.band[0]) * len(y) / RATE))
+    for place in ("bearing1.x", "bearing1.y"):
+        S, true = fit.parameters[f"{place}.S"], rig.linear[place]["S"].value or 0.0
+        assert abs((S.value or 0.0) / true - 1.0) < 3.5 * (S.sd or 0.0) / true
+        assert (S.sd or 0.0) / true > 1.5 * known
+
+
 @pytest.mark.slow
 def test_the_true_model_with_a_strong_line_is_adequate(rig: Model) -> None:
     """The laws see the whole motion: a line taken out of it first would leave 3 kNL x x_line^2 behind."""
