@@ -34,6 +34,7 @@ def test_figures_4_to_19_are_there_and_are_pictures(made: tuple[Path, dict[str, 
         assert len(data) > 10_000
 
 
+@pytest.mark.slow
 def test_page_shows_every_figure_and_table(made: tuple[Path, dict[str, Any], list[float]]) -> None:
     out, _, _ = made
     page = (out / "index.html").read_text(encoding="utf-8")
@@ -43,11 +44,13 @@ def test_page_shows_every_figure_and_table(made: tuple[Path, dict[str, Any], lis
     assert "not identifiable" in page
 
 
+@pytest.mark.slow
 def test_numbers_on_disk_are_those_returned(made: tuple[Path, dict[str, Any], list[float]]) -> None:
     out, numbers, _ = made
     assert json.loads((out / "numbers.json").read_text()) == json.loads(json.dumps(numbers))
 
 
+@pytest.mark.slow
 def test_parameters_in_come_out(made: tuple[Path, dict[str, Any], list[float]]) -> None:
     """Both directions: eq. (36), response form, with the masses given and a twentieth of the command's record."""
     _, numbers, _ = made
@@ -59,6 +62,7 @@ def test_parameters_in_come_out(made: tuple[Path, dict[str, Any], list[float]]) 
                 assert r["interval"][0] < r["value"] < r["interval"][1]
 
 
+@pytest.mark.slow
 def test_mass_ratio_is_a_verdict_not_a_number_with_the_rigs_shaft(
     made: tuple[Path, dict[str, Any], list[float]],
 ) -> None:
@@ -71,6 +75,7 @@ def test_mass_ratio_is_a_verdict_not_a_number_with_the_rigs_shaft(
     assert strong[0]["value"] == pytest.approx(DISC / 0.245, rel=0.25)
 
 
+@pytest.mark.slow
 def test_progress_rises_to_one(made: tuple[Path, dict[str, Any], list[float]]) -> None:
     told = made[2]
     assert told == sorted(told)

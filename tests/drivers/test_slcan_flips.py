@@ -46,7 +46,10 @@ def end_of(readings: list[Reading]) -> int:
     return max(r.index + len(r.counts) for r in readings if isinstance(r, Block))
 
 
-@pytest.mark.parametrize(("kind", "cut"), [("fd16", 1), ("fd16", 7), ("fd24", 800), ("sync_fd", 800), ("sync", 800)])
+@pytest.mark.parametrize(
+    ("kind", "cut"),
+    [pytest.param("fd16", 1, marks=pytest.mark.slow), ("fd16", 7), ("fd24", 800), ("sync_fd", 800), ("sync", 800)],
+)
 def test_every_flipped_digit_of_a_head(kind: str, cut: int) -> None:
     layout = {"sync_fd": "fd24", "sync": "classic"}.get(kind, kind)
     sent = frames(layout)

@@ -56,7 +56,8 @@ def test_a_hidden_quadratic_stiffness_is_named_added_and_nothing_is_left(rig: Mo
         assert abs(found.value - truth) < 4 * found.sd
 
 
-@pytest.mark.parametrize("effect", ["coulomb", pytest.param("line", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["coulomb", "line"])
 def test_named_first(rig: Model, effect: str) -> None:
     found = diagnose(rig, record(rig, effect, 0.06), RATE)
     assert found.verdict == effect

@@ -102,6 +102,7 @@ def friction_and_drag() -> tuple[Model, np.ndarray, WorkingPoint]:
     return model, y, fit_whole(model, y, SLOW).point
 
 
+@pytest.mark.slow
 def test_friction_and_drag_where_a_cycle_has_eleven_samples(
     friction_and_drag: tuple[Model, np.ndarray, WorkingPoint],
 ) -> None:

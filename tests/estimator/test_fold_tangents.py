@@ -40,6 +40,7 @@ def test_it_is_the_gradient_with_the_tangents_of_the_fold_less_that_with_the_mea
         assert found[fold] == pytest.approx(bank.blocks[fold] * (likelihood.T @ (own - whole)), rel=1e-6, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_tangents_of_the_folds_are_those_of_their_rows(solution: Solution) -> None:
     bank, record, grid = solution.bank, solution.record, solution.record.grid
     columns = Columns(solution.balance, record.scales, solution.start.widths, solution.start.linear)

@@ -37,7 +37,13 @@ def true_model(rig: Model, name: str) -> Model:
     return with_effect(rig, CATALOGUE[name], values, *places(CATALOGUE[name], rig))
 
 
-HELD = ["bouc_wen", "pedestal", "coloured_excitation", "sensor_resonance", "sensor_gain"]
+HELD = [
+    pytest.param("bouc_wen", marks=pytest.mark.slow),
+    "pedestal",
+    "coloured_excitation",
+    "sensor_resonance",
+    "sensor_gain",
+]
 
 
 @pytest.mark.parametrize("name", HELD)

@@ -89,9 +89,8 @@ def unlisted(rig: Model, name: str) -> tuple[EffectUse, EffectUse]:
     return own("mine", law, **true), own("mine", law, **typed)
 
 
-@pytest.mark.parametrize(
-    "name", ["tanh", pytest.param("ripple", marks=pytest.mark.slow), pytest.param("random", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["tanh", "ripple", "random"])
 def test_a_law_of_no_catalogue_is_unknown_and_explained_when_the_user_types_it(rig: Model, name: str) -> None:
     true, typed = unlisted(rig, name)
     y = simulate(having(rig, true), RATE, SECONDS, seed=6, noise=NOISE, full_scale=FULL_SCALE)

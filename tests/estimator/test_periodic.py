@@ -162,6 +162,7 @@ def test_a_line_about_the_resonance_does_not_move_the_rotor() -> None:
         assert abs((p.value or 0.0) - value) < 4 * p.sd, name
 
 
+@pytest.mark.slow
 def test_strikes_that_are_found_are_as_strong_as_they_are() -> None:
     """The mean over all periods is taken in coarse cells: by it alone a strike was a third too weak, fifty standard
     deviations."""

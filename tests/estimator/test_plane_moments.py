@@ -114,6 +114,7 @@ def test_undriven_damping_destroys_the_mass_ratio(disc_damping: float, shaft_dam
             assert values["bearing1.x.kL"] == pytest.approx(KL, rel=0.02)
 
 
+@pytest.mark.slow
 def test_other_powers_of_the_displacement() -> None:
     """A quadratic law in the model is found, and is zero within its sd where there is none."""
     plane = Plane("x", (Cap("bearing1.x", (1, 2, 3), 0.2),))

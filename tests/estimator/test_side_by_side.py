@@ -22,6 +22,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 from functools import partial
 import numpy as np
 from estimator.side_by_side import answers
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a test run in the background ignores it
 me = os.getpid()
 def slow(k, do=lambda: None):
     time.sleep(0.02)

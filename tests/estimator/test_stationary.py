@@ -16,6 +16,7 @@ def plane(ks: float = KL) -> Plane:
     return Plane("x", tuple(Cap(f"bearing{i}.x", (1, 3), MASS) for i in (1, 2)), ks=ks, a=0.5, b=-0.5)
 
 
+@pytest.mark.slow
 def test_density_against_an_independent_sampler() -> None:
     """emcee on the potential of physics.md section 2 written out here: moments of our density on a grid agree."""
     import emcee

@@ -64,6 +64,7 @@ def test_the_tacho_decides_over_the_speed_of_the_rig_file(rig: Model, record: np
     assert timed(replace(rig, channels=rig.channels[:-1]), record[:, :-1], RATE).speed_rpm == 2100.0
 
 
+@pytest.mark.slow
 def test_an_imbalance_grows_with_the_square_of_a_speed_that_changes(rig: Model) -> None:
     """20 % in 20 s: held at its mean it left 1.8 % of the bearing force, and its number was 19 standard deviations off.
     Beside the equation of a disc between caps that stand still."""

@@ -85,6 +85,7 @@ def test_identify_from_a_measured_white_force() -> None:
     assert left < 0.03
 
 
+@pytest.mark.slow
 def test_the_first_wiener_kernel_is_stiffer_than_the_volterra_one() -> None:
     """G-functionals: K1 is H1 at k + 3 kNL E[x^2] (Gaussian closure), here 6 % stiffer."""
     strong = Kernels(0.2, 60.0, 1.0e7, 1.2e19)

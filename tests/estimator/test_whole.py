@@ -41,7 +41,7 @@ def rig() -> Model:
 @pytest.mark.parametrize(
     ("name", "where", "numbers"),
     # the start of a pedestal has a test of its own
-    [pytest.param(*c, id=c[0], marks=[pytest.mark.slow] if c[0] == "pedestal" else []) for c in CASES],
+    [pytest.param(*c, id=c[0], marks=pytest.mark.slow) for c in CASES],
 )
 def test_an_effect_added_without_numbers_is_fitted(
     rig: Model, name: str, where: tuple[str, ...], numbers: tuple[str, ...]
@@ -56,6 +56,7 @@ def test_an_effect_added_without_numbers_is_fitted(
         assert abs((p.value or 0.0) - truth[key]) < 4 * (p.sd or 0.0) + 1e-3 * abs(truth[key]), (key, p, truth[key])
 
 
+@pytest.mark.slow
 def test_what_a_colour_is_uncertain_by_its_level_is_too(rig: Model) -> None:
     """It was given as if the colour were known: errors were up to five of its standard deviations (10 places)."""
     y = record(rig, "coloured_excitation", 0.06)
