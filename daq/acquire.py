@@ -18,6 +18,7 @@ from estimator.estimate import Estimate
 from .clock import Clock, SystemClock
 from .estimation import block_rows
 from .estimators import MakeEstimator, maker, warm_up
+from .memory import keep_freed
 from .pipeline import Pipeline, Plan
 from .reading_queue import ReadingQueue
 from .rig import Rig
@@ -98,6 +99,7 @@ def acquire(
     Raises LinkError if the link cannot be opened, ConfigError if it does not have the rig's channels, and whatever a
     driver raised against its contract, after the sinks are closed.
     """
+    keep_freed()  # with a heap for each thread what lies free in them grows for hours
     clock, stop = clock or SystemClock(), stop or threading.Event()
     live = driver.kind not in FINITE
     make = make or maker(rig.estimator.method, rig.estimator.time_constant_s, rig.estimator.watch)

@@ -44,8 +44,8 @@ def bounded_memory(file_bytes: int) -> Iterator[int]:
 
 
 def keep_freed() -> None:
-    """Let the arrays of an analysis be made where others were (on Linux). Memory that is new costs more than what is
-    computed in it: compare takes 0.9 of the time, and no more memory, as its threads share one heap."""
+    """Let arrays be made where others were (on Linux). Memory that is new costs more than what is computed in it:
+    compare takes 0.9 of the time, and no more memory, as its threads share one heap; so do those of a session."""
     with suppress(AttributeError, OSError):
         libc = ctypes.CDLL(None)
         for option, value in (ARENA_MAX, TRIM_THRESHOLD, MMAP_THRESHOLD):
