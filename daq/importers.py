@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.capture_files import SUFFIXES
 from drivers.reading import Block, Gap, Info, Reading, Signal
 
 from .errors import LogError
@@ -29,14 +30,13 @@ from .units import SI
 
 ROWS = 8192  # in a block
 COUNT_BITS = 32
-CAPTURES = (".log", ".blf", ".asc", ".mf4")
 
 
 def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: float | None, gaps: bool) -> None:
     rig = load_rig(rig_path)
     if out.resolve() == path.resolve():
         raise LogError(f"{out}: is the file to import; choose another name for the log")
-    if path.suffix.lower() in CAPTURES and (path.suffix.lower() != ".mf4" or rig.link.signals):
+    if path.suffix.lower() in SUFFIXES and (path.suffix.lower() != ".mf4" or rig.link.signals):
         _import_capture(output, path, rig, out)
         return
     with output.progress(f"reading {path.name}"):

@@ -16,6 +16,7 @@ from .acquire import FINITE, Device, RunSummary, acquire_all
 from .errors import ConfigError, RotorscopeError, exit_status
 from .links import open_driver
 from .live import Operator, in_words, log_of, make_sinks, naming, serve_metrics, what_is_wrong
+from .log_codec import text as as_text
 from .output import Output
 from .rerun_process import VIEWER_PORT
 from .rig import load_rig
@@ -131,7 +132,7 @@ def _names(paths: Sequence[Path]) -> list[str]:
     """Of the rig files, with a number where two are alike."""
     names: list[str] = []
     for path in paths:
-        stem = path.stem.encode(errors="backslashreplace").decode()  # a log and metrics hold text only
+        stem = as_text(path.stem)  # metrics hold no more than a log does
         name, number = stem, 2
         while name in names:
             name, number = f"{stem}-{number}", number + 1

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 PIPE_WIDTH = 160
 CONTROL = {c: "\N{REPLACEMENT CHARACTER}" for c in (*range(32), *range(127, 160)) if chr(c) not in "\n\t"}
-MEASUREMENTS = (".mcap", ".npz", ".csv", ".mat", ".mf4", ".uff", ".unv", ".wav", ".log", ".blf", ".asc")
-LOG_BEGINS = b"\x89MCAP0\r\n"
 GONE = (errno.EPIPE, errno.EIO)  # whoever read what we say has left: the pipe is closed, the terminal hung up
 
 
@@ -174,8 +172,14 @@ def spare(path: Path, *others: str) -> None:
     that it is not to replace, would be lost."""
     if not path.is_file():
         return
+    from drivers.capture_files import SUFFIXES
+
+    from .import_formats import READERS
+    from .log_scan import MAGIC
+
+    kept = (".mcap", *READERS, *SUFFIXES, *others)
     with contextlib.suppress(OSError), path.open("rb") as file:
-        if path.suffix.lower() in (*MEASUREMENTS, *others) or file.read(len(LOG_BEGINS)) == LOG_BEGINS:
+        if path.suffix.lower() in kept or file.read(len(MAGIC)) == MAGIC:
             raise ConfigError(f"{path}: a result is not written over a file of this kind; choose another name")
 
 

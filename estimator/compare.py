@@ -16,7 +16,6 @@ from .fitted import fitted_model
 from .heldout import heldout_nll, heldout_rmse, reference_nll
 from .model import Model
 from .shape import Shape
-from .side_by_side import answers
 from .suspects import suspects
 from .twin import twin
 from .where import Where, where_of
@@ -83,13 +82,10 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     model, point = whole.model, whole.point
     say(0.4, "what can still be predicted")
     part = thinned(point, missing_force.SURVEY_SECONDS)
-    asked: list[Callable[[], Any]] = [
-        *missing_force.questions(part, model),
-        lambda: suspects(model, point, y),
-        lambda: twin(fitted_model(model, point), point, y),
-    ]
-    *residuals, others, beside = answers(asked)
-    found = missing_force.Survey(tuple(residuals), part.bearing_force).beside(others)
+    found, others, beside = missing_force.surveyed(
+        part, model, lambda: suspects(model, point, y), lambda: twin(fitted_model(model, point), point, y)
+    )
+    found = found.beside(others)
     clipped = [sensor_faults.said(s) for s in others if s.effect == "sensor_clipping"]
     say(0.85, "held-out likelihood")
     nll = heldout_nll(point)

@@ -173,9 +173,8 @@ def _ranked(
     """What is missing, and what could be it, the likeliest first."""
     say(0.15, "what can still be predicted")
     part = thinned(point, missing_force.SURVEY_SECONDS)
-    asked: list[Callable[[], Any]] = [*missing_force.questions(part, model), lambda: suspects(model, point, y)]
-    *residuals, others = answers(asked)
-    before = missing_force.Survey(tuple(residuals), part.bearing_force).beside(others)
+    before, others = missing_force.surveyed(part, model, lambda: suspects(model, point, y))
+    before = before.beside(others)
     trials = _screen(model, point, part, say)
     entries = evidence.entries(model, point, trials, before, others)
     say(0.8, "largest amplitudes")

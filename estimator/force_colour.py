@@ -28,6 +28,7 @@ CELLS = 260
 LEVEL = 1e-3
 LEAST_DEPTH = 0.015  # rms of ln(power / model): less is within what filters and integrators leave behind
 EXPLAINED = 0.5  # of the misfit beyond chance: a cause that leaves more is not the cause
+DARKEST = 0.985  # of S, that the gain of a colour may take away at low frequencies
 NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
 
 
@@ -101,7 +102,7 @@ class Shape:
 
 def _coloured(place_peak: float) -> Shape:
     def values(z: Array) -> Array:
-        return np.array([np.exp(np.clip(z[0], -6, 7)) - 0.985, np.exp(np.clip(z[1], 2, 12))])
+        return np.array([np.exp(np.clip(z[0], -6, 7)) - DARKEST, np.exp(np.clip(z[1], 2, 12))])
 
     def model(c: Cells, u: Array) -> Array:
         gain, corner = values(u[4:])
@@ -218,7 +219,7 @@ def level(point: WorkingPoint, i: int, gain: float, corner: float) -> Parameter:
     c, shape = cells_of(flat, i), _coloured(resonance_hz(point, i))
     _, u, scale = _plain(flat, i, c)
     u[0] = np.log(point.S[i])
-    begun = replace(shape, starts=((float(np.log(gain + 0.985)), float(np.log(corner))),))
+    begun = replace(shape, starts=((float(np.log(gain + DARKEST)), float(np.log(corner))),))
     sd = _shaped(c, begun, u, scale)[2][0]  # of ln S
     return Parameter.judged(float(point.S[i]), float(point.S[i] * sd), "N^2/Hz")
 

@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermeval
@@ -27,7 +28,7 @@ from .effects.places import kinematic
 from .model import Model
 from .model_uses import not_judged
 from .path_fit import PathFit
-from .side_by_side import each
+from .side_by_side import answers, each
 from .subproblem import Subproblem
 from .suspect import SHAPES, Share, Suspect, shares
 from .working_point import WorkingPoint, thinned
@@ -258,11 +259,18 @@ def survey(
     seconds : of the record to look at.
     """
     point = thinned(point, seconds)
-    found = each(lambda question: question(), questions(point, model, only))
+    found = each(lambda question: question(), _questions(point, model, only))
     return Survey(tuple(found), point.bearing_force).beside(others)
 
 
-def questions(point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None) -> list[Callable[[], Residual]]:
+def surveyed(point: WorkingPoint, model: Model, *more: Callable[[], Any]) -> tuple[Survey, *tuple[Any, ...]]:
+    """The survey of every place, on all of `point`, and the answers to what else is asked: by two processes."""
+    own = _questions(point, model)
+    found = answers([*own, *more])
+    return Survey(tuple(found[: len(own)]), point.bearing_force), *found[len(own) :]
+
+
+def _questions(point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None) -> list[Callable[[], Residual]]:
     """What a survey asks at every place (or some), to be answered in any order."""
     left_out = not_judged(model, point.data.places)
     places = [i for i in (range(len(point.data.places)) if only is None else only) if i not in left_out]

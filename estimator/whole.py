@@ -117,10 +117,9 @@ def _levels(model: Model, found: Mapping[str, Parameter], point: WorkingPoint) -
     """S of the places whose excitation has a colour that was found."""
     out = {}
     for i, place in enumerate(point.data.places):
-        for node in (place, place.split(".")[0]):
-            gain, corner = (found.get(f"{node}.coloured_excitation.{n}") for n in ("gain", "corner"))
-            if gain and corner and gain.value is not None and corner.value is not None and (gain.sd or corner.sd):
-                out[f"{place}.S"] = force_colour.level(point, i, gain.value, corner.value)
+        gain, corner = (found.get(f"{place}.coloured_excitation.{n}") for n in ("gain", "corner"))
+        if gain and corner and gain.value is not None and corner.value is not None and (gain.sd or corner.sd):
+            out[f"{place}.S"] = force_colour.level(point, i, gain.value, corner.value)
     return out
 
 
