@@ -6,6 +6,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from queue import SimpleQueue
 from types import FrameType
 from typing import Any
 
@@ -14,14 +15,22 @@ SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP"
 
 
 class Stop:
-    """`event` is set by the first signal; a second Ctrl-C interrupts at once. A context manager, main thread only."""
+    """`event` is set by the first signal; a second Ctrl-C interrupts at once. A context manager, main thread only.
+
+    A thread sets it: a handler that did would wait for ever for the event's own lock if the signal came while the main
+    thread, in `wait`, held that. What the handler calls instead may be entered again.
+    """
 
     def __init__(self) -> None:
         self.event = threading.Event()
         self.interrupted = False
+        self._came = False
+        self._told: SimpleQueue[bool] = SimpleQueue()
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Stop:
+        self._setter = threading.Thread(target=self._set, name="stop", daemon=True)
+        self._setter.start()
         for number in SIGNALS:
             if number != HANG_UP or signal.getsignal(number) is not signal.SIG_IGN:  # as nohup asks
                 self._before[number] = signal.signal(number, self._on_signal)
@@ -30,10 +39,16 @@ class Stop:
     def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
+        self._told.put(False)
+        self._setter.join()
+
+    def _set(self) -> None:
+        while self._told.get():
+            self.event.set()
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
-        again = self.event.is_set()
-        self.event.set()
+        again, self._came = self._came, True
+        self._told.put(True)
         if number == signal.SIGINT:
             self.interrupted = True
             if again:
