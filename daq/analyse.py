@@ -15,6 +15,7 @@ from rich.text import Text
 from estimator.effects import CATALOGUE
 from estimator.estimate import Parameter
 from estimator.fit_result import Fit
+from estimator.shared_value import shared
 
 if TYPE_CHECKING:
     from estimator.improve import Ladder
@@ -40,6 +41,7 @@ def fit(output: Output, log: Path, rig_path: Path, method: str, out: Path | None
     if out is not None:
         write_whole(out, with_values(rig, result.parameters))
     people: list[Any] = [parameters_table(result.parameters), ""]
+    people += [value.said(name) for name, value in shared(result.parameters).items()]
     people += [f"note: {message}" for message in result.messages]
     people.append(f"{result.samples} samples, method {result.method}" + _likelihood(result))
     if out is not None:

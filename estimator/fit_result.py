@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .estimate import Parameter
+from .shared_value import shared
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,10 +25,11 @@ class Fit:
     messages: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """As schemas/fit.json."""
+        """As schemas/fit.json, and `shared`: of each law's parameter, one value for all places."""
         return {
             "schema": 1,
             "parameters": {name: p.to_json() for name, p in self.parameters.items()},
+            "shared": {name: value.to_json() for name, value in shared(self.parameters).items()},
             "log_likelihood": self.log_likelihood,
             "samples": self.samples,
             "method": self.method,
