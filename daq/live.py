@@ -177,8 +177,6 @@ def replay(
         raise ConfigError(f"{out}: is the log to be replayed; choose another --out")
     pace = _speed(speed)
     recording = read_log(log)
-    if recording.growing:
-        output.note(f"{log}: is being written; it is replayed up to sample {recording.stop - 1}")
     if check and rig_path is not None and load_rig(rig_path).text != recording.rig_text:
         raise ConfigError("--check compares with the logged estimates, which were made with the log's own rig file: "
                           "leave --rig out, or give that very file")  # fmt: skip

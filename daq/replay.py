@@ -27,6 +27,7 @@ class ReplayDriver:
     """The readings of a log, in order. speed : times real time, by the samples' own time axis; None: at once.
 
     What the service itself had said (clipping, trouble with the disk) is left out: it will say it again if it is so.
+    A log that somebody is writing is said to be one: it ends where it did as it was read.
     """
 
     kind = "replay"
@@ -41,6 +42,7 @@ class ReplayDriver:
         self._closed = threading.Event()
         self._source: Iterator[Reading] | None = None
         self._next: Reading | None = None
+        self._told = not recording.growing
         self._start_ns = 0
         self.exhausted = False
 
@@ -67,6 +69,9 @@ class ReplayDriver:
                 break
             if isinstance(reading, Notice) and (reading.code in OWN_CODES or reading.code.startswith("log_")):
                 continue
+            if isinstance(reading, Block) and not self._told:
+                self._told = True
+                out.append(self._growing(reading.t_host_ns))
             out.append(reading)
             self._count(reading)
             rows += len(reading.counts) if isinstance(reading, Block) else 1
@@ -85,6 +90,11 @@ class ReplayDriver:
             return False
         self._closed.wait(min(due_ns, deadline_ns) / 1e9 - self._clock.now_ns() / 1e9)
         return due_ns <= deadline_ns
+
+    def _growing(self, t_host_ns: int) -> Notice:
+        path, stop = self._recording.path, self._recording.stop
+        text = f"{path}: is being written; replayed up to sample {stop - 1}"
+        return Notice(t_host_ns, "warning", "log_growing", text)
 
     def _count(self, reading: Reading) -> None:
         if isinstance(reading, Block):

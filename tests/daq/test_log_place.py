@@ -280,8 +280,11 @@ def test_what_is_said_of_a_growing_log(growing: Path, capsys: pytest.CaptureFixt
     with np.load(folder / "x.npz") as file:
         last = len(file["b1x"]) - 1
     assert f"live.mcap: is being written; x.npz ends with sample {last}\n" in capsys.readouterr().err
-    assert rotorscope(folder, "replay", growing.name) == 0
-    assert "live.mcap: is being written; it is replayed up to sample" in capsys.readouterr().err
+    for words in (["replay", growing.name], ["run", "rig.toml", "--link", f"replay:{growing.name}?speed=max"]):
+        assert rotorscope(folder, *words, "--out", "again.mcap") == 0
+        assert capsys.readouterr().err.count("live.mcap: is being written; replayed up to sample") == 1, words
+        assert rotorscope(folder, "replay", "again.mcap") == 0
+        assert "is being written" not in capsys.readouterr().err  # that was then
 
 
 def test_a_log_that_holds_nothing_yet_is_not_called_another_file(folder: Path) -> None:
