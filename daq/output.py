@@ -15,11 +15,13 @@ from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
 from . import unfinished
 from .errors import ConfigError, not_written
+from .ticking import ticking
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
 
 PIPE_WIDTH = 160
+REDRAW_S = 0.5  # so that the time goes on where nothing is told
 CONTROL = {c: "\N{REPLACEMENT CHARACTER}" for c in (*range(32), *range(127, 160)) if chr(c) not in "\n\t"}
 GONE = (errno.EPIPE, errno.EIO)  # whoever read what we say has left: the pipe is closed, the terminal hung up
 
@@ -113,7 +115,8 @@ class Output:
                 text = f"{what}: {now}" if now else what
                 bar.update(task, total=1.0, completed=min(max(done, 0.0), 1.0), description=text, refresh=True)
 
-            yield told
+            with ticking(REDRAW_S, bar.refresh):
+                yield told
 
 
 def tell(text: str) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -112,3 +114,31 @@ def test_a_log_into_standard_output(record_property: Property) -> None:
     assert b"the log /dev/stdout: it is no file, and a log cannot go into a pipe; choose another" in done.stderr
     row = "log into a pipe | `run --out /dev/stdout`, read by another program | refused at once, in its name"
     record_property("reliability", f"{row} | status 4")
+
+
+WORKS = """
+import os
+import time
+from daq.output import Output
+
+with Output().progress("working") as progress:
+    progress(0.1, "a long stage")
+    end = time.monotonic() + 1.4
+    while time.monotonic() < end:
+        sum(range(1000))
+    os.write(2, b"END")
+"""
+
+
+def test_the_time_of_a_bar_goes_on_where_no_stage_is_told() -> None:
+    """On a terminal; and without a thread, as the estimator works in two processes only where there is one."""
+    terminal, its = pty.openpty()
+    work = subprocess.Popen([sys.executable, "-c", WORKS], stderr=its)
+    os.close(its)
+    said = b""
+    with suppress(OSError), os.fdopen(terminal, "rb", buffering=0) as reader:
+        while part := reader.read(1 << 16):
+            said += part
+    assert work.wait(PATIENCE_S) == 0
+    assert b"working: a long stage" in said
+    assert b"0:00:01" in said.partition(b"END")[0]
