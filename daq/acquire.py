@@ -126,6 +126,8 @@ def acquire(
                 if not flowing and pipeline.ledger.first is not None:
                     begin_ns, flowing = clock.now_ns(), True
                 if live and seconds is not None and clock.now_ns() > begin_ns + (seconds + GRACE_S) * 1e9:
+                    if flowing:
+                        pipeline.step([_short(pipeline, seconds, clock)])
                     break
         finally:
             queue.close()
@@ -137,6 +139,11 @@ def acquire(
     finally:
         pipeline.finish(driver.stats, {"reader": queue.dropped}, STOP_S if stop.is_set() else ESTIMATOR_S)
     return _summary(pipeline, driver, device)
+
+
+def _short(pipeline: Pipeline, seconds: float, clock: Clock) -> Notice:
+    text = f"{pipeline.seconds:.4g} s of data came in {seconds + GRACE_S:g} s, where {seconds:g} s were asked for"
+    return Notice(clock.now_ns(), "warning", "short", f"{text}: the run ends here; is the device silent, or too slow?")
 
 
 def _read(driver: Driver, queue: ReadingQueue, stop: threading.Event) -> None:
@@ -197,9 +204,8 @@ def _about(driver: Driver, clock: Clock) -> dict[str, str]:
 
 def _summary(pipeline: Pipeline, driver: Driver, device: str) -> RunSummary:
     ledger = pipeline.ledger
-    length = 0 if ledger.first is None else ledger.stop - ledger.first
     return RunSummary(
-        length / pipeline.rate_hz if pipeline.rate_hz else 0.0, ledger.samples, ledger.lost, tuple(ledger.gaps),
+        pipeline.seconds, ledger.samples, ledger.lost, tuple(ledger.gaps),
         driver.kind, driver.stats, pipeline.last_estimate, pipeline.clipped, tuple(pipeline.problems), device,
     )  # fmt: skip
 

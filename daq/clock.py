@@ -46,6 +46,9 @@ FEWEST = 8
 TRANSIT_S = 1e-3  # the least time from a frame's last sample to our stamp, beyond the frame's own length on the wire
 SLOPE_Z = 3.3  # 99.9 % of the slope's interval
 REAL_TIME = 0.2  # a device whose seconds last longer or shorter by more does not run in real time
+OFF = 1e-3  # a rate that differs by more is no crystal's error
+ENOUGH = 80  # windows: 20 s
+STRAIGHT = 0.05  # of the whole drift: what was held up or comes out of a buffer does not lie on one line
 
 
 class DeviceClock:
@@ -111,6 +114,21 @@ class DeviceClock:
         index0, host0 = self._origin
         at_zero_ns = host0 + round((floor - unseen / 2) * 1e9) - round((index0 - 1) * 1e9 / rate_hz)
         return ClockState(at_zero_ns, rate_hz, (rate_hz / self.rate_hz - 1.0) * 1e6, round(bound * 1e9))
+
+
+    def true_rate_hz(self) -> float | None:
+        """The rate on the host's clock, where it certainly is not the one that the device states; else None.
+
+        Known after 20 s. Not of samples that come faster than time by more than a fifth: those were waiting somewhere.
+        """
+        if len(self._minima) < ENOUGH:
+            return None
+        s, late, _ = np.array(self._minima).T
+        slope, low, high = theil_sen(s, late)
+        off = np.ptp(np.quantile(late - slope * s, (0.05, 0.95)))
+        straight = off < STRAIGHT * abs(slope) * (s[-1] - s[0])
+        certain = (low > OFF or high < -OFF) and slope > -REAL_TIME
+        return self.rate_hz / (1.0 + slope) if straight and certain else None
 
 
 def theil_sen(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float, float]:

@@ -13,7 +13,7 @@ from drivers.reading import Block, Gap, Info, LinkStats, Notice, Reading
 from estimator.estimate import Estimate
 from estimator.model import Model
 
-from .clock import Clock, DeviceClock
+from .clock import OFF, Clock, DeviceClock
 from .errors import ConfigError, LogError
 from .estimation import Estimation
 from .estimator_runner import EstimatorRunner
@@ -102,6 +102,12 @@ class Pipeline:
     def rate_hz(self) -> float | None:
         return self._info.rate_hz if self._info else None
 
+    @property
+    def seconds(self) -> float:
+        """Of data so far, gaps included."""
+        length = 0 if self.ledger.first is None else self.ledger.stop - self.ledger.first
+        return length / self._info.rate_hz if self._info else 0.0
+
     # -- the three entries ----------------------------------------------------------------------------------------
 
     def step(self, readings: Sequence[Reading]) -> None:
@@ -132,6 +138,8 @@ class Pipeline:
         for report in health.values():
             self._unsaid += report.notices
         clock = self.device_clock.state() if self.device_clock else None
+        if self._live and (clock is None or abs(clock.drift_ppm) > 1e6 * OFF):
+            self._watch_rate()
         status = Status(
             now, self.ledger.stop, rate, replace(stats, other=dict(stats.other)), clock,
             self._lag_s | {name: h.lag_s for name, h in health.items()},
@@ -308,6 +316,16 @@ class Pipeline:
             self._wall_ns += moved
             text = f"this computer's clock moved by {moved / 1e9:+.3f} s (set, or asleep); times in the log go on"
             self._say("warning", "wall_clock_set", text)
+
+    def _watch_rate(self) -> None:
+        """Once in a session: what the device counts as a second is none."""
+        known = "rate_untrue" in self._reported or self._plan.metadata.get("link_kind") == "virtual"  # at any speed
+        true_hz = None if known or self.device_clock is None else self.device_clock.true_rate_hz()
+        if true_hz is not None:
+            self._reported.add("rate_untrue")
+            text = f"samples come at {true_hz:.6g} Hz by this computer's clock, and the device says {self.rate_hz:g} Hz"
+            more = "frequencies are off by as much, stiffness by twice that; mend the device, or the rate that it gives"
+            self._say("warning", "rate_untrue", f"{text}: {more}")
 
     def _watch_overflow(self, dropped: int, final: bool) -> None:
         """At once, then every ten seconds while it goes on: the gaps themselves come when the core loop gets there."""

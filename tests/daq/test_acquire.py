@@ -105,6 +105,16 @@ def test_a_silent_device_does_not_hold_a_run_of_given_length(monkeypatch: pytest
     assert recorder.of("close") == [None]
 
 
+def test_a_device_that_is_too_slow_for_a_run_of_given_length_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daq.acquire.GRACE_S", 0.2)
+    told: list[Notice] = []
+    slow = ScriptedDriver(endless(pause_s=0.04), ends=False)  # a quarter of its rate
+    summary = acquire(RIG, slow, [], seconds=0.4, notify=told.append, make=MomentEstimator)
+    assert 0.0 < summary.seconds < 0.4
+    assert [n.code for n in told] == ["short"]
+    assert "s of data came in 0.6 s, where 0.4 s were asked for" in told[0].text
+
+
 def test_stop_ends_a_live_session_quickly_with_everything_that_was_read(tmp_path: Path) -> None:
     warm = [[INFO], [vibration(0, 5000)]]  # what is imported and compiled late takes long on a busy machine
     acquire(RIG, ScriptedDriver(warm), [LogWriter(tmp_path / "warm.mcap")], make=MomentEstimator)

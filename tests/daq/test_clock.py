@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -115,6 +115,29 @@ def test_bursts_of_16_ms_on_a_busy_host_at_50_ppm(rows: int) -> None:
         assert rows == 410 or drift_ppm < 25.0  # 410 rows are 16.02 ms: the stamps drift slowly through the bursts
 
 
+@pytest.mark.parametrize("true", [0.5, 0.93, 0.997, 1.003, 1.1])
+def test_a_rate_that_is_not_what_the_device_says_is_seen_whatever_the_link(true: float) -> None:
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        case = replace(draw(rng), seconds=40.0, drift_ppm=1e6 * (true - 1))
+        clock = DeviceClock(case.rate_hz)
+        for stop, t in zip(*case.arrivals(rng), strict=True):
+            clock.feed(int(stop), round(t * 1e9), case.rows)
+        said = clock.true_rate_hz()
+        assert said == pytest.approx(case.rate_hz * true, rel=5e-4)
+
+
+@pytest.mark.slow
+def test_a_crystal_is_never_said_to_be_off() -> None:
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        case = replace(draw(rng), seconds=40.0, drift_ppm=rng.uniform(-300, 300))
+        clock = DeviceClock(case.rate_hz)
+        for stop, t in zip(*case.arrivals(rng), strict=True):
+            clock.feed(int(stop), round(t * 1e9), case.rows)
+        assert clock.true_rate_hz() is None
+
+
 def test_a_quiet_link_is_known_to_a_ppm() -> None:
     error_s, bound_s, drift_ppm = error_and_bound(
         Case(25_600.0, -37.0, 64, 1e-4, 1e-4, 0.0, 0.0, 12345, 30.0), np.random.default_rng(1)
@@ -193,6 +216,7 @@ def test_a_suspended_process_makes_no_bound_untrue(lost: bool, record_property: 
             if taken < asked + 1.0:
                 continue
             asked, state = taken, clock.state()
+            assert clock.true_rate_hz() is None
             if state is None:
                 silent += 1
                 continue

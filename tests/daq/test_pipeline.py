@@ -340,3 +340,22 @@ def test_a_step_of_this_computers_clock_is_told_once() -> None:
 
     assert told(live=True) == [f"this computer's clock moved by {s} s" for s in ("+3600.650", "-1.500")]
     assert told(live=False) == []
+
+
+@pytest.mark.parametrize(
+    ("true", "link", "told"),
+    [(0.93, "serial", 1), (0.5, "serial", 1), (1.1, "serial", 1), (1 + 2e-4, "serial", 0), (0.5, "virtual", 0)],
+)
+def test_a_device_whose_rate_is_not_what_it_says_is_told_once(true: float, link: str, told: int) -> None:
+    """Stiffness goes with the square of it."""
+    clock, sink = FakeClock(), Recorder()
+    pipeline = Pipeline(replace(PLAN, metadata={"link_kind": link}), [sink], clock)
+    begin, rows = clock.t_ns, 2048
+    for k in range(400):  # 32 s
+        block = vibration(rows * k, rows)
+        clock.t_ns = begin + round(rows * (k + 1) / (INFO.rate_hz * true) * 1e9)
+        pipeline.step([INFO, replace(block, t_host_ns=clock.t_ns)])
+        pipeline.tick(LinkStats(), {})
+    said = [r.text for r in sink.delivered if isinstance(r, Notice) and r.code == "rate_untrue"]
+    assert len(said) == told
+    assert all(f"come at {INFO.rate_hz * true:.6g} Hz by this computer's clock" in text for text in said)
