@@ -43,7 +43,8 @@ class Channel:
 
     @property
     def place(self) -> str:
-        return f"{self.node}.{self.direction}"
+        """What it measures, such as "bearing1.x"; a tacho is of the shaft, wherever it stands."""
+        return "." if self.kind == "tacho" else f"{self.node}.{self.direction}"
 
 
 @dataclass(frozen=True, slots=True)

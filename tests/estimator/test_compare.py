@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import jsonschema
 import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing, record, schema
 
+from estimator import sensor_faults
 from estimator.compare import compare
 from estimator.contour import THINNED
-from estimator.model import Model
+from estimator.model import Channel, Model
 from estimator.path_fit import Jacobian
 from estimator.sensor_faults import clipping_level
 from estimator.simulate import simulate
@@ -102,6 +104,13 @@ def test_a_converters_full_scale_is_seen_in_a_few_samples_and_its_steps_are_none
         assert found is not None
         assert found[0] == top
         assert 60 < found[1] < 400
+
+
+def test_the_pulses_of_a_tacho_that_the_rig_file_puts_at_a_bearing_are_no_clipped_motion(rig: Model) -> None:
+    noise = np.random.default_rng(3).standard_normal((50_000, len(rig.channels)))
+    pulses = np.where(np.arange(50_000) % 100 < 10, 5.0, 0.0)
+    model = replace(rig, channels=(*rig.channels, Channel("tacho", "bearing1", "x", "tacho")))
+    assert sensor_faults.find(model, np.column_stack([noise, pulses])) == []
 
 
 @pytest.mark.slow
