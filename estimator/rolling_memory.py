@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .columns import Columns, Stretch
-from .dressing import Flutter
+from .dressing import laws_at
 from .features import MARGIN
 
 Floats = NDArray[np.float64]
@@ -55,22 +56,12 @@ class Memory:
 
 
 class FlutterSums:
-    """dressing.flutter from sums over blocks: of the tangents of the laws where the sensor is one of displacement, of
-    the square of that, and of all their products. `size` is 0 where no such law is."""
+    """How the tangents of the laws at some places fluctuate (flutter.py) from sums over blocks: of the tangents, of the
+    square of the displacement, and of all their products. `size` is 0 where no such law is."""
 
-    def __init__(self, columns: Columns) -> None:
+    def __init__(self, columns: Columns, rows: Sequence[int]) -> None:
         self._columns = columns
-        balance = columns.balance
-        self._laws = {
-            row: [
-                k
-                for k, c in enumerate(balance.columns)
-                if c.kind == "law" and c.row == row and balance.laws[c.law].effect.kind == "force"
-            ]
-            for row, kind in enumerate(balance.kinds)
-            if kind == "displacement"
-        }
-        self._laws = {row: laws for row, laws in self._laws.items() if laws}
+        self._laws = {row: laws for row in rows if (laws := laws_at(columns.balance, row))}
         self.size = sum((2 + len(laws)) ** 2 for laws in self._laws.values())
 
     def of(self, stretch: Stretch) -> Floats:
@@ -86,8 +77,8 @@ class FlutterSums:
             out.append((z @ z.T).ravel())
         return np.concatenate(out) if out else np.zeros(0)
 
-    def flutter(self, sums: Floats) -> Flutter:
-        """From the sums over all blocks."""
+    def moments(self, sums: Floats) -> tuple[Floats, Floats]:
+        """`covariance` and `bend` of Flutter, from the sums over all blocks."""
         P, K = len(self._columns.balance.places), len(self._columns.balance.columns)
         covariance, bend, at = np.zeros((P, K, K)), np.zeros((P, K)), 0
         for row, laws in self._laws.items():
@@ -98,4 +89,4 @@ class FlutterSums:
             about = products / products[0, 0] - np.outer(means, means)
             covariance[row, np.array(laws)[:, None], laws] = about[2:, 2:]
             bend[row, laws] = about[1, 2:] / about[1, 1]
-        return Flutter(covariance, bend)
+        return covariance, bend
