@@ -149,6 +149,10 @@ def _connect(target: str, name: str, baud: int) -> Any:
             raise LinkUnavailable(text) from error
         if "exclusively lock" in str(error) or "busy" in text:
             raise LinkOpenError(f"{target}: another program holds the port: close it") from error
+        if "Could not configure port" in text:  # a file, a disk, /dev/null
+            raise LinkOpenError(f"{target}: is no serial port: look for it with `rotorscope ports`") from error
+        if name.startswith("rfc2217:"):
+            raise LinkOpenError(f"{target}: {text}: check that a server listens there") from error
         raise LinkOpenError(f"{target}: {text}: check the name with `rotorscope ports`") from error
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import time
 from collections.abc import Callable
@@ -37,6 +38,7 @@ def open_bus(config: CanConfig) -> Any:
         _probe(config)  # python-can tries for 10 s at full load when nobody listens
     if config.interface == "socketcan":
         check_up(config.target, config.channel)
+    logging.getLogger("can").addHandler(logging.NullHandler())  # what matters of it is in the error
     arguments: dict[str, Any] = {"fd": config.fd, **config.options}
     if config.bitrate is not None:
         arguments["bitrate"] = config.bitrate
@@ -46,12 +48,15 @@ def open_bus(config: CanConfig) -> Any:
         return can.Bus(interface=config.interface, channel=config.channel, ignore_config=True, **arguments)
     except can.CanInterfaceNotImplementedError as error:
         raise LinkUnavailable(f"{config.target}: {_line(error)}: install what this interface needs") from error
-    except Exception as error:  # interfaces raise their vendors' own errors, down to NameError
+    except NameError as error:  # python-can goes on without a library that it does not find
+        text = f"the library of its maker is not installed ({_line(error)})"
+        raise LinkUnavailable(f"{config.target}: {text}: install what this interface needs") from error
+    except Exception as error:  # interfaces raise their vendors' own errors
         raise LinkOpenError(f"{config.target}: {_line(error)}: {_advice(config)}") from error
 
 
 def _line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+    return " ".join(str(error).split()).rstrip(".") or type(error).__name__
 
 
 def _advice(config: CanConfig) -> str:

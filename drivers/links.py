@@ -115,6 +115,8 @@ LinkConfig = VirtualConfig | CanConfig | SlcanConfig | SerialConfig | CaptureCon
 def parse_link(url: str) -> LinkConfig:
     """The configuration a link's name stands for. Raises LinkError, which lists the valid forms."""
     kind, colon, rest = url.partition(":")
+    if not colon and kind in FORMS:
+        raise LinkError(f"link {url!r}: a colon is missing; write {FORMS[kind]}")
     if not colon or kind not in FORMS:
         raise LinkError(f"link {url!r}: {_instead(kind, FORMS)}; valid are {' | '.join(FORMS.values())}")
     rest, _, query = rest.partition("?")

@@ -6,6 +6,8 @@ import os
 import pty
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
 import tty
@@ -196,6 +198,22 @@ def test_interfaces_whose_library_is_missing_are_said_in_one_line() -> None:
         with pytest.raises(LinkError, match=f"can:{interface}:0") as caught:
             make_driver(parse_link(f"can:{interface}:0")).open()
         assert "\n" not in str(caught.value)
+
+
+def test_a_makers_library_that_is_not_there_is_said_in_one_line() -> None:
+    """python-can says more through a logger, which a program that has none prints."""
+    opens = """
+from drivers.links import LinkError, make_driver, parse_link
+try:
+    make_driver(parse_link("can:{}:0")).open()
+except LinkError as error:
+    print(error)
+"""
+    for interface, text in {"pcan": "library not found: check", "kvaser": "maker is not installed"}.items():
+        command = [sys.executable, "-c", opens.format(interface)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
+        assert text in done.stdout
+        assert done.stderr == ""
 
 
 def test_python_cans_serial_interface_is_refused() -> None:

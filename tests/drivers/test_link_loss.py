@@ -254,6 +254,8 @@ def test_what_cannot_be_opened_is_said(tmp_path: Path) -> None:
         (f"serial:{tmp_path}/none", "rotorscope ports"),
         ("serial:socket://127.0.0.1:1", "listens"),
         ("slcan:socket://127.0.0.1", "HOST:PORT"),
+        ("serial:rfc2217://127.0.0.1:1", "listens"),
+        (f"serial:{__file__}", "is no serial port"),
     ]:
         with pytest.raises(LinkOpenError, match=text) as caught:
             make_driver(parse_link(link)).open()

@@ -71,6 +71,7 @@ def test_accepted(url: str, config: object) -> None:
         ("can:socketcan:can0?fd=maybe", "neither 1 nor 0"),
         ("can:socketcan:can0?bitrte=1", "did you mean 'bitrate'"),
         ("virtual:x", "takes no name"),
+        ("virtual", "a colon is missing; write virtual:"),
         ("virtual:?speed=0", "not a positive number"),
         ("virtual:?speed=nan", "not a positive number"),
         ("capture:", "a file is needed"),
