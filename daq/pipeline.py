@@ -13,7 +13,7 @@ from drivers.reading import Block, Gap, Info, LinkStats, Notice, Reading
 from estimator.estimate import Estimate
 from estimator.model import Model
 
-from .clock import OFF, Clock, DeviceClock
+from .clock import Clock, DeviceClock
 from .errors import ConfigError, LogError
 from .estimation import Estimation
 from .estimator_runner import EstimatorRunner
@@ -21,11 +21,10 @@ from .estimators import MakeEstimator
 from .ledger import Ledger
 from .scaling import Scaling
 from .sink import Reporting, Session, Sink, Status
+from .watch import Watch
 
 STATUS_NS = 1_000_000_000
 CLIPPED_EVERY_S = 10.0
-OVERFLOW_EVERY_NS = 10_000_000_000
-WALL_STEP_NS = 500_000_000
 STALE_S = 10.0  # to finish with the estimator of a rate that the device has left
 NEW_CLOCK = ("restart", "reconnect")  # after such a gap, index and host time go together in a new way
 # What the pipeline itself says; a replay says it again, so it is not taken from the log.
@@ -77,10 +76,8 @@ class Pipeline:
         self._reported: set[str] = set()
         self._status_ns = clock.now_ns()
         self._status_samples = 0
-        self._wall_ns = 0  # Unix time minus host time as the log began
         self._clipped_until = -1
-        self._overflowed = 0  # samples, as last told
-        self._overflow_ns = clock.now_ns() - OVERFLOW_EVERY_NS
+        self._watch = Watch(clock, self._say)
         self._lag_s: dict[str, float] = {}
         self.clipped = 0
         self.ledger = Ledger()
@@ -123,7 +120,10 @@ class Pipeline:
     def tick(self, stats: LinkStats, dropped: Mapping[str, int], *, final: bool = False) -> None:
         """Once in a while: hear the sinks, say what is unsaid, and once a second give the status."""
         self._hear_sinks()
-        self._watch_overflow(dropped.get("reader", 0), final)
+        self._watch.overflow(dropped.get("reader", 0), final)
+        if self._live:
+            self._watch.standstill()
+            self._watch.losses(final)
         self._collect()
         self._take([])
         now = self._clock.now_ns()
@@ -133,13 +133,13 @@ class Pipeline:
         rate = (samples - self._status_samples) / seconds if seconds > 0 else 0.0
         self._status_ns, self._status_samples = now, samples
         if self._live:
-            self._watch_wall_clock()
+            self._watch.wall_clock()
         health = {type(s).__name__: s.health() for s in self._sinks if isinstance(s, Reporting)}
         for report in health.values():
             self._unsaid += report.notices
         clock = self.device_clock.state() if self.device_clock else None
-        if self._live and (clock is None or abs(clock.drift_ppm) > 1e6 * OFF):
-            self._watch_rate()
+        if self._live and self.device_clock and self._plan.metadata.get("link_kind") != "virtual":  # at any speed
+            self._watch.rate(self.device_clock, clock)
         status = Status(
             now, self.ledger.stop, rate, replace(stats, other=dict(stats.other)), clock,
             self._lag_s | {name: h.lag_s for name, h in health.items()},
@@ -197,6 +197,7 @@ class Pipeline:
             if self.device_clock is not None and reading.reason in NEW_CLOCK:
                 self.device_clock.restart()
             if reading.count:
+                self._watch.lost(reading)
                 self._estimator_at(reading.index).skip(reading.count)
                 self._collect()
         elif isinstance(reading, Notice):
@@ -266,7 +267,7 @@ class Pipeline:
             text = f"the device sends {info.rate_hz:g} Hz, the rig file says {expected:g} Hz"
             self._say("warning", "rate_differs", text)
         if first:
-            self._wall_ns = self._clock.wall_offset_ns()
+            self._watch.begin()
             plan = self._plan
             session = Session(plan.model, info, plan.device, plan.attachments, plan.metadata)
             self._each_sink("start", lambda sink: sink.start(session))
@@ -308,32 +309,6 @@ class Pipeline:
     def _say(self, level: str, code: str, text: str) -> None:
         """To the sinks with the next readings, and to the operator."""
         self._unsaid.append(Notice(self._clock.now_ns(), level, code, text))
-
-    def _watch_wall_clock(self) -> None:
-        """The log's times go by the steady clock and its offset at the start; what is set later leaves them alone."""
-        moved = self._clock.wall_offset_ns() - self._wall_ns
-        if abs(moved) > WALL_STEP_NS:
-            self._wall_ns += moved
-            text = f"this computer's clock moved by {moved / 1e9:+.3f} s (set, or asleep); times in the log go on"
-            self._say("warning", "wall_clock_set", text)
-
-    def _watch_rate(self) -> None:
-        """Once in a session: what the device counts as a second is none."""
-        known = "rate_untrue" in self._reported or self._plan.metadata.get("link_kind") == "virtual"  # at any speed
-        true_hz = None if known or self.device_clock is None else self.device_clock.true_rate_hz()
-        if true_hz is not None:
-            self._reported.add("rate_untrue")
-            text = f"samples come at {true_hz:.6g} Hz by this computer's clock, and the device says {self.rate_hz:g} Hz"
-            more = "frequencies are off by as much, stiffness by twice that; mend the device, or the rate that it gives"
-            self._say("warning", "rate_untrue", f"{text}: {more}")
-
-    def _watch_overflow(self, dropped: int, final: bool) -> None:
-        """At once, then every ten seconds while it goes on: the gaps themselves come when the core loop gets there."""
-        new, now = dropped - self._overflowed, self._clock.now_ns()
-        if new and (final or now - self._overflow_ns >= OVERFLOW_EVERY_NS):
-            self._overflowed, self._overflow_ns = dropped, now
-            text = f"samples come faster than they are taken in: {new} of the oldest that waited are dropped"
-            self._say("error", "overflow", f"{text}; leave this computer less to do, or lower the rate")
 
     def _say_clipped(self, index: int, clipped: NDArray[np.bool_]) -> None:
         self.clipped += int(clipped.sum())

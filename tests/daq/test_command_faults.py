@@ -306,6 +306,33 @@ def test_all_at_once_and_all_comes_back(rig: Path, cable: Cable, tmp_path: Path,
     within(took, 2.0)
 
 
+@pytest.mark.slow
+def test_a_program_that_was_suspended_says_so_and_what_it_cost(rig: Path, tmp_path: Path, record_property: Row) -> None:
+    """A device that cannot keep what nobody reads; the reason of a gap alone would blame the link."""
+    path = tmp_path / "a.mcap"
+    serving = [sys.executable, "-m", "daq", "simulate", str(rig), "--serve", "slcan:pty"]
+    with subprocess.Popen(serving, stdout=subprocess.PIPE, text=True) as device:
+        assert device.stdout is not None
+        session = run(rig, "--link", device.stdout.readline().split()[-1], "--out", str(path))
+        before = wait_for(path, lambda log: log.n_samples > 20_000).n_samples
+        session.send_signal(signal.SIGSTOP)
+        time.sleep(8.0)
+        session.send_signal(signal.SIGCONT)
+        wait_for(path, lambda log: log.n_samples > before + 20_000)
+        session.send_signal(signal.SIGTERM)
+        out, error = session.communicate(timeout=PATIENCE_S)
+        device.send_signal(signal.SIGTERM)
+    log = read_log(path)
+    assert session.returncode == 0
+    assert log.lost_samples > 4 * 25_600
+    assert f"{log.lost_samples} lost in" in out
+    assert {"stood_still", "samples_lost"} <= {n.code for n in log.notices}
+    assert "warning: this program stood still for 8." in error
+    assert "warning: samples lost: " in error
+    row = "program suspended | SIGSTOP for 8 s under `rotorscope run`, a device that keeps nothing"
+    record_property("reliability", f"{row} | told at once, and what it cost | {log.lost_samples} samples lost by name")
+
+
 def test_what_listens_does_so_on_loopback_and_says_where(rig: Path, tmp_path: Path) -> None:
     """A served device and the metrics, each in a process of its own, neither told where to listen."""
     with socket.create_server(("127.0.0.1", 0)) as free:

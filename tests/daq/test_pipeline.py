@@ -359,3 +359,37 @@ def test_a_device_whose_rate_is_not_what_it_says_is_told_once(true: float, link:
     said = [r.text for r in sink.delivered if isinstance(r, Notice) and r.code == "rate_untrue"]
     assert len(said) == told
     assert all(f"come at {INFO.rate_hz * true:.6g} Hz by this computer's clock" in text for text in said)
+
+
+def test_a_standstill_and_what_no_driver_says_of_its_losses_are_told_at_once() -> None:
+    clock, told = FakeClock(), list[Notice]()
+    pipeline = Pipeline(PLAN, [], clock, notify=told.append)
+
+    def after(seconds: float, *readings: Reading) -> list[str]:
+        told.clear()
+        clock.t_ns += round(seconds * 1e9)
+        pipeline.step(readings)
+        pipeline.tick(LinkStats(), {})
+        return [n.text.partition(";")[0] for n in told]
+
+    assert after(60.0) == []  # the link was being opened
+    assert after(0.1, INFO, vibration(0, 256)) == []
+    assert after(0.1, Gap(256, 64, "crc"), vibration(320, 64)) == []  # which its driver says
+    lost = "samples lost: 7 by the device itself (device_lost), 57 on the way (sequence)"
+    assert after(0.1, Gap(384, 7, "device_lost"), Gap(391, 57, "sequence"), vibration(448, 64)) == [lost]
+    for k in range(8, 107):
+        assert after(0.1, Gap(64 * k, 1, "sequence"), vibration(64 * k + 1, 63)) == []
+    assert after(0.1, vibration(64 * 107, 64)) == ["samples lost: 99 on the way (sequence)"]
+    still = "this program stood still for 30.0 s (stopped, or this computer had no time for it)"
+    assert after(30.0, vibration(64 * 108, 64))[0].startswith(still)
+
+
+def test_the_last_losses_of_a_session_are_told_in_its_log() -> None:
+    sink = Recorder()
+    pipeline = Pipeline(PLAN, [sink], FakeClock())
+    for k in range(2):
+        pipeline.step([INFO, vibration(512 * k, 256), Gap(512 * k + 256, 256, "sequence")])
+        pipeline.tick(LinkStats(), {})
+    pipeline.finish(LinkStats(), {})
+    said = [r.text for r in sink.delivered if isinstance(r, Notice) and r.code == "samples_lost"]
+    assert [text.partition(" on")[0] for text in said] == ["samples lost: 256"] * 2
