@@ -12,6 +12,7 @@ from drivers.links import CaptureConfig, ReplayConfig, VirtualConfig, make_drive
 from drivers.reading import Driver
 
 from .errors import ConfigError
+from .in_si import InSI
 from .rig import Rig
 
 LARGEST_DBC = 64 << 20  # bytes; a whole vehicle's has some
@@ -48,7 +49,8 @@ def open_driver(url: str | None, rig: Rig, *, seed: int = 1, seconds: float | No
         raise ConfigError(f'{name}: a DBC needs [link.signals] in the rig file: channel = "MESSAGE.SIGNAL" for each')
     if signals is not None and (left := [c for c in rig.units if c not in signals]):
         raise ConfigError(f'link.signals: no signal for {", ".join(left)}; add {left[0]} = "MESSAGE.SIGNAL"')
-    return make_driver(config, dbc=text, signals=signals, expected=expected)
+    driver = make_driver(config, dbc=text, signals=signals, expected=expected)
+    return driver if signals is None else InSI(driver, {c.name: (c.kind, c.unit) for c in rig.file.channel})
 
 
 def _without_dbc(url: str) -> tuple[str, str | None]:

@@ -21,6 +21,7 @@ from .estimators import MakeEstimator
 from .ledger import Ledger
 from .scaling import Scaling
 from .sink import Reporting, Session, Sink, Status
+from .units import UNITS, canonical
 from .watch import Watch
 
 STATUS_NS = 1_000_000_000
@@ -69,6 +70,7 @@ class Pipeline:
         self._wake = wake
         self._info: Info | None = None
         self._scaling: Scaling | None = None
+        self._columns: list[int] = []  # which signal each channel of the model is
         self._estimation: Estimation | None = None
         self._early: list[Reading] = []  # before the device said what it is
         self._told_early: list[Notice] = []
@@ -253,7 +255,8 @@ class Pipeline:
         first, before = self._info is None, self._info
         self._info = info
         if info.signals:
-            self._scaling = Scaling(info, self._columns(info))
+            self._columns = self._columns_of(info)
+            self._scaling = Scaling(info, self._columns)
         if before is None or (before.rate_hz, len(before.signals)) != (info.rate_hz, len(info.signals)):
             if self._estimation is not None:
                 self._estimation.runner.close(STALE_S)
@@ -274,7 +277,7 @@ class Pipeline:
             early, self._early = self._early, []
             self._take([r for reading in early for r in self.ledger.accept(reading)])
 
-    def _columns(self, info: Info) -> list[int]:
+    def _columns_of(self, info: Info) -> list[int]:
         """Which signal each channel of the model is: by name, or else in order if there are as many."""
         names = [s.name for s in info.signals]
         wanted = [c.name for c in self._plan.model.channels]
@@ -290,12 +293,24 @@ class Pipeline:
             "name the channels in the rig file as the device does, or map them in [link.signals]"
         )
 
+    def _other_quantity(self) -> str:
+        """Which channel is not what the rig file says: samples are kept, but no law holds for them."""
+        signals = self._info.signals if self._info else ()
+        for channel, column in zip(self._plan.model.channels, self._columns, strict=False):
+            unit = signals[column].unit
+            if unit and UNITS[channel.kind].get(canonical(unit)) != 1.0:
+                text = f"{channel.name} comes in {unit}, and is {channel.kind} in the rig file"
+                return f"{text}; correct kind or unit of the channel, then replay or fit the log"
+        return ""
+
     def _estimator_at(self, index: int) -> Estimation:
         """The estimation under way, or a new one whose first row is `index`."""
         if self._estimation is None:
             rate_hz = self._info.rate_hz if self._info else 1.0
-            estimator = None
-            if self._plan.make is not None:
+            estimator, wrong = None, self._other_quantity()
+            if wrong:
+                self._say("error", "no_estimate", f"no rolling estimate: {wrong}")
+            elif self._plan.make is not None:
                 try:
                     estimator = self._plan.make(self._plan.model, rate_hz)
                 except ValueError as error:
