@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import pi, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -108,10 +109,26 @@ def _remarks(rig: Rig) -> list[str]:
     if not any(model.cap_mass(p) for p in model.places):
         text = "no cap mass is known: forces and stiffnesses then rest on the shaft alone"
         remarks.append(text if model.shaft != "none" else "no mass is known: only ratios such as kL/m can be found")
+    remarks += _resonances(model)
     for c in model.channels:
         if c.direction == "z":
             remarks.append(f"{c.name} is axial: recorded only")
     return remarks
+
+
+def _resonances(model: Model) -> list[str]:
+    """Where the file's own values put a cap on its bearing outside the band: most often a mistake of units."""
+    out = []
+    low, high = model.band
+    for place in model.places:
+        stiffness, mass = model.linear.get(place, {}).get("kL"), model.cap_mass(place)
+        if stiffness is None or not stiffness.value or not mass:
+            continue
+        hz = sqrt(abs(stiffness.value) / mass) / (2 * pi)
+        if not low < hz < high:
+            text = f"{place}: kL = {stiffness.value:g} N/m on {mass:g} kg resonates at {hz:.3g} Hz, outside the band"
+            out.append(f"{text} of {low:g} to {high:g} Hz; are they in N/m, kg and Hz?")
+    return out
 
 
 def _some(items: list[str], most: int = 6) -> str:

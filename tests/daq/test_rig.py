@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from daq.cli import main
 from daq.errors import ConfigError
 from daq.links import open_driver
 from daq.rig import Rig, load_rig
@@ -315,3 +316,21 @@ def test_a_dbc_without_end_is_refused(dbc: str, said: str, tmp_path: Path) -> No
     rig = Rig.parse(HEAD + CHANNELS + link, tmp_path, tmp_path / "rig.toml")
     with pytest.raises(ConfigError, match=said):
         open_driver("capture:x.log", rig)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "hz"),
+    [("bearing1 = 0.2 ", "bearing1 = 200 ", "35.6 Hz"), ("high = 8000.0", "high = 0.9e3", "1.13e+03 Hz"),
+     ("kL = 10.0e6", "kL = 10.0e3", "35.6 Hz"), ("", "", "")],
+)  # fmt: skip
+def test_check_notes_a_resonance_outside_the_band(
+    right: str, wrong: str, hz: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Grams, kilohertz, newtons a millimetre: each is a number that a rig file may hold."""
+    path, text = tmp_path / "rig.toml", (CONFIGS / "tiwari_vyas_1997.toml").read_text().replace("= 0.2\n", "= 0.2 \n")
+    assert right in text
+    path.write_text(text.replace(right, wrong))
+    assert main(["check", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert ("resonates at" in said) is bool(hz)
+    assert f"resonates at {hz}, outside the band of" in said or not hz
