@@ -115,7 +115,6 @@ class DeviceClock:
         at_zero_ns = host0 + round((floor - unseen / 2) * 1e9) - round((index0 - 1) * 1e9 / rate_hz)
         return ClockState(at_zero_ns, rate_hz, (rate_hz / self.rate_hz - 1.0) * 1e6, round(bound * 1e9))
 
-
     def true_rate_hz(self) -> float | None:
         """The rate on the host's clock, where it certainly is not the one that the device states; else None.
 

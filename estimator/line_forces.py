@@ -17,9 +17,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from . import strikes
 from .balance import shaft_notch
-from .effects import CATALOGUE
-from .effects.places import kinematic, orders
 from .estimate import Parameter
 from .line_spectrum import Spectrum, by_angle, residual_spectrum, spectrum_of
 from .missing_force import NEGLIGIBLE
@@ -50,7 +49,7 @@ def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Su
     if rotation > 0.0 and not any(use.name == "local_defect" for use in model.effects):
         turned = by_angle(s)
         own = lines if turned is s else _standing(turned, known, threshold)
-        defect, fundamental = _strikes(model, point, turned, own, rotation)
+        defect, fundamental = strikes.find(model, point, turned, own, rotation, known)
         if defect is not None:
             lines = [hz for hz in lines if not _multiple(s, hz, fundamental)]
             out.append(defect)
@@ -180,67 +179,3 @@ def _multiple(s: Spectrum, hz: float, fundamental: float) -> bool:
     """Whether a line is a harmonic of a train."""
     k = max(1, round(hz / fundamental))
     return abs(hz - k * fundamental) < 2.0 * k / s.seconds + s.wander * hz
-
-
-def _strikes(
-    model: Model, point: WorkingPoint, s: Spectrum, lines: list[float], rotation: float
-) -> tuple[Suspect | None, float]:
-    """The clearest train of harmonics of a bearing order, and its fundamental in Hz."""
-    fundamentals = []
-    bpfo = kinematic("bpfo", model)
-    if bpfo is not None:
-        fundamentals.append(float(bpfo))
-    if model.bearing is not None:
-        fundamentals += [v for k, v in orders(model).items() if k != "FTF"]
-    steady = [hz for hz in lines if s.steady(hz)]  # in a short record a resonance stands out of its surroundings too
-    if len(steady) >= 4:  # the spacing that most of the lines share
-        spacing = np.diff(np.sort(steady))
-        fundamentals += [float(d / rotation) for d in np.unique(np.round(spacing, 2)) if d > 0.3 * rotation][:20]
-    best: Suspect | None = None
-    fundamental = 0.0
-    for order in dict.fromkeys(round(o, 4) for o in fundamentals):
-        hz = order * rotation
-        if abs(order - round(order)) < 0.02 and order < 2.5:
-            continue
-        harmonics = np.arange(1, min(400, int(min(0.45 * s.rate_hz, model.band[1]) / hz)) + 1)
-        bins = np.clip(np.round(harmonics * hz * s.seconds).astype(int), 1, s.f_hz.size - 2)
-        Z = np.max([np.abs(s.Y[:, bins + d]) ** 2 / s.noise[:, bins] for d in (-1, 0, 1)], axis=0)
-        # a Hann line fills three bins; the largest of three is about 1.8 by chance
-        gains = np.maximum(Z - 3.0, 0.0).sum(axis=1) - 0.15 * harmonics.size
-        i = int(np.argmax(gains))
-        visible = int((Z[i] > 8).sum())
-        if visible >= 4 and gains[i] > 40 + 5 * np.sqrt(harmonics.size) and (best is None or gains[i] > best.gain):
-            places = [point.data.places[j] for j in range(len(gains)) if gains[j] > 40.0 + 5 * np.sqrt(harmonics.size)]
-            best, fundamental = _defect(point, s, order, rotation, places, float(np.sum(gains))), hz
-    return best, fundamental
-
-
-def _defect(
-    point: WorkingPoint, s: Spectrum, order: float, rotation: float, places: list[str], gained: float
-) -> Suspect:
-    """Strike, angle and width from the folded inferred force: the mean over all periods."""
-    settings, power = {}, {}
-    hz = order * rotation
-    for place in places:
-        i = point.data.places.index(place)
-        turn = (order * point.data.phase / (2 * np.pi)) % 1.0
-        bins = 256
-        index = np.minimum((turn * bins).astype(int), bins - 1)
-        folded = np.bincount(index, point.force[i], bins) / np.maximum(np.bincount(index, minlength=bins), 1)
-        folded -= np.median(folded)
-        sd = float(point.force[i].std() / np.sqrt(point.force.shape[1] / bins))
-        peak = int(np.argmax(np.abs(folded)))
-        tail = np.roll(folded, -peak)[: bins // 4] / folded[peak]
-        width = 2 * np.pi / bins * float(np.clip(np.sum(np.clip(tail, 0, None)), 1.0, 40.0))
-        settings[place] = {
-            "strike": Parameter(float(folded[peak]), sd, "N"),
-            "order": Parameter(order, order / s.seconds / hz / 10, "1"),
-            "angle": Parameter(2 * np.pi * peak / bins, 2 * np.pi / bins, "rad"),
-            "width": Parameter(width, 2 * np.pi / bins, "rad"),
-        }
-        power[i] = max(float(np.mean(folded**2)) - sd**2, 0.0)
-    effect = CATALOGUE["local_defect"]
-    return Suspect(
-        "local_defect", tuple(places), gained, 4 * len(places), float(np.exp(-min(gained, 700.0) / 2)), power,
-        "shaft_angle", f"impacts at {order:.3f} x shaft speed ({hz:.2f} Hz)", settings, effect.signature,
-    )  # fmt: skip

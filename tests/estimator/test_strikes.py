@@ -1,0 +1,43 @@
+"""Trains of strikes: weak harmonics of an order that nothing announces, and tones that only look like a train."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_effects import RATE, one_bearing
+
+from estimator import line_forces
+from estimator.model import EffectUse, Model, Setting
+from estimator.simulate import simulate
+from estimator.suspect import Suspect
+from estimator.whole import fit_whole
+
+SECONDS = 8.0
+
+
+@pytest.fixture(scope="module")
+def rig() -> Model:
+    return replace(one_bearing(), bearing=None)
+
+
+def found(rig: Model, y: np.ndarray) -> dict[str, Suspect]:
+    return {s.effect: s for s in line_forces.find(rig, fit_whole(rig, y, RATE).point, y, RATE)}
+
+
+def test_a_train_is_found_that_no_geometry_and_no_single_line_announces(rig: Model) -> None:
+    values = {"strike": 1.2, "order": 4.6527, "angle": 1.0, "width": 0.06}
+    hidden = EffectUse("local_defect", {"bearing1.x": {k: Setting(v) for k, v in values.items()}})
+    truth = replace(rig, effects=(*rig.effects, hidden))
+    y = simulate(truth, RATE, SECONDS, seed=5, noise=0.02, full_scale=490.5)
+    suspects = found(rig, y)
+    assert set(suspects) == {"local_defect"}
+    assert suspects["local_defect"].settings["bearing1.x"]["order"].value == pytest.approx(4.6527, abs=2e-4)
+
+
+def test_odd_harmonics_of_the_mains_are_lines_and_no_train(rig: Model) -> None:
+    y = simulate(rig, RATE, SECONDS, seed=5, noise=0.02, full_scale=490.5)
+    t = np.arange(len(y)) / RATE
+    hum = sum(np.cos(2 * np.pi * 50.01 * h * t + 0.8 * h) / h for h in (1, 2, 3, 5, 7, 9, 11))
+    assert set(found(rig, y + 0.1 * y.std() * hum[:, None])) == {"line"}
