@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betainc
 
 from .estimate import Parameter
 from .model import Model
@@ -49,6 +50,12 @@ def _piled(z: Array) -> tuple[float, int] | None:
     return (float(top), count) if count > 3 * np.count_nonzero(below == below.max()) + PILE else None
 
 
+def chance(count: int) -> float:
+    """p-value of the fewest that count as clipped: so many at the extreme value, a third of what is beyond PILE at the
+    next, where both are as likely (the density of a vibration falls)."""
+    return float(betainc(count, max(count - PILE, 0) / 3 + 1, 0.5))
+
+
 def find(model: Model, y: Array) -> list[Suspect]:
     """Clipped channels."""
     out = []
@@ -64,7 +71,7 @@ def find(model: Model, y: Array) -> list[Suspect]:
         place = model.places.index(channel.place)
         out.append(
             Suspect(
-                "sensor_clipping", (channel.place,), float(count), 1, float(np.exp(-min(count / 4, 700.0))),
+                "sensor_clipping", (channel.place,), float(count), 1, chance(count),
                 {place: 0.0},
                 "level", f"{channel.name} is limited to +-{level:.3g} in {share:.2g} % of its samples",
                 {channel.place: {"level": Parameter(level, level * 1e-3, "m/s^2")}},

@@ -106,6 +106,18 @@ def test_a_converters_full_scale_is_seen_in_a_few_samples_and_its_steps_are_none
         assert 60 < found[1] < 400
 
 
+def test_what_counts_as_clipped_is_certain_too() -> None:
+    """Nothing else is sought on a clipped channel: a finding that is then not claimed would leave "complete"."""
+    y = np.random.default_rng(4).standard_normal(300_000)
+    for count in (24, 30, 100, 5000):
+        rig = one_bearing()
+        z = np.stack([np.minimum(y, np.sort(y)[-count]), y], axis=1)
+        (found,) = sensor_faults.find(rig, z)
+        assert found.at == ("bearing1.x",)
+        assert found.p_value < 1e-5
+    assert sensor_faults.chance(20) > sensor_faults.chance(40) > sensor_faults.chance(400)
+
+
 def test_the_pulses_of_a_tacho_that_the_rig_file_puts_at_a_bearing_are_no_clipped_motion(rig: Model) -> None:
     noise = np.random.default_rng(3).standard_normal((50_000, len(rig.channels)))
     pulses = np.where(np.arange(50_000) % 100 < 10, 5.0, 0.0)
