@@ -93,14 +93,14 @@ def _started(point: WorkingPoint, uses: list[Placed]) -> list[Placed]:
     """The uses of one effect at the best of a grid about their values, amplitudes as they fit there; of several numbers
     also of a closer one about that."""
     loose = len(_searched(uses[0]))
-    begun = _best(point, uses, FACTORS.get(loose, COARSE))
+    begun = _best(point, uses, FACTORS.get(loose, COARSE), turned=True)
     return begun if loose == 1 else _best(point, begun, CLOSER)
 
 
-def _best(point: WorkingPoint, uses: list[Placed], factors: Array) -> list[Placed]:
+def _best(point: WorkingPoint, uses: list[Placed], factors: Array, turned: bool = False) -> list[Placed]:
     """The same of the grid of these factors. Places are alike unless the record says otherwise: one has a node of its
     own where that is worth screen.DIFFERENT nats."""
-    nodes = [_grid(use, factors) for use in uses]
+    nodes = [_grid(use, factors, turned) for use in uses]
     pairs = [use for own in nodes for use in own]
     found = each(lambda use: screen.assess(point, use), pairs)
     tried = [found[k : k + len(nodes[0])] for k in range(0, len(pairs), len(nodes[0]))]
@@ -115,12 +115,16 @@ def _best(point: WorkingPoint, uses: list[Placed], factors: Array) -> list[Place
     return out
 
 
-def _grid(use: Placed, factors: Array) -> list[Placed]:
-    """The use at every node, its free amplitudes 1."""
+def _grid(use: Placed, factors: Array, turned: bool) -> list[Placed]:
+    """The use at every node, its free amplitudes 1. turned : also with the other sign, where the effect has numbers of
+    both: the side that a stop is on, preload or clearance."""
     loose = _searched(use)
+    limits = [(use.effect.parameters[k].low, use.effect.parameters[k].high) for k in loose]
+    both = [turned and -np.inf < low < 0.0 < high < np.inf for low, high in limits]
+    axes = [np.append(factors, -factors) if signed else factors for signed in both]
     p = np.where([q.linear and free for q, free in zip(use.effect.parameters, use.free, strict=True)], 1.0, use.p)
     nodes = []
-    for scale in product(factors, repeat=len(loose)):
+    for scale in product(*axes):
         node = p.copy()
         node[loose] *= scale
         nodes.append(use.with_values(node))

@@ -49,6 +49,18 @@ def test_a_law_that_the_record_does_not_tell_costs_little_on_held_out_data() -> 
     assert len(y) * (grown - plain) < 60.0
 
 
+def test_a_stop_added_without_numbers_is_found_on_the_other_side() -> None:
+    """Begun on the other side it ended at no stiffness: "not identifiable", all of its force still missing."""
+    rig = one_bearing()
+    at = replace(rig, channels=rig.channels[:1], effects=())
+    hidden = {"k": 2e6, "gap": -1.5e-7}
+    y = simulate(with_effect(at, CATALOGUE["stop"], hidden), RATE, 2.0, seed=0, noise=0.02)
+    found = spectral.fit(replace(at, effects=(EffectUse("stop", {"bearing1.x": {}}),)), y, RATE).parameters
+    for name, value in hidden.items():
+        got = found[f"bearing1.x.stop.{name}"]
+        assert got.value == pytest.approx(value, abs=4 * got.sd)
+
+
 @pytest.mark.slow
 def test_fit_finds_a_gap_of_twice_the_rms_beside_a_cubic_law() -> None:
     """From a gap of one rms Gauss-Newton ended 30 to 50 nats below, at -0.6e6 +- 0.1e6 N/m for 3e6."""
