@@ -18,13 +18,12 @@ from numpy.typing import NDArray
 from .bandlimit import passband
 from .columns import Columns
 from .dressing import Fluctuating
-from .gram import Layout
 from .record import Record
 
 Floats = NDArray[np.float64]
 POWER = {"displacement": 0, "velocity": 2, "acceleration": 4}  # of 1 / w, from the sensor's noise to that of x
-LITTLE = 1e-4  # of <x^2>: noise under it moves no law by more than as much
-POINTS = 4000  # frequencies that the spectrum of the noise is taken at
+LITTLE = 5e-4  # of <x^2>: noise under it moves no law by more than twice as much
+FINEST = 8  # the spectrum of the noise is sharper at its lower edge than that of a tangent by so much
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,24 +59,22 @@ class Flutter:
         return Flutter(covariance, bend, self.variance, self.power * (size[:, :, None] * size[:, None])[:, None])
 
 
-def seen_as(kind: str, grid: Layout, band: tuple[float, float]) -> tuple[Floats, Floats]:
-    """(f,) Hz and (f,) PSD of e per unit of the PSD of a sensor of this kind."""
-    f = np.linspace(0.0, 0.5 * grid.rate_hz, POINTS + 1)[1:]
-    return f, passband(f, grid.rate_hz, band) ** 2 / (2 * np.pi * f) ** POWER[kind]
+def seen_as(kind: str, f_hz: Floats, rate_hz: float, band: tuple[float, float]) -> Floats:
+    """(f,) PSD of e per unit of the PSD of a sensor of this kind, at positive frequencies."""
+    return np.asarray(passband(f_hz, rate_hz, band) ** 2 / (2 * np.pi * f_hz) ** POWER[kind])
+
+
+def variance(kind: str, rate_hz: float, band: tuple[float, float]) -> float:
+    """<e^2> in m^2 per unit of the PSD."""
+    f = np.linspace(0.0, 0.5 * rate_hz, 4001)[1:]
+    return float(seen_as(kind, f, rate_hz, band).sum() * f[0])
 
 
 def noisy(record: Record, columns: Columns, noise: Floats) -> list[int]:
     """The places where the noise of the sensor, of this PSD, is more than a little of the displacement."""
     x2 = record.rms("x") ** 2
-    return [
-        row
-        for row, kind in enumerate(columns.balance.kinds)
-        if noise[row] * _variance(*seen_as(kind, record.grid, record.model.band)) > LITTLE * x2[row]
-    ]
-
-
-def _variance(f: Floats, power: Floats) -> float:
-    return float(power.sum() * (f[1] - f[0]))
+    each = (variance(kind, record.rate_hz, record.model.band) for kind in columns.balance.kinds)
+    return [row for row, e2 in enumerate(each) if noise[row] * e2 > LITTLE * x2[row]]
 
 
 def flutter(found: list[Fluctuating], record: Record, columns: Columns, noise: Floats) -> Flutter | None:
@@ -88,26 +85,27 @@ def flutter(found: list[Fluctuating], record: Record, columns: Columns, noise: F
     rows = noisy(record, columns, noise)
     for z in found:
         if z.row in rows:
-            e = seen_as(balance.kinds[z.row], grid, record.model.band)
+            kind = balance.kinds[z.row]
             out.covariance[z.row, z.laws[:, None], z.laws] = z.C[:, :, 0, 0, 0]
             out.bend[z.row, z.laws] = z.bend
-            out.variance[z.row] = _variance(*e)
-            power = _products(z, *e, float(noise[z.row]), grid)
+            out.variance[z.row] = variance(kind, record.rate_hz, record.model.band)
+            power = _products(z, record, kind, float(noise[z.row]))
             out.power[z.row][:, z.laws[:, None], z.laws] = np.moveaxis(power, -1, 0)
     return out if out.variance.any() else None
 
 
-def _products(z: Fluctuating, f_hz: Floats, power: Floats, noise: float, grid: Layout) -> Floats:
+def _products(z: Fluctuating, record: Record, kind: str, noise: float) -> Floats:
     """(laws, laws, cells) one-sided PSD of what the laws get from e, real part, per unit of the noise."""
-    C = z.C[:, :, 0, 0]
+    C, grid = z.C[:, :, 0, 0], record.grid
     lags = C.shape[2]
+    f = np.asarray(np.fft.rfftfreq(2 * FINEST * lags, z.dt), np.float64)
+    D = np.append(0.0, seen_as(kind, f[1:], record.rate_hz, record.model.band))
+    e = np.fft.irfft(D)[:lags] * (f.size - 1) * f[1]
     t = np.asarray(np.arange(lags) * z.dt, np.float64)
-    e = np.array([np.cos(2 * np.pi * f_hz * s) @ power for s in t]) * (f_hz[1] - f_hz[0])
     half = 2.0 * np.multiply.outer(z.bend, z.bend)[:, :, None] * z.mean.autocovariance(t) * (z.x2 - noise * e[0])
     weight = 4.0 * z.dt * np.exp(-((t / (0.8 * t[-1])) ** 8))
     weight[0] *= 0.5
     both = (0.5 * (C + C.swapaxes(0, 1)) - half * noise * e) * (e * weight)
     spectrum = np.fft.rfft(both, 2 * lags, axis=2).real
-    f = np.fft.rfftfreq(2 * lags, z.dt)
-    bins = np.array([[np.interp(grid.f_hz, f, row) for row in rows] for rows in spectrum])
+    bins = np.array([[np.interp(grid.f_hz, f[::FINEST], row) for row in rows] for rows in spectrum])
     return np.add.reduceat(bins, grid.starts, axis=2) / grid.per_cell
