@@ -16,6 +16,7 @@ from .fitted import fitted_model
 from .heldout import heldout_nll, heldout_rmse, reference_nll
 from .model import Model
 from .shape import Shape
+from .side_by_side import answers
 from .suspects import suspects
 from .twin import twin
 from .where import Where, where_of
@@ -89,9 +90,13 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     clipped = [sensor_faults.said(s) for s in others if s.effect == "sensor_clipping"]
     say(0.85, "held-out likelihood")
     nll = heldout_nll(point)
-    reference = reference_nll(point, found, nll)
     channel = {p: next(c.name for c in model.channels if c.place == p) for p in point.data.places}
-    drawn, laws = curves(point, found, channel, missing_force.orders_of(model))
+    asked: list[Callable[[], Any]] = [
+        lambda: curves(point, found, channel, missing_force.orders_of(model)),
+        lambda: reference_nll(point, found, nll),
+        lambda: where_of(point, found, channel),
+    ]
+    (drawn, laws), reference, where = answers(asked)
     say(1.0, "done")
     return Comparison(
         heldout_nll=nll,
@@ -99,7 +104,7 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         missing=found.interval(),
         psd_distance_db=beside.psd_distance_db,
         pdf_distance=beside.pdf_distance,
-        where=where_of(point, found, channel),
+        where=where,
         adequate=not found.any_found(),
         curves=drawn,
         laws=laws,

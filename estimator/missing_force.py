@@ -265,9 +265,8 @@ def survey(
 
 def surveyed(point: WorkingPoint, model: Model, *more: Callable[[], Any]) -> tuple[Survey, *tuple[Any, ...]]:
     """The survey of every place, on all of `point`, and the answers to what else is asked: by two processes."""
-    own = _questions(point, model)
-    found = answers([*own, *more])
-    return Survey(tuple(found[: len(own)]), point.bearing_force), *found[len(own) :]
+    found = answers([*more, *_questions(point, model)])  # the longest, as they are, first
+    return Survey(tuple(found[len(more) :]), point.bearing_force), *found[: len(more)]
 
 
 def _questions(point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None) -> list[Callable[[], Residual]]:
