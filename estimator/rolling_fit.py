@@ -35,6 +35,7 @@ FAST = 0.25  # time constant of the watching memory over that of the long one
 CHANGE = 5.0  # standard deviations
 CHECKED_EVERY = 2  # solutions, for a change
 WATCHED_EVERY = 3  # blocks: every other one at most, so that no two share rows
+SIZED_EVERY = 2 * WATCHED_EVERY  # blocks, for how strongly tangents fluctuate
 LOOKED_EVERY = 8  # solutions
 FEWEST_WATCHED = 6  # blocks
 CENTRINGS = 4  # fits of the first seconds, each about the centre that the last one's lopsided laws make
@@ -171,12 +172,12 @@ class RollingFit:
             speed_hz = float(stretch.phase[-1] - stretch.phase[0]) / (2 * np.pi * (stretch.t[-1] - stretch.t[0]))
         weights = self.lines(Z.force(B, own), speed_hz)
         G, square = Z.gram(self.grid, weights), 1.0 if weights is None else float(np.mean(weights**2))
-        rows = self.grid.size
+        rows, sized = self.grid.size, self.turn % SIZED_EVERY == 0
         if watches:
-            self.seen.add(G, tangents, self.wide_flutter.of(stretch), rows, square)
+            self.seen.add(G, tangents, self.wide_flutter.of(stretch) if sized else 0.0, rows, square)
             G, tangents = G[:, self.own[:, None], self.own], tangents[self.own]
         self.turn += 1
-        motion = self.own_flutter.of(stretch)
+        motion = self.own_flutter.of(stretch) if sized else 0.0
         self.slow.add(G, tangents, motion, rows, square)
         self.fast.add(G, tangents, motion, rows, square)
         self.shared += square
@@ -197,7 +198,8 @@ class RollingFit:
         if first is None or not sums.size:
             return gram, mean
         count = np.asarray(memory.n * self.grid.per_cell[:, None, None], np.float64)
-        return first.scaled(*sums.moments(memory.motion)).without(self.local.point.noise, gram, count, mean)
+        now = first.scaled(*sums.moments(memory.motion)) if memory.motion.any() else first
+        return now.without(self.local.point.noise, gram, count, mean)
 
     def _dressing(self, beta: Floats | None) -> NDArray[np.complex128] | None:
         remembered = self.states.dressing

@@ -36,7 +36,7 @@ class Memory:
         self.n2 *= factor**2
         self.rows *= factor
 
-    def add(self, gram: Floats, tangents: Floats, motion: Floats, rows: int, square: float = 1.0) -> None:
+    def add(self, gram: Floats, tangents: Floats, motion: Floats | float, rows: int, square: float = 1.0) -> None:
         """square : mean square of the weights of the bins, whose mean is 1."""
         self.gram += gram
         self.tangents += tangents
