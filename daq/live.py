@@ -23,6 +23,7 @@ from .tables import gap_lines, gap_reasons, parameters_table
 if TYPE_CHECKING:
     from .metrics import MetricsServer
 
+OVER = ("link_back", "bus_restarted", "error_active", "log_recovered", "viewer_back")  # the end of what was told
 LOG_LOST = ("log_incomplete", "log_failed", "log_cut")
 
 
@@ -37,10 +38,11 @@ class Operator:
     def __call__(self, notice: Notice) -> None:
         if notice.code in LOG_LOST:
             self.lost_log = notice.text
-        if notice.level == "info":
+        if notice.level == "info" and notice.code not in OVER:
             self._output.detail(f"{self._device}{notice.text}")
         else:
-            self._output.note(f"{self._device}{notice.level}: {notice.text}")
+            level = "note" if notice.level == "info" else notice.level
+            self._output.note(f"{self._device}{level}: {notice.text}")
 
 
 def run(

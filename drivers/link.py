@@ -15,6 +15,7 @@ SLICE_S = 0.1  # longest wait inside a source: closing takes no longer
 BACKOFF_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts to reopen, the last for ever
 SILENT_S = 1.0
 MUTE_S = 2.0  # frames come, but no samples; a device has this long to describe itself
+AWAY_S = 3.0  # a link that is lost for longer is said why it cannot be opened again
 
 Data = TypeVar("Data")
 Out = TypeVar("Out", covariant=True)
@@ -75,6 +76,8 @@ class Link:
         self._connected = False
         self._attempt = 0
         self._next_try_s = 0.0
+        self._lost_s = 0.0
+        self._away = ""  # why it cannot be opened again, as last told
         self._last_data_s = 0.0
         self._silent = False
         self._last_samples_s = 0.0
@@ -151,6 +154,7 @@ class Link:
     def _lose(self, why: str) -> None:
         self._source.close()
         self._connected = False
+        self._lost_s, self._away = time.monotonic(), ""
         self._decoder.cause("reconnect")
         self._decoder.notices.add(time.monotonic_ns(), "error", "link_lost", f"{self.target}: {why}; trying again")
         self._back_off()
@@ -166,8 +170,12 @@ class Link:
             return
         try:
             self._source.open()
-        except LinkError:
+        except LinkError as error:
             self._back_off()
+            if time.monotonic() - self._lost_s > AWAY_S and str(error) != self._away:
+                self._away = str(error)
+                text = f"{error}; it is tried again"
+                self._decoder.notices.add(time.monotonic_ns(), "error", "link_missing", text)
             return
         self._connected = True
         self._last_data_s = self._last_samples_s = time.monotonic()

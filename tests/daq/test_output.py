@@ -17,6 +17,9 @@ from promises import PATIENCE_S
 from sessions import make_session, make_stream, write_log
 
 from daq.cli import main
+from daq.live import Operator
+from daq.output import Output
+from drivers.reading import Notice
 
 RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 Property = Callable[[str, object], None]
@@ -142,3 +145,11 @@ def test_the_time_of_a_bar_goes_on_where_no_stage_is_told() -> None:
     assert work.wait(PATIENCE_S) == 0
     assert b"working: a long stage" in said
     assert b"0:00:01" in said.partition(b"END")[0]
+
+
+def test_who_heard_of_a_trouble_hears_of_its_end(capsys: pytest.CaptureFixture[str]) -> None:
+    """Also without --verbose, which is for the rest."""
+    operator = Operator(Output(), "fan")
+    for level, code in (("error", "link_lost"), ("info", "link_back"), ("info", "shutdown_failed")):
+        operator(Notice(0, level, code, code))
+    assert capsys.readouterr().err == "rotorscope: fan: error: link_lost\nrotorscope: fan: note: link_back\n"

@@ -90,6 +90,27 @@ def test_pulled_and_plugged_in_again(cable: Cable, slcan: bool) -> None:
     assert driver.stats.reconnects == 1
 
 
+@pytest.mark.slow
+def test_what_stays_away_is_said_with_the_reason_once_each(cable: Cable) -> None:
+    """Under another name, or its name taken by something else: "trying again" alone would be said for ever."""
+    driver = make_driver(SerialConfig(str(cable.path)))
+    driver.open()
+    cable.send(wire(ramp_device("serial16", seconds=None), 20))
+    record = read_until(driver, Record(), lambda r: r.samples >= 20 * 64)
+    cable.pull()
+    read_until(driver, record, lambda r: "link_missing" in r.codes())
+    cable.path.write_text("no port")
+    read_until(driver, record, lambda r: len([n for n in r.notices if n.code == "link_missing"]) == 2)
+    read_for(driver, record, 2.0)
+    cable.path.unlink()
+    cable.plug()
+    read_until(driver, record, lambda r: "link_back" in r.codes())
+    driver.close()
+    missing, other = (n.text for n in record.notices if n.code == "link_missing")
+    assert missing.endswith("No such file or directory: check the name with `rotorscope ports`; it is tried again")
+    assert "is no serial port" in other
+
+
 def test_device_restarted_while_away_is_one_restart_gap(cable: Cable) -> None:
     driver = make_driver(SerialConfig(str(cable.path)))
     driver.open()
