@@ -112,8 +112,14 @@ def what_is_wrong(summary: RunSummary, operator: Operator, strict: bool, link: s
 def _nothing(summary: RunSummary, link: str) -> Exception:
     from drivers.errors import LinkOpenError
 
-    what = "frames came, but none of the rig's channels" if summary.stats.frames else "nothing came"
-    return LinkOpenError(f"{link}: {what}; check the device, its bit rate, and [link] of the rig file")
+    if summary.stats.frames:
+        what = "frames came, but none of the rig's channels; check the device, and [link] of the rig file"
+    elif summary.stats.bytes:
+        came = f"{summary.stats.bytes} bytes came, but no samples"
+        what = f"{came}; check the kind of link (slcan: or serial:), the bit rate, and the device"
+    else:
+        what = "nothing came; check the device, its bit rate, and [link] of the rig file"
+    return LinkOpenError(f"{link}: {what}")
 
 
 def simulate(

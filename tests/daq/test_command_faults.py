@@ -54,6 +54,26 @@ def assert_ramp(log: Recording, pieces: int = 1) -> None:
     assert len(np.unique(shift)) <= pieces
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "said"), [("serial", "bytes came, but no samples"), ("slcan", "nothing came")])
+def test_a_link_of_another_kind_than_the_devices_is_said(
+    rig: Path, kind: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """slcan lines read as frames of ours; and a line on which nobody speaks."""
+    with socket.create_server(("127.0.0.1", 0)) as listener, contextlib.ExitStack() as stack:
+
+        def talk() -> None:
+            client = stack.enter_context(listener.accept()[0])
+            if kind == "serial":
+                client.sendall(b"t30083132333435363738\r" * 500)
+
+        threading.Thread(target=talk).start()
+        url = f"{kind}:socket://127.0.0.1:{listener.getsockname()[1]}"
+        assert main(["run", str(rig), "--link", url, "--seconds", "0.5"]) == 3
+    assert f"rotorscope: {url}: " in (told := capsys.readouterr().err)
+    assert said in told.splitlines()[-1]
+
+
 # What a device or a link can do, when (in frames of 64 samples, 400 a second), and what the log then says.
 FAULTS = {
     "sequence": Fault("drop", 200, 3),
