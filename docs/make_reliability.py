@@ -59,10 +59,9 @@ command is refused before it begins.
 
 The rows say how many inputs each kind was run with; ten million are wanted of each, and not all are there: whole files of `npz`, `uff`,
 `rig`, `mcap` and of the `answer` process are few, as opening one costs more than what is in it; their members, data sets, tables, records
-and messages are read by themselves too, and stand in for them (of `uff-sets` not ten million yet). The libraries for .mat and .mf4 crash
-on some damaged files, which is why they run in a process of their own: an input costs about 1.5 and 4 ms there, most of it the
-library's, so ten million are 4 and 11 hours of a core. What that
-process may answer or die of is tried by itself (`answer`, `answer-members`).
+and messages are read by themselves too, and stand in for them. The libraries for .mat and .mf4 crash on some damaged files, which is
+why they run in a process of their own: an input costs about 1.5 and 4 ms there, most of it the library's, so ten million are 4 and 11
+hours of a core. What that process may answer or die of is tried by itself (`answer`, `answer-members`).
 
 ## After a crash
 
