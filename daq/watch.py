@@ -59,6 +59,8 @@ class Watch:
 
     def wall_clock(self) -> None:
         """The log's times go by the steady clock and its offset at the start; what is set later leaves them alone."""
+        if self._seen_ns is None:  # a session that ends before its log began
+            return
         moved = self._clock.wall_offset_ns() - self._wall_ns
         if abs(moved) > WALL_STEP_NS:
             self._wall_ns += moved

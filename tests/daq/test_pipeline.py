@@ -361,6 +361,16 @@ def test_a_device_whose_rate_is_not_what_it_says_is_told_once(true: float, link:
     assert all(f"come at {INFO.rate_hz * true:.6g} Hz by this computer's clock" in text for text in said)
 
 
+def test_a_device_without_the_rigs_channels_is_all_that_is_said() -> None:
+    """Not that the clock moved, by as much as it is since 1970."""
+    told: list[Notice] = []
+    pipeline = Pipeline(PLAN, [], FakeClock(), notify=told.append)
+    with pytest.raises(ConfigError, match="not the rig's channel b2y"):
+        pipeline.step([replace(INFO, signals=INFO.signals[:3])])
+    pipeline.finish(LinkStats(), {})
+    assert told == []
+
+
 def test_a_standstill_and_what_no_driver_says_of_its_losses_are_told_at_once() -> None:
     clock, told = FakeClock(), list[Notice]()
     pipeline = Pipeline(PLAN, [], clock, notify=told.append)
