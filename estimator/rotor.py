@@ -200,11 +200,14 @@ def linear_covariance(M: Array, C: Array, K: Array, Q: Array) -> Array:
     Raises ModelError if the linear system does not decay.
     """
     n = len(M)
+    unsteady = ModelError("the linear rotor does not decay, so it has no stationary response: check kL and c")
+    if np.any(np.diag(K) <= 0.0):
+        raise unsteady
     scale = np.sqrt(np.diag(K) / np.diag(M))  # state (w x, v): all entries of one size
     Mi = np.linalg.inv(M)
     A = np.block([[np.zeros((n, n)), np.diag(scale)], [-Mi @ K / scale, -Mi @ C]])
     if np.max(np.linalg.eigvals(A).real) >= 0.0:
-        raise ModelError("the linear rotor does not decay, so it has no stationary response: check kL and c")
+        raise unsteady
     B = np.zeros((2 * n, 2 * n))
     B[n:, n:] = Mi @ Q @ Mi.T
     P = solve_continuous_lyapunov(A, -B)

@@ -206,3 +206,5 @@ def test_what_is_missing_is_named() -> None:
         assemble(small_rig("chain", ("bearing2",)))
     with pytest.raises(ModelError, match="does not decay"):
         linear_covariance(np.eye(1), np.zeros((1, 1)), np.eye(1), np.eye(1))
+    with pytest.raises(ModelError, match="does not decay"):  # a minus sign too many in a rig file
+        linear_covariance(np.eye(1), np.eye(1), -np.eye(1), np.eye(1))
