@@ -104,7 +104,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
         else:
             # forces of time alone make products with the motion that pass for a stiffness that turns: sought again
-            before = replace(fitted_model(model, point), ball_pass_order=given)
+            before = replace(fitted_model(model, point), ball_pass_order=given, order_found=False)
             new_whole = fit_whole(with_settings(before, best), y, rate_hz)
             new_whole = replace(new_whole, model=fitted_model(new_whole.model, new_whole.point))
         new = rung(new_whole.model, new_whole.point, y)

@@ -91,6 +91,7 @@ class Model:
 
     mass : kg, keys "disc", "bearing1", "bearing2" (also "bearing1.x" where directions differ); absent = unknown.
     candidates : laws of the user that are not in the model, but on trial when it is diagnosed.
+    order_found : whether ball_pass_order is only an estimate, from the record.
     shaft_stiffness, shaft_damping : N/m and N s/m of each half of the shaft (physics: k of chain or beam form).
     """
 
@@ -102,6 +103,7 @@ class Model:
     shaft_damping: float = 0.0
     speed_rpm: float | None = None
     ball_pass_order: float | None = None
+    order_found: bool = False
     bearing: BearingGeometry | None = None
     linear: Mapping[str, Mapping[str, Setting]] = field(default_factory=lambda: EMPTY)
     effects: tuple[EffectUse, ...] = ()

@@ -40,10 +40,17 @@ def acting(effect: Effect, canonical: str, data: MotionBlocks) -> tuple[int, ...
 
 
 def searched(effect: Effect, model: Model) -> list[int]:
-    """Numbers of the parameters that are searched: neither amplitudes, nor given, nor known from the geometry."""
+    """Numbers of the parameters that are searched: neither amplitudes, nor given, nor known from the geometry. A
+    ball-pass order of the record is stepped with the rest: the phase of the amplitudes hangs on it."""
     return [
-        k for k, q in enumerate(effect.parameters) if not q.linear and not q.given and kinematic(q.scale, model) is None
+        k
+        for k, q in enumerate(effect.parameters)
+        if not q.linear and not q.given and (kinematic(q.scale, model) is None or _estimated(q, model))
     ]
+
+
+def _estimated(q: EffectParameter, model: Model) -> bool:
+    return q.scale == "bpfo" and model.order_found
 
 
 def start(q: EffectParameter, natural: Size, model: Model) -> float:

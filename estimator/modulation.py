@@ -76,7 +76,7 @@ def turned(model: Model, point: WorkingPoint) -> tuple[Model, tuple[str, ...]]:
     if known is not None and abs(found.order - known) < 4.0 * found.sd:
         return model, ()
     beside = "" if known is None else f"; the geometry says {known:.4f}"
-    return replace(model, ball_pass_order=found.order), (found.text + beside,)
+    return replace(model, ball_pass_order=found.order, order_found=True), (found.text + beside,)
 
 
 def turning(point: WorkingPoint) -> Turning | None:

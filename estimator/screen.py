@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from .effect import Effect
+from .effects.places import kinematic
 from .effects.places import places as canonical_places
 from .effects.strength import search_range
 from .model import Model
@@ -160,10 +161,11 @@ def best_at(point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Tri
     """The best trial of an effect at a spot over the grid of its searched parameters."""
     where = acting(effect, spot, point.data)
     loose = searched(effect, model)
+    unknown = [k for k in loose if kinematic(effect.parameters[k].scale, model) is None]
     free = tuple(q.linear for q in effect.parameters)
     best: tuple[Assessed, Placed] | None = None
     base = alone(point, where)
-    for p in grid(effect, model, point, where[0], loose):
+    for p in grid(effect, model, point, where[0], unknown):
         placed = Placed(effect, f"{spot}.{effect.name}", where, p, free)
         got = assess(point, placed, against=base)
         if got is not None and (best is None or got.gain > best[0].gain):

@@ -33,7 +33,8 @@ def timed(model: Model, y: Array, rate_hz: float) -> Model:
 
 
 def shaft_angle(pulses: Array, rate_hz: float, name: str = "tacho") -> Array:
-    """(n,) rad, rising through 2 pi k at the k-th pulse, linear between pulses, at the last known speed beyond them.
+    """(n,) rad, rising through a multiple of 2 pi at each pulse, linear between pulses, at the last known speed beyond
+    them. It begins within half a turn of 0: of an order that is not whole the phase depends on which pulse is 0.
 
     pulses : (n,) any height and width, NaN where a sample is missing. Raises DataError with fewer than four pulses.
     """
@@ -51,7 +52,7 @@ def shaft_angle(pulses: Array, rate_hz: float, name: str = "tacho") -> Array:
     first, last = turns[0] / distance[0], turns[-1] / distance[-1]
     out = np.where(n < edges[0], (n - edges[0]) * first, out)
     out = np.where(n > edges[-1], angle[-1] + (n - edges[-1]) * last, out)
-    return np.asarray(2 * np.pi * out)
+    return np.asarray(2 * np.pi * (out - np.rint(out[0])))
 
 
 def rising_edges(pulses: Array) -> Array:

@@ -17,8 +17,7 @@ T = np.arange(int(10 * RATE)) / RATE
 )
 def test_the_angle_is_that_of_the_shaft(speed: Speed) -> None:
     found = shaft_angle(5.0 * speed.pulses(T, 1 / RATE) - 1.0, RATE)
-    error = found - speed.phase(T)
-    error -= 2 * np.pi * np.round(np.median(error) / (2 * np.pi))
+    error = found - speed.phase(T)  # of no turn either: the phase of an order such as 5.09 hangs on it
     inside = slice(int(0.2 * RATE), int(9.8 * RATE))
     assert np.abs(error[inside]).max() < 0.05  # rad; the speed changes within a turn
 
