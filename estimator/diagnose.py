@@ -309,7 +309,8 @@ def _another_explains(
     """Whether a second effect, of another family, explains what the first leaves: two missing, not one unknown.
 
     At all its spots together it is to earn what smooth terms in the state of the first do: a one-sided stop has an odd
-    half, which takes a part of what an odd law of the wrong shape leaves.
+    half, which takes a part of what an odd law of the wrong shape leaves. Where the first has no single state, as
+    hysteresis, it is its own state: beside an odd curve any odd law takes a part.
     """
     say(0.93, "one effect or two?")
     small = plain(point, SEARCH_SECONDS)
@@ -319,7 +320,7 @@ def _another_explains(
     for effect in on_trial(model):
         if FAMILY.get(effect.name, effect.name) == family:
             continue
-        earned, seen = 0.0, False
+        earned, asked, seen = 0.0, sum(smooth.values()), False
         for spot in screen.spots(effect, model, point):
             on = acting(effect, spot, point.data)
             if not {*found, *smooth}.intersection(on):
@@ -327,8 +328,9 @@ def _another_explains(
             trial = screen.tried(small, point, model, effect, spot)
             if trial is not None:
                 earned += max(trial.gain - trial.df, 0.0)
+                asked += 0.0 if smooth else sum(adequacy.worth(point, effect.name, {*on}).values())
                 here = sum(found.get(i, 0.0) for i in on)
                 seen |= here > 0.0 and trial.gain > EXPLAINS * here
-        if seen and earned >= sum(smooth.values()):
+        if seen and earned >= asked:
             return True
     return False
