@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from .errors import DataError
 from .model import Model
 from .model_uses import not_judged
+from .plausible import check_moves
 
 CLIPPED = 0.002  # fraction of samples at the extreme value that is no accident
 
@@ -32,14 +33,7 @@ def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArra
             continue
         z = y[:, i]
         z = z[np.isfinite(z)]
-        if z.size < 2:
-            raise DataError(
-                f"channel {channel.name} has no valid samples: check its cable and its signal in the rig file"
-            )
-        low, high = z.min(), z.max()
-        if low == high:
-            what = "is zero throughout" if low == 0 else f"is constant at {low:g}"
-            raise DataError(f"channel {channel.name} {what}: check the sensor and its cable")
+        low, high = check_moves(channel.name, z)
         if channel.place in model.places and model.places.index(channel.place) in known:
             continue  # the model says so: the fit does, beside its numbers
         at_end = max(np.mean(z == low), np.mean(z == high))

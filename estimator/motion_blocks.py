@@ -18,6 +18,7 @@ from .features import NEAREST, Series
 from .filtered import Filtered
 from .model import MOTION, Model
 from .periodic import Push, Wave, pushes, series, waves
+from .plausible import check_moves
 from .rotor import shaft_at_caps
 from .sensor_response import forced, of_place
 from .shaft_angle import measured_phase
@@ -206,8 +207,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     shaken = {c.place: k for k, c in enumerate(model.channels) if c.kind == "force"}
     columns = moving + [shaken[p] for p in places if p in shaken]
     for k in columns:
-        if not (np.abs(y[:, k]) > 0.0).any():
-            raise DataError(f"channel {model.channels[k].name} is zero all along: check the sensor and the link")
+        check_moves(model.channels[k].name, y[np.isfinite(y[:, k]), k])
     while block > 1024 and y.shape[0] < 24 * block:
         block //= 2
     used = y if columns == [*range(y.shape[1])] else y[:, columns]
