@@ -218,7 +218,8 @@ def law_force(
     law, p, sums = law_of(effect), np.ascontiguousarray(p), np.zeros(4)
     t, phase = (_signal(z) for z in (state.t, state.phase))
     own = zip((state.x, state.v, state.xo, state.vo), reads, strict=True)
-    signals = [*(_signal(z) if read else t for z, read in own), t, phase]  # anything will do for what is not read
+    still = t if reads.all() else np.zeros(t.size)  # a gap that no state tried has reached is not to be reached by it
+    signals = [*(_signal(z) if read else still for z, read in own), t, phase]
     out, spare = np.empty(state.x.size), np.empty(state.x.size)
     widths = [(k, h) for k, h in enumerate(np.where(reads, state.h, 0.0).tolist()) if h > 0.0]
     for number, (k, h) in enumerate(widths or [(0, 0.0)]):

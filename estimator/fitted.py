@@ -12,6 +12,8 @@ from .model import EffectUse, Model, Setting
 from .placed import Placed
 from .working_point import WorkingPoint
 
+UNSEEN = "the motion of this record does not reach this law"
+
 
 def fitted_model(model: Model, point: WorkingPoint) -> Model:
     """The model with the values of the working point, and with effects of the point that it lacks added."""
@@ -60,9 +62,10 @@ def parameters(point: WorkingPoint) -> dict[str, Parameter]:
     for use in point.placed:
         for k, q in enumerate(use.effect.parameters):
             name = use.name(k)
-            out[name] = (
-                Parameter.judged(float(use.p[k]), sd[name], q.unit)
-                if name in sd
-                else Parameter(float(use.p[k]), 0.0, q.unit)
-            )
+            if name in sd:
+                out[name] = Parameter.judged(float(use.p[k]), sd[name], q.unit)
+            elif use.free[k]:
+                out[name] = Parameter(None, None, q.unit, False, UNSEEN)
+            else:
+                out[name] = Parameter(float(use.p[k]), 0.0, q.unit)
     return out

@@ -24,7 +24,7 @@ LEAST = 1e-30  # rms per unit that single precision holds: x^5 of a quiet bearin
 
 def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = False) -> list[Term]:
     """One column per free parameter: the force per unit for a linear one, a central difference for a searched one;
-    none for the latter as long as the law is zero.
+    none of a law that is zero all along the record.
 
     lin : (places, 3) m, kL, c.
     """
@@ -48,9 +48,9 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
             if placed.effect.kind == "memory":
                 memory[i] = _summed([w * m for (_, w), (_, _, m) in zip(ends, made, strict=True) if m is not None])
         rms = float(np.sqrt(np.mean([np.dot(z, z) / z.size for z in series.values()])))
-        if rms == 0.0 and not q.linear:
-            continue  # of a law that is still zero
-        out.append(light(Term(placed.name(k), q.unit, series, slopes, 1.0 / max(rms, 1e-300), memory)))
+        if rms == 0.0:
+            continue  # of a law that is still zero, or that the motion does not reach
+        out.append(light(Term(placed.name(k), q.unit, series, slopes, 1.0 / rms, memory)))
     return out
 
 

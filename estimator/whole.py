@@ -34,6 +34,7 @@ from .working_point import WorkingPoint
 Array = NDArray[np.float64]
 SHAPING = (*COLOURS, "correlated_force", "sensor_clipping", "sensor_noise")
 ROUNDS = 2  # of the numbers of periodic forces and colours, which the rest of the fit depends on
+UNEVEN = 1.3  # of the lowest rms of the inferred force in a sixth of a record, from where its change is told
 SETTLED = 0.5  # standard deviations by which a colour may still move
 
 
@@ -68,7 +69,23 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     data, slopes = whole.point.data, whole.point.slopes
     for i, place in enumerate(() if data.measured_force else data.places):
         refuse_without_resonance(place, float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band)
-    return replace(whole, messages=(*shortened(whole.point.data, y), *whole.messages))
+    return replace(whole, messages=(*shortened(data, y), *uneven(whole.point), *whole.messages))
+
+
+def uneven(point: WorkingPoint) -> tuple[str, ...]:
+    """What to tell the user of an unknown force whose level changes along the record. The determinant balances the mean
+    product of the force with a law as if it were even: of laws that motion makes strong a rest is left."""
+    data, most = point.data, 1.0
+    for force in point.force[data.driven == 0.0]:
+        power = (force.astype(np.float64) ** 2).reshape(data.blocks, -1).mean(axis=1)
+        level = np.sqrt(np.bincount(data.fold, power) / np.bincount(data.fold))
+        most = max(most, float(level.max() / level.min()))
+    if most < UNEVEN:
+        return ()
+    return (
+        f"the unknown force changes by a factor of {most:.1f} along the record, and is taken as even: what seems "
+        "missing may be that; judge stretches of even level by themselves",
+    )
 
 
 def _turning(model: Model, y: Array, rate_hz: float) -> Whole:

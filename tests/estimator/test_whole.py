@@ -18,7 +18,7 @@ from estimator.errors import DataError
 from estimator.model import EffectUse, Model, Setting
 from estimator.simulate import simulate
 from estimator.suspects import suspects
-from estimator.whole import fit_whole
+from estimator.whole import fit_whole, uneven
 
 # effect, strength, where, and how near its numbers come: standard deviations, or a part of the value for those
 # whose law is not quite that of a sampled record
@@ -186,3 +186,25 @@ def test_without_a_resonance_in_the_band_nothing_is_said(what: str) -> None:
     model = rig_model() if what == "noise" else rig_model("cubic", band=(3000.0, 8000.0))
     with pytest.raises(DataError, match="no resonance of bearing1.x inside the band"):
         fit_whole(model, y, RATE)
+
+
+def test_a_law_that_the_motion_does_not_reach_is_said_and_breaks_nothing() -> None:
+    """Its column is zero: the step of its stiffness was infinite, and `diagnose` ended with a LinAlgError."""
+    rig = one_bearing()
+    far = {"k": Setting(1e6), "gap": Setting(1e-3, fixed=True)}
+    model = replace(rig, effects=(*rig.effects, EffectUse("clearance", {"bearing1.x": far})))
+    y = simulate(rig, RATE, 2.0, seed=0, noise=0.02)
+    found = fit_whole(model, y, RATE).parameters
+    k = found["bearing1.x.clearance.k"]
+    assert (k.value, k.identifiable) == (None, False)
+    assert "does not reach" in k.reason
+    assert found["bearing1.x.cubic.kNL"].identifiable
+
+
+def test_an_unknown_force_that_grows_along_the_record_is_told(rig: Model) -> None:
+    """Of a complete model with a clearance 17 % seemed missing as the force grew by 2.5."""
+    point = fit_whole(rig, simulate(rig, RATE, 2.0, seed=0, noise=0.02), RATE).point
+    assert uneven(point) == ()
+    grown = replace(point, force=point.force * np.linspace(1.0, 2.0, point.force.shape[1], dtype=np.float32))
+    (said,) = uneven(grown)
+    assert "by a factor of 1.8" in said
