@@ -12,7 +12,11 @@ from .sink import ClockState
 EVERY_NS = 10_000_000_000  # what goes on and on is told this often
 WALL_STEP_NS = 500_000_000
 STILL_NS = 5_000_000_000
-UNSAID = ("sequence", "device_lost")  # reasons of gaps that no driver has a notice for
+UNSAID = {  # reasons of gaps that no driver has a notice for
+    "sequence": "on the way",
+    "device_lost": "by the device itself",
+    "source": "that the device did not send, or not at the rate of the rig file",
+}
 
 
 class Watch:
@@ -52,8 +56,7 @@ class Watch:
         """At once, then every ten seconds while it goes on."""
         now = self._clock.now_ns()
         if self._lost and (final or now - self._lost_ns >= EVERY_NS):
-            how = {"sequence": "on the way", "device_lost": "by the device itself"}
-            text = ", ".join(f"{count} {how[reason]} ({reason})" for reason, count in self._lost.items())
+            text = ", ".join(f"{count} {UNSAID[reason]} ({reason})" for reason, count in self._lost.items())
             self._say("warning", "samples_lost", f"samples lost: {text}; rotorscope info says where in the log")
             self._lost, self._lost_ns = {}, now
 
@@ -74,8 +77,8 @@ class Watch:
         true_hz = device.true_rate_hz()
         if true_hz is not None:
             self._rate_told = True
-            text = f"samples come at {true_hz:.6g} Hz by this computer's clock; the device says {device.rate_hz:g} Hz"
-            more = "frequencies are off by as much, stiffness by twice that; mend the device, or the rate that it gives"
+            text = f"samples come at {true_hz:.6g} Hz by this computer's clock, not at {device.rate_hz:g} Hz"
+            more = "frequencies are off by as much, stiffness by twice that; correct what device or rig file gives"
             self._say("warning", "rate_untrue", f"{text}: {more}")
 
     def overflow(self, dropped: int, final: bool) -> None:

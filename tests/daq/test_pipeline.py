@@ -390,8 +390,9 @@ def test_a_standstill_and_what_no_driver_says_of_its_losses_are_told_at_once() -
     for k in range(8, 107):
         assert after(0.1, Gap(64 * k, 1, "sequence"), vibration(64 * k + 1, 63)) == []
     assert after(0.1, vibration(64 * 107, 64)) == ["samples lost: 99 on the way (sequence)"]
+    assert after(10.1, Gap(64 * 108, 64, "source"), vibration(64 * 109, 64))[-1].startswith("samples lost: 64 that the")
     still = "this program stood still for 30.0 s (stopped, or this computer had no time for it)"
-    assert after(30.0, vibration(64 * 108, 64))[0].startswith(still)
+    assert after(30.0, vibration(64 * 110, 64))[0].startswith(still)
 
 
 def test_the_last_losses_of_a_session_are_told_in_its_log() -> None:
