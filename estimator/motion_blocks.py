@@ -64,6 +64,8 @@ class MotionBlocks:
     sharpened: Array  # (places, bins) by what undoing a sensor's resonance has multiplied its noise, in power
     measured: Series | None = None  # (places, n) displacement below the band, where the sensor is one of displacement
     slow: Series | None = None  # (places, n) all of it that the laws see: slow_motion.py
+    calm: Series | None = None  # (places, n) what laws see of x beside it, less the noise of sensors: calm.py
+    doubt: Array | float = 0.0  # (places, 2) sd of the displacement and velocity that this leaves
     shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
     pushes: tuple[Push, ...] = ()  # the model's periodic forces below the band, which laws feel
     waves: tuple[Wave, ...] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
@@ -106,6 +108,10 @@ class MotionBlocks:
         """(n,) displacement at a place as its laws see it."""
         return np.asarray(self.x[i] if self.slow is None else self.x[i] + self.slow[i])
 
+    def calmed(self, i: int) -> Series:
+        """(n,) the same without the noise of sensors: calm.py."""
+        return self.seen(i) if self.calm is None else np.asarray(self.seen(i) + self.calm[i])
+
     def sizes(self, i: int) -> Array:
         """(4,) rms of x, v at a place and of x, v in the other direction, 0 without one."""
         o = self.other(i)
@@ -114,7 +120,8 @@ class MotionBlocks:
     def smoothing(self, i: int) -> Array:
         """(4,) sqrt(3) sd of what a law sees of x, v, xo, vo beside the motion in the band: features.py."""
         o = self.other(i)
-        lost = np.concatenate([self.left_out[i], np.zeros(2) if o is None else self.left_out[o]])
+        both = np.hypot(self.left_out, self.doubt)
+        lost = np.concatenate([both[i], np.zeros(2) if o is None else both[o]])
         return np.asarray(np.sqrt(3.0) * np.maximum(lost, NEAREST * self.sizes(i)))
 
     def sign(self, i: int) -> float:
@@ -122,8 +129,8 @@ class MotionBlocks:
 
     def states(self, of: Callable[[Series], Series], **rest: Any) -> MotionBlocks:
         """With v, x and the slow displacement, (places, n) each, as `of` makes them, and other fields as given."""
-        measured, slow = (None if z is None else of(z) for z in (self.measured, self.slow))
-        return replace(self, v=of(self.v), x=of(self.x), measured=measured, slow=slow, **rest)
+        measured, slow, calm = (None if z is None else of(z) for z in (self.measured, self.slow, self.calm))
+        return replace(self, v=of(self.v), x=of(self.x), measured=measured, slow=slow, calm=calm, **rest)
 
     def at(self, rows: slice | list[slice] | NDArray[np.bool_], **rest: Any) -> MotionBlocks:
         """Only these rows: views of them if they are a slice. rest : fields that change with them."""
@@ -263,7 +270,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     return MotionBlocks(
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
         shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, driven,
-        sharpened(model, places, f), below, below, _shared(model, places), pushes(model, places),
+        sharpened(model, places, f), below, below, None, 0.0, _shared(model, places), pushes(model, places),
         waves(model, places, rate_hz),
     )  # fmt: skip
 

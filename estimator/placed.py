@@ -80,8 +80,8 @@ def _along(
     reads = depends(effect, p, np.maximum(size, 1e-300))
     sharp = tangents is None and sharp_at(effect, p, data, i)
     zero = np.zeros(n)
-    own: Series = data.seen(i)
-    xo, vo = (zero, zero) if o is None else (data.seen(o), data.v[o])
+    own: Series = data.calmed(i)
+    xo, vo = (zero, zero) if o is None else (data.calmed(o), data.v[o])
     out, sums = np.empty(n), np.zeros(4)
     for a in range(0, n, PIECE):
         b = min(a + PIECE, n)
@@ -96,7 +96,11 @@ def _along(
             series = None if tangents is None else (tangents[0, a:b], tangents[1, a:b])
             out[a:b], part = law_force(effect, p, state, reads, series)
         sums += part
-    return out, sums / n
+    sums /= n
+    if data.calm is not None:  # the mean tangent is of the whole displacement, as the likelihood has it
+        out -= sums[0] * data.calm[i]
+        out -= 0.0 if o is None else sums[2] * data.calm[o]
+    return out, sums
 
 
 def tangent_series(placed: Placed, data: MotionBlocks, i: int, p: Array) -> Array:

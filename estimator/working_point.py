@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .bandlimit import left_out
+from .calm import calmed
 from .contour import along, contour
 from .effects.strength import search_range
 from .features import Series
@@ -93,7 +94,8 @@ def fit_model(
         nu = np.zeros(P)
     else:
         kL, c, nu = start.kL.copy(), start.c.copy(), start.nu.copy()
-        data = data if start.data is data else replace(data, left_out=start.data.left_out)
+        if start.data is not data:
+            data = calmed(replace(data, left_out=start.data.left_out), start.A, nu, start.S)
         if {u.key for u in uses} - {u.key for u in start.placed}:  # a strong law takes over much of kL and c
             kL, c, _ = _first_linear(data, uses, start.lin)
     moved = np.full(1, np.inf)
@@ -105,6 +107,7 @@ def fit_model(
         kL, c, uses = _moved(point, kL, c)
         nu_old, (nu, weight) = nu, _noise(point)
         settled = np.allclose(nu * weight, nu_old * weight, rtol=NOISE_STEP, atol=NOISE_STEP * LEAST_NOISE)
+        data = data if settled else calmed(data, point.A, nu, point.S)
         shaken = any(isinstance(f, Probe) for f in point.fluctuations)
         if rounds == 0 or (moved.max(initial=0.0) < (SHAKEN if shaken else SETTLED) and settled):
             return replace(point, kL=kL, c=c, placed=tuple(uses))
