@@ -200,6 +200,7 @@ def test_interfaces_whose_library_is_missing_are_said_in_one_line() -> None:
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_makers_library_that_is_not_there_is_said_in_one_line() -> None:
     """python-can says more through a logger, which a program that has none prints."""
     opens = """
