@@ -1,43 +1,78 @@
-"""What laws see of a displacement that is measured with noise: of each frequency as much as is likely to be motion.
+"""What laws see of a displacement that is integrated from noisy measurements: of each frequency as much as is likely
+to be motion.
 
 A law of x + e is bent: a cubic comes out weak by twice the share of e^2 in x^2. White noise of an accelerometer is
-1 / w^4 in the displacement, and rules it where the sensor hears more of its own noise than of the force, at the lower
-edge of the band. So laws see E[x | measured], by Wiener's filter, and are smoothed by what is then in doubt (the mean
-of the law, given the measurement: regression calibration, Carroll et al., Measurement Error in Nonlinear Models, 2006,
-ch. 4). The linear terms keep the displacement as it is, as the likelihood knows the noise in it.
+1 / w^4 in the displacement, and rules it at the lower edge of the band. So laws see E[x | measured], by Wiener's filter
+with the spectrum as measured, and are smoothed by what is then in doubt (the mean of the law, given the measurement:
+regression calibration, Carroll et al., Measurement Error in Nonlinear Models, 2006, ch. 4). The linear terms keep the
+displacement as it is, as the likelihood knows the noise in it, and so does the mean tangent of a law. Noise of sensors
+of displacement is strong above the resonance, where the filter would take the third harmonic, which the motion tells,
+for noise: `fit` takes it out of the Gram matrices instead (dressing.flutter).
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .flutter import LITTLE, variance
+from .bandlimit import noise_shape
 from .linear_memory import filtered
-from .motion_blocks import MotionBlocks
 
 Array = NDArray[np.float64]
+LITTLE = 5e-4  # of the displacement, in power: noise under it bends no law by more than twice as much
+WIDTH = 7  # bins over which the spectrum of the motion is smooth
 
 
-def calmed(data: MotionBlocks, A: NDArray[np.complex128], nu: Array, S: Array) -> MotionBlocks:
-    """The record as laws see it beside sensor noise; as it is where the noise is little or the force is measured.
+@dataclass(frozen=True, slots=True)
+class Calm:
+    """f_hz : (f,). less : (places, f) what a law sees of x beside x itself, -1 (nothing of it) to 0 (all).
 
-    A : (bins, places, places) force per acceleration; nu : (places,) PSD of the sensors' noise over S; S : (places,).
+    doubt : (places, 2) sd of the displacement and velocity that are then in doubt. reach : rows on either side that
+    what is seen of one depends on.
     """
-    x2 = data.rms[0] ** 2
-    noise = nu * S * np.array([variance(kind, data.rate_hz, data.band) for kind in data.kinds])
-    if data.measured_force or (noise <= LITTLE * x2).all():
-        return replace(data, calm=None, doubt=np.zeros_like(data.left_out))
-    f = data.f_hz
-    w = 2 * np.pi * f
-    gain = data.colour / (data.colour + nu[:, None] * data.heard(A))
-    motion = S[:, None] * data.colour / np.abs(np.einsum("kii->ik", A)) ** 2 / w**4
-    lost = np.stack([motion * (1.0 - gain), motion * (1.0 - gain) * w**2], axis=2).sum(axis=1)
-    doubt = np.sqrt(lost * (data.rate_hz / data.block))
 
-    def less(i: int) -> Array:
-        return filtered(lambda at: np.interp(at, w, gain[i] - 1.0), data.x[i], data.rate_hz)
+    f_hz: Array
+    less: Array
+    doubt: Array
+    reach: int
 
-    return replace(data, calm=np.array([less(i) for i in range(len(x2))], np.float32), doubt=doubt)
+    def of(self, x: NDArray[np.floating], rate_hz: float) -> Array:
+        """(places, n) what laws see beside x (places, n), sound but for `reach` rows at either end."""
+        w = 2 * np.pi * self.f_hz
+
+        def one(i: int) -> Array:
+            return filtered(lambda at: np.interp(at, w, self.less[i]), x[i], rate_hz)
+
+        return np.array([one(i) for i in range(len(x))])
+
+
+def as_displacement(kinds: Sequence[str], f_hz: Array, noise: Array) -> Array:
+    """(places, f) one-sided PSD in m^2/Hz of what white noise, (places,) in the unit of each sensor, integrates to; 0
+    for sensors of displacement."""
+    w = 2 * np.pi * f_hz
+    integrated = np.array([kind != "displacement" for kind in kinds])
+    return np.asarray(noise_shape(kinds, w) / w**4 * (noise * integrated)[:, None])
+
+
+def is_little(f_hz: Array, e: Array, x2: Array) -> bool:
+    """Whether noise e, (places, f) m^2/Hz, is little beside the displacement, x2 (places,) m^2, everywhere."""
+    return bool((e @ np.gradient(f_hz) <= LITTLE * x2).all())
+
+
+def calm_of(f_hz: Array, seen: Array, e: Array, reach: int) -> Calm:
+    """f_hz : (f,) of the band, evenly spaced but for what is left out. seen, e : (places, f) one-sided PSDs in m^2/Hz
+    of the displacement as measured and of what in it is noise."""
+    df, w = np.gradient(f_hz), 2 * np.pi * f_hz
+    gain = np.clip(1.0 - e / np.maximum(_smooth(seen), e), 0.0, 1.0)
+    lost = seen * gain * (1.0 - gain)
+    doubt = np.sqrt(np.stack([lost @ df, lost @ (df * w**2)], axis=1))
+    return Calm(f_hz, gain - 1.0, doubt, reach)
+
+
+def _smooth(power: Array) -> Array:
+    """Means of WIDTH neighbours, (places, f)."""
+    count = np.convolve(np.ones(power.shape[1]), np.ones(WIDTH), "same")
+    return np.array([np.convolve(z, np.ones(WIDTH), "same") / count for z in power])

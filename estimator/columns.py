@@ -20,7 +20,8 @@ Floats = NDArray[np.float64]
 class Stretch:
     """Rows in a row, MARGIN more on either side. a, v, x, u : (places, n); force : row -> (n,); valid : (n,).
 
-    slow : (places, n) displacement below the band that the laws see beside x (slow_motion.py).
+    slow : (places, n) displacement below the band that the laws see beside x (slow_motion.py). calm : (places, n) what
+    they see beside x where sensors are noisy (calm.py).
     """
 
     a: Floats
@@ -33,6 +34,7 @@ class Stretch:
     phase: Floats
     rate_hz: float
     slow: Floats | None = None
+    calm: Floats | None = None
 
     @property
     def rows(self) -> int:
@@ -42,13 +44,17 @@ class Stretch:
         """(n,) displacement at a place as its laws see it."""
         return self.x[row] if self.slow is None else np.asarray(self.x[row] + self.slow[row])
 
+    def calmed(self, row: int) -> Floats:
+        """(n,) the same without the noise of sensors."""
+        return self.seen(row) if self.calm is None else np.asarray(self.seen(row) + self.calm[row])
+
     def part(self, start: int, stop: int) -> Stretch:
         """Rows start ... stop - 1 with their margins."""
         rows = slice(start, stop + 2 * MARGIN)
         a, v, x, u = (z[:, rows] for z in (self.a, self.v, self.x, self.u))
         force = {i: z[rows] for i, z in self.force.items()}
-        slow = None if self.slow is None else self.slow[:, rows]
-        return Stretch(a, v, x, u, self.valid[rows], force, self.t[rows], self.phase[rows], self.rate_hz, slow)
+        slow, calm = (None if z is None else z[:, rows] for z in (self.slow, self.calm))
+        return Stretch(a, v, x, u, self.valid[rows], force, self.t[rows], self.phase[rows], self.rate_hz, slow, calm)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,9 +124,9 @@ class Columns:
         other = self.balance.other(row)
         zero = np.zeros(stretch.t.size)
         h = np.sqrt(3.0) * np.concatenate([self.widths[row], self.widths[other] if other >= 0 else np.zeros(2)])
-        xo, vo = (stretch.seen(other), stretch.v[other]) if other >= 0 else (zero, zero)
+        xo, vo = (stretch.calmed(other), stretch.v[other]) if other >= 0 else (zero, zero)
         sign = 1.0 if self.balance.places[row].endswith(".x") else -1.0
-        return State(stretch.seen(row), stretch.v[row], xo, vo, stretch.t, stretch.phase, sign, h, stretch.valid)
+        return State(stretch.calmed(row), stretch.v[row], xo, vo, stretch.t, stretch.phase, sign, h, stretch.valid)
 
     def evaluate(self, stretch: Stretch) -> tuple[Floats, Floats]:
         """(columns, rows) and (columns, 4) sums of tangents over the valid rows. Raises DataError if not finite."""
@@ -174,7 +180,14 @@ class Columns:
             force, sums = law_force(effect, p, states[key], law.reads)
             total += weight * force
             tangents += weight * sums
-        return (decimated(total), tangents / FINER) if law.fine else (total, tangents)
+        if law.fine:
+            total, tangents = decimated(total), tangents / FINER
+        if stretch.calm is not None:  # the mean tangent is of the whole displacement, as the likelihood has it
+            inner, other = slice(MARGIN, MARGIN + stretch.rows), self.balance.other(column.row)
+            mean = tangents / max(1, int(stretch.valid[inner].sum()))
+            total -= mean[0] * stretch.calm[column.row, inner]
+            total -= mean[2] * stretch.calm[other, inner] if other >= 0 else 0.0
+        return total, tangents
 
     def not_finite(self, k: int) -> DataError:
         """What is wrong where the force of law column k is not a number."""

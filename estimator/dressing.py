@@ -1,4 +1,4 @@
-"""The laws of a force balance dressed by what their tangents fluctuate (self_energy.py)."""
+"""The laws of a force balance dressed by what their tangents fluctuate (self_energy.py), and by sensor noise."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from .balance import Balance
 from .columns import Columns
 from .contour import lasting, modes_of
-from .features import MARGIN
 from .gram import valid_blocks
 from .likelihood import responses
 from .record import Record, stretches
@@ -20,31 +19,14 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 
-@dataclass(frozen=True, slots=True)
-class Fluctuating:
-    """How the tangents of the laws at a place fluctuate. laws : their columns. mean : response of the place.
-
-    C : (laws, laws, 2, 2, lags) <kappa_ja(t + lag) kappa_kb(t)>, a and b: along x and v; dt : s, of a lag. bend :
-    (laws,) N/m^3, half the curvature of the tangent, from its regression on x^2. x2 : m^2, mean square of x.
-    """
-
-    row: int
-    laws: NDArray[np.intp]
-    mean: Mean
-    C: Floats
-    dt: float
-    bend: Floats
-    x2: float
-
-
-def fluctuating(
+def self_energies(
     record: Record, columns: Columns, B: Floats, tangents: Floats, f_hz: Floats, seconds: float = SECONDS
-) -> list[Fluctuating] | None:
-    """Of each place with laws, from `seconds` of the record or more.
+) -> Complexes | None:
+    """(f, columns, columns) N/m, at f_hz, per pair of law columns at one place: Sigma_j is its sum over k times B_k.
 
-    B : (places, columns) coefficients of the balance; tangents : (columns, 4) means; f_hz : the band. Without places
-    that take part in a mode that lasts or grows (contour.py), as what decays is needed. None where the mean response
-    of a place does not decay, or no law is there.
+    B : (places, columns) coefficients of the balance; tangents : (columns, 4) means. Nothing where a place takes part
+    in a mode that lasts or grows (contour.py), as what decays is needed. None where the mean response of a place does
+    not decay, or no law is there.
     """
     balance = columns.balance
     mean = mean_responses(balance, B, tangents)
@@ -52,42 +34,70 @@ def fluctuating(
         return None
     modes, motion = modes_of(B @ responses(balance, tangents, f_hz), np.diag(B), f_hz)
     lasts = lasting(modes, motion, np.array([1.0 / m.decay for m in mean]))
-    places = [(row, np.array(laws_at(balance, row), np.intp)) for row in np.flatnonzero(~lasts).tolist()]
-    return [_of_place(record, columns, row, laws, mean[row], seconds) for row, laws in places if laws.size]
-
-
-def laws_at(balance: Balance, row: int) -> list[int]:
-    """The columns of laws at a place."""
-    return [
-        k
-        for k, c in enumerate(balance.columns)
-        if c.kind == "law" and c.row == row and balance.laws[c.law].effect.kind == "force"
-    ]
-
-
-def self_energies(found: list[Fluctuating], B: Floats, f_hz: Floats) -> Complexes:
-    """(f, columns, columns) N/m, at f_hz, per pair of law columns at one place: Sigma_j is its sum over k times B_k."""
-    out = np.zeros((f_hz.size, B.shape[1], B.shape[1]), complex)
-    for z in found:
-        out[:, z.laws[:, None], z.laws] = pair_energies(z.C, z.dt, B[z.row, z.laws], z.mean, f_hz)
+    out = np.zeros((f_hz.size, len(balance.columns), len(balance.columns)), complex)
+    for row in np.flatnonzero(~lasts).tolist():
+        laws = [
+            k
+            for k, c in enumerate(balance.columns)
+            if c.kind == "law" and c.row == row and balance.laws[c.law].effect.kind == "force"
+        ]
+        if laws:
+            C, dt = _covariances(record, columns, laws, mean[row], seconds)
+            out[:, np.array(laws)[:, None], laws] = pair_energies(C, dt, B[row, laws], mean[row], f_hz)
     return out
 
 
-def _of_place(
-    record: Record, columns: Columns, row: int, laws: NDArray[np.intp], mean: Mean, seconds: float
-) -> Fluctuating:
+@dataclass(frozen=True, slots=True)
+class Flutter:
+    """What the noise e of displacement sensors does in the laws, per unit of each law.
+
+    covariance : (places, columns, columns) of the tangents at a place, (N/m)^2. bend : (places, columns) N/m^3, half
+    the curvature of the tangent, from its regression on x^2; both 0 for other columns and sensors.
+    """
+
+    covariance: Floats
+    bend: Floats
+
+
+def flutter(record: Record, columns: Columns, seconds: float = SECONDS) -> Flutter | None:
+    """What noise does in the laws; None where no sensor is one of displacement (integrated, that of others is small).
+
+    The noise enters the force of a law as phi'(x) e + phi''(x) e^2 / 2. The mean tangent is seen through A; by what it
+    fluctuates it adds white noise to the column of the law, which least squares would bend the law to shrink. The
+    second part has the mean <e^2> phi'' / 2, which looks like a stiffness.
+    """
+    balance = columns.balance
+    covariance = np.zeros((len(balance.places), len(balance.columns), len(balance.columns)))
+    bend = np.zeros((len(balance.places), len(balance.columns)))
+    usable = valid_blocks(record.motion.valid, record.grid)[::2]
+    usable = usable[: max(2, int(seconds * record.rate_hz / record.grid.size))]
+    for row, kind in enumerate(balance.kinds):
+        laws = [
+            k
+            for k, c in enumerate(balance.columns)
+            if c.kind == "law" and c.row == row and balance.laws[c.law].effect.kind == "force"
+        ]
+        if laws and kind == "displacement":
+            series, factor = _series(record, columns, laws, usable)
+            tangents = series[:, 0, :, ::factor].reshape(len(laws), -1)
+            first = usable * record.grid.hop
+            square = np.concatenate([record.motion.x[row, a : a + record.grid.size] for a in first]) ** 2
+            square -= square.mean()
+            covariance[row, np.array(laws)[:, None], laws] = np.cov(tangents).reshape(len(laws), len(laws))
+            bend[row, laws] = tangents @ square / (square @ square)
+    return Flutter(covariance, bend) if covariance.any() else None
+
+
+def _covariances(record: Record, columns: Columns, laws: list[int], mean: Mean, seconds: float) -> tuple[Floats, float]:
+    """(laws, laws, 2, 2, lags) <kappa_ja(t + lag) kappa_kb(t)>, a and b: along x and v; and the time step."""
     usable = valid_blocks(record.motion.valid, record.grid)[::2]  # each row once
     usable = usable[: max(2, int(mean.seconds(seconds) * record.rate_hz / record.grid.size))]
-    series, x, factor = _series(record, columns, row, laws, usable)
+    series, factor = _series(record, columns, laws, usable)  # (laws, 2, blocks, n)
     dt = 1.0 / (factor * record.rate_hz)
     series -= series.mean(axis=(2, 3), keepdims=True)
     lags = mean.lags(dt, series.shape[3])
     Z = [spectra(z, lags) for z in series]
-    C = np.array([[covariance(a, b, lags) for b in Z] for a in Z])
-    x2 = float(np.mean(x**2))
-    square = (x**2 - x2).ravel()
-    bend = series[:, 0, :, ::factor].reshape(laws.size, -1) @ square / (square @ square)
-    return Fluctuating(row, laws, mean, C, dt, bend, x2)
+    return np.array([[covariance(a, b, lags) for b in Z] for a in Z]), dt
 
 
 def pair_energies(C: Floats, dt: float, B: Floats, mean: Mean, f_hz: Floats) -> Complexes:
@@ -100,26 +110,21 @@ def pair_energies(C: Floats, dt: float, B: Floats, mean: Mean, f_hz: Floats) -> 
     return out
 
 
-def _series(
-    record: Record, columns: Columns, row: int, laws: NDArray[np.intp], usable: NDArray[np.intp]
-) -> tuple[Floats, Floats, int]:
-    """(laws, 2, blocks, n) tangents along x and v, all on the finest grid that one of the laws needs, (blocks, rows) of
-    x, and how many rows of the one there are to one of the other."""
+def _series(record: Record, columns: Columns, laws: list[int], usable: NDArray[np.intp]) -> tuple[Floats, int]:
+    """(laws, 2, blocks, n) tangents along x and v, all on the finest grid that one of the laws needs."""
     grid = record.grid
-    parts, x = [], np.empty((usable.size, grid.size))
-    for b, group in enumerate(stretches(usable, 1)):
+    parts = []
+    for group in stretches(usable, 1):
         start = int(group[0]) * grid.hop
-        stretch = record.stretch(start, start + grid.size)
-        x[b] = stretch.x[row, MARGIN:-MARGIN]
-        parts.append([columns.tangent_series(k, stretch) for k in laws.tolist()])
+        parts.append([columns.tangent_series(k, record.stretch(start, start + grid.size)) for k in laws])
     factor = max(p[2] for p in parts[0])
-    out = np.empty((laws.size, 2, len(parts), grid.size * factor))
+    out = np.empty((len(laws), 2, len(parts), grid.size * factor))
     fine = np.arange(grid.size * factor) / factor
     for b, part in enumerate(parts):
         for j, (kx, kv, own) in enumerate(part):
             for a, z in enumerate((kx, kv)):
                 out[j, a, b] = z if own == factor else np.interp(fine, np.arange(grid.size), z)
-    return out, x, factor
+    return out, factor
 
 
 def mean_responses(balance: Balance, B: Floats, tangents: Floats) -> list[Mean]:

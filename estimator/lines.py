@@ -21,7 +21,7 @@ from .maximum import initial
 from .moving_lines import MovingLines
 from .record import CELLS_WITH_FORCE, Record, notches, stretches
 from .side_by_side import each
-from .start import Start, fed, linear_start
+from .start import Start, calmed, fed, linear_start
 
 Floats = NDArray[np.float64]
 FALSE_ALARM = 1e-5  # of a record
@@ -122,10 +122,10 @@ def begin(record: Record, longest: int = LONGER, known: tuple[tuple[float, float
     # what feeds a rotor makes resonances that the start knows nothing of
     steady = fourth < STEADY * power**2 if any(fed(record.model, p) for p in record.model.places) else None
     more = find_lines(power, count, record.grid.f_hz, steady=steady)
-    if not more:
-        return record, start
-    record = _leave_out(record, tuple(sorted((*known, *strong, *more))), record.grid.longer)
-    return record, linear_start(record)
+    if more:
+        record = _leave_out(record, tuple(sorted((*known, *strong, *more))), record.grid.longer)
+        start = linear_start(record)
+    return calmed(record, start)
 
 
 def swept(record: Record, start: Start) -> tuple[Record, Start]:

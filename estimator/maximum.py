@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .balance import Balance, build
-from .dressing import dressed, fluctuating, mean_responses, self_energies
+from .bandlimit import passband
+from .dressing import Flutter, dressed, flutter, mean_responses, self_energies
 from .errors import DataError
-from .flutter import Flutter, flutter
 from .known_force import is_known
 from .likelihood import Likelihood, Local, Point, active, maximise
 from .model import Model
@@ -65,7 +65,7 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
     local, converged = maximise(Likelihood(bank.evidence(start.nodes)), first)
     if not searching:
         tangents = tangents_of(record, start, bank, local)
-        bank = without_flutter(bank, local, tangents)
+        bank = without_flutter(record, bank, local, tangents)
         likelihood, local, converged = dress(bank, start, local, tangents, converged)
         known |= dict(zip(held.names, local.point.beta.tolist(), strict=True))
         return Maximum(held, bank, likelihood, local, known, converged)
@@ -80,7 +80,7 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
             local, converged = maximise(Likelihood(bank.evidence(start.nodes)), point)
             if whole:
                 tangents = tangents_of(record, start, bank, local) if tangents is None else tangents
-                bank = without_flutter(bank, local, tangents)
+                bank = without_flutter(record, bank, local, tangents)
                 likelihood, local, converged = dress(bank, start, local, tangents, converged)
             moved = _move(balance, local, known, last=whole)
             if moved < SETTLED:
@@ -131,7 +131,7 @@ def _move(balance: Balance, local: Local, values: dict[str, float], last: bool) 
 
 @dataclass(frozen=True, slots=True)
 class Tangents:
-    """What fluctuating tangents do. pairs : (nodes, columns, columns), dressing.py; flutter : what noise does."""
+    """What fluctuating tangents do (dressing.py). pairs : (nodes, columns, columns); flutter : what noise does."""
 
     pairs: NDArray[np.complex128]
     flutter: Flutter | None
@@ -143,19 +143,40 @@ def tangents_of(record: Record, start: Start, bank: Bank, local: Local) -> Tange
         return None
     columns = record.columns(bank.balance, start.widths, start.linear)
     B = bank.balance.coefficients(local.point.beta)
-    found = fluctuating(record, columns, B, bank.tangents, start.nodes.f_hz)
-    if found is None:
-        return None
-    return Tangents(self_energies(found, B, start.nodes.f_hz), flutter(found, record, columns, local.point.noise))
+    pairs = self_energies(record, columns, B, bank.tangents, start.nodes.f_hz)
+    return None if pairs is None else Tangents(pairs, flutter(record, columns) if local.point.noise.any() else None)
 
 
-def without_flutter(bank: Bank, local: Local, tangents: Tangents | None) -> Bank:
-    """The bank without what the noise of sensors adds to the laws and their squares (flutter.py)."""
+def without_flutter(record: Record, bank: Bank, local: Local, tangents: Tangents | None) -> Bank:
+    """The bank without what the noise of displacement sensors adds to the laws and their squares (dressing.flutter)."""
     if tangents is None or tangents.flutter is None:
         return bank
     count = bank.blocks[:, None, None, None] * bank.grid.per_cell[:, None, None]
-    grams, slope = tangents.flutter.without(local.point.noise, bank.grams, count, bank.tangents)
+    still = without_noise(tangents.flutter, local.point.noise, record.rate_hz, record.model.band)
+    grams, slope = still(bank.grams, count, bank.tangents)
     return replace(bank, grams=grams, tangents=slope)
+
+
+def without_noise(
+    flutter: Flutter, noise: Floats, rate_hz: float, band: tuple[float, float]
+) -> Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]:
+    """What takes it out of Gram matrices (..., k, k) of `count` bins and of mean tangents (k, 4): (gram, count, mean).
+
+    noise : (places,) one-sided PSD of the sensors.
+    """
+    P, k = flutter.bend.shape
+    f = np.linspace(0.0, 0.5 * rate_hz, 2000)
+    variance = noise * np.trapezoid(passband(f, rate_hz, band) ** 2, f)
+    straight = np.eye(k)
+    straight[:, 2 * P : 3 * P] -= (variance[:, None] * flutter.bend).T
+    per_bin = np.einsum("i,ikl->kl", noise, flutter.covariance)
+
+    def still(gram: Floats, count: Floats, mean: Floats) -> tuple[Floats, Floats]:
+        slope = mean.copy()
+        slope[:, 0] -= variance @ flutter.bend
+        return straight @ (gram - count * per_bin) @ straight.T, slope
+
+    return still
 
 
 def dress(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .balance import Balance, force_channels, motion_channels, shaft_notch, shaft_reaction
 from .bandlimit import Motion
+from .calm import Calm
 from .columns import Columns, Stretch
 from .errors import DataError
 from .features import MARGIN
@@ -40,6 +41,7 @@ class Record:
     grid: Layout
     lines: tuple[tuple[float, float], ...] = ()  # Hz, stretches left out of the grid (lines.py)
     slow: Floats | None = None  # (places, n) displacement below the band that laws see instead of what sensors measure
+    calm: Calm | None = None  # what laws see of the displacement where sensors are noisy
     weights: Floats | None = None  # (blocks, bins) what each bin of each block counts for (moving_lines.py); None: 1
     _rms: dict[str, Floats] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -106,7 +108,12 @@ class Record:
             a, v, x, u = (padded(z[:, lo:hi]) for z in (m.a, m.v, m.x, m.u))
             measured = None if m.slow is None else padded(m.slow[:, lo:hi])
         slow = measured if self.slow is None else padded(self.slow[:, lo:hi])
-        return Stretch(a, v, x, u, valid, force, t, phase, self.rate_hz, slow)
+        calm = None
+        if self.calm is not None:
+            more = self.calm.reach
+            wide = replace(self, calm=None).stretch(start - more, stop + more)
+            calm = self.calm.of(np.where(wide.valid, wide.x, 0.0), self.rate_hz)[:, more:-more]
+        return Stretch(a, v, x, u, valid, force, t, phase, self.rate_hz, slow, calm)
 
 
 def notches(model: Model) -> tuple[tuple[float, float], ...]:

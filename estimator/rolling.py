@@ -108,6 +108,8 @@ class RollingSpectral:
         """What is kept, from the piece that holds row `first` on, as a record."""
         parts = [p for p in self._kept if p.start + p.rows > first]
         record = as_record(self.model, self.rate_hz, parts, self._grid)
+        if self._fitted is not None:
+            record = replace(record, calm=self._fitted.calm)
         if not self._shaft.measured:
             return record
         angle = self._shaft.angle(record.motion.start, record.motion.start + record.motion.rows)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +10,12 @@ from numpy.typing import NDArray
 from .balance import Balance, build, restrict
 from .block_spectra import BlockSpectra
 from .columns import Columns
-from .dressing import dressed, fluctuating, self_energies
+from .dressing import dressed, self_energies
 from .estimate import Parameter
 from .features import MARGIN
-from .flutter import Flutter, flutter, noisy
 from .jacobian import levels
 from .likelihood import Evidence, Likelihood, Local, Point, active, maximise
-from .maximum import Maximum, initial, inverse, maximum
+from .maximum import Maximum, initial, inverse, maximum, without_noise
 from .model import Model
 from .motion_blocks import colours
 from .moving_lines import MovingLines
@@ -35,7 +33,6 @@ FAST = 0.25  # time constant of the watching memory over that of the long one
 CHANGE = 5.0  # standard deviations
 CHECKED_EVERY = 2  # solutions, for a change
 WATCHED_EVERY = 3  # blocks: every other one at most, so that no two share rows
-SIZED_EVERY = 2 * WATCHED_EVERY  # blocks, for how strongly tangents fluctuate
 LOOKED_EVERY = 8  # solutions
 FEWEST_WATCHED = 6  # blocks
 CENTRINGS = 4  # fits of the first seconds, each about the centre that the last one's lopsided laws make
@@ -64,19 +61,17 @@ class RollingFit:
         self.spectra = BlockSpectra(columns, self.own, grid)
         hop_s = grid.hop / record.rate_hz
         watching = max(FAST * time_constant_s, 10 * hop_s)
-        self.wide_columns = columns
-        rows = noisy(record, columns, start.noise)
-        self.own_flutter, self.wide_flutter = FlutterSums(self.columns, rows), FlutterSums(columns, rows)
+        self.own_flutter, self.wide_flutter = FlutterSums(self.columns), FlutterSums(columns)
         sizes = (len(own), self.own_flutter.size), (len(wide.columns), self.wide_flutter.size)
         self.slow, self.fast, self.seen = (
             Memory(float(np.exp(-hop_s / t)), np.zeros((grid.starts.size, k, k)), np.zeros((k, 4)), np.zeros(m))
             for t, (k, m) in ((time_constant_s, sizes[0]), (watching, sizes[0]), (time_constant_s, sizes[1]))
         )
+        self.calm = record.calm
         self.rate_hz, self.band = record.rate_hz, record.model.band
         self.centre = SlowMotion(self.columns, record)
         self.lines = MovingLines(grid.f_hz, any(c.kind == "tacho" for c in record.model.channels))
         self.pairs: NDArray[np.complex128] | None = None
-        self.flutters: list[Flutter | None] = [None, None]  # of own and of wide columns, at first
         self.local: Local
         self.suspicions = 0
         self.shared = 0.0  # sum of the products of the two memories' weights
@@ -134,15 +129,7 @@ class RollingFit:
         self.states.follow(B, record)
         record = self.centre.whole(record, B)
         mean = self.slow.tangents / self.slow.rows
-        f_hz, noise = self.start.nodes.f_hz, self.local.point.noise
-        found = fluctuating(record, self.columns, B, mean, f_hz, WARM_UP_S)
-        self.pairs = None if found is None else self_energies(found, B, f_hz)
-        self.flutters = [None if found is None else flutter(found, record, self.columns, noise), None]
-        if found is not None and self.wide_flutter.size:
-            size = len(self.wide.columns)
-            B, mean = _spread(B, self.own, size), _spread(mean.T, self.own, size).T
-            found = fluctuating(record, self.wide_columns, B, mean, f_hz, WARM_UP_S) or []
-            self.flutters[1] = flutter(found, record, self.wide_columns, noise)
+        self.pairs = self_energies(record, self.columns, B, mean, self.start.nodes.f_hz, WARM_UP_S)
 
     def forget(self) -> None:
         for memory in (self.slow, self.fast, self.seen):
@@ -157,7 +144,7 @@ class RollingFit:
     @property
     def margin(self) -> int:
         """Rows of a record that a block needs on either side of its own."""
-        return MARGIN + self.centre.reach
+        return MARGIN + self.centre.reach + (0 if self.calm is None else self.calm.reach)
 
     def take(self, record: Record, at: int, measured: bool) -> None:
         """Add the block that begins at row `at`, its lines left out. measured : the angle is that of a tacho."""
@@ -172,12 +159,12 @@ class RollingFit:
             speed_hz = float(stretch.phase[-1] - stretch.phase[0]) / (2 * np.pi * (stretch.t[-1] - stretch.t[0]))
         weights = self.lines(Z.force(B, own), speed_hz)
         G, square = Z.gram(self.grid, weights), 1.0 if weights is None else float(np.mean(weights**2))
-        rows, sized = self.grid.size, self.turn % SIZED_EVERY == 0
+        rows = self.grid.size
         if watches:
-            self.seen.add(G, tangents, self.wide_flutter.of(stretch) if sized else 0.0, rows, square)
+            self.seen.add(G, tangents, self.wide_flutter.of(stretch), rows, square)
             G, tangents = G[:, self.own[:, None], self.own], tangents[self.own]
         self.turn += 1
-        motion = self.own_flutter.of(stretch) if sized else 0.0
+        motion = self.own_flutter.of(stretch)
         self.slow.add(G, tangents, motion, rows, square)
         self.fast.add(G, tangents, motion, rows, square)
         self.shared += square
@@ -191,15 +178,14 @@ class RollingFit:
         return Likelihood(Evidence(self.balance, self.grid, gram, memory.n, mean, nodes, dressing, self.colour))
 
     def _still(self, memory: Memory) -> tuple[Floats, Floats]:
-        """Gram matrices and mean tangents without what the noise of sensors does in the laws."""
+        """Gram matrices and mean tangents without what the noise of displacement sensors does in the laws."""
         gram, mean = memory.gram, memory.tangents / memory.rows
-        wide = memory is self.seen
-        first, sums = self.flutters[wide], self.wide_flutter if wide else self.own_flutter
-        if first is None or not sums.size:
+        noise = self.local.point.noise
+        if memory.motion.size == 0 or not noise.any():
             return gram, mean
-        count = np.asarray(memory.n * self.grid.per_cell[:, None, None], np.float64)
-        now = first.scaled(*sums.moments(memory.motion)) if memory.motion.any() else first
-        return now.without(self.local.point.noise, gram, count, mean)
+        sums = self.wide_flutter if memory is self.seen else self.own_flutter
+        still = without_noise(sums.flutter(memory.motion), noise, self.rate_hz, self.band)
+        return still(gram, np.asarray(memory.n * self.grid.per_cell[:, None, None], np.float64), mean)
 
     def _dressing(self, beta: Floats | None) -> NDArray[np.complex128] | None:
         remembered = self.states.dressing
@@ -261,7 +247,9 @@ class RollingFit:
             return None
         dressing = self._dressing(beta)
         if dressing is not None:
-            dressing = _spread(dressing, self.own, len(self.wide.columns))
+            whole = np.zeros((dressing.shape[0], len(self.wide.columns)), complex)
+            whole[:, self.own] = dressing
+            dressing = whole
         gram, mean = self._still(seen)
         wide = Likelihood(Evidence(self.wide, self.grid, gram, seen.n, mean, self.start.nodes, dressing, self.colour))
         # blocks that share no rows vary less than the likelihood's count of them says
@@ -281,13 +269,6 @@ class RollingFit:
     def covariance(self) -> Floats:
         """H^-1 for weights that forget: the score varies by n2 / n of what the Hessian says."""
         return inverse(self.local) * (self.slow.n2 / self.slow.n)
-
-
-def _spread(z: NDArray[Any], at: NDArray[np.intp], size: int) -> NDArray[Any]:
-    """z with zeros between, so that its last axis has `size` entries and its own are at `at`."""
-    out = np.zeros((*z.shape[:-1], size), z.dtype)
-    out[..., at] = z
-    return out
 
 
 def _colour(record: Record, start: Start) -> Floats | None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .columns import Columns, Stretch
-from .dressing import laws_at
+from .dressing import Flutter
 from .features import MARGIN
 
 Floats = NDArray[np.float64]
@@ -36,7 +35,7 @@ class Memory:
         self.n2 *= factor**2
         self.rows *= factor
 
-    def add(self, gram: Floats, tangents: Floats, motion: Floats | float, rows: int, square: float = 1.0) -> None:
+    def add(self, gram: Floats, tangents: Floats, motion: Floats, rows: int, square: float = 1.0) -> None:
         """square : mean square of the weights of the bins, whose mean is 1."""
         self.gram += gram
         self.tangents += tangents
@@ -56,12 +55,22 @@ class Memory:
 
 
 class FlutterSums:
-    """How the tangents of the laws at some places fluctuate (flutter.py) from sums over blocks: of the tangents, of the
-    square of the displacement, and of all their products. `size` is 0 where no such law is."""
+    """dressing.flutter from sums over blocks: of the tangents of the laws where the sensor is one of displacement, of
+    the square of that, and of all their products. `size` is 0 where no such law is."""
 
-    def __init__(self, columns: Columns, rows: Sequence[int]) -> None:
+    def __init__(self, columns: Columns) -> None:
         self._columns = columns
-        self._laws = {row: laws for row in rows if (laws := laws_at(columns.balance, row))}
+        balance = columns.balance
+        self._laws = {
+            row: [
+                k
+                for k, c in enumerate(balance.columns)
+                if c.kind == "law" and c.row == row and balance.laws[c.law].effect.kind == "force"
+            ]
+            for row, kind in enumerate(balance.kinds)
+            if kind == "displacement"
+        }
+        self._laws = {row: laws for row, laws in self._laws.items() if laws}
         self.size = sum((2 + len(laws)) ** 2 for laws in self._laws.values())
 
     def of(self, stretch: Stretch) -> Floats:
@@ -77,8 +86,8 @@ class FlutterSums:
             out.append((z @ z.T).ravel())
         return np.concatenate(out) if out else np.zeros(0)
 
-    def moments(self, sums: Floats) -> tuple[Floats, Floats]:
-        """`covariance` and `bend` of Flutter, from the sums over all blocks."""
+    def flutter(self, sums: Floats) -> Flutter:
+        """From the sums over all blocks."""
         P, K = len(self._columns.balance.places), len(self._columns.balance.columns)
         covariance, bend, at = np.zeros((P, K, K)), np.zeros((P, K)), 0
         for row, laws in self._laws.items():
@@ -89,4 +98,4 @@ class FlutterSums:
             about = products / products[0, 0] - np.outer(means, means)
             covariance[row, np.array(laws)[:, None], laws] = about[2:, 2:]
             bend[row, laws] = about[1, 2:] / about[1, 1]
-        return covariance, bend
+        return Flutter(covariance, bend)

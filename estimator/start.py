@@ -8,11 +8,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .balance import build
-from .bandlimit import left_out
+from .balance import build, motion_channels
+from .bandlimit import half_length, left_out
+from .calm import as_displacement, calm_of, is_little
 from .errors import DataError
-from .features import NEAREST
-from .gram import Nodes, nodes
+from .features import MARGIN, NEAREST
+from .gram import Nodes, nodes, spectra, valid_blocks
 from .likelihood import Evidence, Likelihood, Local, Point, maximise, responses
 from .model import Model
 from .record import Record, gather
@@ -106,6 +107,22 @@ def linear_start(record: Record) -> Start:
     return Start(m, c, kL, local.point.S, local.point.noise, widths, sizes, at)
 
 
+def calmed(record: Record, start: Start) -> tuple[Record, Start]:
+    """The same with what the laws see beside the noise of sensors (calm.py), where no force is measured."""
+    grid, kinds = record.grid, [record.model.channels[c].kind for c in motion_channels(record.model)]
+    noise = as_displacement(kinds, grid.f_hz, start.noise)
+    if record.force or is_little(grid.f_hz, noise, record.rms("x") ** 2):
+        return record, start
+    blocks = valid_blocks(record.motion.valid, grid)[::2]
+    blocks = blocks[: max(1, int(SECONDS * record.rate_hz / grid.size))]
+    seen = np.zeros_like(noise)
+    for block in blocks.tolist():
+        stretch = record.stretch(block * grid.hop, block * grid.hop + grid.size)
+        seen += np.abs(spectra(stretch.x[:, MARGIN:-MARGIN], np.zeros(1, np.intp), grid)[:, 0]) ** 2 / blocks.size
+    calm = calm_of(grid.f_hz, seen, noise, half_length(record.rate_hz, record.model.band))
+    return replace(record, calm=calm), replace(start, widths=np.hypot(start.widths, calm.doubt))
+
+
 def renewed(start: Start, record: Record, evidence: Evidence, point: Point) -> Start:
     """The start about a better point, where the first one was blind to what shapes the force."""
     B = evidence.balance.coefficients(point.beta)
@@ -120,10 +137,9 @@ def _about(record: Record, evidence: Evidence, B: Floats, S: Floats) -> tuple[Fl
     coupled = resonances(evidence, B)  # with a stiff shaft far from those of each place alone
     alone = np.sqrt(kL / m) / (2 * np.pi), c / m / (2 * np.pi)
     at = nodes(record.grid, *(np.concatenate(pair) for pair in zip(coupled, alone, strict=True)))
-    return np.maximum(
-        left_out(m, c, kL, S + record.driven, record.model.band, record.rate_hz, evidence.balance.kinds),
-        NEAREST * record.scales,
-    ), at
+    widths = left_out(m, c, kL, S + record.driven, record.model.band, record.rate_hz, evidence.balance.kinds)
+    doubt = 0.0 if record.calm is None else record.calm.doubt
+    return np.maximum(np.hypot(widths, doubt), NEAREST * record.scales), at
 
 
 def _diagonals(B: Floats) -> tuple[Floats, Floats, Floats]:

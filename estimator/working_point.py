@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .bandlimit import left_out
-from .calm import calmed
+from .calm import as_displacement, calm_of, is_little
 from .contour import along, contour
 from .effects.strength import search_range
 from .features import Series
@@ -35,6 +35,7 @@ LEAST_LEFT = 0.3  # of a stiffness, after a step, where the force is measured
 STRIDE = 0.3  # of the reach of a searched parameter: one standard deviation of the step that is taken at once
 SETTLED = 0.1  # standard deviations by which the last step of a fit moves
 SHAKEN = 0.3  # the same where laws are dressed by a probe, which moves with them
+LOOKED_AT = 80  # blocks, for the spectrum of the motion
 STILL = 1.0  # the same below which the slow displacement is left as it is
 
 
@@ -95,7 +96,7 @@ def fit_model(
     else:
         kL, c, nu = start.kL.copy(), start.c.copy(), start.nu.copy()
         if start.data is not data:
-            data = calmed(replace(data, left_out=start.data.left_out), start.A, nu, start.S)
+            data = _calmed(replace(data, left_out=start.data.left_out), nu, start.S)
         if {u.key for u in uses} - {u.key for u in start.placed}:  # a strong law takes over much of kL and c
             kL, c, _ = _first_linear(data, uses, start.lin)
     moved = np.full(1, np.inf)
@@ -107,7 +108,7 @@ def fit_model(
         kL, c, uses = _moved(point, kL, c)
         nu_old, (nu, weight) = nu, _noise(point)
         settled = np.allclose(nu * weight, nu_old * weight, rtol=NOISE_STEP, atol=NOISE_STEP * LEAST_NOISE)
-        data = data if settled else calmed(data, point.A, nu, point.S)
+        data = data if settled else _calmed(data, nu, point.S)
         shaken = any(isinstance(f, Probe) for f in point.fluctuations)
         if rounds == 0 or (moved.max(initial=0.0) < (SHAKEN if shaken else SETTLED) and settled):
             return replace(point, kL=kL, c=c, placed=tuple(uses))
@@ -351,6 +352,25 @@ def _least(grid: Array, cost: Array) -> float:
     bend = before - 2 * here + after
     shift = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
     return float(grid[k] * (grid[k + 1] / grid[k]) ** shift)
+
+
+def _calmed(data: MotionBlocks, nu: Array, S: Array) -> MotionBlocks:
+    """The record as laws see it beside the noise of sensors; as it is where a force is measured (likely_path.py)."""
+    noise = as_displacement(data.kinds, data.f_hz, nu * S) * data.sharpened
+    if data.measured_force or is_little(data.f_hz, noise, data.rms[0] ** 2):
+        return replace(data, calm=None, doubt=0.0)
+    found = calm_of(data.f_hz, _spectrum(data), noise, 0)
+    return replace(data, calm=found.of(data.x, data.rate_hz).astype(np.float32), doubt=found.doubt)
+
+
+def _spectrum(data: MotionBlocks) -> Array:
+    """(places, bins) one-sided PSD of the displacement, m^2/Hz, of some of the blocks."""
+    from scipy.fft import rfft
+
+    window = np.hanning(data.block).astype(np.float32)
+    some = data.x.reshape(len(data.places), data.blocks, -1)[:, :: max(1, data.blocks // LOOKED_AT)]
+    Z = rfft(some * window, axis=2)[:, :, data.bins]
+    return np.asarray(np.mean(np.abs(Z) ** 2, axis=1, dtype=np.float64) * 2 / (data.rate_hz * (window @ window)))
 
 
 def _noise(point: WorkingPoint) -> tuple[Array, Array]:
