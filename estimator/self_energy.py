@@ -51,11 +51,6 @@ class Mean:
         """s in which free motion falls by e."""
         return 2 * self.m / self.c
 
-    def autocovariance(self, t: Floats) -> Floats:
-        """Of x under a white force, of t in s, over that at 0."""
-        w = np.sqrt(max(self.k / self.m - self.decay**-2, 1.0))
-        return np.asarray(np.exp(-t / self.decay) * (np.cos(w * t) + np.sin(w * t) / (w * self.decay)))
-
     def seconds(self, least: float = SECONDS) -> float:
         """Of the record that its covariances need."""
         return max(least, DECAYS * self.decay)
