@@ -72,6 +72,16 @@ def calm_of(f_hz: Array, seen: Array, e: Array, reach: int) -> Calm:
     return Calm(f_hz, gain - 1.0, doubt, reach)
 
 
+def as_seen(force: Array, mean: Array, calm: NDArray[np.floating], own: int, other: int) -> None:
+    """Of a law's force (n,) on what it sees, made in place: its mean tangent is of the whole displacement.
+
+    mean : (4,) tangents along x, v and those of the other direction. calm : (places, n). other : -1 where none is.
+    """
+    force -= mean[0] * calm[own]
+    if other >= 0:
+        force -= mean[2] * calm[other]
+
+
 def _smooth(power: Array) -> Array:
     """Means of WIDTH neighbours, (places, f)."""
     count = np.convolve(np.ones(power.shape[1]), np.ones(WIDTH), "same")

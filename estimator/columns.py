@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .balance import Balance
+from .calm import as_seen
 from .errors import DataError
 from .features import FINER, HALF, MARGIN, State, decimated, depends, folds, law_force, ready, rough
 from .hidden_states import along, remember
@@ -182,11 +183,10 @@ class Columns:
             tangents += weight * sums
         if law.fine:
             total, tangents = decimated(total), tangents / FINER
-        if stretch.calm is not None:  # the mean tangent is of the whole displacement, as the likelihood has it
-            inner, other = slice(MARGIN, MARGIN + stretch.rows), self.balance.other(column.row)
+        if stretch.calm is not None:
+            inner = slice(MARGIN, MARGIN + stretch.rows)
             mean = tangents / max(1, int(stretch.valid[inner].sum()))
-            total -= mean[0] * stretch.calm[column.row, inner]
-            total -= mean[2] * stretch.calm[other, inner] if other >= 0 else 0.0
+            as_seen(total, mean, stretch.calm[:, inner], column.row, self.balance.other(column.row))
         return total, tangents
 
     def not_finite(self, k: int) -> DataError:

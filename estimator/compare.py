@@ -86,7 +86,6 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     found, others, beside = missing_force.surveyed(
         part, model, lambda: suspects(model, point, y), lambda: twin(fitted_model(model, point), point, y)
     )
-    found = found.beside(others)
     clipped = [sensor_faults.said(s) for s in others if s.effect == "sensor_clipping"]
     say(0.85, "held-out likelihood")
     nll = heldout_nll(point)

@@ -174,7 +174,6 @@ def _ranked(
     say(0.15, "what can still be predicted")
     part = thinned(point, missing_force.SURVEY_SECONDS)
     before, others = missing_force.surveyed(part, model, lambda: suspects(model, point, y))
-    before = before.beside(others)
     trials = _screen(model, point, part, say)
     entries = evidence.entries(model, point, trials, before, others)
     say(0.8, "largest amplitudes")

@@ -132,7 +132,7 @@ def swept(record: Record, start: Start) -> tuple[Record, Start]:
     """The same without the lines that a changing speed carries along, where a tacho tells it: block by block, as the
     rolling estimate leaves them out. Raises DataError as `linear_start` does."""
     grid, model = record.grid, record.model
-    if not any(c.kind == "tacho" for c in model.channels):
+    if model.tacho is None:
         return record, start
     begins = np.arange(0, record.motion.rows - grid.size + 1, grid.hop)
     turned = record.phase[begins + grid.size - 1] - record.phase[begins]

@@ -263,10 +263,15 @@ def survey(
     return Survey(tuple(found), point.bearing_force).beside(others)
 
 
-def surveyed(point: WorkingPoint, model: Model, *more: Callable[[], Any]) -> tuple[Survey, *tuple[Any, ...]]:
-    """The survey of every place, on all of `point`, and the answers to what else is asked: by two processes."""
-    found = answers([*more, *_questions(point, model)])  # the longest, as they are, first
-    return Survey(tuple(found[len(more) :]), point.bearing_force), *found[: len(more)]
+def surveyed(
+    point: WorkingPoint, model: Model, others: Callable[[], list[Suspect]], *more: Callable[[], Any]
+) -> tuple[Survey, list[Suspect], *tuple[Any, ...]]:
+    """The survey of every place, on all of `point`, beside what `others` finds; that; and the answers to what else is
+    asked: by two processes."""
+    asked: list[Callable[[], Any]] = [others, *more, *_questions(point, model)]  # the longest, as they are, first
+    suspects, *found = answers(asked)
+    own = Survey(tuple(found[len(more) :]), point.bearing_force)
+    return own.beside(suspects), suspects, *found[: len(more)]
 
 
 def _questions(point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None) -> list[Callable[[], Residual]]:

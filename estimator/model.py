@@ -116,6 +116,11 @@ class Model:
         seen = dict.fromkeys(c.place for c in self.channels if c.kind in MOTION)
         return tuple(p for p in seen if p.split(".")[0] in NODES and p.split(".")[1] in DIRECTIONS)
 
+    @property
+    def tacho(self) -> int | None:
+        """Number of the channel of a tacho; None without one."""
+        return next((i for i, c in enumerate(self.channels) if c.kind == "tacho"), None)
+
     def cap_mass(self, place: str) -> float | None:
         """Mass in kg of the cap at a place such as "bearing1.x"; None if unknown."""
         return self.mass.get(place, self.mass.get(place.split(".")[0]))

@@ -183,6 +183,15 @@ def coarser(data: MotionBlocks, by: int) -> MotionBlocks:
                        phase=data.phase[rows])  # fmt: skip
 
 
+def spectrum(series: Array, block: int, rate_hz: float) -> tuple[Array, Array]:
+    """One-sided PSD of blocks laid end to end, Hann window."""
+    rows = series[: series.size // block * block].reshape(-1, block)
+    window = np.hanning(block)
+    Z = np.fft.rfft(rows * window, axis=1)
+    f: Array = np.asarray(np.fft.rfftfreq(block, 1 / rate_hz), dtype=np.float64)
+    return f, np.asarray(np.mean(np.abs(Z) ** 2, axis=0) * 2 / (rate_hz * np.sum(window**2)))
+
+
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
     """(f, places, places) N/m: what shaft and disc add to the dynamic stiffness at the measured caps."""
     D = np.zeros((f_hz.size, len(places), len(places)), complex)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import linear_memory
+from .calm import as_seen
 from .effect import Effect
 from .features import FINER, MARGIN, Series, State, decimated, depends, folds, jumps, law_force
 from .hidden_states import along
@@ -97,9 +98,8 @@ def _along(
             out[a:b], part = law_force(effect, p, state, reads, series)
         sums += part
     sums /= n
-    if data.calm is not None:  # the mean tangent is of the whole displacement, as the likelihood has it
-        out -= sums[0] * data.calm[i]
-        out -= 0.0 if o is None else sums[2] * data.calm[o]
+    if data.calm is not None:
+        as_seen(out, sums, data.calm, i, -1 if o is None else o)
     return out, sums
 
 

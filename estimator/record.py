@@ -90,6 +90,11 @@ class Record:
 
     def stretch(self, start: int, stop: int) -> Stretch:
         """Rows start ... stop - 1 and the margins that their evaluation needs, zeros beyond the record."""
+        if self.calm is not None:
+            more = self.calm.reach
+            wide = replace(self, calm=None).stretch(start - more, stop + more)
+            calm = self.calm.of(np.where(wide.valid, wide.x, 0.0), self.rate_hz)
+            return replace(wide, calm=calm).part(more, more + stop - start)
         m, n = self.motion, self.motion.rows
         lo, hi = max(start - MARGIN, 0), min(stop + MARGIN, n)
         pad = (lo - start + MARGIN, stop + MARGIN - hi)
@@ -108,12 +113,7 @@ class Record:
             a, v, x, u = (padded(z[:, lo:hi]) for z in (m.a, m.v, m.x, m.u))
             measured = None if m.slow is None else padded(m.slow[:, lo:hi])
         slow = measured if self.slow is None else padded(self.slow[:, lo:hi])
-        calm = None
-        if self.calm is not None:
-            more = self.calm.reach
-            wide = replace(self, calm=None).stretch(start - more, stop + more)
-            calm = self.calm.of(np.where(wide.valid, wide.x, 0.0), self.rate_hz)[:, more:-more]
-        return Stretch(a, v, x, u, valid, force, t, phase, self.rate_hz, slow, calm)
+        return Stretch(a, v, x, u, valid, force, t, phase, self.rate_hz, slow)
 
 
 def notches(model: Model) -> tuple[tuple[float, float], ...]:

@@ -220,7 +220,7 @@ def _lines(model: Model, grid: Layout) -> tuple[tuple[float, float], ...]:
     """
     half, low, high = 3.5 * grid.rate_hz / grid.size, *model.band
     lines = [hz for hz in known_lines(model) if low - half < hz < high + half]
-    if any(c.kind == "tacho" for c in model.channels) or 4 * half * len(lines) > high - low:
+    if model.tacho is not None or 4 * half * len(lines) > high - low:
         return ()
     return tuple((hz - half, hz + half) for hz in sorted(lines))
 

@@ -70,7 +70,7 @@ class RollingFit:
         self.calm = record.calm
         self.rate_hz, self.band = record.rate_hz, record.model.band
         self.centre = SlowMotion(self.columns, record)
-        self.lines = MovingLines(grid.f_hz, any(c.kind == "tacho" for c in record.model.channels))
+        self.lines = MovingLines(grid.f_hz, record.model.tacho is not None)
         self.pairs: NDArray[np.complex128] | None = None
         self.local: Local
         self.suspicions = 0

@@ -19,7 +19,7 @@ SHORT = 0.5  # and such a one is no turn at all (ringing, interference)
 
 def measured_phase(model: Model, y: Array, rate_hz: float) -> Array | None:
     """(n,) rad, the shaft angle along y (n, channels of the model); None without a tacho channel. Raises DataError."""
-    column = next((i for i, c in enumerate(model.channels) if c.kind == "tacho"), None)
+    column = model.tacho
     return None if column is None else shaft_angle(y[:, column], rate_hz, model.channels[column].name)
 
 

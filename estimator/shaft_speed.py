@@ -16,7 +16,7 @@ class ShaftAngle:
     """`push` the rows as they come, `drop` those no longer needed, ask for the `angle` along rows that are held."""
 
     def __init__(self, model: Model, rate_hz: float) -> None:
-        self._column = next((i for i, c in enumerate(model.channels) if c.kind == "tacho"), None)
+        self._column = model.tacho
         self._rate_hz = rate_hz
         self._given = 2.0 * np.pi * (model.speed_rpm or 0.0) / 60.0 / rate_hz  # rad a row
         self._first = 0

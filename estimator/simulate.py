@@ -128,7 +128,7 @@ class Simulator:
 
 def _refuse_without_speed(model: Model, plan: Plan) -> None:
     turning = [a.effect.name for a in plan.acting if a.effect.force and uses_phase(a.effect)]
-    if turning or any(c.kind == "tacho" for c in model.channels):
+    if turning or model.tacho is not None:
         raise ModelError(f"no shaft speed, but {', '.join(turning) or 'a tacho channel'} needs it: give speed_rpm")
 
 

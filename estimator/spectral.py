@@ -210,7 +210,7 @@ def _more_than_laws(model: Model) -> bool:
     more = any(e.kind != "force" or e.name in PERIODIC for e in effects)
     if not forced(model):
         more |= any(lopsided(e, usual(e), np.ones(4)) for e in effects)
-        timed = bool(model.speed_rpm) or any(c.kind == "tacho" for c in model.channels)
+        timed = bool(model.speed_rpm) or model.tacho is not None
         more |= timed and bool(modulation.laws(model))
     return more
 

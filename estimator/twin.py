@@ -12,7 +12,7 @@ from .bandlimit import noise_shape
 from .errors import DataError, ModelError
 from .free_run import free_run
 from .model import Model
-from .motion_blocks import MotionBlocks, cut
+from .motion_blocks import MotionBlocks, cut, spectrum
 from .simulate import simulate
 from .working_point import WorkingPoint
 
@@ -106,15 +106,6 @@ def of_acceleration(data: MotionBlocks, i: int) -> tuple[Array, Array]:
     """One-sided PSD of the acceleration at a place, from the velocity in the band."""
     f, power = spectrum(data.v[i], data.block, data.rate_hz)
     return f, (2 * np.pi * f) ** 2 * power
-
-
-def spectrum(series: Array, block: int, rate_hz: float) -> tuple[Array, Array]:
-    """One-sided PSD of blocks laid end to end, Hann window."""
-    rows = series[: series.size // block * block].reshape(-1, block)
-    window = np.hanning(block)
-    Z = np.fft.rfft(rows * window, axis=1)
-    f: Array = np.asarray(np.fft.rfftfreq(block, 1 / rate_hz), dtype=np.float64)
-    return f, np.asarray(np.mean(np.abs(Z) ** 2, axis=0) * 2 / (rate_hz * np.sum(window**2)))
 
 
 def _smooth(f: Array, *z: Array, count: int = 160) -> tuple[Array, ...]:

@@ -15,7 +15,7 @@ from .effects.strength import search_range
 from .features import Series
 from .fluctuation import Fluctuation, fluctuations
 from .model_uses import size
-from .motion_blocks import FOLDS, MotionBlocks, part_of
+from .motion_blocks import FOLDS, MotionBlocks, part_of, spectrum
 from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing, fit, gram
 from .periodic import Wave
 from .placed import Placed, evaluate, remembers
@@ -365,12 +365,8 @@ def _calmed(data: MotionBlocks, nu: Array, S: Array) -> MotionBlocks:
 
 def _spectrum(data: MotionBlocks) -> Array:
     """(places, bins) one-sided PSD of the displacement, m^2/Hz, of some of the blocks."""
-    from scipy.fft import rfft
-
-    window = np.hanning(data.block).astype(np.float32)
     some = data.x.reshape(len(data.places), data.blocks, -1)[:, :: max(1, data.blocks // LOOKED_AT)]
-    Z = rfft(some * window, axis=2)[:, :, data.bins]
-    return np.asarray(np.mean(np.abs(Z) ** 2, axis=1, dtype=np.float64) * 2 / (data.rate_hz * (window @ window)))
+    return np.array([spectrum(x.ravel(), data.block, data.rate_hz)[1][data.bins] for x in some])
 
 
 def _noise(point: WorkingPoint) -> tuple[Array, Array]:
