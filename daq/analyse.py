@@ -12,7 +12,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from estimator.effects import CATALOGUE
+from estimator.effects import CATALOGUE, MORE_LINES
 from estimator.estimate import Parameter
 from estimator.fit_result import Fit
 from estimator.shared_value import shared
@@ -39,7 +39,7 @@ def fit(output: Output, log: Path, rig_path: Path, method: str, out: Path | None
     with output.progress(f"fitting ({method})"), about(log, data):
         result = fitted(rig, data, method)
     if out is not None:
-        write_whole(out, with_values(rig, result.parameters))
+        write_whole(out, with_values(with_lines(rig, result.parameters), result.parameters))
     people: list[Any] = [parameters_table(result.parameters), ""]
     people += [value.said(name) for name, value in shared(result.parameters).items()]
     people += [f"note: {message}" for message in result.messages]
@@ -47,6 +47,16 @@ def fit(output: Output, log: Path, rig_path: Path, method: str, out: Path | None
     if out is not None:
         people.append(f"{out}: the rig file with the fitted values")
     output.result(result.to_json(), *people)
+
+
+def with_lines(rig: Rig, parameters: Mapping[str, Parameter]) -> Rig:
+    """The rig with the further lines that a fit found for one without a frequency, where it found them."""
+    for name in MORE_LINES:
+        there = dict.fromkeys(full.rsplit(".", 2)[0] for full in parameters if full.split(".")[-2] == name)
+        known = next((u.at for u in rig.model.effects if u.name == name), ())
+        if new := [place for place in there if place not in known]:
+            rig = Rig.parse(with_effect(rig, name, new), rig.base, rig.path)
+    return rig
 
 
 def given(output: Output, log: Path, rig_path: Path) -> tuple[Rig, Measurement]:
@@ -156,18 +166,20 @@ def with_verdict(rig: Rig, diagnosis: Mapping[str, Any]) -> Rig | None:
     row = next((r for r in diagnosis["ranking"] if r["effect"] == diagnosis["verdict"]), None)
     if row is None:
         return None
-    values: dict[str, dict[str, float]] = {}
-    for name, p in row["parameters"].items():
+    values: dict[str, dict[str, dict[str, float]]] = {}  # by effect (of several lines each is one), by place
+    for full, p in row["parameters"].items():
         if p["value"] is not None:
-            place, _, parameter = name.replace(f".{row['effect']}.", "\0").partition("\0")
-            values.setdefault(place, {})[parameter] = p["value"]
-    known = next((u.at for u in rig.model.effects if u.name == row["effect"]), ())
-    new = [place for place in values if place not in known]
+            place, effect, parameter = full.rsplit(".", 2)
+            values.setdefault(effect, {}).setdefault(place, {})[parameter] = p["value"]
     try:
-        text = with_effect(rig, row["effect"], new or row["at"], {p: values[p] for p in new})
-        return Rig.parse(text, rig.base, rig.path)
+        for effect, own in (values or {row["effect"]: {}}).items():
+            known = next((u.at for u in rig.model.effects if u.name == effect), ())
+            new = [place for place in own if place not in known]
+            text = with_effect(rig, effect, new or row["at"], {p: own[p] for p in new})
+            rig = Rig.parse(text, rig.base, rig.path)
     except ConfigError:  # there already, and named again for another reason
         return None
+    return rig
 
 
 def step(rig: Rig, comparison: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,12 +22,15 @@ from .rig_effects import at_places
 from .rig_problems import did_you_mean
 from .toml_text import blocks, insert_key, insert_table, remove_tables
 
+ANY_LINES = "without a frequency it stands for every line seen there; fit --out writes each: line, line_2 ..."
+
 
 def add(output: Output, effect: str, path: Path, out: Path, at: Sequence[str]) -> None:
     rig = load_rig(path)
     text = with_effect(rig, effect, at)
     write_whole(out, text)
-    _said(output, Rig.parse(text, out.parent, out, str(out)), out, f"added {effect}{_at(at)}")
+    what = f"added {effect}{_at(at)}" + (f" ({ANY_LINES})" if effect == "line" else "")
+    _said(output, Rig.parse(text, out.parent, out, str(out)), out, what)
 
 
 def remove(output: Output, effect: str, path: Path, out: Path, at: Sequence[str]) -> None:

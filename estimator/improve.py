@@ -15,11 +15,11 @@ from .evidence import Entry
 from .fitted import fitted_model, parameters
 from .heldout import heldout_nll, heldout_rmse
 from .missing_force import survey
-from .model import EffectUse, Model
+from .model import Model
 from .periodic import PERIODIC
 from .suspect import as_use
 from .suspects import suspects
-from .whole import fit_whole
+from .whole import fit_whole, with_uses
 from .working_point import WorkingPoint, fit_model
 
 Array = NDArray[np.float64]
@@ -123,12 +123,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
 
 def with_settings(model: Model, entry: Entry) -> Model:
     """The model with an effect that is no force law, at the values found."""
-    uses = {use.name: use for use in model.effects}
-    for name, own in entry.settings.items():
-        added = as_use(name, own).parameters
-        use = uses.get(name, EffectUse(name, {}))
-        uses[name] = replace(use, parameters={**use.parameters, **added})
-    return replace(model, effects=tuple(uses.values()))
+    return with_uses(model, {name: as_use(name, own).parameters for name, own in entry.settings.items()})
 
 
 def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:

@@ -98,7 +98,7 @@ def _turning(model: Model, y: Array, rate_hz: float) -> Whole:
         return replace(_fitted(modulation.begun(model) if said else model, y, rate_hz), messages=said)
     whole = _fitted(model, y, rate_hz)
     model, said = modulation.turned(whole.model, whole.point)
-    return replace(whole, model=model, messages=said)
+    return replace(whole, model=model, messages=(*whole.messages, *said))
 
 
 def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
@@ -110,7 +110,9 @@ def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
     bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u in undone))
     point = fit_record(bare, prepare(bare, y, rate_hz))
     numbered = {u.name for u in uses if u not in undone or not _told(u, model)}
-    model, found = _all_numbered(model, numbered, suspects(bare, point, y, everywhere=True), point)
+    seen = suspects(bare, point, y, everywhere=True)
+    further = _further_lines(model, seen)
+    model, found = _all_numbered(with_uses(model, further), numbered | further.keys(), seen, point)
     point = fit_record(model, prepare(model, y, rate_hz))
     colours = {u.name for u in uses if u.name in COLOURS and not _told(u, model)}
     for _ in range(ROUNDS if colours else 0):  # found among laws that they distort
@@ -127,7 +129,38 @@ def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
         found |= stepped
         if stepped:
             point = fit_record(model, prepare(model, y, rate_hz))
-    return Whole(model, point, found | _levels(model, found, point))
+    return Whole(model, point, found | _levels(model, found, point), _several(model, further))
+
+
+def _several(model: Model, further: Mapping[str, Mapping[str, Mapping[str, Setting]]]) -> tuple[str, ...]:
+    """What to tell the user of a line that is several."""
+    names = [u.name for u in model.effects if u.name in further]
+    return (f"line stands for several lines, {', '.join(['line', *names])}: fit --out writes them",) if names else ()
+
+
+def with_uses(model: Model, further: Mapping[str, Mapping[str, Mapping[str, Setting]]]) -> Model:
+    """The model with effects at further places. further : name -> canonical place -> parameter name -> Setting."""
+    uses = {use.name: use for use in model.effects}
+    for name, own in further.items():
+        use = uses.get(name, EffectUse(name, {}))
+        uses[name] = replace(use, parameters={**use.parameters, **own})
+    return replace(model, effects=tuple(uses.values()))
+
+
+def _further_lines(model: Model, seen: list[Suspect]) -> dict[str, dict[str, dict[str, Setting]]]:
+    """Name -> place -> no numbers, of lines seen that the model has no name for: at a place where it has one without a
+    frequency, which is as many lines as there are."""
+    out: dict[str, dict[str, dict[str, Setting]]] = {}
+    uses = [(u, at(NAMED[u.name], u, model)) for u in model.effects if u.name in periodic.LINE_NAMES]
+    for key in dict.fromkeys(key for _, keys in uses for key in keys):
+        own = {u.name: written(NAMED[u.name], u, model, key).get("frequency", Setting()) for u, ks in uses if key in ks}
+        if all(setting.value is not None for setting in own.values()):
+            continue
+        free = [name for name in periodic.LINE_NAMES if name not in own]
+        count = sum(s.effect == "line" and key in s.settings for s in seen) - len(own)
+        for name in free[: max(count, 0)]:
+            out.setdefault(name, {})[key] = {}
+    return {name: out[name] for name in periodic.LINE_NAMES if name in out}
 
 
 def _levels(model: Model, found: Mapping[str, Parameter], point: WorkingPoint) -> dict[str, Parameter]:

@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.analyse import fitted, with_verdict
+from daq.analyse import fitted, with_lines, with_verdict
 from daq.cli import main
+from daq.edit import with_effect, with_values
 from daq.measurement import Measurement
-from daq.rig import load_rig
+from daq.rig import Rig, load_rig
+from estimator.estimate import Parameter
 from estimator.simulate import simulate
 
 PAPER = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
@@ -67,6 +69,25 @@ def test_the_model_with_the_verdict_has_what_was_found() -> None:
     assert (use.name, use.at) == ("clearance", ("bearing1.x", "bearing1.y"))
     assert use.parameters["bearing1.y"]["gap"].value == 2e-7
     assert with_verdict(rig, {"verdict": "complete", "ranking": [row]}) is None
+
+
+def test_every_line_of_a_verdict_and_of_a_fit_goes_into_the_file() -> None:
+    rig = load_rig(PAPER)
+    p = {"value": 1.0, "sd": 0.1, "unit": "N", "identifiable": True}
+    names = ("a", "b", "frequency")
+    found = {f"{at}.{n}": p for at in ("bearing1.x.line", "bearing1.x.line_2", "bearing2.y.line_2") for n in names}
+    row = {"effect": "line", "at": ["bearing1", "bearing2"], "parameters": found}
+    better = with_verdict(rig, {"verdict": "line", "ranking": [row]})
+    assert better is not None
+    lines = {use.name: use.at for use in better.model.effects[1:]}
+    assert lines == {"line": ("bearing1.x",), "line_2": ("bearing1.x", "bearing2.y")}
+    one = Rig.parse(with_effect(rig, "line", ["bearing1.x"]))
+    parameters = {name: Parameter(1.0, 0.1, "N") for name in found}
+    text = with_values(with_lines(one, parameters), parameters)
+    assert "# linear stiffness and damping are always there" in text
+    uses = Rig.parse(text).model.effects[1:]
+    assert {use.name: use.at for use in uses} == lines
+    assert uses[1].parameters["bearing2.y"]["frequency"].value == 1.0
 
 
 @pytest.fixture(scope="module")

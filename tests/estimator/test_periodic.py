@@ -204,6 +204,25 @@ def test_a_place_may_have_more_than_one_line(rig: Model) -> None:
     assert [*again.settings] == ["line_2"]
 
 
+@pytest.mark.slow
+def test_a_line_without_a_frequency_is_as_many_as_there_are(rig: Model) -> None:
+    """`add line` cannot know how many there are; one that the file gives a frequency stays one."""
+    truth = with_use(rig, "line", {"a": 0.6, "b": 0.1, "frequency": 350.0})
+    truth = with_use(truth, "line_2", {"a": -0.2, "b": 0.3, "frequency": 850.0})
+    y = simulate(truth, RATE, 6.0, seed=5, noise=0.02, full_scale=490.5)
+    whole = fit_whole(with_use(rig, "line", {}), y, RATE)
+    assert [use.name for use in whole.model.effects] == ["cubic", "line", "line_2"]
+    assert whole.messages == ("line stands for several lines, line, line_2: fit --out writes them",)
+    for use in truth.effects[1:]:
+        for key, setting in use.parameters["bearing1.x"].items():
+            p = whole.parameters[f"bearing1.x.{use.name}.{key}"]
+            assert p.sd is not None
+            assert abs((p.value or 0.0) - (setting.value or 0.0)) < 4 * p.sd, (use.name, key)
+    one = fit_whole(with_use(rig, "line", {"frequency": 850.0}), y, RATE)
+    assert [use.name for use in one.model.effects] == ["cubic", "line"]
+    assert one.parameters["bearing1.x.line.frequency"].value == pytest.approx(850.0, abs=0.01)
+
+
 def test_what_is_fixed_stays(rig: Model, point: WorkingPoint) -> None:
     use = EffectUse("line", {"bearing1.x": {k: Setting(v, fixed=k == "frequency") for k, v in LINE.items()}})
     model, found = refined(replace(rig, effects=(use,)), point, np.ones_like(point.force))
