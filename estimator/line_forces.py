@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from . import strikes
+from . import strikes, unexplained
 from .balance import shaft_notch
 from .estimate import Parameter
 from .line_spectrum import Spectrum, by_angle, residual_spectrum, spectrum_of
@@ -124,7 +124,7 @@ def _one_line(
     if near:
         hz = near[0] * rotation  # a tenth of a bin beside it, the phase at t = 0 would be off by a third
     F, noise = forces(point, s, hz, near[0] if near else 0)
-    Z = np.abs(F) ** 2 / noise
+    Z = np.where(_made_by_laws(point, hz, near[0] if near else 0, F), 0.0, np.abs(F) ** 2 / noise)
     total, P = float(Z.sum()), len(Z)
     needed = float(np.log(P / KNOWN_LEVEL)) + 6.0 if near else threshold
     if Z.max() < needed and total < needed + 3 * P:
@@ -167,6 +167,16 @@ def _one_line(
         name, tuple(places), total, df, p, power, "shaft_angle" if near else "frequency", what, settings_by,
         detectable=(float(5 * np.sqrt(noise.min() / 2)), "N"),
     )  # fmt: skip
+
+
+def _made_by_laws(point: WorkingPoint, hz: float, order: int, F: Complexes) -> NDArray[np.bool_]:
+    """(places,) where the laws of the model make a line out of others. F : (places,) N by a linear reading."""
+    data = point.data
+    if data.measured_force or not unexplained.known(point, np.array([hz]))[0]:
+        return np.zeros(F.size, bool)
+    angle = order * data.phase if order else 2 * np.pi * hz * data.t
+    left = np.array([unexplained.harmonics(point, i, angle, 1)[0] for i in range(F.size)])
+    return np.asarray(np.abs(left) < unexplained.LEAST * np.abs(F))
 
 
 def _disc(model: Model, point: WorkingPoint, rotation: float) -> Complexes:

@@ -131,7 +131,7 @@ def _step(model: Model, one: Periodic, point: WorkingPoint, force: Series) -> tu
         return None
     # theta per unit of the frequency parameter
     turned = 2 * np.pi * data.t if one.effect.name in LINE_NAMES else data.phase
-    pieces = np.minimum((np.arange(turned.size) * PIECES) // turned.size, PIECES - 1)
+    pieces = _pieces(turned.size)
     middle = np.bincount(pieces, turned) / np.bincount(pieces)
     ratio = np.bincount(pieces, speeds(data.t, data.phase)) / np.bincount(pieces) / (2 * np.pi * one.hz)
     through = _through_the_model(model, one, point, 1 + inside)
@@ -139,7 +139,7 @@ def _step(model: Model, one: Periodic, point: WorkingPoint, force: Series) -> tu
     for i, place in enumerate(data.places):
         if not acts(one, place):
             continue
-        seen = _demodulated(force[i], one.angle(data.t, data.phase), pieces, count)[:, inside]
+        seen = demodulated(force[i], one.angle(data.t, data.phase), count)[:, inside]
         slopes = np.zeros((len(loose), *seen.shape), complex)
         for j, k in enumerate(loose):
             if k == FREQUENCY.get(one.effect.name):
@@ -199,8 +199,14 @@ def _slope(model: Model, one: Periodic, place: str, count: int, k: int) -> Compl
     return np.asarray((next(both) - next(both)) / (2 * h))
 
 
-def _demodulated(force: Series, angle: Array, pieces: NDArray[np.int64], count: int) -> Complexes:
-    """(pieces, count) harmonics of a force (n,) over an angle, by folding each piece."""
+def _pieces(n: int) -> NDArray[np.int64]:
+    """(n,) the piece that each sample is in."""
+    return np.minimum((np.arange(n) * PIECES) // n, PIECES - 1)
+
+
+def demodulated(force: Series, angle: Array, count: int) -> Complexes:
+    """(PIECES, count) harmonics of a force (n,) over an angle, by folding each piece."""
+    pieces = _pieces(force.size)
     bins = 1 << int(np.ceil(np.log2(8 * count)))
     cell = ((angle / (2 * np.pi)) % 1.0 * bins).astype(np.int64) % bins
     folded = np.bincount(pieces * bins + cell, force, PIECES * bins).reshape(PIECES, bins)

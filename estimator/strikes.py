@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincc
 
+from . import unexplained
+from .bandlimit import to_acceleration
 from .effects import CATALOGUE
 from .effects.places import kinematic, orders
 from .estimate import Parameter
@@ -58,7 +60,7 @@ def find(
         visible = int((Z[i] > VISIBLE).sum())
         if visible < 4 or gains[i] <= enough or (best is not None and gains[i] <= best.gain):
             continue
-        if not _full(point, s, hz * harmonics.astype(float), Z, i):
+        if not _full(point, s, hz * harmonics.astype(float), Z, i) or _made_by_laws(point, s, order, hz, Z[i], i):
             continue
         places = [point.data.places[j] for j in range(len(gains)) if gains[j] > enough]
         best, fundamental = _defect(point, s, order, rotation, places, float(np.sum(gains))), hz
@@ -116,14 +118,33 @@ def _full(point: WorkingPoint, s: Spectrum, f_hz: Array, Z: Array, i: int) -> bo
 
     f_hz : (harmonics,). Z : (places, harmonics) power over noise.
     """
-    A = tangent_at(point, f_hz, shaft_response(s.model, point.data.places, f_hz))[:, i, i]
-    bins = np.clip(np.round(f_hz * s.seconds).astype(int), 1, s.f_hz.size - 2)
-    unit = np.sqrt(s.noise[i, bins]) * (np.abs(A) if set(s.kinds) != {"force"} else 1.0)  # of one noise, in N
+    unit = _unit(point, s, f_hz, i)
     F = np.sqrt(Z[i]) * unit
     expected = 0.5 * (F[:-2] + F[2:])
     plain = (expected / unit[1:-1]) ** 2 > PLAIN
     left_out = plain & (F[1:-1] ** 2 < GAP * expected**2)
     return bool(left_out.sum() <= GAPS * plain.sum())
+
+
+def _unit(point: WorkingPoint, s: Spectrum, f_hz: Array, i: int) -> Array:
+    """(f,) N of one noise at place i."""
+    bins = np.clip(np.round(f_hz * s.seconds).astype(int), 1, s.f_hz.size - 2)
+    noise: Array = np.sqrt(s.noise[i, bins])
+    if set(s.kinds) == {"force"}:
+        return noise
+    A = tangent_at(point, f_hz, shaft_response(s.model, point.data.places, f_hz))[:, i, i]
+    return np.asarray(noise * np.abs(to_acceleration((s.kinds[i],), 2 * np.pi * f_hz)[:, 0] * A))
+
+
+def _made_by_laws(point: WorkingPoint, s: Spectrum, order: float, hz: float, Z: Array, i: int) -> bool:
+    """Whether the laws of the model make the harmonics that are seen out of other lines. Z : (harmonics,)."""
+    f_hz = hz * np.arange(1.0, Z.size + 1)
+    seen = (Z > VISIBLE) & unexplained.known(point, f_hz)
+    if point.data.measured_force or not seen.any():
+        return False
+    left = unexplained.harmonics(point, i, order * point.data.phase, Z.size)[seen]
+    read = Z[seen] * _unit(point, s, f_hz[seen], i) ** 2
+    return bool(np.sum(np.abs(left) ** 2) < unexplained.LEAST**2 * np.sum(read))
 
 
 def _defect(

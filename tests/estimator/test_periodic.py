@@ -223,6 +223,18 @@ def test_a_line_without_a_frequency_is_as_many_as_there_are(rig: Model) -> None:
     assert one.parameters["bearing1.x.line.frequency"].value == pytest.approx(850.0, abs=0.01)
 
 
+@pytest.mark.slow
+def test_what_a_law_makes_of_lines_is_no_force(rig: Model) -> None:
+    """Beside a cubic three tones make sums and differences in the motion, which passed for a line and for strikes."""
+    truth = rig
+    for k, hz in enumerate((300.0, 450.0, 1050.0, 1500.0)):
+        truth = with_use(truth, "line" if k == 0 else f"line_{k + 1}", {"a": 0.6, "b": 0.3, "frequency": hz})
+    y = simulate(truth, RATE, 8.0, seed=3, noise=0.02, full_scale=490.5)
+    whole = fit_whole(with_use(rig, "line", {}), y, RATE)
+    assert [use.name for use in whole.model.effects] == ["cubic", "line", "line_2", "line_3", "line_4"]
+    assert suspects(whole.model, whole.point, y) == []
+
+
 def test_what_is_fixed_stays(rig: Model, point: WorkingPoint) -> None:
     use = EffectUse("line", {"bearing1.x": {k: Setting(v, fixed=k == "frequency") for k, v in LINE.items()}})
     model, found = refined(replace(rig, effects=(use,)), point, np.ones_like(point.force))
