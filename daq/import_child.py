@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -40,10 +40,15 @@ def _mf4(path: Path, names: Sequence[str]) -> Found:
     from asammdf import MDF
 
     with MDF(path) as file:
-        found = [n for n in names if n in file.channels_db]
-        if not found:
-            return Found({n: np.empty(0) for n in file.channels_db if "time" not in n.lower()})
-        signals = [file.get(n, *file.channels_db[n][0]) for n in found]
+        return of_mf4(file, names)
+
+
+def of_mf4(file: Any, names: Sequence[str]) -> Found:
+    """An open file. Raises whatever asammdf does over a damaged one."""
+    found = [n for n in names if n in file.channels_db]
+    if not found:
+        return Found({n: np.empty(0) for n in file.channels_db if "time" not in n.lower()})
+    signals = [file.get(n, *file.channels_db[n][0]) for n in found]
     time = signals[0].timestamps
     for n, s in zip(found, signals, strict=True):
         if len(s.timestamps) != len(time) or not np.array_equal(s.timestamps, time):
@@ -59,6 +64,11 @@ def _mat(path: Path, names: Sequence[str]) -> Found:
         file = scipy.io.loadmat(path, squeeze_me=True)
     except NotImplementedError as error:
         raise Told("a MATLAB 7.3 file (HDF5); save it with -v7") from error
+    return of_mat(file, names)
+
+
+def of_mat(file: Mapping[str, Any], names: Sequence[str]) -> Found:
+    """What scipy made of it, by name."""
     rate = file.get("rate_hz", file.get("fs"))
     values = {k: np.asarray(v) for k, v in file.items() if not k.startswith("__") and np.ndim(v) >= 1}
     time = values.pop("time", None) if "time" not in names else None
@@ -79,21 +89,32 @@ def _text(value: Any) -> NDArray[np.uint8]:
     return np.frombuffer(json.dumps(value).encode(), np.uint8)
 
 
+def answer(found: Found) -> dict[str, NDArray[Any]]:
+    """What travels."""
+    arrays: dict[str, NDArray[Any]] = {"names": _text(list(found.values)), "units": _text(found.units)}
+    arrays |= {f"column {k}": _plain(v) for k, v in enumerate(found.values.values())}
+    extra = {"rate": found.rate, "time": found.time}
+    return arrays | {k: _plain(v) for k, v in extra.items() if v is not None}
+
+
 def main(arguments: Sequence[str]) -> int:
     path, out, *names = arguments
     try:
         found = READERS[Path(path).suffix.lower()](Path(path), names)
-        arrays: dict[str, Any] = {"names": _text(list(found.values)), "units": _text(found.units)}
-        arrays |= {f"column {k}": _plain(v) for k, v in enumerate(found.values.values())}
-        extra = {"rate": found.rate, "time": found.time}
-        np.savez(out, **arrays, **{k: _plain(v) for k, v in extra.items() if v is not None})  # type: ignore[arg-type]
+        np.savez(out, **answer(found))  # type: ignore[arg-type]
     except Exception as error:  # a damaged file may raise anything in the library
-        text = " ".join(str(error).split())
-        line = f"MemoryError {text}" if isinstance(error, MemoryError) else text or type(error).__name__
+        status, line = refusal(error)
         sys.stderr.write(f"\n{line}\n")
         sys.stderr.flush()
-        return TOLD if isinstance(error, Told) else REFUSED
+        return status
     return 0
+
+
+def refusal(error: Exception) -> tuple[int, str]:
+    """The exit status, and the last line of standard error."""
+    text = " ".join(str(error).split())
+    line = f"MemoryError {text}" if isinstance(error, MemoryError) else text or type(error).__name__
+    return TOLD if isinstance(error, Told) else REFUSED, line
 
 
 def _bounded(file_bytes: int) -> None:

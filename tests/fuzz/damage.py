@@ -30,6 +30,7 @@ JSON_VALUES = (
     b"NaN", b'"\\u0000"', b'"\\ud800"', b"-1e999",
     b"9" * 5000, b"[" * 3000, b'"' + b"x" * 2000 + b'"', b'"\xff"', b'"a\nb"',
 )  # fmt: skip
+_BLOCK = re.compile(rb"##[A-Z]{2}")
 _JSON_VALUE = re.compile(rb'"[^"]*"|\d+')
 _LOCAL, _CENTRAL, _END = struct.Struct("<4s5H3I2H"), struct.Struct("<4s6H3I5H2I"), struct.Struct("<4s4H2IH")
 
@@ -126,6 +127,82 @@ def damaged_answer_member(data: bytes, rng: random.Random) -> bytes:
         head = re.sub(rb"\(\d+,\), } *", b"(%d,), }" % len(text), data[11 : at - 1])
         return data[:11] + head.ljust(at - 12) + b"\n" + text
     return data[:1] + damaged_npy(data[1:], rng)
+
+
+INTS = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    6,
+    7,
+    8,
+    9,
+    10,
+    12,
+    14,
+    15,
+    16,
+    17,
+    24,
+    64,
+    104,
+    255,
+    256,
+    0x7FFF,
+    0xFFFF,
+    0x40000,
+    0x7FFFFFFF,
+)
+INTS += (0x80000000, 0xFFFFFFFF, 0xFFFFFFF8, 1 << 32, 0x7FFFFFFFFFFFFFFF, (1 << 64) - 1)
+
+
+def damaged_words(data: bytes, rng: random.Random, width: int, more: tuple[int, ...] = ()) -> bytes:
+    """One to three aligned numbers of it by others, by what the file has elsewhere, or by some more."""
+    out = bytearray(data)
+    for _ in range(1 + int(rng.random() * rng.random() * 3)):
+        at, how = width * int(rng.random() * (len(data) // width)), rng.random()
+        if how < 0.2 and more:
+            new = more[int(rng.random() * len(more))]
+        elif how < 0.5:
+            there = width * int(rng.random() * (len(data) // width))
+            new = int.from_bytes(data[there : there + width], "little")
+        elif how < 0.6:
+            new = int.from_bytes(data[at : at + width], "little") + (1, -1, 8, -8)[int(rng.random() * 4)]
+        else:
+            new = INTS[int(rng.random() * len(INTS))]
+        out[at : at + width] = (new % (1 << 8 * width)).to_bytes(width, "little")
+    return bytes(out)
+
+
+MI_MATRIX, MI_COMPRESSED = 14, 15
+
+
+def damaged_variable(data: bytes, rng: random.Random) -> bytes:
+    """Its place or format, bytes of it, or its sizes, types and flags; of a packed one those that are packed."""
+    how = rng.random()
+    if how < 0.05:
+        return bytes((int(rng.random() * 256),)) + data[1:]
+    packed = int.from_bytes(data[1:5], "little") == MI_COMPRESSED and how < 0.9
+    body = zlib.decompress(data[9:]) if packed else data[1:]
+    body = damaged(body, rng) if rng.random() < 0.4 else damaged_words(body, rng, 4 if rng.random() < 0.7 else 2)
+    if packed:
+        body = zlib.compress(body, 1)
+        body = data[1:5] + len(body).to_bytes(4, "little") + body
+    return data[:1] + body
+
+
+def damaged_blocks(data: bytes, rng: random.Random) -> bytes:
+    """An .mf4 file: bytes of it, or its links and numbers; most often what one block links to."""
+    how = rng.random()
+    if how < 0.25:
+        return damaged_evenly(data, rng)
+    blocks = tuple(found.start() for found in _BLOCK.finditer(data))
+    at = blocks[int(rng.random() * len(blocks))] & ~7
+    width = 8 if how < 0.7 else (4, 2, 1)[int(rng.random() * 3)]
+    return data[:at] + damaged_words(data[at:], rng, width, (*blocks, 0, len(data), at))
 
 
 def damaged_json(data: bytes, rng: random.Random) -> bytes:

@@ -10,10 +10,12 @@ from damage import (
     damaged,
     damaged_answer,
     damaged_answer_member,
+    damaged_blocks,
     damaged_evenly,
     damaged_npy,
     damaged_table,
     damaged_text,
+    damaged_variable,
     damaged_zip,
 )
 from seeds import (
@@ -204,5 +206,21 @@ KINDS = {
     "answer": Kind("answers of the process that reads .mat and .mf4", damage=damaged_answer),
     "mat-parse": Kind("files, parsed by scipy in a process that lives on"),
     "mf4-parse": Kind("files, parsed by asammdf in a process that lives on"),
+    "mat-variables": Kind(
+        "variables of a .mat, parsed by scipy in a process that lives on",
+        25,
+        _behind_length,
+        _with_length,
+        whole=0.0,
+        damage=damaged_variable,
+    ),
+    "mf4-files": Kind(
+        "files of a channel, parsed by asammdf in a process that lives on",
+        25,
+        _behind_length,
+        _with_length,
+        whole=0.0,
+        damage=damaged_blocks,
+    ),
     "mcap": Kind("files", good=tiny_logs),
 }

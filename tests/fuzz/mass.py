@@ -165,7 +165,8 @@ def report(tally: dict[str, dict[str, float]], path: Path) -> None:
         promised = "read or refused, memory bounded, no hang, no write elsewhere, nothing executed"
         value = f"{mine['inputs']:.0f} inputs, at most {mine['peak_mb']:.0f} MB"
         if "crashes" in mine:
-            value += f"; the library crashed in its process {mine['crashes']:.0f} times, which is told"
+            how_often = f"{mine['crashes']:.0f} times"
+            value += f"; the library crashed, or came to no end, {how_often} in its process, which is told"
         row = f"hostile input: {name} | {_how(kind)} | {promised} | {value}"
         ElementTree.SubElement(ElementTree.SubElement(case, "properties"), "property", name="reliability", value=row)
     ElementTree.ElementTree(suite).write(path)

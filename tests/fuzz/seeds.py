@@ -11,6 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from mat_variables import small_variables
+from mf4_files import small_mf4s
 from sessions import make_block, make_estimate, make_info, make_status, make_stream, write_log
 from targets import _STARTS, ANSWER_PLACES, GOOD_ANSWER, ROOT, _chunk, _message
 
@@ -370,6 +372,8 @@ _MAKERS = {
     "mcap": _mcap, "recover": _mcap, "rig": _rig, "expression": _expression, "csv": _csv, "npz": _npz, "wav": _wav,
     "npz-members": _npz_members, "answer-members": _answer_members, "uff-sets": _uff_sets,
     "mat": _mat, "uff": _uff, "mf4": _mf4, "mf4can": _mf4can, "answer": _answer, "mat-parse": _mat, "mf4-parse": _mf4,
+    "mat-variables": lambda: [b"".join(map(_behind_length, small_variables()))],
+    "mf4-files": lambda: [b"".join(map(_behind_length, small_mf4s()))],
     "candump": lambda: _file("canedge_imu/*.log"), "blf": _blf,
     "asc": lambda: [_ASC_HEAD + b"".join(_ASC)],
 }  # fmt: skip

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import zstandard
-from parsers import Parser
+from parsers import Parser, members
 from ramp_device import CHANNELS, ramp_device
 
 from daq import import_child, import_formats, log_scan
@@ -294,15 +294,6 @@ def _import(suffix: str) -> Target:
     return target
 
 
-def _members(data: bytes) -> Iterator[bytes]:
-    """Each behind its length of two bytes."""
-    at = 0
-    while at + 2 <= len(data):
-        stop = at + 2 + int.from_bytes(data[at : at + 2], "little")
-        yield data[at + 2 : stop]
-        at = stop
-
-
 def _array(data: bytes) -> np.ndarray:
     """A member as numpy has it of an archive."""
     if not data.startswith(np.lib.format.MAGIC_PREFIX):
@@ -313,14 +304,14 @@ def _array(data: bytes) -> np.ndarray:
 def npz_members(data: bytes, folder: Path) -> None:
     """Members of an archive, each read by itself."""
     path = folder / "a.npz"
-    for member in _members(data):
+    for member in members(data):
         _alone(path, lambda member=member: import_formats.of_npz(path, {"m": _array(member)}, ("m",)))
 
 
 def answer_members(data: bytes, folder: Path) -> None:
     """Members of answers of the process that reads .mat and .mf4: each in a good one, where its first byte says."""
     path = folder / "a.mf4"
-    for member in _members(data):
+    for member in members(data):
         place = ANSWER_PLACES[member[0] % len(ANSWER_PLACES)] if member else "rate"
         columns = _columns(lambda: import_formats.of_answer(path, GOOD_ANSWER | {place: _array(member[1:])}))  # noqa: B023
         if columns is not None:
@@ -389,6 +380,17 @@ def _parse(suffix: str) -> Target:
     return target
 
 
+def _parse_parts(suffix: str) -> Target:
+    """Parts of such files, see parts.py, in the same way; what comes of each is checked in there."""
+
+    def target(data: bytes, folder: Path) -> None:
+        path = folder / f"d{suffix}"
+        _put(data, path)
+        PARSER.parse_parts(path, sum(1 for _ in members(data)))
+
+    return target
+
+
 PARSER = Parser()
 
 
@@ -413,6 +415,7 @@ TARGETS: dict[str, Target] = {
     "mat": _import(".mat"), "uff": _import(".uff"), "mf4": _import(".mf4"),
     "answer": _import(".answer"), "answer-members": answer_members,
     "mat-parse": _parse(".mat"), "mf4-parse": _parse(".mf4"),
+    "mat-variables": _parse_parts(".mats"), "mf4-files": _parse_parts(".mf4s"),
     "candump": _capture(".log"), "blf": _capture(".blf"), "asc": _capture(".asc"), "mf4can": _capture(".mf4"),
 }  # fmt: skip
 assert tuple(c.name for c in RIG.model.channels) == CHANNELS

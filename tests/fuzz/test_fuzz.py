@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import random
 import re
 import subprocess
@@ -18,13 +19,19 @@ from guard import Forbidden, guarded
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from kinds import KINDS
+from mat_parts import variables
+from mat_variables import COLUMN, FORMATS, TIME, small_variables
+from mf4_files import small_mf4s
+from mf4_parts import files
 from pyuff.datasets import dataset_58
+from scipy.io.matlab._mio4 import MatFile4Reader
 from seeds import seeds
 from targets import PARSER, TARGETS, _array, _chunk, _message, _records
 
 from daq import log_codec as codec
 from daq import log_scan
 from daq.errors import LogError
+from daq.import_child import READERS, Found, answer, of_mat
 from daq.import_formats import read
 from daq.log_reader import read_log
 from drivers.reading import Gap
@@ -174,6 +181,26 @@ def test_what_a_library_says_again_is_what_it_said() -> None:
         assert said() == asked
     assert len(set(asked)) > 400
     assert said() == asked
+
+
+def test_a_part_is_read_as_in_a_file_of_its_own(tmp_path: Path) -> None:
+    """Short ways into scipy and asammdf, see mat_parts.py and mf4_parts.py: the same numbers, names, units."""
+    small = small_mf4s()
+    for k, data in enumerate(small):
+        (tmp_path / "a.mf4").write_bytes(data)
+        _same(files(small)(k), READERS[".mf4"](tmp_path / "a.mf4", ("b1x",)))
+    head = io.BytesIO()
+    scipy.io.savemat(head, {})
+    good = {"b1x": COLUMN, "time": TIME}
+    for piece in small_variables():
+        data = piece[1:] if FORMATS[piece[0] // 8][0] is MatFile4Reader else head.getvalue()[:128] + piece[1:]
+        own = scipy.io.loadmat(io.BytesIO(data), squeeze_me=True)
+        _same(variables([b"", piece])(1), of_mat(good | own, ("b1x",)))
+
+
+def _same(short: Found, long: Found) -> None:
+    one, other = ({name: (a.dtype, a.tolist()) for name, a in answer(found).items()} for found in (short, long))
+    assert one == other
 
 
 def _line(text: str) -> object:
