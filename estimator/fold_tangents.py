@@ -12,12 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .likelihood import Likelihood, Local
+from .record import Bank
 
 Floats = NDArray[np.float64]
 
 
-def excess(likelihood: Likelihood, local: Local, tangents: Floats, blocks: Floats) -> Floats:
-    """(folds, p) what is to be taken off the scores of folds, by beta. tangents : (folds, columns, 4) of each fold."""
+def excess(likelihood: Likelihood, local: Local, bank: Bank) -> Floats:
+    """(folds, p) what is to be taken off the scores of folds, by beta.
+
+    Of a fold with another level of the force it is that of its tangents at its level: the rest is what S of the fold
+    differs by, which the score of S has too.
+    """
     evidence, point = likelihood.evidence, local.point
     balance, nodes = evidence.balance, evidence.nodes
     B = balance.coefficients(point.beta)
@@ -30,8 +35,11 @@ def excess(likelihood: Likelihood, local: Local, tangents: Floats, blocks: Float
     # (places, places) : the gradient by a coefficient at row j of a force that answers with 1 to x, to v, of place i
     to_x = np.einsum("f,fij->ij", 1 / s**2, weighted).real
     to_v = np.einsum("f,fij->ij", 1 / s, weighted).real
-    apart = (tangents - np.average(tangents, axis=0, weights=blocks)) * blocks[:, None, None]
-    out = np.zeros((blocks.size, likelihood.row.size))
+    tangents, weights = bank.fold_tangents, bank.blocks[:, None, None]
+    if bank.level is not None:
+        weights = weights * bank.level[[c.row for c in balance.columns]].T[:, :, None]
+    apart = (tangents - np.sum(weights * tangents, axis=0) / np.sum(weights, axis=0)) * weights
+    out = np.zeros((bank.blocks.size, likelihood.row.size))
     for e, (row, column) in enumerate(zip(likelihood.row, likelihood.column, strict=True)):
         if balance.columns[column].kind != "law":
             continue

@@ -12,6 +12,7 @@ from .balance import Balance, build
 from .bandlimit import passband
 from .dressing import Flutter, dressed, flutter, mean_responses, self_energies
 from .errors import DataError
+from .force_level import level_of
 from .known_force import is_known
 from .likelihood import Likelihood, Local, Point, active, maximise
 from .model import Model
@@ -62,7 +63,7 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
     first = initial(held, start, known)
     if values is None:
         _refuse_unstable(held, bank, first)
-    local, converged = maximise(Likelihood(bank.evidence(start.nodes)), first)
+    bank, local, converged = highest(bank, start, first)
     if not searching:
         tangents = tangents_of(record, start, bank, local)
         bank = without_flutter(record, bank, local, tangents)
@@ -77,7 +78,7 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
             balance = build(model, start.sizes, known)
             bank = gather(record, balance, start.widths, start.linear, seconds=seconds)
             point = replace(initial(balance, start, known), S=local.point.S, noise=local.point.noise)
-            local, converged = maximise(Likelihood(bank.evidence(start.nodes)), point)
+            bank, local, converged = highest(bank, start, point)
             if whole:
                 tangents = tangents_of(record, start, bank, local) if tangents is None else tangents
                 bank = without_flutter(record, bank, local, tangents)
@@ -86,6 +87,20 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
             if moved < SETTLED:
                 break
     return Maximum(balance, bank, likelihood, local, known, converged and moved < SETTLED)
+
+
+def highest(bank: Bank, start: Start, point: Point) -> tuple[Bank, Local, bool]:
+    """The maximum at held shapes and tangents, and the bank with the level of the unknown force (force_level.py)."""
+    local, converged = maximise(Likelihood(bank.evidence(start.nodes)), point)
+    if not bank.balance.laws or is_known(bank.balance):
+        return bank, local, converged
+    B = bank.balance.coefficients(local.point.beta)
+    power = np.einsum("ik,fckl,il,ci->if", B, bank.grams, B, 1 / local.spread, optimize=True) / bank.blocks
+    level = level_of(power, bank.start, float(bank.blocks.mean() * bank.grid.bins.size / 2))
+    if level is None:
+        return bank, local, converged
+    bank = bank.levelled(level)
+    return bank, *maximise(Likelihood(bank.evidence(start.nodes)), local.point)
 
 
 def _refuse_unstable(balance: Balance, bank: Bank, point: Point) -> None:

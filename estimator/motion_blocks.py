@@ -69,6 +69,7 @@ class MotionBlocks:
     shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
     pushes: tuple[Push, ...] = ()  # the model's periodic forces below the band, which laws feel
     waves: tuple[Wave, ...] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
+    level: Array | None = None  # (places, blocks) power of the unknown force over its mean: force_level.py
 
     @property
     def measured_force(self) -> bool:
@@ -132,6 +133,11 @@ class MotionBlocks:
         measured, slow, calm = (None if z is None else of(z) for z in (self.measured, self.slow, self.calm))
         return replace(self, v=of(self.v), x=of(self.x), measured=measured, slow=slow, calm=calm, **rest)
 
+    def of_blocks(self, some: NDArray[np.int64]) -> dict[str, Any]:
+        """The fields that have a value for every block, of some of them."""
+        level = None if self.level is None else self.level[:, some]
+        return {"start": self.start[some], "fold": self.fold[some], "level": level}
+
     def at(self, rows: slice | list[slice] | NDArray[np.bool_], **rest: Any) -> MotionBlocks:
         """Only these rows: views of them if they are a slice. rest : fields that change with them."""
 
@@ -149,14 +155,14 @@ def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
     if data.blocks <= 1.25 * per_fold * FOLDS:
         return data
     pick = np.concatenate([np.flatnonzero(data.fold == f)[:per_fold] for f in range(FOLDS)])
-    return data.at(_runs(pick * data.block, data.block), start=data.start[pick], fold=data.fold[pick])
+    return data.at(_runs(pick * data.block, data.block), **data.of_blocks(pick))
 
 
 def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:
     """The blocks of one time fold, as views of the record."""
     here = np.flatnonzero(data.fold == f)
     rows = slice(int(here[0]) * data.block, (int(here[-1]) + 1) * data.block)
-    return data.at(rows, start=data.start[here], fold=data.fold[here])
+    return data.at(rows, **data.of_blocks(here))
 
 
 def finer(data: MotionBlocks, by: int = 4) -> MotionBlocks:

@@ -127,8 +127,13 @@ class Weighing:
         unbroken = bins[-1] - bins[0] == bins.size - 1  # a slice is read four times faster
         self._bins = slice(int(bins[0]), int(bins[-1]) + 1) if unbroken else bins
 
-    def spectrum(self, i: int, series: Array | Spectrum, scale: float = 1.0, out: Spectrum | None = None) -> Spectrum:
-        """(blocks, 2 bins) float32 of scale times a series (n,) seen at place i, the bins of the band."""
+    def spectrum(
+        self, i: int, series: Array | Spectrum, scale: float = 1.0, out: Spectrum | None = None, first: int = 0
+    ) -> Spectrum:
+        """(blocks, 2 bins) float32 of scale times a series (n,) seen at place i, the bins of the band.
+
+        first : number of the block that the series begins with.
+        """
         from scipy.fft import rfft
 
         z, root = series.reshape(-1, self.data.block), self._root[i]
@@ -140,6 +145,8 @@ class Weighing:
             part = z[a : a + TOGETHER]
             part = part if single else (scale * part).astype(np.float32)  # it may be too small for that before
             np.multiply(rfft(part, axis=1)[:, self._bins], root, out=out[a : a + TOGETHER].view(np.complex64))
+        if self.data.level is not None:
+            out /= np.sqrt(self.data.level[i, first : first + len(z), None]).astype(np.float32)
         return out
 
     def columns(self, terms: list[Term]) -> Columns:
@@ -189,6 +196,8 @@ def gram(weighing: Weighing, force: dict[int, Spectrum], *columns: Columns) -> G
             G[i, f][at[:, None], at] = Z @ Z.T
             n[i, f] = here.size * bins
             log_weight[i, f] = here.size * np.log(weighing.weight[i]).sum()
+            if data.level is not None:
+                log_weight[i, f] -= bins * np.log(data.level[i, here]).sum()
 
     each(at_place, range(P))
     return Gram(

@@ -174,7 +174,7 @@ class Bank:
     """Gram matrices by fold of time: what every sub-model, test and residual spectrum is computed from.
 
     grams : (folds, cells, k, k); blocks : (folds,); start : (folds,) s, where each begins. tangents : (k, 4) mean of
-    the record; fold_tangents : (folds, k, 4) of each.
+    the record; fold_tangents : (folds, k, 4) of each. level : (places, folds) of an unknown force that is not even.
     """
 
     balance: Balance
@@ -184,6 +184,16 @@ class Bank:
     start: Floats
     tangents: Floats
     fold_tangents: Floats
+    level: Floats | None = None
+
+    def levelled(self, level: Floats | None) -> Bank:
+        """With a force of this level: E[F phi] goes with the tangent and with the level of each fold, so what balances
+        it is the mean of their product."""
+        if level is None:
+            return self
+        own = level[[c.row for c in self.balance.columns]] * self.blocks
+        weights = own / own.sum(axis=1, keepdims=True)
+        return replace(self, tangents=np.einsum("kf,fkt->kt", weights, self.fold_tangents), level=level)
 
     def evidence(self, at: Nodes | None = None, folds: NDArray[np.bool_] | None = None) -> Evidence:
         """The sum over the folds (all, or those marked). at : where the Jacobian is evaluated (every bin)."""
@@ -197,7 +207,7 @@ class Bank:
 
         balance, keep = restrict(self.balance, laws)
         grams, tangents = self.grams[:, :, keep][:, :, :, keep], self.fold_tangents[:, keep]
-        return Bank(balance, self.grid, grams, self.blocks, self.start, self.tangents[keep], tangents)
+        return Bank(balance, self.grid, grams, self.blocks, self.start, self.tangents[keep], tangents, self.level)
 
 
 def stretches(blocks: NDArray[np.intp], most: int) -> Iterator[NDArray[np.intp]]:

@@ -18,7 +18,7 @@ from .contour import THINNED
 from .motion_blocks import FOLDS, MotionBlocks, fold_of
 from .path_fit import Complexes, response
 from .reference_tangents import dressings
-from .subproblem import Subproblem, base_of, extended, products, subproblem
+from .subproblem import Subproblem, base_of, extended, fold_span, products, subproblem
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -228,7 +228,7 @@ def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subpro
         weight = part.blocks / data.blocks
         spectra: list[Series] = []
         for g in groups(part, i, orders, times, v_step):
-            spectra += [point.weighing.spectrum(i, z) for z in g.series]
+            spectra += [point.weighing.spectrum(i, z, first=fold_span(point, f).start) for z in g.series]
             found.append(Group(g.name, [], [t * weight for t in g.tangents], g.knots))
         if not room.size:  # the same for all folds: memory that is new takes longer than what is computed in it
             room = np.empty(len(spectra) * -(-data.blocks // FOLDS) * spectra[0].shape[1], np.float32)

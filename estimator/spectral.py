@@ -96,7 +96,7 @@ def sandwich(likelihood: Likelihood, local: Local, bank: Bank) -> Floats:
         return bread
     g = likelihood.scores(local, bank.grams, bank.blocks)
     if not likelihood.known:
-        g[:, : local.point.beta.size] -= excess(likelihood, local, bank.fold_tangents, bank.blocks)
+        g[:, : local.point.beta.size] -= excess(likelihood, local, bank)
     g = g[:, used]
     m = float(bank.blocks.mean())
     lost = (1 + 2 * OVERLAP) / (1 + 2 * OVERLAP * (m - 1) / m)  # neighbouring folds share half a block

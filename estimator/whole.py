@@ -19,6 +19,7 @@ from .effects.places import at, written
 from .estimate import Parameter
 from .fit_result import Fit
 from .fitted import parameters
+from .force_level import ratio
 from .model import EffectUse, Model, Setting
 from .model_uses import not_judged
 from .motion_blocks import COLOURS
@@ -34,7 +35,6 @@ from .working_point import WorkingPoint
 Array = NDArray[np.float64]
 SHAPING = (*COLOURS, "correlated_force", "sensor_clipping", "sensor_noise")
 ROUNDS = 2  # of the numbers of periodic forces and colours, which the rest of the fit depends on
-UNEVEN = 1.3  # of the lowest rms of the inferred force in a sixth of a record, from where its change is told
 SETTLED = 0.5  # standard deviations by which a colour may still move
 
 
@@ -73,19 +73,11 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
 
 
 def uneven(point: WorkingPoint) -> tuple[str, ...]:
-    """What to tell the user of an unknown force whose level changes along the record. The determinant balances the mean
-    product of the force with a law as if it were even: of laws that motion makes strong a rest is left."""
-    data, most = point.data, 1.0
-    for force in point.force[data.driven == 0.0]:
-        power = (force.astype(np.float64) ** 2).reshape(data.blocks, -1).mean(axis=1)
-        level = np.sqrt(np.bincount(data.fold, power) / np.bincount(data.fold))
-        most = max(most, float(level.max() / level.min()))
-    if most < UNEVEN:
+    """What to tell the user of an unknown force whose level changes along the record."""
+    most = ratio(point.data.level)
+    if most == 1.0:
         return ()
-    return (
-        f"the unknown force changes by a factor of {most:.1f} along the record, and is taken as even: what seems "
-        "missing may be that; judge stretches of even level by themselves",
-    )
+    return (f"the unknown force changes by a factor of {most:.1f} along the record; blocks are weighed by its level",)
 
 
 def _turning(model: Model, y: Array, rate_hz: float) -> Whole:

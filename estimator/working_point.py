@@ -14,7 +14,8 @@ from .contour import along, contour
 from .effects.strength import search_range
 from .features import Series
 from .fluctuation import Fluctuation, fluctuations
-from .model_uses import size
+from .force_level import alike, level_of
+from .model_uses import size, stiffness
 from .motion_blocks import FOLDS, MotionBlocks, part_of, spectrum
 from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing, fit, gram
 from .periodic import Wave
@@ -77,8 +78,12 @@ class WorkingPoint:
 
     @property
     def bearing_force(self) -> Array:
-        """(places,) N rms of the force in the bearing, k x + c v + effects, as the scale of what is missing."""
-        return np.asarray(np.sqrt(np.mean((self.force - self.data.known) ** 2, axis=1)))
+        """(places,) N rms of the force in the bearing, k x + c v + effects, as the scale of what is missing, and
+        weighed like it."""
+        power = (self.force - self.data.known) ** 2
+        if self.data.level is not None:
+            power = power.reshape(len(power), self.data.blocks, -1).mean(axis=2) / self.data.level
+        return np.asarray(np.sqrt(np.mean(power, axis=1)))
 
 
 def fit_model(
@@ -109,6 +114,9 @@ def fit_model(
         nu_old, (nu, weight) = nu, _noise(point)
         settled = np.allclose(nu * weight, nu_old * weight, rtol=NOISE_STEP, atol=NOISE_STEP * LEAST_NOISE)
         data = data if settled else _calmed(data, nu, point.S)
+        level = _level(point)
+        if not alike(level, data.level):
+            data, settled = replace(data, level=level), False
         shaken = any(isinstance(f, Probe) for f in point.fluctuations)
         if rounds == 0 or (moved.max(initial=0.0) < (SHAKEN if shaken else SETTLED) and settled):
             return replace(point, kL=kL, c=c, placed=tuple(uses))
@@ -332,7 +340,7 @@ def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list
     uses = []
     for use in point.placed:
         p, i = use.p.copy(), use.at[0]
-        natural = size(point.data, i, kL[i])
+        natural = size(point.data, i, kL[i] if kL[i] > 0.0 else stiffness(point.data, i))  # of a step too far
         for k, q in enumerate(use.effect.parameters):
             new = p[k] + step.get(use.name(k), 0.0)
             if not q.linear:
@@ -341,6 +349,16 @@ def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list
             p[k] = new
         uses.append(use.with_values(p))
     return kL, c, uses
+
+
+def _level(point: WorkingPoint) -> Array | None:
+    """(places, blocks) how strong the unknown forces are along the record: force_level.py."""
+    data = point.data
+    if data.measured_force:
+        return None
+    spectra = (point.spectra[i] for i in range(len(data.places)))
+    power = np.array([np.einsum("bk,bk->b", Z, Z) for Z in spectra], dtype=np.float64)
+    return level_of(power * (1.0 if data.level is None else data.level), data.start / data.rate_hz, data.bins.size)
 
 
 def _least(grid: Array, cost: Array) -> float:

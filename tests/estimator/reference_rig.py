@@ -81,6 +81,7 @@ def rig_record(
     kNL: float = 1.3e18,
     hidden: NDArray[np.float64] | None = None,
     level: float = 1.0,
+    growth: float = 1.0,
     noise: float = 0.02,
     step: float = 490.5 / 32768,
     steps: int = 10,
@@ -90,6 +91,7 @@ def rig_record(
 ) -> NDArray[np.float64]:
     """(n, 4) m/s^2. hidden : (4, 7) see above; level : factor on the force; step : of the quantiser.
 
+    growth : of the force's rms, at the end over the start, steadily.
     change : (s, (4,) N/m) when the stiffnesses change, and to what. tones : (Hz, N) of forces at every place.
     run_up : Hz at the start, Hz at the end, N of one more such force whose frequency rises steadily.
     """
@@ -104,6 +106,8 @@ def rig_record(
     while count < wanted:
         F = rng.normal(size=(chunk * steps, 4)) * level * np.sqrt(TRUTH["S"] / 2 * fs)
         at = (done + np.arange(len(F))) / fs
+        if growth != 1.0:
+            F *= 1.0 + (growth - 1.0) * at[:, None] / seconds
         done += len(F)
         for hz, amplitude in tones:
             F += amplitude * np.cos(2 * np.pi * hz * at[:, None] + np.arange(4))

@@ -28,7 +28,7 @@ def test_it_is_the_gradient_with_the_tangents_of_the_fold_less_that_with_the_mea
     evidence = bank.evidence(solution.start.nodes)
     mean = np.average(bank.fold_tangents, axis=0, weights=bank.blocks)
     likelihood = Likelihood(replace(evidence, tangents=mean))
-    found = excess(likelihood, local, bank.fold_tangents, bank.blocks)
+    found = excess(likelihood, local, bank)
     assert found.sum(axis=0) == pytest.approx(0.0, abs=1e-9 * np.abs(found).max())
     B = evidence.balance.coefficients(local.point.beta)
     A = B @ likelihood.R

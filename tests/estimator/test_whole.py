@@ -18,7 +18,7 @@ from estimator.errors import DataError
 from estimator.model import EffectUse, Model, Setting
 from estimator.simulate import simulate
 from estimator.suspects import suspects
-from estimator.whole import fit_whole, uneven
+from estimator.whole import fit_whole
 
 # effect, strength, where, and how near its numbers come: standard deviations, or a part of the value for those
 # whose law is not quite that of a sampled record
@@ -199,12 +199,3 @@ def test_a_law_that_the_motion_does_not_reach_is_said_and_breaks_nothing() -> No
     assert (k.value, k.identifiable) == (None, False)
     assert "does not reach" in k.reason
     assert found["bearing1.x.cubic.kNL"].identifiable
-
-
-def test_an_unknown_force_that_grows_along_the_record_is_told(rig: Model) -> None:
-    """Of a complete model with a clearance 17 % seemed missing as the force grew by 2.5."""
-    point = fit_whole(rig, simulate(rig, RATE, 2.0, seed=0, noise=0.02), RATE).point
-    assert uneven(point) == ()
-    grown = replace(point, force=point.force * np.linspace(1.0, 2.0, point.force.shape[1], dtype=np.float32))
-    (said,) = uneven(grown)
-    assert "by a factor of 1.8" in said

@@ -1,0 +1,61 @@
+"""An unknown force whose level changes along the record."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_effects import RATE, one_bearing
+from reference_rig import PLACES, QUADRATIC_DAMPING, TRUTH, rig_model, rig_record
+from reference_rig import RATE as RIG_RATE
+
+from estimator import missing_force, spectral
+from estimator.force_level import level_of, ratio
+from estimator.simulate import simulate
+from estimator.whole import fit_whole, uneven
+
+
+def test_the_level_follows_the_force_and_an_even_force_has_none() -> None:
+    """The slow envelope of a linear bearing's force is that of its motion."""
+    rig = replace(one_bearing(), effects=())
+    y = simulate(rig, RATE, 6.0, seed=0, noise=0.0)
+    even = fit_whole(rig, y, RATE)
+    assert (even.point.data.level, even.messages) == (None, ())
+    ramp = np.linspace(1.0, 2.0, len(y))[:, None]
+    grown = fit_whole(rig, y * ramp, RATE).point
+    at = grown.data.start + grown.data.block // 2
+    for level in grown.data.level:
+        np.testing.assert_allclose(level, ramp[at, 0] ** 2 / np.mean(ramp[at] ** 2), rtol=0.1)
+    assert abs(ratio(grown.data.level) - 2.0) < 0.15
+    assert "by a factor of" in uneven(grown)[0]
+
+
+def test_chance_is_no_level() -> None:
+    """Neither the scatter of narrow bands and short records, nor one block that is struck."""
+    rng = np.random.default_rng(0)
+    at = np.arange(60.0)
+    for _ in range(50):
+        assert level_of(rng.chisquare(60, size=(4, 60)), at, 30.0) is None
+    struck = np.ones((1, 60))
+    struck[0, 30] = 3.0
+    assert level_of(struck, at, 1000.0) is None
+
+
+def test_a_complete_model_under_a_growing_force_lacks_nothing() -> None:
+    """With the force taken as even 2.1 % of the bearing force seemed missing, against time; with more motion 17 %."""
+    y = rig_record(8.0, seed=2, level=0.6, growth=2.5)
+    whole = fit_whole(rig_model("cubic"), y, RIG_RATE)
+    assert not missing_force.survey(whole.point, whole.model, seconds=8.0).any_found()
+    taken = replace(whole.point, data=replace(whole.point.data, level=None))
+    assert missing_force.survey(taken, whole.model, seconds=6.0).any_found()
+
+
+@pytest.mark.slow
+def test_damping_of_a_fit_is_without_bias_beside_a_growing_force() -> None:
+    """Taken as even c was 44 % off and quadratic damping -570 % of its value, ten standard deviations both."""
+    hidden = np.zeros((4, 7))
+    hidden[:, QUADRATIC_DAMPING] = 1200.0
+    model = rig_model("cubic", "quadratic_damping")
+    found = spectral.fit(model, rig_record(20.0, seed=900, hidden=hidden, growth=2.5), RIG_RATE).parameters
+    assert np.mean([found[f"{p}.c"].value for p in PLACES]) == pytest.approx(TRUTH["c"].mean(), rel=0.1)
