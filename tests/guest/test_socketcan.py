@@ -24,9 +24,10 @@ from can_guest import (
     up_fd,
     write_rig,
 )
+from promises import Late
 
 from daq.cli import main
-from daq.log_reader import read_log
+from daq.log_reader import Recording, read_log
 
 pytestmark = [pytest.mark.guest, pytest.mark.timeout(600)]
 IDLE = 0.02  # of a core, what a session may use while its link is away
@@ -72,6 +73,12 @@ def cost(share: float, took: float) -> str:
     return f"{took:.2f} s; {of_host}"
 
 
+def kept_pace(log: Recording, slow: str) -> None:
+    """Try again if the device did not: it runs on the emulated core, which the machine may have held for a second."""
+    if slow in {n.code for n in log.notices}:
+        raise Late(f"{slow}: the device behind {log.path} did not keep its pace")
+
+
 def flowing(session: Session, samples: int = 2 * round(RATE_HZ)) -> None:
     session.until("samples", lambda log: log.n_samples > samples)
 
@@ -79,27 +86,35 @@ def flowing(session: Session, samples: int = 2 * round(RATE_HZ)) -> None:
 def test_simulated_rig_on_vcan_through_the_command_line(tmp_path: Path) -> None:
     """Both ends are commands: simulate --serve, and run."""
     rig = str(write_rig(tmp_path))
+    heard = socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    heard.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+    heard.bind(("vcan0",))
+    heard.settimeout(100)
     device = Child(lambda: main(["simulate", rig, "--serve", "can:socketcan:vcan0"]), tmp_path / "device.txt")
+    with heard:
+        heard.recv(72)  # it takes seconds to begin
     session = Session(tmp_path, "can:socketcan:vcan0", "--seconds", "6", "--strict")
     assert session.child.wait(200) == 0, session.said()
     device.stop()
     assert device.wait(60) == 0
     log = read_log(session.path)
     assert log.complete
-    assert log.n_samples == 6 * RATE_HZ
     assert log.lost_samples == 0
+    kept_pace(log, "short")
+    assert log.n_samples == 6 * RATE_HZ
 
 
 @pytest.mark.parametrize(("layout", "sender", "receiver"), [("classic", "can1", "can0"), ("fd16", "can3", "can2")])
 def test_a_clean_stream_loses_nothing(tmp_path: Path, layout: str, sender: str, receiver: str, report: Report) -> None:
     (up if layout == "classic" else up_fd)(sender, receiver)
-    session = Session(tmp_path, f"can:socketcan:{receiver}")
     with Device(tmp_path, sender, layout):
+        session = Session(tmp_path, f"can:socketcan:{receiver}")
         flowing(session, 5 * round(RATE_HZ))
         log = session.finish()
     controller = "SJA1000" if layout == "classic" else "CTU CAN FD 1M/5M"
     report(f"none, {controller}", f"{log.n_samples} samples on real SocketCAN", "none lost", f"{log.lost_samples} lost")
     assert log.lost_samples == 0
+    kept_pace(log, "no_samples")
     assert {n.code for n in log.notices} <= {"stopped_behind", "no_estimate"}
 
 
