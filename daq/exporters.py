@@ -49,6 +49,8 @@ def export(output: Output, log: Path, to: Path) -> None:
         output.note(line)
     if recording.lost_samples:
         output.note(f"{to}: the {recording.lost_samples} missing samples are NaN")
+    for other in recording.others:
+        output.note(f"{log}: {other} are NaN in {to}")
     if recording.growing:
         output.note(f"{log}: is being written; {to} ends with sample {recording.stop - 1}")
     elif not recording.complete:

@@ -36,6 +36,7 @@ def _rows(log: Recording) -> list[tuple[str, str]]:
         rows += [("", line) for line in gap_lines(log.gaps, log.first, log.rate_hz)]
     else:
         rows.append(("lost", "nothing"))
+    rows += [("changed", f"{other}, no continuation of the rest") for other in log.others[:MOST_LINES]]
     if log.growing:
         rows.append(("complete", "not yet: it is being written"))
     else:

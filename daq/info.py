@@ -19,6 +19,7 @@ def info(log: Recording) -> dict[str, Any]:
         "samples": log.n_samples,
         "lost_samples": log.lost_samples,
         "gaps": [{"index": g.index, "count": g.count, "reason": g.reason} for g in log.gaps],
+        "left_out": [{"index": o.index, "count": o.samples, "reason": o.what} for o in log.others[:100]],
         "complete": log.complete,
         "being_written": log.growing,
         "damage": list(log.damage),

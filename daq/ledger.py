@@ -13,16 +13,19 @@ class Ledger:
     """Lets readings through so that the index only grows and every jump of it has a gap.
 
     first, stop : indices of the stream so far; lost : samples in gaps; gaps : for the summary.
-    limit : samples, lost ones included, after which nothing is let through.
     """
 
-    def __init__(self, limit: int | None = None) -> None:
-        self._limit = limit
+    def __init__(self) -> None:
+        self._limit: int | None = None
         self.first: int | None = None
         self.stop = 0
         self.lost = 0
         self.repeated = 0
         self.gaps: list[Gap] = []
+
+    def limit_to(self, more: int) -> None:
+        """Let through so many samples from here on, lost ones included."""
+        self._limit = more + (0 if self.first is None else self.stop - self.first)
 
     @property
     def samples(self) -> int:

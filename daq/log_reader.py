@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from .errors import LogError
 from .log_codec import RawBlock
 from .log_place import being_written
 from .log_scan import Findings, Message, scan
-from .scaling import Scaling
+from .scaling import Scaling, now_at
 from .sink import ClockState, Status
 
 LOST_IN_LOG = "log"  # reason of a gap that the log does not explain: the chunk that held these samples is damaged
@@ -143,12 +143,26 @@ class _Decoder:
         return True
 
 
+@dataclass(frozen=True, slots=True)
+class Other:
+    """Samples of a description that is not that of the log: rate, channels or unit."""
+
+    index: int
+    what: str
+    samples: int
+
+    def __str__(self) -> str:
+        return f"from sample {self.index} on the device has {self.what}: {self.samples} samples"
+
+
 @dataclass(frozen=True)
 class Recording:
     """A log. Small things are read, samples come when asked for. complete : closed, and every part of it intact.
 
     gaps : (index, count, reason) in order; estimates : all that were logged; clock : the last that was stated.
-    first, stop : absolute sample indices; damage : what is wrong with the file, one line each.
+    first, stop : absolute sample indices; damage : what is wrong with the file, one line each. info : the first
+    description of the device; others : what a later one says otherwise, so that the samples from an index on are no
+    continuation, and how many those are: counts() and samples() leave them out like a gap.
     """
 
     path: Path
@@ -164,6 +178,7 @@ class Recording:
     last_status: Status | None
     findings: Findings = field(repr=False)
     growing: bool = False  # somebody is writing it: it was read up to here
+    others: tuple[Other, ...] = ()
 
     @property
     def rate_hz(self) -> float:
@@ -218,13 +233,11 @@ class Recording:
         """(stop - first, channels) as the device sent them; rows of a gap are the least int32."""
         self._affordable(4)
         out = np.empty((self.stop - self.first, len(self.channels)), dtype=np.int32)
-        at = 0
-        for block in self._blocks():
-            start = block.index - self.first
-            out[at:start] = np.iinfo(np.int32).min
-            at = start + len(block.counts)
-            out[start:at] = block.counts
-        out[at:] = np.iinfo(np.int32).min
+        out[:] = np.iinfo(np.int32).min
+        for block, info in self._blocks():
+            columns, start = now_at(self.info, info), block.index - self.first
+            if not isinstance(columns, str):
+                out[start : start + len(block.counts)] = block.counts[:, columns]
         return out
 
     def samples(self) -> NDArray[np.float64]:
@@ -238,18 +251,20 @@ class Recording:
     def _in_si(self, columns: list[int], keep_clipped: bool) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         self._affordable(8)
         out = np.empty((self.stop - self.first, len(columns)))
-        at, scaling, hits = 0, Scaling(self.info, columns), np.zeros(len(columns), np.int64)
-        for entry in self._entries():
-            if isinstance(entry, Info):
-                scaling = Scaling(entry, columns)
-            elif isinstance(entry, RawBlock):
-                start, counts = entry.index - self.first, scaling.select(entry.counts)
-                out[at:start] = np.nan
-                at = start + len(counts)
-                scaling.si(counts, out[start:at])
-                if not keep_clipped and (clipped := scaling.clipped(counts)) is not None:
-                    out[start:at][clipped] = np.nan
-                    hits += clipped.sum(axis=0)
+        at, hits, scaling, of = 0, np.zeros(len(columns), np.int64), None, None
+        for block, info in self._blocks():
+            if info is not of:
+                there, of = now_at(self.info, info), info
+                scaling = None if isinstance(there, str) else Scaling(info, [there[k] for k in columns])
+            if scaling is None:
+                continue
+            start, counts = block.index - self.first, scaling.select(block.counts)
+            out[at:start] = np.nan
+            at = start + len(counts)
+            scaling.si(counts, out[start:at])
+            if not keep_clipped and (clipped := scaling.clipped(counts)) is not None:
+                out[start:at][clipped] = np.nan
+                hits += clipped.sum(axis=0)
         out[at:] = np.nan
         return out, hits
 
@@ -270,16 +285,13 @@ class Recording:
         """For another pass over what the first one saw: a log may be growing."""
         return Findings(size=self.findings.size)
 
-    def _entries(self) -> Iterator[Entry | None]:
+    def _blocks(self) -> Iterator[tuple[RawBlock, Info]]:
+        info = self.info
         for entry, _ in walk(self.path, self.again()):
-            if isinstance(entry, Info) and (entry.rate_hz, len(entry.signals)) != (self.rate_hz, len(self.channels)):
-                raise LogError(
-                    f"{self.path}: the device changed its rate or channels within the log; replay it instead"
-                )
-            yield entry
-
-    def _blocks(self) -> Iterator[RawBlock]:
-        return (entry for entry in self._entries() if isinstance(entry, RawBlock))
+            if isinstance(entry, Info):
+                info = entry
+            elif isinstance(entry, RawBlock):
+                yield entry, info
 
     def _affordable(self, item_bytes: int) -> None:
         needed = (self.stop - self.first) * max(1, len(self.channels)) * item_bytes
@@ -305,11 +317,16 @@ def read_log(path: str | Path) -> Recording:
     notices: list[Notice] = []
     estimates: list[LoggedEstimate] = []
     clocks: list[tuple[int, ClockState]] = []
+    others: list[Other] = []
+    what = ""
     for entry, _ in walk(path, findings):
         match entry:
             case RawBlock():
                 first = entry.index if first is None else first
                 stop = entry.stop
+                if what:
+                    begun = others.pop() if others and others[-1].what == what else Other(entry.index, what, 0)
+                    others.append(replace(begun, samples=begun.samples + len(entry.counts)))
             case Gap():
                 gaps.append(entry)
                 if entry.count:
@@ -319,6 +336,8 @@ def read_log(path: str | Path) -> Recording:
                     stop = entry.index + entry.count
             case Info():
                 info = info or entry
+                there = now_at(info, entry)
+                what = there if isinstance(there, str) else ""
             case Notice():
                 notices.append(entry)
             case LoggedEstimate():
@@ -329,7 +348,7 @@ def read_log(path: str | Path) -> Recording:
                     clocks.append((entry.index, entry.clock))
             case Head():
                 head = entry
-        if len(gaps) + len(notices) + len(estimates) + len(clocks) + len(findings.damage) > MOST_EVENTS:
+        if len(gaps) + len(notices) + len(estimates) + len(clocks) + len(others) + len(findings.damage) > MOST_EVENTS:
             text = f"holds more than {MOST_EVENTS} gaps, notices and estimates; it was not made by Rotorscope"
             raise LogError(f"{path}: {text}")
     if info is None and written:
@@ -339,5 +358,5 @@ def read_log(path: str | Path) -> Recording:
         raise LogError(f"{path}: no Rotorscope log can be read from it: {what}; check that it is the right file")
     return Recording(
         path, head, info, first or 0, stop, lost, tuple(gaps), tuple(notices), tuple(estimates), tuple(clocks), status,
-        findings, written and not findings.closed,
+        findings, written and not findings.closed, tuple(others),
     )  # fmt: skip

@@ -77,6 +77,8 @@ def _of_log(path: Path, rig: Rig, note: Callable[[str], None]) -> tuple[NDArray[
     if log.lost_samples:
         real = sum(1 for g in log.gaps if g.count)
         note(f"{path}: {log.lost_samples} samples are missing in {real} gaps; they are left out, not bridged")
+    for other in log.others:
+        note(f"{path}: {other} are left out")
     if hits.any():
         names = ", ".join(rig.model.channels[k].name for k in np.flatnonzero(hits))
         note(

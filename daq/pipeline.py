@@ -69,6 +69,7 @@ class Pipeline:
         self._notify = notify
         self._wake = wake
         self._info: Info | None = None
+        self._rate_since: tuple[int | None, float] = None, 0.0  # index of the last change of rate, seconds before it
         self._scaling: Scaling | None = None
         self._columns: list[int] = []  # which signal each channel of the model is
         self._estimation: Estimation | None = None
@@ -104,8 +105,9 @@ class Pipeline:
     @property
     def seconds(self) -> float:
         """Of data so far, gaps included."""
-        length = 0 if self.ledger.first is None else self.ledger.stop - self.ledger.first
-        return length / self._info.rate_hz if self._info else 0.0
+        since, seconds = self._rate_since
+        start = self.ledger.first if since is None else since
+        return seconds + (0 if start is None or not self._info else (self.ledger.stop - start) / self._info.rate_hz)
 
     # -- the three entries ----------------------------------------------------------------------------------------
 
@@ -252,7 +254,7 @@ class Pipeline:
         """The device has said what it is, for the first time or anew."""
         if info == self._info:
             return
-        first, before = self._info is None, self._info
+        first, before, seconds = self._info is None, self._info, self.seconds
         self._info = info
         if info.signals:
             self._columns = self._columns_of(info)
@@ -263,8 +265,11 @@ class Pipeline:
                 self._collect()
                 self._estimation = None
             self.device_clock = DeviceClock(info.rate_hz)
-            if first and self._plan.limit_s is not None:
-                self.ledger = Ledger(round(self._plan.limit_s * info.rate_hz))
+            if before is not None:
+                self._rate_since = (self.ledger.stop if self.ledger.first is not None else None), seconds
+            limit_s = self._plan.limit_s
+            if limit_s is not None:
+                self.ledger.limit_to(round((limit_s - self._rate_since[1]) * info.rate_hz))
         expected = self._plan.rate_hz
         if expected is not None and abs(info.rate_hz / expected - 1.0) > 1e-3:
             text = f"the device sends {info.rate_hz:g} Hz, the rig file says {expected:g} Hz"

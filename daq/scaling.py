@@ -10,6 +10,21 @@ from drivers.reading import Info
 Counts = NDArray[np.int16] | NDArray[np.int32]
 
 
+def now_at(first: Info, info: Info) -> list[int] | str:
+    """Where the signals of `first` are in another description of the same device: by name, or else in order if there
+    are as many; or why its samples are no continuation."""
+    if info.rate_hz != first.rate_hz:
+        return f"{info.rate_hz:g} Hz instead of {first.rate_hz:g} Hz"
+    names, wanted = [s.name for s in info.signals], [s.name for s in first.signals]
+    if not set(wanted) <= set(names) and len(names) != len(wanted):
+        return f"channels {', '.join(names)} instead of {', '.join(wanted)}"
+    columns = [names.index(name) for name in wanted] if set(wanted) <= set(names) else list(range(len(names)))
+    for column, signal in zip(columns, first.signals, strict=True):
+        if (unit := info.signals[column].unit) != signal.unit:
+            return f"{signal.name} in {unit or 'no unit'} instead of {signal.unit or 'none'}"
+    return columns
+
+
 class Scaling:
     """SI value = count * scale + offset for the signals of `info`, or for those `columns` of it."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,12 @@ from daq import log_codec as codec
 from daq.errors import LogError
 from daq.log_reader import read_log
 from daq.log_schema import message
+from daq.measurement import measure
+from daq.rig import load_rig
 from daq.sink import ClockState
 from drivers.reading import Block, Gap, Info, Notice, Signal
+
+CONFIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 
 
 def test_everything_comes_back(tmp_path: Path) -> None:
@@ -162,10 +167,48 @@ def test_a_full_scale_change_is_kept(tmp_path: Path) -> None:
     assert [r for r in read_log(tmp_path / "a.mcap").readings() if isinstance(r, Info)] == [first, second, first]
 
 
-def test_two_rates_in_one_log_are_refused_as_one_array(tmp_path: Path) -> None:
-    write_log(tmp_path / "a.mcap", [make_block(0, 100), make_info(rate_hz=100.0), make_block(100, 100)])
-    with pytest.raises(LogError, match="changed its rate"):
-        read_log(tmp_path / "a.mcap").samples()
+OTHERS = {  # name and unit of each signal, and the rate
+    "another rate": ([(c.name, "m/s^2") for c in CHANNELS], 100.0, "100 Hz instead of 25600 Hz"),
+    "fewer": ([(c.name, "m/s^2") for c in CHANNELS[1:]], 25600.0, "channels b1y, b2x, b2y instead of"),
+    "another unit": ([(c.name, "V") for c in CHANNELS], 25600.0, "b1x in V instead of m/s^2"),
+}
+
+
+@pytest.mark.parametrize("which", OTHERS)
+def test_what_is_no_continuation_is_left_out_and_told(tmp_path: Path, which: str) -> None:
+    """A device that came back with other settings costs what follows, not the hours before; and is no wrong number."""
+    path = tmp_path / "a.mcap"
+    signals, rate_hz, said = OTHERS[which]
+    other = Info(tuple(Signal(name, unit, 2.0, 0.0) for name, unit in signals), rate_hz)
+    block = make_block(100, 50)
+    write_log(path, [make_block(0, 100), other, replace(block, counts=block.counts[:, : len(signals)])])
+    log = read_log(path)
+    assert (log.n_samples, [(o.index, o.samples) for o in log.others]) == (150, [(100, 50)])
+    assert said in log.others[0].what
+    samples, counts = log.samples(), log.counts()
+    np.testing.assert_array_equal(counts[:100], make_block(0, 100).counts)
+    assert np.isnan(samples[100:]).all()
+    assert np.isfinite(samples[:100]).all()
+    assert (counts[100:] == np.iinfo(np.int32).min).all()
+    told: list[str] = []
+    y = measure(path, load_rig(CONFIG), told.append).y
+    assert np.isnan(y[100:]).all()
+    np.testing.assert_array_equal(y[1:100], samples[1:100])  # the first is at full scale
+    assert [line for line in told if f"{log.others[0]} are left out" in line]
+
+
+def test_channels_that_come_in_another_order_stay_themselves(tmp_path: Path) -> None:
+    """By name, as in the live run; one more does not matter."""
+    path, order = tmp_path / "a.mcap", [3, 1, 0, 2]
+    names = [*(CHANNELS[k].name for k in order), "spare"]
+    other = Info(tuple(Signal(name, "m/s^2" if k < 4 else "V", 2.0, 0.0) for k, name in enumerate(names)), 25600.0)
+    block = make_block(100, 50)
+    counts = np.column_stack([block.counts[:, order], block.counts[:, 0]])
+    write_log(path, [make_block(0, 100), other, replace(block, counts=counts)])
+    log = read_log(path)
+    assert log.others == ()
+    np.testing.assert_array_equal(log.counts()[100:], block.counts)
+    np.testing.assert_array_equal(log.samples()[100:], block.counts * 2.0)
 
 
 def test_a_gap_of_ages_allocates_nothing(tmp_path: Path) -> None:

@@ -170,6 +170,16 @@ def test_a_new_rate_begins_anew() -> None:
     assert np.diff(indices[2:-1]).max() <= 3200
 
 
+def test_seconds_are_those_of_each_rate() -> None:
+    """A device that comes back at half its rate in a run of given length."""
+    half = replace(INFO, rate_hz=INFO.rate_hz / 2)
+    first = round(INFO.rate_hz)
+    batches = [[INFO, *stream(first, [])], [half, *stream(4 * first, range(0, 4 * first, 700), first=first)]]
+    pipeline, _ = run(batches, replace(PLAN, limit_s=2.5))
+    assert pipeline.seconds == 2.5
+    assert pipeline.ledger.samples == first + 1.5 * half.rate_hz
+
+
 @pytest.mark.parametrize("seconds", [10, 10_000, 10**9])
 def test_long_gaps_cost_a_bounded_time_and_keep_the_index(seconds: int) -> None:
     count = seconds * 25_600
@@ -283,7 +293,9 @@ def test_the_ledger_lets_nothing_through_twice_and_leaves_no_hole(
     items: list[tuple[bool, int, int]], limit: int | None
 ) -> None:
     """Whatever a driver delivers: indices grow, every index is a sample or in a gap, the sums agree."""
-    ledger = Ledger(limit)
+    ledger = Ledger()
+    if limit is not None:
+        ledger.limit_to(limit)
     at: int | None = None
     samples = lost = 0
     for is_block, index, count in items:
