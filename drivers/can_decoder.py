@@ -39,7 +39,7 @@ class CanDecoder:
         self.stats = stats
         self.notices = Notices()
         self._base = base_id
-        self._device = DeviceInfo(self.notices, expected)
+        self._device = DeviceInfo(self.notices, expected, unchecked)
         self._axis = Continuity(stats, self.notices)
         self._classic = ClassicWindow(stats, self.notices)
         self._unchecked = unchecked

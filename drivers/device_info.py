@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from drivers.notices import Notices
 from drivers.protocol import LAYOUTS, PARTS, VERSION, InfoRecord, Layout, unpack_info
-from drivers.reading import Info
+from drivers.reading import Info, Signal
 
 _BY_CODE = {layout.code: layout for layout in LAYOUTS.values()}
 
@@ -32,14 +32,20 @@ class _Heard:
 
 
 class DeviceInfo:
-    """`info` and `layout` are None until one record of every channel has come."""
+    """`info` and `layout` are None until one record of every channel has come.
 
-    def __init__(self, notices: Notices, expected: Expected | None = None) -> None:
+    unchecked : the link has no check sums, so that another description of the same start has to be said twice.
+    """
+
+    def __init__(self, notices: Notices, expected: Expected | None = None, unchecked: bool = False) -> None:
         self.info: Info | None = None
         self.layout: Layout | None = None
         self._notices = notices
         self._expected = expected or Expected()
         self._records: dict[int, InfoRecord] = {}
+        self._unchecked = unchecked
+        self._twice: dict[int, bool] = {}  # the last two records of a channel say the same
+        self._start: tuple[object, ...] = ()  # whose description `info` is
         self._heard: list[_Heard] = []  # the last one last
         self._mixed_ns: int | None = None  # when two were last heard in turn
         self._parts: dict[int, list[bytes]] = {}
@@ -56,6 +62,7 @@ class DeviceInfo:
         self._listen(record.serial_number, t_host_ns)
         if self.mixed(t_host_ns):
             return None
+        self._twice[record.channel] = self._records.get(record.channel) == record
         self._records[record.channel] = record
         device = (record.serial_number, record.epoch, record.layout, record.channels, record.rate_hz, record.count_bits)
         group = [
@@ -68,11 +75,18 @@ class DeviceInfo:
         self._records = {each.channel: each for each in group}
         signals = tuple(self._records[channel].signal for channel in range(record.channels))
         info = Info(signals, record.rate_hz, f"{record.serial_number:08X}", record.count_bits)
-        if info == self.info:
+        if info == self.info or (self.info is not None and device == self._start and not self._settled(signals)):
             return None
         self._compare(info, t_host_ns)
+        self._start = device
         self.info, self.layout = info, _BY_CODE[record.layout]
         return info
+
+    def _settled(self, signals: tuple[Signal, ...]) -> bool:
+        """Neither a damaged record nor half of another description."""
+        if len({signal.name for signal in signals}) < len(signals):
+            return False
+        return not self._unchecked or all(self._twice[channel] for channel in range(len(signals)))
 
     def mixed(self, t_host_ns: int) -> bool:
         """Two devices send with the same identifiers: nothing says whose a sample is."""

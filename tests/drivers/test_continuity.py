@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ramp_device import PERIOD, Record, ramp_device
+from ramp_device import PERIOD, Ramp, Record, ramp_device
 
 from drivers import cobs
 from drivers.can_decoder import CanDecoder
@@ -201,6 +201,38 @@ def test_a_damaged_serial_number_makes_no_second_device() -> None:
         wire.feed([WireFrame(frames[-1].due_s, INFO, pack_info(replace(record, serial_number=77 + k)))])
     assert wire.record.codes() == set()
     assert wire.record.samples == 6 * 293 * wire.device.config.frame_rows
+
+
+@pytest.mark.parametrize("wrong", ["name", "scale", "unit"])
+def test_a_damaged_record_on_a_link_without_check_sums_is_no_description(wrong: str) -> None:
+    """It had named a channel, and scaled it, for a second; and was a restart of the device."""
+    wire = Wire(ramp_device("fd16", 2048.0, None))
+    assert isinstance(wire.decoder, CanDecoder)
+    wire.decoder = CanDecoder(wire.stats, unchecked=True)
+    for _ in range(4):
+        frames = wire.device.next(293)
+        wire.feed(frames)
+        record = unpack_info(next(f.data for f in frames if f.identifier == INFO))
+        assert record is not None
+        other = {"name": "b1z", "scale": 7.0, "unit": "V"}[wrong]
+        signal = replace(record.signal, **{wrong: other})  # type: ignore[arg-type]
+        wire.feed([WireFrame(frames[-1].due_s, INFO, pack_info(replace(record, signal=signal)))])
+    assert len(wire.record.infos) == 1
+    assert wire.record.codes() == set()
+
+
+@pytest.mark.parametrize("unchecked", [False, True])
+def test_channels_in_another_order_are_never_half_the_old_half_the_new(unchecked: bool) -> None:
+    """A device that keeps no number of its starts comes back with its cables swapped."""
+    first = ramp_device("fd16", 2048.0, None)
+    order = ("b2y", "b1x", "b1y", "b2x")
+    settings = replace(first.config, channels=order)
+    second = SimulatedDevice(Ramp(settings.signals()[0].scale), settings)
+    wire = Wire(first, batch=1)
+    wire.decoder = CanDecoder(wire.stats, unchecked=unchecked)
+    wire.run(600)
+    wire.feed(second.next(1000))
+    assert [tuple(s.name for s in info.signals) for info in wire.record.infos] == [first.config.channels, order]
 
 
 def test_restart_without_epochs_is_seen_by_the_clock() -> None:
