@@ -1,5 +1,7 @@
 """The folder of this file is on the import path: helpers that several folders share lie beside it."""
 
+import os
+
 import pytest
 from _pytest.runner import runtestprotocol
 from hypothesis import settings
@@ -8,6 +10,8 @@ from promises import TRIES, Late
 # The first call of compiled code takes seconds, and this machine may be busy: time is for the benchmarks.
 settings.register_profile("rotorscope", deadline=None)
 settings.load_profile("rotorscope")
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is loaded: as the command does (daq/cli.py)
 
 LATE = pytest.StashKey[bool]()
 
