@@ -83,17 +83,21 @@ def about(log: Path, data: Measurement) -> Iterator[None]:
 
 
 def fitted(rig: Rig, data: Measurement, method: str) -> Fit:
-    """The fit of a record by the method's name, with what is said of clipped channels."""
+    """The fit of a record by the method's name; clipped channels are restored, and it is said."""
     from importlib import import_module
 
-    from estimator import sensor_faults
+    from estimator import declip, sensor_faults
     from estimator.shaft_angle import measured_phase
 
+    clipped = sensor_faults.find(rig.model, data.y)
+    y = declip.restored(rig.model, data.y, frozenset(place for s in clipped for place in s.at))
+
     module = import_module(f"estimator.{method.replace('-', '_')}")
-    phase = measured_phase(rig.model, data.y, data.rate_hz) if method == "spectral" else None
-    result: Fit = module.fit(rig.model, data.y, data.rate_hz, **({} if phase is None else {"phase": phase}))
-    clipped = [sensor_faults.said(s) for s in sensor_faults.find(rig.model, data.y)]
-    return replace(result, messages=(*result.messages, *clipped))
+    phase = measured_phase(rig.model, y, data.rate_hz) if method == "spectral" else None
+    result: Fit = module.fit(rig.model, y, data.rate_hz, **({} if phase is None else {"phase": phase}))
+    beyond = {c.place for c, z, was in zip(rig.model.channels, y.T, data.y.T, strict=True) if np.nansum(abs(z - was))}
+    said = [f"{s.region}: {declip.RESTORED}" if s.at[0] in beyond else sensor_faults.said(s) for s in clipped]
+    return replace(result, messages=(*result.messages, *said))
 
 
 def _likelihood(result: Fit) -> str:

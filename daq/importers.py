@@ -42,6 +42,8 @@ def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: 
     with output.progress(f"reading {path.name}"):
         record = checked(path, read(path, [c.name for c in rig.model.channels]), rig, rate_hz, output.note, gaps)
     lost = 0 if record.missing is None else int(record.missing.sum())
+    for text in limited(record, rig):
+        output.note(f"{path}: {text}")
     with output.progress(f"writing {out.name}") as progress:
         write_record(record, rig, out, {"source": path.name}, progress, output.note)
     value = {
@@ -55,6 +57,20 @@ def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: 
     }
     text = f"{record.samples / record.rate_hz:.6g} s of {len(record.names)} channels at {record.rate_hz:g} Hz"
     output.result(value, f"{out}: {text}{f', {lost} samples missing' if lost else ''}")
+
+
+def limited(record: Record, rig: Rig) -> list[str]:
+    """What to tell of motion channels whose samples pile up at a ceiling."""
+    from estimator.sensor_faults import clipping_level
+
+    out = []
+    for channel, values, factor in zip(rig.model.channels, record.values, record.factors, strict=True):
+        if channel.place in rig.model.places and channel.kind != "force":
+            found = clipping_level(values * factor)
+            if found is not None:
+                share = 100 * found[1] / record.samples
+                out.append(f"{channel.name} is limited to +-{found[0]:.3g} in {share:.2g} % of its samples")
+    return out
 
 
 def _import_capture(output: Output, path: Path, rig: Rig, out: Path) -> None:

@@ -93,5 +93,10 @@ def on_trial(model: Model) -> list[Effect]:
 
 def not_judged(model: Model, places: tuple[str, ...]) -> frozenset[int]:
     """Places whose channel the model calls clipped: what a limiter does to the states is not the rotor's doing."""
-    clipped = {p for u in model.effects if u.name == "sensor_clipping" for p in u.parameters}
-    return frozenset(i for i, p in enumerate(places) if p in clipped or p.split(".")[0] in clipped)
+    return frozenset(i for i, p in enumerate(places) if p in clipped(model))
+
+
+def clipped(model: Model) -> frozenset[str]:
+    """Places whose channel the model calls clipped."""
+    named = {p for u in model.effects if u.name == "sensor_clipping" for p in u.parameters}
+    return frozenset(p for p in model.places if p in named or p.split(".")[0] in named)

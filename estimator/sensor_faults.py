@@ -25,9 +25,9 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
         return None
     low, high = np.nanmin(y), np.nanmax(y)
     reach = FAR * (high - low)
-    piled = [found for z in (y[y >= high - reach], -y[y <= low + reach]) if (found := _piled(z)) is not None]
-    if piled:
-        return max(level for level, _ in piled), sum(count for _, count in piled)
+    ends = [found for z in (y[y >= high - reach], -y[y <= low + reach]) if (found := piled(z)) is not None]
+    if ends:
+        return max(level for level, _ in ends), sum(count for _, count in ends)
     top = float(max(high, -low))
     size = np.abs(y[(y > (1.0 - FAR) * top) | (y < (FAR - 1.0) * top)])
     if size.size <= 40:
@@ -40,7 +40,7 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
     return None
 
 
-def _piled(z: Array) -> tuple[float, int] | None:
+def piled(z: Array) -> tuple[float, int] | None:
     """Largest value and number of samples that have it, if that is more than the fall of a density allows."""
     top = z.max()
     count = int(np.count_nonzero(z == top))

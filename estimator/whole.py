@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import bent_path, force_colour, modulation, periodic, periodic_fit
+from . import bent_path, force_colour, modulation, periodic, periodic_fit, sensor_faults
+from .declip import RESTORED, restored
 from .effect import EffectParameter
 from .effects import NAMED
 from .effects.places import at, written
@@ -21,7 +22,7 @@ from .fit_result import Fit
 from .fitted import parameters
 from .force_level import ratio
 from .model import EffectUse, Model, Setting
-from .model_uses import not_judged
+from .model_uses import clipped
 from .motion_blocks import COLOURS
 from .preparation import prepare, shortened
 from .search_start import fit_record
@@ -98,11 +99,13 @@ def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
     uses = [u for u in model.effects if beside_the_laws(u)]
     if not uses:
         return Whole(model, fit_record(model, prepare(model, y, rate_hz)), {})
+    limited, y = y, restored(model, y, clipped(model))
     undone = [u for u in uses if _undone(u, model)]
     bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u in undone))
     point = fit_record(bare, prepare(bare, y, rate_hz))
     numbered = {u.name for u in uses if u not in undone or not _told(u, model)}
     seen = suspects(bare, point, y, everywhere=True)
+    seen += sensor_faults.find(bare, limited) if limited is not y else []
     further = _further_lines(model, seen)
     model, found = _all_numbered(with_uses(model, further), numbered | further.keys(), seen, point)
     point = fit_record(model, prepare(model, y, rate_hz))
@@ -121,7 +124,14 @@ def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
         found |= stepped
         if stepped:
             point = fit_record(model, prepare(model, y, rate_hz))
-    return Whole(model, point, found | _levels(model, found, point), _several(model, further))
+    messages = (*_several(model, further), *_limited(model, limited is not y))
+    return Whole(model, point, found | _levels(model, found, point), messages)
+
+
+def _limited(model: Model, beyond: bool) -> tuple[str, ...]:
+    """What to tell the user of clipped channels. beyond : whether what was taken from them is restored."""
+    what = RESTORED if beyond else "values are those of what is left of it"
+    return tuple(f"{place}: its sensor is clipped: {what}" for place in sorted(clipped(model)))
 
 
 def _several(model: Model, further: Mapping[str, Mapping[str, Mapping[str, Setting]]]) -> tuple[str, ...]:
@@ -182,15 +192,8 @@ def fit(model: Model, y: Array, rate_hz: float) -> Fit:
     """The same as the result of a fit."""
     whole = fit_whole(model, y, rate_hz)
     data = whole.point.data
-    clipped = [data.places[i] for i in sorted(not_judged(model, data.places))]
-    messages = tuple(f"{place}: its sensor is clipped: values are those of what is left of it" for place in clipped)
-    return Fit(
-        whole.parameters,
-        whole.point.fit.log_likelihood,
-        data.blocks * data.block,
-        "spectral",
-        (*whole.messages, *messages),
-    )
+    samples = data.blocks * data.block
+    return Fit(whole.parameters, whole.point.fit.log_likelihood, samples, "spectral", whole.messages)
 
 
 def _all_numbered(

@@ -1,6 +1,7 @@
 """Files in and out: whole round trips for every format, exactness, and a clear refusal of everything doubtful."""
 
 import json
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -287,6 +288,16 @@ def test_gaps_only_when_asked_for_and_named_on_the_way_out(folder: Path, capsys:
     capsys.readouterr()
     assert main(["export", str(folder / "log.mcap"), "--to", str(folder / "b.csv")]) == 0
     assert "gap: 200 samples from index 1000 on, t = 0.195312 s" in capsys.readouterr().err
+
+
+def test_a_channel_at_its_ceiling_is_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    y = samples()
+    y[:, 1] = np.clip(y[:, 1], -80.0, 80.0)
+    share = 100 * np.mean(np.abs(y[:, 1]) == 80.0)
+    assert load(folder, write_npz(folder / "a.npz", y)) == 0
+    said = capsys.readouterr().err
+    assert re.search(rf"b1y is limited to \+-[\d.e+]+ in {share:.2g} % of its samples", said)
+    assert "b1x is limited" not in said
 
 
 def test_another_rate_than_the_rigs_is_said_and_used(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
