@@ -34,8 +34,8 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
-def application() -> typer.Typer:
-    """All commands, in the order in which --help shows them."""
+def application(only: str = "") -> typer.Typer:
+    """All commands, in the order in which --help shows them, or one: to build all takes longer than to run some."""
     app = typer.Typer(
         help=ABOUT,
         epilog=EPILOG,
@@ -53,6 +53,8 @@ def application() -> typer.Typer:
 
     for group in (cli_demo, cli_live, cli_analyse, cli_model, cli_files):
         group.register(app)
+    named = [c for c in app.registered_commands if only == (c.name or getattr(c.callback, "__name__", None))]
+    app.registered_commands = named or app.registered_commands
     return app
 
 
@@ -62,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     verbose = "--verbose" in arguments or "-v" in arguments
     usage_error: Any = typer.BadParameter.__base__
     try:
-        status = application()(arguments, prog_name="rotorscope", standalone_mode=False)
+        status = application(*arguments[:1])(arguments, prog_name="rotorscope", standalone_mode=False)
         sys.stdout.flush()
         if status == INTERRUPTED:  # as typer has it
             raise KeyboardInterrupt

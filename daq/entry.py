@@ -11,7 +11,7 @@ import sys
 from typing import NoReturn
 
 INTERRUPTED = 130
-OBJECTS = 20_000  # new ones between two searches for garbage: what is imported is none (0.1 s of every command)
+OBJECTS = 100_000  # new ones between two searches for garbage: what is imported is none (0.2 s of every command)
 
 
 def main() -> NoReturn:

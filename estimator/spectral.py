@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from . import modulation
 from .balance import Balance
 from .checks import check_record
 from .contour import modes_of
+from .effects.ball_pass import BALL_PASS
 from .effects.custom import effect_of
 from .errors import DataError
 from .estimate import Parameter
@@ -176,13 +176,13 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
     A model with more than laws of the states of a cap, with a force that remembers, or with a law that moves the cap
     off its centre is fitted as compare fits it, and so is a rotor beyond whirl.
     """
-    from . import whole
-
     known = all(model.cap_mass(place) is not None for place in model.places)
-    if known and _more_than_laws(model):
-        return whole.fit(model, check_record(model, y, rate_hz), rate_hz)
-    solution = analyse(model, y, rate_hz, phase, _begun(model, y, rate_hz) if known else None)
-    if known and _whirls(solution):
+    solution: Solution | None = None
+    if not (known and _more_than_laws(model)):
+        solution = analyse(model, y, rate_hz, phase, _begun(model, y, rate_hz) if known else None)
+    if solution is None or (known and _whirls(solution)):
+        from . import whole
+
         return whole.fit(model, check_record(model, y, rate_hz), rate_hz)
     samples = int(solution.record.motion.valid.sum())
     return Fit(report(solution), -solution.local.nll, samples, "spectral", messages(solution))
@@ -191,10 +191,10 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
 def _begun(model: Model, y: Floats, rate_hz: float) -> dict[str, float] | None:
     """Values by name to begin from, where a law has numbers that no linear fit finds, as compare finds them: from a
     gap of another size Gauss-Newton ends at a maximum of its own. None without such a law."""
-    from . import preparation, search_start
-
     if not any(searched(effect_of(use), model) for use in model.effects):
         return None
+    from . import preparation, search_start  # 0.1 s to import
+
     part = y[: int(START_SECONDS * rate_hz)]
     try:
         point = search_start.fit_record(model, preparation.prepare(model, part, rate_hz))
@@ -211,7 +211,7 @@ def _more_than_laws(model: Model) -> bool:
     if not forced(model):
         more |= any(lopsided(e, usual(e), np.ones(4)) for e in effects)
         timed = bool(model.speed_rpm) or model.tacho is not None
-        more |= timed and bool(modulation.laws(model))
+        more |= timed and any(u.name == BALL_PASS.name for u in model.effects)
     return more
 
 
