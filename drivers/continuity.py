@@ -101,7 +101,7 @@ class Continuity:
 
     def _run(self, f: SampleFrames, start: int, stop: int, t_host_ns: int, out: list[Reading]) -> None:
         """Consecutive frames start:stop of one batch."""
-        rows, last = f.counts.shape[1], self._anchor
+        rows, last, restarts = f.counts.shape[1], self._anchor, self._stats.restarts
         time_us = None if f.time_us is None else int(f.time_us[start])
         if last is not None:
             if int(f.epoch[start]) != last.epoch:
@@ -116,6 +116,12 @@ class Continuity:
         final_us = time_us
         if time_us is not None and f.time_us is not None:
             final_us = time_us + int(f.time_us[stop - 1] - f.time_us[start]) % f.time_modulus
+        elif (
+            last is not None and last.time_us is not None
+            and self.index - last.index < f.modulus and self._stats.restarts == restarts
+        ):  # fmt: skip
+            ahead = self.index + (stop - start - 1) * rows - last.index
+            final_us = last.time_us + round(ahead * 1e6 / self.rate_hz)  # till a frame with a time says how many wraps
         counts = f.counts[start:stop].reshape(-1, f.counts.shape[2])
         out.append(Block(self.index, counts, t_host_ns, None if time_us is None else time_us * 1000))
         self.index += len(counts)
@@ -149,6 +155,8 @@ class Continuity:
         total = ahead + f.modulus * round((elapsed - ahead) / f.modulus)
         if not timed and f.modulus - ahead <= LATE_FRAMES * rows and host < 0.5 * f.modulus:
             total = ahead - f.modulus  # a little behind, and no time for a whole wrap
+        elif not timed and (total < 0 or (ahead == last.rows and "reconnect" not in self._causes)):
+            total = ahead  # it was the host that stood still, and this came late
         moved = timed and elapsed > 0.5 * rows
         if total == 0 and (moved or self._changed(f, start)):
             passed = rows * round(elapsed / rows) + rows - last.rows - already

@@ -235,6 +235,22 @@ def test_channels_in_another_order_are_never_half_the_old_half_the_new(unchecked
     assert [tuple(s.name for s in info.signals) for info in wire.record.infos] == [first.config.channels, order]
 
 
+@pytest.mark.parametrize("lost", [80_000, 240_000, 400_000, 560_000, 1_040_000])
+def test_a_program_that_stood_still_finds_every_sample_where_it_was(lost: int) -> None:
+    """What the link kept comes late and at once; then what came when it was full again had been lost. Most frames of
+    fd24 have no time of their own, and their counter wraps within 12.8 s: the host's clock says a wrong one."""
+    wire = Wire(device_of("fd24"))
+    wire.run(5200)
+    late = wire.device.next(1600)
+    wire.feed([replace(f, due_s=f.due_s + lost / 25_600) for f in late])
+    wire.device._index += lost
+    wire.run(2000)
+    assert sum(gap.count for gap in wire.record.gaps) == lost
+    assert wire.record.next_index == wire.device._index
+    assert wire.record.offset == -lost % PERIOD
+    assert wire.record.codes() == set()
+
+
 def test_restart_without_epochs_is_seen_by_the_clock() -> None:
     device = device_of("fd16", Fault("restart", 200, 100))
     device._epoch = 0
