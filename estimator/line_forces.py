@@ -34,6 +34,7 @@ Complexes = NDArray[np.complex128]
 SURE = 1.3  # the local noise is known to about a tenth: so much more is asked of a line
 LEVEL = 1e-4  # chance of one false line in a record, in a blind search
 NEAR_DISC = 0.04  # of the disc's resonance on its shaft, on either side
+ALIKE = 0.02  # of a line in two channels, that their sensors may differ by
 KNOWN_LEVEL = 1e-4  # at an order that is looked at on purpose
 
 
@@ -159,14 +160,39 @@ def _one_line(
         if name == "line":
             values["frequency"] = Parameter(hz, 0.3 / s.seconds / float(np.sqrt(Z[i])), "Hz")
         settings_by[place] = values
+    note = "" if near else _whose(point, s, hz)
     what = f"{near[0]} x shaft speed ({hz:.2f} Hz)" if near else f"{hz:.3f} Hz"
     if not near and rotation > 0:
         what += f", {order:.3f} x shaft speed"
     df = len(places) * 2 + (name == "line")
     return Suspect(
-        name, tuple(places), total, df, p, power, "shaft_angle" if near else "frequency", what, settings_by,
+        name, tuple(places), total, df, p, power, "shaft_angle" if near else "frequency", what, settings_by, note,
         detectable=(float(5 * np.sqrt(noise.min() / 2)), "N"),
     )  # fmt: skip
+
+
+def _whose(point: WorkingPoint, s: Spectrum, hz: float) -> str:
+    """What the channels say of whether a line is a force or hum that cables pick up; "" where they say nothing.
+
+    Hum is the same acceleration everywhere; the same force on caps of different stiffness is not. In one channel a line
+    may be either, as a cap hardly moves its neighbours.
+    """
+    if set(s.kinds) != {"acceleration"} or len(s.kinds) < 2:
+        return ""
+    Y, noise = s.at(hz)
+    seen = np.abs(Y) ** 2 > 9.0 * noise
+    if seen.sum() == 1:
+        place = point.data.places[int(np.argmax(seen))]
+        return f"only the channel of {place} shows it: a force there, or hum in its cable, which a rotor at rest leaves"
+    mean = np.mean(Y)
+    alike = np.abs(Y - mean) < ALIKE * abs(mean) + 3.0 * np.sqrt(noise)
+    if not alike.all() or np.sqrt(noise.max()) > 5.0 * ALIKE * abs(mean):
+        return ""
+    A = tangent_at(point, np.array([hz]), shaft_response(s.model, point.data.places, np.array([hz])))[0]
+    moved = np.linalg.solve(A, np.ones(Y.size))
+    if np.abs(moved / moved.mean() - 1.0).max() < 2.0 * ALIKE:
+        return "the same acceleration in every channel: one force on all caps, or hum that the sensors pick up"
+    return "the same acceleration in every channel, which no force gives caps of these stiffnesses: hum in the sensors"
 
 
 def _made_by_laws(point: WorkingPoint, hz: float, order: int, F: Complexes) -> NDArray[np.bool_]:

@@ -31,6 +31,26 @@ def test_a_record_without_a_mean_has_no_line_at_its_lowest_frequencies() -> None
 
 
 @pytest.mark.slow
+def test_hum_of_the_sensors_is_told_from_a_force_where_the_channels_tell_it() -> None:
+    rig = one_bearing()  # stiffness in x and y 8 % apart
+    y = simulate(rig, RATE, 8.0, seed=2, noise=0.02, full_scale=490.5)
+    hum = 0.3 * np.cos(2 * np.pi * 250.0 * np.arange(len(y)) / RATE)[:, None]
+
+    def said(z: np.ndarray) -> list[str]:
+        found = line_forces.find(rig, fit_whole(rig, z, RATE).point, z, RATE)
+        assert [s.region[:3] for s in found] == ["250"]
+        return [s.note for s in found]
+
+    assert said(y + hum) == [
+        "the same acceleration in every channel, which no force gives caps of these stiffnesses: hum in the sensors"
+    ]
+    (one,) = said(y + hum * [1.0, 0.0])
+    assert one.startswith("only the channel of bearing1.x shows it: a force there, or hum in its cable")
+    own = [rig.linear[p]["kL"].value or 0.0 for p in rig.places]
+    assert said(y + hum * [1.0, own[0] / own[1]]) == [""]  # what one force on both would do
+
+
+@pytest.mark.slow
 def test_a_disc_of_another_mass_is_no_line() -> None:
     """Its resonance is sharp, and where the rig file does not say: but it wanders as no line does."""
     rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
