@@ -21,6 +21,7 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
     The density of any vibration falls towards its extremes. A limiter puts everything beyond it into a spike there: of
     one value, as a converter does, or blurred by what noise comes after, both ends together.
     """
+    y = np.ascontiguousarray(y)  # a column is read five times
     if np.count_nonzero(np.isfinite(y)) < 1000:
         return None
     low, high = np.nanmin(y), np.nanmax(y)

@@ -86,17 +86,20 @@ def _combs(s: Spectrum, Zs: Array, rotation: float, high: float) -> list[float]:
     """Hz whose first harmonics together stand out most, in any channel, with what it is a third to thrice of."""
     low, top = LEAST_ORDER * rotation, min(MOST_ORDER * rotation, high / 4)
     grid = np.arange(np.ceil(low * FIRST * s.seconds), np.floor(top * FIRST * s.seconds)) / (FIRST * s.seconds)
+    totals, count = np.zeros((len(Zs), grid.size), np.float32), np.zeros(grid.size)
+    bounded = np.minimum(Zs, MOST, dtype=np.float32)
+    for k in range(1, FIRST + 1):
+        inside = int(np.searchsorted(grid, high / k))
+        at = np.rint(k * grid[:inside] * s.seconds).astype(np.intp)
+        for total, Z in zip(totals, bounded, strict=True):
+            total[:inside] += Z[at]
+        count[:inside] += 1
     best, found = 0.0, 0.0
-    for Z in np.minimum(Zs, MOST):
-        total, count = np.zeros(grid.size), np.zeros(grid.size)
-        for k in range(1, FIRST + 1):
-            inside = int(np.searchsorted(grid, high / k))
-            total[:inside] += Z[np.rint(k * grid[:inside] * s.seconds).astype(np.intp)]
-            count[:inside] += 1
+    for total in totals if grid.size else ():
         clear = total / SURE - count
-        at = int(np.argmax(clear)) if grid.size else -1
-        if at >= 0 and clear[at] > best and gammaincc(count[at], total[at] / SURE) * grid.size * len(Zs) < LEVEL:
-            best, found = float(clear[at]), float(grid[at])
+        top = int(np.argmax(clear))
+        if clear[top] > best and gammaincc(count[top], total[top] / SURE) * grid.size * len(Zs) < LEVEL:
+            best, found = float(clear[top]), float(grid[top])
     return [_centred(s, Zs, found * q, high) for q in (1.0, 1 / 2, 1 / 3, 2.0, 3.0)] if found else []
 
 
