@@ -57,11 +57,14 @@ command is refused before it begins.
 
 ## Hostile input: how far it went
 
-The rows say how many inputs each kind was run with; ten million are wanted of each, and not all are there: whole files of `npz`, `uff`,
-`rig`, `mcap` and of the `answer` process are few, as opening one costs more than what is in it; their members, data sets, tables, records
-and messages are read by themselves too, and stand in for them. The libraries for .mat and .mf4 crash on some damaged files, which is
-why they run in a process of their own: an input costs about 1.5 and 4 ms there, most of it the library's, so ten million are 4 and 11
-hours of a core. What that process may answer or die of is tried by itself (`answer`, `answer-members`).
+The rows say how many inputs each kind was run with; ten million are wanted of each, and not all are there. Whole files of `npz`, `uff`,
+`rig`, `mcap`, .mat, .mf4 and of the `answer` process are few, as opening one costs more than what is in it; their members, data sets,
+tables, records, messages, variables and files of one channel are read by themselves too, and stand in for them.
+
+The libraries for .mat and .mf4 crash, or come to no end, on some damaged files, which is why they run in a process of their own. Variables
+of a .mat (`mat-variables`) and small .mf4 files (`mf4-files`) are read with the libraries' own code, many in a request; one that kills the
+process costs a new one, and those behind it are read all the same. What that process may answer is tried by itself (`answer`,
+`answer-members`).
 
 ## After a crash
 

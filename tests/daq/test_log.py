@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -175,7 +176,9 @@ OTHERS = {  # name and unit of each signal, and the rate
 
 
 @pytest.mark.parametrize("which", OTHERS)
-def test_what_is_no_continuation_is_left_out_and_told(tmp_path: Path, which: str) -> None:
+def test_what_is_no_continuation_is_left_out_and_told(
+    tmp_path: Path, which: str, record_property: Callable[[str, object], None]
+) -> None:
     """A device that came back with other settings costs what follows, not the hours before; and is no wrong number."""
     path = tmp_path / "a.mcap"
     signals, rate_hz, said = OTHERS[which]
@@ -195,6 +198,8 @@ def test_what_is_no_continuation_is_left_out_and_told(tmp_path: Path, which: str
     assert np.isnan(y[100:]).all()
     np.testing.assert_array_equal(y[1:100], samples[1:100])  # the first is at full scale
     assert [line for line in told if f"{log.others[0]} are left out" in line]
+    row = f"device comes back with other settings | {said} | what was before is used, the rest left out and told"
+    record_property("reliability", f"{row} | {log.others[0].samples} samples left out, no wrong number")
 
 
 def test_channels_that_come_in_another_order_stay_themselves(tmp_path: Path) -> None:

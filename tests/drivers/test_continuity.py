@@ -204,7 +204,9 @@ def test_a_damaged_serial_number_makes_no_second_device() -> None:
 
 
 @pytest.mark.parametrize("wrong", ["name", "scale", "unit"])
-def test_a_damaged_record_on_a_link_without_check_sums_is_no_description(wrong: str) -> None:
+def test_a_damaged_record_on_a_link_without_check_sums_is_no_description(
+    wrong: str, record_property: Callable[[str, object], None]
+) -> None:
     """It had named a channel, and scaled it, for a second; and was a restart of the device."""
     wire = Wire(ramp_device("fd16", 2048.0, None))
     assert isinstance(wire.decoder, CanDecoder)
@@ -219,6 +221,8 @@ def test_a_damaged_record_on_a_link_without_check_sums_is_no_description(wrong: 
         wire.feed([WireFrame(frames[-1].due_s, INFO, pack_info(replace(record, signal=signal)))])
     assert len(wire.record.infos) == 1
     assert wire.record.codes() == set()
+    row = f"info record damaged, slcan | another {wrong} of a channel, once a second | the description as it was"
+    record_property("reliability", f"{row} | held, no gap")
 
 
 @pytest.mark.parametrize("unchecked", [False, True])
@@ -236,7 +240,9 @@ def test_channels_in_another_order_are_never_half_the_old_half_the_new(unchecked
 
 
 @pytest.mark.parametrize("lost", [80_000, 240_000, 400_000, 560_000, 1_040_000])
-def test_a_program_that_stood_still_finds_every_sample_where_it_was(lost: int) -> None:
+def test_a_program_that_stood_still_finds_every_sample_where_it_was(
+    lost: int, record_property: Callable[[str, object], None]
+) -> None:
     """What the link kept comes late and at once; then what came when it was full again had been lost. Most frames of
     fd24 have no time of their own, and their counter wraps within 12.8 s: the host's clock says a wrong one."""
     wire = Wire(device_of("fd24"))
@@ -249,6 +255,9 @@ def test_a_program_that_stood_still_finds_every_sample_where_it_was(lost: int) -
     assert wire.record.next_index == wire.device._index
     assert wire.record.offset == -lost % PERIOD
     assert wire.record.codes() == set()
+    how = f"for {lost / 25_600:.1f} s, 0.3 s of it kept by the link, the counter wraps in 12.8 s"
+    promised = "every sample at its index, the loss exact"
+    record_property("reliability", f"program stands still, fd24 | {how} | {promised} | {lost} lost, all in gaps")
 
 
 def test_restart_without_epochs_is_seen_by_the_clock() -> None:
