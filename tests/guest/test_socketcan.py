@@ -89,7 +89,7 @@ def test_simulated_rig_on_vcan_through_the_command_line(tmp_path: Path) -> None:
     heard = socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     heard.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
     heard.bind(("vcan0",))
-    heard.settimeout(100)
+    heard.settimeout(300)  # only a hang matters
     device = Child(lambda: main(["simulate", rig, "--serve", "can:socketcan:vcan0"]), tmp_path / "device.txt")
     with heard:
         heard.recv(72)  # it takes seconds to begin
