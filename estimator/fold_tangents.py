@@ -36,8 +36,8 @@ def excess(likelihood: Likelihood, local: Local, bank: Bank) -> Floats:
     to_x = np.einsum("f,fij->ij", 1 / s**2, weighted).real
     to_v = np.einsum("f,fij->ij", 1 / s, weighted).real
     tangents, weights = bank.fold_tangents, bank.blocks[:, None, None]
-    if bank.level is not None:
-        weights = weights * bank.level[[c.row for c in balance.columns]].T[:, :, None]
+    if bank.rest is not None:
+        weights = weights * bank.rest[[c.row for c in balance.columns]].T[:, :, None]
     apart = (tangents - np.sum(weights * tangents, axis=0) / np.sum(weights, axis=0)) * weights
     out = np.zeros((bank.blocks.size, likelihood.row.size))
     for e, (row, column) in enumerate(zip(likelihood.row, likelihood.column, strict=True)):

@@ -40,6 +40,15 @@ def ratio(level: Array | None) -> float:
     return 1.0 if level is None else float(np.sqrt((level.max(axis=1) / level.min(axis=1)).max()))
 
 
+def said(level: Array | None) -> tuple[str, ...]:
+    """What to tell the user of a force whose level changes."""
+    if level is None:
+        return ()
+    return (
+        f"the unknown force changes by a factor of {ratio(level):.1f} along the record; S is that of its mean square",
+    )
+
+
 def _is_uneven(power: Array, count: float) -> bool:
     """Whether sixths of a record differ by more than little and more than chance."""
     sixth = np.arange(power.size) * 6 // power.size

@@ -185,15 +185,20 @@ class Bank:
     tangents: Floats
     fold_tangents: Floats
     level: Floats | None = None
+    rest: Floats | None = None
 
     def levelled(self, level: Floats | None) -> Bank:
-        """With a force of this level: E[F phi] goes with the tangent and with the level of each fold, so what balances
-        it is the mean of their product."""
+        """With a force of this level, (places, folds): what all places have in common of it is taken out of the folds.
+        Of the rest, E[F phi] goes with the tangent and with the level of each fold, so what balances it is the mean of
+        their product."""
         if level is None:
             return self
-        own = level[[c.row for c in self.balance.columns]] * self.blocks
-        weights = own / own.sum(axis=1, keepdims=True)
-        return replace(self, tangents=np.einsum("kf,fkt->kt", weights, self.fold_tangents), level=level)
+        common = np.exp(np.log(level).mean(axis=0))
+        common /= np.average(common, weights=self.blocks)
+        rest = level / common
+        own = rest[[c.row for c in self.balance.columns]] * self.blocks
+        tangents = np.einsum("kf,fkt->kt", own / own.sum(axis=1, keepdims=True), self.fold_tangents)
+        return replace(self, grams=self.grams / common[:, None, None, None], tangents=tangents, level=level, rest=rest)
 
     def evidence(self, at: Nodes | None = None, folds: NDArray[np.bool_] | None = None) -> Evidence:
         """The sum over the folds (all, or those marked). at : where the Jacobian is evaluated (every bin)."""
@@ -207,7 +212,8 @@ class Bank:
 
         balance, keep = restrict(self.balance, laws)
         grams, tangents = self.grams[:, :, keep][:, :, :, keep], self.fold_tangents[:, keep]
-        return Bank(balance, self.grid, grams, self.blocks, self.start, self.tangents[keep], tangents, self.level)
+        return Bank(balance, self.grid, grams, self.blocks, self.start, self.tangents[keep], tangents, self.level,
+                    self.rest)  # fmt: skip
 
 
 def stretches(blocks: NDArray[np.intp], most: int) -> Iterator[NDArray[np.intp]]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from . import force_level
 from .balance import Balance
 from .checks import check_record
 from .contour import modes_of
@@ -230,6 +231,7 @@ def messages(solution: Solution) -> tuple[str, ...]:
     point, places = solution.point, solution.balance.places
     if not solution.converged:
         out.append("the likelihood was not brought to its maximum: values are provisional")
+    out += force_level.said(solution.bank.level)
     record = solution.record
     if record.lines:
         out.append(f"left out as lines: {describe(record.lines, record.model.speed_rpm)}")

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import bent_path, force_colour, modulation, periodic, periodic_fit, sensor_faults
+from . import bent_path, force_colour, force_level, modulation, periodic, periodic_fit, sensor_faults
 from .declip import RESTORED, restored
 from .effect import EffectParameter
 from .effects import NAMED
@@ -20,7 +20,6 @@ from .effects.places import at, written
 from .estimate import Parameter
 from .fit_result import Fit
 from .fitted import parameters
-from .force_level import ratio
 from .model import EffectUse, Model, Setting
 from .model_uses import clipped
 from .motion_blocks import COLOURS
@@ -70,15 +69,7 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     data, slopes = whole.point.data, whole.point.slopes
     for i, place in enumerate(() if data.measured_force else data.places):
         refuse_without_resonance(place, float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band)
-    return replace(whole, messages=(*shortened(data, y), *uneven(whole.point), *whole.messages))
-
-
-def uneven(point: WorkingPoint) -> tuple[str, ...]:
-    """What to tell the user of an unknown force whose level changes along the record."""
-    most = ratio(point.data.level)
-    if most == 1.0:
-        return ()
-    return (f"the unknown force changes by a factor of {most:.1f} along the record; blocks are weighed by its level",)
+    return replace(whole, messages=(*shortened(data, y), *force_level.said(whole.point.data.level), *whole.messages))
 
 
 def _turning(model: Model, y: Array, rate_hz: float) -> Whole:

@@ -13,7 +13,7 @@ from reference_rig import RATE as RIG_RATE
 from estimator import missing_force, spectral
 from estimator.force_level import level_of, ratio
 from estimator.simulate import simulate
-from estimator.whole import fit_whole, uneven
+from estimator.whole import fit_whole
 
 
 def test_the_level_follows_the_force_and_an_even_force_has_none() -> None:
@@ -23,12 +23,13 @@ def test_the_level_follows_the_force_and_an_even_force_has_none() -> None:
     even = fit_whole(rig, y, RATE)
     assert (even.point.data.level, even.messages) == (None, ())
     ramp = np.linspace(1.0, 2.0, len(y))[:, None]
-    grown = fit_whole(rig, y * ramp, RATE).point
+    whole = fit_whole(rig, y * ramp, RATE)
+    grown = whole.point
     at = grown.data.start + grown.data.block // 2
     for level in grown.data.level:
         np.testing.assert_allclose(level, ramp[at, 0] ** 2 / np.mean(ramp[at] ** 2), rtol=0.1)
     assert abs(ratio(grown.data.level) - 2.0) < 0.15
-    assert "by a factor of" in uneven(grown)[0]
+    assert "by a factor of" in whole.messages[0]
 
 
 def test_chance_is_no_level() -> None:
