@@ -91,11 +91,11 @@ def fitted(rig: Rig, data: Measurement, method: str) -> Fit:
 
     clipped = sensor_faults.find(rig.model, data.y)
     y = declip.restored(rig.model, data.y, frozenset(place for s in clipped for place in s.at))
-
     module = import_module(f"estimator.{method.replace('-', '_')}")
     phase = measured_phase(rig.model, y, data.rate_hz) if method == "spectral" else None
     result: Fit = module.fit(rig.model, y, data.rate_hz, **({} if phase is None else {"phase": phase}))
-    beyond = {c.place for c, z, was in zip(rig.model.channels, y.T, data.y.T, strict=True) if np.nansum(abs(z - was))}
+    moved = [k for k in range(y.shape[1]) if y is not data.y and np.nansum(abs(y[:, k] - data.y[:, k]))]
+    beyond = {rig.model.channels[k].place for k in moved}
     said = [f"{s.region}: {declip.RESTORED}" if s.at[0] in beyond else sensor_faults.said(s) for s in clipped]
     return replace(result, messages=(*result.messages, *said))
 

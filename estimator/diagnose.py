@@ -117,7 +117,8 @@ def _law(
         entries[k], left[name] = _fits(model, point, before, entries[k], say)
         if not left[name]:
             ranking = (entries[k], *entries[:k], *entries[k + 1 :])
-            return Diagnosis(name, ranking, separates=evidence.separates(ranking), messages=_passed_over(left))
+            said = (*_passed_over(left), *(n for e in ranking if e.effect == "sensor_clipping" for n in e.notes))
+            return Diagnosis(name, ranking, separates=evidence.separates(ranking), messages=said)
     best = entries[0]
     return Diagnosis(
         "unknown",
