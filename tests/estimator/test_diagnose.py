@@ -22,6 +22,8 @@ from estimator.placed import Placed
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
+UNTOLD = ("bow", "crack")  # on a soft shaft: docs/diagnosis.md, what cannot be told
+
 
 @pytest.fixture(scope="module")
 def rig() -> Model:
@@ -91,7 +93,8 @@ def test_a_dead_channel_is_refused_by_name(rig: Model) -> None:
 @pytest.mark.parametrize("effect", [e for e in CATALOGUE if e not in ("cubic", "sensor_gain", "sensor_skew")])
 def test_catalogue(effect: str, strength: float) -> None:
     model = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
-    assert diagnose(model, record(model, effect, strength, seconds=60.0), RATE).verdict == effect
+    found = diagnose(model, record(model, effect, strength, seconds=60.0), RATE).verdict
+    assert found == ("complete" if effect in UNTOLD else effect)
 
 
 @pytest.mark.slow
