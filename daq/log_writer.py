@@ -6,6 +6,7 @@ import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from drivers.reading import Block, Gap, Notice, Reading
@@ -94,6 +95,9 @@ class LogWriter:
 
     def close(self) -> None:
         """Complete the log. Gives up, and says so in `health`, if the disk makes no progress for a second."""
+        with suppress(RuntimeError):  # not held: a Ctrl-C on the way out of a `with` leaves it so, and the writer waits
+            while True:
+                self._changed.release()
         with self._changed:
             self._closing = True
             self._changed.notify_all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import linecache
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -124,6 +125,36 @@ def test_all_of_the_file_or_none_of_it(
                 signal.signal(n, handler)
     row = f"`{what}` stopped at any step | {number.name} at {len(at)} of its {every} steps | all or nothing"
     record_property("reliability", f"{row} | no half of a file")
+
+
+class Locks(Interrupter):
+    """Steps at which the log's lock is taken or let go, instead of a signal."""
+
+    def __init__(self) -> None:
+        super().__init__(0, signal.SIGINT)
+        self.at: list[int] = []
+
+    def _step(self, frame: FrameType, event: str, what: Any) -> Any:
+        step = super()._step(frame, event, what)
+        if event == "line" and "with self._changed" in linecache.getline(frame.f_code.co_filename, frame.f_lineno):
+            self.at.append(self.steps)
+        return step
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.usefixtures("default_signals")
+def test_a_signal_as_a_lock_is_let_go_leaves_no_writer_waiting(folder: Path) -> None:
+    """It stayed held, the thread that writes waited for it, and the import for the thread, for ever."""
+    with contextlib.chdir(folder):
+        with Locks() as locks:
+            COMMANDS["import"]("locks")
+        Path("locks.mcap").unlink()
+        assert locks.at
+        for step in locks.at:
+            with contextlib.suppress(KeyboardInterrupt), Interrupter(step, signal.SIGINT):
+                COMMANDS["import"](f"o{step}")
+            unfinished.remove_all()
+            Path(f"o{step}.mcap").unlink(missing_ok=True)
 
 
 @pytest.mark.usefixtures("default_signals")
