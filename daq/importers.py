@@ -61,15 +61,14 @@ def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: 
 
 def limited(record: Record, rig: Rig) -> list[str]:
     """What to tell of motion channels whose samples pile up at a ceiling."""
-    from estimator.sensor_faults import clipping_level
+    from estimator import sensor_faults
 
     out = []
     for channel, values, factor in zip(rig.model.channels, record.values, record.factors, strict=True):
         if channel.place in rig.model.places and channel.kind != "force":
-            found = clipping_level(values * factor)
+            found = sensor_faults.clipping_level(values * factor)
             if found is not None:
-                share = 100 * found[1] / record.samples
-                out.append(f"{channel.name} is limited to +-{found[0]:.3g} in {share:.2g} % of its samples")
+                out.append(sensor_faults.limited(channel.name, *found, record.samples))
     return out
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .model import MOTION, Model
-from .sensor_faults import FAR, piled
+from .sensor_faults import ends
 
 Array = NDArray[np.float64]
 ORDER = 64  # of the autoregression, and how far a sample depends on others
@@ -85,6 +85,5 @@ def ceilings(y: Array) -> tuple[float, float]:
     """Values below and above which a channel does not go, as many samples have them and none has more: -inf, inf where
     its extremes thin out, or where noise came after the limiter."""
     low, high = np.nanmin(y), np.nanmax(y)
-    reach = FAR * (high - low)
-    top, bottom = piled(y[y >= high - reach]), piled(-y[y <= low + reach])
+    top, bottom = ends(y, low, high)
     return (-np.inf if bottom is None else -bottom[0]), (np.inf if top is None else top[0])

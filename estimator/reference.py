@@ -223,12 +223,12 @@ def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subpro
     by_fold: list[list[Group]] = []
     v_step, room = velocity_step(point, i), np.empty(0, np.float32)
     for f in range(FOLDS):
-        part = fold_of(data, f)
+        part, first = fold_of(data, f), fold_span(point, f).start
         found = []
         weight = part.blocks / data.blocks
         spectra: list[Series] = []
         for g in groups(part, i, orders, times, v_step):
-            spectra += [point.weighing.spectrum(i, z, first=fold_span(point, f).start) for z in g.series]
+            spectra += [point.weighing.spectrum(i, z, first=first) for z in g.series]
             found.append(Group(g.name, [], [t * weight for t in g.tangents], g.knots))
         if not room.size:  # the same for all folds: memory that is new takes longer than what is computed in it
             room = np.empty(len(spectra) * -(-data.blocks // FOLDS) * spectra[0].shape[1], np.float32)

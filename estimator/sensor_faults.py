@@ -25,10 +25,9 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
     if np.count_nonzero(np.isfinite(y)) < 1000:
         return None
     low, high = np.nanmin(y), np.nanmax(y)
-    reach = FAR * (high - low)
-    ends = [found for z in (y[y >= high - reach], -y[y <= low + reach]) if (found := piled(z)) is not None]
-    if ends:
-        return max(level for level, _ in ends), sum(count for _, count in ends)
+    found = [end for end in ends(y, low, high) if end is not None]
+    if found:
+        return max(level for level, _ in found), sum(count for _, count in found)
     top = float(max(high, -low))
     size = np.abs(y[(y > (1.0 - FAR) * top) | (y < (FAR - 1.0) * top)])
     if size.size <= 40:
@@ -41,7 +40,18 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
     return None
 
 
-def piled(z: Array) -> tuple[float, int] | None:
+def ends(y: Array, low: float, high: float) -> tuple[tuple[float, int] | None, tuple[float, int] | None]:
+    """`_piled` of the samples near the largest, and of those near the smallest with their sign turned."""
+    reach = FAR * (high - low)
+    return _piled(y[y >= high - reach]), _piled(-y[y <= low + reach])
+
+
+def limited(name: str, level: float, count: int, samples: int) -> str:
+    """What is said of a channel of which so many samples are at a level."""
+    return f"{name} is limited to +-{level:.3g} in {100 * count / samples:.2g} % of its samples"
+
+
+def _piled(z: Array) -> tuple[float, int] | None:
     """Largest value and number of samples that have it, if that is more than the fall of a density allows."""
     top = z.max()
     count = int(np.count_nonzero(z == top))
@@ -68,13 +78,12 @@ def find(model: Model, y: Array) -> list[Suspect]:
         if found is None:
             continue
         level, count = found
-        share = 100 * count / len(y)
         place = model.places.index(channel.place)
         out.append(
             Suspect(
                 "sensor_clipping", (channel.place,), float(count), 1, chance(count),
                 {place: 0.0},
-                "level", f"{channel.name} is limited to +-{level:.3g} in {share:.2g} % of its samples",
+                "level", limited(channel.name, level, count, len(y)),
                 {channel.place: {"level": Parameter(level, level * 1e-3, "m/s^2")}},
                 "every other finding on this channel may follow from it: mend the range first",
             )
