@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.table import Table
 from rich.text import Text
+
+from drivers.reading import Notice
 
 from .log_reader import Recording, read_log
 from .output import Output
@@ -48,11 +52,22 @@ def _rows(log: Recording) -> list[tuple[str, str]]:
     if log.estimates:
         last = log.estimates[-1].estimate
         rows.append(("estimates", f"{len(log.estimates)}, the last of {len(last.parameters)} parameters"))
-    if log.notices:
-        rows.append(("notices", f"{len(log.notices)}, the last: {log.notices[-1].text}"))
+    rows += _notices(log.notices)
     rows.append(("attachments", ", ".join(log.attachments) or "none"))
     rows.append(("made by", ", ".join(f"{k} {v}" for k, v in log.metadata.items())))
     return rows
+
+
+def _notices(notices: Sequence[Notice]) -> list[tuple[str, str]]:
+    """Of each kind how often, and the last one's text; warnings and errors before the rest."""
+    last = {n.code: n for n in notices}
+    often = Counter(n.code for n in notices)
+    kinds = sorted(last.values(), key=lambda n: n.level == "info")
+    times = {code: f" ({count} times)" if count > 1 else "" for code, count in often.items()}
+    lines = [f"{n.level}: {n.text}{times[n.code]}" for n in kinds[:MOST_LINES]]
+    if len(kinds) > MOST_LINES:
+        lines.append(f"and {len(kinds) - MOST_LINES} other kinds: --json has them")
+    return list(zip(["notices"] + [""] * len(lines), lines, strict=False))
 
 
 def recover(output: Output, log: Path, out: Path) -> None:

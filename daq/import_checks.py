@@ -56,11 +56,11 @@ def checked(
         text = f"band.high = {rig.model.band[1]:g} Hz of the rig is not below half its rate of {rate:g} Hz"
         raise LogError(f"{path}: {text}; lower band.high, or check the rate")
     if columns.odd:
-        note(f"{path}: {columns.odd}")
+        note(columns.odd)
     missing = _finite(path, names, values, rate, gaps)
     factors = tuple(_factor(path, columns, rig, c.name) for c in rig.file.channel)
     if rig.acquisition is not None and abs(rate / rig.acquisition.rate_hz - 1) > RATE_TOLERANCE:
-        note(f"{path}: {rate:g} Hz, where the rig file expects {rig.acquisition.rate_hz:g} Hz; the file's rate is used")
+        note(f"{rate:g} Hz, where the rig file expects {rig.acquisition.rate_hz:g} Hz; the file's rate is used")
     return Record(names, values, factors, rate, missing)
 
 

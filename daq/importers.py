@@ -8,7 +8,7 @@ below it, and floats of 24 bits within a factor of 64 of the largest survive to 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.capture_files import SUFFIXES
-from drivers.reading import Block, Gap, Info, Reading, Signal
+from drivers.reading import Block, Gap, Info, Notice, Reading, Signal
 
 from .errors import LogError
 from .import_checks import Record, checked
@@ -39,13 +39,19 @@ def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: 
     if path.suffix.lower() in SUFFIXES and (path.suffix.lower() != ".mf4" or rig.link.signals):
         _import_capture(output, path, rig, out)
         return
+    found: list[Notice] = []  # for the log, too: whoever has only that is to know
+
+    def say(text: str, code: str = "file_odd") -> None:
+        output.note(f"{path}: {text}")
+        found.append(Notice(time.monotonic_ns(), "warning", code, text))
+
     with output.progress(f"reading {path.name}"):
-        record = checked(path, read(path, [c.name for c in rig.model.channels]), rig, rate_hz, output.note, gaps)
+        record = checked(path, read(path, [c.name for c in rig.model.channels]), rig, rate_hz, say, gaps)
     lost = 0 if record.missing is None else int(record.missing.sum())
     for text in limited(record, rig):
-        output.note(f"{path}: {text}")
+        say(text, "limited")
     with output.progress(f"writing {out.name}") as progress:
-        write_record(record, rig, out, {"source": path.name}, progress, output.note)
+        write_record(record, rig, out, {"source": path.name}, progress, output.note, found)
     value = {
         "schema": 1,
         "file": str(out),
@@ -84,9 +90,9 @@ def _import_capture(output: Output, path: Path, rig: Rig, out: Path) -> None:
 
 def write_record(
     record: Record, rig: Rig, out: Path, metadata: dict[str, str], progress: Progress = quiet_progress,
-    note: Callable[[str], None] = lambda text: None,
+    note: Callable[[str], None] = lambda text: None, found: Sequence[Notice] = (),
 ) -> None:  # fmt: skip
-    """Write a log of a record: all of it or none. Raises LogError if it cannot be written."""
+    """Write a log of a record and of what was found in it: all or none. Raises LogError if it cannot be written."""
     from .log_writer import LogWriter
 
     scales = [power_of_two(v) for v in record.values]
@@ -103,6 +109,7 @@ def write_record(
     writer = LogWriter(out, live=False, wanted=lambda: whole)
     try:
         writer.start(Session(rig.model, info, "", rig.attachments(), versions() | metadata))
+        writer.readings(found)
         for index, readings in _blocks(record, scales):
             writer.readings(readings)
             progress(index / record.samples)

@@ -296,8 +296,13 @@ def test_a_channel_at_its_ceiling_is_said(folder: Path, capsys: pytest.CaptureFi
     share = 100 * np.mean(np.abs(y[:, 1]) == 80.0)
     assert load(folder, write_npz(folder / "a.npz", y)) == 0
     said = capsys.readouterr().err
-    assert re.search(rf"b1y is limited to \+-[\d.e+]+ in {share:.2g} % of its samples", said)
+    finding = re.search(rf"b1y is limited to \+-[\d.e+]+ in {share:.2g} % of its samples", said)
+    assert finding
     assert "b1x is limited" not in said
+    assert main(["info", str(folder / "log.mcap"), "--json", str(folder / "i.json")]) == 0
+    assert f"warning: {finding[0]}" in capsys.readouterr().out
+    notices = json.loads((folder / "i.json").read_text())["notices"]
+    assert [(n["level"], n["code"], n["text"]) for n in notices] == [("warning", "limited", finding[0])]
 
 
 def test_another_rate_than_the_rigs_is_said_and_used(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -305,6 +310,7 @@ def test_another_rate_than_the_rigs_is_said_and_used(folder: Path, capsys: pytes
     captured = capsys.readouterr()
     assert "5000 Hz, where the rig file expects 5120 Hz" in captured.err
     assert json.loads(captured.out)["rate_hz"] == 5000.0
+    assert [n.code for n in read_log(folder / "log.mcap").notices] == ["file_odd"]
 
 
 def test_export_of_nothing_and_to_nowhere(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
