@@ -46,6 +46,7 @@ class Continuity:
         self._anchor: _Anchor | None = None
         self._last_counts: NDArray[np.int32] | None = None
         self._causes: set[str] = set()
+        self._stood = 0.0  # samples for which nothing came before frames without a time that count on
         self._holes: deque[tuple[int, int]] = deque(maxlen=64)
         self._neighbours = Neighbours()
 
@@ -149,14 +150,17 @@ class Continuity:
         rows = f.counts.shape[1]
         already = self.index - last.index - last.rows  # declared missing since, while the counter stood still
         ahead = (int(f.position[start]) - last.position) % f.modulus
-        host = (t_host_ns - last.t_host_ns) * self.rate_hz / 1e9
+        host, stood = (t_host_ns - last.t_host_ns) * self.rate_hz / 1e9, 0.0
         timed = time_us is not None and last.time_us is not None
         elapsed = (time_us - last.time_us) * self.rate_hz / 1e6 if timed else host  # type: ignore[operator]
         total = ahead + f.modulus * round((elapsed - ahead) / f.modulus)
         if not timed and f.modulus - ahead <= LATE_FRAMES * rows and host < 0.5 * f.modulus:
             total = ahead - f.modulus  # a little behind, and no time for a whole wrap
         elif not timed and (total < 0 or (ahead == last.rows and "reconnect" not in self._causes)):
-            total = ahead  # it was the host that stood still, and this came late
+            total = ahead  # it was the host that stood still, and this came late; or the device: a time will say
+            self._stood += host - ahead if host - ahead > 0.5 * self.rate_hz else 0.0
+        elif timed:
+            stood, self._stood = self._stood, 0.0
         moved = timed and elapsed > 0.5 * rows
         if total == 0 and (moved or self._changed(f, start)):
             passed = rows * round(elapsed / rows) + rows - last.rows - already
@@ -169,12 +173,14 @@ class Continuity:
             self._restart("its counter and clock went back", (stop - start) * rows, t_host_ns, out)
         elif not timed or abs(total - elapsed) <= slack:
             self._missing(total - last.rows - already, last, f, start, out)
-        elif ahead == last.rows and abs(host - elapsed) > 0.25 * elapsed + 0.5 * self.rate_hz and not already:
+        elif ahead == last.rows and abs(host + stood - elapsed) > 0.25 * elapsed + 0.5 * self.rate_hz and not already:
             self._notices.add(t_host_ns, "warning", "device_clock_jump",
                               f"the device clock jumped by {(elapsed - ahead) / self.rate_hz:.3g} s")  # fmt: skip
         else:
             if ahead == last.rows and not already:
                 self._causes.add("silent")  # it sampled nothing for a while and counted on
+                text = f"the device sampled nothing for {(elapsed - ahead) / self.rate_hz:.3g} s, as its clock says"
+                self._notices.add(t_host_ns, "warning", "paused", text)
             else:
                 self._causes = {"stuck"}
                 self._notices.add(t_host_ns, "error", "counter_jump",
@@ -219,5 +225,6 @@ class Continuity:
         host = 0 if last is None else round((t_host_ns - last.t_host_ns) * self.rate_hz / 1e9)
         already = 0 if last is None else self.index - last.index - last.rows
         self._stats.restarts += 1
+        self._stood = 0.0
         self._notices.add(t_host_ns, "warning", "device_restart", f"the device started again: {why}")
         self.lose(max(1, host - arrived - already), "restart", out)

@@ -17,7 +17,16 @@ from drivers.can_frames import CanFrames
 from drivers.continuity import Continuity
 from drivers.faults import Fault
 from drivers.notices import Notices
-from drivers.protocol import BASE_ID, ID_INFO, NO_MODULUS, SampleFrames, pack_info, unpack_info
+from drivers.protocol import (
+    BASE_ID,
+    ID_FD16,
+    ID_INFO,
+    ID_SYNC_FD,
+    NO_MODULUS,
+    SampleFrames,
+    pack_info,
+    unpack_info,
+)
 from drivers.reading import Block, Gap, LinkStats, Reading
 from drivers.serial_decoder import SerialDecoder
 from drivers.simulated import SimulatedDevice, WireFrame
@@ -258,6 +267,40 @@ def test_a_program_that_stood_still_finds_every_sample_where_it_was(
     how = f"for {lost / 25_600:.1f} s, 0.3 s of it kept by the link, the counter wraps in 12.8 s"
     promised = "every sample at its index, the loss exact"
     record_property("reliability", f"program stands still, fd24 | {how} | {promised} | {lost} lost, all in gaps")
+
+
+@pytest.mark.parametrize("layout", ["fd16", "fd24"])
+@pytest.mark.parametrize("pause_s", [0.3, 2.0, 8.0, 20.0])
+def test_a_pause_of_the_sampling_is_no_jump_of_the_clock(
+    layout: str, pause_s: float, record_property: Callable[[str, object], None]
+) -> None:
+    """The device's clock and ours go on, its counter does not. If only its clock moves, that has jumped."""
+    for paused in (True, False):
+        wire = Wire(device_of(layout))
+        wire.run(2600)
+        wire.feed([_clock_on(f, pause_s, pause_s if paused else 0.0) for f in wire.device.next(2000)])
+        if not paused and pause_s > 1.0:
+            assert (wire.record.codes(), wire.record.gaps) == ({"device_clock_jump"}, [])
+            continue
+        (gap,) = wire.record.gaps
+        rows = wire.device.config.frame_rows
+        assert gap.reason == "silent"
+        assert gap.count == pytest.approx(pause_s * 25_600, abs=rows)
+        late = gap.index - 2600 * rows
+        assert 0 <= late < (2560 if layout == "fd24" else rows)
+        assert wire.record.codes() == {"paused"}
+    promised = "told, a gap `silent` within 0.1 s of its place, no jump of its clock"
+    how, value = f"for {pause_s:g} s; its clock goes on", f"{gap.count} samples, {1e3 * late / 25_600:.0f} ms late"
+    record_property("reliability", f"device stops sampling, {layout} | {how} | {promised} | {value}")
+
+
+def _clock_on(frame: WireFrame, device_s: float, host_s: float) -> WireFrame:
+    at = {BASE_ID + ID_FD16: 4, BASE_ID + ID_SYNC_FD: 8}.get(frame.identifier)
+    data = frame.data
+    if at is not None:
+        time_us = int.from_bytes(data[at : at + 4], "little") + round(device_s * 1e6)
+        data = data[:at] + (time_us % 2**32).to_bytes(4, "little") + data[at + 4 :]
+    return replace(frame, due_s=frame.due_s + host_s, data=data)
 
 
 def test_restart_without_epochs_is_seen_by_the_clock() -> None:
