@@ -207,7 +207,7 @@ class RollingSpectral:
             self._estimate = Estimate(self._seen, {}, 0.0, status="too few valid samples of late")
             return
         fitted.solve()
-        parameters = judged(fitted.balance, fitted.local.point, fitted.covariance(), self.model)
+        parameters = judged(fitted.balance, *fitted.shown(), self.model)
         samples = fitted.slow.n**2 / fitted.slow.n2 * self._grid.hop
         shown = self._followed.shown(parameters | fitted.held)
         self._estimate = Estimate(self._seen, shown, samples, -fitted.local.nll, extra=fitted.missing)

@@ -14,12 +14,14 @@ from .dressing import dressed, self_energies
 from .estimate import Parameter
 from .features import MARGIN
 from .jacobian import levels
+from .known_force import is_known
 from .likelihood import Evidence, Likelihood, Local, Point, active, maximise
 from .maximum import Maximum, initial, inverse, maximum, without_noise
 from .model import Model
 from .motion_blocks import colours
 from .moving_lines import MovingLines
 from .record import Record, gather
+from .rolling_level import Level
 from .rolling_memory import FlutterSums, Memory
 from .rolling_slow import SlowMotion
 from .rolling_states import HiddenStates, linear_of
@@ -73,6 +75,7 @@ class RollingFit:
         self.lines = MovingLines(grid.f_hz, record.model.tacho is not None)
         self.pairs: NDArray[np.complex128] | None = None
         self.local: Local
+        self.level: Level
         self.suspicions = 0
         self.shared = 0.0  # sum of the products of the two memories' weights
         self.turn = 0  # blocks taken
@@ -116,6 +119,7 @@ class RollingFit:
         columns = record.columns(wide, start.widths, linear, fine=len(own.laws))
         fitted = cls(record, start, wide, len(own.laws), time_constant_s, columns)
         fitted.local, fitted.held = local, held
+        fitted.level = Level.of_first(local.power, record.grid.per_cell, is_known(own))
         return fitted
 
     def settle(self, record: Record) -> None:
@@ -159,14 +163,15 @@ class RollingFit:
             speed_hz = float(stretch.phase[-1] - stretch.phase[0]) / (2 * np.pi * (stretch.t[-1] - stretch.t[0]))
         weights = self.lines(Z.force(B, own), speed_hz)
         G, square = Z.gram(self.grid, weights), 1.0 if weights is None else float(np.mean(weights**2))
-        rows = self.grid.size
+        rows, G_own = self.grid.size, G[:, self.own[:, None], self.own] if watches else G
+        level = self.level.of(B, G_own)
         if watches:
-            self.seen.add(G, tangents, self.wide_flutter.of(stretch), rows, square)
-            G, tangents = G[:, self.own[:, None], self.own], tangents[self.own]
+            self.seen.add(G / level, tangents, self.wide_flutter.of(stretch), rows, square)
+            tangents = tangents[self.own]
         self.turn += 1
-        motion = self.own_flutter.of(stretch)
-        self.slow.add(G, tangents, motion, rows, square)
-        self.fast.add(G, tangents, motion, rows, square)
+        motion, G = self.own_flutter.of(stretch), G_own / level
+        self.slow.add(G, tangents, motion, rows, square, level)
+        self.fast.add(G, tangents, motion, rows, square, level)
         self.shared += square
 
     def _likelihood(self, memory: Memory, beta: Floats | None) -> Likelihood:
@@ -266,9 +271,10 @@ class RollingFit:
         sure = {f"missing_force_percent_{name}": percent for name, percent in found.sure.items()}
         return {"missing_force_percent": found.total} | sure
 
-    def covariance(self) -> Floats:
-        """H^-1 for weights that forget: the score varies by n2 / n of what the Hessian says."""
-        return inverse(self.local) * (self.slow.n2 / self.slow.n)
+    def shown(self) -> tuple[Point, Floats]:
+        """The point and its covariance, H^-1 for weights that forget: the score varies by n2 / n of what the Hessian
+        says."""
+        return self.level.shown(self.local.point, inverse(self.local) * (self.slow.n2 / self.slow.n), self.fast)
 
 
 def _colour(record: Record, start: Start) -> Floats | None:

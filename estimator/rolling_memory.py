@@ -16,7 +16,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(slots=True)
 class Memory:
-    """n : blocks; n2 : sum of squared weights; tangents : of `rows` rows; motion : what FlutterSums wants to know."""
+    """n : blocks; n2 : sum of squared weights; tangents : of `rows` rows; motion : what FlutterSums wants to know.
+
+    level : sum of what the blocks of `gram` were weighed by (rolling_level.py).
+    """
 
     keep: float  # what is left after one block
     gram: Floats
@@ -25,6 +28,7 @@ class Memory:
     n: float = 0.0
     n2: float = 0.0
     rows: float = 0.0
+    level: float = 0.0
 
     def forget(self) -> None:
         factor = self.keep
@@ -34,10 +38,14 @@ class Memory:
         self.n *= factor
         self.n2 *= factor**2
         self.rows *= factor
+        self.level *= factor
 
-    def add(self, gram: Floats, tangents: Floats, motion: Floats, rows: int, square: float = 1.0) -> None:
+    def add(
+        self, gram: Floats, tangents: Floats, motion: Floats, rows: int, square: float = 1.0, level: float = 1.0
+    ) -> None:
         """square : mean square of the weights of the bins, whose mean is 1."""
         self.gram += gram
+        self.level += level
         self.tangents += tangents
         self.motion += motion
         self.n += 1.0
@@ -46,12 +54,12 @@ class Memory:
 
     def copy_from(self, other: Memory) -> None:
         self.gram, self.tangents, self.motion = other.gram.copy(), other.tangents.copy(), other.motion.copy()
-        self.n, self.n2, self.rows = other.n, other.n2, other.rows
+        self.n, self.n2, self.rows, self.level = other.n, other.n2, other.rows, other.level
 
     def clear(self) -> None:
         for sums in (self.gram, self.tangents, self.motion):
             sums[:] = 0.0
-        self.n = self.n2 = self.rows = 0.0
+        self.n = self.n2 = self.rows = self.level = 0.0
 
 
 class FlutterSums:

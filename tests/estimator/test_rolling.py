@@ -96,6 +96,22 @@ def test_a_change_of_two_per_cent_is_followed_within_two_time_constants() -> Non
 
 
 @pytest.mark.slow
+def test_a_force_of_another_level_moves_its_own_level_alone() -> None:
+    """Taken as even, what is missing was not known for ten seconds after it, as too much of the memory was let go."""
+    tau, before, after = 5.0, 0.6, 1.5
+    parts = [rig_record(10.0, seed=6, level=before), np.full((200, 4), np.nan), rig_record(10.0, seed=7, level=after)]
+    estimates = run(RollingSpectral(rig_model("cubic"), RATE, tau), np.concatenate(parts))
+    later = [e for e in estimates if e.index / RATE > 9.0]
+    missing = [0.0 if e.extra is None else e.extra["missing_force_percent"] for e in later]
+    assert all(e.extra is not None for e in later)
+    assert max(missing) < 0.5
+    for i, place in enumerate(PLACES):
+        kL, S = (later[-1].parameters[f"{place}.{key}"] for key in ("kL", "S"))
+        assert abs(kL.value - TRUTH["kL"][i]) < 4 * kL.sd
+        assert S.value == pytest.approx(after**2 * TRUTH["S"][i], rel=0.1)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("watch", [CANDIDATES, every()], ids=["usual", "catalogue"])
 def test_what_is_missing_is_seen_and_named_as_it_rolls(record: np.ndarray, watch: tuple[str, ...]) -> None:
     model, friction = rig_model("cubic"), np.zeros((4, 7))

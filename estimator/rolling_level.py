@@ -1,0 +1,49 @@
+"""How strong the unknown force is in a block of a rolling fit: what its Gram matrices are divided by.
+
+The level of a block, common to all places, is a parameter of its own, profiled out. With F = A a the score of anything
+in A is then that of u = F / |F|, which the level leaves alone: estimates and missing force are those of an even force
+(why an uneven one misleads: force_level.py), for one part in the number of bins of what the data tell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .likelihood import Point
+from .rolling_memory import Memory
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """usual : (places,) sum over the bins of a block of |F|^2, N^2/Hz, that counts as level 1. bins : that are summed.
+    known : the force is measured, and what is left of it is noise, not weighed."""
+
+    usual: Floats
+    bins: int
+    known: bool
+
+    @classmethod
+    def of_first(cls, power: Floats, per_cell: NDArray[np.intp], known: bool) -> Level:
+        """power : (cells, places) mean |F|^2 of the first seconds."""
+        return cls(np.asarray(per_cell @ power), int(per_cell.sum()), known)
+
+    def of(self, B: Floats, gram: Floats) -> float:
+        """Of a block. B (places, k): coefficients of the columns; gram (cells, k, k): of the block."""
+        if self.known:
+            return 1.0
+        power = np.einsum("ij,jk,ik->i", B, gram.sum(axis=0), B)
+        return max(float(np.mean(power / self.usual)), 1e-12)
+
+    def shown(self, point: Point, covariance: Floats, recent: Memory) -> tuple[Point, Floats]:
+        """The point and its covariance with the S that the force has of late."""
+        if self.known:
+            return point, covariance
+        p, P = point.beta.size, point.S.size
+        out, S = covariance.copy(), slice(p, p + P)
+        out[S, S] += recent.n2 / recent.n**2 / (0.5 * self.bins * P)  # of log S: blocks overlap by half
+        return replace(point, S=np.asarray(point.S * (recent.level / recent.n))), out
