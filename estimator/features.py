@@ -12,7 +12,7 @@ high that its own few harmonics fold.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from . import low_pass
 from .effect import Effect
-from .effects.law_loop import compiled, force_array, law_of, smoothed
+from .effects.law_loop import Signals, compiled, force_array, law_of, smoothed
 
 Floats = NDArray[np.float64]
 Series = NDArray[np.floating[Any]]
@@ -93,7 +93,7 @@ class State:
     """What a law is evaluated on: (n,) arrays at one place, MARGIN rows wider on either side than what is asked for.
 
     x, v, xo, vo : m and m/s (zeros where there is no other direction); t : s; phase : rad; s : +1 in x, -1 in y.
-    h : (4,) half-widths of the smoothing for x, v, xo, vo. valid : (n,) bool.
+    h : (4,) half-widths of the smoothing for x, v, xo, vo. valid : (n,) bool. made : what `signals` has made.
     """
 
     x: Series
@@ -105,6 +105,18 @@ class State:
     s: float
     h: Floats
     valid: NDArray[np.bool_]
+    made: dict[bytes, Signals] = field(default_factory=dict)
+
+    def signals(self, reads: NDArray[np.bool_]) -> Signals:
+        """What a law is handed that reads these of x, v, xo, vo."""
+        key = reads.tobytes()
+        if key not in self.made:
+            t, phase = _signal(self.t), _signal(self.phase)
+            own = zip((self.x, self.v, self.xo, self.vo), reads, strict=True)
+            still = t if reads.all() else np.zeros(t.size)  # a gap that no state tried has reached is not reached by it
+            signals = [*(_signal(z) if read else still for z, read in own), t, phase]
+            self.made[key] = Signals.of(signals, self.valid)
+        return self.made[key]
 
     def inner(self) -> State:
         """Without the margins."""
@@ -216,17 +228,14 @@ def law_force(
     reads : of x, v, xo, vo, as `depends` has it. series : arrays to fill with the tangents along x and v.
     """
     law, p, sums = law_of(effect), np.ascontiguousarray(p), np.zeros(4)
-    t, phase = (_signal(z) for z in (state.t, state.phase))
-    own = zip((state.x, state.v, state.xo, state.vo), reads, strict=True)
-    still = t if reads.all() else np.zeros(t.size)  # a gap that no state tried has reached is not to be reached by it
-    signals = [*(_signal(z) if read else still for z, read in own), t, phase]
+    signals = state.signals(reads)
     out, spare = np.empty(state.x.size), np.empty(state.x.size)
     widths = [(k, h) for k, h in enumerate(np.where(reads, state.h, 0.0).tolist()) if h > 0.0]
     for number, (k, h) in enumerate(widths or [(0, 0.0)]):
         shift = np.zeros(4)
         shift[k] = h
         tangent = spare if series is None or k > 1 else series[k]
-        sums[k] = smoothed(law, p, signals, shift, state.s, state.valid, out, tangent, number > 0)
+        sums[k] = smoothed(law, p, signals, shift, state.s, out, tangent, number > 0)
     return out, sums
 
 

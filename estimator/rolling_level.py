@@ -36,7 +36,7 @@ class Level:
         """Of a block. B (places, k): coefficients of the columns; gram (cells, k, k): of the block."""
         if self.known:
             return 1.0
-        power = np.einsum("ij,jk,ik->i", B, gram.sum(axis=0), B)
+        power = np.sum((B @ gram.sum(axis=0)) * B, axis=1)
         return max(float(np.mean(power / self.usual)), 1e-12)
 
     def shown(self, point: Point, covariance: Floats, recent: Memory) -> tuple[Point, Floats]:

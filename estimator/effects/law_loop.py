@@ -11,6 +11,7 @@ import ctypes
 import inspect
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from zlib import crc32
 
@@ -70,20 +71,34 @@ def law_of(effect: Effect) -> Callable[..., float]:
     return effect.force
 
 
+@dataclass(frozen=True, slots=True)
+class Signals:
+    """x, v, xo, vo, t, phase, (n,) each, float64 and contiguous, and valid (n,), with their addresses: to ask numpy for
+    all of them takes longer than a law along 4096 rows."""
+
+    arrays: tuple[NDArray[np.generic], ...]
+    at: tuple[int, ...]
+
+    @classmethod
+    def of(cls, signals: Sequence[Floats], valid: NDArray[np.bool_]) -> Signals:
+        arrays = (*signals, np.ascontiguousarray(valid))
+        return cls(arrays, tuple(z.ctypes.data for z in arrays))
+
+
 def smoothed(
-    law: Callable[..., float], p: Floats, signals: Sequence[Floats], shift: Floats, s: float, valid: NDArray[np.bool_],
-    out: Floats, tangent: Floats, further: bool = False,
+    law: Callable[..., float], p: Floats, signals: Signals, shift: Floats, s: float, out: Floats, tangent: Floats,
+    further: bool = False,
 ) -> float:  # fmt: skip
     """Fill out (n,) with the mean of a law over the nodes -shift, 0, +shift (4,) in one of x, v, xo, vo, weights 1/6,
     2/3, 1/6; tangent (n,) with its central difference there, 0 without a shift; return the sum of that over the valid
     rows. further : out holds the mean over another state already, and gets what this one adds.
 
-    signals : x, v, xo, vo, t, phase, (n,); all arrays float64 and contiguous.
+    All arrays are float64 and contiguous.
     """
     wide = float(shift.sum())
-    at = [z.ctypes.data for z in (*signals, shift)]
+    *at, valid = signals.at
     return compiled(law)(
-        *at, s, p.ctypes.data, valid.ctypes.data, 0.5 / wide if wide else 0.0, further, out.ctypes.data,
+        *at, shift.ctypes.data, s, p.ctypes.data, valid, 0.5 / wide if wide else 0.0, further, out.ctypes.data,
         tangent.ctypes.data, out.size,
     )  # fmt: skip
 
@@ -96,7 +111,7 @@ def force_array(
     law, p = law_of(effect), np.ascontiguousarray(p, dtype=np.float64)
     x = np.ascontiguousarray(x, dtype=np.float64)
     held = (np.broadcast_to(np.asarray(a, np.float64), x.shape) for a in (v, xo, vo, t, phase))
-    signals = [x, *map(np.ascontiguousarray, held)]
+    signals = Signals.of([x, *map(np.ascontiguousarray, held)], np.zeros(x.size, bool))
     out, spare = np.empty_like(x), np.empty_like(x)
-    smoothed(law, p, signals, np.zeros(4), float(s), np.zeros(x.size, bool), out, spare)
+    smoothed(law, p, signals, np.zeros(4), float(s), out, spare)
     return out
