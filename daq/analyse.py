@@ -195,7 +195,7 @@ def step(rig: Rig, comparison: Mapping[str, Any]) -> dict[str, Any]:
 def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     """A diagnosis for people."""
     table = Table(box=None, header_style="bold", pad_edge=False)
-    for heading in ("effect", "at", "held-out gain", "p-value", "missing force [%]", "parameters", "detectable from"):
+    for heading in ("effect", "at", "held-out gain", "p-value", "missing there [%]", "parameters", "detectable from"):
         table.add_column(Text(heading), overflow="fold")
     for row in value["ranking"][:most]:
         before, after = row["missing_force_before_percent"], row["missing_force_after_percent"]

@@ -239,8 +239,9 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     starts = _valid_starts(motion.valid, block)
     if starts.size < 2 * FOLDS:
         raise DataError(
-            f"only {starts.size * block / rate_hz:.2f} s of valid samples in unbroken stretches; "
-            f"at least {2 * FOLDS * block / rate_hz:.1f} s are needed: record longer"
+            f"only {starts.size * block / rate_hz:.2f} s in stretches of {block / rate_hz:.2g} s without a missing or "
+            f"clipped sample; at least {2 * FOLDS * block / rate_hz:.1f} s are needed: see what the gaps come from, or "
+            "record longer"
         )
     P = len(places)
     runs = _runs(starts, block)

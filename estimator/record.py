@@ -146,12 +146,23 @@ def prepare(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None
         turns_per_s = (model.speed_rpm or 0.0) / 60.0
         phase = np.asarray(2 * np.pi * turns_per_s / rate_hz * np.arange(motion.rows), dtype=np.float64)
     grid = layout(rate_hz, model.band, notches(model), CELLS if not forces else CELLS_WITH_FORCE)
-    if valid_blocks(motion.valid, grid).size < 8:
-        raise DataError(
-            f"the record has {motion.valid.sum() / rate_hz:.2f} s of valid samples in a row, "
-            f"at least {6 * grid.size / rate_hz:.1f} s are needed for band.low {model.band[0]:g} Hz: record longer"
-        )
+    if (whole := valid_blocks(motion.valid, grid).size) < 8:
+        raise DataError(_too_little(model, grid, float(motion.valid.sum()) / rate_hz, whole))
     return Record(model, rate_hz, motion, force, np.asarray(phase, np.float64), grid)
+
+
+def _too_little(model: Model, grid: Layout, seconds: float, whole: int) -> str:
+    """What is wrong with a record that has so many seconds of valid samples and so many whole blocks."""
+    length, low = grid.size / grid.rate_hz, f"band.low {model.band[0]:g} Hz"
+    if seconds < 6 * length:
+        return (
+            f"the record has {seconds:.2f} s of valid samples, at least {6 * length:.1f} s are needed for {low}: "
+            "record longer"
+        )
+    return (
+        f"the record has {seconds:.2f} s of valid samples, but only {whole} stretches of {length:.2g} s without a "
+        f"missing or clipped one; 8 are needed for {low}: see what the gaps come from, or record longer"
+    )
 
 
 def as_record(model: Model, rate_hz: float, parts: list[Motion], grid: Layout) -> Record:

@@ -70,6 +70,15 @@ def test_what_cannot_be_estimated_is_refused_in_one_line(record: np.ndarray) -> 
         assert "\n" not in str(e.value)
 
 
+def test_a_record_in_pieces_is_told_from_a_short_one(record: np.ndarray) -> None:
+    holed = record.copy()
+    holed[::6000] = np.nan
+    with pytest.raises(DataError, match=r"but only 0 stretches of 0.32 s without a .* 8 are needed"):
+        spectral.fit(rig_model(), holed, RATE)
+    with pytest.raises(DataError, match=r"s of valid samples, at least 1.9 s are needed .* record longer"):
+        spectral.fit(rig_model(), record[: int(1.5 * RATE)], RATE)
+
+
 def exact_record(model: Model, n: int = 1 << 19) -> np.ndarray:
     """(n, 4) m/s^2 of the linear rig, made in the frequency domain: no integrator, no filter, no error."""
     rng, w = np.random.default_rng(0), 2 * np.pi * np.fft.rfftfreq(n, 1 / RATE)
