@@ -40,7 +40,7 @@ class CanDecoder:
         self.notices = Notices()
         self._base = base_id
         self._device = DeviceInfo(self.notices, expected, unchecked)
-        self._axis = Continuity(stats, self.notices)
+        self._axis = Continuity(stats, self.notices, self._device.starts)
         self._classic = ClassicWindow(stats, self.notices)
         self._unchecked = unchecked
         self._doubted: _Sync | None = None  # a sync frame that contradicts the last one

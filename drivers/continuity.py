@@ -17,6 +17,7 @@ from drivers.neighbours import Neighbours, follows
 from drivers.notices import Notices
 from drivers.protocol import SampleFrames
 from drivers.reading import Block, Gap, LinkStats, Reading
+from drivers.starts import Starts
 
 _CAUSES = ("reconnect", "stuck", "silent", "version", "crc", "overflow")  # what a hole is blamed on, first match wins
 LATE_FRAMES = 64  # a frame this far behind is late; further behind, the device has started again
@@ -38,11 +39,12 @@ class _Anchor:
 class Continuity:
     """Shared by all links. `cause(reason)` says why samples may be missing before the next frame."""
 
-    def __init__(self, stats: LinkStats, notices: Notices) -> None:
+    def __init__(self, stats: LinkStats, notices: Notices, starts: Starts | None = None) -> None:
         self.rate_hz = 1.0
         self.index = 0  # absolute index of the next sample
         self._stats = stats
         self._notices = notices
+        self._starts = starts or Starts()
         self._anchor: _Anchor | None = None
         self._last_counts: NDArray[np.int32] | None = None
         self._causes: set[str] = set()
@@ -104,6 +106,9 @@ class Continuity:
         """Consecutive frames start:stop of one batch."""
         rows, last, restarts = f.counts.shape[1], self._anchor, self._stats.restarts
         time_us = None if f.time_us is None else int(f.time_us[start])
+        if not self._starts.readable(int(f.epoch[start]), t_host_ns):
+            self._undescribed(stop - start, t_host_ns)
+            return
         if last is not None:
             if int(f.epoch[start]) != last.epoch:
                 self._restart("another start number or description", (stop - start) * rows, t_host_ns, out)
@@ -124,6 +129,7 @@ class Continuity:
             ahead = self.index + (stop - start - 1) * rows - last.index
             final_us = last.time_us + round(ahead * 1e6 / self.rate_hz)  # till a frame with a time says how many wraps
         counts = f.counts[start:stop].reshape(-1, f.counts.shape[2])
+        self._starts.taken()
         out.append(Block(self.index, counts, t_host_ns, None if time_us is None else time_us * 1000))
         self.index += len(counts)
         self._causes &= {"overflow"}  # the queue that overflowed still held good frames: its hole comes later
@@ -170,6 +176,8 @@ class Continuity:
             return self._late(last, total, f, start, stop, t_host_ns)
         slack = 0.5 * rows + min(1e-4 * abs(elapsed), f.modulus / 64)
         if total < 0 or (timed and elapsed < -slack):
+            if not self._starts.began(t_host_ns):
+                return self._undescribed(stop - start, t_host_ns)
             self._restart("its counter and clock went back", (stop - start) * rows, t_host_ns, out)
         elif not timed or abs(total - elapsed) <= slack:
             self._missing(total - last.rows - already, last, f, start, out)
@@ -188,6 +196,13 @@ class Continuity:
             passed = rows * round(elapsed / rows)  # whole frames, as the device counts
             self._missing(passed - last.rows - already, last, f, start, out)
         return 0
+
+    def _undescribed(self, frames: int, t_host_ns: int) -> int:
+        """Another device, or one that began again and may have other settings: its next records will say."""
+        text = "frames of a start that the device has not described yet: dropped until it does"
+        self._notices.add(t_host_ns, "warning", "undescribed", text)
+        self._stats.count("undescribed_frames", frames)
+        return frames
 
     def _stuck(self, count: int, t_host_ns: int, out: list[Reading]) -> None:
         """The counter stands still: these samples have no place, but their time has passed."""

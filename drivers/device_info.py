@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from drivers.notices import Notices
 from drivers.protocol import LAYOUTS, PARTS, VERSION, InfoRecord, Layout, unpack_info
 from drivers.reading import Info, Signal
+from drivers.starts import Starts
 
 _BY_CODE = {layout.code: layout for layout in LAYOUTS.values()}
 
@@ -43,6 +44,7 @@ class DeviceInfo:
         self._notices = notices
         self._expected = expected or Expected()
         self._records: dict[int, InfoRecord] = {}
+        self.starts = Starts()
         self._unchecked = unchecked
         self._twice: dict[int, bool] = {}  # the last two records of a channel say the same
         self._start: tuple[object, ...] = ()  # whose description `info` is
@@ -75,9 +77,14 @@ class DeviceInfo:
         self._records = {each.channel: each for each in group}
         signals = tuple(self._records[channel].signal for channel in range(record.channels))
         info = Info(signals, record.rate_hz, f"{record.serial_number:08X}", record.count_bits)
-        if info == self.info or (self.info is not None and device == self._start and not self._settled(signals)):
+        if info == self.info:
+            if record.channel == record.channels - 1:
+                self.starts.described(record.epoch, not self._unchecked or all(self._twice.values()))
+            return None
+        if self.info is not None and device == self._start and not self._settled(signals):
             return None
         self._compare(info, t_host_ns)
+        self.starts.described(record.epoch, True)
         self._start = device
         self.info, self.layout = info, _BY_CODE[record.layout]
         return info

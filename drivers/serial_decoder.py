@@ -48,7 +48,7 @@ class SerialDecoder:
         self._deframer = Deframer()
         self._deframer.warm()
         self._device = DeviceInfo(self.notices, expected)
-        self._axis = Continuity(stats, self.notices)
+        self._axis = Continuity(stats, self.notices, self._device.starts)
 
     def cause(self, reason: str) -> None:
         """Why samples may be missing before the next frame (see Continuity)."""

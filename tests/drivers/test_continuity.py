@@ -27,7 +27,7 @@ from drivers.protocol import (
     pack_info,
     unpack_info,
 )
-from drivers.reading import Block, Gap, LinkStats, Reading
+from drivers.reading import Block, Gap, Info, LinkStats, Reading
 from drivers.serial_decoder import SerialDecoder
 from drivers.simulated import SimulatedDevice, WireFrame
 
@@ -167,6 +167,44 @@ def test_another_description_begins_anew(layout: str) -> None:
     assert [info.rate_hz for info in wire.record.infos] == [25_600.0, 12_800.0]
     assert [gap.reason for gap in wire.record.gaps] == ["restart"]
     assert wire.record.codes() == {"info_changed", "device_restart"}
+
+
+@pytest.mark.parametrize("epoch", [1, 2])
+@pytest.mark.parametrize("layout", ["fd16", "fd24", "serial16", "classic"])
+def test_a_device_with_another_range_is_not_read_before_it_says_so(
+    layout: str, epoch: int, record_property: Callable[[str, object], None]
+) -> None:
+    """It takes the place of the first, and is joined 0.3 s after its records: the next come 0.7 s later. Until then
+    its samples were read by the first one's, ten times too large. epoch : 1 is the first one's, too."""
+    rate_hz = 512.0 if layout == "classic" else 2048.0
+    wire = Wire(ramp_device(layout, rate_hz, None))
+    n = 3 * round(rate_hz) // wire.device.config.frame_rows
+    wire.run(n)
+    other = ramp_device(layout, rate_hz, None, full_scale=49.05)
+    other._epoch = epoch
+    wire.feed([replace(f, due_s=f.due_s + 3.5) for f in other.next(n) if f.due_s > 0.3])
+    first = wire.record.infos[0]
+    at = next(k for k, r in enumerate(wire.readings) if isinstance(r, Info) and r != first)
+    by_the_first = sum(len(r.counts) for r in wire.readings[:at] if isinstance(r, Block))
+    assert by_the_first <= 3 * rate_hz + 5 * (layout == "fd24"), "a frame without a time may still go on from the first"
+    assert wire.record.codes() >= {"undescribed", "device_restart", "info_changed"}
+    assert wire.record.gaps[-1].reason == "restart"
+    assert wire.record.samples - by_the_first > 1.7 * rate_hz
+    how = f"another range, joined between two of its records, {'another' if epoch == 2 else 'the same'} start number"
+    promised = "none of its samples read by the old description"
+    dropped = wire.stats.other["undescribed_frames"]
+    value = f"{max(by_the_first - 3 * round(rate_hz), 0)} read by it, {dropped} frames dropped"
+    record_property("reliability", f"another device in its place, {layout} | {how} | {promised}, told | {value}")
+
+
+def test_a_device_that_never_describes_its_new_start_is_read_after_3_s() -> None:
+    wire = Wire(ramp_device("fd16", 2048.0, None, faults=(Fault("restart", 300, 10),)))
+    rows = wire.device.config.frame_rows
+    frames = wire.device.next(300) + [f for f in wire.device.next(2000) if f.identifier != INFO]
+    wire.feed(frames)
+    assert wire.record.codes() == {"undescribed", "device_restart"}
+    assert wire.record.lost("restart") == pytest.approx(3 * 2048, abs=80 * rows)
+    assert wire.record.samples > 1400 * rows
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
