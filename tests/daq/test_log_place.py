@@ -391,12 +391,15 @@ def test_nohup(folder: Path) -> None:
     command = [sys.executable, "-m", "daq", "run", "rig.toml", "--link", "virtual:", "--out", "b.mcap"]
     ignored = lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)  # noqa: E731 - as nohup does
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, preexec_fn=ignored) as run:  # noqa: PLW1509
-        until(lambda: (folder / "b.mcap").exists() and (folder / "b.mcap").stat().st_size > 50_000)
-        run.send_signal(signal.SIGHUP)
-        size = (folder / "b.mcap").stat().st_size
-        until(lambda: (folder / "b.mcap").stat().st_size > size + 60_000)
-        run.send_signal(signal.SIGTERM)
-        assert run.wait(PATIENCE_S) == 0
+        try:
+            until(lambda: (folder / "b.mcap").exists() and (folder / "b.mcap").stat().st_size > 50_000)
+            run.send_signal(signal.SIGHUP)
+            size = (folder / "b.mcap").stat().st_size
+            until(lambda: (folder / "b.mcap").stat().st_size > size + 60_000)
+            run.send_signal(signal.SIGTERM)
+            assert run.wait(PATIENCE_S) == 0
+        finally:
+            run.kill()
     assert read_log(folder / "b.mcap").complete
 
 
