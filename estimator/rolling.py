@@ -206,7 +206,7 @@ class RollingSpectral:
         if fitted.slow.n < FEWEST_BLOCKS or fitted.slow.n * hop_s < 0.1 * min(self.time_constant_s, WARM_UP_S):
             self._estimate = Estimate(self._seen, {}, 0.0, status="too few valid samples of late")
             return
-        fitted.solve()
+        fitted.solve(self._record)
         parameters = judged(fitted.balance, *fitted.shown(), self.model)
         samples = fitted.slow.n**2 / fitted.slow.n2 * self._grid.hop
         shown = self._followed.shown(parameters | fitted.held)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +15,7 @@ from .columns import Columns
 from .dressing import dressed, self_energies
 from .estimate import Parameter
 from .features import MARGIN
+from .gram import valid_blocks
 from .jacobian import levels
 from .known_force import is_known
 from .likelihood import Evidence, Likelihood, Local, Point, active, maximise
@@ -38,6 +41,7 @@ WATCHED_EVERY = 3  # blocks: every other one at most, so that no two share rows
 LOOKED_EVERY = 8  # solutions
 FEWEST_WATCHED = 6  # blocks
 CENTRINGS = 4  # fits of the first seconds, each about the centre that the last one's lopsided laws make
+MOVED = 1.1  # of the power of the force, from which laws are dressed anew: a twentieth in rms
 CLOSE = 10.0  # nats: a standard deviation or so of each parameter; one Newton step from there leaves a few per cent
 
 
@@ -57,7 +61,7 @@ class RollingFit:
         self.start, self.wide, self.grid = start, wide, grid
         self.balance, own = restrict(wide, set(range(laws)))
         self.own = np.array(own, dtype=np.intp)
-        self.columns = record.columns(self.balance, start.widths, columns.linear)
+        self.columns = record.columns(self.balance, columns.widths, columns.linear)
         self.states = HiddenStates(self.columns, start.nodes.f_hz)
         self.colour = _colour(record, start)
         self.spectra = BlockSpectra(columns, self.own, grid)
@@ -76,6 +80,8 @@ class RollingFit:
         self.pairs: NDArray[np.complex128] | None = None
         self.local: Local
         self.level: Level
+        self.levels = deque[float](maxlen=max(2, int(WARM_UP_S / hop_s)))  # of the last blocks
+        self.dressed_at = 1.0  # their mean when laws were dressed
         self.suspicions = 0
         self.shared = 0.0  # sum of the products of the two memories' weights
         self.turn = 0  # blocks taken
@@ -116,7 +122,7 @@ class RollingFit:
             start = renewed(start, record, first, point)
             record = centre.whole(record, own.coefficients(point.beta))
         wide = build(with_candidates(model, watch), start.sizes, values, search=False)
-        columns = record.columns(wide, start.widths, linear, fine=len(own.laws))
+        columns = record.columns(wide, start.widths.copy(), linear, fine=len(own.laws))
         fitted = cls(record, start, wide, len(own.laws), time_constant_s, columns)
         fitted.local, fitted.held = local, held
         fitted.level = Level.of_first(local.power, record.grid.per_cell, is_known(own))
@@ -129,11 +135,29 @@ class RollingFit:
         self.settled = True
 
     def _dress(self, record: Record) -> None:
+        """Take what dresses the laws from the last seconds."""
         B = self.balance.coefficients(self.local.point.beta)
         self.states.follow(B, record)
         record = self.centre.whole(record, B)
-        mean = self.slow.tangents / self.slow.rows
+        mean = self.fast.tangents / self.fast.rows
         self.pairs = self_energies(record, self.columns, B, mean, self.start.nodes.f_hz, WARM_UP_S)
+        level = float(np.mean(self.levels))
+        if self.settled:
+            self.columns.widths *= np.sqrt(level / self.dressed_at)  # those of `spectra` too: one array
+        self.dressed_at = level
+        for memory in (self.slow, self.fast, self.seen):
+            memory.apart = float(self.settled)
+
+    def _follow_level(self, record: Callable[[], Record]) -> None:
+        """Dress the laws anew where the level of the force has moved: what they fluctuate goes with the motion, and so
+        does what the band leaves out."""
+        moved = max(ratio := float(np.mean(self.levels)) / self.dressed_at, 1.0 / ratio) > MOVED
+        if moved and self.pairs is not None:
+            last = record()
+            if valid_blocks(last.motion.valid, self.grid).size >= len(self.levels) // 2:
+                self._dress(last)
+        for memory in (self.slow, self.fast, self.seen):
+            memory.dress(self.pairs)
 
     def forget(self) -> None:
         for memory in (self.slow, self.fast, self.seen):
@@ -165,6 +189,7 @@ class RollingFit:
         G, square = Z.gram(self.grid, weights), 1.0 if weights is None else float(np.mean(weights**2))
         rows, G_own = self.grid.size, G[:, self.own[:, None], self.own] if watches else G
         level = self.level.of(B, G_own)
+        self.levels.append(level)
         if watches:
             self.seen.add(G / level, tangents, self.wide_flutter.of(stretch), rows, square)
             tangents = tangents[self.own]
@@ -179,7 +204,7 @@ class RollingFit:
         gram, mean = self._still(memory)
         if memory is self.seen:
             gram, mean = gram[:, self.own[:, None], self.own], mean[self.own]
-        nodes, dressing = self.start.nodes, self._dressing(beta)
+        nodes, dressing = self.start.nodes, self._dressing(memory, beta)
         return Likelihood(Evidence(self.balance, self.grid, gram, memory.n, mean, nodes, dressing, self.colour))
 
     def _still(self, memory: Memory) -> tuple[Floats, Floats]:
@@ -192,15 +217,17 @@ class RollingFit:
         still = without_noise(sums.flutter(memory.motion), noise, self.rate_hz, self.band)
         return still(gram, np.asarray(memory.n * self.grid.per_cell[:, None, None], np.float64), mean)
 
-    def _dressing(self, beta: Floats | None) -> NDArray[np.complex128] | None:
+    def _dressing(self, memory: Memory, beta: Floats | None) -> NDArray[np.complex128] | None:
         remembered = self.states.dressing
-        if self.pairs is None or beta is None:
+        if memory.pairs is None or beta is None:
             return remembered
-        by_laws = dressed(self.pairs, self.balance, self.balance.coefficients(beta), self.start.nodes.f_hz)
+        by_laws = dressed(memory.pairs, self.balance, self.balance.coefficients(beta), self.start.nodes.f_hz)
         return by_laws if remembered is None else by_laws + remembered
 
-    def solve(self) -> None:
-        """Renew the point from the memory, and the memory if the recent data contradict it."""
+    def solve(self, record: Callable[[], Record]) -> None:
+        """Renew the point from the memory, and the memory if the recent data contradict it. record : makes the last
+        seconds."""
+        self._follow_level(record)
         self._renew()
         if self.states.columns.size:
             self.states.follow(self.balance.coefficients(self.local.point.beta))
@@ -250,7 +277,7 @@ class RollingFit:
         seen, beta = self.seen, self.local.point.beta
         if len(self.wide.laws) == len(self.balance.laws) or seen.n < FEWEST_WATCHED:
             return None
-        dressing = self._dressing(beta)
+        dressing = self._dressing(seen, beta)
         if dressing is not None:
             whole = np.zeros((dressing.shape[0], len(self.wide.columns)), complex)
             whole[:, self.own] = dressing
@@ -274,7 +301,8 @@ class RollingFit:
     def shown(self) -> tuple[Point, Floats]:
         """The point and its covariance, H^-1 for weights that forget: the score varies by n2 / n of what the Hessian
         says."""
-        return self.level.shown(self.local.point, inverse(self.local) * (self.slow.n2 / self.slow.n), self.fast)
+        covariance = inverse(self.local) * (self.slow.n2 / self.slow.n)
+        return self.level.shown(self.local.point, covariance, self.slow, self.fast)
 
 
 def _colour(record: Record, start: Start) -> Floats | None:

@@ -39,11 +39,13 @@ class Level:
         power = np.sum((B @ gram.sum(axis=0)) * B, axis=1)
         return max(float(np.mean(power / self.usual)), 1e-12)
 
-    def shown(self, point: Point, covariance: Floats, recent: Memory) -> tuple[Point, Floats]:
-        """The point and its covariance with the S that the force has of late."""
+    def shown(self, point: Point, covariance: Floats, long: Memory, recent: Memory) -> tuple[Point, Floats]:
+        """The point and its covariance, of the long memory, with the S that the force has of late: what all places have
+        in common of the scatter of S is not that of the long memory, where it is divided out, but of the recent one."""
         if self.known:
             return point, covariance
         p, P = point.beta.size, point.S.size
         out, S = covariance.copy(), slice(p, p + P)
-        out[S, S] += recent.n2 / recent.n**2 / (0.5 * self.bins * P)  # of log S: blocks overlap by half
+        spread = recent.n2 / recent.n**2 - long.n2 / long.n**2
+        out[S, S] += spread / (0.5 * self.bins * P)  # of log S: blocks overlap by half
         return replace(point, S=np.asarray(point.S * (recent.level / recent.n))), out

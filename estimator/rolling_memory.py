@@ -12,13 +12,16 @@ from .dressing import Flutter
 from .features import MARGIN
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+SETTLED = 1e-2  # share of other self-energies that is let go
 
 
 @dataclass(slots=True)
 class Memory:
     """n : blocks; n2 : sum of squared weights; tangents : of `rows` rows; motion : what FlutterSums wants to know.
 
-    level : sum of what the blocks of `gram` were weighed by (rolling_level.py).
+    level : sum of what the blocks of `gram` were weighed by (rolling_level.py). pairs : self-energies (dressing.py),
+    the mean over its blocks but for `fresh` ones. apart : share of it that may differ from those of the last block.
     """
 
     keep: float  # what is left after one block
@@ -29,6 +32,9 @@ class Memory:
     n2: float = 0.0
     rows: float = 0.0
     level: float = 0.0
+    pairs: Complexes | None = None
+    fresh: float = 0.0
+    apart: float = 0.0
 
     def forget(self) -> None:
         factor = self.keep
@@ -39,6 +45,7 @@ class Memory:
         self.n2 *= factor**2
         self.rows *= factor
         self.level *= factor
+        self.fresh *= factor
 
     def add(
         self, gram: Floats, tangents: Floats, motion: Floats, rows: int, square: float = 1.0, level: float = 1.0
@@ -46,20 +53,32 @@ class Memory:
         """square : mean square of the weights of the bins, whose mean is 1."""
         self.gram += gram
         self.level += level
+        self.fresh += 1.0
         self.tangents += tangents
         self.motion += motion
         self.n += 1.0
         self.n2 += square
         self.rows += rows
 
+    def dress(self, pairs: Complexes | None) -> None:
+        """Let the blocks since the last call have these self-energies."""
+        share = self.fresh / self.n if self.n > 0.0 else 1.0
+        self.apart *= 1.0 - share
+        if pairs is None or self.pairs is None or self.apart < SETTLED:
+            self.pairs = pairs
+        else:
+            self.pairs = self.pairs + share * (pairs - self.pairs)
+        self.fresh = 0.0
+
     def copy_from(self, other: Memory) -> None:
         self.gram, self.tangents, self.motion = other.gram.copy(), other.tangents.copy(), other.motion.copy()
         self.n, self.n2, self.rows, self.level = other.n, other.n2, other.rows, other.level
+        self.pairs, self.fresh, self.apart = other.pairs, other.fresh, other.apart
 
     def clear(self) -> None:
         for sums in (self.gram, self.tangents, self.motion):
             sums[:] = 0.0
-        self.n = self.n2 = self.rows = self.level = 0.0
+        self.n = self.n2 = self.rows = self.level = self.fresh = self.apart = 0.0
 
 
 class FlutterSums:

@@ -112,6 +112,23 @@ def test_a_force_of_another_level_moves_its_own_level_alone() -> None:
 
 
 @pytest.mark.slow
+def test_what_dresses_the_laws_goes_with_the_level_of_the_force() -> None:
+    """As the first seconds had it, fc was 5 standard deviations low after the step, and a drag seemed missing."""
+    friction = np.zeros((4, 7))
+    friction[:, COULOMB] = 0.07
+    first, second = (
+        rig_record(s, seed=8 + k, hidden=friction, level=z) for k, (s, z) in enumerate([(7, 0.7), (14, 1.75)])
+    )
+    y = np.concatenate([first, np.full((200, 4), np.nan), second])
+    last = run(RollingSpectral(rig_model("cubic", "coulomb"), RATE, 6.0), y)[-1]
+    assert last.extra is not None
+    assert last.extra["missing_force_percent"] < 0.3
+    for key, truth in (("c", TRUTH["c"]), ("coulomb.fc", np.full(4, 0.07))):
+        found = [last.parameters[f"{place}.{key}"] for place in PLACES]
+        assert abs(np.mean([(p.value - t) / p.sd for p, t in zip(found, truth, strict=True)])) < 1.5
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("watch", [CANDIDATES, every()], ids=["usual", "catalogue"])
 def test_what_is_missing_is_seen_and_named_as_it_rolls(record: np.ndarray, watch: tuple[str, ...]) -> None:
     model, friction = rig_model("cubic"), np.zeros((4, 7))
