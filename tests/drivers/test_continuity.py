@@ -186,14 +186,20 @@ def test_a_device_with_another_range_is_not_read_before_it_says_so(
     first = wire.record.infos[0]
     at = next(k for k, r in enumerate(wire.readings) if isinstance(r, Info) and r != first)
     by_the_first = sum(len(r.counts) for r in wire.readings[:at] if isinstance(r, Block))
-    assert by_the_first <= 3 * rate_hz + 5 * (layout == "fd24"), "a frame without a time may still go on from the first"
+    rows = wire.device.config.frame_rows
+    read = max(by_the_first - n * rows, 0)
+    assert read <= rows * (layout == "fd24" and epoch == 1), (
+        "a frame without a time or a number may go on from the first"
+    )
     assert wire.record.codes() >= {"undescribed", "device_restart", "info_changed"}
     assert wire.record.gaps[-1].reason == "restart"
     assert wire.record.samples - by_the_first > 1.7 * rate_hz
     how = f"another range, joined between two of its records, {'another' if epoch == 2 else 'the same'} start number"
-    promised = "none of its samples read by the old description"
+    promised = "none of its samples read by the old description" + ", but for a frame" * (
+        layout == "fd24" and epoch == 1
+    )
     dropped = wire.stats.other["undescribed_frames"]
-    value = f"{max(by_the_first - 3 * round(rate_hz), 0)} read by it, {dropped} frames dropped"
+    value = f"{read} read by it, {dropped} frames dropped"
     record_property("reliability", f"another device in its place, {layout} | {how} | {promised}, told | {value}")
 
 
