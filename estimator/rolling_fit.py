@@ -152,7 +152,7 @@ class RollingFit:
         """Dress the laws anew where the level of the force has moved: what they fluctuate goes with the motion, and so
         does what the band leaves out."""
         moved = max(ratio := float(np.mean(self.levels)) / self.dressed_at, 1.0 / ratio) > MOVED
-        if moved and self.pairs is not None:
+        if moved:
             last = record()
             if valid_blocks(last.motion.valid, self.grid).size >= len(self.levels) // 2:
                 self._dress(last)
