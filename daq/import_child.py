@@ -111,7 +111,8 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def refusal(error: Exception) -> tuple[int, str]:
-    """The exit status, and the last line of standard error."""
+    """The exit status, and the last line of standard error. What was being read is let go: it may be all the memory."""
+    error.__traceback__ = error.__context__ = error.__cause__ = None
     text = " ".join(str(error).split())
     line = f"MemoryError {text}" if isinstance(error, MemoryError) else text or type(error).__name__
     return TOLD if isinstance(error, Told) else REFUSED, line

@@ -3,6 +3,7 @@
 import json
 import re
 import time
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from daq.cli import main
+from daq.import_child import REFUSED, refusal
 from daq.importers import power_of_two
 from daq.log_reader import read_log
 
@@ -303,6 +305,26 @@ def test_a_channel_at_its_ceiling_is_said(folder: Path, capsys: pytest.CaptureFi
     assert f"warning: {finding[0]}" in capsys.readouterr().out
     notices = json.loads((folder / "i.json").read_text())["notices"]
     assert [(n["level"], n["code"], n["text"]) for n in notices] == [("warning", "limited", finding[0])]
+
+
+def test_the_process_that_reads_lets_go_of_what_it_read_before_it_says_why_not() -> None:
+    """Under a bound on memory, what the library had made when it failed may leave no room for a line."""
+    held: list[weakref.ref[np.ndarray]] = []
+
+    def read() -> None:
+        big = np.zeros(10)
+        held.append(weakref.ref(big))
+        try:
+            raise MemoryError("full")
+        except MemoryError as error:
+            raise ValueError("damaged") from error
+
+    try:
+        read()
+    except ValueError as error:
+        said, left = refusal(error), held[0]()
+    assert said == (REFUSED, "damaged")
+    assert left is None
 
 
 def test_another_rate_than_the_rigs_is_said_and_used(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

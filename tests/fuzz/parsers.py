@@ -16,6 +16,7 @@ import resource
 import signal
 import subprocess
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -30,6 +31,7 @@ CRASHED = 99
 DIED, FOUND, AGAIN = b"D", b"F  ", 7
 Reading = Callable[[Sequence[bytes]], Callable[[int], Any]]  # of the inputs of one stream; then of the k-th
 PARTS = (".mats", ".mf4s")
+WHY = "why"  # the file that says what was found
 
 
 def members(data: bytes) -> Iterator[bytes]:
@@ -87,8 +89,10 @@ class Parser:
             self.crashes += 1
             return int.from_bytes(status[1:], "little")
         if status == FOUND:
+            why = path.parent / WHY
+            text = why.read_text() if why.exists() else ""
             raise AssertionError(
-                "the library did what a reader has no business to do, or we did not expect what it said"
+                f"the library did what a reader has no business to do, or we did not expect what it said\n{text}"
             )
         self._status = int(status)
         return None
@@ -184,8 +188,9 @@ def _work_parts(folder: Path, answers: int, reading: Reading, at: mmap.mmap) -> 
                         answer(read(k))
                     except Exception as error:  # noqa: BLE001 - as import_child does
                         refusal(error)
-        except BaseException:  # noqa: BLE001 - a Forbidden, too
+        except BaseException as error:  # noqa: BLE001 - a Forbidden, too
             status = FOUND
+            (folder / WHY).write_text("".join(traceback.format_exception(error))[-2000:], errors="replace")
         signal.setitimer(signal.ITIMER_PROF, 0)
         os.write(answers, status)
     os._exit(AGAIN)
