@@ -20,6 +20,7 @@ from drivers.reading import Block, Gap, LinkStats, Reading
 from drivers.starts import Starts
 
 _CAUSES = ("reconnect", "stuck", "silent", "version", "crc", "overflow")  # what a hole is blamed on, first match wins
+FAR_S = 86_400.0  # a device's clock this far ahead of what passed here is another start's
 LATE_FRAMES = 64  # a frame this far behind is late; further behind, the device has started again
 
 
@@ -175,10 +176,12 @@ class Continuity:
         if total < last.rows and total > -LATE_FRAMES * rows:
             return self._late(last, total, f, start, stop, t_host_ns)
         slack = 0.5 * rows + min(1e-4 * abs(elapsed), f.modulus / 64)
-        if total < 0 or (timed and elapsed < -slack):
+        far = timed and elapsed - host > FAR_S * self.rate_hz  # a gap of centuries would end the log
+        if total < 0 or far or (timed and elapsed < -slack):
             if not self._starts.began(t_host_ns):
                 return self._undescribed(stop - start, t_host_ns)
-            self._restart("its counter and clock went back", (stop - start) * rows, t_host_ns, out)
+            way = "on by days that were none" if far else "back"
+            self._restart(f"its counter and clock went {way}", (stop - start) * rows, t_host_ns, out)
         elif not timed or abs(total - elapsed) <= slack:
             self._missing(total - last.rows - already, last, f, start, out)
         elif ahead == last.rows and abs(host + stood - elapsed) > 0.25 * elapsed + 0.5 * self.rate_hz and not already:

@@ -213,6 +213,26 @@ def test_a_device_that_never_describes_its_new_start_is_read_after_3_s() -> None
     assert wire.record.samples > 1400 * rows
 
 
+@pytest.mark.parametrize("far_s", [100_000, 1e11])
+def test_a_counter_and_a_clock_that_leap_by_days_are_a_restart(
+    far_s: float, record_property: Callable[[str, object], None]
+) -> None:
+    """As a gap they would shift the axis by as much; by centuries, the log has no number for it, and stopped."""
+    wire = Wire(device_of("serial16"))
+    wire.run(300)
+    wire.device._index += round(far_s * 25_600)
+    before = wire.record.samples
+    wire.run(4000)
+    assert wire.record.codes() == {"device_restart", "undescribed"}
+    assert {gap.reason for gap in wire.record.gaps} == {"restart"}
+    assert sum(gap.count for gap in wire.record.gaps) < 1.1 * 25_600
+    assert wire.record.samples - before > 1.3 * 25_600
+    row = (
+        f"device's counter and clock leap, serial16 | by {far_s:g} s at once | a restart, the axis stays with our clock"
+    )
+    record_property("reliability", f"{row} | gap of {sum(gap.count for gap in wire.record.gaps)} samples, told")
+
+
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_two_devices_with_the_same_identifiers_are_told_and_not_mixed(
     layout: str, record_property: Callable[[str, object], None]
