@@ -29,6 +29,7 @@ LEVEL = 1e-3
 LEAST_DEPTH = 0.015  # rms of ln(power / model): less is within what filters and integrators leave behind
 EXPLAINED = 0.5  # of the misfit beyond chance: a cause that leaves more is not the cause
 DARKEST = 0.985  # of S, that the gain of a colour may take away at low frequencies
+PEAKED = 1.0  # quality of a sensor's resonance: below it filters look alike
 NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
 
 
@@ -263,10 +264,20 @@ def _shapes(
         p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 3 * len(data.places) * len(shape.starts)))
         out.append(
             Suspect(
-                shape.effect, (place,), gain, q + 2, p, {i: predictable}, "frequency", _where(c, r), {place: settings}
+                shape.effect, (place,), gain, q + 2, p, {i: predictable}, "frequency", _where(c, r), {place: settings},
+                _falls(shape.effect, values, data.band),
             )
-        )
+        )  # fmt: skip
     return out
+
+
+def _falls(effect: str, values: Array, band: tuple[float, float]) -> str:
+    """What to say of a resonance above the band that has no peak."""
+    if effect != "sensor_resonance" or values[0] < band[1] or values[1] > PEAKED:
+        return ""
+    return (
+        "the channel falls towards the end of the band as behind an anti-alias filter: a lower band.high leaves it out"
+    )
 
 
 def _variance(point: WorkingPoint, i: int) -> float:
