@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -24,7 +23,7 @@ from .model import Model
 from .motion_blocks import colours
 from .moving_lines import MovingLines
 from .record import Record, gather
-from .rolling_level import Level
+from .rolling_level import Level, Moves
 from .rolling_memory import FlutterSums, Memory
 from .rolling_slow import SlowMotion
 from .rolling_states import HiddenStates, linear_of
@@ -41,7 +40,6 @@ WATCHED_EVERY = 3  # blocks: every other one at most, so that no two share rows
 LOOKED_EVERY = 8  # solutions
 FEWEST_WATCHED = 6  # blocks
 CENTRINGS = 4  # fits of the first seconds, each about the centre that the last one's lopsided laws make
-MOVED = 1.1  # of the power of the force, from which laws are dressed anew: a twentieth in rms
 CLOSE = 10.0  # nats: a standard deviation or so of each parameter; one Newton step from there leaves a few per cent
 
 
@@ -80,8 +78,7 @@ class RollingFit:
         self.pairs: NDArray[np.complex128] | None = None
         self.local: Local
         self.level: Level
-        self.levels = deque[float](maxlen=max(2, int(WARM_UP_S / hop_s)))  # of the last blocks
-        self.dressed_at = 1.0  # their mean when laws were dressed
+        self.moves = Moves(max(2, int(WARM_UP_S / hop_s)))
         self.suspicions = 0
         self.shared = 0.0  # sum of the products of the two memories' weights
         self.turn = 0  # blocks taken
@@ -141,20 +138,18 @@ class RollingFit:
         record = self.centre.whole(record, B)
         mean = self.fast.tangents / self.fast.rows
         self.pairs = self_energies(record, self.columns, B, mean, self.start.nodes.f_hz, WARM_UP_S)
-        level = float(np.mean(self.levels))
+        moved = self.moves.follow()
         if self.settled:
-            self.columns.widths *= np.sqrt(level / self.dressed_at)  # those of `spectra` too: one array
-        self.dressed_at = level
+            self.columns.widths *= np.sqrt(moved)  # those of `spectra` too: one array
         for memory in (self.slow, self.fast, self.seen):
             memory.apart = float(self.settled)
 
     def _follow_level(self, record: Callable[[], Record]) -> None:
         """Dress the laws anew where the level of the force has moved: what they fluctuate goes with the motion, and so
         does what the band leaves out."""
-        moved = max(ratio := float(np.mean(self.levels)) / self.dressed_at, 1.0 / ratio) > MOVED
-        if moved:
+        if self.moves.moved():
             last = record()
-            if valid_blocks(last.motion.valid, self.grid).size >= len(self.levels) // 2:
+            if valid_blocks(last.motion.valid, self.grid).size >= len(self.moves) // 2:
                 self._dress(last)
         for memory in (self.slow, self.fast, self.seen):
             memory.dress(self.pairs)
@@ -189,9 +184,9 @@ class RollingFit:
         G, square = Z.gram(self.grid, weights), 1.0 if weights is None else float(np.mean(weights**2))
         rows, G_own = self.grid.size, G[:, self.own[:, None], self.own] if watches else G
         level = self.level.of(B, G_own)
-        self.levels.append(level)
+        self.moves.add(level)
         if watches:
-            self.seen.add(G / level, tangents, self.wide_flutter.of(stretch), rows, square)
+            self.seen.add(G / level, tangents, self.wide_flutter.of(stretch), rows, square, level)
             tangents = tangents[self.own]
         self.turn += 1
         motion, G = self.own_flutter.of(stretch), G_own / level

@@ -7,6 +7,7 @@ in A is then that of u = F / |F|, which the level leaves alone: estimates and mi
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from .likelihood import Point
 from .rolling_memory import Memory
 
 Floats = NDArray[np.float64]
+MOVED = 1.1  # of the power of the force, from which it has moved: a twentieth in rms
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,3 +51,31 @@ class Level:
         spread = recent.n2 / recent.n**2 - long.n2 / long.n**2
         out[S, S] += spread / (0.5 * self.bins * P)  # of log S: blocks overlap by half
         return replace(point, S=np.asarray(point.S * (recent.level / recent.n))), out
+
+
+class Moves:
+    """Whether the level of the last `blocks` blocks has moved since somebody last followed it.
+
+    To follow takes a second of a core for some models, so that a small move waits: the sooner after the last time, the
+    larger it has to be.
+    """
+
+    def __init__(self, blocks: int) -> None:
+        self._last = deque[float](maxlen=blocks)
+        self._at, self._waited = 1.0, 0
+
+    def __len__(self) -> int:
+        return len(self._last)
+
+    def add(self, level: float) -> None:
+        self._last.append(level)
+        self._waited += 1
+
+    def moved(self) -> bool:
+        share = min(1.0, self._waited / len(self._last))
+        return bool(abs(np.log(np.mean(self._last) / self._at)) * share > np.log(MOVED))
+
+    def follow(self) -> float:
+        """By how much the level has moved, in power."""
+        before, self._at, self._waited = self._at, float(np.mean(self._last)), 0
+        return self._at / before

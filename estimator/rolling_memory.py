@@ -47,10 +47,8 @@ class Memory:
         self.level *= factor
         self.fresh *= factor
 
-    def add(
-        self, gram: Floats, tangents: Floats, motion: Floats, rows: int, square: float = 1.0, level: float = 1.0
-    ) -> None:
-        """square : mean square of the weights of the bins, whose mean is 1."""
+    def add(self, gram: Floats, tangents: Floats, motion: Floats, rows: int, square: float, level: float) -> None:
+        """square : mean square of the weights of the bins, whose mean is 1. level : that `gram` was divided by."""
         self.gram += gram
         self.level += level
         self.fresh += 1.0
