@@ -159,7 +159,9 @@ def _held(
 
     A sharp resonance, that of a disc on its shaft, rings longer than the filter is; what is cut off would be spread
     over all of the band, a few per cent of a bearing's stiffness, as noise at the bearing's resonance. Beyond the band
-    the response therefore goes on along straight lines, and a resonance inside of it is let ring out under a Gaussian.
+    the response therefore goes on along straight lines, and a resonance inside of it is let ring out under a window.
+    That is as flat where the ringing begins as it may be without an edge at its end: under a Gaussian, which is not,
+    the response was 5 % too large at 1.5 and 2 % at 2.2 times the distance that fits leave out; now 1.4 and 0.05 %.
     """
     low, high = band
     step = 1e-3 * low
@@ -179,7 +181,7 @@ def _held(
     if np.argmax(inside) in (0, inside.size - 1):
         return continued
     lag = np.minimum(np.arange(size), size - np.arange(size))
-    rung = np.fft.rfft(np.fft.irfft(fine, size) * np.exp(-0.5 * (4.0 * lag / half) ** 2))
+    rung = np.fft.rfft(np.fft.irfft(fine, size) * np.exp(-0.5 * (2.0 * lag / half) ** 4))
     return lambda g: np.asarray(np.interp(g, f, rung.real) + 1j * np.interp(g, f, rung.imag))
 
 

@@ -87,3 +87,20 @@ def test_a_sharp_resonance_beside_or_in_the_band_does_not_spread_over_it(low: fl
     out = band_limit(np.sin(2 * np.pi * hz * t)[:, None], ["displacement"], rate, (low, 8000.0), extra=reaction)
     expected = np.real(reaction(np.array([hz]))[0]) * np.sin(2 * np.pi * hz * t)
     assert np.abs(out.u[0] - expected)[out.valid].max() < 0.05 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(("apart_hz", "most"), [(40.0, 0.02), (60.0, 0.002)])
+def test_beside_a_sharp_resonance_that_is_left_out_the_response_is_right(apart_hz: float, most: float) -> None:
+    """A disc of 992 Hz that rings for two seconds: 25 Hz on either side are left out, what comes after is to hold. A
+    reaction 5 and 2 % too large there made unknown masses 1 % too heavy."""
+    k, m, c = 10e6, 0.515, 0.5
+
+    def reaction(f: np.ndarray) -> np.ndarray:
+        w = 2 * np.pi * f
+        return -(k**2) / (2 * k + 2j * w * c - m * w**2)
+
+    rate, hz = 25600.0, np.sqrt(2 * k / m) / (2 * np.pi) + apart_hz
+    t = np.arange(40000) / rate
+    out = band_limit(np.sin(2 * np.pi * hz * t)[:, None], ["displacement"], rate, (150.0, 8000.0), extra=reaction)
+    expected = np.imag(reaction(np.array([hz]))[0] * np.exp(2j * np.pi * hz * t))
+    assert np.abs(out.u[0] - expected)[out.valid].max() < most * np.abs(expected).max()
