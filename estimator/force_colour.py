@@ -138,6 +138,12 @@ def _pedestal(mass: float, kL: float, c0: float, peak: float) -> Shape:
     return Shape("pedestal", names, units, pedestal_form.starts(peak), model, values)
 
 
+def deviance(root: Array, ratio: Array) -> Array:
+    """Residuals whose squares add up to the Whittle likelihood ratio. root : of the bins of a cell; ratio : its power
+    over a model's."""
+    return np.asarray(np.sign(ratio - 1) * root * np.sqrt(np.maximum(2 * (ratio - 1 - np.log(ratio)), 0.0)))
+
+
 def _maximum(
     c: Cells, model: Callable[[Cells, Array], Array], starts: list[Array], scale: Array
 ) -> tuple[float, Array, Array]:
@@ -148,9 +154,7 @@ def _maximum(
     root, df = np.sqrt(c.n), c.n.size - scale.size
 
     def residual(z: Array) -> Array:
-        # deviance residuals: their squares add up to the Whittle likelihood ratio
-        ratio = c.power / np.maximum(model(c, z * scale), 1e-300)
-        return np.asarray(np.sign(ratio - 1) * root * np.sqrt(np.maximum(2 * (ratio - 1 - np.log(ratio)), 0.0)))
+        return deviance(root, c.power / np.maximum(model(c, z * scale), 1e-300))
 
     best: tuple[float, Array, Array] | None = None
     for start in starts:
@@ -181,7 +185,7 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
         if point.kL[i] <= 0.0:  # a fit far from the rotor: no resonance to begin from
             continue
         c = cells_of(point, i)
-        level, u, scale = _plain(point, i, c)
+        level, u, scale = plain(point, i, c)
         noise[i] = _exp(u[1])
         df = float(c.n.size - 4)
         off = np.average(np.log(c.power / base_model(c, u)) ** 2 - 1.0 / c.n, weights=c.n)  # without its own scatter
@@ -194,7 +198,7 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
     return out + _shared(model, point)
 
 
-def _plain(point: WorkingPoint, i: int, c: Cells) -> tuple[float, Array, Array]:
+def plain(point: WorkingPoint, i: int, c: Cells) -> tuple[float, Array, Array]:
     """Likelihood and numbers of the base model at a place, and their scales."""
     scale = np.array([1.0, 1.0, point.kL[i] * 0.01, point.c[i] * 0.1 + 1e-9])
     least = point.S[i] * LEAST_NOISE / np.mean(c.noise * np.abs(c.A) ** 2)
@@ -205,10 +209,32 @@ def _plain(point: WorkingPoint, i: int, c: Cells) -> tuple[float, Array, Array]:
     return level, u, scale
 
 
+def otherwise(point: WorkingPoint, i: int, c: Cells, level: float, u: Array, scale: Array) -> float:
+    """Least deviance of a place by a cause that is no roll-off: a colour with its corner in the band, a resonance with
+    a peak, a pedestal."""
+    least, top = -2 * level, point.data.band[1]
+    for shape in _causes(point, i):
+        found, z, _ = _shaped(c, shape, u, scale)
+        first, second = shape.values(z[4:])[:2]
+        if shape.effect == "coloured_excitation" and second > top:
+            continue
+        if shape.effect == "sensor_resonance" and first > top and second < PEAKED:
+            continue
+        least = min(least, -2 * found)
+    return least
+
+
+def _causes(point: WorkingPoint, i: int) -> tuple[Shape, ...]:
+    data, peak = point.data, resonance_hz(point, i)
+    return (
+        _coloured(peak), _resonance(data.band[1]), _pedestal(data.mass[i], point.kL[i], point.c[i], peak)
+    )  # fmt: skip
+
+
 def pedestal(point: WorkingPoint, i: int) -> Array:
     """(3,) mass, frequency and damping that the spectrum at a place suggests to a model without one, likely or not."""
     c = cells_of(point, i)
-    _, u, scale = _plain(point, i, c)
+    _, u, scale = plain(point, i, c)
     shape = _pedestal(point.data.mass[i], point.kL[i], point.c[i], resonance_hz(point, i))
     return shape.values(_shaped(c, shape, u, scale)[1][4:])
 
@@ -216,9 +242,10 @@ def pedestal(point: WorkingPoint, i: int) -> Array:
 def level(point: WorkingPoint, i: int, gain: float, corner: float) -> Parameter:
     """S of a place whose excitation has a colour by these numbers, found in the same spectrum: they leave S many times
     more uncertain than its number of bins says."""
-    flat = replace(point, data=replace(point.data, colour=np.ones_like(point.data.colour)))
+    own = 1 + gain / (1 + (point.data.f_hz / corner) ** 2)
+    flat = replace(point, data=replace(point.data, colour=point.data.colour / own))
     c, shape = cells_of(flat, i), _coloured(resonance_hz(point, i))
-    _, u, scale = _plain(flat, i, c)
+    _, u, scale = plain(flat, i, c)
     u[0] = np.log(point.S[i])
     begun = replace(shape, starts=((float(np.log(gain + DARKEST)), float(np.log(corner))),))
     sd = _shaped(c, begun, u, scale)[2][0]  # of ln S
@@ -241,13 +268,12 @@ def _shapes(
 ) -> list[Suspect]:
     data = point.data
     place = data.places[i]
-    peak = resonance_hz(point, i)
     out = []
     r = c.power / base_model(c, u)
     weight = c.n / c.n.sum()
     # one-step prediction error of a process with spectrum r: what of it is predictable from its own past
     predictable = float(1 - np.exp(weight @ np.log(r)) / (weight @ r)) * _variance(point, i)
-    for shape in (_coloured(peak), _resonance(data.band[1]), _pedestal(data.mass[i], point.kL[i], point.c[i], peak)):
+    for shape in _causes(point, i):
         if shape.effect in taken:
             continue
         found, z, sd = _shaped(c, shape, u, scale)

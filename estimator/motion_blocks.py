@@ -19,6 +19,7 @@ from .filtered import Filtered
 from .model import MOTION, Model
 from .periodic import Push, Wave, pushes, series, waves
 from .plausible import check_moves
+from .roll_off import gain
 from .rotor import shaft_at_caps
 from .sensor_response import forced, of_place
 from .shaft_angle import measured_phase
@@ -314,11 +315,13 @@ def sharpened(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
 
 
 def colours(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
-    """(places, f) what the model's own effects make of a white force: coloured excitation, a resonant sensor."""
+    """(places, f) what the model's own effects make of a white force: coloured excitation, a resonant sensor; and what
+    the recorder takes of it."""
     from .effects import CATALOGUE
 
-    out = np.ones((len(places), f_hz.size))
     known = forced(model)
+    common = gain(model.roll_off, f_hz, model.band[1])
+    out = np.array([np.ones_like(f_hz) if place in known else common for place in places])
     for use in model.effects:
         if use.name not in COLOURS:
             continue

@@ -28,6 +28,7 @@ from .model import UNITS, Model
 from .model_uses import searched
 from .periodic import PERIODIC
 from .record import Bank, Record, prepare, stretches
+from .roll_off import suspected
 from .sensor_response import forced
 from .slow_motion import lopsided, usual
 from .start import Start
@@ -175,13 +176,14 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
     """Parameters with standard deviations from (n, channels) rows in SI. Raises DataError.
 
     A model with more than laws of the states of a cap, with a force that remembers, or with a law that moves the cap
-    off its centre is fitted as compare fits it, and so is a rotor beyond whirl.
+    off its centre is fitted as compare fits it, and so are a record behind a filter that shows and a rotor beyond
+    whirl.
     """
     known = all(model.cap_mass(place) is not None for place in model.places)
     solution: Solution | None = None
     if not (known and _more_than_laws(model)):
         solution = analyse(model, y, rate_hz, phase, _begun(model, y, rate_hz) if known else None)
-    if solution is None or (known and _whirls(solution)):
+    if solution is None or (known and (_whirls(solution) or _falls(solution))):
         from . import whole
 
         return whole.fit(model, check_record(model, y, rate_hz), rate_hz)
@@ -223,6 +225,17 @@ def _whirls(solution: Solution) -> bool:
     A = B @ responses(balance, solution.bank.tangents, f_hz)
     modes, _ = modes_of(A, np.diag(B), f_hz)
     return bool(np.any(modes.real > 0.0))
+
+
+def _falls(solution: Solution) -> bool:
+    """Whether the force seems to fall alike at all places, as behind a filter of the recorder: roll_off.py."""
+    record, local, grid = solution.record, solution.local, solution.record.grid
+    if record.force:
+        return False
+    f_hz = np.add.reduceat(grid.f_hz, grid.starts) / grid.per_cell
+    count = solution.bank.evidence().blocks * grid.per_cell.astype(np.float64)
+    peaks = [solution.start.sizes[place]["hz_peak"] for place in solution.balance.places]
+    return suspected(local.power / local.spread, f_hz, count, max(peaks))
 
 
 def messages(solution: Solution) -> tuple[str, ...]:

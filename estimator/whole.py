@@ -12,7 +12,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import bent_path, force_colour, force_level, modulation, periodic, periodic_fit, sensor_faults
+from . import (
+    bent_path,
+    common_fall,
+    force_colour,
+    force_level,
+    modulation,
+    periodic,
+    periodic_fit,
+    roll_off,
+    sensor_faults,
+)
 from .declip import RESTORED, restored
 from .effect import EffectParameter
 from .effects import NAMED
@@ -23,6 +33,7 @@ from .fitted import parameters
 from .model import EffectUse, Model, Setting
 from .model_uses import clipped
 from .motion_blocks import COLOURS
+from .motion_blocks import colours as colours_of
 from .preparation import prepare, shortened
 from .search_start import fit_record
 from .sensor_response import BLIND, LINEAR, forced
@@ -66,10 +77,13 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     stiffness and damping then, and so of what is missing beside them.
     """
     whole = _turning(timed(model, y, rate_hz), y, rate_hz)
+    if not whole.model.roll_off and (found := common_fall.find(whole.point)):
+        whole = _turning(replace(timed(model, y, rate_hz), roll_off=found), y, rate_hz)
     data, slopes = whole.point.data, whole.point.slopes
     for i, place in enumerate(() if data.measured_force else data.places):
         refuse_without_resonance(place, float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band)
-    return replace(whole, messages=(*shortened(data, y), *force_level.said(whole.point.data.level), *whole.messages))
+    said = (*shortened(data, y), *roll_off.said(whole.model), *force_level.said(data.level))
+    return replace(whole, messages=(*said, *whole.messages))
 
 
 def _turning(model: Model, y: Array, rate_hz: float) -> Whole:
@@ -102,7 +116,8 @@ def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
     point = fit_record(model, prepare(model, y, rate_hz))
     colours = {u.name for u in uses if u.name in COLOURS and not _told(u, model)}
     for _ in range(ROUNDS if colours else 0):  # found among laws that they distort
-        flat = replace(point, data=replace(point.data, colour=np.ones_like(point.data.colour)))
+        data = point.data
+        flat = replace(point, data=replace(data, colour=colours_of(bare, data.places, data.f_hz)))
         renewed, again = _all_numbered(model, colours, force_colour.find(bare, flat), flat)
         if not _moved(found, again):
             break

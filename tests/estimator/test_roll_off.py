@@ -1,0 +1,112 @@
+"""What a recorder takes of every channel alike is told from a rotor's colour and from a sensor's resonance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_effects import RATE, one_bearing, record
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import optimize, signal
+
+from estimator import common_fall, roll_off, spectral
+from estimator.diagnose import diagnose
+from estimator.simulate import simulate
+from estimator.whole import fit_whole
+
+TOP = 8000.0
+OVERSAMPLED = 16 * RATE
+Array = NDArray[np.float64]
+
+
+def _sections(sos: Array, f_hz: Array) -> Array:
+    return np.asarray(abs(signal.sosfreqz(sos, f_hz, fs=OVERSAMPLED)[1]) ** 2)
+
+
+def power(recorder: str, f_hz: Array) -> Array:
+    """|H|^2 by scipy of what recorders have before their samples."""
+    if recorder == "mean of a sample":
+        return np.sinc(f_hz / RATE) ** 2
+    if recorder == "bessel":
+        return _sections(signal.bessel(4, 0.45 * RATE, fs=OVERSAMPLED, output="sos", norm="mag"), f_hz)
+    if recorder == "butterworth":
+        return _sections(signal.butter(4, 0.4 * RATE, fs=OVERSAMPLED, output="sos"), f_hz)
+    return _sections(signal.cheby2(11, 85, 0.5 * RATE, fs=OVERSAMPLED, output="sos"), f_hz)
+
+
+RECORDERS = ("mean of a sample", "bessel", "butterworth", "chebyshev")
+
+
+def through(y: Array, recorder: str) -> Array:
+    """(n, channels) as the recorder hands them on, its phase left out."""
+    f = np.fft.rfftfreq(len(y), 1 / RATE)
+    return np.fft.irfft(np.fft.rfft(y, axis=0) * np.sqrt(power(recorder, f))[:, None], len(y), axis=0)
+
+
+@pytest.mark.parametrize("recorder", RECORDERS)
+def test_the_form_follows_the_filters_of_recorders(recorder: str) -> None:
+    """Within 0.3 % of power where the band of the paper's rig lies."""
+    f = np.linspace(150.0, TOP, 400)
+    wanted = -np.log(power(recorder, f))
+    found, _ = optimize.nnls((f[:, None] / TOP) ** roll_off.POWERS, wanted)
+    assert abs(np.log(roll_off.gain(tuple(found), f, TOP)) + wanted).max() < 0.003
+
+
+@given(st.lists(st.floats(0.0, 3.0), min_size=5, max_size=5))
+def test_it_falls_from_one(found: list[float]) -> None:
+    gain = roll_off.gain(tuple(found), np.linspace(0.0, TOP, 100), TOP)
+    assert gain[0] == 1.0
+    assert np.all(np.diff(gain) <= 0.0)
+
+
+def test_a_fit_behind_a_filter_has_the_force_of_the_rotor() -> None:
+    """S was 5 % low, 30 standard deviations."""
+    rig = replace(one_bearing(), effects=())
+    y = simulate(rig, RATE, 10.0, seed=4, noise=0.02)
+    fit = spectral.fit(rig, through(y, "butterworth"), RATE)
+    truth = rig.linear["bearing1.x"]
+    assert any("recorder's filter" in message for message in fit.messages)
+    for name in ("kL", "c", "S"):
+        p = fit.parameters[f"bearing1.x.{name}"]
+        assert p.value == pytest.approx(truth[name].value, abs=4 * (p.sd or 0.0)), name
+    assert not spectral.fit(rig, y, RATE).messages
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("recorder", RECORDERS)
+def test_a_complete_model_behind_a_filter_is_complete(recorder: str) -> None:
+    rig = one_bearing()
+    y = through(simulate(rig, RATE, 30.0, seed=5, noise=0.02), recorder)
+    found = diagnose(rig, y, RATE)
+    assert found.verdict == "complete"
+
+
+@pytest.mark.slow
+def test_an_effect_behind_a_filter_is_named() -> None:
+    rig = one_bearing()
+    found = diagnose(rig, through(record(rig, "clearance", 0.06, seconds=30.0), "bessel"), RATE)
+    assert found.verdict == "clearance"
+    assert any("recorder's filter" in message for message in found.messages)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["coloured_excitation", "sensor_resonance", "pedestal", "bouc_wen", "coulomb"])
+@pytest.mark.parametrize("strength", [0.02, 0.06])
+def test_no_shape_of_a_rotor_passes_for_a_filter(effect: str, strength: float) -> None:
+    rig = one_bearing()
+    whole = fit_whole(rig, record(rig, effect, strength, seconds=30.0), RATE)
+    assert not common_fall.find(whole.point)
+    assert not whole.model.roll_off
+
+
+@pytest.mark.slow
+def test_one_channel_that_falls_is_its_sensor() -> None:
+    rig = one_bearing()
+    y = simulate(rig, RATE, 30.0, seed=6, noise=0.02)
+    y[:, 0] = through(y[:, :1], "bessel")[:, 0]
+    found = diagnose(rig, y, RATE)
+    assert found.verdict in ("sensor_resonance", "coloured_excitation")
+    assert found.ranking[0].at == ("bearing1",) or "bearing1.x" in found.ranking[0].at
