@@ -8,6 +8,8 @@ and sums are double, for there the terms of the balance cancel.
 
 from __future__ import annotations
 
+from math import isfinite
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -101,7 +103,7 @@ class BlockSpectra:
 
         grid, hop = self._grid, self._grid.hop
         asked = self._all if wide else self._own
-        halves = [stretch.part(0, hop), stretch.part(hop, grid.size)]
+        later = stretch.part(hop, grid.size)
         states: list[dict[tuple[int, bool], State]] = [{}, {}]
         whole: dict[tuple[int, bool], State] = {}
         sizes, tangents = np.empty(asked.size), np.zeros((asked.size, 4))
@@ -112,15 +114,15 @@ class BlockSpectra:
             elif column.kind != "law":
                 first, second = _split(getattr(stretch, column.kind)[column.row], hop)
             elif k in self._kept:
-                before = self._held.get(k) or self._columns.law(k, halves[0], states[0])
-                self._held[k] = self._columns.law(k, halves[1], states[1])
+                before = self._held.get(k) or self._columns.law(k, stretch.part(0, hop), states[0])
+                self._held[k] = self._columns.law(k, later, states[1])
                 first, second = before[0], self._held[k][0]
                 tangents[i] = before[1] + self._held[k][1]
             else:
                 force, tangents[i] = self._columns.law(k, stretch, whole)
                 first, second = force[:hop], force[hop:]
             sizes[i] = _windowed(first, second, self._window, self._frames[i])
-            if not np.isfinite(sizes[i]):
+            if not isfinite(sizes[i]):
                 raise self._columns.not_finite(k)
         z = rfft(self._frames[: asked.size], axis=1, overwrite_x=True)
         a, b = int(grid.bins[0]), int(grid.bins[-1]) + 1

@@ -123,9 +123,8 @@ class Columns:
     def state(self, row: int, stretch: Stretch) -> State:
         """What the laws at a place see."""
         other = self.balance.other(row)
-        zero = np.zeros(stretch.t.size)
         h = np.sqrt(3.0) * np.concatenate([self.widths[row], self.widths[other] if other >= 0 else np.zeros(2)])
-        xo, vo = (stretch.calmed(other), stretch.v[other]) if other >= 0 else (zero, zero)
+        xo, vo = (stretch.calmed(other), stretch.v[other]) if other >= 0 else (np.zeros(stretch.t.size),) * 2
         sign = 1.0 if self.balance.places[row].endswith(".x") else -1.0
         return State(stretch.calmed(row), stretch.v[row], xo, vo, stretch.t, stretch.phase, sign, h, stretch.valid)
 

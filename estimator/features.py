@@ -111,11 +111,13 @@ class State:
         """What a law is handed that reads these of x, v, xo, vo."""
         key = reads.tobytes()
         if key not in self.made:
-            t, phase = _signal(self.t), _signal(self.phase)
-            own = zip((self.x, self.v, self.xo, self.vo), reads, strict=True)
-            still = t if reads.all() else np.zeros(t.size)  # a gap that no state tried has reached is not reached by it
-            signals = [*(_signal(z) if read else still for z, read in own), t, phase]
-            self.made[key] = Signals.of(signals, self.valid)
+            if b"" not in self.made:
+                still = np.zeros(self.x.size)  # a gap that no state tried has reached is not reached by it
+                signals = (self.x, self.v, self.xo, self.vo, self.t, self.phase, still)
+                self.made[b""] = Signals.of([_signal(z) for z in signals], self.valid)
+            *own, t, phase, zeros, valid = self.made[b""].at
+            seen = (z if read else zeros for z, read in zip(own, reads.tolist(), strict=True))
+            self.made[key] = Signals(self.made[b""].arrays, (*seen, t, phase, valid))
         return self.made[key]
 
     def inner(self) -> State:
@@ -230,12 +232,10 @@ def law_force(
     law, p, sums = law_of(effect), np.ascontiguousarray(p), np.zeros(4)
     signals = state.signals(reads)
     out, spare = np.empty(state.x.size), np.empty(state.x.size)
-    widths = [(k, h) for k, h in enumerate(np.where(reads, state.h, 0.0).tolist()) if h > 0.0]
+    widths = [(k, h) for k, h in enumerate((reads * state.h).tolist()) if h > 0.0]
     for number, (k, h) in enumerate(widths or [(0, 0.0)]):
-        shift = np.zeros(4)
-        shift[k] = h
         tangent = spare if series is None or k > 1 else series[k]
-        sums[k] = smoothed(law, p, signals, shift, state.s, out, tangent, number > 0)
+        sums[k] = smoothed(law, p, signals, k, h, state.s, out, tangent, number > 0)
     return out, sums
 
 

@@ -25,11 +25,9 @@ from .compiled import machine_code
 
 Floats = NDArray[np.float64]
 F, P = types.float64, types.CPointer(types.float64)
-LOOP = F(P, P, P, P, P, P, P, F, P, types.CPointer(types.uint8), F, types.int64, P, P, types.int64)
-ADDRESS, NUMBER = ctypes.c_void_p, ctypes.c_double
-TYPE = ctypes.CFUNCTYPE(
-    NUMBER, *[ADDRESS] * 7, NUMBER, ADDRESS, ADDRESS, NUMBER, ctypes.c_int64, ADDRESS, ADDRESS, ctypes.c_int64
-)
+LOOP = F(P, P, P, P, P, P, F, F, F, F, F, P, types.CPointer(types.uint8), F, types.int64, P, P, types.int64)
+ADDRESS, NUMBER, WHOLE = ctypes.c_void_p, ctypes.c_double, ctypes.c_int64
+TYPE = ctypes.CFUNCTYPE(NUMBER, *[ADDRESS] * 6, *[NUMBER] * 5, ADDRESS, ADDRESS, NUMBER, WHOLE, ADDRESS, ADDRESS, WHOLE)
 
 
 @cache
@@ -39,8 +37,9 @@ def compiled(law: Callable[..., float]) -> Callable[..., float]:
     strict = {"error_model": "numpy", "fastmath": False}  # the bits are those of the law called for one sample
     overload(law, strict=False, jit_options=strict)(lambda x, v, xo, vo, t, phase, s, p: law)
 
-    def loop(x, v, xo, vo, t, phase, shift, s, p, valid, weight, further, out, tangent, n):  # type: ignore[no-untyped-def]
-        dx, dv, dxo, dvo = shift[0], shift[1], shift[2], shift[3]
+    def loop(  # type: ignore[no-untyped-def]
+        x, v, xo, vo, t, phase, dx, dv, dxo, dvo, s, p, valid, weight, further, out, tangent, n
+    ):  # fmt: skip
         total = 0.0
         for i in range(n if version >= -1 else 0):
             here = law(x[i], v[i], xo[i], vo[i], t[i], phase[i], s, p)
@@ -86,20 +85,20 @@ class Signals:
 
 
 def smoothed(
-    law: Callable[..., float], p: Floats, signals: Signals, shift: Floats, s: float, out: Floats, tangent: Floats,
+    law: Callable[..., float], p: Floats, signals: Signals, k: int, h: float, s: float, out: Floats, tangent: Floats,
     further: bool = False,
 ) -> float:  # fmt: skip
-    """Fill out (n,) with the mean of a law over the nodes -shift, 0, +shift (4,) in one of x, v, xo, vo, weights 1/6,
-    2/3, 1/6; tangent (n,) with its central difference there, 0 without a shift; return the sum of that over the valid
-    rows. further : out holds the mean over another state already, and gets what this one adds.
+    """Fill out (n,) with the mean of a law over the nodes -h, 0, +h in the k-th of x, v, xo, vo, weights 1/6, 2/3, 1/6;
+    tangent (n,) with its central difference there, 0 where h is; return the sum of that over the valid rows. further :
+    out holds the mean over another state already, and gets what this one adds.
 
     All arrays are float64 and contiguous.
     """
-    wide = float(shift.sum())
-    *at, valid = signals.at
+    shift, (*at, valid) = [0.0] * 4, signals.at
+    shift[k] = h
     return compiled(law)(
-        *at, shift.ctypes.data, s, p.ctypes.data, valid, 0.5 / wide if wide else 0.0, further, out.ctypes.data,
-        tangent.ctypes.data, out.size,
+        *at, *shift, s, p.ctypes.data, valid, 0.5 / h if h else 0.0, further, out.ctypes.data, tangent.ctypes.data,
+        out.size,
     )  # fmt: skip
 
 
@@ -113,5 +112,5 @@ def force_array(
     held = (np.broadcast_to(np.asarray(a, np.float64), x.shape) for a in (v, xo, vo, t, phase))
     signals = Signals.of([x, *map(np.ascontiguousarray, held)], np.zeros(x.size, bool))
     out, spare = np.empty_like(x), np.empty_like(x)
-    smoothed(law, p, signals, np.zeros(4), float(s), out, spare)
+    smoothed(law, p, signals, 0, 0.0, float(s), out, spare)
     return out
