@@ -86,9 +86,9 @@ def modes_at(A: Complexes, mass: Array, s: complex, band: tuple[float, float]) -
     return values[inside], np.abs(vectors[:P, inside])
 
 
-def modes_of(A: Complexes, mass: Array, f_hz: Array) -> tuple[Complexes, Array]:
-    """The same of A (f, places, places), as it is where its determinant is least."""
-    near = int(np.argmin(np.abs(np.linalg.det(A))))
+def modes_of(A: Complexes, mass: Array, f_hz: Array, size: Array | None = None) -> tuple[Complexes, Array]:
+    """The same of A (f, places, places), as it is where its determinant is least. size : (f,) |det A|, if known."""
+    near = int(np.argmin(np.abs(np.linalg.det(A)) if size is None else size))
     return modes_at(A[near], mass, 2j * np.pi * f_hz[near], (f_hz[0], f_hz[-1]))
 
 

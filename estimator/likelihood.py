@@ -121,6 +121,7 @@ class Likelihood:
         flat, colour = np.ones((1, len(balance.places))), evidence.colour
         self.colour = (flat, flat) if colour is None else (colour, nodes.mean_by_cell(colour, evidence.grid.per_cell))
         self.noise_shape = noise_shape(balance.kinds, w).T  # (f, P)
+        self._last: tuple[Floats, tuple[Floats, Complexes, Floats, Floats]] | None = None
 
     def _responses(self, shift: float) -> Complexes:
         """(f, columns, places) of the columns, dressed, at s = shift + iw."""
@@ -130,30 +131,32 @@ class Likelihood:
             iw = 2j * np.pi * f_hz
             dressing = ev.dressing if shift == 0.0 else ev.dressing * ((iw / (shift + iw)) ** 2)[:, None]
             for k, column in enumerate(ev.balance.columns):
-                R[:, k, column.row] += dressing[:, k]
+                if column.kind == "law":
+                    R[:, k, column.row] += dressing[:, k]
         return R
 
     def line(self, B: Floats, A: Complexes) -> Line:
         """Where the determinant is summed: beside the axis that A is given along if a mode is too near to it."""
         nodes, mass, grid = self.evidence.nodes, np.diag(B), self.evidence.grid
         f, length, shift = nodes.f_hz, grid.size / grid.rate_hz, 0.0
+        size = np.abs(np.linalg.det(A))
         if mass.min() > 0.0:
-            modes, _ = modes_of(A, mass, f)
+            modes, _ = modes_of(A, mass, f, size)
             after = np.clip(np.searchsorted(f, modes.imag / (2 * np.pi)), 1, f.size - 1)
             margin = MARGIN / length * np.maximum(nodes.weight[after - 1], nodes.weight[after])
             shift, turned = past(modes, margin, (f[0], f[-1]))
         if shift == 0.0:
-            return Line(0.0, self.R, A, self._sum(A), self.R[:0], A[:0])
+            return Line(0.0, self.R, A, self._sum(size), self.R[:0], A[:0])
         R, ends = self._responses(shift), self._responses(0.5 * shift)[[0, -1]]
         low, high = np.linalg.det(B @ ends)
         turned += float(np.angle(high / low * np.exp(-1j * turned)))  # exactly
-        total = self._sum(B @ R) - length * shift * turned / np.pi
+        total = self._sum(np.abs(np.linalg.det(B @ R))) - length * shift * turned / np.pi
         inverses: Complexes = np.asarray(np.linalg.inv(B @ ends), np.complex128)
         return Line(shift, R, B @ R, total, ends, inverses)
 
-    def _sum(self, A: Complexes) -> float:
-        """Of log |det A|^2 over the bins of a block."""
-        return 2 * float(np.log(np.abs(np.linalg.det(A))) @ self.evidence.nodes.weight)
+    def _sum(self, size: Floats) -> float:
+        """Of log |det A|^2 over the bins of a block. size : (f,) |det A|."""
+        return 2 * float(np.log(size) @ self.evidence.nodes.weight)
 
     def force_power(self, B: Floats, gram: Floats | None = None) -> Floats:
         """(cells, P, P) sums of F F^H."""
@@ -174,20 +177,26 @@ class Likelihood:
 
     def power(self, beta: Floats) -> tuple[Floats, Floats]:
         """(cells, P) mean |F|^2 and (cells, P, P) gain of the sensor noise, both over the shape of S."""
-        B, shape = self.evidence.balance.coefficients(beta), self.colour[1]
-        count = self.evidence.blocks * self.evidence.grid.per_cell
-        power = np.einsum("cii->ci", self.force_power(B)) / count[:, None]
-        return power / shape, self.noise_gain(B @ self.R) / shape[:, :, None]
+        _, _, gain, total = self._about(beta)
+        shape, count = self.colour[1], self.evidence.blocks * self.evidence.grid.per_cell
+        power = np.einsum("cii->ci", total) / count[:, None]
+        return power / shape, gain / shape[:, :, None]
+
+    def _about(self, beta: Floats) -> tuple[Floats, Complexes, Floats, Floats]:
+        """B, A, gain of the sensor noise and sums of F F^H: of the last point, which is asked for twice, remembered."""
+        last = self._last  # once: it may be asked from two threads
+        if last is None or not np.array_equal(last[0], beta):
+            B = self.evidence.balance.coefficients(beta)
+            A = B @ self.R
+            self._last = last = beta.copy(), (B, A, self.noise_gain(A), self.force_power(B))
+        return last[1]
 
     def at(self, point: Point) -> Local:
         """Value, gradient and Hessian."""
         ev, grid = self.evidence, self.evidence.grid
-        B = ev.balance.coefficients(point.beta)
-        A = B @ self.R
-        gain = self.noise_gain(A)
+        B, A, gain, total = self._about(point.beta)
         spread = point.S * self.colour[1] + gain @ point.noise  # (cells, P)
         count = ev.blocks * grid.per_cell
-        total = self.force_power(B)
         diagonal = np.einsum("cii->ci", total)
         line = self.line(B, A)
         logs = float(np.sum(count[:, None] * np.log(spread)) - ev.blocks * line.total)
