@@ -144,5 +144,5 @@ def dressed(pairs: Complexes, balance: Balance, B: Floats, f_hz: Floats) -> Comp
     out = np.zeros((f_hz.size, len(balance.columns)), complex)
     for j, column in enumerate(balance.columns):
         if column.kind == "law":
-            out[:, j] = np.einsum("fk,k->f", pairs[:, j], B[column.row]) / w**2
+            out[:, j] = pairs[:, j] @ B[column.row] / w**2
     return out

@@ -10,7 +10,7 @@ added up in cells that need be narrow only where the force spectrum is not flat.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ def taper(size: int) -> Floats:
     return np.concatenate([half, half[::-1]])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Layout:
     """Blocks, bins and cells. bins : (b,) indices into the rfft, ascending; starts : (cells,) first bin of each."""
 
@@ -55,7 +55,7 @@ class Layout:
         """The window in units that make |Z|^2 a one-sided PSD."""
         return np.asarray(taper(self.size) * np.sqrt(2.0 / (self.rate_hz * self.hop)))
 
-    @property
+    @cached_property
     def per_cell(self) -> NDArray[np.intp]:
         """(cells,) number of bins."""
         return np.diff(np.append(self.starts, self.bins.size))

@@ -153,7 +153,7 @@ class RollingSpectral:
 
     def _standing(self, a: Floats) -> str:
         """What to tell about a place whose acceleration (places, n) is none."""
-        rms = np.sqrt(np.mean(a * a, axis=1)) if a.size else np.zeros(len(a))
+        rms = np.sqrt(np.einsum("cn,cn->c", a, a) / max(a.shape[1], 1))
         usual = self._moves if self._moves.any() else np.full(len(a), rms.max(initial=0.0))
         still = np.flatnonzero(rms <= STILL * usual)
         return (
