@@ -106,7 +106,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             # forces of time alone make products with the motion that pass for a stiffness that turns: sought again
             before = replace(fitted_model(model, point), ball_pass_order=given, order_found=False)
             new_whole = fit_whole(with_settings(before, best), y, rate_hz)
-            new_whole = replace(new_whole, model=fitted_model(new_whole.model, new_whole.point))
+            new_whole = replace(new_whole, model=fitted_model(new_whole.model, new_whole.point), masses=whole.masses)
         new = rung(new_whole.model, new_whole.point, y)
         if best.effect not in UNSCORED and new.heldout_nll >= rungs[-1].heldout_nll:
             messages.append(f"{found.verdict} was named but does not improve the held-out likelihood: not added")

@@ -7,7 +7,7 @@ without them leaves; then the rest is fitted with them in place. A number that t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from . import (
     periodic_fit,
     roll_off,
     sensor_faults,
+    unknown_mass,
 )
 from .declip import RESTORED, restored
 from .effect import EffectParameter
@@ -52,17 +53,18 @@ SETTLED = 0.5  # standard deviations by which a colour may still move
 @dataclass(frozen=True, slots=True)
 class Whole:
     """model : with the numbers found for what is no law of the states. beside : these, by full name.
-    messages : what was found on the way, for the user."""
+    messages : what was found on the way, for the user. masses : those that the rig file leaves out, by full name."""
 
     model: Model
     point: WorkingPoint
     beside: dict[str, Parameter]
     messages: tuple[str, ...] = ()
+    masses: dict[str, Parameter] = field(default_factory=dict)
 
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
-        return parameters(self.point) | self.beside
+        return parameters(self.point) | self.beside | self.masses
 
 
 def beside_the_laws(use: EffectUse) -> bool:
@@ -76,14 +78,20 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     Raises DataError, also where no force is measured and a place does not resonate in the band: nothing is told of its
     stiffness and damping then, and so of what is missing beside them.
     """
-    whole = _turning(timed(model, y, rate_hz), y, rate_hz)
+    model, masses = unknown_mass.weighed(timed(model, y, rate_hz), y, rate_hz)
+    whole = _turning(model, y, rate_hz)
     if not whole.model.roll_off and (found := common_fall.find(whole.point)):
-        whole = _turning(replace(timed(model, y, rate_hz), roll_off=found), y, rate_hz)
+        whole = _turning(replace(model, roll_off=found), y, rate_hz)
     data, slopes = whole.point.data, whole.point.slopes
     for i, place in enumerate(() if data.measured_force else data.places):
         refuse_without_resonance(place, float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band)
-    said = (*shortened(data, y), *roll_off.said(whole.model), *force_level.said(data.level))
-    return replace(whole, messages=(*said, *whole.messages))
+    said = (
+        *shortened(data, y),
+        *unknown_mass.said(masses),
+        *roll_off.said(whole.model),
+        *force_level.said(data.level),
+    )
+    return replace(whole, messages=(*said, *whole.messages), masses=masses)
 
 
 def _turning(model: Model, y: Array, rate_hz: float) -> Whole:
