@@ -23,6 +23,7 @@ from .model import Model
 from .motion_blocks import colours
 from .moving_lines import MovingLines
 from .record import Record, gather
+from .rolling_fall import Fall
 from .rolling_level import Level, Moves
 from .rolling_memory import FlutterSums, Memory
 from .rolling_slow import SlowMotion
@@ -39,6 +40,7 @@ CHECKED_EVERY = 2  # solutions, for a change
 WATCHED_EVERY = 3  # blocks: every other one at most, so that no two share rows
 LOOKED_EVERY = 8  # solutions
 FEWEST_WATCHED = 6  # blocks
+FALLS = 4  # fits of the first blocks, each with the roll-off that the last one left
 CENTRINGS = 4  # fits of the first seconds, each about the centre that the last one's lopsided laws make
 CLOSE = 10.0  # nats: a standard deviation or so of each parameter; one Newton step from there leaves a few per cent
 
@@ -61,7 +63,7 @@ class RollingFit:
         self.own = np.array(own, dtype=np.intp)
         self.columns = record.columns(self.balance, columns.widths, columns.linear)
         self.states = HiddenStates(self.columns, start.nodes.f_hz)
-        self.colour = _colour(record, start)
+        self.fall = Fall(record, start, _colour(record, start))
         self.spectra = BlockSpectra(columns, self.own, grid)
         hop_s = grid.hop / record.rate_hz
         watching = max(FAST * time_constant_s, 10 * hop_s)
@@ -127,7 +129,10 @@ class RollingFit:
 
     def settle(self, record: Record) -> None:
         """The first blocks have been taken (once more, now that the force is known in which moving lines are seen)."""
-        self.local, _ = maximise(self._likelihood(self.slow, None), self.local.point)
+        for _ in range(FALLS):
+            self.local, _ = maximise(self._likelihood(self.slow, None), self.local.point)
+            if not self.fall.follow(self.local, self.slow.n):
+                break
         self._dress(record)
         self.settled = True
 
@@ -200,7 +205,7 @@ class RollingFit:
         if memory is self.seen:
             gram, mean = gram[:, self.own[:, None], self.own], mean[self.own]
         nodes, dressing = self.start.nodes, self._dressing(memory, beta)
-        return Likelihood(Evidence(self.balance, self.grid, gram, memory.n, mean, nodes, dressing, self.colour))
+        return Likelihood(Evidence(self.balance, self.grid, gram, memory.n, mean, nodes, dressing, self.fall.colour))
 
     def _still(self, memory: Memory) -> tuple[Floats, Floats]:
         """Gram matrices and mean tangents without what the noise of displacement sensors does in the laws."""
@@ -250,6 +255,7 @@ class RollingFit:
             self.local = replace(local, point=Point(beta, level, np.maximum(noise + 0.5 * step[p + P :], 0.0)))
         else:
             self.local, _ = maximise(likelihood, point, iterations=8, tolerance=1e-3)
+        self.fall.follow(local, self.slow.n)
 
     def _changed(self) -> bool:
         """Whether one Newton step on the recent memory leads away from the point of the long one."""
@@ -278,7 +284,8 @@ class RollingFit:
             whole[:, self.own] = dressing
             dressing = whole
         gram, mean = self._still(seen)
-        wide = Likelihood(Evidence(self.wide, self.grid, gram, seen.n, mean, self.start.nodes, dressing, self.colour))
+        colour = self.fall.colour
+        wide = Likelihood(Evidence(self.wide, self.grid, gram, seen.n, mean, self.start.nodes, dressing, colour))
         # blocks that share no rows vary less than the likelihood's count of them says
         redundancy = seen.n2 / seen.n / (1.0 + 2.0 * OVERLAP)
         own = self._likelihood(seen, beta)

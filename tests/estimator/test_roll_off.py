@@ -14,6 +14,7 @@ from scipy import optimize, signal
 
 from estimator import common_fall, roll_off, spectral
 from estimator.diagnose import diagnose
+from estimator.rolling import RollingSpectral
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
@@ -100,6 +101,20 @@ def test_no_shape_of_a_rotor_passes_for_a_filter(effect: str, strength: float) -
     whole = fit_whole(rig, record(rig, effect, strength, seconds=30.0), RATE)
     assert not common_fall.find(whole.point)
     assert not whole.model.roll_off
+
+
+@pytest.mark.slow
+def test_as_it_rolls_the_force_is_that_of_the_rotor() -> None:
+    """c was 5 and S 30 standard deviations low."""
+    rig = one_bearing()
+    rolling = RollingSpectral(rig, RATE, 10.0)
+    for part in np.array_split(through(simulate(rig, RATE, 20.0, seed=7, noise=0.02), "bessel"), 80):
+        rolling.update(part)
+    estimate = rolling.snapshot()
+    for place in rig.places:
+        for name in ("kL", "c", "S"):
+            p = estimate.parameters[f"{place}.{name}"]
+            assert p.value == pytest.approx(rig.linear[place][name].value, abs=4 * (p.sd or 0.0)), (place, name)
 
 
 @pytest.mark.slow
