@@ -6,8 +6,6 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 _FORBIDDEN = (
     "os.system", "os.exec", "os.posix_spawn", "os.fork", "subprocess.Popen", "pty.spawn", "socket.connect",
@@ -27,21 +25,26 @@ class Forbidden(BaseException):
     """No handler of the code under test catches it."""
 
 
-@contextmanager
-def guarded(folder: os.PathLike[str] | str) -> Iterator[None]:
+class guarded:  # noqa: N801 - used as open() is
     """Raise Forbidden in this thread for everything that reading a file has no business to do."""
-    global _installed
-    if not _installed:
-        sys.addaudithook(_hook)
-        _installed = True
-    before, tempfile.tempdir = tempfile.tempdir, os.fspath(folder)  # libraries may have their temporary files
-    _state.folder, _state.broken = os.path.realpath(folder), ""
-    try:
-        yield
-    finally:
-        _state.folder, tempfile.tempdir = None, before
-    if _state.broken:  # somebody swallowed it
-        raise Forbidden(_state.broken)
+
+    __slots__ = ("_before", "_folder")  # where memory is short Python loses attributes kept in a dictionary
+
+    def __init__(self, folder: os.PathLike[str] | str) -> None:
+        self._folder = folder
+
+    def __enter__(self) -> None:
+        global _installed
+        if not _installed:
+            sys.addaudithook(_hook)
+            _installed = True
+        self._before, tempfile.tempdir = tempfile.tempdir, os.fspath(self._folder)  # libraries may have temporary files
+        _state.folder, _state.broken = os.path.realpath(self._folder), ""
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        _state.folder, tempfile.tempdir = None, self._before
+        if _state.broken and kind is None:  # somebody swallowed it
+            raise Forbidden(_state.broken)
 
 
 def _hook(event: str, arguments: tuple[object, ...]) -> None:
