@@ -117,7 +117,7 @@ def _law(
         entries[k], left[name] = _fits(model, point, before, entries[k], say)
         if not left[name]:
             ranking = (entries[k], *entries[:k], *entries[k + 1 :])
-            said = (*_passed_over(left), *(n for e in ranking if e.effect == "sensor_clipping" for n in e.notes))
+            said = (*_passed_over(left), *_clipped(entries))
             return Diagnosis(name, ranking, separates=evidence.separates(ranking), messages=said)
     best = entries[0]
     return Diagnosis(
@@ -127,8 +127,14 @@ def _law(
         messages=(
             f"{best.effect} comes nearest but leaves {100 * left[best.effect]:.0f} % of the missing force in the same "
             "state: no law of the catalogue has this shape",
+            *_clipped(entries),
         ),
     )
+
+
+def _clipped(entries: list[Entry]) -> tuple[str, ...]:
+    """What to tell of clipped channels, beside a law that has more evidence than they could make."""
+    return tuple(note for e in entries if e.effect == "sensor_clipping" for note in e.notes)
 
 
 def _close(entries: list[Entry]) -> list[int]:

@@ -22,7 +22,7 @@ from .working_point import WorkingPoint
 
 Settings = dict[str, dict[str, Parameter]]  # by canonical place, by name
 JOINT = 1e-2  # p-value, after counting, for a further bearing to be named beside the best one
-PER_CLIPPED = 100.0  # nats: a clipped sample of a vibration makes 0.1 to 0.2 for the law that gains most by it
+PER_CLIPPED = 10.0  # nats: a clipped sample of a vibration makes 0.03 to 0.3 for the law that gains most by it
 COST = 1.5  # nats per parameter in the order of the ranking: what an idle one gains held in, and loses held out
 
 
