@@ -80,7 +80,7 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
     say(0.0, "fit of the model as it is")
     whole = fit_whole(model, y, rate_hz)
     found = diagnose_point(whole.model, whole.point, y, say)
-    return replace(found, messages=(*found.messages, *whole.messages)) if found.verdict != "complete" else found
+    return replace(found, messages=(*found.messages, *whole.messages))
 
 
 def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:

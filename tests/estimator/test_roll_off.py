@@ -83,6 +83,7 @@ def test_a_complete_model_behind_a_filter_is_complete(recorder: str) -> None:
     y = through(simulate(rig, RATE, 30.0, seed=5, noise=0.02), recorder)
     found = diagnose(rig, y, RATE)
     assert found.verdict == "complete"
+    assert any("recorder's filter" in message for message in found.messages)
 
 
 @pytest.mark.slow
