@@ -186,7 +186,9 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
     if solution is None or (known and (_whirls(solution) or _falls(solution))):
         from . import whole
 
-        return whole.fit(model, check_record(model, y, rate_hz), rate_hz)
+        found = whole.fit_whole(model, check_record(model, y, rate_hz), rate_hz)
+        if solution is None or found.model.roll_off or _whirls(solution):
+            return whole.as_fit(found)
     samples = int(solution.record.motion.valid.sum())
     return Fit(report(solution), -solution.local.nll, samples, "spectral", messages(solution))
 

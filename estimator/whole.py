@@ -202,9 +202,8 @@ def _undone(use: EffectUse, model: Model) -> bool:
     return all(own.get(n, Setting()).value is not None for own in use.parameters.values() for n in names)
 
 
-def fit(model: Model, y: Array, rate_hz: float) -> Fit:
+def as_fit(whole: Whole) -> Fit:
     """The same as the result of a fit."""
-    whole = fit_whole(model, y, rate_hz)
     data = whole.point.data
     samples = data.blocks * data.block
     return Fit(whole.parameters, whole.point.fit.log_likelihood, samples, "spectral", whole.messages)
