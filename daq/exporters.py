@@ -14,7 +14,7 @@ from .log_reader import Recording, read_log
 from .output import Output
 from .rig import Rig
 from .tables import gap_lines
-from .unfinished import half
+from .unfinished import half, led_to
 
 CSV_ROWS = 50_000
 
@@ -38,11 +38,12 @@ def export(output: Output, log: Path, to: Path) -> None:
         table = in_units(recording)
         if not len(table.values):
             raise LogError(f"{log}: holds no samples; there is nothing to export")
-        temporary = to.with_name(f".{to.name}.part{to.suffix}")
         try:
+            place = led_to(to)
+            temporary = place.with_name(f".{place.name}.part{to.suffix}")
             with half(temporary):
                 writer(table, temporary)
-                temporary.replace(to)
+                temporary.replace(place)
         except OSError as error:
             raise not_written(to, error) from error
     for line in gap_lines(recording.gaps, recording.first, recording.rate_hz):

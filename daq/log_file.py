@@ -30,8 +30,10 @@ class LogFile:
     def __init__(self, path: Path, whole: bool = False) -> None:
         if path.is_fifo() or path.is_socket():  # /dev/stdout, too: before what it points to gets another name
             raise no_file(path)
-        if path.is_symlink():  # the link stays, and the log goes where it points to
-            path = Path(os.path.realpath(path))
+        try:
+            path = unfinished.led_to(path)
+        except OSError as error:
+            raise _not_to_be_had(path, error) from error
         self.path = path
         self.folder = _here() / path.parent  # whatever becomes of the one that we were started in
         self.kept: Path | None = None  # where that is which lay at `path` and cannot be made again
@@ -55,9 +57,7 @@ class LogFile:
                     unfinished.begin(self._hidden)
                     os.ftruncate(self._fd, 0)  # of one that was killed
         except OSError as error:
-            raise LogError(
-                f"cannot write the log {path}: {error.strerror}; choose another --out, or make the folder writable"
-            ) from error
+            raise _not_to_be_had(path, error) from error
 
     def write(self, data: bytes) -> int:
         if data:
@@ -202,6 +202,10 @@ class LogFile:
             self._syncing.join(SYNC_WAIT_S)
         unlock(self._fd)  # that thread may hold the file open for longer
         os.close(self._fd)
+
+
+def _not_to_be_had(path: Path, error: OSError) -> LogError:
+    return LogError(f"cannot write the log {path}: {error.strerror}; choose another --out, or make the folder writable")
 
 
 def _here() -> Path:

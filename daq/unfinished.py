@@ -6,7 +6,7 @@ import atexit
 import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .stop import go_on, unbroken
@@ -54,11 +54,21 @@ def half(path: Path) -> Iterator[None]:
         remove(path)
 
 
+def led_to(path: Path) -> Path:
+    """Where a file of this name goes: a symbolic link stays, and leads there. Raises OSError for one in a circle."""
+    if not path.is_symlink():
+        return path
+    with suppress(FileNotFoundError):  # it leads to nothing yet
+        path.stat()
+    return Path(os.path.realpath(path))
+
+
 def write(path: Path, data: bytes) -> None:
     """Write a file so that nobody ever sees half of it. Raises OSError."""
     if path.exists() and not path.is_file():  # /dev/stdout, a named pipe
         path.write_bytes(data)
         return
+    path = led_to(path)
     with unbroken():
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         try:

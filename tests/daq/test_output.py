@@ -153,3 +153,44 @@ def test_who_heard_of_a_trouble_hears_of_its_end(capsys: pytest.CaptureFixture[s
     for level, code in (("error", "link_lost"), ("info", "link_back"), ("info", "shutdown_failed")):
         operator(Notice(0, level, code, code))
     assert capsys.readouterr().err == "rotorscope: fan: error: link_lost\nrotorscope: fan: note: link_back\n"
+
+
+LINKED = {"json": ["info", "LOG", "--json"], "toml": ["add", "clearance", "--rig", "RIG", "--out"],
+          "wav": ["export", "LOG", "--to"], "mcap": ["recover", "LOG", "--out"]}  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", LINKED)
+def test_a_symbolic_link_stays_and_leads_to_the_result(
+    log: Path, suffix: str, capsys: pytest.CaptureFixture[str], record_property: Property
+) -> None:
+    """To nothing yet, to a file, and in a circle, which is refused."""
+    folder = log.parent
+    (folder / "disk").mkdir()
+    command = [{"LOG": str(log), "RIG": str(RIG)}.get(word, word) for word in LINKED[suffix]]
+    target, link = folder / "disk" / f"r.{suffix}", folder / f"r.{suffix}"
+    link.symlink_to(f"disk/r.{suffix}")
+    for _ in range(2):
+        assert main([*command, str(link)]) == 0
+        assert link.is_symlink()
+        assert target.stat().st_size > 100
+    assert not [p for p in (folder / "disk").iterdir() if p.name.startswith(".")]
+    circle = folder / f"c.{suffix}"
+    circle.symlink_to(circle.name)
+    capsys.readouterr()
+    assert main([*command, str(circle)]) in (2, 4)
+    (told,) = capsys.readouterr().err.splitlines()
+    assert "Too many levels of symbolic links" in told
+    assert circle.is_symlink()
+    row = f"symbolic link as a place | `{' '.join(LINKED[suffix])}` a link to nothing, to a file, in a circle"
+    record_property("reliability", f"{row} | written where it leads, the link stays; the circle refused | held")
+
+
+def test_standard_output_by_its_name_is_not_replaced(log: Path, tmp_path: Path) -> None:
+    """As /dev/stdout is made; root could replace that one for the whole machine."""
+    link, out = tmp_path / "stdout", tmp_path / "out.json"
+    link.symlink_to("/proc/self/fd/1")
+    with out.open("wb") as file:
+        command = [sys.executable, "-m", "daq", "info", str(log), "--json", str(link), "--quiet"]
+        assert subprocess.run(command, stdout=file, timeout=PATIENCE_S, check=False).returncode == 0
+    assert link.is_symlink()
+    assert json.loads(out.read_text())["complete"] is True
