@@ -1,11 +1,12 @@
 """Makes docs/reliability.md from the suite's own output:
 
-    pytest tests/daq tests/drivers tests/contracts -m "not bench and not guest and not soak" --junitxml=report.xml
+    pytest tests/daq tests/drivers tests/contracts -m "not bench and not guest and not root and not soak" --junitxml=report.xml
     pytest -n 0 -m soak --junitxml=soak.xml             # ten minutes
+    sudo ... pytest -n 0 -m root --junitxml=root.xml    # a minute
     GUEST_XML=guest.xml tests/guest/run.sh              # five minutes
     python tests/fuzz/mass.py tally.json                # hours, in pieces if need be
     python tests/fuzz/mass.py tally.json --report fuzz.xml
-    python docs/make_reliability.py report.xml soak.xml guest.xml fuzz.xml
+    python docs/make_reliability.py report.xml soak.xml root.xml guest.xml fuzz.xml
 
 With --keep, rows of tests that are in none of the reports stay as the page has them: a part can be measured anew.
 A test adds a row with pytest's record_property("reliability", "fault | how it is provoked | promised | measured").
