@@ -178,6 +178,7 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
     out: list[Suspect] = []
     noise = np.zeros(len(data.places))
     shaped: set[int] = set()
+    white: list[tuple[int, Cells, float, Array, Array]] = []
     for i, place in enumerate(data.places):
         if data.driven[i] > 0.0:  # what is left of a known force is noise: bent_path.py
             shaped.add(i)
@@ -191,11 +192,36 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
         off = np.average(np.log(c.power / base_model(c, u)) ** 2 - 1.0 / c.n, weights=c.n)  # without its own scatter
         depth = float(np.sqrt(max(float(off), 0.0)))
         if chdtrc(df, -2 * level) * len(data.places) > LEVEL or depth < LEAST_DEPTH:
+            white.append((i, c, level, u, scale))
             continue
         shaped.add(i)
         out += _shapes(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
+    out += _alike(point, out, white, taken, shaped)
     out += [s for s in noisy(model, point, noise) if data.places.index(s.at[0]) not in shaped]
     return out + _shared(model, point)
+
+
+def _alike(
+    point: WorkingPoint,
+    found: list[Suspect],
+    white: list[tuple[int, Cells, float, Array, Array]],
+    taken: set[tuple[str, str]],
+    shaped: set[int],
+) -> list[Suspect]:
+    """What is found at a place is tried at those whose spectrum, of many cells, does not stand out by itself: bearings
+    are alike. `shaped` takes up the places where it is."""
+    best = max((s for s in found if s.effect == "pedestal"), key=lambda s: s.gain, default=None)
+    if best is None or best.gain < max(s.gain for s in found):
+        return []
+    out = []
+    for i, c, level, u, scale in white:
+        place = point.data.places[i]
+        others = {shape.effect for shape in _causes(point, i)} - {best.effect}
+        have = {e for e, p in taken if p in (place, place.split(".")[0])}
+        own = [s for s in _shapes(point, i, c, u, level, scale, others | have) if s.p_value < LEVEL]
+        shaped.update(i for s in own)
+        out += own
+    return out
 
 
 def plain(point: WorkingPoint, i: int, c: Cells) -> tuple[float, Array, Array]:

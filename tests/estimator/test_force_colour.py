@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hidden_effects import RATE, one_bearing
 from scipy.signal import butter, lfilter
 
 from estimator import force_colour
+from estimator.model import EffectUse, Setting
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
@@ -25,3 +27,20 @@ def test_a_fall_without_a_peak_may_be_an_anti_alias_filter() -> None:
         said[name] = [s.note for s in found]
     assert not any(said["whole"])
     assert any("anti-alias filter" in note for note in said["filtered"])
+
+
+@pytest.mark.slow
+def test_a_pedestal_is_found_where_it_does_not_stand_out_by_itself() -> None:
+    """The other direction's is plain; this one's is lost in the many cells of the spectrum, though worth many nats."""
+    rig = one_bearing()
+    f0 = np.sqrt(1e7 / 0.2) / (2 * np.pi)
+    own = {
+        p: {"mass": Setting(0.4), "frequency": Setting(factor * f0), "damping": Setting(0.05)}
+        for p, factor in (("bearing1.x", 1.7), ("bearing1.y", 2.6))
+    }
+    y = simulate(replace(rig, effects=(*rig.effects, EffectUse("pedestal", own))), RATE, 8.0, seed=2, noise=0.02)
+    found = {s.at[0]: s for s in force_colour.find(rig, fit_whole(rig, y, RATE).point)}
+    assert {s.effect for s in found.values()} == {"pedestal"}
+    assert set(found) == {"bearing1.x", "bearing1.y"}
+    frequency = found["bearing1.y"].settings["bearing1.y"]["frequency"]
+    assert frequency.value == pytest.approx(2.6 * f0, rel=0.03)
