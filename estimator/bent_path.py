@@ -36,6 +36,9 @@ HALVED = 0.5  # of what the best cause leaves, in power, that two together leave
 OWN = slice(4, None)  # of the numbers of a peak, those of a cause
 BEYOND_CHANCE = 8.0  # standard deviations of what a free response gains, for the path to be bent by who knows what
 FEWEST = 100  # cells that are to be left
+MATTERS = 1e-3  # of the force, in power: less noise than that bends nothing that would be claimed
+WORTH = 200.0  # nats, for a cause to be likelier than none: noise of |f|^2 in each cell is worth 45 where p is 1 / 9
+ALIKE = 10.0  # nats, within which what is left is noise of the sensor
 UNEVEN = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
 NOTES = {
     "pedestal": CATALOGUE["pedestal"].distinguish,
@@ -141,12 +144,53 @@ def find(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> li
         r = response_of(point, i, lines)
         if r.n.size < FEWEST:
             continue
-        base, scale = plain(point, i, r)
-        found = _found(model, point, i, r, base, scale)
+        ways = [_tried(model, point, i, way) for way in beside(point, i, r)]
+        tried = max(ways, key=lambda way: way.likely)
+        found = _found(model, point, i, tried)
         if not found:
-            heard[i] = r, base, scale
+            heard[i] = tried.response, tried.base, tried.scale
         out += found
     return out + _noisy(model, point, heard)
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """A place without a cause, `base`, and with each. likely : nats of the best, less what it is to bring."""
+
+    response: Response
+    base: Peak
+    scale: Array
+    causes: dict[Cause, Peak]
+
+    @property
+    def likely(self) -> float:
+        best = max(self.base.nats, *(peak.nats - WORTH for peak in self.causes.values()), -np.inf)
+        return best - ALIKE * self.response.unmeasured
+
+
+def beside(point: WorkingPoint, i: int, r: Response) -> list[Response]:
+    """The ways in which what is left of the force may be read, where it is enough to matter: noise of its sensor, or a
+    force that acts beside it. The first makes the rotor seem lighter and softer by its share of the force, in power."""
+    base, _ = plain(point, i, r)
+    if float(np.average(r.share(exp(base.u[0])), weights=r.n)) < MATTERS:
+        return [r]
+    return [r, replace(r, unmeasured=True)]
+
+
+def pushed(model: Model, point: WorkingPoint) -> bool:
+    """Whether somewhere a force acts beside the measured one, as far as the known mass tells."""
+    lines = known_lines(model)
+    for i, place in enumerate(point.data.places):
+        if place not in forced(model) or model.cap_mass(place) is None or point.kL[i] <= 0.0:
+            continue
+        r = response_of(point, i, lines)
+        ways = beside(point, i, r) if r.n.size >= FEWEST else [r]
+        if (
+            len(ways) > 1
+            and max((_tried(model, point, i, w) for w in ways), key=lambda t: t.likely).response.unmeasured
+        ):
+            return True
+    return False
 
 
 def pedestal(point: WorkingPoint, i: int) -> tuple[Array, float, float]:
@@ -220,11 +264,10 @@ def _noisy(model: Model, point: WorkingPoint, heard: Mapping[int, tuple[Response
     return out
 
 
-def _found(model: Model, point: WorkingPoint, i: int, r: Response, base: Peak, scale: Array) -> list[Suspect]:
-    """What bends the path at a place: one cause, two together where one leaves much, or who knows what."""
-    data, place = point.data, point.data.places[i]
-    least = (NEGLIGIBLE * point.bearing_force[i]) ** 2
-    before = left(r, base.A)
+def _tried(model: Model, point: WorkingPoint, i: int, r: Response) -> Tried:
+    """Every cause that the model does not have at a place."""
+    place = point.data.places[i]
+    base, scale = plain(point, i, r)
     taken = {u.name for u in model.effects if place in u.parameters or place.split(".")[0] in u.parameters}
     taken |= {"sensor_gain"} if model.cap_mass(place) is None else set()
     tried = {
@@ -232,6 +275,15 @@ def _found(model: Model, point: WorkingPoint, i: int, r: Response, base: Peak, s
         for cause in causes(point, i, {})
         if cause.effect not in taken
     }
+    return Tried(r, base, scale, tried)
+
+
+def _found(model: Model, point: WorkingPoint, i: int, at_place: Tried) -> list[Suspect]:
+    """What bends the path at a place: one cause, two together where one leaves much, or who knows what."""
+    data, place = point.data, point.data.places[i]
+    r, base, scale, tried = at_place.response, at_place.base, at_place.scale, at_place.causes
+    least = (NEGLIGIBLE * point.bearing_force[i]) ** 2
+    before = left(r, base.A)
     coherent = float(r.n @ (_odd(r, base)[0] / before)) - r.n.size  # beyond chance, in units of what is left
 
     def suspect(cause: Cause, part: slice, peak: Peak, without: Peak) -> list[Suspect]:
@@ -290,8 +342,9 @@ def _both(
 def _odd(r: Response, peak: Peak) -> tuple[Array, Array]:
     """(cells,) of the power that is left what is coherent with the motion beyond the noise in both, and what is not."""
     P, rest, s = expected(r, peak.A, peak.u)
-    N, p = exp(peak.u[1]) * r.noise, np.minimum(exp(peak.u[0]) / r.ff, 0.5)
-    odd = rest - peak.A * (N + p * (r.aa - N))
+    N, Q = exp(peak.u[1]) * r.noise, exp(peak.u[0])
+    own = Q / np.abs(peak.A) ** 2 if r.unmeasured else r.share(Q) * (r.aa - N)  # motion that Q makes, or stands for
+    odd = rest - peak.A * (N + own)
     return np.asarray(np.abs(odd) ** 2 / r.aa), np.maximum(s, P - np.abs(rest) ** 2 / r.aa)
 
 

@@ -38,12 +38,16 @@ def heldout_rmse(model: Model, y: Array, rate_hz: float) -> dict[str, float]:
     try:
         if any(whole.beside_the_laws(u) or effect_of(u).kind == "memory" for u in model.effects):
             found = whole.fit_whole(model, part, rate_hz)
-            filled = _known(fitted_model(found.model, found.point))
-            record = prepare(filled, undone(filled, y, rate_hz), rate_hz)
-            damping = np.einsum("iik->ik", found.point.slopes)[:, 1]
-            return beside_record(filled, record, float(np.max(2 * found.point.data.mass / damping)), FITTED)
-        solution = spectral.analyse(model, part, rate_hz)
-        return simulation_rmse(replace(solution, record=prepare(model, y, rate_hz)), FITTED)
+        else:
+            solution = spectral.analyse(model, part, rate_hz)
+            beside = spectral.pushed(solution, part)
+            if beside is None:
+                return simulation_rmse(replace(solution, record=prepare(model, y, rate_hz)), FITTED)
+            found = beside
+        filled = _known(fitted_model(found.model, found.point))
+        record = prepare(filled, undone(filled, y, rate_hz), rate_hz)
+        damping = np.einsum("iik->ik", found.point.slopes)[:, 1]
+        return beside_record(filled, record, float(np.max(2 * found.point.data.mass / damping)), FITTED)
     except (ModelError, DataError):
         return {}
 

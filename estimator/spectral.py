@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import force_level
-from .balance import Balance
+from .balance import Balance, force_channels
 from .checks import check_record
 from .contour import modes_of
 from .effects.ball_pass import BALL_PASS
@@ -33,8 +34,12 @@ from .sensor_response import forced
 from .slow_motion import lopsided, usual
 from .start import Start
 
+if TYPE_CHECKING:
+    from .whole import Whole
+
 Floats = NDArray[np.float64]
 START_SECONDS = 20.0  # of a record, for where a gap is begun
+UNMEASURED = 1e-3  # of the measured force, in power, from which on it matters whether the rest is noise or a force
 PATHS = 4  # that a law is fitted along where the force is known, each from the last fit
 OVERLAP = 0.106  # correlation of the energies of neighbouring blocks (sums of w^2 w'^2 over w^4, gram.taper)
 
@@ -176,8 +181,8 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
     """Parameters with standard deviations from (n, channels) rows in SI. Raises DataError.
 
     A model with more than laws of the states of a cap, with a force that remembers, or with a law that moves the cap
-    off its centre is fitted as compare fits it, and so are a record behind a filter that shows and a rotor beyond
-    whirl.
+    off its centre is fitted as compare fits it, and so are a record behind a filter that shows, a rotor beyond whirl
+    and a force beside those measured.
     """
     known = all(model.cap_mass(place) is not None for place in model.places)
     solution: Solution | None = None
@@ -189,8 +194,28 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
         found = whole.fit_whole(model, check_record(model, y, rate_hz), rate_hz)
         if solution is None or found.model.roll_off or _whirls(solution):
             return whole.as_fit(found)
+    if (beside := pushed(solution, y)) is not None:
+        from . import whole
+
+        return whole.as_fit(beside)
     samples = int(solution.record.motion.valid.sum())
     return Fit(report(solution), -solution.local.nll, samples, "spectral", messages(solution))
+
+
+def pushed(solution: Solution, y: Floats) -> Whole | None:
+    """The model fitted as compare fits it, where the force is measured everywhere, yet not all of it: another acts
+    beside it. Such a fit takes what is left for noise of the sensors, and c comes out too small by its share."""
+    model, rate_hz = solution.record.model, solution.record.rate_hz
+    if not is_known(solution.balance) or any(model.cap_mass(place) is None for place in model.places):
+        return None
+    forces = np.array([np.nanvar(y[:, k]) for _, k in sorted(force_channels(model).items())]) / (0.5 * rate_hz)
+    shares = solution.point.S / forces
+    if (shares < UNMEASURED).all():
+        return None
+    from . import bent_path, whole
+
+    found = whole.fit_whole(model, check_record(model, y, rate_hz), rate_hz)
+    return found if bent_path.pushed(found.model, found.point) else None
 
 
 def _begun(model: Model, y: Floats, rate_hz: float) -> dict[str, float] | None:

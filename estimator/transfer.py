@@ -7,7 +7,8 @@ Both noises white, of densities N and Q, the likelihood of the motion given the 
     -sum n [P / s + ln s - ln |A'|^2],   P = mean |A' a - (1 - p) f|^2,   s = |A'|^2 N + (1 - p) Q,   p = Q / mean |f|^2
 
 (1 - p) f being what the measured force says of the true one. The last term is the Jacobian: it keeps the noise in a
-from pulling A' towards zero, as p keeps that in f from pushing it up. Amplitude and phase of every bin count, so a
+from pulling A' towards zero, as p keeps that in f from pushing it up. Q may be a force that acts unmeasured beside f
+instead, the machine's own beside a shaker's: then f is what it is, and p = 0. Amplitude and phase of every bin count: a
 thousandth of the force is seen that no power spectrum shows. What may bend A: bent_path.py.
 """
 
@@ -36,7 +37,7 @@ class Response:
     """Residual R and acceleration a of one place by cells of the band. w : (cells,) rad/s; n : independent numbers.
 
     rr, ra, aa, ff : mean |R|^2, R a*, |a|^2 and |A a - R|^2, one-sided PSD; A : tangent; noise : PSD of acceleration of
-    white noise of the sensor.
+    white noise of the sensor. unmeasured : whether Q is a force beside the measured one, not noise of its sensor.
     """
 
     w: Array
@@ -48,6 +49,11 @@ class Response:
     A: Complexes
     noise: Array
     hz: Array  # width of each cell
+    unmeasured: bool = False
+
+    def share(self, Q: float) -> Array:
+        """(cells,) p: what of the measured force is noise of the density Q."""
+        return np.zeros(self.ff.size) if self.unmeasured else np.minimum(Q / self.ff, 0.5)
 
 
 def response_of(point: WorkingPoint, i: int, lines: Collection[float] = ()) -> Response:
@@ -183,7 +189,7 @@ def linear(r: Response, d: Array) -> Complexes:
 
 def left(r: Response, A: Complexes, Q: float = 0.0) -> Array:
     """(cells,) mean |A a - (1 - p) f|^2, with p what noise of the density Q is of the measured force."""
-    p = np.minimum(Q / r.ff, 0.5)
+    p = r.share(Q)
     G = A - (1 - p) * r.A
     P = (1 - p) ** 2 * r.rr + 2 * (1 - p) * np.real(G.conj() * r.ra) + np.abs(G) ** 2 * r.aa
     return np.asarray(np.maximum(P, 1e-300))
@@ -192,6 +198,6 @@ def left(r: Response, A: Complexes, Q: float = 0.0) -> Array:
 def expected(r: Response, A: Complexes, u: Array) -> tuple[Array, Complexes, Array]:
     """(cells,) each: mean |A a - (1 - p) f|^2, the same times a*, and what the first is to be by the noise of u."""
     Q = exp(u[0])
-    p = np.minimum(Q / r.ff, 0.5)
+    p = r.share(Q)
     rest = (1 - p) * r.ra + (A - (1 - p) * r.A) * r.aa
     return left(r, A, Q), rest, np.abs(A) ** 2 * exp(u[1]) * r.noise + (1 - p) * Q

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exact_path import KL, MASS, RATE, RIG, C, record
+from exact_path import KL, MASS, RATE, RIG, C, S, record
 from numpy.typing import NDArray
 
 from estimator import bent_path, spectral
@@ -109,6 +109,39 @@ def test_a_complete_model_has_no_suspect(seed: int) -> None:
     noise = [(0.02, 1e-3), (0.3, 1e-3), (0.02, 0.03), (2.0, 0.1)][seed]
     y = record(seed=seed, noise=noise)
     assert suspects(RIG, fit_whole(RIG, y, RATE).point, y) == []
+
+
+def unseen(t: Array) -> Array:
+    """An eighth of the power of the measured force."""
+    return np.random.default_rng(17).normal(size=t.size) * np.sqrt(S / 8 * RATE / 2)
+
+
+def test_a_force_beside_the_measured_one_is_no_fault_of_a_sensor() -> None:
+    """A machine runs beside the shaker. Read as noise of the force sensor it looked like a gain of 12 %, and c came out
+    11 % too small by `fit`."""
+    y = record(seed=3, unseen=unseen)
+    whole = fit_whole(RIG, y, RATE)
+    assert suspects(RIG, whole.point, y) == []
+    assert bent_path.pushed(RIG, whole.point)
+    found = spectral.fit(RIG, y, RATE).parameters
+    for name, true in (("kL", KL), ("c", C)):
+        p = found[f"{PLACE}.{name}"]
+        assert abs((p.value or 0.0) - true) < 3 * (p.sd or 0.0)
+
+
+def test_as_much_noise_of_the_force_sensor_is_told_from_it() -> None:
+    y = record(seed=3, noise=(0.02, float(np.sqrt(S / 8 * RATE / 2))))
+    point = fit_whole(RIG, y, RATE).point
+    assert suspects(RIG, point, y) == []
+    assert not bent_path.pushed(RIG, point)
+
+
+def test_a_gain_beside_a_force_that_is_not_measured() -> None:
+    y = record(seed=3, unseen=unseen, sensor=heard("sensor_gain", 0.05))
+    first = suspects(RIG, fit_whole(RIG, y, RATE).point, y)[0]
+    assert first.effect == "sensor_gain"
+    error = first.settings[PLACE]["error"]
+    assert abs((error.value or 0.0) - 0.05) < 4 * (error.sd or 0.0)
 
 
 def test_what_a_cap_mass_hides_is_not_claimed() -> None:
