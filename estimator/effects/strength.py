@@ -56,7 +56,7 @@ class Size:
             "v": self.v,
             "a": self.a,
             "m": self.m,
-            "hz_peak": np.sqrt(self.kL / self.m) / (2.0 * np.pi),
+            "hz_peak": np.sqrt(abs(self.kL) / self.m) / (2.0 * np.pi),  # below 0 in a fit far from the rotor
             "sample": 1.0 / self.rate_hz,
             "band": self.band_hz,
         }

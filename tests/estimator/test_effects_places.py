@@ -10,7 +10,7 @@ import pytest
 from estimator.balance import build
 from estimator.effects import CATALOGUE
 from estimator.effects.places import at, kinematic, places, values, written
-from estimator.effects.strength import search_range, size, strengths, with_effect
+from estimator.effects.strength import Size, search_range, size, strengths, with_effect
 from estimator.errors import ModelError
 from estimator.model import BearingGeometry, Channel, EffectUse, Model, Setting
 
@@ -112,3 +112,9 @@ def test_natural_sizes_come_from_the_linear_rotor() -> None:
     model = with_effect(RIG, CATALOGUE["clearance"], given, "bearing2.y")
     assert model.effects[-1].parameters["bearing2.y"]["gap"].value == pytest.approx(natural.x)
     assert len(with_effect(RIG, CATALOGUE["clearance"], given).effects[-1].parameters) == 4
+
+
+def test_a_stiffness_below_zero_has_a_size() -> None:
+    """As a fit far from the rotor leaves it: numpy's warning had come through to the user."""
+    (frequency,) = (p for p in CATALOGUE["pedestal"].parameters if p.scale == "hz_peak")
+    assert Size(x=1e-6, v=1e-2, m=0.2, kL=-1e7).of(frequency) > 0.0
