@@ -21,6 +21,7 @@ from drivers.starts import Starts
 
 _CAUSES = ("reconnect", "stuck", "silent", "version", "crc", "overflow")  # what a hole is blamed on, first match wins
 FAR_S = 86_400.0  # a device's clock this far ahead of what passed here is another start's
+AHEAD_S, FAST = 5.0, 0.2  # so are counter and clock this much ahead of it, and by this share of it
 LATE_FRAMES = 64  # a frame this far behind is late; further behind, the device has started again
 
 
@@ -50,6 +51,7 @@ class Continuity:
         self._last_counts: NDArray[np.int32] | None = None
         self._causes: set[str] = set()
         self._stood = 0.0  # samples for which nothing came before frames without a time that count on
+        self._late_s = 0.0  # the last frames came so much later than the promptest of this start
         self._holes: deque[tuple[int, int]] = deque(maxlen=64)
         self._neighbours = Neighbours()
 
@@ -120,15 +122,19 @@ class Continuity:
                     if start + behind < stop:
                         self._run(f, start + behind, stop, t_host_ns, out)
                     return
+        same_start = self._stats.restarts == restarts
         final_us = time_us
         if time_us is not None and f.time_us is not None:
             final_us = time_us + int(f.time_us[stop - 1] - f.time_us[start]) % f.time_modulus
         elif (
             last is not None and last.time_us is not None
-            and self.index - last.index < f.modulus and self._stats.restarts == restarts
+            and self.index - last.index < f.modulus and same_start
         ):  # fmt: skip
             ahead = self.index + (stop - start - 1) * rows - last.index
             final_us = last.time_us + round(ahead * 1e6 / self.rate_hz)  # till a frame with a time says how many wraps
+        if last is not None and last.time_us is not None and final_us is not None and same_start:
+            passed_s = (t_host_ns - last.t_host_ns) / 1e9 - (final_us - last.time_us) / 1e6
+            self._late_s = max(0.0, self._late_s + passed_s)
         counts = f.counts[start:stop].reshape(-1, f.counts.shape[2])
         self._starts.taken()
         out.append(Block(self.index, counts, t_host_ns, None if time_us is None else time_us * 1000))
@@ -176,11 +182,13 @@ class Continuity:
         if total < last.rows and total > -LATE_FRAMES * rows:
             return self._late(last, total, f, start, stop, t_host_ns)
         slack = 0.5 * rows + min(1e-4 * abs(elapsed), f.modulus / 64)
-        far = timed and elapsed - host > FAR_S * self.rate_hz  # a gap of centuries would end the log
+        # samples that never were, up to centuries of them, would be a gap
+        claimed, most_s = elapsed if timed else total, FAR_S if ahead == last.rows else AHEAD_S
+        far = claimed - (1.0 + FAST) * max(host, 0.0) > (most_s + self._late_s) * self.rate_hz
         if total < 0 or far or (timed and elapsed < -slack):
             if not self._starts.began(t_host_ns):
                 return self._undescribed(stop - start, t_host_ns)
-            way = "on by days that were none" if far else "back"
+            way = f"on by {(claimed - host) / self.rate_hz:.3g} s that did not pass here" if far else "back"
             self._restart(f"its counter and clock went {way}", (stop - start) * rows, t_host_ns, out)
         elif not timed or abs(total - elapsed) <= slack:
             self._missing(total - last.rows - already, last, f, start, out)
@@ -243,6 +251,6 @@ class Continuity:
         host = 0 if last is None else round((t_host_ns - last.t_host_ns) * self.rate_hz / 1e9)
         already = 0 if last is None else self.index - last.index - last.rows
         self._stats.restarts += 1
-        self._stood = 0.0
+        self._stood = self._late_s = 0.0
         self._notices.add(t_host_ns, "warning", "device_restart", f"the device started again: {why}")
         self.lose(max(1, host - arrived - already), "restart", out)
