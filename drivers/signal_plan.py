@@ -85,7 +85,8 @@ class Field:
         if self.floating:
             kind = {16: np.float16, 32: np.float32, 64: np.float64}[self.bits.length]
             unsigned = {16: np.uint16, 32: np.uint32, 64: np.uint64}[self.bits.length]
-            number = raw.astype(unsigned).view(kind).astype(np.float64)
+            with np.errstate(invalid="ignore"):  # a signalling NaN
+                number = raw.astype(unsigned).view(kind).astype(np.float64)
             valid &= np.isfinite(number)
             counts = np.rint(np.where(valid, number, 0.0) / self.step)
             valid &= np.abs(counts) < 2.0**31

@@ -8,7 +8,7 @@ import can
 import cantools
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from ramp_device import Record, read_until
 
@@ -188,6 +188,7 @@ def test_live_on_a_bus() -> None:
 
 @given(st.lists(st.tuples(st.sampled_from([0x600, 0x601, 0x50, 0x18F02DFE | EXTENDED]), st.binary(max_size=64),
                           st.integers(-(10**12), 10**12)), max_size=60), st.integers(1, 20))  # fmt: skip
+@example([(0x50, b"", 0), (0x600, b"\x7f\x81", 0)], 1)  # a signalling NaN
 def test_any_frames_at_any_times_never_raise(frames: list[tuple[int, bytes, int]], batch: int) -> None:
     signals = {"a": "IMU_A.Ax", "b": "IMU_B.Az", "c": "Wit.AccX", "d": "ACS.Lateral"}
     for rate_hz in (None, 100.0):
