@@ -221,6 +221,30 @@ def test_a_pulled_cable_costs_next_to_no_cpu_and_comes_back(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("kind", ["serial", "slcan"])
+def test_a_port_that_another_session_holds_is_refused_and_costs_it_nothing(
+    rig: Path, cable: Cable, tmp_path: Path, kind: str, record_property: Row
+) -> None:
+    path = tmp_path / "a.mcap"
+    first = run(rig, "--link", f"serial:{cable.name}", "--out", str(path))
+    wait_for(path, lambda log: log.n_samples > 20_000)
+    second = run(rig, "--link", f"{kind}:{cable.name}", "--out", str(tmp_path / "b.mcap"))
+    _, said = second.communicate(timeout=PATIENCE_S)
+    assert said == f"rotorscope: {kind}:{cable.name}: another program holds the port: close it\n"
+    assert second.returncode == 3
+    there = read_log(path).n_samples
+    wait_for(path, lambda log: log.n_samples > there + 20_000)
+    stop(first, path)
+    log = read_log(path)
+    assert_ramp(log)
+    assert log.lost_samples == 0
+    assert not (tmp_path / "b.mcap").exists()
+    row = f"two sessions on one port | `run --link {kind}:PORT` beside one that has it"
+    measured = f"status 3, one line; the first: {log.n_samples} samples, {log.lost_samples} lost"
+    record_property("reliability", f"{row} | the second is refused, the first loses nothing | {measured}")
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("ears", ["pipe", "terminal", "full disk"])
 def test_nobody_left_to_listen_and_acquisition_goes_on(
     ears: str, rig: Path, cable: Cable, tmp_path: Path, record_property: Row
