@@ -36,17 +36,6 @@ PROMISED = "named, a gap `reconnect`, data within 5 s of the return, under 2 % o
 Report = Callable[[str, str, str, str], None]
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _imported(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """One session in this process, from which all others are forked: imports take half a minute in the emulation."""
-    folder = tmp_path_factory.mktemp("imported")
-    begin = time.monotonic()
-    rig, log = str(write_rig(folder)), str(folder / "a.mcap")
-    status = main(["run", rig, "--link", "virtual:", "--seconds", "1", "--out", log])
-    print(f"everything imported after {time.monotonic() - begin:.0f} s")
-    assert status == 0
-
-
 @pytest.fixture(autouse=True)
 def _interfaces_down() -> Iterator[None]:
     yield
