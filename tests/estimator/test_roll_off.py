@@ -95,6 +95,19 @@ def test_an_effect_behind_a_filter_is_named() -> None:
 
 
 @pytest.mark.slow
+def test_lines_do_not_hide_the_filter() -> None:
+    """They raised a few cells of the spectrum, and what fell was named a resonant sensor, behind the lines."""
+    rig = one_bearing()
+    y = simulate(rig, RATE, 30.0, seed=8, noise=0.02)
+    t = np.arange(len(y)) / RATE
+    y += sum(0.3 * y.std() * np.cos(2 * np.pi * hz * t + hz) for hz in (1450.0, 2900.0, 5210.0))[:, None] * [1.0, 0.8]
+    found = diagnose(rig, through(y, "bessel"), RATE)
+    assert found.verdict == "line"
+    assert not {"sensor_resonance", "coloured_excitation"} & {e.effect for e in found.ranking if e.p_value < 0.01}
+    assert any("recorder's filter" in message for message in found.messages)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", ["coloured_excitation", "sensor_resonance", "pedestal", "bouc_wen", "coulomb"])
 @pytest.mark.parametrize("strength", [0.02, 0.06])
 def test_no_shape_of_a_rotor_passes_for_a_filter(effect: str, strength: float) -> None:
