@@ -144,8 +144,7 @@ def find(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> li
         r = response_of(point, i, lines)
         if r.n.size < FEWEST:
             continue
-        ways = [_tried(model, point, i, way) for way in beside(point, i, r)]
-        tried = max(ways, key=lambda way: way.likely)
+        tried = _likeliest(model, point, i, r)
         found = _found(model, point, i, tried)
         if not found:
             heard[i] = tried.response, tried.base, tried.scale
@@ -168,13 +167,13 @@ class Tried:
         return best - ALIKE * self.response.unmeasured
 
 
-def beside(point: WorkingPoint, i: int, r: Response) -> list[Response]:
-    """The ways in which what is left of the force may be read, where it is enough to matter: noise of its sensor, or a
-    force that acts beside it. The first makes the rotor seem lighter and softer by its share of the force, in power."""
-    base, _ = plain(point, i, r)
-    if float(np.average(r.share(exp(base.u[0])), weights=r.n)) < MATTERS:
-        return [r]
-    return [r, replace(r, unmeasured=True)]
+def _likeliest(model: Model, point: WorkingPoint, i: int, r: Response) -> Tried:
+    """What is left of the force at a place, where it is enough to matter, read as noise of its sensor or as a force
+    that acts beside it. The first makes the rotor seem lighter and softer by its share of the force, in power."""
+    noise = _tried(model, point, i, r)
+    if float(np.average(r.share(exp(noise.base.u[0])), weights=r.n)) < MATTERS:
+        return noise
+    return max(noise, _tried(model, point, i, replace(r, unmeasured=True)), key=lambda tried: tried.likely)
 
 
 def pushed(model: Model, point: WorkingPoint) -> bool:
@@ -184,11 +183,7 @@ def pushed(model: Model, point: WorkingPoint) -> bool:
         if place not in forced(model) or model.cap_mass(place) is None or point.kL[i] <= 0.0:
             continue
         r = response_of(point, i, lines)
-        ways = beside(point, i, r) if r.n.size >= FEWEST else [r]
-        if (
-            len(ways) > 1
-            and max((_tried(model, point, i, w) for w in ways), key=lambda t: t.likely).response.unmeasured
-        ):
+        if r.n.size >= FEWEST and _likeliest(model, point, i, r).response.unmeasured:
             return True
     return False
 

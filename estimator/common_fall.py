@@ -34,8 +34,9 @@ def find(point: WorkingPoint) -> tuple[float, ...]:
     if not suspected(np.stack([_ratio(*z) for z in zip(cells, fits, strict=True)], axis=1), hz, count, highest):
         return ()
     before, df = -2 * sum(level for level, _, _ in fits), float(sum(c.n.size - 4 for c in cells))
-    after, found = _joint(cells, [u for _, u, _ in fits], [s for _, _, s in fits], data.band[1])
-    fall = ((hz / data.band[1])[:, None] ** POWERS) @ found
+    basis = (hz / data.band[1])[:, None] ** POWERS
+    after, found = _joint(cells, basis, [u for _, u, _ in fits], [s for _, _, s in fits])
+    fall = basis @ found
     rms = float(np.sqrt(np.average((fall - np.average(fall, weights=count)) ** 2, weights=count)))
     if chdtrc(POWERS.size, before - after) > LEVEL or rms < LEAST:
         return ()
@@ -62,12 +63,11 @@ def _ratio(c: Cells, fit: Plain) -> Array:
     return c.power / force_colour.base_model(c, fit[1])
 
 
-def _joint(cells: list[Cells], starts: list[Array], scales: list[Array], top_hz: float) -> tuple[float, Array]:
-    """Deviance of all places with one roll-off, and that."""
+def _joint(cells: list[Cells], basis: Array, starts: list[Array], scales: list[Array]) -> tuple[float, Array]:
+    """Deviance of all places with one roll-off, and that. basis : (cells, 5) of ln(power) at one of each."""
     from scipy.optimize import least_squares
 
     count, places = POWERS.size, len(cells)
-    bases = [(c.w / (2 * np.pi * top_hz))[:, None] ** POWERS for c in cells]
     roots = [np.sqrt(c.n) for c in cells]
     scale = np.concatenate([np.full(count, 0.05), *scales])
     first = np.concatenate([np.full(count, 0.01), *starts])
@@ -75,9 +75,9 @@ def _joint(cells: list[Cells], starts: list[Array], scales: list[Array], top_hz:
 
     def residual(z: Array) -> Array:
         z = z * scale
-        out = []
-        for c, basis, root, u in zip(cells, bases, roots, z[count:].reshape(places, 4), strict=True):
-            ratio = c.power / np.maximum(c.spectrum(u, c.tangent(u), np.exp(-basis @ z[:count])), 1e-300)
+        fall, out = np.exp(-basis @ z[:count]), []
+        for c, root, u in zip(cells, roots, z[count:].reshape(places, 4), strict=True):
+            ratio = c.power / np.maximum(c.spectrum(u, c.tangent(u), fall), 1e-300)
             out.append(force_colour.deviance(root, ratio))
         return np.concatenate(out)
 

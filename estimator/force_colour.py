@@ -241,10 +241,8 @@ def otherwise(point: WorkingPoint, i: int, c: Cells, level: float, u: Array, sca
     least, top = -2 * level, point.data.band[1]
     for shape in _causes(point, i):
         found, z, _ = _shaped(c, shape, u, scale)
-        first, second = shape.values(z[4:])[:2]
-        if shape.effect == "coloured_excitation" and second > top:
-            continue
-        if shape.effect == "sensor_resonance" and first > top and second < PEAKED:
+        values = shape.values(z[4:])
+        if _peakless(shape.effect, values, top) or (shape.effect == "coloured_excitation" and values[1] > top):
             continue
         least = min(least, -2 * found)
     return least
@@ -317,15 +315,20 @@ def _shapes(
         out.append(
             Suspect(
                 shape.effect, (place,), gain, q + 2, p, {i: predictable}, "frequency", _where(c, r), {place: settings},
-                _falls(shape.effect, values, data.band),
+                _falls(shape.effect, values, data.band[1]),
             )
         )  # fmt: skip
     return out
 
 
-def _falls(effect: str, values: Array, band: tuple[float, float]) -> str:
+def _peakless(effect: str, values: Array, top_hz: float) -> bool:
+    """Whether a sensor's resonance is above the band and has no peak: a filter looks the same."""
+    return effect == "sensor_resonance" and bool(values[0] > top_hz and values[1] < PEAKED)
+
+
+def _falls(effect: str, values: Array, top_hz: float) -> str:
     """What to say of a resonance above the band that has no peak."""
-    if effect != "sensor_resonance" or values[0] < band[1] or values[1] > PEAKED:
+    if not _peakless(effect, values, top_hz):
         return ""
     return (
         "the channel falls towards the end of the band as behind an anti-alias filter: a lower band.high leaves it out"

@@ -64,6 +64,10 @@ class Layout:
     def cell_of_bin(self) -> NDArray[np.intp]:
         return np.repeat(np.arange(self.starts.size), self.per_cell)
 
+    def mean_by_cell(self, z: Floats) -> Floats:
+        """(cells, ...) mean over the bins of each cell of z (bins, ...)."""
+        return np.asarray((np.add.reduceat(z, self.starts, axis=0).T / self.per_cell).T)
+
 
 @dataclass(frozen=True, slots=True)
 class Nodes:

@@ -66,7 +66,7 @@ class Record:
         if self.weights is None:
             return np.ones(grid.starts.size)
         mean = self.weights[valid_blocks(self.motion.valid, grid)].mean(axis=0)
-        return np.maximum(np.add.reduceat(mean, grid.starts) / grid.per_cell, 1e-3)
+        return np.maximum(grid.mean_by_cell(mean), 1e-3)
 
     @property
     def driven(self) -> Floats:

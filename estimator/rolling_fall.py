@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from .gram import Layout
 from .likelihood import Local
 from .record import Record
 from .roll_off import POWERS, gain, suspected
@@ -23,14 +22,9 @@ class Fall:
         grid, top_hz, self._forced = record.grid, record.model.band[1], bool(record.force)
         self._top, self._nodes, self._per_cell = top_hz, start.nodes.f_hz, grid.per_cell
         self._highest = float(np.sqrt(start.kL / start.m).max() / (2 * np.pi))
-        self._hz = self._mean(grid, grid.f_hz)
-        self._basis = self._mean(grid, (grid.f_hz[:, None] / top_hz) ** POWERS)
+        self._hz = grid.mean_by_cell(grid.f_hz)
+        self._basis = grid.mean_by_cell((grid.f_hz[:, None] / top_hz) ** POWERS)
         self._found: tuple[float, ...] = ()
-
-    @staticmethod
-    def _mean(grid: Layout, z: Floats) -> Floats:
-        """Of each cell; z : (bins, ...)."""
-        return np.asarray((np.add.reduceat(z, grid.starts, axis=0).T / grid.per_cell).T)
 
     def follow(self, local: Local, blocks: float) -> bool:
         """Renew it from what is left of the fall at a point; whether there is one. blocks : how many it is of."""

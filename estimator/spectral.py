@@ -188,11 +188,12 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
     solution: Solution | None = None
     if not (known and _more_than_laws(model)):
         solution = analyse(model, y, rate_hz, phase, _begun(model, y, rate_hz) if known else None)
-    if solution is None or (known and (_whirls(solution) or _falls(solution))):
+    whirls = solution is not None and known and _whirls(solution)
+    if solution is None or whirls or (known and _falls(solution)):
         from . import whole
 
         found = whole.fit_whole(model, check_record(model, y, rate_hz), rate_hz)
-        if solution is None or found.model.roll_off or _whirls(solution):
+        if solution is None or whirls or found.model.roll_off:
             return whole.as_fit(found)
     if (beside := pushed(solution, y)) is not None:
         from . import whole
@@ -259,10 +260,9 @@ def _falls(solution: Solution) -> bool:
     record, local, grid = solution.record, solution.local, solution.record.grid
     if record.force:
         return False
-    f_hz = np.add.reduceat(grid.f_hz, grid.starts) / grid.per_cell
     count = solution.bank.evidence().blocks * grid.per_cell.astype(np.float64)
     peaks = [solution.start.sizes[place]["hz_peak"] for place in solution.balance.places]
-    return suspected(local.power / local.spread, f_hz, count, max(peaks))
+    return suspected(local.power / local.spread, grid.mean_by_cell(grid.f_hz), count, max(peaks))
 
 
 def messages(solution: Solution) -> tuple[str, ...]:
