@@ -39,7 +39,8 @@ Notify = Callable[[Notice], None]
 
 @dataclass(frozen=True, slots=True)
 class RunSummary:
-    """What came of a session. problems : what an operator must know, one line each; identical : of replay --check."""
+    """What came of a session. problems : what an operator must know, one line each; identical : of replay --check;
+    not_logged : samples that were acquired, and are not in the log for want of its disk."""
 
     seconds: float
     samples: int
@@ -53,6 +54,7 @@ class RunSummary:
     device: str = ""
     identical: bool | None = None
     compared: int = 0
+    not_logged: int = 0
 
     def to_json(self) -> dict[str, Any]:
         """As schemas/run.json."""
@@ -66,6 +68,7 @@ class RunSummary:
             "samples": self.samples,
             "lost_samples": self.lost_samples,
             "gaps": [{"index": g.index, "count": g.count, "reason": g.reason} for g in self.gaps],
+            "not_logged": self.not_logged,
             "clipped_values": self.clipped,
             "link": link,
             "estimates": {n: p.to_json() for n, p in estimate.parameters.items()} if estimate else {},
@@ -207,6 +210,7 @@ def _summary(pipeline: Pipeline, driver: Driver, device: str) -> RunSummary:
     return RunSummary(
         pipeline.seconds, ledger.samples, ledger.lost, tuple(ledger.gaps),
         driver.kind, driver.stats, pipeline.last_estimate, pipeline.clipped, tuple(pipeline.problems), device,
+        not_logged=pipeline.dropped.get("LogWriter", 0),
     )  # fmt: skip
 
 

@@ -304,7 +304,8 @@ def in_words(summary: RunSummary, out: Path | None) -> list[Any]:
         people.append(f"no estimate: {estimate.status}")
     people += gap_lines(summary.gaps)
     lost = f", {summary.lost_samples} lost in {gap_reasons(summary.gaps)}" if summary.lost_samples else ", none lost"
-    people.append(f"{summary.seconds:.3f} s, {summary.samples} samples of each channel{lost}")
+    unlogged = f"; up to {summary.not_logged} of them are not in the log" if summary.not_logged else ""
+    people.append(f"{summary.seconds:.3f} s, {summary.samples} samples of each channel{lost}{unlogged}")
     if out is not None:
         people.append(f"log: {out}")
     return people

@@ -55,6 +55,7 @@ class LogWriter:
         self._queued = 0  # bytes
         self._lost: Gap | None = None  # not yet told to the log
         self._dropped = 0
+        self._encoded = self._safe = 0  # samples that the encoder has taken, and of those the ones that are on the disk
         self._notices: list[Notice] = []
         self._closing = self._abandoned = False
         self._progress = 0
@@ -120,8 +121,17 @@ class LogWriter:
             elif self._live and self._clock.now_ns() - since > GIVE_UP_NS:
                 self._abandoned = True
                 why = self._problem or "the disk stalls"
-                self._tell("error", "log_incomplete", f"{self.path} could not be completed: {why}; try recover on it")
+                lacking = f"up to {self._give_up()} samples of its end are not in it"
+                text = f"{self.path} could not be completed: {why}; {lacking}; try recover on it"
+                self._tell("error", "log_incomplete", text)
                 return
+
+    def _give_up(self) -> int:
+        """Samples that are not known to be on the disk, counted as dropped from now on."""
+        with self._changed:
+            lacking = self._encoded - self._safe + sum(len(b.counts) for b in self._queue if isinstance(b, Block))
+            self._dropped += lacking
+            return lacking
 
     def _raise_failure(self) -> None:
         if self._failed:
@@ -175,6 +185,7 @@ class LogWriter:
             if not self._live:
                 self._file.close()
             with self._changed:
+                self._give_up()
                 self._failed = f"{self.path}: the log has stopped: {what}; make room or choose another --out"
                 self._note("error", "log_failed", self._failed)
                 self._changed.notify_all()
@@ -244,6 +255,7 @@ class LogWriter:
             self._encoder.status(item)
         else:
             self._encoder.reading(item)
+            self._encoded += len(item.counts) if isinstance(item, Block) else 0
             if not self._holds_data and (isinstance(item, Block) or (isinstance(item, Gap) and item.count)):
                 self._holds_data = True
                 if self._live:
@@ -266,6 +278,8 @@ class LogWriter:
         if before:
             self._progress += 1
             self._behind_since_ns = None
+        if self._encoder.fresh:
+            self._safe = self._encoded
         self._well()
         if self._file.cut and not self._told_cut:
             self._told_cut = True
@@ -306,6 +320,8 @@ class LogWriter:
                 continue
             self._tell("warning", "log_restored", f"{before} was removed and cannot be put back; the log is {path}")
             return
+        self._safe = 0
+        self._give_up()
         self._tell("error", "log_incomplete", f"{before} was removed and cannot be put back anywhere; it is lost")
 
     def _fault(self, problem: str) -> None:

@@ -87,6 +87,7 @@ class Pipeline:
         self.device_clock: DeviceClock | None = None
         self.last_estimate: Estimate | None = None
         self.problems: list[str] = []
+        self.dropped: dict[str, int] = {}  # in the end, by sink: samples that it has not taken
 
     @property
     def done(self) -> bool:
@@ -346,7 +347,9 @@ class Pipeline:
     def _hear_sinks(self) -> None:
         for sink in self._sinks:
             if isinstance(sink, Reporting):
-                self._unsaid += sink.health().notices
+                health = sink.health()
+                self._unsaid += health.notices
+                self.dropped[type(sink).__name__] = health.dropped
 
     def _each_sink(self, what: str, call: Callable[[Sink], None]) -> None:
         for sink in list(self._sinks):
