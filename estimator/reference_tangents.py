@@ -14,10 +14,27 @@ from .self_energy import Complexes
 Array = NDArray[np.float64]
 
 
-def dressings(name: str, here: Fluctuation | Probe, sizes: Array, knots: Array | None) -> Iterator[Complexes]:
+def lapse(t: Array, first: float, last: float) -> tuple[Array, Array]:
+    """Legendre polynomials of degree 1 and 2 of the time t, (n,) s, from first to last."""
+    tau = 2 * (t - first) / max(last - first, 1e-9) - 1
+    return tau, 1.5 * tau**2 - 0.5
+
+
+def waves(phase: Array, orders: tuple[float, ...]) -> list[NDArray[np.float32]]:
+    """Cosine and sine of each order of the shaft's angle, (n,) rad."""
+    turns = phase / (2 * np.pi)
+    angles = [2 * np.pi * (k * turns - np.floor(k * turns)) for k in orders]
+    return [wave(z.astype(np.float32)) for z in angles for wave in (np.cos, np.sin)]
+
+
+def dressings(
+    name: str, here: Fluctuation | Probe, sizes: Array, knots: Array | None, orders: tuple[float, ...],
+    times: tuple[float, float],
+) -> Iterator[Complexes]:  # fmt: skip
     """(bins,) N/m per column of a group, in its order; nothing for groups whose tangents the model leaves alone.
 
-    sizes : (2,) rms of x and v that the group is built with; knots of a group of hat functions.
+    sizes : (2,) rms of x and v that the group is built with; knots of a group of hat functions; orders, times : of
+    those that turn or change with time.
     """
     x, v = here.data.seen(here.place), here.data.v[here.place]
     if knots is not None:
@@ -40,3 +57,11 @@ def dressings(name: str, here: Fluctuation | Probe, sizes: Array, knots: Array |
             (w, u), (2 * u * w, u * u), (w * w, 2 * u * w), (r + u * u / r, u * w / r), (u * w / r, r + w * w / r),
         ):  # fmt: skip
             yield here.of(np.stack([du / sizes[0], dw / sizes[1]]))
+    elif name == "time":
+        none = np.zeros(x.size)
+        for z in lapse(here.data.t, *times):
+            yield here.of(np.stack([z / sizes[0], none]))
+            yield here.of(np.stack([none, z / sizes[1]]))
+    elif name == "shaft_angle":
+        for wave in waves(here.data.phase, orders):
+            yield here.of(np.stack([wave / sizes[0], np.zeros(x.size)]))
