@@ -115,8 +115,9 @@ class LogFile:
     @property
     def removed(self) -> bool:
         """Somebody deleted the file or its folder. The bytes live as long as we hold it open."""
-        ours = self._hidden is not None and not unfinished.wanted(self._hidden)  # at our exit
-        return os.fstat(self._fd).st_nlink == 0 and not ours
+        if os.fstat(self._fd).st_nlink:
+            return False
+        return self._hidden is None or unfinished.wanted(self._hidden)  # at our exit: unwanted first, then gone
 
     @property
     def in_place(self) -> bool:

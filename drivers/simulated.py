@@ -33,6 +33,7 @@ class DeviceConfig:
     count_bits: int | None = None
     rows: int = 64  # samples in a serial frame
     serial_number: int = 0x52530001
+    epoch: int = 1  # of its first start
     base_id: int = protocol.BASE_ID
     clock_ppm: float = 0.0
     jitter_s: float = 0.0
@@ -97,7 +98,7 @@ class SimulatedDevice:
         self._scale = np.array([signal.scale for signal in self._signals])
         self._rng = np.random.default_rng(config.seed)
         self._index = 0  # the device's own, 0 at each start
-        self._epoch = 1
+        self._epoch = config.epoch
         self._lost = 0
         self._stuck_at: int | None = None
 

@@ -112,7 +112,7 @@ def test_unplugged_and_plugged_in_again(tmp_path: Path, record_property: Callabl
     before = samples()
     time.sleep(0.3)  # the loss is noticed
     busy = least_share(time.process_time, time.sleep, 0.02)
-    plug.into(ramp_device("serial16", seconds=None))
+    plug.into(ramp_device("serial16", seconds=None, epoch=2))
     back = time.monotonic()
     until(lambda: samples() > before + 10_000)
     took = time.monotonic() - back

@@ -19,6 +19,7 @@ import pytest
 from promises import PATIENCE_S, until
 from sessions import feed, make_session, make_stream, write_log
 
+from daq import unfinished
 from daq.cli import main
 from daq.errors import LogError
 from daq.log_file import LogFile
@@ -320,6 +321,21 @@ def test_an_import_that_fails_leaves_nothing(folder: Path) -> None:
     feed(writer, make_stream())
     assert logs(folder) == [".b.mcap.part", "a.mcap"]
     writer.close()
+    assert logs(folder) == ["a.mcap"]
+
+
+def test_half_a_file_that_the_end_of_the_program_removes_is_not_missed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread that writes asks whether its file was removed just as it is: it must not make it again."""
+    file = LogFile(folder / "b.mcap", whole=True)
+    monkeypatch.setattr(unfinished, "wanted", lambda path, wanted=unfinished.wanted: (wanted(path), remove_all())[0])
+    monkeypatch.setattr(os, "fstat", lambda fd, fstat=os.fstat: (fstat(fd), remove_all())[0])
+    remove_all = unfinished.remove_all
+    assert not file.removed
+    assert not file.removed
+    monkeypatch.undo()
+    file.close()
     assert logs(folder) == ["a.mcap"]
 
 
