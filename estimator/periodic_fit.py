@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Settings = Mapping[str, Mapping[str, Parameter]]  # by canonical place, by name
 PIECES = 16  # of the record, to see a phase that turns
-STEPS = 3  # of the numbers, before the model is fitted beside them and after
+STEPS, SETTLED = 8, 0.1  # of the numbers about a model, at most; standard deviations of the last
 
 
 def found_beside(
@@ -69,13 +69,29 @@ def found_beside(
     return named, point
 
 
+def settled(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:
+    """The numbers of a model's periodic effects `refined` until they stand still beside the rest of it as it is. After
+    two steps from the mean over all periods strikes of 0.05 rad were 6 to 10 % weak."""
+    return _stepped(model, point, point.force + _series(model, point.data))
+
+
 def _stepped(alone: Model, point: WorkingPoint, whole: Series) -> tuple[Model, dict[str, Parameter]]:
-    """Some steps of the numbers. alone : the model with the effect only; whole : (places, n) N inferred without it."""
+    """Steps of the numbers. alone : a model with the effects; whole : (places, n) N inferred without them."""
     found: dict[str, Parameter] = {}
     for _ in range(STEPS):
         wave = _series(alone, point.data)
+        before = found
         alone, found = refined(alone, point, np.subtract(whole, wave, out=wave))
+        if _moved(before, found) < SETTLED:
+            break
     return alone, found
+
+
+def _moved(before: Mapping[str, Parameter], now: Mapping[str, Parameter]) -> float:
+    """Standard deviations that numbers known both times differ by, at most; infinite without any."""
+    pairs = ((p, before[name]) for name, p in now.items() if name in before)
+    moves = [abs(p.value - q.value) / p.sd for p, q in pairs if p.sd and p.value is not None and q.value is not None]
+    return max(moves, default=np.inf)
 
 
 def _series(model: Model, data: MotionBlocks) -> Series:

@@ -133,7 +133,7 @@ def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
         point = fit_record(model, prepare(model, y, rate_hz))
     for _ in range(ROUNDS if any(u.name in periodic.PERIODIC or _told(u, model) for u in uses) else 0):
         model, bent = bent_path.refined(model, point)
-        model, stepped = periodic_fit.refined(model, point, point.force)
+        model, stepped = periodic_fit.settled(model, point)
         stepped |= bent
         found |= stepped
         if stepped:

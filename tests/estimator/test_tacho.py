@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden_effects import RATE, ROOT
+from hidden_effects import RATE, ROOT, one_bearing
 from scipy.integrate import solve_ivp
 
 from daq.rig import load_rig
 from estimator import line_forces, spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import with_effect
-from estimator.model import Channel, Model
+from estimator.model import Channel, EffectUse, Model, Setting
 from estimator.modulation import turning
 from estimator.periodic import series, whole_waves
 from estimator.shaft_angle import measured_phase, timed
@@ -42,6 +42,24 @@ def record(rig: Model) -> np.ndarray:
     for name, (values, places) in HIDDEN.items():
         truth = with_effect(truth, CATALOGUE[name], values, *places)
     return simulate(truth, RATE, SECONDS, seed=2, noise=0.02, full_scale=490.5, speed=WANDER)
+
+
+def test_strikes_are_as_strong_as_they_are_although_the_speed_wanders() -> None:
+    """Between pulses the angle bends by up to 0.03 rad, which smears short strikes: on straight lines they were 24 %
+    too weak and wide, and after two steps from the mean over all periods still some per cent."""
+    rig = one_bearing()
+    rig = replace(rig, channels=(rig.channels[0], Channel("tacho", "", "", "tacho")), effects=(), speed_rpm=None)
+    values = {"strike": 1.5, "order": 2.1, "angle": 1.0, "width": 0.05}
+    truth = replace(
+        rig, effects=(EffectUse("local_defect", {"bearing1.x": {k: Setting(v) for k, v in values.items()}}),)
+    )
+    y = simulate(truth, RATE, SECONDS, seed=1, noise=0.02, speed=Speed(2100.0, fluctuation=0.03, fluctuation_hz=2.0))
+    free = replace(truth, effects=(EffectUse("local_defect", {"bearing1.x": {}}),))
+    found = fit_whole(free, y, RATE).parameters
+    for name in ("strike", "width"):
+        got = found[f"bearing1.x.local_defect.{name}"]
+        assert got.sd < 0.08 * got.value
+        assert got.value == pytest.approx(values[name], abs=3 * got.sd)
 
 
 @pytest.mark.slow
