@@ -78,7 +78,7 @@ def _one(point: WorkingPoint, placed: Placed) -> tuple[float, float] | None:
     trial = replace(placed, free=used)
     extra = dressed(terms(trial, point.data, point.lin, linear_only=True), trial, point.fluctuations)
     uses = [u for u in point.placed if set(u.at) & set(at)]
-    base = [t for i in at for t in linear_terms(point.data, i)]
+    base = [t for i in at for t in linear_terms(point.data, i, point.lin[i], point.placed)]
     base += [t for u in uses for t in dressed(terms(u, point.data, point.lin), u, point.fluctuations)]
     masks = [upper_part(point, i) for i in at]
     parts = []

@@ -13,6 +13,8 @@ from .effect import Effect
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 SLOWEST = 1e-3  # rad/s: a state that only integrates has no response at rest
+DISTINCT = 1e6  # condition of the modes of its states, below which they are taken one by one
+BESIDE = 1e-3  # of a stiffness or damping, by which the derivative of a response is taken
 
 
 def response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], Complexes] | None:
@@ -35,12 +37,33 @@ def response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], Complexe
             return None
     states, reads = M[:n, :n], M[n]
 
+    rates_at, modes = np.linalg.eig(states)
+    apart = n > 0 and np.linalg.cond(modes) < DISTINCT
+
     def transfer(w: Array) -> Complexes:
         iw = 1j * np.maximum(w, SLOWEST)
-        z = np.linalg.solve(iw[:, None, None] * np.eye(n) - states, (M[:n, n] + iw[:, None] * M[:n, n + 1])[..., None])
-        return np.asarray((reads[:n] @ z)[..., 0] + reads[n] + iw * reads[n + 1])
+        if apart:  # a sum over the modes: many times faster than to solve at every frequency
+            by_mode = (reads[:n] @ modes) * np.linalg.solve(modes, M[:n, n:]).T
+            through = sum((a + iw * b) / (iw - rate) for a, b, rate in zip(*by_mode, rates_at, strict=True))
+        else:
+            push = M[:n, n] + iw[:, None] * M[:n, n + 1]
+            through = (reads[:n] @ np.linalg.solve(iw[:, None, None] * np.eye(n) - states, push[..., None]))[..., 0]
+        return np.asarray(through + reads[n] + iw * reads[n + 1])
 
     return transfer
+
+
+def slope(effect: Effect, p: Array, lin: Array, which: int) -> Callable[[Array], Complexes] | None:
+    """Derivative of the response by the linear stiffness (which = 1) or damping (2) beside it, per unit; None if it is
+    not linear or does not depend on it."""
+    step = BESIDE * np.eye(3)[which] * abs(lin[which])
+    up, down = response(effect, p, lin + step), response(effect, p, lin - step)
+    if up is None or down is None or not step.any():
+        return None
+    w = np.sqrt(max(lin[1] / lin[0], 1.0)) * np.array([0.5, 1.5])
+    if np.allclose(up(w), down(w), rtol=1e-9):
+        return None
+    return lambda w: (up(w) - down(w)) / (2 * step[which])
 
 
 def filtered(response: Callable[[Array], Complexes], x: Array, rate_hz: float) -> Array:

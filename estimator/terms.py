@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from . import linear_memory
 from .fluctuation import Fluctuation
 from .motion_blocks import MotionBlocks
 from .path_fit import Complexes, Term
@@ -206,13 +207,19 @@ def orthogonal(term: Term, spans: Spans, least: float = 1e-4) -> Term | None:
     )
 
 
-def linear_terms(data: MotionBlocks, i: int) -> list[Term]:
-    """kL and c of a place."""
+def linear_terms(data: MotionBlocks, i: int, lin: Array, uses: Sequence[Placed] = ()) -> list[Term]:
+    """kL and c of a place. lin : (3,) m, kL, c. uses : laws, some of which may answer by them, as a pedestal does."""
     P = len(data.places)
     out = []
     for which, (name, unit, z) in enumerate((("kL", "N/m", data.x[i]), ("c", "N s/m", data.v[i]))):
         slope = np.zeros((P, P, 2))
         slope[i, i, which] = 1.0
+        series, memory = z, dict[int, Complexes]()
+        for use in uses:
+            own = i in use.at and use.effect.kind == "memory"
+            if own and (more := linear_memory.slope(use.effect, use.p, lin, 1 + which)) is not None:
+                series = (series + linear_memory.filtered(more, data.x[i], data.rate_hz)).astype(z.dtype)
+                memory[i] = memory.get(i, 0.0) + more(2 * np.pi * data.f_hz)
         rms = max(float(data.rms[which, i]), 1e-300)
-        out.append(Term(f"{data.places[i]}.{name}", unit, {i: z}, slope, 1.0 / rms))
+        out.append(Term(f"{data.places[i]}.{name}", unit, {i: series}, slope, 1.0 / rms, memory))
     return out

@@ -237,7 +237,7 @@ def _at(
     spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
     mean = [Mean(float(data.mass[i]), float(D[i, i, 1]), float(D[i, i, 0])) for i in range(P)]
     around = fluctuations(data, uses, mean, lin, line.lasting) if longer is None else longer.fluctuations
-    made = [t for i in range(P) for t in linear_terms(data, i)]
+    made = [t for i in range(P) for t in linear_terms(data, i, lin[i], uses)]
     if longer is None:
         own = each(lambda k: dressed(own[k], uses[k], around), range(len(uses)))
     else:
