@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import fields
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.special import chdtrc
 
 from . import force_colour
 from .force_colour import Cells
-from .roll_off import POWERS, suspected
+from .roll_off import POWERS, RollOff, averaged, folded, suspected
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -19,31 +20,60 @@ LEVEL = 1e-6
 LEAST = 0.002  # rms of ln(power) over the band, from where it matters to S
 EXPLAINED = 0.5  # of the misfit beyond chance
 CHANCE = 3.0  # standard deviations of a deviance
+MISFIT = 6.0  # standard deviations of a deviance that is looked into, where nothing falls at the end of the band
+MOST_MEANS = 8.0
 LINE, LINES = 6.0, 0.1  # standard deviations that a line raises a cell by; of the cells, those that lines may have
 BEHIND = 20.0  # in deviance, that a cause of another kind may fit better by: it has more numbers
 
 
-def find(point: WorkingPoint) -> tuple[float, ...]:
-    """(5,) as roll_off.gain takes them; () where nothing falls, or something else fits better."""
+def find(point: WorkingPoint) -> RollOff | None:
+    """None where nothing falls, or something else fits better."""
     data, places = point.data, range(len(point.data.places))
     if data.measured_force or point.kL.min() <= 0.0:
-        return ()
+        return None
     cells, fits = _without_lines(point, [force_colour.cells_of(point, i) for i in places])
     hz, count = cells[0].w / (2 * np.pi), cells[0].n
-    highest = max(force_colour.resonance_hz(point, i) for i in places)
-    if not suspected(np.stack([_ratio(*z) for z in zip(cells, fits, strict=True)], axis=1), hz, count, highest):
-        return ()
     before, df = -2 * sum(level for level, _, _ in fits), float(sum(c.n.size - 4 for c in cells))
-    basis = (hz / data.band[1])[:, None] ** POWERS
-    after, found = _joint(cells, basis, [u for _, u, _ in fits], [s for _, _, s in fits])
-    fall = basis @ found
+    highest = max(force_colour.resonance_hz(point, i) for i in places)
+    falls = suspected(np.stack([_ratio(*z) for z in zip(cells, fits, strict=True)], axis=1), hz, count, highest)
+    if not falls and before - df < MISFIT * np.sqrt(2 * df):
+        return None
+    after, found = min(_steep(point, cells, fits), _slow(point, cells, fits), key=lambda t: t[0])
+    fall = -np.log(found.passed(hz, data.band[1]))
     rms = float(np.sqrt(np.average((fall - np.average(fall, weights=count)) ** 2, weights=count)))
     if chdtrc(POWERS.size, before - after) > LEVEL or rms < LEAST:
-        return ()
+        return None
     if after - df > max((1 - EXPLAINED) * (before - df), CHANCE * np.sqrt(2 * df)):
-        return ()
+        return None
     other = sum(force_colour.otherwise(point, i, c, *fit) for i, c, fit in zip(places, cells, fits, strict=True))
-    return tuple(found.tolist()) if after < other + BEHIND else ()
+    return found if after < other + BEHIND else None
+
+
+def _steep(point: WorkingPoint, cells: list[Cells], fits: list[Plain]) -> tuple[float, RollOff]:
+    """Deviance of all places behind a filter that lets nothing through above half the rate, and that filter."""
+    x = cells[0].w / (2 * np.pi * point.data.band[1])
+    basis = x[:, None] ** POWERS
+
+    def spectra(i: int, c: Cells, u: Array, z: Array) -> Array:
+        return c.spectrum(u, c.tangent(u), np.exp(-basis @ z))
+
+    after, z = _joint(cells, fits, spectra, np.full(POWERS.size, 0.01), 0.05, np.inf)
+    return after, RollOff(tuple(z.tolist()))
+
+
+def _slow(point: WorkingPoint, cells: list[Cells], fits: list[Plain]) -> tuple[float, RollOff]:
+    """The same behind means over a sample, with what they fold back."""
+    data, hz = point.data, cells[0].w / (2 * np.pi)
+
+    def spectra(i: int, c: Cells, u: Array, z: Array) -> Array:
+        means = float(z[0])
+        back = folded(hz, means, data.rate_hz, data.kinds[i]) / data.mass[i] ** 2
+        A = c.tangent(u)
+        return c.spectrum(u, A, averaged(hz, means, data.rate_hz) + back * np.abs(A) ** 2)
+
+    after, z = _joint(cells, fits, spectra, np.ones(1), 0.1, MOST_MEANS)
+    free = zip(data.places, (point.kL / data.mass).tolist(), (point.c / data.mass).tolist(), strict=True)
+    return after, RollOff(means=float(z[0]), rate_hz=data.rate_hz, free={p: (k, c) for p, k, c in free})
 
 
 def _without_lines(point: WorkingPoint, cells: list[Cells]) -> tuple[list[Cells], list[Plain]]:
@@ -63,23 +93,32 @@ def _ratio(c: Cells, fit: Plain) -> Array:
     return c.power / force_colour.base_model(c, fit[1])
 
 
-def _joint(cells: list[Cells], basis: Array, starts: list[Array], scales: list[Array]) -> tuple[float, Array]:
-    """Deviance of all places with one roll-off, and that. basis : (cells, 5) of ln(power) at one of each."""
+def _joint(
+    cells: list[Cells],
+    fits: list[Plain],
+    spectra: Callable[[int, Cells, Array, Array], Array],
+    first: Array,
+    scale: float,
+    most: float,
+) -> tuple[float, Array]:
+    """Deviance of all places behind one filter, and its numbers. spectra : (cells,) of a place, its own numbers and
+    those of the filter, which are between 0 and `most`."""
     from scipy.optimize import least_squares
 
-    count, places = POWERS.size, len(cells)
+    count, places = first.size, len(cells)
     roots = [np.sqrt(c.n) for c in cells]
-    scale = np.concatenate([np.full(count, 0.05), *scales])
-    first = np.concatenate([np.full(count, 0.01), *starts])
-    low = np.concatenate([np.zeros(count), np.full(4 * places, -np.inf)])
+    scales = np.concatenate([np.full(count, scale), *(s for _, _, s in fits)])
+    start = np.concatenate([first, *(u for _, u, _ in fits)]) / scales
+    low, high = np.full(start.size, -np.inf), np.full(start.size, np.inf)
+    low[:count], high[:count] = 0.0, most / scale
 
     def residual(z: Array) -> Array:
-        z = z * scale
-        fall, out = np.exp(-basis @ z[:count]), []
-        for c, root, u in zip(cells, roots, z[count:].reshape(places, 4), strict=True):
-            ratio = c.power / np.maximum(c.spectrum(u, c.tangent(u), fall), 1e-300)
-            out.append(force_colour.deviance(root, ratio))
+        z = z * scales
+        own = z[count:].reshape(places, 4)
+        out = []
+        for i, (c, root) in enumerate(zip(cells, roots, strict=True)):
+            out.append(force_colour.deviance(root, c.power / np.maximum(spectra(i, c, own[i], z[:count]), 1e-300)))
         return np.concatenate(out)
 
-    found = least_squares(residual, first / scale, bounds=(low / scale, np.inf), max_nfev=60)
-    return 2 * float(found.cost), np.asarray(found.x[:count] * scale[:count])
+    found = least_squares(residual, start, bounds=(low, high), max_nfev=60)
+    return 2 * float(found.cost), np.asarray(found.x[:count] * scale)

@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from .effect import Effect
+from .roll_off import RollOff
 
 Shaft = Literal["chain", "beam", "none"]
 NODES = ("bearing1", "bearing2")
@@ -92,7 +93,7 @@ class Model:
     mass : kg, keys "disc", "bearing1", "bearing2" (also "bearing1.x" where directions differ); absent = unknown.
     candidates : laws of the user that are not in the model, but on trial when it is diagnosed.
     order_found : whether ball_pass_order is only an estimate, from the record.
-    roll_off : what the recorder takes of every channel, found in the record (roll_off.py); () where nothing is known.
+    roll_off : what the recorder takes of every channel, found in the record (roll_off.py); None where nothing is known.
     shaft_stiffness, shaft_damping : N/m and N s/m of each half of the shaft (physics: k of chain or beam form).
     """
 
@@ -110,7 +111,7 @@ class Model:
     effects: tuple[EffectUse, ...] = ()
     candidates: tuple[EffectUse, ...] = ()
     name: str = ""
-    roll_off: tuple[float, ...] = ()
+    roll_off: RollOff | None = None
 
     @property
     def places(self) -> tuple[str, ...]:

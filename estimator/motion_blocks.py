@@ -19,7 +19,6 @@ from .filtered import Filtered
 from .model import MOTION, Model
 from .periodic import Push, Wave, pushes, series, waves
 from .plausible import check_moves
-from .roll_off import gain
 from .rotor import shaft_at_caps
 from .sensor_response import forced, of_place
 from .shaft_angle import measured_phase
@@ -70,6 +69,7 @@ class MotionBlocks:
     shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
     pushes: tuple[Push, ...] = ()  # the model's periodic forces below the band, which laws feel
     waves: tuple[Wave, ...] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
+    folded: Array | float = 0.0  # (places, bins) PSD of acceleration that sampling folds back, over S: roll_off.py
     level: Array | None = None  # (places, blocks) power of the unknown force over its mean: force_level.py
 
     @property
@@ -288,7 +288,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
         shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, driven,
         sharpened(model, places, f), below, below, None, 0.0, _shared(model, places), pushes(model, places),
-        waves(model, places, rate_hz),
+        waves(model, places, rate_hz), _folded(model, kinds, mass, f),
     )  # fmt: skip
 
 
@@ -314,14 +314,24 @@ def sharpened(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
     return np.array([1.0 / np.abs(of_place(model, p, 2 * np.pi * f_hz)) ** 2 for p in places])
 
 
+def _folded(model: Model, kinds: tuple[str, ...], mass: Array, f_hz: Array) -> Array | float:
+    """What the recorder's filter lets through above half the rate, as MotionBlocks.folded."""
+    if model.roll_off is None or not model.roll_off.means:
+        return 0.0
+    return np.array([model.roll_off.folded(f_hz, kind) / m**2 for kind, m in zip(kinds, mass, strict=True)])
+
+
 def colours(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
     """(places, f) what the model's own effects make of a white force: coloured excitation, a resonant sensor; and what
     the recorder takes of it."""
     from .effects import CATALOGUE
 
     known = forced(model)
-    common = gain(model.roll_off, f_hz, model.band[1])
-    out = np.array([np.ones_like(f_hz) if place in known else common for place in places])
+    out = np.ones((len(places), f_hz.size))
+    kinds = {c.place: c.kind for c in model.channels if c.kind in MOTION}
+    for i, place in enumerate(places):
+        if model.roll_off is not None and place not in known:
+            out[i] = model.roll_off.colour(place, f_hz, model.band[1], kinds[place])
     for use in model.effects:
         if use.name not in COLOURS:
             continue

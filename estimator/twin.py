@@ -13,7 +13,6 @@ from .errors import DataError, ModelError
 from .free_run import free_run
 from .model import Model
 from .motion_blocks import MotionBlocks, cut, spectrum
-from .roll_off import gain
 from .simulate import simulate
 from .working_point import WorkingPoint
 
@@ -64,7 +63,11 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
     names = [next(c.name for c in model.channels if c.place == p and c.kind != "force") for p in data.places]
     for i, name in enumerate(names):
         f, measured = of_acceleration(data, i)
-        model_psd = np.interp(f, *of_acceleration(own, i)) * gain(model.roll_off, f, data.band[1])
+        model_psd = np.interp(f, *of_acceleration(own, i))
+        if model.roll_off is not None:
+            model_psd = model_psd * model.roll_off.passed(f, data.band[1])
+            folded = model.roll_off.folded(np.maximum(f, data.band[0]), data.kinds[i])
+            model_psd = model_psd + folded * point.S[i] / data.mass[i] ** 2
         inside = (f >= data.band[0]) & (f <= data.band[1])
         # noise of the sensor and its counts belongs to the measurement, not to the rotor
         noise = point.nu[i] * point.S[i] * noise_shape(data.kinds[i : i + 1], 2 * np.pi * f[inside])[0]

@@ -88,7 +88,7 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     said = (
         *shortened(data, y),
         *unknown_mass.said(masses),
-        *roll_off.said(whole.model),
+        *roll_off.said(whole.model.roll_off, model.band[1]),
         *force_level.said(data.level),
     )
     return replace(whole, messages=(*said, *whole.messages), masses=masses)

@@ -387,6 +387,9 @@ def _least(grid: Array, cost: Array) -> float:
 def _calmed(data: MotionBlocks, nu: Array, S: Array) -> MotionBlocks:
     """The record as laws see it beside the noise of sensors; as it is where a force is measured (likely_path.py)."""
     noise = as_displacement(data.kinds, data.f_hz, nu * S) * data.sharpened
+    if np.any(data.folded):  # a sensor's noise to the laws
+        inside = np.array([kind != "displacement" for kind in data.kinds]) * S
+        noise = noise + data.folded * inside[:, None] / (2 * np.pi * data.f_hz) ** 4
     if data.measured_force or is_little(data.f_hz, noise, data.rms[0] ** 2):
         return replace(data, calm=None, doubt=0.0)
     found = calm_of(data.f_hz, _spectrum(data), noise, 0)

@@ -63,6 +63,20 @@ def test_it_falls_from_one(found: list[float]) -> None:
     assert np.all(np.diff(gain) <= 0.0)
 
 
+@pytest.mark.parametrize("kind", ["acceleration", "velocity", "displacement"])
+@pytest.mark.parametrize("means", [1.0, 3.0])
+def test_what_is_folded_back_is_what_decimation_folds(kind: str, means: float) -> None:
+    """White acceleration, as a sensor of this kind has it, behind means over a sample of 64 samples each."""
+    over, f = 64, np.linspace(0.05, 0.4, 8) * RATE
+    whole, wanted = np.arange(-over // 2, over // 2), np.zeros(f.size)
+    for k in whole:  # all that a sampled sinc lets through to f
+        image = np.abs(f + k * RATE)
+        dirichlet = np.sin(np.pi * image / RATE) / (over * np.sin(np.pi * image / RATE / over))
+        wanted += np.abs(dirichlet) ** (2 * means) * (image / f) ** (2 * roll_off.POWER_OF_W[kind])
+    off = roll_off.RollOff((0.0,) * 5, means, RATE)
+    assert off.passed(f, TOP) + off.folded(f, kind) == pytest.approx(wanted, rel=0.02)
+
+
 def test_a_fit_behind_a_filter_has_the_force_of_the_rotor() -> None:
     """S was 5 % low, 30 standard deviations."""
     rig = replace(one_bearing(), effects=())
@@ -84,6 +98,22 @@ def test_a_complete_model_behind_a_filter_is_complete(recorder: str) -> None:
     found = diagnose(rig, y, RATE)
     assert found.verdict == "complete"
     assert any("recorder's filter" in message for message in found.messages)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("means", [1, 2])
+def test_what_sampling_folds_back_is_no_colour_of_the_force(means: int) -> None:
+    """Averaged over the sample by the recorder itself, not by a filter, in a band from an eighteenth of the resonance: the
+    verdict was coloured_excitation."""
+    rig, over = one_bearing(), 8
+    rig = replace(rig, band=(60.0, TOP))
+    fine = simulate(rig, over * RATE, 30.0, seed=9)
+    for _ in range(means - 1):
+        fine = np.stack([np.convolve(z, np.full(over, 1 / over), "same") for z in fine.T], axis=1)
+    y = fine.reshape(-1, over, fine.shape[1]).mean(axis=1)
+    found = diagnose(rig, y + 0.02 * np.random.default_rng(1).normal(size=y.shape), RATE)
+    assert found.verdict == "complete"
+    assert any("folded into the band" in message for message in found.messages)
 
 
 @pytest.mark.slow
