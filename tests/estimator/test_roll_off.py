@@ -103,7 +103,7 @@ def test_a_complete_model_behind_a_filter_is_complete(recorder: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("means", [1, 2])
 def test_what_sampling_folds_back_is_no_colour_of_the_force(means: int) -> None:
-    """Averaged over the sample by the recorder itself, not by a filter, in a band from an eighteenth of the resonance: the
+    """Averaged over the sample by the recorder itself, not by a filter; in a band from a twentieth of the resonance the
     verdict was coloured_excitation."""
     rig, over = one_bearing(), 8
     rig = replace(rig, band=(60.0, TOP))
