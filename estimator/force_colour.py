@@ -29,6 +29,7 @@ LEVEL = 1e-3
 LEAST_DEPTH = 0.015  # rms of ln(power / model): less is within what filters and integrators leave behind
 EXPLAINED = 0.5  # of the misfit beyond chance: a cause that leaves more is not the cause
 DARKEST = 0.985  # of S, that the gain of a colour may take away at low frequencies
+BROADENED = 0.75  # of a damping: what one resonance has too much in place of two, of a rotor and a strong pedestal
 PEAKED = 1.0  # quality of a sensor's resonance: below it filters look alike
 NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
 
@@ -91,7 +92,10 @@ def base_model(c: Cells, u: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A cause: multiplier of the whole measured power, or of S, by its parameters in free form; starts in that form."""
+    """A cause: multiplier of the whole measured power, or of S, by its parameters in free form; starts in that form.
+
+    idle : N s/m, the damping that starts are tried without as well.
+    """
 
     effect: str
     names: tuple[str, ...]
@@ -99,6 +103,7 @@ class Shape:
     starts: tuple[tuple[float, ...], ...]
     model: Callable[[Cells, Array], Array]
     values: Callable[[Array], Array]
+    idle: float = 0.0
 
 
 def _coloured(place_peak: float) -> Shape:
@@ -135,7 +140,7 @@ def _pedestal(mass: float, kL: float, c0: float, peak: float) -> Shape:
         return c.spectrum(u, c.tangent(u) + lost / c.w**2)
 
     names, units = ("mass", "frequency", "damping"), ("kg", "Hz", "1")
-    return Shape("pedestal", names, units, pedestal_form.starts(peak), model, values)
+    return Shape("pedestal", names, units, pedestal_form.starts(peak), model, values, BROADENED * c0)
 
 
 def deviance(root: Array, ratio: Array) -> Array:
@@ -284,6 +289,8 @@ def resonance_hz(point: WorkingPoint, i: int) -> float:
 def _shaped(c: Cells, shape: Shape, u: Array, scale: Array) -> tuple[float, Array, Array]:
     """Largest likelihood of the base model, at u, with a cause beside it; where, and the standard deviations there."""
     starts = [np.concatenate([u, s]) for s in shape.starts]
+    if shape.idle:
+        starts += [start - shape.idle * np.eye(start.size)[3] for start in starts]
     return _maximum(c, shape.model, starts, np.concatenate([scale, np.full(len(shape.names), 0.3)]))
 
 
