@@ -101,6 +101,9 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             break
         if best.placed:
             richer = fit_model(point.data, [*point.placed, *best.placed], start=point)
+            if set(untold(richer)).issuperset(use.key for use in best.placed):
+                messages.append(f"{found.verdict} was named but is not told from zero when fitted: not added")
+                break
             new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
         else:
             # forces of time alone make products with the motion that pass for a stiffness that turns: sought again
@@ -135,10 +138,15 @@ def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:
 
 def idle(point: WorkingPoint) -> list[str]:
     """Effects of the model that earn nothing: said, never removed."""
+    return [f"{key} is not told from zero in this record" for key in untold(point)]
+
+
+def untold(point: WorkingPoint) -> list[str]:
+    """Laws, by place and name, none of whose amplitudes is told from zero."""
     out = []
     values = parameters(point)
     for use in point.placed:
         amplitudes = [values[use.name(k)] for k, q in enumerate(use.effect.parameters) if q.linear and use.free[k]]
         if amplitudes and not any(p.identifiable for p in amplitudes):
-            out.append(f"{use.key} is not told from zero in this record")
+            out.append(use.key)
     return out

@@ -10,12 +10,14 @@ from hidden_effects import RATE, SECONDS, one_bearing
 from numpy.typing import NDArray
 
 from estimator.compare import compare
-from estimator.diagnose import diagnose
+from estimator.diagnose import Diagnosis, diagnose
 from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.effects.strength import size, strengths, with_effect
+from estimator.evidence import Entry
 from estimator.improve import improve
 from estimator.model import CustomLaw, EffectUse, Model, Setting
+from estimator.placed import Placed
 from estimator.simulate import simulate
 
 NOISE, FULL_SCALE = 0.02, 981.0  # beyond whirl 500 m/s^2 are reached
@@ -44,6 +46,18 @@ def own(name: str, expression: str, **parameters: tuple[float, str]) -> EffectUs
 
 def having(rig: Model, use: EffectUse) -> Model:
     return replace(rig, effects=(*rig.effects, use))
+
+
+def test_what_is_named_and_not_told_from_zero_is_not_added(rig: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A diagnosis may be wrong, as beside masses that are not known: then it was the law ahead, of no known size."""
+    rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
+    law = Placed(CATALOGUE["quadratic_damping"], "bearing1.x.quadratic_damping", (0,), np.zeros(1), (True,))
+    ahead = Entry("quadratic_damping", ("bearing1",), 9.0, 8.0, 1e-4, 0.3, 0.0, {}, 7.0, placed=(law,))
+    wrong = Diagnosis("quadratic_damping", (ahead,))
+    monkeypatch.setattr("estimator.improve.diagnose_point", lambda *_: wrong)
+    ladder = improve(rig, simulate(rig, RATE, 4.0, seed=4, noise=NOISE), RATE)
+    assert len(ladder.rungs) == 1
+    assert f"{ahead.effect} was named but is not told from zero when fitted: not added" in ladder.messages
 
 
 @pytest.mark.slow
