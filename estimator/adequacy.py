@@ -14,6 +14,7 @@ from scipy.special import chdtrc
 
 from .missing_force import power_of
 from .path_fit import Complexes, Term
+from .placed import at_home
 from .side_by_side import each
 from .subproblem import gain, subproblem
 from .terms import light, orthogonal
@@ -81,7 +82,7 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
         for order, _, below in _hermite((here.data.v[i] if which else here.data.seen(i)) / rms, orders):
             tangents = np.zeros((2, below.size))
             tangents[which] = order * below / rms
-            memory[order] = {i: -here.of(tangents)}
+            memory[order] = {i: at_home(-here.of(tangents), i, data)}
 
     def term(order: int, polynomial: Series, below: Series) -> Term | None:
         slopes = np.zeros((len(data.places),) * 2 + (2,))

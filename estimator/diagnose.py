@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -33,6 +33,7 @@ EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to b
 FOREMOST = 3  # of the ranking, judged on the largest amplitudes too
 CLOSE = 10.0  # nats behind the first of the ranking, where the shape of what is left decides
 REFINED, NEAR = 12, 0.3  # trials refined at most; share of the best gain at a bearing that earns it, everywhere
+SURE = 30.0  # nats, from which a shaft that is not the rig file's is told
 FAR = 0.2  # share of the best effect's gain under which it is not asked what searched numbers of another spot would do
 OTHERWISE = (
     "the caps answer each other otherwise than the shaft of the rig file lets them: its spring or the disc's mass is "
@@ -89,12 +90,24 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
     if not entries or entries[0].p_value > SIGNIFICANT or _negligible(entries[0]):
         return _nothing(point, before, tuple(entries))
     best = entries[0]
+    if best.placed and best.effect != "crack" and _loss(entries)[1] > best.gain:
+        return _nothing(point, before, tuple(entries))
     if not best.placed:
         if best.effect in PERIODIC:
             say(0.85, f"{best.effect} and the model fitted together")
             entries[0] = _beside(model, point, before, best)
         return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries), messages=best.notes)
     return _law(model, point, before, entries, say)
+
+
+def _loss(entries: Sequence[Entry]) -> tuple[float, float]:
+    """N/m that the shaft lacks in the mean, and nats, by a crack on trial: without anything that turns it is another
+    shaft than the rig file's."""
+    for entry in entries:
+        loss = entry.parameters.get("disc.crack.loss")
+        if loss is not None and loss.value and loss.sd:
+            return loss.value, 0.5 * (loss.value / loss.sd) ** 2
+    return 0.0, 0.0
 
 
 def _beside(model: Model, point: WorkingPoint, before: missing_force.Survey, entry: Entry) -> Entry:
@@ -210,15 +223,21 @@ def _negligible(best: Entry) -> bool:
 
 
 def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[Entry, ...]) -> Diagnosis:
+    loss, nats = _loss(entries)
+    shaft = []
+    if nats > SURE and point.data.disc is not None:
+        how = "softer (or its disc heavier)" if loss > 0 else "stiffer (or its disc lighter)"
+        shaft = [f"the shaft is {how} than the rig file says, by some {100 * abs(loss) / point.data.disc.K:.1g} %"]
     if before.any_found() and before.percent(point) >= 100 * missing_force.NEGLIGIBLE:
         said = [
+            *shaft,
             "the residual force can be predicted, but no effect of the catalogue does it significantly",
             *dict.fromkeys(s.region for s in before.shares),
         ]
         if any(f.group == "other_bearing" for r in before.residuals for f in r.found):
             said.append(OTHERWISE)
         return Diagnosis("unknown", entries, shape_of(point, before), messages=tuple(said))
-    said = ["nothing of the catalogue improves the prediction beyond chance"]
+    said = [*shaft, "nothing of the catalogue improves the prediction beyond chance"]
     if point.data.measured_force:
         said.append(_beside_forces(point))
     return Diagnosis("complete", entries, messages=tuple(said))

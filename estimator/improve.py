@@ -88,6 +88,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     rungs = [rung(model, point, y)]
     messages: list[str] = []
     diagnoses: list[Diagnosis] = []
+    shift = 0.0  # of the likelihood, so that each rung is compared on the bins that both are judged on
     for step in range(MOST):
         start = step / (step + 1.0)
 
@@ -110,14 +111,18 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             before = replace(fitted_model(model, point), ball_pass_order=given, order_found=False)
             new_whole = fit_whole(with_settings(before, best), y, rate_hz)
             new_whole = replace(new_whole, model=fitted_model(new_whole.model, new_whole.point), masses=whole.masses)
+        moved = shift
+        if (data := new_whole.point.data).bins.size < point.data.bins.size:  # left out beside a crack
+            moved = rungs[-1].heldout_nll - heldout_nll(fit_model(data, list(point.placed), start=point))
         new = rung(new_whole.model, new_whole.point, y)
+        new = replace(new, heldout_nll=new.heldout_nll + moved)
         if best.effect not in UNSCORED and new.heldout_nll >= rungs[-1].heldout_nll:
             messages.append(f"{found.verdict} was named but does not improve the held-out likelihood: not added")
             break
         if best.effect in PERIODIC and new.missing[0] >= rungs[-1].missing[0]:
             messages.append(f"{found.verdict} was named but leaves as much of the force as before: not added")
             break
-        whole, model, point = new_whole, new_whole.model, new_whole.point
+        whole, model, point, shift = new_whole, new_whole.model, new_whole.point, moved
         rungs.append(new)
     messages = [*whole.messages, *messages, *idle(point)]
     say(1.0, "done")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .balance import shaft_notch, shaft_reaction
 from .bandlimit import noise_shape
+from .disc import Disc, disc_of
 from .effects.custom import effect_of
 from .effects.places import at
 from .errors import DataError
@@ -71,6 +72,7 @@ class MotionBlocks:
     waves: tuple[Wave, ...] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
     folded: Array | float = 0.0  # (places, bins) PSD of acceleration that sampling folds back, over S: roll_off.py
     level: Array | None = None  # (places, blocks) power of the unknown force over its mean: force_level.py
+    disc: Disc | None = None  # on its shaft, where there is one: shaft_law.py
 
     @property
     def measured_force(self) -> bool:
@@ -157,6 +159,16 @@ def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
         return data
     pick = np.concatenate([np.flatnonzero(data.fold == f)[:per_fold] for f in range(FOLDS)])
     return data.at(_runs(pick * data.block, data.block), **data.of_blocks(pick))
+
+
+def without_hz(data: MotionBlocks, low: float, high: float) -> MotionBlocks:
+    """The same without the bins between; the data themselves if there are none."""
+    keep = (data.f_hz < low) | (data.f_hz > high)
+    if keep.all():
+        return data
+    folded = data.folded if isinstance(data.folded, float) else data.folded[:, keep]
+    return replace(data, bins=data.bins[keep], shaft=data.shaft[keep], colour=data.colour[:, keep],
+                   sharpened=data.sharpened[:, keep], folded=folded)  # fmt: skip
 
 
 def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:
@@ -288,7 +300,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
         shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, driven,
         sharpened(model, places, f), below, below, None, 0.0, _shared(model, places), pushes(model, places),
-        waves(model, places, rate_hz), _folded(model, kinds, mass, f),
+        waves(model, places, rate_hz), _folded(model, kinds, mass, f), disc=disc_of(model),
     )  # fmt: skip
 
 

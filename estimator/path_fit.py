@@ -40,8 +40,8 @@ class Term:
     """One parameter's force per unit: series by place index, (n,) N per unit, and its mean tangent.
 
     tangent : (places, places, 2): mean derivative of the force at place i to x_l and to v_l.
-    memory : by place, (bins,) N/m per unit, more of the mean response to x at the place itself: of a force with
-    memory, or of a tangent that fluctuates (fluctuation.py).
+    memory : by place, (places, bins) N/m per unit, more of the mean response of the force there to every x_l: of a
+    force with memory or through the disc, or of a tangent that fluctuates (fluctuation.py).
     name : "bearing1.x.kL" and so on. scale : what the parameter is divided by in the computation.
     """
 
@@ -63,7 +63,7 @@ def term_response(term: Term, s: Complexes) -> Complexes:
     """(places, places, thinned bins) contribution to A at s (bins,) of one scaled unit of a term."""
     out = response(term.tangent, s)
     for i, more in term.memory.items():
-        out[i, i] += (more / s**2)[THINNED]
+        out[i] += (more / s**2)[:, THINNED]
     return out * term.scale
 
 

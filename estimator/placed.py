@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import linear_memory
+from . import linear_memory, shaft_law
 from .calm import as_seen
 from .effect import Effect
 from .features import FINER, MARGIN, Series, State, decimated, depends, folds, jumps, law_force
@@ -42,25 +42,37 @@ def remembers(placed: Placed, lin: Array) -> bool:
 
 
 def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | None = None) -> Evaluated:
-    """(n,) N of the effect at place i, (places, 2) its mean tangent to x_l and v_l of every place, and memory.
+    """(n,) N of the effect at place i, (places, 2) its mean tangent to x_l and v_l of every place, and what more it
+    answers to x_l in the mean, (places, bins) N/m, where it has a memory or acts through the disc.
 
-    lin : (3,) m, kL, c of the place. The tangent is averaged along the path, not under an assumed density: for a jump
+    lin : (places, 3) m, kL, c. The tangent is averaged along the path, not under an assumed density: for a jump
     in v it is the Ito correction of this path.
     """
     p = np.ascontiguousarray(placed.p if p is None else p, dtype=np.float64)
     slopes = np.zeros((len(data.places), 2))
     if placed.effect.kind == "memory":
-        linear = linear_memory.response(placed.effect, p, lin)
+        linear = linear_memory.response(placed.effect, p, lin[i])
         if linear is not None:
-            return linear_memory.filtered(linear, data.x[i], data.rate_hz), slopes, linear(2 * np.pi * data.f_hz)
-        f, mean = along(placed.effect, p, lin, data.seen(i), data.v[i], data.rate_hz)
-        return f, slopes, mean.at(data.f_hz)
+            own = linear(2 * np.pi * data.f_hz)
+            return linear_memory.filtered(linear, data.x[i], data.rate_hz), slopes, at_home(own, i, data)
+        f, mean = along(placed.effect, p, lin[i], data.seen(i), data.v[i], data.rate_hz)
+        return f, slopes, at_home(mean.at(data.f_hz), i, data)
+    if placed.effect.kind == "shaft":
+        f, across = shaft_law.along(placed.effect, p, data, i, lin)
+        return f, slopes, across
     out, sums = _along(placed.effect, p, data, i)
     slopes[i] += sums[:2]
     o = data.other(i)
     if o is not None:
         slopes[o] += sums[2:]
     return out, slopes, None
+
+
+def at_home(response: NDArray[np.complex128] | complex, i: int, data: MotionBlocks) -> NDArray[np.complex128]:
+    """(places, bins) of a response (bins,) to the displacement of place i itself."""
+    out = np.zeros((len(data.places), data.bins.size), complex)
+    out[i] = response
+    return out
 
 
 def sharp_at(effect: Effect, p: Array, data: MotionBlocks, i: int) -> bool:

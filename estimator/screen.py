@@ -184,6 +184,9 @@ def _trial(effect: Effect, spot: str, found: Assessed, placed: Placed, loose: li
         effect, placed.key, placed.at, p, tuple(q.linear or k in loose for k, q in enumerate(effect.parameters))
     )
     df = max(len(problem.extra) + len(loose), 1)
+    if effect.kind == "shaft":  # by what turns: a mean loss alone is a shaft that is softer than the rig file says
+        turning = [value / sd for name, (value, sd) in values.items() if name.endswith(("_cos", "_sin"))]
+        gained, df = min(gained, 0.5 * float(np.sum(np.square(turning)))), max(len(turning), 1)
     return Trial(effect, spot, placed, gained, df, values, spread, problem, fit)
 
 

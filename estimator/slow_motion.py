@@ -73,7 +73,7 @@ def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -
 
     def force(use: Placed, i: int) -> Array:
         if use.effect.kind == "force":
-            return evaluate(use, data, i, lin[i])[0]
+            return evaluate(use, data, i, lin)[0]
         return memory_array(use.effect, use.p, lin[i], data.seen(i), data.v[i], data.rate_hz)
 
     def response(i: int) -> Callable[[Array], Complexes]:

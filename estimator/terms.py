@@ -10,16 +10,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from . import linear_memory
+from . import linear_memory, shaft_law
 from .fluctuation import Fluctuation
 from .motion_blocks import MotionBlocks
 from .path_fit import Complexes, Term
-from .placed import Evaluated, Placed, evaluate, tangent_series
+from .placed import Evaluated, Placed, at_home, evaluate, tangent_series
 from .probe import Probe
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
 SPAN = 0.1  # of a searched parameter of a law with memory: over less its mean response is that of few kinks
+SMALL = 1e-4  # of the shaft's stiffness, that a law of the shaft is stepped by
 LEAST = 1e-30  # rms per unit that single precision holds: x^5 of a quiet bearing is below
 
 
@@ -31,9 +32,10 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
     """
 
     def law(i: int, p: Array) -> Evaluated:
-        return evaluate(placed, data, i, lin[i], p)
+        return evaluate(placed, data, i, lin, p)
 
-    at = _once(law) if placed.effect.kind == "memory" else law
+    responding = placed.effect.kind in ("memory", "shaft")
+    at = _once(law) if responding else law
     out = []
     for k, q in enumerate(placed.effect.parameters):
         if not placed.free[k] or (linear_only and not q.linear):
@@ -43,10 +45,10 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
         slopes = np.zeros((len(data.places), len(data.places), 2))
         ends = _ends(placed, k, data)
         for i in placed.at:
-            made = [at(i, p) for p, _ in ends]
+            made = [at(shaft_law.first(data, i) if placed.effect.kind == "shaft" else i, p) for p, _ in ends]
             series[i] = _summed([f if w == 1.0 else w * f for (_, w), (f, _, _) in zip(ends, made, strict=True)])
             slopes[i] = _summed([w * s for (_, w), (_, s, _) in zip(ends, made, strict=True)])
-            if placed.effect.kind == "memory":
+            if responding:
                 memory[i] = _summed([w * m for (_, w), (_, _, m) in zip(ends, made, strict=True) if m is not None])
         rms = float(np.sqrt(np.mean([np.dot(z, z) / z.size for z in series.values()])))
         if rms == 0.0:
@@ -57,7 +59,7 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
 
 def dressed(made: list[Term], placed: Placed, fluctuations: Sequence[Fluctuation | Probe | None]) -> list[Term]:
     """The terms of an effect with what the fluctuating laws of the model, by place, do to their mean response."""
-    if not any(fluctuations[i] for i in placed.at):
+    if placed.effect.kind == "shaft" or not any(fluctuations[i] for i in placed.at):
         return made
     numbers = {placed.name(k): k for k in range(len(placed.effect.parameters))}
 
@@ -76,7 +78,7 @@ def dressed(made: list[Term], placed: Placed, fluctuations: Sequence[Fluctuation
                     own = _summed([w * at(i, p) for p, w in ends])
                 else:
                     own = here.of(_summed([w * tangent_series(placed, here.data, i, p) for p, w in ends]))
-                memory[i] = memory.get(i, 0.0) - own
+                memory[i] = memory.get(i, 0.0) - at_home(own, i, here.data)
         out.append(replace(term, memory=memory))
     return out
 
@@ -97,6 +99,11 @@ def _once(found: Callable[[int, Array], T]) -> Callable[[int, Array], T]:
 def _ends(placed: Placed, k: int, data: MotionBlocks) -> list[tuple[Array, float]]:
     """Parameter vectors and weights whose sum of forces is the force per unit of parameter k."""
     parameters = placed.effect.parameters
+    if placed.effect.kind == "shaft" and data.disc is not None:  # linear in the first order only: it moves the disc
+        near = SMALL * data.disc.K * np.eye(placed.p.size)[k]
+        if np.abs(placed.p).max() <= near[k]:  # on trial
+            return [(near, 1.0 / near[k])]
+        return [(placed.p + near, 0.5 / near[k]), (placed.p - near, -0.5 / near[k])]
     if parameters[k].linear:
         p = np.where([q.linear for q in parameters], 0.0, placed.p)
         p[k] = 1.0
@@ -144,7 +151,7 @@ class Span:
     part: NDArray[np.float32]  # (k, n / STRIDE) of their series
     gram: Array
     slopes: Array  # (k, places, 2)
-    memory: Complexes | None  # (k, bins) more of the response to x at the place, see Term
+    memory: Complexes | None  # (k, places, bins) more of the response to x, see Term
 
 
 @njit(cache=True, nogil=True)
@@ -195,7 +202,7 @@ def orthogonal(term: Term, spans: Spans, least: float = 1e-4) -> Term | None:
             add_to(rest, -weight * b.scale, b.series[i])
         slopes[i] -= np.tensordot(weights, base.slopes, 1)
         if base.memory is not None:
-            memory[i] = memory.get(i, 0.0) - weights @ base.memory
+            memory[i] = np.asarray(memory.get(i, 0.0) - np.tensordot(weights, base.memory, 1), np.complex128)
         series[i] = rest
         before += float(z @ z)
         after += float(rest @ rest)
@@ -219,7 +226,7 @@ def linear_terms(data: MotionBlocks, i: int, lin: Array, uses: Sequence[Placed] 
             own = i in use.at and use.effect.kind == "memory"
             if own and (more := linear_memory.slope(use.effect, use.p, lin, 1 + which)) is not None:
                 series = (series + linear_memory.filtered(more, data.x[i], data.rate_hz)).astype(z.dtype)
-                memory[i] = memory.get(i, 0.0) + more(2 * np.pi * data.f_hz)
+                memory[i] = memory.get(i, 0.0) + at_home(more(2 * np.pi * data.f_hz), i, data)
         rms = max(float(data.rms[which, i]), 1e-300)
         out.append(Term(f"{data.places[i]}.{name}", unit, {i: series}, slope, 1.0 / rms, memory))
     return out

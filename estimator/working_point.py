@@ -16,7 +16,7 @@ from .features import Series
 from .fluctuation import Fluctuation, fluctuations
 from .force_level import alike, level_of
 from .model_uses import size, stiffness
-from .motion_blocks import FOLDS, MotionBlocks, part_of, spectrum
+from .motion_blocks import FOLDS, MotionBlocks, part_of, spectrum, without_hz
 from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing, fit, gram
 from .periodic import Wave
 from .placed import Placed, evaluate, remembers
@@ -91,6 +91,8 @@ def fit_model(
 ) -> WorkingPoint:
     """Fit kL, c, S and every free parameter of the effects, from a start that needs no values of the linear part."""
     P = len(data.places)
+    if data.disc is not None and any(u.effect.kind == "shaft" for u in uses):
+        data = without_hz(data, *data.disc.comb_hz)
     if start is None:
         start = _approached(data, uses, rounds)
         uses, rounds = (uses, rounds) if start is None else (list(start.placed), LAST_ROUNDS)
@@ -164,7 +166,7 @@ def _first_linear(
         known = data.known[i]
         for use in uses:
             if i in use.at and lin is not None:
-                known = known + evaluate(use, data, i, lin[i])[0]
+                known = known + evaluate(use, data, i, lin)[0]
         kL[i] = -np.dot(x, known) / np.dot(x, x)
         f = (known + kL[i] * x).reshape(data.blocks, data.block)[:: max(1, data.blocks // 40)]
         power = np.mean(np.abs(np.fft.rfft(f * np.hanning(data.block), axis=1)) ** 2, axis=0)[data.bins]
@@ -198,18 +200,19 @@ def _forces(
                 continue
             amplitudes = [k for k, q in enumerate(use.effect.parameters) if q.linear]
             units = {t.name: t for t in own}
-            if amplitudes and all(use.name(k) in units for k in amplitudes):
+            if amplitudes and use.effect.kind != "shaft" and all(use.name(k) in units for k in amplitudes):
                 for k in amplitudes:
                     unit = units[use.name(k)]
                     add_to(F[i], use.p[k], unit.series[i])
                     D[i] += use.p[k] * unit.tangent[i]
-                    M[:, i, i] += use.p[k] * unit.memory.get(i, 0.0)
+                    if i in unit.memory:
+                        M[:, i] += use.p[k] * unit.memory[i].T
                 continue
-            f, slope, memory = evaluate(use, data, i, lin[i])
+            f, slope, memory = evaluate(use, data, i, lin)
             add_to(F[i], 1.0, f)
             D[i] += slope
             if memory is not None:
-                M[:, i, i] += memory
+                M[:, i] += memory.T
 
     each(add, range(P))
     w = 2 * np.pi * data.f_hz[:, None, None]

@@ -1,0 +1,94 @@
+"""The disc on its shaft as the caps see it, with what a law of the shaft (shaft_law.py) makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .model import Model, Shaft
+from .rotor import shaft_at_caps, shaft_matrix
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+HARMONICS = 4  # of the shaft's turns to either side
+# A disc rings for seconds on its shaft. Along the path it is damped by as much as this at least: what happened before
+# the record or in a gap dies out, and what the filters leave of its resonance turns into no sidebands.
+DAMPED = 0.003  # of critical
+BLURRED = 0.03  # the same for a first look, which is linear in g: what is sought moves the resonance by more than that
+NEAR = 0.8, 1.1  # of the disc's resonance, between which a breathing shaft has too sharp a comb of lines to be judged
+
+
+@dataclass(frozen=True, slots=True)
+class Disc:
+    """m (kg), C (N s/m), K (N/m) of its deflection s against the mean of the caps; shaft, ks, cs : as the model's."""
+
+    shaft: Shaft
+    ks: float
+    cs: float
+    m: float
+    C: float
+    K: float
+
+    @property
+    def w0(self) -> float:
+        """rad/s, its resonance where the caps stand still."""
+        return float(np.sqrt(self.K / self.m))
+
+    @property
+    def comb_hz(self) -> tuple[float, float]:
+        """Where a model whose shaft breathes is not judged."""
+        return NEAR[0] * self.w0 / (2 * np.pi), NEAR[1] * self.w0 / (2 * np.pi)
+
+    def blurred(self) -> Disc:
+        """With a damping that hides where exactly its resonance is."""
+        return replace(self, C=max(self.C, 2.0 * BLURRED * float(np.sqrt(self.K * self.m))))
+
+    def dynamic(self, w: Array) -> Complexes:
+        """(f,) N/m at w rad/s."""
+        return np.asarray(self.K - self.m * w**2 + 1j * w * self.C)
+
+    def follows(self, w: Array) -> Complexes:
+        """(f,) deflection per mean displacement of the caps."""
+        return np.asarray(self.m * w**2 / self.dynamic(w))
+
+    def _yields(self, w: Array, mean: float, caps: Array) -> Complexes:
+        """(f,) m/N, mean displacement of the caps per force on both. mean : N/m that the shaft lacks."""
+        D, _ = shaft_at_caps(self.shaft, self.ks, self.cs, self.m, w)
+        D += 0.5 * self._changed(w, self.dynamic(w) - mean)[:, None, None]
+        for i, (mass, kL, c) in enumerate(caps):
+            D[:, i, i] += kL + 1j * w * c - mass * w**2
+        return np.asarray(np.linalg.solve(D, np.ones((2, 1)))[..., 0].mean(axis=1))
+
+    def changed(self, w: Array, mean: float, first: complex, speed: float, caps: Array) -> Complexes:
+        """(f,) N/m, mean response of the force m s1'' / 2 on each cap to their mean displacement, for
+        g = mean + 2 Re(first exp(i phase)): that of the periodic system at fixed caps, Hill's determinant as a
+        continued fraction, less half of what comes back through the caps a turn higher and lower. The log of the
+        determinant of the rotor is then right to the second order. speed : rad/s; caps : (2, 3) m, kL, c of each.
+        """
+        beside = np.zeros(w.shape, complex)
+        returned = np.zeros(w.shape, complex)
+        for turn in (speed, -speed):
+            tail = np.zeros(w.shape, complex)
+            for k in range(HARMONICS, 0, -1):
+                tail = abs(first) ** 2 / (self.dynamic(w + k * turn) - mean - tail)
+            beside += tail
+            there = w + turn
+            passed = 0.5 * (self.m * w * there) ** 2 / ((self.dynamic(w) - mean) * (self.dynamic(there) - mean))
+            returned += (passed * abs(first)) ** 2 * self._yields(there, mean, caps)
+        return self._changed(w, self.dynamic(w) - mean - beside) - 0.5 * returned
+
+    def _changed(self, w: Array, dynamic: Complexes) -> Complexes:
+        """(f,) N/m on each cap per mean displacement of them, for a disc that answers so."""
+        return np.asarray(-0.5 * (self.m * w**2) ** 2 * (1.0 / dynamic - 1.0 / self.dynamic(w)))
+
+
+def disc_of(model: Model) -> Disc | None:
+    """None without a disc on a shaft."""
+    m, ks, cs = model.mass.get("disc", 0.0), model.shaft_stiffness, model.shaft_damping
+    if model.shaft == "none" or m <= 0.0 or ks <= 0.0:
+        return None
+    own = float(shaft_matrix(model.shaft, 1.0)[2, 2])
+    C = max(own * cs, 2.0 * DAMPED * float(np.sqrt(own * ks * m)))
+    return Disc(model.shaft, ks, cs, m, C, own * ks)

@@ -1,0 +1,101 @@
+"""Laws between the disc and the caps (a breathing crack): their force on the caps along the measured motion, and its
+mean response.
+
+The disc is not measured, and what takes g(phase) of the shaft's stiffness moves it otherwise than the shaft of the rig
+file does. Its deflection s against the mean of the caps obeys
+
+    m s'' + C s' + (K - g) s = -m x'',    x the mean displacement of the two caps of a direction,
+
+with m, C, K those of the disc on its shaft: linear, and periodic in time. s = s0 + s1, where s0 is what the rig file's
+shaft does and is in the balance already; what is left of the shaft's force is m s1'' / 2 on each cap. s1 is integrated
+along the path, as a series in g does not converge at the disc's resonance (quality of thousands).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from .effect import Effect
+from .effects.law_loop import force_array
+from .motion_blocks import MotionBlocks
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+STEP = 0.3  # rad of the disc's resonance to a step, at most
+FAINT = 1e-3  # of the shaft's stiffness, below which a law is on trial
+ANGLES = 64  # that the law's mean and first harmonic are taken from
+
+
+def first(data: MotionBlocks, i: int) -> int:
+    """The first cap of the direction of a place: the force on both is the same."""
+    o = data.opposite(i)
+    return i if o is None else min(i, o)
+
+
+def along(effect: Effect, p: Array, data: MotionBlocks, i: int, lin: Array) -> tuple[Array, Complexes]:
+    """(n,) N on the cap at a place, and (places, bins) N/m its mean response to the displacement of every place; zero
+    where there is no shaft, or the other cap is not measured. lin : (places, 3) m, kL, c."""
+    across, disc, o = np.zeros((len(data.places), data.bins.size), complex), data.disc, data.opposite(i)
+    if disc is None or o is None:
+        return np.zeros(data.x.shape[1]), across
+    caps, g = sorted((i, o)), _taken(effect, p, data.t, data.phase)
+    if max(-g.min(), g.max()) < FAINT * disc.K:
+        disc = disc.blurred()
+    mean = 0.5 * data.x[caps].astype(np.float64).sum(axis=0)
+    steps = max(1, int(np.ceil(disc.w0 / (STEP * data.rate_hz))))
+    force = _beside(
+        _finer(mean, data.rate_hz, disc.follows, 2 * steps), g, disc.m, disc.C, disc.K, 1.0 / data.rate_hz, steps
+    )  # fmt: skip
+    angles = 2 * np.pi * np.arange(ANGLES) / ANGLES
+    turn = np.fft.fft(_taken(effect, p, np.zeros(ANGLES), angles)) / ANGLES
+    speed = float((data.phase[-1] - data.phase[0]) / (data.t[-1] - data.t[0]))
+    across[caps] = 0.5 * disc.changed(2 * np.pi * data.f_hz, float(turn[0].real), complex(turn[1]), speed, lin[caps])
+    return force, across
+
+
+def _taken(effect: Effect, p: Array, t: Array, phase: Array) -> Array:
+    """(n,) N/m that a law takes of the shaft's stiffness."""
+    zero = np.zeros(t.size)
+    return np.asarray(-force_array(effect, p, np.ones(t.size), zero, zero, zero, t, phase))
+
+
+def _finer(x: Array, rate_hz: float, response: Callable[[Array], Complexes], by: int) -> Array:
+    """(by n,) what a response at w (f,) rad/s makes of a series (n,), at `by` times the rate."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = next_fast_len(x.size, real=True)
+    w = np.asarray(2 * np.pi * np.fft.rfftfreq(size, 1 / rate_hz), dtype=np.float64)
+    return np.asarray(irfft(rfft(x, size) * response(w), by * size)[: by * x.size] * by)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _beside(s0, g, m, C, K, dt, steps):  # type: ignore[no-untyped-def]
+    """(n,) N: m s1'' / 2 = (g s - C s1' - K s1) / 2. s0 : (2 steps n,) at half steps; g : (n,).
+
+    Each step is that of a linear oscillator of the mean g, exact but for Simpson's rule over what drives it.
+    """
+    n = g.size
+    out = np.empty(n)
+    h = dt / steps
+    half = 0.5 * C / m
+    s = v = 0.0
+    for i in range(n):
+        out[i] = 0.5 * (g[i] * (s0[2 * steps * i] + s) - C * v - K * s)
+        if i + 1 == n:
+            break
+        rise = (g[i + 1] - g[i]) / steps
+        for k in range(steps):
+            j = 2 * (steps * i + k)
+            ga, gb = g[i] + k * rise, g[i] + (k + 1) * rise
+            gm = 0.5 * (ga + gb)
+            p = complex(-half, np.sqrt(max((K - gm) / m - half * half, 1e-6 * K / m)))
+            e = np.exp(0.5 * h * p)
+            q = e * e * complex(v - p.real * s, p.imag * s)  # s' - conj(p) s
+            q += h / (6.0 * m) * (e * e * (ga * s0[j]) + 4.0 * e * (gm * s0[j + 1]) + gb * s0[j + 2])
+            s = q.imag / p.imag
+            v = q.real + p.real * s
+    return out
