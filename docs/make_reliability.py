@@ -8,7 +8,7 @@
     python tests/fuzz/mass.py tally.json --report fuzz.xml
     python docs/make_reliability.py report.xml soak.xml root.xml guest.xml fuzz.xml
 
-With --keep, rows of tests that are in none of the reports stay as the page has them: a part can be measured anew.
+Of a test in two reports the later one counts. With --keep, rows of tests that are in none of the reports stay as the page has them: a part can be measured anew.
 A test adds a row with pytest's record_property("reliability", "fault | how it is provoked | promised | measured").
 """
 
@@ -83,8 +83,10 @@ def main() -> None:
     page = Path(__file__).with_name("reliability.md")
     new: dict[str, dict[str, None]] = {}  # a property test records its row for every example
     for path in options.reports:
+        own: dict[str, dict[str, None]] = {}
         for test, row in rows_of(path):
-            new.setdefault(test, {})[row] = None
+            own.setdefault(test, {})[row] = None
+        new |= own
     if not new:
         names = " ".join(map(str, options.reports))
         sys.exit(f"{names}: no test recorded a row; give the reports of pytest --junitxml")
