@@ -8,8 +8,8 @@ Both noises white, of densities N and Q, the likelihood of the motion given the 
 
 (1 - p) f being what the measured force says of the true one. The last term is the Jacobian: it keeps the noise in a
 from pulling A' towards zero, as p keeps that in f from pushing it up. Q may be a force that acts unmeasured beside f
-instead, the machine's own beside a shaker's: then f is what it is, and p = 0. Amplitude and phase of every bin count: a
-thousandth of the force is seen that no power spectrum shows. What may bend A: bent_path.py.
+instead, the machine's own beside a shaker's: then f is what it is, and p = 0; or some of both. Amplitude and phase of
+every bin count: a thousandth of the force is seen that no power spectrum shows. What may bend A: bent_path.py.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Response:
     """Residual R and acceleration a of one place by cells of the band. w : (cells,) rad/s; n : independent numbers.
 
     rr, ra, aa, ff : mean |R|^2, R a*, |a|^2 and |A a - R|^2, one-sided PSD; A : tangent; noise : PSD of acceleration of
-    white noise of the sensor. unmeasured : whether Q is a force beside the measured one, not noise of its sensor.
+    white noise of the sensor. unmeasured : share of Q that is a force beside the measured one, not noise of its sensor.
     """
 
     w: Array
@@ -49,11 +49,11 @@ class Response:
     A: Complexes
     noise: Array
     hz: Array  # width of each cell
-    unmeasured: bool = False
+    unmeasured: float = 0.0
 
     def share(self, Q: float) -> Array:
-        """(cells,) p: what of the measured force is noise of the density Q."""
-        return np.zeros(self.ff.size) if self.unmeasured else np.minimum(Q / self.ff, 0.5)
+        """(cells,) p: what of the measured force is noise where the density Q is left."""
+        return np.minimum((1.0 - self.unmeasured) * Q / self.ff, 0.5)
 
 
 def response_of(point: WorkingPoint, i: int, lines: Collection[float] = ()) -> Response:
@@ -200,4 +200,5 @@ def expected(r: Response, A: Complexes, u: Array) -> tuple[Array, Complexes, Arr
     Q = exp(u[0])
     p = r.share(Q)
     rest = (1 - p) * r.ra + (A - (1 - p) * r.A) * r.aa
-    return left(r, A, Q), rest, np.abs(A) ** 2 * exp(u[1]) * r.noise + (1 - p) * Q
+    own = r.unmeasured + (1 - r.unmeasured) * (1 - p)
+    return left(r, A, Q), rest, np.abs(A) ** 2 * exp(u[1]) * r.noise + own * Q
