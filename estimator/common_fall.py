@@ -1,4 +1,5 @@
-"""Whether the spectra of all inferred forces fall alike, as behind a filter of the recorder: roll_off.py."""
+"""Whether the spectra of all inferred forces fall alike, or those of each bearing, as behind filters of one recorder or
+of two: roll_off.py."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from scipy.special import chdtrc
 
 from . import force_colour
 from .force_colour import Cells
-from .roll_off import POWERS, RollOff, averaged, folded, suspected
+from .roll_off import POWERS, RollOff, averaged, devices, folded, suspected
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -19,6 +20,7 @@ Plain = tuple[float, Array, Array]  # likelihood, numbers and their scales: forc
 LEVEL = 1e-6
 LEAST = 0.002  # rms of ln(power) over the band, from where it matters to S
 EXPLAINED = 0.5  # of the misfit beyond chance
+ALIKE = 0.8  # the same of two channels of a bearing: one that falls beside one that does not leaves half
 CHANCE = 3.0  # standard deviations of a deviance
 MISFIT = 6.0  # standard deviations of a deviance that is looked into, where nothing falls at the end of the band
 MOST_MEANS = 8.0
@@ -28,25 +30,40 @@ BEHIND = 20.0  # in deviance, that a cause of another kind may fit better by: it
 
 def find(point: WorkingPoint) -> RollOff | None:
     """None where nothing falls, or something else fits better."""
-    data, places = point.data, range(len(point.data.places))
+    data, places = point.data, [*range(len(point.data.places))]
     if data.measured_force or point.kL.min() <= 0.0:
         return None
     cells, fits = _without_lines(point, [force_colour.cells_of(point, i) for i in places])
+    together, found = _fall(point, places, cells, fits, EXPLAINED)
+    nodes = [(own, *_fall(point, own, [cells[i] for i in own], [fits[i] for i in own], ALIKE))
+             for own in devices(data.places)]  # fmt: skip
+    apart = {data.places[i]: off for own, _, off in nodes if off is not None for i in own}
+    less = together - sum(after for _, after, _ in nodes)
+    if apart and (found is None or chdtrc(POWERS.size * (len(nodes) - 1), less) < LEVEL):
+        return RollOff(apart=apart)
+    return found
+
+
+def _fall(
+    point: WorkingPoint, places: list[int], cells: list[Cells], fits: list[Plain], explained: float
+) -> tuple[float, RollOff | None]:
+    """Deviance of some places behind what they fall alike by, and that; without it where nothing falls, or something
+    else fits better. explained : of the misfit beyond chance, at least."""
     hz, count = cells[0].w / (2 * np.pi), cells[0].n
     before, df = -2 * sum(level for level, _, _ in fits), float(sum(c.n.size - 4 for c in cells))
     highest = max(force_colour.resonance_hz(point, i) for i in places)
     falls = suspected(np.stack([_ratio(*z) for z in zip(cells, fits, strict=True)], axis=1), hz, count, highest)
     if not falls and before - df < MISFIT * np.sqrt(2 * df):
-        return None
-    after, found = min(_steep(point, cells, fits), _slow(point, cells, fits), key=lambda t: t[0])
-    fall = -np.log(found.passed(hz, data.band[1]))
+        return before, None
+    after, found = min(_steep(point, cells, fits), _slow(point, places, cells, fits), key=lambda t: t[0])
+    fall = -np.log(found.passed(hz, point.data.band[1]))
     rms = float(np.sqrt(np.average((fall - np.average(fall, weights=count)) ** 2, weights=count)))
     if chdtrc(POWERS.size, before - after) > LEVEL or rms < LEAST:
-        return None
-    if after - df > max((1 - EXPLAINED) * (before - df), CHANCE * np.sqrt(2 * df)):
-        return None
+        return before, None
+    if after - df > max((1 - explained) * (before - df), CHANCE * np.sqrt(2 * df)):
+        return before, None
     other = sum(force_colour.otherwise(point, i, c, *fit) for i, c, fit in zip(places, cells, fits, strict=True))
-    return found if after < other + BEHIND else None
+    return (after, found) if after < other + BEHIND else (before, None)
 
 
 def _steep(point: WorkingPoint, cells: list[Cells], fits: list[Plain]) -> tuple[float, RollOff]:
@@ -61,19 +78,22 @@ def _steep(point: WorkingPoint, cells: list[Cells], fits: list[Plain]) -> tuple[
     return after, RollOff(tuple(z.tolist()))
 
 
-def _slow(point: WorkingPoint, cells: list[Cells], fits: list[Plain]) -> tuple[float, RollOff]:
+def _slow(
+    point: WorkingPoint, places: list[int], cells: list[Cells], fits: list[Plain]
+) -> tuple[float, RollOff]:  # fmt: skip
     """The same behind means over a sample, with what they fold back."""
     data, hz = point.data, cells[0].w / (2 * np.pi)
+    mass = data.mass[places]
 
     def spectra(i: int, c: Cells, u: Array, z: Array) -> Array:
         means = float(z[0])
-        back = folded(hz, means, data.rate_hz, data.kinds[i]) / data.mass[i] ** 2
+        back = folded(hz, means, data.rate_hz, data.kinds[places[i]]) / mass[i] ** 2
         A = c.tangent(u)
         return c.spectrum(u, A, averaged(hz, means, data.rate_hz) + back * np.abs(A) ** 2)
 
     after, z = _joint(cells, fits, spectra, np.ones(1), 0.1, MOST_MEANS)
-    free = zip(data.places, (point.kL / data.mass).tolist(), (point.c / data.mass).tolist(), strict=True)
-    return after, RollOff(means=float(z[0]), rate_hz=data.rate_hz, free={p: (k, c) for p, k, c in free})
+    free = zip(places, (point.kL[places] / mass).tolist(), (point.c[places] / mass).tolist(), strict=True)
+    return after, RollOff(means=float(z[0]), rate_hz=data.rate_hz, free={data.places[i]: (k, c) for i, k, c in free})
 
 
 def _without_lines(point: WorkingPoint, cells: list[Cells]) -> tuple[list[Cells], list[Plain]]:

@@ -300,7 +300,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
         shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, driven,
         sharpened(model, places, f), below, below, None, 0.0, _shared(model, places), pushes(model, places),
-        waves(model, places, rate_hz), _folded(model, kinds, mass, f), disc=disc_of(model),
+        waves(model, places, rate_hz), _folded(model, places, kinds, mass, f), disc=disc_of(model),
     )  # fmt: skip
 
 
@@ -326,11 +326,12 @@ def sharpened(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
     return np.array([1.0 / np.abs(of_place(model, p, 2 * np.pi * f_hz)) ** 2 for p in places])
 
 
-def _folded(model: Model, kinds: tuple[str, ...], mass: Array, f_hz: Array) -> Array | float:
+def _folded(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], mass: Array, f_hz: Array) -> Array | float:
     """What the recorder's filter lets through above half the rate, as MotionBlocks.folded."""
-    if model.roll_off is None or not model.roll_off.means:
+    if model.roll_off is None:
         return 0.0
-    return np.array([model.roll_off.folded(f_hz, kind) / m**2 for kind, m in zip(kinds, mass, strict=True)])
+    own = [model.roll_off.at(place).folded(f_hz, kind) for place, kind in zip(places, kinds, strict=True)]
+    return np.array(own) / mass[:, None] ** 2 if np.any(own) else 0.0
 
 
 def colours(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:

@@ -31,12 +31,18 @@ POWER_OF_W = {"acceleration": 0, "velocity": -1, "displacement": -2}  # from acc
 class RollOff:
     """nepers : (5,) of power at the end of the band, each by its power of frequency. means : how many means over a
     sample, one after the other, fall as the recorder does; what they fold back comes with them. rate_hz : of the
-    samples. free : place -> (kL / m, c / m) of its resonance, for what is folded."""
+    samples. free : place -> (kL / m, c / m) of its resonance, for what is folded. apart : place -> its own, where the
+    bearings have devices of different ones."""
 
     nepers: tuple[float, ...] = ()
     means: float = 0.0
     rate_hz: float = 0.0
     free: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    apart: Mapping[str, RollOff] = field(default_factory=dict)
+
+    def at(self, place: str) -> RollOff:
+        """That of a place."""
+        return self.apart.get(place, RollOff()) if self.apart else self
 
     def passed(self, f_hz: Array, top_hz: float) -> Array:
         """(f,) of power, 1 at zero."""
@@ -49,6 +55,8 @@ class RollOff:
 
     def colour(self, place: str, f_hz: Array, top_hz: float, kind: str) -> Array:
         """(f,) of the inferred force at a place, 1 at zero without a fold."""
+        if self.apart:
+            return self.at(place).colour(place, f_hz, top_hz, kind)
         out = self.passed(f_hz, top_hz)
         if self.means and place in self.free:
             stiff, loss = self.free[place]
@@ -82,6 +90,9 @@ def said(off: RollOff | None, top_hz: float) -> tuple[str, ...]:
     """What to tell the user of it."""
     if off is None:
         return ()
+    if off.apart:
+        nodes = {place.split(".")[0]: own for place, own in off.apart.items()}
+        return tuple(f"{node}: {text}" for node, own in nodes.items() for text in said(own, top_hz))
     fall = float(-10 * np.log10(off.passed(np.array([top_hz]), top_hz)[0]))
     if off.means:
         return (
@@ -95,6 +106,14 @@ def said(off: RollOff | None, top_hz: float) -> tuple[str, ...]:
         f"all channels fall alike towards the end of the band, by {fall:.1f} dB at {top_hz:g} Hz: taken for the "
         "recorder's filter, not for the rotor's (a colour of the forces with its corner above the band looks the same)",
     )
+
+
+def devices(places: tuple[str, ...]) -> list[list[int]]:
+    """Numbers of the places that a recorder of their own may have: those of each bearing, where there are two bearings
+    of two channels each, as one channel that falls is its sensor's."""
+    nodes = dict.fromkeys(place.split(".")[0] for place in places)
+    own = [[i for i, place in enumerate(places) if place.split(".")[0] == node] for node in nodes]
+    return own if len(own) > 1 and min(map(len, own)) > 1 else []
 
 
 def suspected(power: Array, f_hz: Array, count: Array, resonance_hz: float) -> bool:

@@ -29,7 +29,7 @@ from .model import UNITS, Model
 from .model_uses import searched
 from .periodic import PERIODIC
 from .record import Bank, Record, prepare, stretches
-from .roll_off import suspected
+from .roll_off import devices, suspected
 from .sensor_response import forced
 from .slow_motion import lopsided, usual
 from .start import Start
@@ -256,13 +256,15 @@ def _whirls(solution: Solution) -> bool:
 
 
 def _falls(solution: Solution) -> bool:
-    """Whether the force seems to fall alike at all places, as behind a filter of the recorder: roll_off.py."""
+    """Whether the force seems to fall alike at all places, or those of a bearing, as behind a filter of the recorder:
+    roll_off.py."""
     record, local, grid = solution.record, solution.local, solution.record.grid
     if record.force:
         return False
     count = solution.bank.evidence().blocks * grid.per_cell.astype(np.float64)
     peaks = [solution.start.sizes[place]["hz_peak"] for place in solution.balance.places]
-    return suspected(local.power / local.spread, grid.mean_by_cell(grid.f_hz), count, max(peaks))
+    ratio, f_hz, places = local.power / local.spread, grid.mean_by_cell(grid.f_hz), solution.balance.places
+    return any(suspected(ratio[:, own], f_hz, count, max(peaks)) for own in ([*range(len(places))], *devices(places)))
 
 
 def messages(solution: Solution) -> tuple[str, ...]:

@@ -65,8 +65,9 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
         f, measured = of_acceleration(data, i)
         model_psd = np.interp(f, *of_acceleration(own, i))
         if model.roll_off is not None:
-            model_psd = model_psd * model.roll_off.passed(f, data.band[1])
-            folded = model.roll_off.folded(np.maximum(f, data.band[0]), data.kinds[i])
+            off = model.roll_off.at(data.places[i])
+            model_psd = model_psd * off.passed(f, data.band[1])
+            folded = off.folded(np.maximum(f, data.band[0]), data.kinds[i])
             model_psd = model_psd + folded * point.S[i] / data.mass[i] ** 2
         inside = (f >= data.band[0]) & (f <= data.band[1])
         # noise of the sensor and its counts belongs to the measurement, not to the rotor

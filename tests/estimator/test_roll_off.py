@@ -6,14 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden_effects import RATE, one_bearing, record
+from hidden_effects import RATE, ROOT, one_bearing, record
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import optimize, signal
 
+from daq.rig import load_rig
 from estimator import common_fall, roll_off, spectral
 from estimator.diagnose import diagnose
+from estimator.model import Model
 from estimator.rolling import RollingSpectral
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
@@ -169,3 +171,39 @@ def test_one_channel_that_falls_is_its_sensor() -> None:
     found = diagnose(rig, y, RATE)
     assert found.verdict in ("sensor_resonance", "coloured_excitation")
     assert found.ranking[0].at == ("bearing1",) or "bearing1.x" in found.ranking[0].at
+
+
+def two_devices(seconds: float, one: str, two: str = "") -> tuple[Model, Array]:
+    """The paper's rig, the channels of each bearing behind a filter of its own."""
+    rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    y = simulate(rig, RATE, seconds, seed=2, noise=0.02)
+    for recorder, own in ((one, slice(0, 2)), (two, slice(2, 4))):
+        y[:, own] = through(y[:, own], recorder) if recorder else y[:, own]
+    return rig, y
+
+
+def test_each_bearing_may_have_a_recorder_of_its_own() -> None:
+    """One fall for all left S 45 standard deviations low at the bearing behind the filter."""
+    rig, y = two_devices(4.0, "bessel")
+    whole = fit_whole(rig, y, RATE)
+    assert whole.model.roll_off is not None
+    assert set(whole.model.roll_off.apart) == {"bearing1.x", "bearing1.y"}
+    assert [m.startswith("bearing1: all channels fall alike") for m in whole.messages] == [True]
+    for place in rig.places:
+        S = whole.parameters[f"{place}.S"]
+        assert S.value == pytest.approx(rig.linear[place]["S"].value, abs=4 * (S.sd or 0.0)), place
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("two", ["", "butterworth"])
+def test_a_complete_model_behind_two_recorders_is_complete(two: str) -> None:
+    found = diagnose(*two_devices(20.0, "bessel", two), RATE)
+    assert found.verdict == "complete"
+
+
+@pytest.mark.slow
+def test_one_channel_that_falls_at_one_of_two_bearings_is_its_sensor() -> None:
+    rig, y = two_devices(20.0, "")
+    y[:, 0] = through(y[:, :1], "bessel")[:, 0]
+    whole = fit_whole(rig, y, RATE)
+    assert whole.model.roll_off is None
