@@ -19,7 +19,7 @@ from .model import Model
 from .periodic import PERIODIC
 from .suspect import as_use
 from .suspects import suspects
-from .whole import fit_whole, with_uses
+from .whole import Whole, fit_whole, with_uses
 from .working_point import WorkingPoint, fit_model
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ class Ladder:
 def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = None) -> Ladder:
     """Add what the diagnosis names, as long as the held-out likelihood improves. y : (n, channels), SI."""
     say = progress or (lambda fraction, text: None)
-    given = model.ball_pass_order
+    given = model
     whole = fit_whole(model, y, rate_hz)
     model, point = whole.model, whole.point
     rungs = [rung(model, point, y)]
@@ -106,11 +106,14 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                 messages.append(f"{found.verdict} was named but is not told from zero when fitted: not added")
                 break
             new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
+            if whole.masses:  # were found without what was missing
+                new_whole = _refitted(replace(new_whole.model, mass=given.mass), y, rate_hz)
         else:
             # forces of time alone make products with the motion that pass for a stiffness that turns: sought again
-            before = replace(fitted_model(model, point), ball_pass_order=given, order_found=False)
-            new_whole = fit_whole(with_settings(before, best), y, rate_hz)
-            new_whole = replace(new_whole, model=fitted_model(new_whole.model, new_whole.point), masses=whole.masses)
+            before = replace(
+                fitted_model(model, point), ball_pass_order=given.ball_pass_order, order_found=False, mass=given.mass
+            )
+            new_whole = _refitted(with_settings(before, best), y, rate_hz)
         moved = shift
         if (data := new_whole.point.data).bins.size < point.data.bins.size:  # left out beside a crack
             moved = rungs[-1].heldout_nll - heldout_nll(fit_model(data, list(point.placed), start=point))
@@ -127,6 +130,12 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     messages = [*whole.messages, *messages, *idle(point)]
     say(1.0, "done")
     return Ladder(tuple(rungs), fitted_model(model, point), whole.parameters, found, tuple(messages), tuple(diagnoses))
+
+
+def _refitted(model: Model, y: Array, rate_hz: float) -> Whole:
+    """The whole of a model that begins from a fit, and the masses that the rig file leaves out with it."""
+    whole = fit_whole(model, y, rate_hz)
+    return replace(whole, model=fitted_model(whole.model, whole.point))
 
 
 def with_settings(model: Model, entry: Entry) -> Model:
