@@ -124,13 +124,13 @@ def _gram(
             tangents[t.name] = tangents.get(t.name, 0.0) + t.tangent
     index = np.array(at)
     responses = [
-        term_response(replace(t, tangent=tangents.get(t.name, t.tangent)), point.weighing.s)[index][:, index]
-        for t in all_terms
+        term_response(replace(t, tangent=tangents.get(t.name, t.tangent)), point.weighing.s) for t in all_terms
     ]
     names, scales = tuple(t.name for t in all_terms), np.array([t.scale for t in all_terms])
     units = tuple(t.unit for t in all_terms)
     blocks = float(np.mean([m.mean() for m in masks])) * data.blocks
-    return Gram(G, n, np.zeros_like(n), np.stack(responses), scales, names, units), blocks
+    stacked = point.jacobian.tangents(np.stack(responses), index)
+    return Gram(G, n, np.zeros_like(n), stacked, scales, names, units), blocks
 
 
 def _in_band(point: WorkingPoint, spectrum: NDArray[np.float32]) -> Array:

@@ -229,12 +229,39 @@ class Jacobian:
             self.half = float(self.bins @ own.real.sum(axis=1))
 
     def at(self, places: NDArray[np.int64]) -> Jacobian:
-        """The same of some places by themselves."""
+        """The same of some places, the others as they are: what they answer through the shaft stays in A0."""
         out = copy(self)
+        answer = self.answer(places)
         out.A0, out.dressing = self.A0[:, places[:, None], places], self.dressing[:, places]
-        out.offset = self.offset * places.size / self.A0.shape[1]
+        if answer is not None:
+            others, follow = answer
+            out.A0 = out.A0 - self.A0[:, places[:, None], others] @ follow
+        share = places.size / self.A0.shape[1]
+        out.offset = self.offset * share
+        if answer is not None:  # all places together have what the whole has
+            whole, own = (2 * float(self.bins @ np.log(np.abs(np.linalg.det(A)))) for A in (self.A0, out.A0))
+            out.offset += own - whole * share
         out._begun()
         return out
+
+    def answer(self, places: NDArray[np.int64]) -> tuple[NDArray[np.int64], Complexes] | None:
+        """The places that the shaft couples to these, and their motion per motion of these, less its sign,
+        (thinned bins, others, places); None where there are none."""
+        others = np.setdiff1d(np.arange(self.A0.shape[1], dtype=np.int64), places)
+        others = others[np.any(self.A0[:, others[:, None], places] != 0, axis=(0, 2))]
+        if not others.size:
+            return None
+        follow = np.linalg.solve(self.A0[:, others[:, None], others], self.A0[:, others[:, None], places])
+        return others.astype(np.int64), np.asarray(follow, dtype=np.complex128)
+
+    def tangents(self, tangents: Complexes, places: NDArray[np.int64]) -> Complexes:
+        """What tangents (terms, all places, all places, thinned bins) of forces at some places add to A0 `at` them."""
+        own = tangents[:, places][:, :, places]
+        answer = self.answer(places)
+        if answer is None:
+            return own
+        others, follow = answer
+        return np.asarray(own - np.einsum("tikf,fkj->tijf", tangents[:, places][:, :, others], follow))
 
     def of(self, tangents: Complexes, delta: Array) -> Complexes:
         """A at increments delta, (thinned bins, places, places)."""

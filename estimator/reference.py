@@ -246,7 +246,7 @@ def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subpro
     tangents *= scales[:, None, None, None]
     names = tuple(f"{g.name}.{k}" for g in whole for k in range(len(g.tangents)))
     knots = {g.name: g.knots for g in whole if g.knots is not None}
-    return with_known(extended(plain, i, made, names, scales, tangents)), knots
+    return with_known(extended(point, plain, i, made, names, scales, tangents)), knots
 
 
 def with_known(problem: Subproblem) -> Subproblem:

@@ -68,9 +68,8 @@ def base_of(point: WorkingPoint, at: NDArray[np.int64]) -> list[int]:
 
 
 def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: Columns | None = None) -> Subproblem:
-    """Cut the places out of the working point and add columns. Coupling to other places through the shaft is kept
-    in the force (it is known) and dropped in the Jacobian, where it is of the order of (shaft / bearing stiffness)^2.
-    """
+    """Cut the places out of the working point and add columns. Other places go on answering through the shaft, in the
+    force (it is known) and in the Jacobian."""
     at = np.array(component(point, places))
     own = point.columns
     base = base_of(point, at)
@@ -86,7 +85,7 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: Columns | No
             _extend(point, int(i), extra, base, G[number])
         tangents = np.concatenate([tangents, extra.tangents])
         scales = np.concatenate([scales, extra.scales])
-    tangents = tangents[:, at][:, :, at]
+    tangents = point.jacobian.tangents(tangents, at)
     new = () if extra is None else extra.names
     merged = Gram(G, point.gram.n[at], point.gram.log_weight[at], tangents, scales, names + new,
                   units + (() if extra is None else extra.units))  # fmt: skip
@@ -95,8 +94,8 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: Columns | No
 
 
 def extended(
-    plain: Subproblem, i: int, made: Sequence[tuple[NDArray[np.int64], Array, Array]], names: tuple[str, ...],
-    scales: Array, tangents: Complexes,
+    point: WorkingPoint, plain: Subproblem, i: int, made: Sequence[tuple[NDArray[np.int64], Array, Array]],
+    names: tuple[str, ...], scales: Array, tangents: Complexes,
 ) -> Subproblem:  # fmt: skip
     """A problem without extra terms with those of place i whose `products` are given, fold by fold.
 
@@ -109,7 +108,7 @@ def extended(
     for f, one in enumerate(made):
         fill(G[plain.places.index(i), f], np.arange(first, size), *one)
     joined = Gram(
-        G, old.n, old.log_weight, np.concatenate([old.tangents, tangents[:, at][:, :, at]]),
+        G, old.n, old.log_weight, np.concatenate([old.tangents, point.jacobian.tangents(tangents, at)]),
         np.concatenate([old.scales, scales]), old.names + names, old.units + ("N",) * len(names),
     )  # fmt: skip
     return replace(plain, gram=joined, extra=names)

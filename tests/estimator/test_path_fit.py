@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from numpy.typing import NDArray
 
 from estimator.contour import THINNED
 from estimator.motion_blocks import FOLDS
@@ -31,3 +33,31 @@ def test_columns_that_cancel_are_not_told_apart_by_the_error_of_their_tangents()
     held = Subproblem((0,), gram, Jacobian(A0), blocks, ("a",), ("b",), np.zeros(1)).fit(steps=6)
     assert np.abs(held.delta).max() < 0.1
     assert np.abs(free.delta).max() > 10 * np.abs(held.delta).max()
+
+
+def test_the_jacobian_of_some_places_is_that_of_all_while_the_others_stay() -> None:
+    """Through a shaft as stiff as the bearings the other cap answers: left out, a complete rotor on a beam seemed to
+    lack 0.2 to 0.7 % of the force against the other bearing."""
+    rng = np.random.default_rng(5)
+    P, bins, terms = 4, 30, 3
+
+    def complex_normal(*shape: int) -> NDArray[np.complex128]:
+        return rng.normal(size=shape) + 1j * rng.normal(size=shape)
+
+    whole = Jacobian(4.0 * np.eye(P) + complex_normal(3 * bins, P, P))
+    for places in (np.array([2]), np.array([0, 3])):
+        tangents = np.zeros((terms, P, P, bins), complex)
+        tangents[:, places] = complex_normal(terms, places.size, P, bins)
+        part, own = whole.at(places), whole.tangents(tangents, places)
+        for wanted, found in zip(
+            whole.derivatives(tangents, np.zeros(terms)), part.derivatives(own, np.zeros(terms)), strict=True
+        ):
+            assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+        step = 1e-2 * rng.normal(size=terms)
+        moved = [J.value(t, step) - J.value(t, 0.0 * step) for J, t in ((whole, tangents), (part, own))]
+        assert moved[1] == pytest.approx(moved[0], rel=1e-9)
+    shares = [whole.at(np.array([i])) for i in range(P)]
+    nothing = np.zeros((1, 1, 1, bins))
+    assert sum(J.value(nothing, np.zeros(1)) for J in shares) == pytest.approx(
+        whole.value(np.zeros((1, P, P, bins)), np.zeros(1)), rel=1e-9
+    )
