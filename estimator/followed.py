@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from .disc import disc_of
 from .effect import Effect
 from .effects.custom import effect_of
 from .effects.places import at, kinematic, written
@@ -21,6 +22,8 @@ from .sensor_response import BLIND
 
 FIT = "rotorscope fit has its numbers"
 CLIPPED = "its sensor is clipped: what that took away is missing from the motion"
+BREATHES = f"beside a shaft that breathes: {FIT}"
+FELT = 1e-3  # of a stiffness
 GIVE = "rotorscope fit --out writes what it finds"
 
 
@@ -61,7 +64,9 @@ def followed(model: Model) -> Followed:
             if not _followed(effect) or missing:
                 why = _reason(effect, missing)
                 beside |= {names[q.name]: Parameter(None, None, q.unit, False, why) for q in effect.parameters}
-                if effect.name == "sensor_clipping":
+                if effect.kind == "shaft" and effect.name not in PERIODIC:
+                    lacking |= {p: BREATHES for p in model.places if _felt(own, model, p)}
+                elif effect.name == "sensor_clipping":
                     lacking |= dict.fromkeys([key], CLIPPED)
                 elif missing and effect.name != "sensor_gain":
                     places = (p for p in model.places if key in (p, p.split(".")[0]))
@@ -75,6 +80,15 @@ def followed(model: Model) -> Followed:
         if new:
             kept.append(replace(use, parameters=new))
     return Followed(replace(model, effects=tuple(kept)), beside, lacking)
+
+
+def _felt(own: Mapping[str, Setting], model: Model, place: str) -> bool:
+    """Whether what a crack takes of the shaft is anything beside the stiffness at a place; if in doubt, it is."""
+    values = [s.value for s in own.values()]
+    kL = model.linear.get(place, {}).get("kL", Setting()).value
+    if not values or None in values or not kL:
+        return disc_of(model) is not None
+    return 0.5 * sum(abs(v or 0.0) for v in values) > FELT * kL
 
 
 def _followed(effect: Effect) -> bool:

@@ -13,7 +13,7 @@ along the path, as a series in g does not converge at the disc's resonance (qual
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numba import njit
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from .effect import Effect
 from .effects.law_loop import force_array
-from .motion_blocks import MotionBlocks
+from .motion_blocks import MotionBlocks, without_hz
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -55,6 +55,26 @@ def along(effect: Effect, p: Array, data: MotionBlocks, i: int, lin: Array) -> t
     speed = float((data.phase[-1] - data.phase[0]) / (data.t[-1] - data.t[0]))
     across[caps] = 0.5 * disc.changed(2 * np.pi * data.f_hz, float(turn[0].real), complex(turn[1]), speed, lin[caps])
     return force, across
+
+
+def without_comb(data: MotionBlocks, effects: Iterable[Effect]) -> MotionBlocks:
+    """The record without the bins where a model with such a law is not judged; as it is for other models."""
+    if data.disc is None or all(effect.kind != "shaft" for effect in effects):
+        return data
+    return without_hz(data, *data.disc.comb_hz)
+
+
+def said(data: MotionBlocks, effects: Iterable[Effect]) -> tuple[str, ...]:
+    """What to tell of them. data : of the fit."""
+    if data.disc is None or all(effect.kind != "shaft" for effect in effects):
+        return ()
+    low, high = data.disc.comb_hz
+    if high < data.band[0] or low > data.band[1]:
+        return ()
+    return (
+        f"beside a shaft that breathes {low:.0f} to {high:.0f} Hz are left out: likelihoods compare only with those of "
+        "models that have it (the ladder of improve does so)",
+    )
 
 
 def _taken(effect: Effect, p: Array, t: Array, phase: Array) -> Array:

@@ -22,6 +22,7 @@ from . import (
     periodic_fit,
     roll_off,
     sensor_faults,
+    shaft_law,
     unknown_mass,
 )
 from .declip import RESTORED, restored
@@ -90,6 +91,7 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
         *unknown_mass.said(masses),
         *roll_off.said(whole.model.roll_off, model.band[1]),
         *force_level.said(data.level),
+        *shaft_law.said(data, [use.effect for use in whole.point.placed]),
     )
     return replace(whole, messages=(*said, *whole.messages), masses=masses)
 

@@ -16,12 +16,13 @@ from .features import Series
 from .fluctuation import Fluctuation, fluctuations
 from .force_level import alike, level_of
 from .model_uses import size, stiffness
-from .motion_blocks import FOLDS, MotionBlocks, part_of, spectrum, without_hz
+from .motion_blocks import FOLDS, MotionBlocks, part_of, spectrum
 from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing, fit, gram
 from .periodic import Wave
 from .placed import Placed, evaluate, remembers
 from .probe import Probe
 from .self_energy import Mean
+from .shaft_law import without_comb
 from .side_by_side import each
 from .slow_motion import with_slow
 from .terms import Spans, add_to, dressed, light, linear_terms, reach, terms
@@ -91,8 +92,7 @@ def fit_model(
 ) -> WorkingPoint:
     """Fit kL, c, S and every free parameter of the effects, from a start that needs no values of the linear part."""
     P = len(data.places)
-    if data.disc is not None and any(u.effect.kind == "shaft" for u in uses):
-        data = without_hz(data, *data.disc.comb_hz)
+    data = without_comb(data, [use.effect for use in uses])
     if start is None:
         start = _approached(data, uses, rounds)
         uses, rounds = (uses, rounds) if start is None else (list(start.placed), LAST_ROUNDS)

@@ -84,6 +84,16 @@ def test_only_the_places_of_an_effect_without_numbers_are_left_unsaid(rig: Model
     assert found["bearing1.y.bouc_wen.k"].reason == "to be given: rotorscope fit --out writes what it finds"
 
 
+def test_beside_a_crack_that_the_caps_feel_nothing_is_said_but_why() -> None:
+    """On a shaft as stiff as the bearings kL came out 6 % low, 39 standard deviations."""
+    soft = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    for ks, felt in ((soft.shaft_stiffness, False), (1e7, True)):
+        model = replace(soft, shaft_stiffness=ks)
+        values = {"loss": 0.01 * ks, "loss_cos": 0.01 * ks, "loss_sin": 0.0}
+        lacking = followed(with_effect(model, CATALOGUE["crack"], values, "disc")).lacking
+        assert set(lacking) == (set(model.places) if felt else set())
+
+
 def test_every_number_of_every_effect_is_shown_or_the_reason_why_not() -> None:
     rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
     for effect in CATALOGUE.values():
