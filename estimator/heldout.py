@@ -71,8 +71,7 @@ def heldout_nll(point: WorkingPoint) -> float:
     total = 0.0
     left = set(range(len(point.data.places)))
     while left:
-        # what the shaft couples is judged together: on a stiff one models that do and do not join the bearings compare
-        part = tuple(left) if point.data.shaft.any() else component(point, (min(left),))
+        part = component(point, (min(left),))
         left -= set(part)
         problem = subproblem(point, part)
         for f in range(FOLDS):
