@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from estimator.contour import THINNED
+from estimator.contour import THIN, THINNED
 from estimator.motion_blocks import FOLDS
 from estimator.path_fit import Gram, Jacobian, fit
 from estimator.subproblem import Subproblem
@@ -44,7 +44,7 @@ def test_the_jacobian_of_some_places_is_that_of_all_while_the_others_stay() -> N
     def complex_normal(*shape: int) -> NDArray[np.complex128]:
         return rng.normal(size=shape) + 1j * rng.normal(size=shape)
 
-    whole = Jacobian(4.0 * np.eye(P) + complex_normal(3 * bins, P, P))
+    whole = Jacobian(4.0 * np.eye(P) + complex_normal(THIN * bins, P, P))
     for places in (np.array([2]), np.array([0, 3])):
         tangents = np.zeros((terms, P, P, bins), complex)
         tangents[:, places] = complex_normal(terms, places.size, P, bins)
