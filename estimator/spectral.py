@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from . import force_level
+from . import force_level, one_end
 from .balance import Balance, force_channels
 from .checks import check_record
 from .contour import modes_of
@@ -275,6 +275,7 @@ def messages(solution: Solution) -> tuple[str, ...]:
         out.append("the likelihood was not brought to its maximum: values are provisional")
     out += force_level.said(solution.bank.level)
     record = solution.record
+    out += one_end.said(record.model, {p: solution.values.get(f"{p}.kL", 0.0) for p in places})
     if record.lines:
         out.append(f"left out as lines: {describe(record.lines, record.model.speed_rpm)}")
     values, sd = solution.values, np.sqrt(np.diag(solution.covariance))

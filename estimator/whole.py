@@ -18,6 +18,7 @@ from . import (
     force_colour,
     force_level,
     modulation,
+    one_end,
     periodic,
     periodic_fit,
     roll_off,
@@ -91,6 +92,7 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
         *unknown_mass.said(masses),
         *roll_off.said(whole.model.roll_off, model.band[1]),
         *force_level.said(data.level),
+        *one_end.said(whole.model, dict(zip(data.places, whole.point.kL.tolist(), strict=True))),
         *shaft_law.said(data, [use.effect for use in whole.point.placed]),
     )
     return replace(whole, messages=(*said, *whole.messages), masses=masses)

@@ -1,0 +1,39 @@
+"""One bearing measured on a shaft that couples it to the other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hidden_effects import RATE, ROOT
+
+from daq.rig import load_rig
+from estimator import one_end
+from estimator.model import Model
+from estimator.simulate import simulate
+from estimator.spectral import fit
+
+
+@pytest.fixture
+def rig() -> Model:
+    return load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+
+
+def test_only_a_stiff_shaft_with_one_end_measured_is_told(rig: Model) -> None:
+    kL = {place: rig.linear[place]["kL"].value or 0.0 for place in rig.places}
+    first = replace(rig, channels=tuple(c for c in rig.channels if c.node == "bearing1"))
+    own = {place: kL[place] for place in first.places}
+    stiff = {"shaft_stiffness": 1e7}
+    assert one_end.said(rig, kL) == one_end.said(first, own) == one_end.said(replace(rig, **stiff), kL) == ()
+    assert one_end.said(replace(first, shaft="none", **stiff), own) == ()
+    (text,) = one_end.said(replace(first, **stiff), own)
+    assert text.startswith("bearing2 is not measured")
+
+
+def test_a_fit_says_so(rig: Model) -> None:
+    """kL came out 7 MN/m for 10 with an interval of 0.3 %."""
+    stiff = replace(rig, shaft_stiffness=1e7)
+    keep = [k for k, c in enumerate(rig.channels) if c.node == "bearing1"]
+    y = simulate(stiff, RATE, 8.0, seed=1, noise=0.02, full_scale=490.5)[:, keep]
+    found = fit(replace(stiff, channels=tuple(rig.channels[k] for k in keep)), y, RATE)
+    assert any(m.startswith("bearing2 is not measured") for m in found.messages)
