@@ -33,6 +33,6 @@ def said(model: Model, kL: Mapping[str, float]) -> tuple[str, ...]:
     if not lacking:
         return ()
     return (
-        f"{lacking} is not measured, and what it does comes through the shaft ({100 * most:.0f} % of the stiffness here, "
-        "at the resonance): it is taken for a force, and no number is sound; measure both ends",
+        f"{lacking} is not measured, and what it does comes through the shaft ({100 * most:.0f} % of the stiffness "
+        "here, at the resonance): it is taken for a force, and no number is sound; measure both ends",
     )
