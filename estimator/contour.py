@@ -21,12 +21,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-# Every bin counts in the determinant. One of three is enough beside a soft shaft; beside a stiff one, whose modes are
-# narrower and whose disc has a pole in A, cross-coupling came out 5 standard deviations high, and Bouc-Wen won 131
-# nats where nothing was missing.
-THIN = 1
-THINNED = slice(THIN // 2, None, THIN)
-MARGIN = 1.0  # of the spacing of those bins, at least, from any mode to the line: a sum is then good to exp(-2 pi)
+MARGIN = 1.0  # of the spacing of the bins, at least, from any mode to the line: a sum is then good to exp(-2 pi)
 TAKES_PART = 0.1  # of the largest motion in a mode
 LASTING = 0.5  # of the rate at which a place would decay by itself
 
@@ -49,7 +44,7 @@ def contour(A: Complexes, mass: Array, D: Array, f_hz: Array) -> Contour:
     resonance = np.sqrt(np.median(np.maximum(np.diag(D[..., 0]) / mass, 0.0)))
     near = int(np.argmin(np.abs(iw.imag - resonance)))
     modes, motion = modes_at(A[near], mass, iw[near], (f_hz[0], f_hz[-1]))
-    shift, turned = past(modes, MARGIN * THIN / length, (f_hz[0], f_hz[-1]))
+    shift, turned = past(modes, MARGIN / length, (f_hz[0], f_hz[-1]))
     return Contour(shift + iw, length * shift * turned / np.pi, lasting(modes, motion, np.diag(D[..., 1]) / (2 * mass)))
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from .contour import THIN, THINNED, turns
+from .contour import turns
 from .motion_blocks import FOLDS, MotionBlocks
 from .side_by_side import each
 
@@ -54,16 +54,15 @@ class Term:
 
 
 def response(tangent: Array, s: Complexes) -> Complexes:
-    """(..., thinned bins) contribution to A at s (bins,) of a mean tangent (..., 2)."""
-    s = s[THINNED]
+    """(..., bins) contribution to A at s (bins,) of a mean tangent (..., 2)."""
     return np.asarray(tangent[..., :1] / s**2 + tangent[..., 1:] / s)
 
 
 def term_response(term: Term, s: Complexes) -> Complexes:
-    """(places, places, thinned bins) contribution to A at s (bins,) of one scaled unit of a term."""
+    """(places, places, bins) contribution to A at s (bins,) of one scaled unit of a term."""
     out = response(term.tangent, s)
     for i, more in term.memory.items():
-        out[i] += (more / s**2)[:, THINNED]
+        out[i] += more / s**2
     return out * term.scale
 
 
@@ -74,7 +73,7 @@ class Columns:
     names: tuple[str, ...]
     units: tuple[str, ...]
     scales: Array
-    tangents: Complexes  # (terms, places, places, thinned bins), contribution to A per scaled unit
+    tangents: Complexes  # (terms, places, places, bins), contribution to A per scaled unit
     spectra: dict[int, Spectrum]
     index: dict[int, NDArray[np.int64]]  # place -> number of the term of each row of spectra
 
@@ -216,17 +215,15 @@ class Jacobian:
     """
 
     def __init__(self, A0: Complexes, offset: float = 0.0, dressing: Complexes | None = None) -> None:
-        self.A0, self.offset = A0[THINNED], offset
-        self.dressing = np.zeros(self.A0.shape[:2], complex) if dressing is None else dressing[THINNED]
-        self.bins = np.full(len(self.A0), float(THIN))  # that each stands for
-        self.bins[-1] += len(A0) - THIN * len(self.A0)
+        self.A0, self.offset = A0, offset
+        self.dressing = np.zeros(self.A0.shape[:2], complex) if dressing is None else dressing
         self._begun()
 
     def _begun(self) -> None:
         self.turned, self.half = turns(np.linalg.det(self.A0)), 0.0
         if self.dressing.any():
             own = np.einsum("fii->fi", np.linalg.inv(self.A0)) * self.dressing
-            self.half = float(self.bins @ own.real.sum(axis=1))
+            self.half = float(own.real.sum())
 
     def at(self, places: NDArray[np.int64]) -> Jacobian:
         """The same of some places, the others as they are: what they answer through the shaft stays in A0."""
@@ -239,14 +236,14 @@ class Jacobian:
         share = places.size / self.A0.shape[1]
         out.offset = self.offset * share
         if answer is not None:  # all places together have what the whole has
-            whole, own = (2 * float(self.bins @ np.log(np.abs(np.linalg.det(A)))) for A in (self.A0, out.A0))
+            whole, own = (2 * float(np.log(np.abs(np.linalg.det(A))).sum()) for A in (self.A0, out.A0))
             out.offset += own - whole * share
         out._begun()
         return out
 
     def answer(self, places: NDArray[np.int64]) -> tuple[NDArray[np.int64], Complexes] | None:
         """The places that the shaft couples to these, and their motion per motion of these, less its sign,
-        (thinned bins, others, places); None where there are none."""
+        (bins, others, places); None where there are none."""
         others = np.setdiff1d(np.arange(self.A0.shape[1], dtype=np.int64), places)
         others = others[np.any(self.A0[:, others[:, None], places] != 0, axis=(0, 2))]
         if not others.size:
@@ -255,7 +252,7 @@ class Jacobian:
         return others.astype(np.int64), np.asarray(follow, dtype=np.complex128)
 
     def tangents(self, tangents: Complexes, places: NDArray[np.int64]) -> Complexes:
-        """What tangents (terms, all places, all places, thinned bins) of forces at some places add to A0 `at` them."""
+        """What tangents (terms, all places, all places, bins) of forces at some places add to A0 `at` them."""
         own = tangents[:, places][:, :, places]
         answer = self.answer(places)
         if answer is None:
@@ -264,7 +261,7 @@ class Jacobian:
         return np.asarray(own - np.einsum("tikf,fkj->tijf", tangents[:, places][:, :, others], follow))
 
     def of(self, tangents: Complexes, delta: Array) -> Complexes:
-        """A at increments delta, (thinned bins, places, places)."""
+        """A at increments delta, (bins, places, places)."""
         return np.asarray(self.A0 + np.moveaxis(np.tensordot(delta, tangents, 1), 2, 0))
 
     def value(self, tangents: Complexes, delta: Array) -> float:
@@ -272,7 +269,7 @@ class Jacobian:
         determinant = np.linalg.det(self.of(tangents, delta))
         if turns(determinant) < self.turned - CROSSED:
             return -np.inf
-        return float(2 * self.bins @ np.log(np.abs(determinant))) - self.offset - self.half
+        return float(2 * np.log(np.abs(determinant)).sum()) - self.offset - self.half
 
     def derivatives(self, tangents: Complexes, delta: Array) -> tuple[Array, Array]:
         """Gradient (k,) and second derivative (k, k) to the increments."""
@@ -283,8 +280,8 @@ class Jacobian:
         for j, t in enumerate(tangents):
             for i in acting[j]:  # A^-1 A_j, row i of A_j only
                 R[j] += inverse[:, :, i][:, :, None] * t[i].T[:, None, :]
-        gradient = 2 * np.einsum("jfpp->jf", R).real @ self.bins
-        left = (R * self.bins[:, None, None]).reshape(k, -1)
+        gradient = 2 * np.einsum("jfpp->j", R).real
+        left = R.reshape(k, -1)
         right = np.swapaxes(R, 2, 3).reshape(k, -1)
         return np.asarray(gradient), np.asarray(-2 * (left @ right.T).real)
 

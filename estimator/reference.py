@@ -14,7 +14,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .contour import THINNED
 from .motion_blocks import FOLDS, MotionBlocks, fold_of
 from .path_fit import Complexes, response
 from .reference_tangents import dressings, lapse, waves
@@ -271,13 +270,13 @@ def with_known(problem: Subproblem) -> Subproblem:
 def _tangents(
     point: WorkingPoint, i: int, group: Group, orders: tuple[float, ...], times: tuple[float, float]
 ) -> Complexes:
-    """(columns, places, places, thinned bins) what the columns of a group add to A per unit."""
+    """(columns, places, places, bins) what the columns of a group add to A per unit."""
     P = len(point.data.places)
     out = np.zeros((len(group.tangents), P, P, point.columns.tangents.shape[-1]), complex)
     for k, t in enumerate(group.tangents):
         out[k, i] = response(t, point.weighing.s)
     if (here := point.fluctuations[i]) is not None:
-        s2 = point.weighing.s[THINNED] ** 2
+        s2 = point.weighing.s**2
         for k, sigma in enumerate(dressings(group.name, here, point.data.rms[:2, i], group.knots, orders, times)):
-            out[k, i, i] -= sigma[THINNED] / s2
+            out[k, i, i] -= sigma / s2
     return out

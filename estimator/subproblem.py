@@ -99,7 +99,7 @@ def extended(
 ) -> Subproblem:  # fmt: skip
     """A problem without extra terms with those of place i whose `products` are given, fold by fold.
 
-    tangents : (terms, all places, all places, thinned bins), scaled.
+    tangents : (terms, all places, all places, bins), scaled.
     """
     old, first = plain.gram, 1 + len(plain.base)
     size, at = first + len(names), np.array(plain.places)

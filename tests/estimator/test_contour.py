@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from reference_rig import CROSS, PLACES, RATE, TRUTH, rig_model, rig_record
 
 from estimator.balance import build
-from estimator.contour import MARGIN, THIN, THINNED, along, contour
+from estimator.contour import MARGIN, along, contour
 from estimator.likelihood import Likelihood, Local, Point
 from estimator.lines import begin
 from estimator.model import EffectUse
@@ -52,7 +52,7 @@ def test_a_well_damped_mode_is_left_on_the_axis() -> None:
 def test_the_sum_is_linear_in_the_damping_whether_the_mode_decays_or_grows(f0: float, decay: float) -> None:
     """-T times Re p of the mode, without a fold where the mode begins to grow: Jensen's formula."""
     k, c = MASS[0] * (2 * np.pi * f0) ** 2, 2 * MASS[0] * decay
-    spacing = 2 * np.pi * THIN / BLOCK_S
+    spacing = 2 * np.pi / BLOCK_S
     here, slopes, shift = value(k, c)
     assert shift == pytest.approx(max(0.0, MARGIN * spacing - decay), abs=1.0)
     assert slopes[1] == pytest.approx(BLOCK_S / (2 * MASS[0]), rel=0.06)  # T d(-Re p)/dc
@@ -101,7 +101,7 @@ def test_the_axis_cannot_tell_growth_from_decay() -> None:
     """What the line is for: on the axis the slope by c turns round."""
     D, iw = tangents(1e7, -24.0), 2j * np.pi * F_HZ
     A = (MASS[0] + 1e7 / iw**2 - 24.0 / iw)[:, None, None]
-    on_axis = Jacobian(A).derivatives((1.0 / iw)[None, None, None, THINNED], np.zeros(1))[0][0]
+    on_axis = Jacobian(A).derivatives((1.0 / iw)[None, None, None], np.zeros(1))[0][0]
     assert on_axis == pytest.approx(-BLOCK_S / (2 * MASS[0]), rel=0.1)
     assert contour(A, MASS, D, F_HZ).lasting.all()
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from estimator.contour import THIN, THINNED
 from estimator.motion_blocks import FOLDS
 from estimator.path_fit import Gram, Jacobian, fit
 from estimator.subproblem import Subproblem
@@ -24,7 +23,7 @@ def test_columns_that_cancel_are_not_told_apart_by_the_error_of_their_tangents()
     Z = np.stack([force, x, x + 1e-4 * own]).reshape(3, FOLDS, -1)
     G = np.einsum("afn,bfn->fab", Z, Z)[None]
     A0 = (1.0 + 0.2j * np.linspace(-1, 1, bins))[:, None, None]
-    t = 0.1j / A0[THINNED, 0, 0]
+    t = 0.1j / A0[:, 0, 0]
     tangents = np.stack([t, 0.97 * t])[:, None, None]
     count = np.full((1, FOLDS), 1000.0)
     gram = Gram(G, count, np.zeros((1, FOLDS)), tangents, np.ones(2), ("a", "b"), ("N", "N"))
@@ -44,7 +43,7 @@ def test_the_jacobian_of_some_places_is_that_of_all_while_the_others_stay() -> N
     def complex_normal(*shape: int) -> NDArray[np.complex128]:
         return rng.normal(size=shape) + 1j * rng.normal(size=shape)
 
-    whole = Jacobian(4.0 * np.eye(P) + complex_normal(THIN * bins, P, P))
+    whole = Jacobian(4.0 * np.eye(P) + complex_normal(bins, P, P))
     for places in (np.array([2]), np.array([0, 3])):
         tangents = np.zeros((terms, P, P, bins), complex)
         tangents[:, places] = complex_normal(terms, places.size, P, bins)
