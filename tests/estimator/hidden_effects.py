@@ -13,7 +13,7 @@ from daq.rig import load_rig
 from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.effects.strength import size, strengths, with_effect
-from estimator.model import Model
+from estimator.model import EffectUse, Model, Setting
 from estimator.simulate import simulate
 
 ROOT = Path(__file__).parents[2]
@@ -40,6 +40,14 @@ def one_bearing() -> Model:
             for u in model.effects
         ),
     )
+
+
+def coupled_on_a_stiff_shaft() -> Model:
+    """The rig whose shaft is as stiff as a bearing, all its numbers known, with cross-coupling at both bearings."""
+    rig = load_rig(ROOT / "configs/strong_shaft.toml").model
+    truth = {p: {"kL": Setting(1e7), "c": Setting(40.0), "S": Setting(9e-5)} for p in rig.places}
+    coupling = EffectUse("cross_coupling", {n: {"k": Setting(1e5)} for n in ("bearing1", "bearing2")})
+    return replace(rig, mass={"disc": 0.515, "bearing1": 0.2, "bearing2": 0.22}, linear=truth, effects=(coupling,))
 
 
 def record(model: Model, effect: str, fraction: float, seed: int = 3, seconds: float = SECONDS) -> NDArray[np.float64]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden_effects import RATE, ROOT, one_bearing, record
+from hidden_effects import RATE, ROOT, coupled_on_a_stiff_shaft, one_bearing, record
 from reference_rig import rig_model, rig_record
 
 from daq.rig import load_rig
@@ -232,11 +232,8 @@ def test_a_complete_rotor_on_a_stiff_beam_lacks_nothing() -> None:
 @pytest.mark.slow
 def test_numbers_beside_a_stiff_shaft_are_those_of_the_rotor() -> None:
     """With the determinant of every third bin k of the coupling was 4.9 and 3.6 standard deviations high, kL 4 low."""
-    rig = load_rig(ROOT / "configs/strong_shaft.toml").model
-    truth = {p: {"kL": Setting(1e7), "c": Setting(40.0), "S": Setting(9e-5)} for p in rig.places}
-    coupling = EffectUse("cross_coupling", {n: {"k": Setting(1e5)} for n in ("bearing1", "bearing2")})
-    known = replace(rig, mass={"disc": 0.515, "bearing1": 0.2, "bearing2": 0.22}, linear=truth, effects=(coupling,))
+    known = coupled_on_a_stiff_shaft()
     found = fit_whole(known, simulate(known, RATE, 30.0, seed=1, noise=0.02), RATE).parameters
-    wanted = {f"{p}.{q}": v for p in rig.places for q, v in (("kL", 1e7), ("c", 40.0))}
+    wanted = {f"{p}.{q}": v for p in known.places for q, v in (("kL", 1e7), ("c", 40.0))}
     for name, value in (wanted | {f"{n}.cross_coupling.k": 1e5 for n in ("bearing1", "bearing2")}).items():
         assert abs((found[name].value or 0.0) - value) < 3.0 * (found[name].sd or 0.0), name
