@@ -66,10 +66,10 @@ def slope(effect: Effect, p: Array, lin: Array, which: int) -> Callable[[Array],
     return lambda w: (up(w) - down(w)) / (2 * step[which])
 
 
-def filtered(response: Callable[[Array], Complexes], x: Array, rate_hz: float) -> Array:
-    """(n,) what a response at w (f,) rad/s makes of a series (n,)."""
+def filtered(response: Callable[[Array], Complexes], x: Array, rate_hz: float, by: int = 1) -> Array:
+    """(by n,) what a response at w (f,) rad/s makes of a series (n,), at `by` times its rate."""
     from scipy.fft import irfft, next_fast_len, rfft
 
     size = next_fast_len(x.size, real=True)
     f: Array = np.asarray(np.fft.rfftfreq(size, 1 / rate_hz), dtype=np.float64)
-    return np.asarray(irfft(rfft(x, size) * response(2 * np.pi * f), size)[: x.size])
+    return np.asarray(irfft(rfft(x, size) * response(2 * np.pi * f), by * size)[: by * x.size] * by)

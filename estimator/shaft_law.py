@@ -13,7 +13,7 @@ along the path, as a series in g does not converge at the disc's resonance (qual
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import numpy as np
 from numba import njit
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from .effect import Effect
 from .effects.law_loop import force_array
+from .linear_memory import filtered
 from .motion_blocks import MotionBlocks, without_hz
 
 Array = NDArray[np.float64]
@@ -48,7 +49,7 @@ def along(effect: Effect, p: Array, data: MotionBlocks, i: int, lin: Array) -> t
     mean = 0.5 * data.x[caps].astype(np.float64).sum(axis=0)
     steps = max(1, int(np.ceil(disc.w0 / (STEP * data.rate_hz))))
     force = _beside(
-        _finer(mean, data.rate_hz, disc.follows, 2 * steps), g, disc.m, disc.C, disc.K, 1.0 / data.rate_hz, steps
+        filtered(disc.follows, mean, data.rate_hz, 2 * steps), g, disc.m, disc.C, disc.K, 1.0 / data.rate_hz, steps
     )  # fmt: skip
     angles = 2 * np.pi * np.arange(ANGLES) / ANGLES
     turn = np.fft.fft(_taken(effect, p, np.zeros(ANGLES), angles)) / ANGLES
@@ -57,20 +58,23 @@ def along(effect: Effect, p: Array, data: MotionBlocks, i: int, lin: Array) -> t
     return force, across
 
 
+def _comb_hz(data: MotionBlocks, effects: Iterable[Effect]) -> tuple[float, float] | None:
+    """Between which a model with such a law is not judged; None for other models."""
+    return data.disc.comb_hz if data.disc is not None and any(effect.kind == "shaft" for effect in effects) else None
+
+
 def without_comb(data: MotionBlocks, effects: Iterable[Effect]) -> MotionBlocks:
-    """The record without the bins where a model with such a law is not judged; as it is for other models."""
-    if data.disc is None or all(effect.kind != "shaft" for effect in effects):
-        return data
-    return without_hz(data, *data.disc.comb_hz)
+    """The record without those bins; as it is for other models."""
+    comb = _comb_hz(data, effects)
+    return data if comb is None else without_hz(data, *comb)
 
 
 def said(data: MotionBlocks, effects: Iterable[Effect]) -> tuple[str, ...]:
     """What to tell of them. data : of the fit."""
-    if data.disc is None or all(effect.kind != "shaft" for effect in effects):
+    comb = _comb_hz(data, effects)
+    if comb is None or comb[1] < data.band[0] or comb[0] > data.band[1]:
         return ()
-    low, high = data.disc.comb_hz
-    if high < data.band[0] or low > data.band[1]:
-        return ()
+    low, high = comb
     return (
         f"beside a shaft that breathes {low:.0f} to {high:.0f} Hz are left out: likelihoods compare only with those of "
         "models that have it (the ladder of improve does so)",
@@ -81,15 +85,6 @@ def _taken(effect: Effect, p: Array, t: Array, phase: Array) -> Array:
     """(n,) N/m that a law takes of the shaft's stiffness."""
     zero = np.zeros(t.size)
     return np.asarray(-force_array(effect, p, np.ones(t.size), zero, zero, zero, t, phase))
-
-
-def _finer(x: Array, rate_hz: float, response: Callable[[Array], Complexes], by: int) -> Array:
-    """(by n,) what a response at w (f,) rad/s makes of a series (n,), at `by` times the rate."""
-    from scipy.fft import irfft, next_fast_len, rfft
-
-    size = next_fast_len(x.size, real=True)
-    w = np.asarray(2 * np.pi * np.fft.rfftfreq(size, 1 / rate_hz), dtype=np.float64)
-    return np.asarray(irfft(rfft(x, size) * response(w), by * size)[: by * x.size] * by)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
