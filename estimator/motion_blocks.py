@@ -83,6 +83,16 @@ class MotionBlocks:
         return int(self.start.size)
 
     @property
+    def fold_rows(self) -> NDArray[np.int64]:
+        """(folds,) rows of each time fold; of rows that are not whole blocks any more, its share of them."""
+        last = np.cumsum(np.bincount(self.fold, minlength=FOLDS)) * self.x.shape[1] // self.blocks
+        return np.asarray(np.diff(last, prepend=0), dtype=np.int64)
+
+    def over_folds(self, means: Array) -> Array:
+        """The mean over the record of means over its time folds (folds, ...)."""
+        return np.asarray(np.tensordot(self.fold_rows / self.fold_rows.sum(), means, 1))
+
+    @property
     def f_hz(self) -> Array:
         """Frequencies of the bins, (bins,)."""
         return np.asarray(np.fft.rfftfreq(self.block, 1 / self.rate_hz)[self.bins], dtype=np.float64)

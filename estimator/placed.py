@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from .calm import as_seen
 from .effect import Effect
 from .features import FINER, MARGIN, Series, State, decimated, depends, folds, jumps, law_force
 from .hidden_states import along
-from .motion_blocks import MotionBlocks
+from .motion_blocks import FOLDS, MotionBlocks
 
 Array = NDArray[np.float64]
 PIECE = 1 << 15  # rows of a record at a time: what a law needs of them stays in the cache
@@ -42,14 +43,15 @@ def remembers(placed: Placed, lin: Array) -> bool:
 
 
 def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | None = None) -> Evaluated:
-    """(n,) N of the effect at place i, (places, 2) its mean tangent to x_l and v_l of every place, and what more it
-    answers to x_l in the mean, (places, bins) N/m, where it has a memory or acts through the disc.
+    """(n,) N of the effect at place i, (folds, places, 2) its mean tangents to x_l and v_l of every place in every time
+    fold, and what more it answers to x_l in the mean, (places, bins) N/m, where it has a memory or acts through the
+    disc.
 
     lin : (places, 3) m, kL, c. The tangent is averaged along the path, not under an assumed density: for a jump
     in v it is the Ito correction of this path.
     """
     p = np.ascontiguousarray(placed.p if p is None else p, dtype=np.float64)
-    slopes = np.zeros((len(data.places), 2))
+    slopes = np.zeros((FOLDS, len(data.places), 2))
     if placed.effect.kind == "memory":
         linear = linear_memory.response(placed.effect, p, lin[i])
         if linear is not None:
@@ -61,10 +63,10 @@ def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | 
         f, across = shaft_law.along(placed.effect, p, data, i, lin)
         return f, slopes, across
     out, sums = _along(placed.effect, p, data, i)
-    slopes[i] += sums[:2]
+    slopes[:, i] += sums[:, :2]
     o = data.other(i)
     if o is not None:
-        slopes[o] += sums[2:]
+        slopes[:, o] += sums[:, 2:]
     return out, slopes, None
 
 
@@ -84,7 +86,7 @@ def sharp_at(effect: Effect, p: Array, data: MotionBlocks, i: int) -> bool:
 def _along(
     effect: Effect, p: Array, data: MotionBlocks, i: int, tangents: Array | None = None
 ) -> tuple[Array, Array]:  # fmt: skip
-    """(n,) N of a law along the motion of place i, and (4,) its mean tangents: features.py, as the fit has them.
+    """(n,) N of a law along the motion of place i, and (folds, 4) its mean tangents: features.py, as the fit has them.
 
     A law with a jump, or whose harmonics fold back into the band, is evaluated on a finer grid. tangents : (2, n) to
     be filled with those along x and v, on the grid of the data.
@@ -95,9 +97,8 @@ def _along(
     zero = np.zeros(n)
     own: Series = data.calmed(i)
     xo, vo = (zero, zero) if o is None else (data.calmed(o), data.v[o])
-    out, sums = np.empty(n), np.zeros(4)
-    for a in range(0, n, PIECE):
-        b = min(a + PIECE, n)
+    out, sums = np.empty(n), np.zeros((FOLDS, 4))
+    for f, a, b in _pieces(data):
         rows = np.clip(np.arange(a - MARGIN, b + MARGIN), 0, n - 1) if sharp else slice(a, b)
         x, v, xs, vs, t, phase = (z[rows] for z in (own, data.v[i], xo, vo, data.t, data.phase))
         valid = np.ones(x.size, bool)
@@ -108,11 +109,19 @@ def _along(
         else:
             series = None if tangents is None else (tangents[0, a:b], tangents[1, a:b])
             out[a:b], part = law_force(effect, p, state, reads, series)
-        sums += part
-    sums /= n
+        sums[f] += part
+    sums /= np.maximum(data.fold_rows, 1)[:, None]
     if data.calm is not None:
-        as_seen(out, sums, data.calm, i, -1 if o is None else o)
+        as_seen(out, data.over_folds(sums), data.calm, i, -1 if o is None else o)
     return out, sums
+
+
+def _pieces(data: MotionBlocks) -> Iterator[tuple[int, int, int]]:
+    """The time fold of a piece of the record, its first row and the one after its last."""
+    last = np.cumsum(data.fold_rows)
+    for f, (rows, end) in enumerate(zip(data.fold_rows.tolist(), last.tolist(), strict=True)):
+        for a in range(end - rows, end, PIECE):
+            yield f, a, min(a + PIECE, end)
 
 
 def tangent_series(placed: Placed, data: MotionBlocks, i: int, p: Array) -> Array:

@@ -222,11 +222,10 @@ def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subpro
     for f in range(FOLDS):
         part, first = fold_of(data, f), fold_span(point, f).start
         found = []
-        weight = part.blocks / data.blocks
         spectra: list[Series] = []
         for g in groups(part, i, orders, times, v_step):
             spectra += [point.weighing.spectrum(i, z, first=first) for z in g.series]
-            found.append(Group(g.name, [], [t * weight for t in g.tangents], g.knots))
+            found.append(Group(g.name, [], g.tangents, g.knots))
         if not room.size:  # the same for all folds: memory that is new takes longer than what is computed in it
             room = np.empty(len(spectra) * -(-data.blocks // FOLDS) * spectra[0].shape[1], np.float32)
         X = room[: len(spectra) * spectra[0].size].reshape(len(spectra), *spectra[0].shape)
@@ -237,15 +236,17 @@ def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subpro
     power = np.sqrt(np.sum([np.diag(square) for _, _, square in made], axis=0) / point.spectra[i].size)
     scales = own / np.maximum(power, 1e-30)
     made = [(rows, C * scales, square * np.multiply.outer(scales, scales)) for rows, C, square in made]
-    whole = [
-        replace(gs[0], tangents=[sum(t) for t in zip(*(g.tangents for g in gs), strict=True)])
-        for gs in zip(*by_fold, strict=True)
-    ]
+    apart = np.zeros((scales.size, FOLDS, len(data.places), len(data.places), 2))
+    apart[:, :, i] = np.swapaxes([[t for g in found for t in g.tangents] for found in by_fold], 0, 1)
+    mean = data.over_folds(np.swapaxes(apart, 0, 1))
+    apart = (apart - mean[:, None]) * scales[:, None, None, None, None]
+    columns = np.split(mean[:, i], np.cumsum([len(g.tangents) for g in by_fold[0]])[:-1])
+    whole = [replace(g, tangents=[*own]) for g, own in zip(by_fold[0], columns, strict=True)]
     tangents: Complexes = np.concatenate([_tangents(point, i, g, orders, times) for g in whole])
     tangents *= scales[:, None, None, None]
     names = tuple(f"{g.name}.{k}" for g in whole for k in range(len(g.tangents)))
     knots = {g.name: g.knots for g in whole if g.knots is not None}
-    return with_known(extended(point, plain, i, made, names, scales, tangents)), knots
+    return with_known(extended(point, plain, i, made, names, scales, tangents, apart)), knots
 
 
 def with_known(problem: Subproblem) -> Subproblem:
@@ -264,7 +265,10 @@ def with_known(problem: Subproblem) -> Subproblem:
     known = np.flatnonzero(left < KNOWN)
     tangents = gram.tangents.copy()
     tangents[b + known] = np.tensordot(weights[:, known].T, tangents[:b], 1)
-    return replace(problem, gram=replace(gram, tangents=tangents))
+    apart = None if gram.apart is None else gram.apart.copy()
+    if apart is not None:
+        apart[b + known] = np.tensordot(weights[:, known].T, apart[:b], 1)
+    return replace(problem, gram=replace(gram, tangents=tangents, apart=apart))
 
 
 def _tangents(

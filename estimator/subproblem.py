@@ -78,28 +78,31 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: Columns | No
     G = np.zeros((at.size, FOLDS, size, size))
     rows = np.array([0] + [1 + k for k in base])
     G[:, :, : rows.size, : rows.size] = point.gram.G[at][:, :, rows[:, None], rows]
-    tangents, scales = own.tangents[base], own.scales[base]
+    tangents, scales, apart = own.tangents[base], own.scales[base], own.apart[base]
     names, units = tuple(own.names[k] for k in base), tuple(own.units[k] for k in base)
     if extra is not None:
         for number, i in enumerate(at):
             _extend(point, int(i), extra, base, G[number])
         tangents = np.concatenate([tangents, extra.tangents])
         scales = np.concatenate([scales, extra.scales])
+        apart = np.concatenate([apart, extra.apart])
     tangents = point.jacobian.tangents(tangents, at)
     new = () if extra is None else extra.names
-    merged = Gram(G, point.gram.n[at], point.gram.log_weight[at], tangents, scales, names + new,
-                  units + (() if extra is None else extra.units))  # fmt: skip
+    merged = Gram(
+        G, point.gram.n[at], point.gram.log_weight[at], tangents, scales, names + new,
+        units + (() if extra is None else extra.units), apart[:, :, at][:, :, :, at], point.weighing.s,
+    )  # fmt: skip
     jacobian = point.jacobian.at(at)
     return Subproblem(tuple(int(i) for i in at), merged, jacobian, point.fold_blocks, names, new, point.caution[base])
 
 
 def extended(
     point: WorkingPoint, plain: Subproblem, i: int, made: Sequence[tuple[NDArray[np.int64], Array, Array]],
-    names: tuple[str, ...], scales: Array, tangents: Complexes,
+    names: tuple[str, ...], scales: Array, tangents: Complexes, apart: Array,
 ) -> Subproblem:  # fmt: skip
     """A problem without extra terms with those of place i whose `products` are given, fold by fold.
 
-    tangents : (terms, all places, all places, bins), scaled.
+    tangents : (terms, all places, all places, bins), apart : (terms, folds, all places, all places, 2), scaled.
     """
     old, first = plain.gram, 1 + len(plain.base)
     size, at = first + len(names), np.array(plain.places)
@@ -110,6 +113,7 @@ def extended(
     joined = Gram(
         G, old.n, old.log_weight, np.concatenate([old.tangents, point.jacobian.tangents(tangents, at)]),
         np.concatenate([old.scales, scales]), old.names + names, old.units + ("N",) * len(names),
+        np.concatenate([old.apart, apart[:, :, at][:, :, :, at]]), old.s,
     )  # fmt: skip
     return replace(plain, gram=joined, extra=names)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from . import linear_memory, shaft_law
 from .fluctuation import Fluctuation
-from .motion_blocks import MotionBlocks
+from .motion_blocks import FOLDS, MotionBlocks
 from .path_fit import Complexes, Term
 from .placed import Evaluated, Placed, at_home, evaluate, tangent_series
 from .probe import Probe
@@ -42,18 +42,19 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
             continue
         series: dict[int, NDArray[Any]] = {}
         memory: dict[int, Complexes] = {}
-        slopes = np.zeros((len(data.places), len(data.places), 2))
+        slopes = np.zeros((FOLDS, len(data.places), len(data.places), 2))
         ends = _ends(placed, k, data)
         for i in placed.at:
             made = [at(shaft_law.first(data, i) if placed.effect.kind == "shaft" else i, p) for p, _ in ends]
             series[i] = _summed([f if w == 1.0 else w * f for (_, w), (f, _, _) in zip(ends, made, strict=True)])
-            slopes[i] = _summed([w * s for (_, w), (_, s, _) in zip(ends, made, strict=True)])
+            slopes[:, i] = _summed([w * s for (_, w), (_, s, _) in zip(ends, made, strict=True)])
             if responding:
                 memory[i] = _summed([w * m for (_, w), (_, _, m) in zip(ends, made, strict=True) if m is not None])
         rms = float(np.sqrt(np.mean([np.dot(z, z) / z.size for z in series.values()])))
         if rms == 0.0:
             continue  # of a law that is still zero, or that the motion does not reach
-        out.append(light(Term(placed.name(k), q.unit, series, slopes, 1.0 / rms, memory)))
+        mean = data.over_folds(slopes)
+        out.append(light(Term(placed.name(k), q.unit, series, mean, 1.0 / rms, memory, slopes - mean)))
     return out
 
 
@@ -151,6 +152,7 @@ class Span:
     part: NDArray[np.float32]  # (k, n / STRIDE) of their series
     gram: Array
     slopes: Array  # (k, places, 2)
+    apart: Array  # (k, folds, places, 2) of those of time folds, see Term
     memory: Complexes | None  # (k, places, bins) more of the response to x, see Term
 
 
@@ -171,7 +173,10 @@ def span(base: Sequence[Term], i: int) -> Span:
     wide = part.astype(np.float64)
     more = next((b.memory[i] for b in own if i in b.memory), None)
     memory = None if more is None else np.stack([b.memory.get(i, 0.0 * more) * b.scale for b in own])
-    return Span(own, part, wide @ wide.T, np.stack([b.tangent[i] * b.scale for b in own]), memory)
+    slopes = np.stack([b.tangent[i] * b.scale for b in own])
+    still = np.zeros((FOLDS, *slopes.shape[1:]))
+    apart = np.stack([still if b.apart is None else b.apart[:, i] * b.scale for b in own])
+    return Span(own, part, wide @ wide.T, slopes, apart, memory)
 
 
 class Spans:
@@ -193,6 +198,7 @@ def orthogonal(term: Term, spans: Spans, least: float = 1e-4) -> Term | None:
     difference in single precision. None if less than `least` of its rms is left: the base says it all.
     """
     series, slopes, memory = {}, term.tangent.copy(), dict(term.memory)
+    apart = None if term.apart is None else term.apart.copy()
     before = after = 0.0
     for i, z in term.series.items():
         base = spans[i]
@@ -201,6 +207,8 @@ def orthogonal(term: Term, spans: Spans, least: float = 1e-4) -> Term | None:
         for weight, b in zip(weights, base.base, strict=True):
             add_to(rest, -weight * b.scale, b.series[i])
         slopes[i] -= np.tensordot(weights, base.slopes, 1)
+        if apart is not None:
+            apart[:, i] -= np.tensordot(weights, base.apart, 1)
         if base.memory is not None:
             memory[i] = np.asarray(memory.get(i, 0.0) - np.tensordot(weights, base.memory, 1), np.complex128)
         series[i] = rest
@@ -210,7 +218,12 @@ def orthogonal(term: Term, spans: Spans, least: float = 1e-4) -> Term | None:
         return None
     n = next(iter(series.values())).size
     return replace(
-        term, series=series, tangent=slopes, memory=memory, scale=1.0 / float(np.sqrt(after / len(series) / n))
+        term,
+        series=series,
+        tangent=slopes,
+        memory=memory,
+        scale=1.0 / float(np.sqrt(after / len(series) / n)),
+        apart=apart,
     )
 
 

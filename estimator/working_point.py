@@ -210,7 +210,7 @@ def _forces(
                 continue
             f, slope, memory = evaluate(use, data, i, lin)
             add_to(F[i], 1.0, f)
-            D[i] += slope
+            D[i] += data.over_folds(slope)
             if memory is not None:
                 M[:, i] += memory.T
 
