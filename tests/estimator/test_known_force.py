@@ -92,6 +92,17 @@ def test_beside_a_gap_too(noisy: Floats) -> None:
 
 
 @pytest.mark.slow
+def test_an_offset_of_the_sensors_is_nothing_to_the_laws(noisy: Floats) -> None:
+    """Where the record begins the filter makes a stroke of it, a hundred times the motion: its cubic filled the path
+    with 126 N, the next round diverged and `fit` ended with an error of the linear algebra."""
+    free = rig(*MOTION, *FORCE)
+    with np.errstate(over="raise"):
+        plain, lifted = (spectral.fit(free, noisy + [z, z, 0.0, 0.0], RATE).parameters for z in (0.0, 300.0))
+    for key, p in plain.items():
+        assert lifted[key].value == pytest.approx(p.value, abs=0.3 * p.sd)
+
+
+@pytest.mark.slow
 def test_a_law_that_pushes_the_cap_off_its_centre() -> None:
     """Where the cap goes no accelerometer shows; it follows from the law. Without it kNL was 48 % too small."""
     kq = ("kq", 3e12)
