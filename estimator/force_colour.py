@@ -36,8 +36,9 @@ NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to ca
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Mean spectra of one place. power : (cells,) N^2/Hz mean |F|^2; n : bins; A : (cells,) tangent; w : rad/s;
-    colour, noise : shapes of the force that the model has and, as acceleration, of the noise of its sensor."""
+    """Mean spectra of one place. power : (cells,) N^2/Hz mean |F|^2; n : bins; A : (cells,) tangent, the other caps
+    answering; w : rad/s; colour, noise : shapes of the force that the model has and, as acceleration, of the noise of
+    its sensor; others : (m/s^2)^2/Hz that the forces at the other caps move this one by."""
 
     power: Array
     n: Array
@@ -45,16 +46,20 @@ class Cells:
     A: NDArray[np.complex128]
     colour: Array
     noise: Array
+    others: Array
 
     def tangent(self, u: Array) -> NDArray[np.complex128]:
         """A with u[2:4], changes of k and c."""
         return np.asarray(self.A - u[2] / self.w**2 + u[3] / (1j * self.w))
 
     def spectrum(self, u: Array, A: NDArray[np.complex128], factor: float | Array = 1.0) -> Array:
-        """Of the inferred force, if A is the rotor's. u : ln S, ln of the noise; factor : of the force spectrum."""
+        """Of the inferred force, if A is the rotor's. u : ln S, ln of the noise; factor : of the force spectrum.
+
+        Inferred is F - d a, d = A - self.A, of a = (F + self.A o) / A, where o is the motion by the other forces alone.
+        """
         A2 = np.abs(A) ** 2
         force, noise = _exp(u[0]) * self.colour * factor, _exp(u[1]) * self.noise
-        return np.asarray((force / A2 + noise) * np.abs(self.A) ** 2)
+        return np.asarray(((force + np.abs(A - self.A) ** 2 * self.others) / A2 + noise) * np.abs(self.A) ** 2)
 
 
 def cells_of(point: WorkingPoint, i: int) -> Cells:
@@ -67,11 +72,21 @@ def cells_of(point: WorkingPoint, i: int) -> Cells:
     def mean(z: Array) -> Array:
         return np.asarray(np.add.reduceat(z, first) / width)
 
-    A, w = point.A[:, i, i], 2 * np.pi * data.f_hz
+    w = 2 * np.pi * data.f_hz
+    A, others = answered(point.A, point.S, i)
     noise = noise_shape(data.kinds[i : i + 1], w)[0]
     return Cells(
-        mean(power), width * data.blocks, mean(w), mean(A.real) + 1j * mean(A.imag), mean(data.colour[i]), mean(noise)
-    )
+        mean(power), width * data.blocks, mean(w), mean(A.real) + 1j * mean(A.imag), mean(data.colour[i]), mean(noise),
+        mean(others),
+    )  # fmt: skip
+
+
+def answered(A: NDArray[np.complex128], S: Array, i: int) -> tuple[NDArray[np.complex128], Array]:
+    """(f,) force per acceleration of place i while the others answer, and (f,) PSD of the acceleration that the forces
+    S (places,) at the others give it. A : (f, places, places)."""
+    H = np.asarray(np.linalg.inv(A)[:, i], dtype=np.complex128)
+    others = np.delete(np.arange(len(S)), i)
+    return 1.0 / H[:, i], np.asarray(np.abs(H[:, others]) ** 2 @ S[others], dtype=np.float64)
 
 
 def _power(point: WorkingPoint, i: int) -> Array:

@@ -8,6 +8,7 @@ measured force.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import bent_path, force_colour, screen
-from .model import Model
+from .model import Model, Setting
 from .model_uses import placed_of
 from .motion_blocks import MotionBlocks, part_of
 from .path_fit import PathFit
@@ -34,7 +35,7 @@ CLOSER = np.array([0.56, 1.0, 1.8])  # about the best node of a grid of several 
 
 def fit_record(model: Model, data: MotionBlocks) -> WorkingPoint:
     """The model fitted to a record, whatever values its rig file starts from."""
-    uses, near = _suggested(data, placed_of(model, data))
+    uses, near = _suggested(data, placed_of(model, data), placed_of(_unnumbered(model), data))
     loose = [k for k, use in enumerate(uses) if _searched(use)]
     if not loose:
         return fit_model(data, uses, near)
@@ -48,9 +49,28 @@ def fit_record(model: Model, data: MotionBlocks) -> WorkingPoint:
     return fit_model(data, uses, near)
 
 
-def _suggested(data: MotionBlocks, uses: list[Placed]) -> tuple[list[Placed], WorkingPoint | None]:
-    """The uses with their pedestals begun where the force of a model without them suggests, if that fits better; beside
-    a measured force, which forgives no distance, with the point to begin from."""
+def _unnumbered(model: Model) -> Model:
+    """The model with no values for the free numbers of its pedestals."""
+
+    def bare(own: Mapping[str, Setting]) -> dict[str, Setting]:
+        return {name: s if s.fixed else replace(s, value=None) for name, s in own.items()}
+
+    uses = (
+        replace(u, parameters={p: bare(own) for p, own in u.parameters.items()}) if u.name == "pedestal" else u
+        for u in model.effects
+    )
+    return replace(model, effects=tuple(uses))
+
+
+def _suggested(
+    data: MotionBlocks, uses: list[Placed], natural: list[Placed]
+) -> tuple[list[Placed], WorkingPoint | None]:  # fmt: skip
+    """The uses with their pedestals begun where the force of a model without them suggests, or at the natural size, if
+    that fits better; beside a measured force, which forgives no distance, with the point to begin from.
+
+    Beside a shaft as stiff as the bearings, all four caps on pedestals, what the force suggested at one of them led to
+    a stiffness a hundred times too small; the natural size led to the rotor.
+    """
     shaped = [k for k, use in enumerate(uses) if use.effect.name == "pedestal" and any(use.free)]
     others = [use for k, use in enumerate(uses) if k not in shaped and not _searched(use)]
     if not shaped:
@@ -72,10 +92,10 @@ def _suggested(data: MotionBlocks, uses: list[Placed]) -> tuple[list[Placed], Wo
         point = fit_model(part, [*others, *own], replace(without, kL=kL, c=c))
         fitted = {use.key: use for use in point.placed}
         return [fitted.get(use.key, use) for use in uses], point
-    as_typed, as_found = (fit_model(part, [*others, *pair]) for pair in ([uses[k] for k in shaped], own))
-    if as_found.fit.log_likelihood <= as_typed.fit.log_likelihood:
-        return uses, None
-    return [begun.get(k, use) for k, use in enumerate(uses)], None
+    starts = [[uses[k] for k in shaped], own, [natural[k] for k in shaped]]
+    fits = [fit_model(part, [*others, *start]).fit.log_likelihood for start in starts]
+    best = dict(zip(shaped, starts[int(np.argmax(fits))], strict=True))
+    return [best.get(k, use) for k, use in enumerate(uses)], None
 
 
 def _searched(use: Placed) -> list[int]:

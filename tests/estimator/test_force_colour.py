@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden_effects import RATE, one_bearing
+from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import butter, lfilter
 
 from estimator import force_colour
+from estimator.improve import improve
 from estimator.model import EffectUse, Setting
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
@@ -27,6 +28,39 @@ def test_a_fall_without_a_peak_may_be_an_anti_alias_filter() -> None:
         said[name] = [s.note for s in found]
     assert not any(said["whole"])
     assert any("anti-alias filter" in note for note in said["filtered"])
+
+
+def test_the_force_inferred_by_a_wrong_stiffness_beside_caps_that_answer() -> None:
+    """Against the whole of the rotor's matrices: one place has another stiffness than is thought, all are coupled."""
+    rng = np.random.default_rng(1)
+    f, P, i = 40, 4, 2
+    thought = 4.0 * np.eye(P) + rng.normal(size=(f, P, P)) + 1j * rng.normal(size=(f, P, P))
+    delta, S = rng.normal(size=f) + 1j * rng.normal(size=f), rng.uniform(1.0, 2.0, P)
+    true = thought.copy()
+    true[:, i, i] += delta
+    inferred = thought @ np.linalg.inv(true)
+    A, others = force_colour.answered(thought, S, i)
+    one = np.ones(f)
+    c = force_colour.Cells(one, one, one, A, one, 0.0 * one, others)
+    found = c.spectrum(np.array([np.log(S[i]), 0.0, 0.0, 0.0]), A + delta)
+    np.testing.assert_allclose(found, np.abs(inferred[:, i]) ** 2 @ S, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_pedestals_of_all_caps_beside_a_stiff_shaft_are_found_together() -> None:
+    """Without what the other caps answer one of them was found, with numbers that led its fit astray."""
+    rig = replace(coupled_on_a_stiff_shaft(), effects=())
+    own = {
+        p: {"mass": Setting(0.6), "frequency": Setting(hz), "damping": Setting(0.095)}
+        for p, hz in zip(rig.places, (1300.0, 1200.0, 1100.0, 1240.0), strict=True)
+    }
+    y = simulate(replace(rig, effects=(EffectUse("pedestal", own),)), RATE, 20.0, seed=4, noise=0.0)
+    ladder = improve(replace(rig, linear={}), y, RATE)
+    assert ladder.rungs[-1].effects == ("pedestal",)
+    assert ladder.last.verdict == "complete"
+    for place, settings in own.items():
+        got = ladder.parameters[f"{place}.pedestal.frequency"]
+        assert got.value == pytest.approx(settings["frequency"].value, abs=4 * got.sd)
 
 
 @pytest.mark.slow
