@@ -38,6 +38,7 @@ STRIDE = 0.3  # of the reach of a searched parameter: one standard deviation of 
 SETTLED = 0.1  # standard deviations by which the last step of a fit moves
 SHAKEN = 0.3  # the same where laws are dressed by a probe, which moves with them
 LOOKED_AT = 80  # blocks, for the spectrum of the motion
+BESIDE = 0.05  # of what laws do not see outside of the band, that it moves by
 STILL = 1.0  # the same below which the slow displacement is left as it is
 
 
@@ -116,6 +117,9 @@ def fit_model(
         nu_old, (nu, weight) = nu, _noise(point)
         settled = np.allclose(nu * weight, nu_old * weight, rtol=NOISE_STEP, atol=NOISE_STEP * LEAST_NOISE)
         data = data if settled else _calmed(data, nu, point.S)
+        beside = _left_out(point)
+        if not np.allclose(beside, data.left_out, rtol=BESIDE, atol=0.0):
+            data, settled = replace(data, left_out=beside), False
         level = _level(point)
         if not alike(level, data.level):
             data, settled = replace(data, level=level), False
@@ -385,6 +389,15 @@ def _least(grid: Array, cost: Array) -> float:
     bend = before - 2 * here + after
     shift = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
     return float(grid[k] * (grid[k + 1] / grid[k]) ** shift)
+
+
+def _left_out(point: WorkingPoint) -> Array:
+    """(places, 2) sd of the displacement and velocity that laws do not see; as it was where the fit is far off."""
+    data = point.data
+    kL, c = np.einsum("iik->ki", point.slopes)
+    if not (np.all(kL > 0.0) and np.all(c > 0.0)):
+        return data.left_out
+    return left_out(data.mass, c, kL, point.S + data.driven, data.band, data.rate_hz, data.kinds)
 
 
 def _calmed(data: MotionBlocks, nu: Array, S: Array) -> MotionBlocks:

@@ -1,0 +1,103 @@
+"""How the noise of the sensors comes into the inferred forces: through the shaft, that of one bearing into both.
+
+The inferred forces are r = A y = F + A n, with the noise n of the sensors, and with what sampling folds back, which is
+noise of a sensor to all that is inferred. So they are not independent where a shaft couples the caps, R = S + A N A^H,
+and a force that follows the motion y has with r the mean product T A^-1 R, T its mean response. Rows weighed apart, by
+W = 1 / diag R, leave of that T A^-1 (R W - 1) beside the slope of the determinant, T A^-1: noise of bearing 2 would be
+taken for a force at bearing 1 that follows bearing 2 (0.6 % of the bearing force, beside a shaft half as stiff as a
+bearing, behind a Bessel filter of order 6 at 0.45 of the rate). So the response of every force is taken as that to what
+is measured, T A^-1 R W A, which is T where the rows are independent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .bandlimit import noise_shape
+from .motion_blocks import MotionBlocks
+from .side_by_side import each
+
+if TYPE_CHECKING:
+    from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+LEAST_NOISE = 1e-4  # of a sensor, over the force noise, that is looked for
+LITTLE = 1e-4  # correlation of two rows, anywhere in the band, that moves nothing
+
+
+@dataclass(frozen=True, slots=True)
+class NoisePaths:
+    """weight : (places, bins), S over the PSD of each inferred force; root : (bins, places) one over its root. shared :
+    (bins, places, places) correlations of these forces by noise; None where they are independent."""
+
+    weight: Array
+    root: Array
+    shared: Complexes | None
+
+    def coherent(self, i: int, j: int) -> float:
+        """Correlation of two inferred forces in the mean over the band."""
+        return 0.0 if self.shared is None else float(np.mean(self.shared[:, i, j].real))
+
+    def measured(self, A: Complexes) -> Complexes | None:
+        """(bins, places, places) from the response to the motion to that to what is measured; A as the determinant has
+        it."""
+        if self.shared is None:
+            return None
+        apart = self.shared * self.root[:, None, :] / self.root[:, :, None]  # R W - 1
+        return np.asarray(np.eye(A.shape[1]) + np.linalg.solve(A, apart @ A))
+
+
+def noise_paths(data: MotionBlocks, A: Complexes, nu: Array, S: Array) -> NoisePaths:
+    """A : (bins, places, places). nu : (places,) noise of the sensors over S. S : (places,)."""
+    back = beyond(data, A, S)
+    weight = 1.0 / (data.colour + back + nu[:, None] * data.heard(A))
+    P = len(data.places)
+    noise = (noise_shape(data.kinds, 2 * np.pi * data.f_hz) * data.sharpened * nu[:, None] + data.folded) * S[:, None]
+    R = np.einsum("kil,lk,kjl->kij", A, noise, A.conj())
+    R[:, range(P), range(P)] = 0.0
+    root = np.sqrt(weight / S[:, None]).T
+    shared = R * root[:, :, None] * root[:, None, :]
+    return NoisePaths(weight, root, shared if np.abs(shared).max(initial=0.0) > LITTLE else None)
+
+
+def beyond(data: MotionBlocks, A: Complexes, S: Array) -> Array:
+    """(places, bins) PSD over S of each inferred force of what is folded back at all places."""
+    return np.asarray(np.einsum("kil,lk->ik", np.abs(A) ** 2, data.folded * S[:, None]) / S[:, None])
+
+
+def noise_of(point: WorkingPoint) -> tuple[Array, Array]:
+    """nu, (places,), by maximum likelihood on the spectrum of the inferred force; what one of it is there of the force
+    noise, in the mean over the band."""
+    data = point.data
+    heard = data.heard(point.A)
+    known = data.colour + beyond(data, point.A, point.S)
+    weight = heard.mean(axis=1)
+
+    def at(i: int) -> float:
+        step = point.fit.delta[point.columns.index[i]].astype(np.float32)  # the noise is of the values after it
+        Z = point.spectra[i] + np.tensordot(step, point.columns.spectra[i], 1)
+        Z = Z.reshape(data.blocks, -1, 2)
+        power = np.einsum("bkc,bkc->k", Z, Z) / data.blocks / point.weighing.weight[i]
+        grid = np.concatenate([[0.0], np.geomspace(LEAST_NOISE, 1e3, 61) / weight[i]])
+        shape = known[i] + grid[:, None] * heard[i]
+        S = np.mean(power / shape, axis=1)
+        cost = np.log(S) + np.mean(np.log(shape), axis=1)
+        return _least(grid, cost)
+
+    return np.array(each(at, range(len(data.places)))), weight
+
+
+def _least(grid: Array, cost: Array) -> float:
+    """Where the cost is least between the points of a geometric grid behind 0: the vertex of a parabola."""
+    k = int(np.argmin(cost))
+    if k < 2 or k == grid.size - 1:
+        return float(grid[k])
+    before, here, after = cost[k - 1 : k + 2]
+    bend = before - 2 * here + after
+    shift = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
+    return float(grid[k] * (grid[k + 1] / grid[k]) ** shift)
