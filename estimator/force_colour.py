@@ -275,12 +275,14 @@ def _causes(point: WorkingPoint, i: int) -> tuple[Shape, ...]:
     )  # fmt: skip
 
 
-def pedestal(point: WorkingPoint, i: int) -> Array:
-    """(3,) mass, frequency and damping that the spectrum at a place suggests to a model without one, likely or not."""
+def pedestal(point: WorkingPoint, i: int) -> tuple[Array, float, float]:
+    """(3,) mass, frequency and damping that the spectrum at a place suggests to a model without one, likely or not, and
+    kL and c beside it."""
     c = cells_of(point, i)
     _, u, scale = plain(point, i, c)
     shape = _pedestal(point.data.mass[i], point.kL[i], point.c[i], resonance_hz(point, i))
-    return shape.values(_shaped(c, shape, u, scale)[1][4:])
+    found = _shaped(c, shape, u, scale)[1]
+    return shape.values(found[4:]), float(point.kL[i] + found[2]), float(point.c[i] + found[3])
 
 
 def level(point: WorkingPoint, i: int, gain: float, corner: float) -> Parameter:

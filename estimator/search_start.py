@@ -82,20 +82,22 @@ def _suggested(
     for k in shaped:
         i = uses[k].at[0]
         if kL[i] > 0.0:  # not a fit far from the rotor
-            if data.driven[i] > 0.0:
-                suggested, kL[i], c[i] = bent_path.pedestal(without, i)
-            else:
-                suggested = force_colour.pedestal(without, i)
+            suggest = bent_path.pedestal if data.driven[i] > 0.0 else force_colour.pedestal
+            suggested, kL[i], c[i] = suggest(without, i)
             begun[k] = uses[k].with_values(np.where(uses[k].free, suggested, uses[k].p))
     own = [begun.get(k, uses[k]) for k in shaped]
     if data.measured_force:
         point = fit_model(part, [*others, *own], replace(without, kL=kL, c=c))
         fitted = {use.key: use for use in point.placed}
         return [fitted.get(use.key, use) for use in uses], point
-    starts = [[uses[k] for k in shaped], own, [natural[k] for k in shaped]]
-    fits = [fit_model(part, [*others, *start]).fit.log_likelihood for start in starts]
-    best = dict(zip(shaped, starts[int(np.argmax(fits))], strict=True))
-    return [best.get(k, use) for k, use in enumerate(uses)], None
+    beside = replace(without, kL=kL, c=c, placed=(*others, *own))
+    points = [
+        fit_model(part, [*others, *own], beside),
+        *(fit_model(part, [*others, *(given[k] for k in shaped)]) for given in (uses, natural)),
+    ]
+    best = max(points, key=lambda point: point.fit.log_likelihood)
+    fitted = {use.key: use for use in best.placed}
+    return [fitted.get(use.key, use) for use in uses], best
 
 
 def _searched(use: Placed) -> list[int]:
