@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .diagnose import Diagnosis, diagnose_point
+from .errors import DataError
 from .estimate import Parameter
 from .evidence import Entry
 from .fitted import fitted_model, parameters
@@ -113,7 +114,11 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             before = replace(
                 fitted_model(model, point), ball_pass_order=given.ball_pass_order, order_found=False, mass=given.mass
             )
-            new_whole = _refitted(with_settings(before, best), y, rate_hz)
+            try:
+                new_whole = _refitted(with_settings(before, best), y, rate_hz)
+            except DataError as problem:  # far from the rotor
+                messages.append(f"{found.verdict} was named but no fit with it is sound ({problem}): not added")
+                break
         moved = shift
         if (data := new_whole.point.data).bins.size < point.data.bins.size:  # left out beside a crack
             moved = rungs[-1].heldout_nll - heldout_nll(fit_model(data, list(point.placed), start=point))

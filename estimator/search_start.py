@@ -30,6 +30,7 @@ SECONDS = 6.0
 SHAPE_SECONDS = 20.0  # for the spectrum of the force
 FACTORS = {1: np.geomspace(0.1, 10.0, 13), 2: np.geomspace(0.1, 10.0, 5)}
 COARSE = np.array([0.3, 1.0, 3.0])
+BELOW = 0.1  # of a damping without a pedestal: a fit with one may end as far below zero, on its way to a light one
 CLOSER = np.array([0.56, 1.0, 1.8])  # about the best node of a grid of several numbers, whose steps are wide
 
 
@@ -95,7 +96,9 @@ def _suggested(
         fit_model(part, [*others, *own], beside),
         *(fit_model(part, [*others, *(given[k] for k in shaped)]) for given in (uses, natural)),
     ]
-    best = max(points, key=lambda point: point.fit.log_likelihood)
+    least = -BELOW * np.abs(without.c)
+    sound = [point for point in points if np.all(point.kL > 0.0) and np.all(point.c > least)]
+    best = max(sound or points, key=lambda point: point.fit.log_likelihood)
     fitted = {use.key: use for use in best.placed}
     return [fitted.get(use.key, use) for use in uses], best
 
