@@ -41,6 +41,7 @@ MATTERS = 1e-3  # of the force, in power: less noise than that bends nothing tha
 # each cell, as |f|^2 is noisy there: 14 to 197 nats in records with 2 to 30 % of noise, whatever their length
 WORTH = 250.0
 ALIKE = 10.0  # nats, within which what is left is noise of the sensor
+CALIBRATED = 2e-3  # error of a gain that no calibration, and no weighing of a cap, would show to be one
 UNEVEN = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
 NOTES = {
     "pedestal": CATALOGUE["pedestal"].distinguish,
@@ -318,7 +319,9 @@ def _found(model: Model, point: WorkingPoint, i: int, at_place: Tried) -> list[S
     out = [s for cause, peak in tried.items() for s in suspect(cause, OWN, peak, base)]
     best = max(tried.values(), key=lambda peak: peak.nats, default=base)
     if not _bent_still(r, best, least):
-        return out
+        slight = any(c.effect == "sensor_gain" and abs(peak.u[4]) < CALIBRATED for c, peak in tried.items()
+                     if not _bent_still(r, peak, least))  # fmt: skip
+        return [] if slight else out
     pairs = [(a, b, _both(point, i, r, a, b, tried, scale)) for a, b in combinations(tried, 2)]
     if pairs:
         a, b, peak = max(pairs, key=lambda pair: pair[2].nats)

@@ -111,6 +111,15 @@ def test_a_complete_model_has_no_suspect(seed: int) -> None:
     assert suspects(RIG, fit_whole(RIG, y, RATE).point, y) == []
 
 
+def test_a_gain_that_no_calibration_would_show_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The steps of a simulation make one of 0.04 %, which beside much damping is a force worth a name."""
+    monkeypatch.setattr(bent_path, "NEGLIGIBLE", 1e-4)
+    for error, claimed in ((1.5e-3, False), (3e-3, True)):
+        y = record(seed=3, sensor=heard("sensor_gain", error))
+        found = suspects(RIG, fit_whole(RIG, y, RATE).point, y)
+        assert [s.effect for s in found][:1] == ["sensor_gain"] * claimed
+
+
 def unseen(t: Array) -> Array:
     """An eighth of the power of the measured force."""
     return np.random.default_rng(17).normal(size=t.size) * np.sqrt(S / 8 * RATE / 2)
