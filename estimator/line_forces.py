@@ -34,6 +34,7 @@ Complexes = NDArray[np.complex128]
 SURE = 1.3  # the local noise is known to about a tenth: so much more is asked of a line
 LEVEL = 1e-4  # chance of one false line in a record, in a blind search
 NEAR_DISC = 0.04  # of the disc's resonance on its shaft, on either side
+UNSURE_DISC = 0.25  # of the same, where it may be: a shaft 30 % stiffer, or a disc a fifth lighter, than was said
 ALIKE = 0.02  # of a line in two channels, that their sensors may differ by
 KNOWN_LEVEL = 1e-4  # at an order that is looked at on purpose
 
@@ -45,7 +46,10 @@ def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Su
     rotation = (model.speed_rpm or 0.0) / 60.0
     tracked = [] if s.phase is None else [rotation, 2 * rotation]
     threshold = SURE * float(np.log(s.Y.size / LEVEL))
-    lines = _standing(s, (*known, *tracked), threshold)
+    lines = [
+        hz for hz in _standing(s, (*known, *tracked), threshold)
+        if not _about_disc(model, hz) or s.over_neighbours(hz) > threshold
+    ]  # fmt: skip
     out: list[Suspect] = []
     if rotation > 0.0 and not any(use.name == "local_defect" for use in model.effects):
         turned = by_angle(s)
@@ -64,6 +68,12 @@ def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Su
         if suspect is not None:
             out.append(suspect)
     return out
+
+
+def _about_disc(model: Model, hz: float) -> bool:
+    """Whether the disc may resonate there on its shaft, if both are not quite those of the rig file."""
+    notch = shaft_notch(model)
+    return notch is not None and abs(hz / (0.5 * sum(notch)) - 1.0) < UNSURE_DISC
 
 
 def _searched(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> Spectrum:

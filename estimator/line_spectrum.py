@@ -88,6 +88,15 @@ class Spectrum:
         tone = np.abs(np.vdot(line, Y)) ** 2 / np.vdot(line, line).real
         return bool(tone > STEADY * max(np.vdot(Y, Y).real - noise, tone))
 
+    def over_neighbours(self, hz: float) -> float:
+        """Power at a frequency over that of the bins about it, where it is largest: the surroundings of a resonance as
+        narrow as theirs are no measure of what chance makes of it."""
+        k = int(np.clip(round(hz * self.seconds), BESIDE, self.f_hz.size - 1 - BESIDE))
+        near = np.abs(self.Y[:, k - BESIDE : k + BESIDE + 1]) ** 2
+        own = slice(BESIDE - 2, BESIDE + 3)
+        beside = np.delete(near, own, axis=1).mean(axis=1)
+        return float((near[:, own].max(axis=1) / np.maximum(beside, 1e-300)).max())
+
 
 def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
     """Spectrum of the motion channels, one per place; missing samples count as zero."""

@@ -30,6 +30,29 @@ def test_a_record_without_a_mean_has_no_line_at_its_lowest_frequencies() -> None
     assert ratio.max() < 15.0
 
 
+def test_a_resonance_as_narrow_as_a_few_bins_is_told_from_a_line_by_its_neighbours() -> None:
+    """Of 0.15 % damping, a disc's on its shaft: the largest of the bins in its width may have the shape of a line."""
+    rate, seconds, hz, loss = 1000.0, 60.0, 180.0, 1.5e-3
+    rig = replace(one_bearing(), channels=one_bearing().channels[:1])
+    pole = np.exp((-loss + 1j) * 2 * np.pi * hz / rate)
+    rng = np.random.default_rng(0)
+    threshold = 31.0
+    alike = 0
+    for _ in range(60):
+        force = rng.normal(size=int(seconds * rate) + 20000)
+        y = 4e-3 * lfilter([1.0], np.poly([pole, pole.conj()]).real, force)[20000:] + rng.normal(
+            size=int(seconds * rate)
+        )
+        s = spectrum_of(rig, y[:, None], rate)
+        about = np.flatnonzero(np.abs(s.f_hz - hz) < 1.0)
+        peak = float(s.f_hz[about[np.argmax(np.abs(s.Y[0, about]))]])
+        alike += s.steady(peak)
+        assert s.over_neighbours(peak) < threshold
+        line = 0.3 * np.cos(2 * np.pi * (hz - 3.0) * np.arange(y.size) / rate)
+        assert spectrum_of(rig, (y + line)[:, None], rate).over_neighbours(hz - 3.0) > threshold
+    assert alike > 10
+
+
 @pytest.mark.slow
 def test_hum_of_the_sensors_is_told_from_a_force_where_the_channels_tell_it() -> None:
     rig = one_bearing()  # stiffness in x and y 8 % apart
