@@ -129,7 +129,7 @@ def _gram(
     names, scales = tuple(t.name for t in all_terms), np.array([t.scale for t in all_terms])
     units = tuple(t.unit for t in all_terms)
     blocks = float(np.mean([m.mean() for m in masks])) * data.blocks
-    stacked = point.jacobian.tangents(np.stack(responses), index)
+    stacked = point.jacobian.tangents(point.weighing.seen(np.stack(responses)), index)
     return Gram(G, n, np.zeros_like(n), stacked, scales, names, units), blocks
 
 

@@ -3,16 +3,18 @@ of two: roll_off.py."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import fields
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from . import force_colour
+from .filter_designs import designs
 from .force_colour import Cells
-from .roll_off import POWERS, RollOff, averaged, devices, folded, suspected
+from .roll_off import POWERS, Filter, RollOff, devices, suspected
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -24,6 +26,9 @@ ALIKE = 0.8  # the same of two channels of a bearing: one that falls beside one 
 CHANCE = 3.0  # standard deviations of a deviance
 MISFIT = 6.0  # standard deviations of a deviance that is looked into, where nothing falls at the end of the band
 MOST_MEANS = 8.0
+SCALE = 0.05  # of a filter's numbers
+CUTOFF, WIDE = 0.45, 2.0  # of the rate, that a search for a filter begins with; as far as it goes in ln
+Number = tuple[float, float, float]  # of a filter: begun with, least, most
 LINE, LINES = 6.0, 0.1  # standard deviations that a line raises a cell by; of the cells, those that lines may have
 BEHIND = 20.0  # in deviance, that a cause of another kind may fit better by: it has more numbers
 
@@ -35,18 +40,20 @@ def find(point: WorkingPoint) -> RollOff | None:
         return None
     cells, fits = _without_lines(point, [force_colour.cells_of(point, i) for i in places])
     together, found = _fall(point, places, cells, fits, EXPLAINED)
+    if found is not None and together - (df := sum(c.n.size - 4 for c in cells)) < CHANCE * np.sqrt(2.0 * df):
+        return dict.fromkeys(data.places, found)
     nodes = [(own, *_fall(point, own, [cells[i] for i in own], [fits[i] for i in own], ALIKE))
              for own in devices(data.places)]  # fmt: skip
     apart = {data.places[i]: off for own, _, off in nodes if off is not None for i in own}
     less = together - sum(after for _, after, _ in nodes)
     if apart and (found is None or chdtrc(POWERS.size * (len(nodes) - 1), less) < LEVEL):
-        return RollOff(apart=apart)
-    return found
+        return apart
+    return None if found is None else dict.fromkeys(data.places, found)
 
 
 def _fall(
     point: WorkingPoint, places: list[int], cells: list[Cells], fits: list[Plain], explained: float
-) -> tuple[float, RollOff | None]:
+) -> tuple[float, Filter | None]:
     """Deviance of some places behind what they fall alike by, and that; without it where nothing falls, or something
     else fits better. explained : of the misfit beyond chance, at least."""
     hz, count = cells[0].w / (2 * np.pi), cells[0].n
@@ -55,8 +62,8 @@ def _fall(
     falls = suspected(np.stack([_ratio(*z) for z in zip(cells, fits, strict=True)], axis=1), hz, count, highest)
     if not falls and before - df < MISFIT * np.sqrt(2 * df):
         return before, None
-    after, found = min(_steep(point, cells, fits), _slow(point, places, cells, fits), key=lambda t: t[0])
-    fall = -np.log(found.passed(hz, point.data.band[1]))
+    after, found = _likeliest(point, places, cells, fits)
+    fall = -np.log(found.passed(hz))
     rms = float(np.sqrt(np.average((fall - np.average(fall, weights=count)) ** 2, weights=count)))
     if chdtrc(POWERS.size, before - after) > LEVEL or rms < LEAST:
         return before, None
@@ -66,34 +73,31 @@ def _fall(
     return (after, found) if after < other + BEHIND else (before, None)
 
 
-def _steep(point: WorkingPoint, cells: list[Cells], fits: list[Plain]) -> tuple[float, RollOff]:
-    """Deviance of all places behind a filter that lets nothing through above half the rate, and that filter."""
-    x = cells[0].w / (2 * np.pi * point.data.band[1])
-    basis = x[:, None] ** POWERS
-
-    def spectra(i: int, c: Cells, u: Array, z: Array) -> Array:
-        return c.spectrum(u, c.tangent(u), np.exp(-basis @ z))
-
-    after, z = _joint(cells, fits, spectra, np.full(POWERS.size, 0.01), 0.05, np.inf)
-    return after, RollOff(tuple(z.tolist()))
-
-
-def _slow(
+def _likeliest(
     point: WorkingPoint, places: list[int], cells: list[Cells], fits: list[Plain]
-) -> tuple[float, RollOff]:  # fmt: skip
-    """The same behind means over a sample, with what they fold back."""
-    data, hz = point.data, cells[0].w / (2 * np.pi)
-    mass = data.mass[places]
+) -> tuple[float, Filter]:  # fmt: skip
+    """Akaike's information (deviance and twice the number of numbers) of all places behind the filter that explains
+    them best, and that filter: means over a sample, the poles of a design, both, with what they fold back, or a fall of
+    any form that folds nothing back."""
+    blank = Filter(point.data.rate_hz, point.data.band[1])
 
-    def spectra(i: int, c: Cells, u: Array, z: Array) -> Array:
-        means = float(z[0])
-        back = folded(hz, means, data.rate_hz, data.kinds[places[i]]) / mass[i] ** 2
-        A = c.tangent(u)
-        return c.spectrum(u, A, averaged(hz, means, data.rate_hz) + back * np.abs(A) ** 2)
+    def tried(made: Callable[[list[float]], Filter], *numbers: Number) -> tuple[float, Filter]:
+        deviance, found = _joint(point, places, cells, fits, made, numbers)
+        return deviance + 2 * len(numbers), found
 
-    after, z = _joint(cells, fits, spectra, np.ones(1), 0.1, MOST_MEANS)
-    free = zip(places, (point.kL[places] / mass).tolist(), (point.c[places] / mass).tolist(), strict=True)
-    return after, RollOff(means=float(z[0]), rate_hz=data.rate_hz, free={data.places[i]: (k, c) for i, k, c in free})
+    def poles(name: str, own: tuple[float, ...], z: list[float]) -> Filter:
+        cutoff = CUTOFF * blank.rate_hz * float(np.exp(z[0]))
+        return replace(blank, poles=own, cutoff_hz=cutoff, name=name, means=sum(z[1:]))
+
+    ways = [tried(lambda z: replace(blank, means=z[0]), (1.0, 0.0, MOST_MEANS))]
+    ways += [tried(partial(poles, *design), (0.0, -WIDE, WIDE)) for design in designs().items()]
+    ways.append(tried(lambda z: replace(blank, nepers=tuple(z)), *[(0.01, 0.0, np.inf)] * POWERS.size))
+    best = min(ways, key=lambda way: way[0])
+    if not (own := best[1]).poles:
+        return best
+    cutoff = float(np.log(own.cutoff_hz / CUTOFF / blank.rate_hz))
+    both = tried(partial(poles, own.name, own.poles), (cutoff, -WIDE, WIDE), (0.5, 0.0, MOST_MEANS))
+    return min(best, both, key=lambda way: way[0])
 
 
 def _without_lines(point: WorkingPoint, cells: list[Cells]) -> tuple[list[Cells], list[Plain]]:
@@ -114,31 +118,42 @@ def _ratio(c: Cells, fit: Plain) -> Array:
 
 
 def _joint(
+    point: WorkingPoint,
+    places: list[int],
     cells: list[Cells],
     fits: list[Plain],
-    spectra: Callable[[int, Cells, Array, Array], Array],
-    first: Array,
-    scale: float,
-    most: float,
-) -> tuple[float, Array]:
-    """Deviance of all places behind one filter, and its numbers. spectra : (cells,) of a place, its own numbers and
-    those of the filter, which are between 0 and `most`."""
+    made: Callable[[list[float]], Filter],
+    numbers: Sequence[Number],
+) -> tuple[float, Filter]:
+    """Deviance of all places behind one filter, and that. made : the filter of its numbers."""
     from scipy.optimize import least_squares
 
-    count, places = first.size, len(cells)
+    data, hz = point.data, cells[0].w / (2 * np.pi)
+    count, number = len(numbers), len(places)
+    first, least, most = np.array(numbers).T
     roots = [np.sqrt(c.n) for c in cells]
-    scales = np.concatenate([np.full(count, scale), *(s for _, _, s in fits)])
+    scales = np.concatenate([np.full(count, SCALE), *(s for _, _, s in fits)])
     start = np.concatenate([first, *(u for _, u, _ in fits)]) / scales
     low, high = np.full(start.size, -np.inf), np.full(start.size, np.inf)
-    low[:count], high[:count] = 0.0, most / scale
+    low[:count], high[:count] = least / SCALE, most / SCALE
+    through = [_through(point, i, hz) for i in places]
 
     def residual(z: Array) -> Array:
         z = z * scales
-        own = z[count:].reshape(places, 4)
-        out = []
-        for i, (c, root) in enumerate(zip(cells, roots, strict=True)):
-            out.append(force_colour.deviance(root, c.power / np.maximum(spectra(i, c, own[i], z[:count]), 1e-300)))
+        off, own = made(z[:count].tolist()), z[count:].reshape(number, 4)
+        passed, out = off.passed(hz), []
+        for i, c, root, u, white in zip(places, cells, roots, own, through, strict=True):
+            behind = replace(c, back=off.folded(hz, data.kinds[i]) * white)
+            spectrum = behind.spectrum(u, c.tangent(u), passed)
+            out.append(force_colour.deviance(root, c.power / np.maximum(spectrum, 1e-300)))
         return np.concatenate(out)
 
     found = least_squares(residual, start, bounds=(low, high), max_nfev=60)
-    return 2 * float(found.cost), np.asarray(found.x[:count] * scale)
+    return 2 * float(found.cost), made((found.x[:count] * SCALE).tolist())
+
+
+def _through(point: WorkingPoint, i: int, hz: Array) -> Array:
+    """(cells,) PSD over S of the inferred force at a place, of white noise at all that a free mass has from its S."""
+    data = point.data
+    share = np.abs(point.A[:, i]) ** 2 @ (point.S / point.S[i] / data.mass**2)
+    return np.asarray(np.interp(hz, data.f_hz, share))

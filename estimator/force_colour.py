@@ -20,8 +20,9 @@ from .bandlimit import noise_shape
 from .effects import CATALOGUE
 from .estimate import Parameter
 from .model import MOTION, Model
+from .noise_paths import LEAST_NOISE, beyond
 from .suspect import Suspect
-from .working_point import LEAST_NOISE, WorkingPoint
+from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 CELLS = 260
@@ -38,7 +39,8 @@ NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to ca
 class Cells:
     """Mean spectra of one place. power : (cells,) N^2/Hz mean |F|^2; n : bins; A : (cells,) tangent, the other caps
     answering; w : rad/s; colour, noise : shapes of the force that the model has and, as acceleration, of the noise of
-    its sensor; others : (m/s^2)^2/Hz that the forces at the other caps move this one by."""
+    its sensor; others : (m/s^2)^2/Hz that the forces at the other caps move this one by; back : over S, the force that
+    what sampling folds back at all caps makes."""
 
     power: Array
     n: Array
@@ -47,6 +49,7 @@ class Cells:
     colour: Array
     noise: Array
     others: Array
+    back: Array
 
     def tangent(self, u: Array) -> NDArray[np.complex128]:
         """A with u[2:4], changes of k and c."""
@@ -58,8 +61,9 @@ class Cells:
         Inferred is F - d a, d = A - self.A, of a = (F + self.A o) / A, where o is the motion by the other forces alone.
         """
         A2 = np.abs(A) ** 2
-        force, noise = _exp(u[0]) * self.colour * factor, _exp(u[1]) * self.noise
-        return np.asarray(((force + np.abs(A - self.A) ** 2 * self.others) / A2 + noise) * np.abs(self.A) ** 2)
+        S, noise = _exp(u[0]), _exp(u[1]) * self.noise
+        force = S * self.colour * factor + np.abs(A - self.A) ** 2 * self.others
+        return np.asarray((force / A2 + noise) * np.abs(self.A) ** 2 + S * self.back)
 
 
 def cells_of(point: WorkingPoint, i: int) -> Cells:
@@ -77,7 +81,7 @@ def cells_of(point: WorkingPoint, i: int) -> Cells:
     noise = noise_shape(data.kinds[i : i + 1], w)[0]
     return Cells(
         mean(power), width * data.blocks, mean(w), mean(A.real) + 1j * mean(A.imag), mean(data.colour[i]), mean(noise),
-        mean(others),
+        mean(others), mean(beyond(data, point.A, point.S)[i]),
     )  # fmt: skip
 
 
@@ -421,6 +425,7 @@ def _shared(model: Model, point: WorkingPoint) -> list[Suspect]:
         a, b = point.spectra[i], point.spectra[j]
         n = float(a.size / 2)
         rho = float(np.vdot(a, b) / np.sqrt(float(np.vdot(a, a)) * float(np.vdot(b, b))))
+        rho -= point.weighing.paths.coherent(i, j)
         gain = -n * float(np.log(max(1 - rho**2, 1e-12)))
         p = float(min(1.0, chdtrc(1, 2 * gain) * len(data.places)))
         if p > LEVEL or abs(rho) < 0.02:

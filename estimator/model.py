@@ -93,7 +93,7 @@ class Model:
     mass : kg, keys "disc", "bearing1", "bearing2" (also "bearing1.x" where directions differ); absent = unknown.
     candidates : laws of the user that are not in the model, but on trial when it is diagnosed.
     order_found : whether ball_pass_order is only an estimate, from the record.
-    roll_off : what the recorder takes of every channel, found in the record (roll_off.py); None where nothing is known.
+    roll_off : by place, what the recorder takes, found in the record (roll_off.py); None where nothing is known.
     shaft_stiffness, shaft_damping : N/m and N s/m of each half of the shaft (physics: k of chain or beam form).
     """
 

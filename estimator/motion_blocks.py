@@ -63,6 +63,7 @@ class MotionBlocks:
     rms: Array  # (3, places) of x, of v and of a, over the whole record
     driven: Array  # (places,) N^2/Hz, PSD of the measured forces; 0 without
     sharpened: Array  # (places, bins) by what undoing a sensor's resonance has multiplied its noise, in power
+    folded: Array  # (places, bins) PSD of acceleration that sampling folds back, over S: roll_off.py
     measured: Series | None = None  # (places, n) displacement below the band, where the sensor is one of displacement
     slow: Series | None = None  # (places, n) all of it that the laws see: slow_motion.py
     calm: Series | None = None  # (places, n) what laws see of x beside it, less the noise of sensors: calm.py
@@ -70,7 +71,6 @@ class MotionBlocks:
     shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
     pushes: tuple[Push, ...] = ()  # the model's periodic forces below the band, which laws feel
     waves: tuple[Wave, ...] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
-    folded: Array | float = 0.0  # (places, bins) PSD of acceleration that sampling folds back, over S: roll_off.py
     level: Array | None = None  # (places, blocks) power of the unknown force over its mean: force_level.py
     disc: Disc | None = None  # on its shaft, where there is one: shaft_law.py
 
@@ -176,9 +176,8 @@ def without_hz(data: MotionBlocks, low: float, high: float) -> MotionBlocks:
     keep = (data.f_hz < low) | (data.f_hz > high)
     if keep.all():
         return data
-    folded = data.folded if isinstance(data.folded, float) else data.folded[:, keep]
     return replace(data, bins=data.bins[keep], shaft=data.shaft[keep], colour=data.colour[:, keep],
-                   sharpened=data.sharpened[:, keep], folded=folded)  # fmt: skip
+                   sharpened=data.sharpened[:, keep], folded=data.folded[:, keep])  # fmt: skip
 
 
 def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:
@@ -309,8 +308,8 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     return MotionBlocks(
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
         shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, driven,
-        sharpened(model, places, f), below, below, None, 0.0, _shared(model, places), pushes(model, places),
-        waves(model, places, rate_hz), _folded(model, places, kinds, mass, f), disc=disc_of(model),
+        sharpened(model, places, f), _folded(model, places, kinds, mass, f), below, below, None, 0.0,
+        _shared(model, places), pushes(model, places), waves(model, places, rate_hz), disc=disc_of(model),
     )  # fmt: skip
 
 
@@ -336,12 +335,13 @@ def sharpened(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
     return np.array([1.0 / np.abs(of_place(model, p, 2 * np.pi * f_hz)) ** 2 for p in places])
 
 
-def _folded(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], mass: Array, f_hz: Array) -> Array | float:
+def _folded(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], mass: Array, f_hz: Array) -> Array:
     """What the recorder's filter lets through above half the rate, as MotionBlocks.folded."""
-    if model.roll_off is None:
-        return 0.0
-    own = [model.roll_off.at(place).folded(f_hz, kind) for place, kind in zip(places, kinds, strict=True)]
-    return np.array(own) / mass[:, None] ** 2 if np.any(own) else 0.0
+    out = np.zeros((len(places), f_hz.size))
+    for place, own in (model.roll_off or {}).items():
+        i = places.index(place)
+        out[i] = own.folded(f_hz, kinds[i]) / mass[i] ** 2
+    return out
 
 
 def colours(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
@@ -351,10 +351,9 @@ def colours(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
 
     known = forced(model)
     out = np.ones((len(places), f_hz.size))
-    kinds = {c.place: c.kind for c in model.channels if c.kind in MOTION}
     for i, place in enumerate(places):
-        if model.roll_off is not None and place not in known:
-            out[i] = model.roll_off.colour(place, f_hz, model.band[1], kinds[place])
+        if model.roll_off and place in model.roll_off and place not in known:
+            out[i] = model.roll_off[place].passed(f_hz)
     for use in model.effects:
         if use.name not in COLOURS:
             continue

@@ -23,6 +23,7 @@ from scipy.linalg import block_diag
 
 from .contour import turns
 from .motion_blocks import FOLDS, MotionBlocks
+from .noise_paths import NoisePaths
 from .side_by_side import each
 
 Array = NDArray[np.float64]
@@ -128,16 +129,19 @@ class Gram:
 
 @dataclass
 class Weighing:
-    """Turns series into weighted block spectra at a working point. weight : (places, bins); s : (bins,) of the
-    determinant."""
+    """Turns series into weighted block spectra at a working point. s : (bins,) of the determinant. measured : (bins,
+    places, places) from a response to the motion to one to what is measured: noise_paths.py."""
 
     data: MotionBlocks
-    weight: Array
+    paths: NoisePaths
     s: Complexes
+    measured: Complexes | None = None
+    weight: Array = field(init=False)  # (places, bins)
     _root: Array = field(init=False)
     _bins: slice | NDArray[np.int64] = field(init=False)
 
     def __post_init__(self) -> None:
+        self.weight = self.paths.weight
         # one-sided PSD normalisation: the mean of |F|^2 over bins is S
         self._root = np.sqrt(self.weight * 2.0 / (self.data.rate_hz * self.data.block)).astype(np.float32)
         bins = self.data.bins
@@ -166,6 +170,12 @@ class Weighing:
             out /= np.sqrt(self.data.level[i, first : first + len(z), None]).astype(np.float32)
         return out
 
+    def seen(self, tangents: Complexes) -> Complexes:
+        """Tangents (..., places, places, bins) as the determinant needs them: to what is measured."""
+        if self.measured is None:
+            return tangents
+        return np.asarray(np.einsum("...ilf,flj->...ijf", tangents, self.measured))
+
     def columns(self, terms: list[Term]) -> Columns:
         index: dict[int, list[int]] = {}
         for k, term in enumerate(terms):
@@ -179,7 +189,7 @@ class Weighing:
             return out
 
         spectra = dict(zip(index, each(at, index), strict=True))
-        tangents = np.array([term_response(t, self.s) for t in terms])
+        tangents = self.seen(np.array([term_response(t, self.s) for t in terms]))
         return Columns(
             tuple(t.name for t in terms), tuple(t.unit for t in terms), np.array([t.scale for t in terms]), tangents,
             spectra, {i: np.array(k) for i, k in index.items()},

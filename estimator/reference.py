@@ -283,4 +283,4 @@ def _tangents(
         s2 = point.weighing.s**2
         for k, sigma in enumerate(dressings(group.name, here, point.data.rms[:2, i], group.knots, orders, times)):
             out[k, i, i] -= sigma / s2
-    return out
+    return point.weighing.seen(out)

@@ -64,9 +64,9 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
     for i, name in enumerate(names):
         f, measured = of_acceleration(data, i)
         model_psd = np.interp(f, *of_acceleration(own, i))
-        if model.roll_off is not None:
-            off = model.roll_off.at(data.places[i])
-            model_psd = model_psd * off.passed(f, data.band[1])
+        if model.roll_off and data.places[i] in model.roll_off:
+            off = model.roll_off[data.places[i]]
+            model_psd = model_psd * off.passed(f)
             folded = off.folded(np.maximum(f, data.band[0]), data.kinds[i])
             model_psd = model_psd + folded * point.S[i] / data.mass[i] ** 2
         inside = (f >= data.band[0]) & (f <= data.band[1])

@@ -90,7 +90,7 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     said = (
         *shortened(data, y),
         *unknown_mass.said(masses),
-        *roll_off.said(whole.model.roll_off, model.band[1]),
+        *roll_off.said(whole.model.roll_off, data.places),
         *force_level.said(data.level),
         *one_end.said(whole.model, dict(zip(data.places, whole.point.kL.tolist(), strict=True))),
         *shaft_law.said(data, [use.effect for use in whole.point.placed]),

@@ -17,6 +17,7 @@ from .fluctuation import Fluctuation, fluctuations
 from .force_level import alike, level_of
 from .model_uses import size, stiffness
 from .motion_blocks import FOLDS, MotionBlocks, part_of, spectrum
+from .noise_paths import LEAST_NOISE, noise_of, noise_paths
 from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing, fit, gram
 from .periodic import Wave
 from .placed import Placed, evaluate, remembers
@@ -31,14 +32,13 @@ Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
 LEAP = 3.0  # from a part of a record to the next
 LAST_ROUNDS = 3  # at most, on the whole of it
-LEAST_NOISE = 1e-4  # of a sensor, over the force noise, that is looked for
 NOISE_STEP = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
 LEAST_LEFT = 0.3  # of a stiffness, after a step, where the force is measured
 STRIDE = 0.3  # of the reach of a searched parameter: one standard deviation of the step that is taken at once
 SETTLED = 0.1  # standard deviations by which the last step of a fit moves
 SHAKEN = 0.3  # the same where laws are dressed by a probe, which moves with them
 LOOKED_AT = 80  # blocks, for the spectrum of the motion
-BESIDE = 0.05  # of what laws do not see outside of the band, that it moves by
+BESIDE = 0.05  # of what laws do not see outside of the band, or of what is folded into it, that it moves by
 STILL = 1.0  # the same below which the slow displacement is left as it is
 
 
@@ -101,8 +101,9 @@ def fit_model(
         kL, c, S = _first_linear(data)
         data = replace(data, left_out=left_out(data.mass, c, kL, S + data.driven, data.band, data.rate_hz, data.kinds))
         nu = np.zeros(P)
+        data = _calmed(data, nu, S)
     else:
-        kL, c, nu = start.kL.copy(), start.c.copy(), start.nu.copy()
+        kL, c, nu, S = start.kL.copy(), start.c.copy(), start.nu.copy(), start.S
         if start.data is not data:
             data = _calmed(replace(data, left_out=start.data.left_out), nu, start.S)
         if {u.key for u in uses} - {u.key for u in start.placed}:  # a strong law takes over much of kL and c
@@ -110,12 +111,14 @@ def fit_model(
     moved = np.full(1, np.inf)
     while True:
         data = data if moved.max(initial=0.0) < STILL else with_slow(data, kL, c, uses)
-        point = _at(data, kL, c, nu, uses)
+        point = _at(data, kL, c, nu, S, uses)
+        S_old, S = S, point.S
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
         moved = moved[: moved.size - 2 * len(data.shared) - len(data.waves)]
         kL, c, uses = _moved(point, kL, c)
-        nu_old, (nu, weight) = nu, _noise(point)
+        nu_old, (nu, weight) = nu, noise_of(point)
         settled = np.allclose(nu * weight, nu_old * weight, rtol=NOISE_STEP, atol=NOISE_STEP * LEAST_NOISE)
+        settled &= not data.folded.any() or np.allclose(S, S_old, rtol=BESIDE)
         data = data if settled else _calmed(data, nu, point.S)
         beside = _left_out(point)
         if not np.allclose(beside, data.left_out, rtol=BESIDE, atol=0.0):
@@ -145,7 +148,7 @@ def _approached(data: MotionBlocks, uses: list[Placed], rounds: int) -> WorkingP
 def thinned(point: WorkingPoint, seconds: float) -> WorkingPoint:
     """The same model on part of the record: for searching, and for pictures."""
     part = part_of(point.data, seconds)
-    return point if part is point.data else _at(part, point.kL, point.c, point.nu, list(point.placed), point)
+    return point if part is point.data else _at(part, point.kL, point.c, point.nu, point.S, list(point.placed), point)
 
 
 def plain(point: WorkingPoint, seconds: float) -> WorkingPoint:
@@ -154,7 +157,7 @@ def plain(point: WorkingPoint, seconds: float) -> WorkingPoint:
     remembering = {u.name(k) for u in point.placed if u.effect.kind == "memory" for k in range(u.p.size)}
     bare = tuple(t if t.name in remembering else replace(t, memory={}) for t in point.terms)
     longer = replace(point, terms=bare, fluctuations=(None,) * len(point.fluctuations))
-    return _at(part_of(point.data, seconds), point.kL, point.c, point.nu, list(point.placed), longer)
+    return _at(part_of(point.data, seconds), point.kL, point.c, point.nu, point.S, list(point.placed), longer)
 
 
 def _first_linear(
@@ -232,7 +235,8 @@ def tangent_at(point: WorkingPoint, f_hz: Array, shaft: NDArray[np.complex128] |
 
 
 def _at(
-    data: MotionBlocks, kL: Array, c: Array, nu: Array, uses: list[Placed], longer: WorkingPoint | None = None
+    data: MotionBlocks, kL: Array, c: Array, nu: Array, S: Array, uses: list[Placed],
+    longer: WorkingPoint | None = None,
 ) -> WorkingPoint:  # fmt: skip
     """The point at these values. longer : the same model on more of the record: what its laws fluctuate is kept."""
     P = len(data.places)
@@ -240,7 +244,8 @@ def _at(
     own = each(lambda use: terms(use, data, lin), uses)
     F, A, D = _forces(data, kL, c, uses, own)
     line = contour(A, data.mass, D, data.f_hz)
-    weighing = Weighing(data, 1.0 / (data.colour + nu[:, None] * data.heard(A)), line.s)
+    paths = noise_paths(data, A, nu, S)
+    weighing = Weighing(data, paths, line.s, paths.measured(along(line.s, A, data.mass, D)))
     spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
     mean = [Mean(float(data.mass[i]), float(D[i, i, 1]), float(D[i, i, 0])) for i in range(P)]
     around = fluctuations(data, uses, mean, lin, line.lasting) if longer is None else longer.fluctuations
@@ -380,17 +385,6 @@ def _level(point: WorkingPoint) -> Array | None:
     return level_of(power * (1.0 if data.level is None else data.level), data.start / data.rate_hz, data.bins.size)
 
 
-def _least(grid: Array, cost: Array) -> float:
-    """Where the cost is least between the points of a geometric grid behind 0: the vertex of a parabola."""
-    k = int(np.argmin(cost))
-    if k < 2 or k == grid.size - 1:
-        return float(grid[k])
-    before, here, after = cost[k - 1 : k + 2]
-    bend = before - 2 * here + after
-    shift = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
-    return float(grid[k] * (grid[k + 1] / grid[k]) ** shift)
-
-
 def _left_out(point: WorkingPoint) -> Array:
     """(places, 2) sd of the displacement and velocity that laws do not see; as it was where the fit is far off."""
     data = point.data
@@ -403,9 +397,8 @@ def _left_out(point: WorkingPoint) -> Array:
 def _calmed(data: MotionBlocks, nu: Array, S: Array) -> MotionBlocks:
     """The record as laws see it beside the noise of sensors; as it is where a force is measured (likely_path.py)."""
     noise = as_displacement(data.kinds, data.f_hz, nu * S) * data.sharpened
-    if np.any(data.folded):  # a sensor's noise to the laws
-        inside = np.array([kind != "displacement" for kind in data.kinds]) * S
-        noise = noise + data.folded * inside[:, None] / (2 * np.pi * data.f_hz) ** 4
+    inside = np.array([kind != "displacement" for kind in data.kinds]) * S
+    noise = noise + data.folded * inside[:, None] / (2 * np.pi * data.f_hz) ** 4
     if data.measured_force or is_little(data.f_hz, noise, data.rms[0] ** 2):
         return replace(data, calm=None, doubt=0.0)
     found = calm_of(data.f_hz, _spectrum(data), noise, 0)
@@ -416,24 +409,3 @@ def _spectrum(data: MotionBlocks) -> Array:
     """(places, bins) one-sided PSD of the displacement, m^2/Hz, of some of the blocks."""
     some = data.x.reshape(len(data.places), data.blocks, -1)[:, :: max(1, data.blocks // LOOKED_AT)]
     return np.array([spectrum(x.ravel(), data.block, data.rate_hz)[1][data.bins] for x in some])
-
-
-def _noise(point: WorkingPoint) -> tuple[Array, Array]:
-    """nu, (places,), by maximum likelihood on the spectrum of the inferred force; what one of it is there of the force
-    noise, in the mean over the band."""
-    data = point.data
-    heard = data.heard(point.A)
-    weight = heard.mean(axis=1)
-
-    def at(i: int) -> float:
-        step = point.fit.delta[point.columns.index[i]].astype(np.float32)  # the noise is of the values after it
-        Z = point.spectra[i] + np.tensordot(step, point.columns.spectra[i], 1)
-        Z = Z.reshape(data.blocks, -1, 2)
-        power = np.einsum("bkc,bkc->k", Z, Z) / data.blocks / point.weighing.weight[i]
-        grid = np.concatenate([[0.0], np.geomspace(LEAST_NOISE, 1e3, 61) / weight[i]])
-        shape = data.colour[i] + grid[:, None] * heard[i]
-        S = np.mean(power / shape, axis=1)
-        cost = np.log(S) + np.mean(np.log(shape), axis=1)
-        return _least(grid, cost)
-
-    return np.array(each(at, range(len(data.places)))), weight
