@@ -250,20 +250,33 @@ def again(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:
 
 def borrowed(point: WorkingPoint, model: Model, trials: Sequence[Trial], spots: Sequence[str]) -> list[Trial]:
     """Trials of one effect, with the searched parameters of the best at every spot that has no better ones of its own:
-    bearings are alike, and a part of the record may not tell a weak effect's."""
+    bearings are alike, and a part of the record may not tell a weak effect's.
+
+    The best is tried with those of the others first: a law of much preload and of little are a few nats apart there.
+    """
     out = {t.spot: t for t in trials}
     best = max(trials, key=lambda t: t.gain, default=None)
     loose = [] if best is None else searched(best.effect, model)
     if best is None or best.p_value > WORTH or not loose:
         return list(trials)
 
+    def moved(trial: Trial, spot: str) -> Trial | None:
+        at = acting(trial.effect, spot, point.data)
+        placed = replace(trial.placed, key=f"{spot}.{trial.effect.name}", at=at)
+        return again(point, model, replace(trial, spot=spot, placed=placed))
+
+    def alike(one: Trial, other: Trial) -> bool:
+        return bool(np.allclose(one.placed.p[loose], other.placed.p[loose]))
+
+    others = [moved(t, best.spot) for t in trials if not alike(t, best)]
+    best = max([best, *(t for t in others if t is not None)], key=lambda t: t.gain)
+    out[best.spot] = best
+
     def lent(spot: str) -> Trial | None:
         own = out.get(spot)
-        if own is not None and np.allclose(own.placed.p[loose], best.placed.p[loose]):
+        if own is not None and alike(own, best):
             return own
-        at = acting(best.effect, spot, point.data)
-        placed = replace(best.placed, key=f"{spot}.{best.effect.name}", at=at)
-        new = again(point, model, replace(best, spot=spot, placed=placed))
+        new = moved(best, spot)
         return own if new is None or (own is not None and new.gain <= own.gain - DIFFERENT) else new
 
     return [t for t in map(lent, spots) if t is not None]
