@@ -57,9 +57,7 @@ def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | 
         if linear is not None:
             own = linear(2 * np.pi * data.f_hz)
             return linear_memory.filtered(linear, data.x[i], data.rate_hz), slopes, at_home(own, i, data)
-        f, mean = along(placed.effect, p, lin[i], data.calmed(i), data.v[i], data.rate_hz)
-        if data.calm is not None:
-            f -= linear_memory.filtered(lambda w: mean.at(w / (2 * np.pi)), data.calm[i], data.rate_hz)
+        f, mean = along(placed.effect, p, lin[i], data.seen(i), data.v[i], data.rate_hz)
         return f, slopes, at_home(mean.at(data.f_hz), i, data)
     if placed.effect.kind == "shaft":
         f, across = shaft_law.along(placed.effect, p, data, i, lin)

@@ -113,7 +113,7 @@ def _pieces(
 ) -> Iterator[tuple[int, Linearised]]:  # fmt: skip
     """First row and laws that remember, at parameters, linearised along the motion of place i, piece by piece."""
     n, dt = data.x.shape[1], 1.0 / data.rate_hz
-    starts, seen = [np.zeros(u.effect.states) for u, _ in laws], data.calmed(i)
+    starts, seen = [np.zeros(u.effect.states) for u, _ in laws], data.seen(i)
     for a in range(0, n, PIECE):
         rows = slice(a, min(a + PIECE, n) + 1)  # one more: where the next piece begins
         found = []
