@@ -319,8 +319,8 @@ def _found(model: Model, point: WorkingPoint, i: int, at_place: Tried) -> list[S
     out = [s for cause, peak in tried.items() for s in suspect(cause, OWN, peak, base)]
     best = max(tried.values(), key=lambda peak: peak.nats, default=base)
     if not _bent_still(r, best, least):
-        slight = any(c.effect == "sensor_gain" and abs(peak.u[4]) < CALIBRATED for c, peak in tried.items()
-                     if not _bent_still(r, peak, least))  # fmt: skip
+        slight = any(c.effect == "sensor_gain" and abs(peak.u[4]) < CALIBRATED and not _bent_still(r, peak, least)
+                     for c, peak in tried.items())  # fmt: skip
         return [] if slight else out
     pairs = [(a, b, _both(point, i, r, a, b, tried, scale)) for a, b in combinations(tried, 2)]
     if pairs:

@@ -113,7 +113,7 @@ def cell_powers(point: WorkingPoint, i: int) -> tuple[Array, Array, NDArray[np.i
     width = np.diff(np.append(first, power.shape[1]))
     sums = np.add.reduceat(power, first, axis=1)
     folded = np.stack([sums[data.fold == f].sum(axis=0) for f in range(FOLDS)])
-    n = np.outer(np.bincount(data.fold, minlength=FOLDS), width).astype(np.float64)
+    n = np.outer(data.fold_blocks, width)
     return folded / n, n, first
 
 

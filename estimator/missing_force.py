@@ -78,7 +78,7 @@ def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) 
         names[n.split(".")[0]] = (*names.get(n.split(".")[0], ()), n)
     plain = problem.without_extra()
     base = plain.fit()
-    everything = np.arange(point.fold_blocks.size)
+    everything = np.arange(point.data.fold_blocks.size)
     tries += len(point.data.places) * len(knots)  # the smooth curves
     level = plain.likelihood(base, everything)
     chosen: list[str] = []

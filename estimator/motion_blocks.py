@@ -83,9 +83,14 @@ class MotionBlocks:
         return int(self.start.size)
 
     @property
+    def fold_blocks(self) -> Array:
+        """(folds,) blocks of each time fold."""
+        return np.bincount(self.fold, minlength=FOLDS).astype(np.float64)
+
+    @property
     def fold_rows(self) -> NDArray[np.int64]:
         """(folds,) rows of each time fold; of rows that are not whole blocks any more, its share of them."""
-        last = np.cumsum(np.bincount(self.fold, minlength=FOLDS)) * self.x.shape[1] // self.blocks
+        last = np.cumsum(self.fold_blocks) * self.x.shape[1] // self.blocks
         return np.asarray(np.diff(last, prepend=0), dtype=np.int64)
 
     def over_folds(self, means: Array) -> Array:

@@ -136,17 +136,20 @@ class Weighing:
     paths: NoisePaths
     s: Complexes
     measured: Complexes | None = None
-    weight: Array = field(init=False)  # (places, bins)
     _root: Array = field(init=False)
     _bins: slice | NDArray[np.int64] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.weight = self.paths.weight
         # one-sided PSD normalisation: the mean of |F|^2 over bins is S
         self._root = np.sqrt(self.weight * 2.0 / (self.data.rate_hz * self.data.block)).astype(np.float32)
         bins = self.data.bins
         unbroken = bins[-1] - bins[0] == bins.size - 1  # a slice is read four times faster
         self._bins = slice(int(bins[0]), int(bins[-1]) + 1) if unbroken else bins
+
+    @property
+    def weight(self) -> Array:
+        """(places, bins)"""
+        return self.paths.weight
 
     def spectrum(
         self, i: int, series: Array | Spectrum, scale: float = 1.0, out: Spectrum | None = None, first: int = 0

@@ -88,17 +88,16 @@ def _suggested(
             begun[k] = uses[k].with_values(np.where(uses[k].free, suggested, uses[k].p))
     own = [begun.get(k, uses[k]) for k in shaped]
     if data.measured_force:
-        point = fit_model(part, [*others, *own], replace(without, kL=kL, c=c))
-        fitted = {use.key: use for use in point.placed}
-        return [fitted.get(use.key, use) for use in uses], point
-    beside = replace(without, kL=kL, c=c, placed=(*others, *own))
-    points = [
-        fit_model(part, [*others, *own], beside),
-        *(fit_model(part, [*others, *(given[k] for k in shaped)]) for given in (uses, natural)),
-    ]
-    least = -BELOW * np.abs(without.c)
-    sound = [point for point in points if np.all(point.kL > 0.0) and np.all(point.c > least)]
-    best = max(sound or points, key=lambda point: point.fit.log_likelihood)
+        best = fit_model(part, [*others, *own], replace(without, kL=kL, c=c))
+    else:
+        beside = replace(without, kL=kL, c=c, placed=(*others, *own))
+        points = [
+            fit_model(part, [*others, *own], beside),
+            *(fit_model(part, [*others, *(given[k] for k in shaped)]) for given in (uses, natural)),
+        ]
+        least = -BELOW * np.abs(without.c)
+        sound = [point for point in points if np.all(point.kL > 0.0) and np.all(point.c > least)]
+        best = max(sound or points, key=lambda point: point.fit.log_likelihood)
     fitted = {use.key: use for use in best.placed}
     return [fitted.get(use.key, use) for use in uses], best
 

@@ -90,10 +90,10 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: Columns | No
     new = () if extra is None else extra.names
     merged = Gram(
         G, point.gram.n[at], point.gram.log_weight[at], tangents, scales, names + new,
-        units + (() if extra is None else extra.units), apart[:, :, at][:, :, :, at], point.weighing.s,
+        units + (() if extra is None else extra.units), _among(apart, at), point.weighing.s,
     )  # fmt: skip
-    jacobian = point.jacobian.at(at)
-    return Subproblem(tuple(int(i) for i in at), merged, jacobian, point.fold_blocks, names, new, point.caution[base])
+    inside = tuple(int(i) for i in at)
+    return Subproblem(inside, merged, point.jacobian.at(at), point.data.fold_blocks, names, new, point.caution[base])
 
 
 def extended(
@@ -113,9 +113,14 @@ def extended(
     joined = Gram(
         G, old.n, old.log_weight, np.concatenate([old.tangents, point.jacobian.tangents(tangents, at)]),
         np.concatenate([old.scales, scales]), old.names + names, old.units + ("N",) * len(names),
-        np.concatenate([old.apart, apart[:, :, at][:, :, :, at]]), old.s,
+        np.concatenate([old.apart, _among(apart, at)]), old.s,
     )  # fmt: skip
     return replace(plain, gram=joined, extra=names)
+
+
+def _among(apart: Array, at: NDArray[np.int64]) -> Array:
+    """Mean tangents of time folds, (terms, folds, places, places, 2), of some places."""
+    return np.asarray(apart[:, :, at[:, None], at])
 
 
 def _extend(point: WorkingPoint, i: int, extra: Columns, base: list[int], G: Array) -> None:

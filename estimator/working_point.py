@@ -75,10 +75,6 @@ class WorkingPoint:
         return np.stack([self.data.mass, self.kL, self.c], axis=1)
 
     @property
-    def fold_blocks(self) -> Array:
-        return np.bincount(self.data.fold, minlength=FOLDS).astype(np.float64)
-
-    @property
     def bearing_force(self) -> Array:
         """(places,) N rms of the force in the bearing, k x + c v + effects, as the scale of what is missing, and
         weighed like it."""
@@ -266,9 +262,8 @@ def _at(
             A[:, i, i] += dressing[:, i]
     there = (1j * line.s.imag / line.s) ** 2  # over -w^2 becomes over s^2
     jacobian = Jacobian(along(line.s, A, data.mass, D), line.offset, dressing * there[:, None])
-    blocks = np.bincount(data.fold, minlength=FOLDS).astype(np.float64)
     caution = _caution(data, G, uses)
-    result = _cautious(G, jacobian, blocks, caution)
+    result = _cautious(G, jacobian, data.fold_blocks, caution)
     kept = tuple(light(t) for t in made)
     return WorkingPoint(
         data,

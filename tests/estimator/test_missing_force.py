@@ -70,7 +70,7 @@ def test_a_force_that_the_model_has_wins_nothing_again(effect: str, values: dict
     point = fit_whole(rig, simulate(rig, RATE, 6.0, seed=2), RATE).point
     pool, _ = reference.pool(point, 0, (1.0, 2.0, 2.1))
     trial = pool.only(tuple(n for n in pool.extra if n.split(".")[0] == group))
-    plain, everything = pool.without_extra(), np.arange(point.fold_blocks.size)
+    plain, everything = pool.without_extra(), np.arange(point.data.fold_blocks.size)
     won = trial.likelihood(missing_force.ridged(trial), everything) - plain.likelihood(plain.fit(), everything)
     assert won < len(trial.extra)  # half of it in the mean, half of its root the scatter
 
@@ -89,7 +89,7 @@ def test_hats_of_the_velocity_win_no_more_than_their_number() -> None:
         point = fit_whole(rig, simulate(rig, RATE, 6.0, seed=seed), RATE).point
         pool, _ = reference.pool(point, 0, (1.0, 2.0))
         trial = pool.only(tuple(n for n in pool.extra if n.startswith("velocity")))
-        plain, everything = pool.without_extra(), np.arange(point.fold_blocks.size)
+        plain, everything = pool.without_extra(), np.arange(point.data.fold_blocks.size)
         fit = missing_force.ridged(trial)
         won.append(2 * (trial.likelihood(fit, everything) - plain.likelihood(plain.fit(), everything)))
         free.append(missing_force._effective(trial, fit, trial.extra))
