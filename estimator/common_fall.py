@@ -3,16 +3,14 @@ of two: roll_off.py."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
-from functools import partial
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from . import force_colour
-from .filter_designs import designs
+from .filter_search import Seen, likeliest
 from .force_colour import Cells
 from .roll_off import POWERS, Filter, RollOff, devices, suspected
 from .working_point import WorkingPoint
@@ -25,12 +23,8 @@ EXPLAINED = 0.5  # of the misfit beyond chance
 ALIKE = 0.8  # the same of two channels of a bearing: one that falls beside one that does not leaves half
 CHANCE = 3.0  # standard deviations of a deviance
 MISFIT = 6.0  # standard deviations of a deviance that is looked into, where nothing falls at the end of the band
-MOST_MEANS = 8.0
-SCALE = 0.05  # of a filter's numbers
-CUTOFF, WIDE = 0.45, 2.0  # of the rate, that a search for a filter begins with; as far as it goes in ln
-Number = tuple[float, float, float]  # of a filter: begun with, least, most
 LINE, LINES = 6.0, 0.1  # standard deviations that a line raises a cell by; of the cells, those that lines may have
-BEHIND = 20.0  # in deviance, that a cause of another kind may fit better by: it has more numbers
+BEHIND = 12.0  # in deviance and a place, that causes of other kinds, two numbers each, may fit better by (Schwarz)
 
 
 def find(point: WorkingPoint) -> RollOff | None:
@@ -62,7 +56,8 @@ def _fall(
     falls = suspected(np.stack([_ratio(*z) for z in zip(cells, fits, strict=True)], axis=1), hz, count, highest)
     if not falls and before - df < MISFIT * np.sqrt(2 * df):
         return before, None
-    after, found = _likeliest(point, places, cells, fits)
+    seen = [Seen(c, _through(point, i, hz), point.data.kinds[i]) for i, c in zip(places, cells, strict=True)]
+    after, found = likeliest(seen, Filter(point.data.rate_hz, point.data.band[1]))
     fall = -np.log(found.passed(hz))
     rms = float(np.sqrt(np.average((fall - np.average(fall, weights=count)) ** 2, weights=count)))
     if chdtrc(POWERS.size, before - after) > LEVEL or rms < LEAST:
@@ -70,34 +65,7 @@ def _fall(
     if after - df > max((1 - explained) * (before - df), CHANCE * np.sqrt(2 * df)):
         return before, None
     other = sum(force_colour.otherwise(point, i, c, *fit) for i, c, fit in zip(places, cells, fits, strict=True))
-    return (after, found) if after < other + BEHIND else (before, None)
-
-
-def _likeliest(
-    point: WorkingPoint, places: list[int], cells: list[Cells], fits: list[Plain]
-) -> tuple[float, Filter]:  # fmt: skip
-    """Akaike's information (deviance and twice the number of numbers) of all places behind the filter that explains
-    them best, and that filter: means over a sample, the poles of a design, both, with what they fold back, or a fall of
-    any form that folds nothing back."""
-    blank = Filter(point.data.rate_hz, point.data.band[1])
-
-    def tried(made: Callable[[list[float]], Filter], *numbers: Number) -> tuple[float, Filter]:
-        deviance, found = _joint(point, places, cells, fits, made, numbers)
-        return deviance + 2 * len(numbers), found
-
-    def poles(name: str, own: tuple[float, ...], z: list[float]) -> Filter:
-        cutoff = CUTOFF * blank.rate_hz * float(np.exp(z[0]))
-        return replace(blank, poles=own, cutoff_hz=cutoff, name=name, means=sum(z[1:]))
-
-    ways = [tried(lambda z: replace(blank, means=z[0]), (1.0, 0.0, MOST_MEANS))]
-    ways += [tried(partial(poles, *design), (0.0, -WIDE, WIDE)) for design in designs().items()]
-    ways.append(tried(lambda z: replace(blank, nepers=tuple(z)), *[(0.01, 0.0, np.inf)] * POWERS.size))
-    best = min(ways, key=lambda way: way[0])
-    if not (own := best[1]).poles:
-        return best
-    cutoff = float(np.log(own.cutoff_hz / CUTOFF / blank.rate_hz))
-    both = tried(partial(poles, own.name, own.poles), (cutoff, -WIDE, WIDE), (0.5, 0.0, MOST_MEANS))
-    return min(best, both, key=lambda way: way[0])
+    return (after, found) if after < other + BEHIND * len(places) else (before, None)
 
 
 def _without_lines(point: WorkingPoint, cells: list[Cells]) -> tuple[list[Cells], list[Plain]]:
@@ -115,41 +83,6 @@ def _without_lines(point: WorkingPoint, cells: list[Cells]) -> tuple[list[Cells]
 def _ratio(c: Cells, fit: Plain) -> Array:
     """(cells,) measured power over the model's."""
     return c.power / force_colour.base_model(c, fit[1])
-
-
-def _joint(
-    point: WorkingPoint,
-    places: list[int],
-    cells: list[Cells],
-    fits: list[Plain],
-    made: Callable[[list[float]], Filter],
-    numbers: Sequence[Number],
-) -> tuple[float, Filter]:
-    """Deviance of all places behind one filter, and that. made : the filter of its numbers."""
-    from scipy.optimize import least_squares
-
-    data, hz = point.data, cells[0].w / (2 * np.pi)
-    count, number = len(numbers), len(places)
-    first, least, most = np.array(numbers).T
-    roots = [np.sqrt(c.n) for c in cells]
-    scales = np.concatenate([np.full(count, SCALE), *(s for _, _, s in fits)])
-    start = np.concatenate([first, *(u for _, u, _ in fits)]) / scales
-    low, high = np.full(start.size, -np.inf), np.full(start.size, np.inf)
-    low[:count], high[:count] = least / SCALE, most / SCALE
-    through = [_through(point, i, hz) for i in places]
-
-    def residual(z: Array) -> Array:
-        z = z * scales
-        off, own = made(z[:count].tolist()), z[count:].reshape(number, 4)
-        passed, out = off.passed(hz), []
-        for i, c, root, u, white in zip(places, cells, roots, own, through, strict=True):
-            behind = replace(c, back=off.folded(hz, data.kinds[i]) * white)
-            spectrum = behind.spectrum(u, c.tangent(u), passed)
-            out.append(force_colour.deviance(root, c.power / np.maximum(spectrum, 1e-300)))
-        return np.concatenate(out)
-
-    found = least_squares(residual, start, bounds=(low, high), max_nfev=60)
-    return 2 * float(found.cost), made((found.x[:count] * SCALE).tolist())
 
 
 def _through(point: WorkingPoint, i: int, hz: Array) -> Array:

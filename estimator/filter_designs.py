@@ -1,6 +1,6 @@
 """Poles of the low-pass filters that are built: |H|^2 = 1 / (1 + b1 x^2 + b2 x^4 + ...), x the frequency by the cutoff.
 
-As scipy.signal.bessel and butter, which take 0.5 s to import.
+As scipy.signal.bessel, butter and cheby1, which take 0.5 s to import.
 """
 
 from __future__ import annotations
@@ -14,6 +14,14 @@ def designs() -> dict[str, tuple[float, ...]]:
     """b1, b2, ... by name, 3 dB down at the cutoff."""
     made = {f"Bessel filter of order {n}": bessel(n) for n in (2, 3, 4, 5, 6, 8, 10)}
     return made | {f"Butterworth filter of order {n}": (0.0,) * (n - 1) + (1.0,) for n in (1, 2, 3, 4, 5, 6, 8)}
+
+
+def chebyshev(order: int, ripple: float) -> tuple[float, ...]:
+    """b1, b2, ... of type I: 1 + ripple T(x)^2 over its value at zero, T the polynomial. The cutoff is the end of the
+    ripples, of 10 log10(1 + ripple) dB."""
+    T = np.polynomial.chebyshev.cheb2poly([0.0] * order + [1.0])
+    square = np.convolve(T, T)[::2]
+    return tuple((ripple * square[1:] / (1 + ripple * square[0])).tolist())
 
 
 def bessel(order: int) -> tuple[float, ...]:

@@ -32,6 +32,7 @@ EXPLAINED = 0.5  # of the misfit beyond chance: a cause that leaves more is not 
 DARKEST = 0.985  # of S, that the gain of a colour may take away at low frequencies
 BROADENED = 0.75  # of a damping: what one resonance has too much in place of two, of a rotor and a strong pedestal
 PEAKED = 1.0  # quality of a sensor's resonance: below it filters look alike
+FOLDED = 0.01  # of what sampling folds back, that noise of a sensor has to be NOISE_RATIO times as strong as
 NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
 
 
@@ -384,7 +385,8 @@ def noisy(model: Model, point: WorkingPoint, noise: Array) -> list[Suspect]:
         if others.size == 0 or place in have:
             continue
         # noise counts where it is loudest: that of an accelerometer low in the band, that of displacement at its top
-        floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i].max()))
+        folded = point.S[i] * float(np.sum(data.folded[i]) / np.sum(noise_shape(data.kinds, 2 * np.pi * data.f_hz)[i]))
+        floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i].max()), FOLDED * folded)
         if noise[i] < NOISE_RATIO * floor:
             continue
         rms = float(np.sqrt(noise[i] * data.rate_hz / 2))

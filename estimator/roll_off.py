@@ -24,6 +24,7 @@ POWERS = np.array([2, 4, 8, 16, 32])  # of frequency, of a fall of any form: a m
 FROM = 2.0  # times the highest resonance, from where laws and damping shape the inferred force no more
 SURE, STEEP = 4.0, 0.004  # standard deviations, and nepers of power to the top, of a fall worth a look
 SAID = 0.1  # dB at the end of the band
+LEAST_MEANS = 0.05  # that are spoken of
 HEARD = -40.0  # dB over that of a free mass, of what is folded back at the end of the band
 IMAGES = 16  # multiples of the rate about which something is folded back
 POWER_OF_W = {"acceleration": 0, "velocity": -1, "displacement": -2}  # from acceleration to what is measured
@@ -35,6 +36,7 @@ class Filter:
     where nothing is folded back, as behind a filter that is steep at half the rate.
 
     nepers : (5,) of power at the end of the band, each by its power of frequency. name : of the design of the poles.
+    echo : what is folded back, over what is by the design: recorders have more stages than one.
     """
 
     rate_hz: float
@@ -44,6 +46,7 @@ class Filter:
     cutoff_hz: float = 1.0
     name: str = ""
     nepers: tuple[float, ...] = ()
+    echo: float = 1.0
 
     def passed(self, f_hz: Array) -> Array:
         """(f,) of power, 1 at zero."""
@@ -60,25 +63,25 @@ class Filter:
         for k in range(1, 1 if self.nepers else IMAGES + 1):
             for image in (k * self.rate_hz - f_hz, k * self.rate_hz + f_hz):
                 out += self.passed(image) * (image / f_hz) ** (2.0 * POWER_OF_W[kind])
-        return out
+        return self.echo * out
 
     def said(self) -> str:
         """What to tell the user of it; nothing of one that is too weak."""
         end = np.array([self.top_hz])
-        fall, back = -10 * np.log10(self.passed(end)[0]), 10 * np.log10(self.folded(end, "acceleration")[0] + 1e-30)
-        if back > HEARD:
-            means = f"{self.means:.1f} means over a sample" if self.means else ""
+        change = float(np.abs(10 * np.log10(self.passed(np.linspace(0.0, self.top_hz, 200)))).max())
+        if 10 * np.log10(self.folded(end, "acceleration")[0] + 1e-30) > HEARD or self.poles:
+            means = f"{self.means:.1f} means over a sample" if self.means > LEAST_MEANS else ""
             poles = f"a {self.name} at {self.cutoff_hz:.0f} Hz" if self.poles else ""
             behind = " and ".join(filter(None, (poles, means)))
             return (
-                f"the recorder's filter takes {fall:.1f} dB at {self.top_hz:g} Hz of all channels alike, and what is "
-                f"above half of the rate is folded into the band, as behind {behind}: that is counted in, and is not "
-                "the rotor's"
+                f"the recorder's filter changes all channels alike, by {change:.1f} dB up to {self.top_hz:g} Hz, and "
+                f"what is above half of the rate is folded into the band, as behind {behind}: that is counted in, and "
+                "is not the rotor's"
             )
-        if fall < SAID:
+        if change < SAID:
             return ""
         return (
-            f"all channels fall alike towards the end of the band, by {fall:.1f} dB at {self.top_hz:g} Hz: taken for "
+            f"all channels fall alike towards the end of the band, by {change:.1f} dB at {self.top_hz:g} Hz: taken for "
             "the recorder's filter, not for the rotor's (a colour of the forces with its corner above the band looks "
             "the same)"
         )

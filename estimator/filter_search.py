@@ -1,0 +1,213 @@
+"""The recorder's filter that explains the spectra of some places best: Fisher's scoring of the Whittle likelihood, over
+the numbers of the filter and, at each place, S, the noise of its sensor, k and c."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .filter_designs import chebyshev, designs
+from .force_colour import Cells
+from .roll_off import POWERS, Filter
+
+Array = NDArray[np.float64]
+MOST_MEANS = 8.0
+FALLS_DB = (0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0, 16.0)  # at the end of the band, that searches for a design begin with
+ORDERS, RIPPLES_DB, EDGES = range(3, 9), (0.1, 0.7), np.linspace(0.55, 1.1, 12)  # of Chebyshev filters; top by cutoff
+MOST_RIPPLE = 0.41  # 1.5 dB
+MOST_ECHO = 2.0  # of what a design folds back
+SMALL = 1e-5  # change of a filter's number, for its derivative
+STEPS, ENOUGH = 60, 0.01  # at most; in deviance, that a step is to bring
+OWN = 4  # numbers of a place: ln S, noise, k and c
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Cells of a place, and (cells,) PSD over S of the force that white noise at all places makes there."""
+
+    cells: Cells
+    through: Array
+    kind: str
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """A kind of filter. made : of its numbers. first : where to begin. least, most : of each number."""
+
+    made: Callable[[Array], Filter]
+    first: tuple[tuple[float, ...], ...]
+    least: tuple[float, ...]
+    most: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """A way at the numbers where it explains most. information : deviance, and twice their number."""
+
+    information: float
+    way: Way
+    z: Array
+
+
+def likeliest(seen: Sequence[Seen], blank: Filter) -> tuple[float, Filter]:
+    """Akaike's information (deviance and twice the number of numbers) behind the filter that explains all best, and
+    that filter: means over a sample, the poles of a design, both, with what they fold back, more or less of it, or a
+    fall of any form that folds nothing back."""
+    count = POWERS.size
+    any_form = Way(
+        lambda z: replace(blank, nepers=tuple(z.tolist())), ((0.01,) * count,), (0.0,) * count, (np.inf,) * count
+    )
+    best = min((_tried(seen, way) for way in (any_form, *_ways(blank))), key=lambda one: one.information)
+    for further in _further(best):
+        best = min(best, _tried(seen, further), key=lambda one: one.information)
+    return best.information, best.way.made(best.z)
+
+
+def _ways(blank: Filter) -> Iterator[Way]:
+    """Filters of one or two numbers."""
+
+    def poles(name: str, own: tuple[float, ...], z: Array) -> Filter:
+        return replace(blank, poles=own, name=name, cutoff_hz=float(np.exp(z[0])))
+
+    def rippled(order: int, z: Array) -> Filter:
+        return poles(f"Chebyshev filter of order {order}", chebyshev(order, float(z[1])), z)
+
+    yield Way(lambda z: replace(blank, means=float(z[0])), ((1.0,), (3.0,)), (0.0,), (MOST_MEANS,))
+    for name, own in designs().items():
+        cutoffs = np.log(blank.top_hz) - 0.5 * np.log(_squares(own))
+        yield Way(partial(poles, name, own), tuple((z,) for z in cutoffs.tolist()), (-np.inf,), (np.inf,))
+    for order in ORDERS:
+        first = [(float(np.log(blank.top_hz / x)), 10 ** (dB / 10) - 1) for x in EDGES for dB in RIPPLES_DB]
+        yield Way(partial(rippled, order), tuple(first), (-np.inf, 0.0), (np.inf, MOST_RIPPLE))
+
+
+def _further(found: Tried) -> Iterator[Way]:
+    """The filter found with a number more: means behind its poles; another share of what it folds back."""
+    way, z = found.way, found.z
+    off, numbers = way.made(z), tuple(z.tolist())
+    if off.poles:
+        first = ((*numbers, 0.5),)
+        yield Way(
+            lambda z: replace(way.made(z[:-1]), means=float(z[-1])), first, (*way.least, 0.0), (*way.most, MOST_MEANS)
+        )
+    if not off.nepers:
+        least, most = (*way.least, 1 / MOST_ECHO), (*way.most, MOST_ECHO)
+        yield Way(lambda z: replace(way.made(z[:-1]), echo=float(z[-1])), ((*numbers, 1.0),), least, most)
+
+
+def _squares(poles: tuple[float, ...]) -> Array:
+    """Squares of frequency over cutoff at which a design takes each of FALLS_DB."""
+    x2 = np.geomspace(1e-4, 1e2, 600)
+    return np.asarray(np.interp(FALLS_DB, 10 * np.log10(np.polyval([*poles[::-1], 1.0], x2)), x2))
+
+
+def _tried(seen: Sequence[Seen], way: Way) -> Tried:
+    begun = [_begun(seen, way.made(np.array(z))) for z in way.first]
+    k = min(range(len(begun)), key=lambda k: begun[k][0])
+    deviance, z = _scored(seen, way, np.array(way.first[k]), begun[k][1])
+    return Tried(deviance + 2 * len(z), way, z)
+
+
+def _begun(seen: Sequence[Seen], off: Filter) -> tuple[float, Array]:
+    """Deviance and numbers (places, OWN) at the model's own k and c."""
+    deviance, out = 0.0, np.zeros((len(seen), OWN))
+    for own, at in zip(seen, out, strict=True):
+        c = own.cells
+        passed, back = _effects(own, off)
+        heard = c.noise * np.abs(c.A) ** 2
+        X, m = np.stack([c.colour * passed + back, heard]), c.power
+        S = N = 0.0
+        for _ in range(3):
+            W = c.n / m**2
+            (a, b), (_, d) = (X * W) @ X.T
+            e, f = (X * W) @ c.power
+            S, N = (d * e - b * f) / (a * d - b * b), (a * f - b * e) / (a * d - b * b)
+            if N <= 0.0:
+                S, N = e / a, 0.0
+            elif S <= 0.0:
+                S, N = 1e-6 * e / a, f / d
+            m = S * X[0] + N * X[1]
+        at[:2] = np.log(S), N
+        deviance += _deviance(c, m)
+    return deviance, out
+
+
+def _effects(own: Seen, off: Filter) -> tuple[Array, Array]:
+    """(cells,) of power that a filter lets through, and PSD over S of the force that it folds back."""
+    hz = own.cells.w / (2 * np.pi)
+    return off.passed(hz), off.folded(hz, own.kind) * own.through
+
+
+def _deviance(c: Cells, m: Array) -> float:
+    ratio = c.power / m
+    return float(2 * c.n @ (ratio - 1 - np.log(ratio)))
+
+
+def _spectrum(c: Cells, u: Array, passed: Array, back: Array) -> tuple[Array, Array]:
+    """(cells,) model, as Cells.spectrum, and (OWN, cells) its derivatives."""
+    S, (noise, k, d) = np.exp(u[0]), u[1:]
+    A = c.tangent(np.concatenate([u[:2], [k, d]]))
+    own, of = np.abs(c.A) ** 2, np.abs(A) ** 2
+    force = S * c.colour * passed + np.abs(A - c.A) ** 2 * c.others
+    white = S * (c.colour * passed * own / of + back)
+    slope = -force * own / of**2
+    return white + (force - S * c.colour * passed) * own / of + noise * c.noise * own, np.stack([
+        white, c.noise * own,
+        2 * k / c.w**4 * c.others * own / of - slope * 2 * A.real / c.w**2,
+        2 * d / c.w**2 * c.others * own / of - slope * 2 * A.imag / c.w,
+    ])  # fmt: skip
+
+
+def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, Array]:
+    """Least deviance and the numbers of the filter there, from some start: Levenberg and Marquardt's steps in Fisher's
+    information."""
+    q, size = len(z), len(z) + u.size
+    least = np.concatenate([way.least, np.tile([-np.inf, 0.0, -np.inf, -np.inf], len(seen))])
+    most = np.concatenate([way.most, np.full(u.size, np.inf)])
+
+    def of(x: Array) -> float:
+        off, total = way.made(x[:q]), 0.0
+        for own, at in zip(seen, x[q:].reshape(-1, OWN), strict=True):
+            total += _deviance(own.cells, np.maximum(_spectrum(own.cells, at, *_effects(own, off))[0], 1e-300))
+        return total
+
+    x, cautious = np.concatenate([z, u.ravel()]), 1e-3
+    now = of(x)
+    for _ in range(STEPS):
+        H, g = np.zeros((size, size)), np.zeros(size)
+        off, moved = way.made(x[:q]), [way.made(x[:q] + SMALL * one) for one in np.eye(q)]
+        for i, own in enumerate(seen):
+            c, at = own.cells, q + OWN * i + np.arange(OWN)
+            passed, back = _effects(own, off)
+            m, J = _spectrum(c, x[at], passed, back)
+            whole = np.zeros((q + OWN, m.size))
+            whole[q:] = J
+            for row, other in zip(whole, moved, strict=False):
+                more, further = _effects(own, other)
+                row[:] = (_spectrum(c, x[at], more, further)[0] - m) / SMALL
+            index = np.concatenate([np.arange(q), at])
+            whole /= np.maximum(m, 1e-300)
+            H[index[:, None], index] += (whole * c.n) @ whole.T
+            g[index] += whole @ (c.n * (c.power / np.maximum(m, 1e-300) - 1))
+        free = ~(((x <= least) & (g < 0)) | ((x >= most) & (g > 0)))
+        scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+        scaled = H * np.multiply.outer(scale, scale)
+        gained = -np.inf
+        while cautious < 1e6:
+            step = np.zeros(size)
+            step[free] = np.linalg.solve((scaled + cautious * np.eye(size))[np.ix_(free, free)], (g * scale)[free])
+            new = np.clip(x + step * scale, least, most)
+            gained = now - of(new)
+            if gained > -1e-9:
+                break
+            cautious *= 10
+        if gained < -1e-9:
+            break
+        x, now, cautious = new, now - gained, cautious / 10
+        if gained < ENOUGH:
+            break
+    return now, x[:q]

@@ -1,0 +1,91 @@
+"""Of spectra of inferred forces the filter before them is found, whatever it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_effects import RATE
+from numpy.typing import NDArray
+from scipy import signal
+
+from estimator.filter_designs import chebyshev
+from estimator.filter_search import Seen, _spectrum, likeliest
+from estimator.force_colour import CELLS, Cells
+from estimator.roll_off import Filter
+
+Array = NDArray[np.float64]
+TOP, MASS, BINS, BLOCKS = 8000.0, 0.2, 2000, 300
+BLANK = Filter(RATE, TOP)
+
+
+def seen(off: Filter, resonance_hz: float, S: float, seed: int, noise: float = 0.0) -> Seen:
+    """A cap's cells behind a filter, its model 2 % off in k and 10 % in c; nothing is at the other caps."""
+    f = np.linspace(200.0, TOP, BINS)
+    edges = np.unique(np.round(np.geomspace(12, BINS, CELLS)).astype(int))
+    n = np.diff(edges, prepend=0)
+    w = 2 * np.pi * np.add.reduceat(f, edges - n) / n
+    k, c = MASS * (2 * np.pi * resonance_hz) ** 2, 40.0
+    A, one = MASS - k / w**2 + c / (1j * w), np.ones(w.size)
+    cells = Cells(one, n.astype(float) * BLOCKS, w, A, one, one, 0 * w, 0 * w)
+    through = np.abs(A) ** 2 / MASS**2
+    hz = w / (2 * np.pi)
+    u = np.array([np.log(S), noise, 0.02 * k, -0.1 * c])
+    mean = _spectrum(cells, u, off.passed(hz), off.folded(hz, "acceleration") * through)[0]
+    power = mean * np.random.default_rng(seed).gamma(cells.n) / cells.n
+    return Seen(replace(cells, power=power), through, "acceleration")
+
+
+def both(off: Filter) -> list[Seen]:
+    return [seen(off, 1100.0, 0.01, 1), seen(off, 900.0, 0.004, 2, noise=1e-3)]
+
+
+@pytest.mark.parametrize("order", [3, 4, 8])
+def test_chebyshev_filters_are_those_of_scipy(order: int) -> None:
+    f = np.linspace(0.0, 3.0, 50)
+    H = signal.freqs(*signal.cheby1(order, 0.5, 1.0, analog=True), f)[1]
+    assert Filter(1.0, 1.0, poles=chebyshev(order, 10**0.05 - 1)).passed(f) == pytest.approx(
+        abs(H / H[0]) ** 2, rel=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("off", "name"),
+    [
+        (replace(BLANK, poles=chebyshev(6, 0.12), cutoff_hz=10300.0), "Chebyshev filter of order 6"),
+        (replace(BLANK, poles=(0.0, 1.0), cutoff_hz=9000.0), "Butterworth filter of order 2"),
+        (replace(BLANK, poles=(0.0, 0.0, 0.0, 1.0), cutoff_hz=20000.0), "Butterworth filter of order 4"),
+    ],
+)
+def test_a_design_is_found_with_its_cutoff(off: Filter, name: str) -> None:
+    """The last lets through almost all that is above half the rate: of it searches from one cutoff found nothing."""
+    places = both(off)
+    information, found = likeliest(places, BLANK)
+    assert found.name == name
+    assert found.cutoff_hz == pytest.approx(off.cutoff_hz, rel=0.01)
+    df = sum(own.cells.n.size for own in places)
+    assert abs(information - df) < 4 * np.sqrt(2 * df)
+
+
+def test_means_that_fold_back_half_as_much_again_are_found() -> None:
+    off = replace(BLANK, means=1.0, echo=1.5)
+    found = likeliest(both(off), BLANK)[1]
+    assert not found.poles
+    assert found.means == pytest.approx(1.0, abs=0.02)
+    assert found.echo == pytest.approx(1.5, abs=0.05)
+
+
+def test_derivatives_are_those_of_the_spectrum() -> None:
+    own = seen(replace(BLANK, means=1.0), 1000.0, 0.01, 3)
+    c = replace(own.cells, others=1e-3 / own.cells.w**0.5)
+    hz = c.w / (2 * np.pi)
+    passed, back = np.sinc(hz / RATE) ** 2, 0.1 * own.through
+    u = np.array([-4.0, 1e-3, 1e5, 5.0])
+    _, J = _spectrum(c, u, passed, back)
+    for row, one, small in zip(J, np.eye(4), (1e-6, 1e-9, 1.0, 1e-5), strict=True):
+        ends = [_spectrum(c, u + side * small * one, passed, back)[0] for side in (1, -1)]
+        assert row == pytest.approx((ends[0] - ends[1]) / (2 * small), rel=1e-4, abs=1e-11)
+    assert _spectrum(c, u, passed, back)[0] == pytest.approx(
+        replace(c, back=back).spectrum(np.array([u[0], np.log(u[1]), *u[2:]]), c.tangent(u), passed)
+    )
