@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from . import adequacy, amplitude, evidence, missing_force, screen
 from .evidence import Entry
 from .features import ready
-from .fitted import parameters
+from .fitted import parameters, untold
+from .heldout import heldout_nll
 from .model import Model
 from .model_uses import acting, on_trial, searched
 from .periodic import PERIODIC
@@ -35,6 +36,7 @@ CLOSE = 10.0  # nats behind the first of the ranking, where the shape of what is
 REFINED, NEAR = 12, 0.3  # trials refined at most; share of the best gain at a bearing that earns it, everywhere
 SURE = 30.0  # nats, from which a shaft that is not the rig file's is told
 FAR = 0.2  # share of the best effect's gain under which it is not asked what searched numbers of another spot would do
+IDLE = "refused: no force is missing there, and fitted with the model it is not told from zero or predicts no better"
 OTHERWISE = (
     "the caps answer each other otherwise than the shaft of the rig file lets them: its spring or the disc's mass is "
     "another, or a sensor has a wrong gain or is late"
@@ -87,6 +89,13 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
 def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:
     """The same from a model already fitted."""
     before, entries = _ranked(model, point, y, say)
+    return _verdict(model, point, before, entries, say)
+
+
+def _verdict(
+    model: Model, point: WorkingPoint, before: missing_force.Survey, entries: list[Entry], say: Progress
+) -> Diagnosis:  # fmt: skip
+    """What the ranking comes to."""
     if not entries or entries[0].p_value > SIGNIFICANT or _negligible(entries[0]):
         return _nothing(point, before, tuple(entries))
     best = entries[0]
@@ -124,14 +133,22 @@ def _law(
 ) -> Diagnosis:  # fmt: skip
     """The first of the ranking, if its law has the shape of what is missing, or one close behind that has."""
     left: dict[str, float] = {}
+    idle: list[int] = []
     for k in _close(entries):
         name = entries[k].effect
         say(0.85, f"does {name} explain it?")
-        entries[k], left[name] = _fits(model, point, before, entries[k], say)
-        if not left[name]:
+        entries[k], rest = _fits(model, point, before, entries[k], say)
+        if rest is None:
+            idle.append(k)
+            continue
+        left[name] = rest
+        if not rest:
             ranking = (entries[k], *entries[:k], *entries[k + 1 :])
             said = (*_passed_over(left), *_clipped(entries))
             return Diagnosis(name, ranking, separates=evidence.separates(ranking), messages=said)
+    if idle:
+        found = _verdict(model, point, before, [e for k, e in enumerate(entries) if k not in idle], say)
+        return replace(found, ranking=(*found.ranking, *(entries[k] for k in idle)))
     best = entries[0]
     return Diagnosis(
         "unknown",
@@ -169,10 +186,19 @@ def _passed_over(left: dict[str, float]) -> tuple[str, ...]:
 
 def _fits(
     model: Model, point: WorkingPoint, before: missing_force.Survey, entry: Entry, say: Progress
-) -> tuple[Entry, float]:  # fmt: skip
+) -> tuple[Entry, float | None]:  # fmt: skip
     """The entry fitted together with the model, and what it leaves of the missing force in its own state (rms): 0 if
-    that is no more than a law of the right shape may leave."""
-    after_point = fit_model(point.data, [*point.placed, *entry.placed], start=point, rounds=2)
+    that is no more than a law of the right shape may leave. None where it is nothing, as laws that see noise as strong
+    as the motion may seem to be something: no force is missing at its places, and it is not told from zero at any or
+    predicts no better."""
+    missing = bool({i for p in entry.placed for i in p.at}.intersection(before.places_found()))
+    uses = [*point.placed, *entry.placed]
+    after_point = fit_model(point.data, uses, start=point, rounds=2 if missing else 6)
+    if not missing and (
+        {use.key for use in entry.placed}.issubset(untold(after_point))
+        or heldout_nll(after_point) >= heldout_nll(point)
+    ):
+        return replace(entry, notes=(*entry.notes, IDLE)), None
     joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
     smooth = adequacy.left(point, after_point, entry.effect, {i for p in entry.placed for i in p.at})
     after_part = thinned(after_point, missing_force.SURVEY_SECONDS)

@@ -69,3 +69,14 @@ def parameters(point: WorkingPoint) -> dict[str, Parameter]:
             else:
                 out[name] = Parameter(float(use.p[k]), 0.0, q.unit)
     return out
+
+
+def untold(point: WorkingPoint) -> list[str]:
+    """Laws, by place and name, none of whose amplitudes is told from zero."""
+    out = []
+    values = parameters(point)
+    for use in point.placed:
+        amplitudes = [values[use.name(k)] for k, q in enumerate(use.effect.parameters) if q.linear and use.free[k]]
+        if amplitudes and not any(p.identifiable for p in amplitudes):
+            out.append(use.key)
+    return out

@@ -13,7 +13,7 @@ from .diagnose import Diagnosis, diagnose_point
 from .errors import DataError
 from .estimate import Parameter
 from .evidence import Entry
-from .fitted import fitted_model, parameters
+from .fitted import fitted_model, untold
 from .heldout import heldout_nll, heldout_rmse
 from .missing_force import survey
 from .model import Model
@@ -158,14 +158,3 @@ def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:
 def idle(point: WorkingPoint) -> list[str]:
     """Effects of the model that earn nothing: said, never removed."""
     return [f"{key} is not told from zero in this record" for key in untold(point)]
-
-
-def untold(point: WorkingPoint) -> list[str]:
-    """Laws, by place and name, none of whose amplitudes is told from zero."""
-    out = []
-    values = parameters(point)
-    for use in point.placed:
-        amplitudes = [values[use.name(k)] for k, q in enumerate(use.effect.parameters) if q.linear and use.free[k]]
-        if amplitudes and not any(p.identifiable for p in amplitudes):
-            out.append(use.key)
-    return out

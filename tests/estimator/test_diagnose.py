@@ -12,7 +12,7 @@ from hidden_effects import RATE, ROOT, SECONDS, one_bearing, record, schema
 
 from daq.rig import load_rig
 from estimator import evidence
-from estimator.diagnose import Diagnosis, _another_explains, _law, _promising, _ranked, diagnose, quiet
+from estimator.diagnose import Diagnosis, _another_explains, _law, _promising, _ranked, _verdict, diagnose, quiet
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
 from estimator.errors import DataError
@@ -117,6 +117,24 @@ def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
     assert near.messages[0].startswith("stop was ahead")
     assert far.verdict == "unknown"
     assert far.ranking[0].effect == "stop"
+
+
+def test_a_law_that_is_nothing_once_it_is_fitted_with_the_model_is_not_named(
+    rig: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside noise as strong as the motion trials won up to 38 nats by a law that the fit then takes away (Bouc-Wen,
+    behind filters that fold, another simulator)."""
+    monkeypatch.setattr("estimator.model_uses.CATALOGUE", {name: CATALOGUE[name] for name in ("quadratic", "coulomb")})
+    y = simulate(rig, RATE, 3.0, seed=6, noise=0.02)
+    fitted = fit_whole(rig, y, RATE)
+    before, entries = _ranked(fitted.model, fitted.point, y, quiet)
+    assert not before.places_found()
+    seeming = next(replace(e, p_value=1e-8, explained_percent=0.5) for e in entries if e.effect == "quadratic")
+    others = [e for e in entries if e.effect != "quadratic"]
+    found = _verdict(fitted.model, fitted.point, before, [seeming, *others], quiet)
+    assert found.verdict == "complete"
+    assert [e.effect for e in found.ranking][-1] == "quadratic"
+    assert found.ranking[-1].notes[-1].startswith("refused")
 
 
 def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model, monkeypatch: pytest.MonkeyPatch) -> None:
