@@ -5,6 +5,7 @@ As scipy.signal.bessel, butter and cheby1, which take 0.5 s to import.
 
 from __future__ import annotations
 
+from functools import cache
 from math import factorial
 
 import numpy as np
@@ -19,9 +20,15 @@ def designs() -> dict[str, tuple[float, ...]]:
 def chebyshev(order: int, ripple: float) -> tuple[float, ...]:
     """b1, b2, ... of type I: 1 + ripple T(x)^2 over its value at zero, T the polynomial. The cutoff is the end of the
     ripples, of 10 log10(1 + ripple) dB."""
+    square = _chebyshev(order)
+    return tuple(ripple * own / (1 + ripple * square[0]) for own in square[1:])
+
+
+@cache
+def _chebyshev(order: int) -> tuple[float, ...]:
+    """Of x^0, x^2, x^4, ... in the square of Chebyshev's polynomial."""
     T = np.polynomial.chebyshev.cheb2poly([0.0] * order + [1.0])
-    square = np.convolve(T, T)[::2]
-    return tuple((ripple * square[1:] / (1 + ripple * square[0])).tolist())
+    return tuple(np.convolve(T, T)[::2].tolist())
 
 
 def bessel(order: int) -> tuple[float, ...]:

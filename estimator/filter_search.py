@@ -27,7 +27,8 @@ OWN = 4  # numbers of a place: ln S, noise, k and c
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Cells of a place, and (cells,) PSD over S of the force that white noise at all places makes there."""
+    """Cells of a place, of the same frequencies at all, and (cells,) PSD over S of the force that white noise at all
+    places makes there."""
 
     cells: Cells
     through: Array
@@ -115,9 +116,8 @@ def _tried(seen: Sequence[Seen], way: Way) -> Tried:
 def _begun(seen: Sequence[Seen], off: Filter) -> tuple[float, Array]:
     """Deviance and numbers (places, OWN) at the model's own k and c."""
     deviance, out = 0.0, np.zeros((len(seen), OWN))
-    for own, at in zip(seen, out, strict=True):
+    for own, at, (passed, back) in zip(seen, out, _effects(seen, off), strict=True):
         c = own.cells
-        passed, back = _effects(own, off)
         heard = c.noise * np.abs(c.A) ** 2
         X, m = np.stack([c.colour * passed + back, heard]), c.power
         S = N = 0.0
@@ -136,10 +136,11 @@ def _begun(seen: Sequence[Seen], off: Filter) -> tuple[float, Array]:
     return deviance, out
 
 
-def _effects(own: Seen, off: Filter) -> tuple[Array, Array]:
-    """(cells,) of power that a filter lets through, and PSD over S of the force that it folds back."""
-    hz = own.cells.w / (2 * np.pi)
-    return off.passed(hz), off.folded(hz, own.kind) * own.through
+def _effects(seen: Sequence[Seen], off: Filter) -> list[tuple[Array, Array]]:
+    """By place (cells,) of power that a filter lets through, and PSD over S of the force that it folds back."""
+    hz = seen[0].cells.w / (2 * np.pi)
+    passed, back = off.passed(hz), {kind: off.folded(hz, kind) for kind in {own.kind for own in seen}}
+    return [(passed, back[own.kind] * own.through) for own in seen]
 
 
 def _deviance(c: Cells, m: Array) -> float:
@@ -170,25 +171,23 @@ def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, 
     most = np.concatenate([way.most, np.full(u.size, np.inf)])
 
     def of(x: Array) -> float:
-        off, total = way.made(x[:q]), 0.0
-        for own, at in zip(seen, x[q:].reshape(-1, OWN), strict=True):
-            total += _deviance(own.cells, np.maximum(_spectrum(own.cells, at, *_effects(own, off))[0], 1e-300))
+        total = 0.0
+        for own, at, there in zip(seen, x[q:].reshape(-1, OWN), _effects(seen, way.made(x[:q])), strict=True):
+            total += _deviance(own.cells, np.maximum(_spectrum(own.cells, at, *there)[0], 1e-300))
         return total
 
     x, cautious = np.concatenate([z, u.ravel()]), 1e-3
     now = of(x)
     for _ in range(STEPS):
         H, g = np.zeros((size, size)), np.zeros(size)
-        off, moved = way.made(x[:q]), [way.made(x[:q] + SMALL * one) for one in np.eye(q)]
+        here, *moved = (_effects(seen, way.made(x[:q] + SMALL * one)) for one in np.eye(q + 1, q, -1))
         for i, own in enumerate(seen):
             c, at = own.cells, q + OWN * i + np.arange(OWN)
-            passed, back = _effects(own, off)
-            m, J = _spectrum(c, x[at], passed, back)
+            m, J = _spectrum(c, x[at], *here[i])
             whole = np.zeros((q + OWN, m.size))
             whole[q:] = J
             for row, other in zip(whole, moved, strict=False):
-                more, further = _effects(own, other)
-                row[:] = (_spectrum(c, x[at], more, further)[0] - m) / SMALL
+                row[:] = (_spectrum(c, x[at], *other[i])[0] - m) / SMALL
             index = np.concatenate([np.arange(q), at])
             whole /= np.maximum(m, 1e-300)
             H[index[:, None], index] += (whole * c.n) @ whole.T

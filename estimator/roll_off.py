@@ -49,7 +49,7 @@ class Filter:
     echo: float = 1.0
 
     def passed(self, f_hz: Array) -> Array:
-        """(f,) of power, 1 at zero."""
+        """(..., f) of power, 1 at zero."""
         out = gain(self.nepers, f_hz, self.top_hz)
         if self.means:
             out = out * np.abs(np.sinc(f_hz / self.rate_hz)) ** (2.0 * self.means)
@@ -59,11 +59,12 @@ class Filter:
 
     def folded(self, f_hz: Array, kind: str) -> Array:
         """(f,) PSD, as acceleration of a sensor of this kind, of what is folded back, over that of a free mass."""
-        out = np.zeros_like(f_hz)
-        for k in range(1, 1 if self.nepers else IMAGES + 1):
-            for image in (k * self.rate_hz - f_hz, k * self.rate_hz + f_hz):
-                out += self.passed(image) * (image / f_hz) ** (2.0 * POWER_OF_W[kind])
-        return self.echo * out
+        if self.nepers:
+            return np.zeros_like(f_hz)
+        rates = self.rate_hz * np.arange(1.0, IMAGES + 1)[:, None]
+        images = np.concatenate([rates - f_hz, rates + f_hz])
+        back = self.passed(images) * (images / f_hz) ** (2.0 * POWER_OF_W[kind])
+        return self.echo * np.asarray(back.sum(axis=0))
 
     def said(self) -> str:
         """What to tell the user of it; nothing of one that is too weak."""
