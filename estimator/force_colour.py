@@ -79,7 +79,7 @@ def cells_of(point: WorkingPoint, i: int) -> Cells:
 
     w = 2 * np.pi * data.f_hz
     A, others = answered(point.A, point.S, i)
-    noise = noise_shape(data.kinds[i : i + 1], w)[0]
+    noise = noise_shape(data.kinds[i : i + 1], w)[0] * data.sharpened[i]
     return Cells(
         mean(power), width * data.blocks, mean(w), mean(A.real) + 1j * mean(A.imag), mean(data.colour[i]), mean(noise),
         mean(others), mean(beyond(data, point.A, point.S)[i]),
@@ -385,7 +385,8 @@ def noisy(model: Model, point: WorkingPoint, noise: Array) -> list[Suspect]:
         if others.size == 0 or place in have:
             continue
         # noise counts where it is loudest: that of an accelerometer low in the band, that of displacement at its top
-        folded = point.S[i] * float(np.sum(data.folded[i]) / np.sum(noise_shape(data.kinds, 2 * np.pi * data.f_hz)[i]))
+        white = noise_shape(data.kinds, 2 * np.pi * data.f_hz)[i] * data.sharpened[i]
+        folded = point.S[i] * float(np.sum(data.folded[i]) / np.sum(white))
         floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i].max()), FOLDED * folded)
         if noise[i] < NOISE_RATIO * floor:
             continue

@@ -62,7 +62,7 @@ class MotionBlocks:
     left_out: Array  # (places, 2) sd of the displacement and velocity outside of the band
     rms: Array  # (3, places) of x, of v and of a, over the whole record
     driven: Array  # (places,) N^2/Hz, PSD of the measured forces; 0 without
-    sharpened: Array  # (places, bins) by what undoing a sensor's resonance has multiplied its noise, in power
+    sharpened: Array  # (places, bins) by what undoing a response has multiplied its noise, in power
     folded: Array  # (places, bins) PSD of acceleration that sampling folds back, over S: roll_off.py
     measured: Series | None = None  # (places, n) displacement below the band, where the sensor is one of displacement
     slow: Series | None = None  # (places, n) all of it that the laws see: slow_motion.py
@@ -334,8 +334,8 @@ def _shared(model: Model, places: tuple[str, ...]) -> tuple[tuple[int, int], ...
 
 
 def sharpened(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
-    """(places, f) |true over measured|^2 of the sensors' responses that are undone beside a measured force."""
-    if not forced(model):
+    """(places, f) |true over measured|^2 of the responses that are undone, beside a measured force and of recorders."""
+    if not forced(model) and not model.roll_off:
         return np.ones((len(places), f_hz.size))
     return np.array([1.0 / np.abs(of_place(model, p, 2 * np.pi * f_hz)) ** 2 for p in places])
 
@@ -345,20 +345,16 @@ def _folded(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], mass:
     out = np.zeros((len(places), f_hz.size))
     for place, own in (model.roll_off or {}).items():
         i = places.index(place)
-        out[i] = own.folded(f_hz, kinds[i]) / mass[i] ** 2
+        out[i] = own.folded(f_hz, kinds[i]) / own.passed(f_hz) / mass[i] ** 2
     return out
 
 
 def colours(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
-    """(places, f) what the model's own effects make of a white force: coloured excitation, a resonant sensor; and what
-    the recorder takes of it."""
+    """(places, f) what the model's own effects make of a white force: coloured excitation, a resonant sensor."""
     from .effects import CATALOGUE
 
     known = forced(model)
     out = np.ones((len(places), f_hz.size))
-    for i, place in enumerate(places):
-        if model.roll_off and place in model.roll_off and place not in known:
-            out[i] = model.roll_off[place].passed(f_hz)
     for use in model.effects:
         if use.name not in COLOURS:
             continue

@@ -1,8 +1,8 @@
 """What a recorder takes of every channel alike towards the end of the band: anti-alias filters, means over samples.
 
 All channels fall, the more the higher the frequency, and none rises on the way as behind a resonance. Of the inferred
-force that is a colour that no rotor has: it goes into the shape of its spectrum (motion_blocks.colours), and nothing is
-said to be missing.
+force that is a colour that no rotor has, and nothing is said to be missing: it is undone in the record
+(sensor_response.py), as laws depend on the motion that there was.
 
 A filter that falls slowly (means over a sample, sigma-delta, Bessel) also lets through what is above half the rate, and
 sampling folds it into the band: above all resonances the acceleration is that of a free mass, F / m, and as the unknown
@@ -24,6 +24,7 @@ POWERS = np.array([2, 4, 8, 16, 32])  # of frequency, of a fall of any form: a m
 FROM = 2.0  # times the highest resonance, from where laws and damping shape the inferred force no more
 SURE, STEEP = 4.0, 0.004  # standard deviations, and nepers of power to the top, of a fall worth a look
 SAID = 0.1  # dB at the end of the band
+LATE = 3  # power of frequency of a phase: the first that is no delay
 LEAST_MEANS = 0.05  # that are spoken of
 HEARD = -40.0  # dB over that of a free mass, of what is folded back at the end of the band
 IMAGES = 16  # multiples of the rate about which something is folded back
@@ -36,7 +37,8 @@ class Filter:
     where nothing is folded back, as behind a filter that is steep at half the rate.
 
     nepers : (5,) of power at the end of the band, each by its power of frequency. name : of the design of the poles.
-    echo : what is folded back, over what is by the design: recorders have more stages than one.
+    echo : what is folded back, over what is by the design: recorders have more stages than one. late : rad at the end
+    of the band, growing by LATE powers of frequency, that the phase is behind that of the poles: recorder_phase.py.
     """
 
     rate_hz: float
@@ -47,6 +49,7 @@ class Filter:
     name: str = ""
     nepers: tuple[float, ...] = ()
     echo: float = 1.0
+    late: float = 0.0
 
     def passed(self, f_hz: Array) -> Array:
         """(..., f) of power, 1 at zero."""
@@ -56,6 +59,19 @@ class Filter:
         if self.poles:
             out = out / np.polyval([*self.poles[::-1], 1.0], (f_hz / self.cutoff_hz) ** 2)
         return np.asarray(out)
+
+    def response(self, f_hz: Array) -> NDArray[np.complex128]:
+        """(f,) measured over true, its delay left out: that of the poles is of minimum phase, means have none."""
+        s = np.zeros(0, complex)
+        if self.poles:
+            s = np.sqrt(-np.roots([*self.poles[::-1], 1.0]).astype(complex))  # of H(s) H(-s)
+            s = np.where(s.real > 0.0, -s, s)
+        x = f_hz[..., None] / self.cutoff_hz
+        phase = (
+            -np.sum(np.angle(1.0 - 1j * x / s) - x * np.imag(-1j / s), axis=-1)
+            - self.late * (f_hz / self.top_hz) ** LATE
+        )
+        return np.asarray(np.sqrt(self.passed(f_hz)) * np.exp(1j * phase))
 
     def folded(self, f_hz: Array, kind: str) -> Array:
         """(f,) PSD, as acceleration of a sensor of this kind, of what is folded back, over that of a free mass."""
@@ -79,8 +95,14 @@ class Filter:
                 f"what is above half of the rate is folded into the band, as behind {behind}: that is counted in, and "
                 "is not the rotor's"
             )
-        if change < SAID:
+        if change < SAID and not self.late:
             return ""
+        if change < SAID:
+            us = 1e6 * LATE * self.late / (2 * np.pi * self.top_hz)
+            return (
+                f"all channels have what is at {self.top_hz:g} Hz {us:.0f} us later than what is low in the band: "
+                "taken for the recorder's filter, and undone"
+            )
         return (
             f"all channels fall alike towards the end of the band, by {change:.1f} dB at {self.top_hz:g} Hz: taken for "
             "the recorder's filter, not for the rotor's (a colour of the forces with its corner above the band looks "

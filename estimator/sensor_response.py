@@ -38,8 +38,11 @@ def response(name: str, values: Mapping[str, float | None], w: Array) -> Complex
 
 
 def of_place(model: Model, place: str, w: Array) -> Complexes:
-    """(f,) of all faults of the model that are undone in the motion channel at a place."""
+    """(f,) of all that is undone in the motion channel at a place: faults of the model and, as far as the band goes,
+    the recorder's filter."""
     out = np.ones(w.size, complex)
+    if model.roll_off and place in model.roll_off and place not in forced(model):
+        out = model.roll_off[place].response(np.minimum(w / (2 * np.pi), model.band[1]))
     for use in model.effects:
         if use.name not in (LINEAR if place in forced(model) else BLIND):
             continue
@@ -53,7 +56,7 @@ def of_place(model: Model, place: str, w: Array) -> Complexes:
 def undone(model: Model, y: Array, rate_hz: float) -> Array:
     """The record (n, channels), SI, with the responses of its sensors that the model knows of taken back."""
     out = y
-    if not any(use.name in LINEAR for use in model.effects):
+    if not model.roll_off and not any(use.name in LINEAR for use in model.effects):
         return out
     for k, channel in enumerate(model.channels):
         if channel.kind not in MOTION:

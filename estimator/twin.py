@@ -66,7 +66,7 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
         model_psd = np.interp(f, *of_acceleration(own, i))
         if model.roll_off and data.places[i] in model.roll_off:
             off = model.roll_off[data.places[i]]
-            model_psd = model_psd * off.passed(f)
+            measured, model_psd = measured * off.passed(f), model_psd * off.passed(f)  # as it was measured
             folded = off.folded(np.maximum(f, data.band[0]), data.kinds[i])
             model_psd = model_psd + folded * point.S[i] / data.mass[i] ** 2
         inside = (f >= data.band[0]) & (f <= data.band[1])

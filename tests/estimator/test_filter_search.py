@@ -6,14 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden_effects import RATE
+from hidden_effects import RATE, one_bearing
 from numpy.typing import NDArray
 from scipy import signal
 
-from estimator.filter_designs import chebyshev
+from estimator.filter_designs import chebyshev, designs
 from estimator.filter_search import Seen, _spectrum, likeliest
 from estimator.force_colour import CELLS, Cells
 from estimator.roll_off import Filter
+from estimator.sensor_response import undone
 
 Array = NDArray[np.float64]
 TOP, MASS, BINS, BLOCKS = 8000.0, 0.2, 2000, 300
@@ -89,3 +90,26 @@ def test_derivatives_are_those_of_the_spectrum() -> None:
     assert _spectrum(c, u, passed, back)[0] == pytest.approx(
         replace(c, back=back).spectrum(np.array([u[0], np.log(u[1]), *u[2:]]), c.tangent(u), passed)
     )
+
+
+@pytest.mark.parametrize("name", ["Bessel filter of order 4", "Butterworth filter of order 5", "Chebyshev"])
+def test_the_phase_of_poles_is_that_of_scipy_but_for_a_delay(name: str) -> None:
+    made = {"Bessel": signal.bessel(4, 1.0, analog=True, norm="mag"), "Butterworth": signal.butter(5, 1.0, analog=True)}
+    made["Chebyshev"] = signal.cheby1(5, 0.5, 1.0, analog=True)
+    f = np.linspace(0.001, 2.0, 200)
+    H = signal.freqs(*made[name.split()[0]], f)[1]
+    own = Filter(1.0, 1.0, poles=designs().get(name, chebyshev(5, 10**0.05 - 1))).response(f)
+    delay = np.unwrap(np.angle(H / own)) / f
+    assert abs(H / own) == pytest.approx(1.0, rel=1e-6)
+    assert delay == pytest.approx(np.full(f.size, delay[-1]), rel=1e-6)
+
+
+def test_what_is_undone_is_what_the_filter_did() -> None:
+    rig = one_bearing()
+    off = Filter(RATE, rig.band[1], poles=designs()["Bessel filter of order 4"], cutoff_hz=5000.0)
+    y = np.random.default_rng(1).normal(size=(4096, 2))
+    f = np.fft.rfftfreq(4096, 1 / RATE)
+    through = np.fft.irfft(np.fft.rfft(y, axis=0) * off.response(f)[:, None], axis=0)
+    back = np.fft.rfft(undone(replace(rig, roll_off=dict.fromkeys(rig.places, off)), through, RATE), axis=0)
+    inside = (f > 0.0) & (f <= rig.band[1])
+    assert back[inside] == pytest.approx(np.fft.rfft(y, axis=0)[inside], rel=1e-6)
