@@ -22,7 +22,7 @@ LEAST = 0.002  # rms of ln(power) over the band, from where it matters to S
 EXPLAINED = 0.5  # of the misfit beyond chance
 ALIKE = 0.8  # the same of two channels of a bearing: one that falls beside one that does not leaves half
 CHANCE = 3.0  # standard deviations of a deviance
-MISFIT = 3.0  # standard deviations of a deviance that is looked into, where nothing falls at the end of the band
+MISFIT = 4.0  # standard deviations of a deviance that is looked into, where nothing falls at the end of the band
 LINE, LINES = 6.0, 0.1  # standard deviations that a line raises a cell by; of the cells, those that lines may have
 BEHIND = 12.0  # in deviance and a place, that causes of other kinds, two numbers each, may fit better by (Schwarz)
 

@@ -21,6 +21,7 @@ from . import (
     one_end,
     periodic,
     periodic_fit,
+    recorder_phase,
     roll_off,
     sensor_faults,
     shaft_law,
@@ -82,8 +83,11 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     """
     model, masses = unknown_mass.weighed(timed(model, y, rate_hz), y, rate_hz)
     whole = _turning(model, y, rate_hz)
-    if not whole.model.roll_off and (found := common_fall.find(whole.point)):
-        whole = _turning(replace(model, roll_off=found), y, rate_hz)
+    if not model.roll_off:
+        if off := common_fall.find(whole.point):
+            whole = _turning(replace(model, roll_off=off), y, rate_hz)
+        if late := recorder_phase.found(whole.model, whole.point):
+            whole = _turning(replace(model, roll_off=late), y, rate_hz)
     data, slopes = whole.point.data, whole.point.slopes
     for i, place in enumerate(() if data.measured_force else data.places):
         refuse_without_resonance(place, float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band)

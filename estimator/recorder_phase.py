@@ -1,0 +1,80 @@
+"""What the recorder delays over the band otherwise than is known: a steep filter what is near its end, long before it
+takes anything of it; one that is run to and fro, or has symmetric taps, nothing.
+
+All channels late alike by psi(f) rad are nothing to a linear rotor. To a law of the true motion, P^-1 phi(P x) with
+P = exp(i b psi), they are: its derivative by b, phi'(x) (i psi x) - i psi phi(x), is a force that a wrong phase leaves.
+In the mean it answers nothing, as the two tangents are the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import missing_force
+from .linear_memory import filtered
+from .model import Model
+from .path_fit import Term
+from .placed import evaluate
+from .roll_off import LATE, POWERS, Filter, RollOff
+from .side_by_side import each
+from .subproblem import gain, subproblem
+from .terms import orthogonal
+from .working_point import WorkingPoint, thinned
+
+Array = NDArray[np.float64]
+SMALL = 0.05  # rad at psi = 1, of the difference that the derivative is taken from
+ELSE = 2.0  # times the nats of a phase, that columns of the states win where a law is missing: 4 and more; 1 if none is
+LOOKS = ((8.0, 2.5), (24.0, 5.0))  # s of the record, and standard deviations that are worth more of it, or are certain
+
+
+def found(model: Model, point: WorkingPoint) -> RollOff | None:
+    """The model's filters with the phase that the record shows; None where it shows none but theirs, or where columns
+    of the states explain more: harmonics of damping are a quarter of a turn beside those of a spring."""
+    data, part = point.data, point
+    if data.measured_force or point.kL.min() <= 0.0:
+        return None
+    rad = nats = 0.0
+    for seconds, sure in LOOKS:
+        part = thinned(point, seconds)
+        seen = excess(part, lambda f: np.minimum(f / data.band[1], 1.0) ** LATE)
+        if seen is None or abs(seen[0]) < sure * seen[1] or (seen[0] < 0.0 and not model.roll_off):
+            return None
+        rad, nats = seen[0], 0.5 * (seen[0] / seen[1]) ** 2
+    felt = sum(f.gain for r in missing_force.survey(part, model).residuals for f in r.found)
+    if felt > ELSE * nats:
+        return None
+    flat = Filter(data.rate_hz, data.band[1], nepers=(0.0,) * POWERS.size)
+    known = {place: (model.roll_off or {}).get(place, flat) for place in data.places}
+    return {place: replace(own, late=own.late + rad) for place, own in known.items()}
+
+
+def excess(point: WorkingPoint, psi: Callable[[Array], Array]) -> tuple[float, float] | None:
+    """b of exp(i b psi), psi of f (f,) Hz, by which the motion of all places is to be turned, and its standard
+    deviation. None where no law of the model feels it."""
+    data, places = point.data, tuple(range(len(point.data.places)))
+    uses = [use for use in point.placed if use.effect.kind == "force"]
+
+    def turned(z: Array, by: float) -> Array:
+        return filtered(lambda w: np.exp(1j * by * psi(w / (2 * np.pi))), z, data.rate_hz)
+
+    def left(i: int) -> Array:
+        own = [use for use in uses if i in use.at]
+        here, moved = (sum((evaluate(use, at, i, point.lin)[0] for use in own), np.zeros(1)) for at in (data, there))
+        return np.asarray((turned(moved, -SMALL) - here) / SMALL)
+
+    there = data.states(lambda z: np.array(each(lambda row: turned(row, SMALL).astype(z.dtype), z)))
+    felt = [i for i in places if any(i in use.at for use in uses)]
+    series = dict(zip(felt, each(left, felt), strict=True))
+    if not series:
+        return None
+    rms = float(np.sqrt(np.mean([np.mean(z**2) for z in series.values()])))
+    P = len(places)
+    term = orthogonal(Term("phase", "1", series, np.zeros((P, P, 2)), 1.0 / max(rms, 1e-300)), point.spans)
+    if term is None:
+        return None
+    _, found = gain(subproblem(point, places, point.weighing.columns([term])), steps=6)
+    return found.value("phase")

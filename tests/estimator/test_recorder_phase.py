@@ -1,0 +1,63 @@
+"""A recorder that delays the end of the band is known by what it does to the harmonics of a law, and is undone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_effects import RATE, one_bearing, record
+from numpy.typing import NDArray
+
+from estimator.compare import compare
+from estimator.model import Model, Setting
+from estimator.recorder_phase import excess
+from estimator.roll_off import POWERS, Filter
+from estimator.simulate import simulate
+from estimator.whole import fit_whole
+
+Array = NDArray[np.float64]
+LATE = 0.8  # rad at the end of the band
+
+
+def bent() -> Model:
+    """A bearing whose cubic stiffness is fifteen times that of the paper's rig."""
+    rig = one_bearing()
+    own = {p: {n: Setting(15.0 * (s.value or 0.0)) for n, s in q.items()} for p, q in rig.effects[0].parameters.items()}
+    return replace(rig, effects=(replace(rig.effects[0], parameters=own),))
+
+
+def late(y: Array, rad: float, top_hz: float) -> Array:
+    """(n, channels) behind a filter that takes nothing and delays the end of the band."""
+    f = np.fft.rfftfreq(len(y), 1 / RATE)
+    turned = np.exp(-1j * rad * np.minimum(f / top_hz, 1.0) ** 3)
+    return np.fft.irfft(np.fft.rfft(y, axis=0) * turned[:, None], len(y), axis=0)
+
+
+def test_the_delay_of_the_end_of_the_band_is_found() -> None:
+    rig = bent()
+    top = rig.band[1]
+    y = simulate(rig, RATE, 4.0, seed=3)
+    known = {"roll_off": dict.fromkeys(rig.places, Filter(RATE, top, nepers=(0.0,) * POWERS.size))}
+    for rad in (0.0, LATE):
+        seen = excess(fit_whole(replace(rig, **known), late(y, rad, top), RATE).point, lambda f: (f / top) ** 3)
+        assert seen is not None
+        assert seen[0] == pytest.approx(rad, abs=4 * seen[1])
+        assert seen[1] < 0.25
+
+
+@pytest.mark.slow
+def test_a_complete_model_behind_a_filter_that_takes_nothing_is_complete() -> None:
+    rig = bent()
+    y = simulate(rig, RATE, 30.0, seed=3, noise=0.02)
+    found = compare(rig, late(y, LATE, rig.band[1]), RATE)
+    assert any("us later" in message for message in found.messages)
+    assert found.missing[0] == 0.0
+    assert not compare(rig, y, RATE).messages
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["bouc_wen", "clearance", "quadratic", "coulomb", "ball_pass", "quadratic_damping"])
+def test_no_law_passes_for_a_delay(effect: str) -> None:
+    rig = bent()
+    assert not fit_whole(rig, record(rig, effect, 0.06, seconds=30.0), RATE).model.roll_off
