@@ -118,8 +118,7 @@ def _begun(seen: Sequence[Seen], off: Filter) -> tuple[float, Array]:
     deviance, out = 0.0, np.zeros((len(seen), OWN))
     for own, at, (passed, back) in zip(seen, out, _effects(seen, off), strict=True):
         c = own.cells
-        heard = c.noise * np.abs(c.A) ** 2
-        X, m = np.stack([c.colour * passed + back, heard]), c.power
+        X, m = np.stack([c.colour * passed + back, c.heard]), c.power
         S = N = 0.0
         for _ in range(3):
             W = c.n / m**2
@@ -156,8 +155,8 @@ def _spectrum(c: Cells, u: Array, passed: Array, back: Array) -> tuple[Array, Ar
     force = S * c.colour * passed + np.abs(A - c.A) ** 2 * c.others
     white = S * (c.colour * passed * own / of + back)
     slope = -force * own / of**2
-    return white + (force - S * c.colour * passed) * own / of + noise * c.noise * own, np.stack([
-        white, c.noise * own,
+    return white + (force - S * c.colour * passed) * own / of + noise * c.heard, np.stack([
+        white, c.heard,
         2 * k / c.w**4 * c.others * own / of - slope * 2 * A.real / c.w**2,
         2 * d / c.w**2 * c.others * own / of - slope * 2 * A.imag / c.w,
     ])  # fmt: skip

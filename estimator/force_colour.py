@@ -39,16 +39,16 @@ NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to ca
 @dataclass(frozen=True, slots=True)
 class Cells:
     """Mean spectra of one place. power : (cells,) N^2/Hz mean |F|^2; n : bins; A : (cells,) tangent, the other caps
-    answering; w : rad/s; colour, noise : shapes of the force that the model has and, as acceleration, of the noise of
-    its sensor; others : (m/s^2)^2/Hz that the forces at the other caps move this one by; back : over S, the force that
-    what sampling folds back at all caps makes."""
+    answering; w : rad/s; colour : shape of the force that the model has; heard : force that white noise of the sensors
+    at all caps makes, over that noise; others : (m/s^2)^2/Hz that the forces at the other caps move this one by; back :
+    over S, the force that what sampling folds back at all caps makes."""
 
     power: Array
     n: Array
     w: Array
     A: NDArray[np.complex128]
     colour: Array
-    noise: Array
+    heard: Array
     others: Array
     back: Array
 
@@ -60,11 +60,11 @@ class Cells:
         """Of the inferred force, if A is the rotor's. u : ln S, ln of the noise; factor : of the force spectrum.
 
         Inferred is F - d a, d = A - self.A, of a = (F + self.A o) / A, where o is the motion by the other forces alone.
+        What is no motion comes into it as the model infers it, whatever the rotor's A.
         """
-        A2 = np.abs(A) ** 2
-        S, noise = _exp(u[0]), _exp(u[1]) * self.noise
+        S, noise = _exp(u[0]), _exp(u[1])
         force = S * self.colour * factor + np.abs(A - self.A) ** 2 * self.others
-        return np.asarray((force / A2 + noise) * np.abs(self.A) ** 2 + S * self.back)
+        return np.asarray(force * np.abs(self.A / A) ** 2 + noise * self.heard + S * self.back)
 
 
 def cells_of(point: WorkingPoint, i: int) -> Cells:
@@ -79,10 +79,9 @@ def cells_of(point: WorkingPoint, i: int) -> Cells:
 
     w = 2 * np.pi * data.f_hz
     A, others = answered(point.A, point.S, i)
-    noise = noise_shape(data.kinds[i : i + 1], w)[0] * data.sharpened[i]
     return Cells(
-        mean(power), width * data.blocks, mean(w), mean(A.real) + 1j * mean(A.imag), mean(data.colour[i]), mean(noise),
-        mean(others), mean(beyond(data, point.A, point.S)[i]),
+        mean(power), width * data.blocks, mean(w), mean(A.real) + 1j * mean(A.imag), mean(data.colour[i]),
+        mean(data.heard(point.A)[i]), mean(others), mean(beyond(data, point.A, point.S)[i]),
     )  # fmt: skip
 
 
@@ -252,7 +251,7 @@ def _alike(
 def plain(point: WorkingPoint, i: int, c: Cells) -> tuple[float, Array, Array]:
     """Likelihood and numbers of the base model at a place, and their scales."""
     scale = np.array([1.0, 1.0, point.kL[i] * 0.01, point.c[i] * 0.1 + 1e-9])
-    least = point.S[i] * LEAST_NOISE / np.mean(c.noise * np.abs(c.A) ** 2)
+    least = point.S[i] * LEAST_NOISE / np.mean(c.heard)
     quiet = np.array([np.log(point.S[i]), np.log(least), 0.0, 0.0])
     u0 = quiet.copy()
     u0[1] = np.log(point.nu[i] * point.S[i]) if point.nu[i] > 0.0 else quiet[1] - 10.0
