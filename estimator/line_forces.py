@@ -35,7 +35,7 @@ SURE = 1.3  # the local noise is known to about a tenth: so much more is asked o
 LEVEL = 1e-4  # chance of one false line in a record, in a blind search
 NEAR_DISC = 0.04  # of the disc's resonance on its shaft, on either side
 UNSURE_DISC = 0.25  # of the same, where it may be: a shaft 30 % stiffer, or a disc a fifth lighter, than was said
-ALIKE = 0.02  # of a line in two channels, that their sensors may differ by
+ALIKE = 0.02  # of a line in two channels or at two caps, that they may differ by
 KNOWN_LEVEL = 1e-4  # at an order that is looked at on purpose
 
 
@@ -48,7 +48,7 @@ def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Su
     threshold = SURE * float(np.log(s.Y.size / LEVEL))
     lines = [
         hz for hz in _standing(s, (*known, *tracked), threshold)
-        if not _about_disc(model, hz) or s.over_neighbours(hz) > threshold
+        if not _about_disc(model, hz) or (s.over_neighbours(hz) > threshold and not _through_disc(point, s, hz))
     ]  # fmt: skip
     out: list[Suspect] = []
     if rotation > 0.0 and not any(use.name == "local_defect" for use in model.effects):
@@ -74,6 +74,16 @@ def _about_disc(model: Model, hz: float) -> bool:
     """Whether the disc may resonate there on its shaft, if both are not quite those of the rig file."""
     notch = shaft_notch(model)
     return notch is not None and abs(hz / (0.5 * sum(notch)) - 1.0) < UNSURE_DISC
+
+
+def _through_disc(point: WorkingPoint, s: Spectrum, hz: float) -> bool:
+    """Whether a line loads both caps alike, as a disc does that resonates elsewhere than the rig file says: one that
+    rings for longer than the record cannot be told from a line."""
+    F, noise = forces(point, s, hz)
+    pairs = [(i, j) for i in range(len(F)) if (j := point.data.opposite(i)) is not None and i < j]
+    return bool(pairs) and all(
+        abs(F[i] - F[j]) < ALIKE * abs(F[i] + F[j]) / 2 + 3.0 * np.sqrt(noise[i] + noise[j]) for i, j in pairs
+    )
 
 
 def _searched(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> Spectrum:
