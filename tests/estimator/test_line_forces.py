@@ -95,11 +95,13 @@ def test_a_disc_that_rings_for_as_long_as_the_record_is_no_line() -> None:
     s = spectrum_of(rig, y, RATE)
     band = (s.f_hz > 116.0) & (s.f_hz < 118.0)
     peak = float(s.f_hz[band][np.argmax(np.abs(s.Y[0, band]))])
-    assert s.steady(peak) and s.over_neighbours(peak) > 30.0
+    assert s.steady(peak)
+    assert s.over_neighbours(peak) > 30.0
     assert line_forces.find(rig, point, y, RATE) == []
     y[:, 0] += 0.3 * np.cos(2 * np.pi * 112.0 * np.arange(len(y)) / RATE)
     (line,) = line_forces.find(rig, point, y, RATE)
-    assert line.region.startswith("112.") and "bearing1.x" in line.at
+    assert line.region.startswith("112.")
+    assert "bearing1.x" in line.at
 
 
 def test_a_weak_line_is_steady_and_a_narrow_resonance_is_not() -> None:
