@@ -334,9 +334,7 @@ def _shared(model: Model, places: tuple[str, ...]) -> tuple[tuple[int, int], ...
 
 
 def sharpened(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
-    """(places, f) |true over measured|^2 of the responses that are undone, beside a measured force and of recorders."""
-    if not forced(model) and not model.roll_off:
-        return np.ones((len(places), f_hz.size))
+    """(places, f) |true over measured|^2 of the responses that are undone, of sensors and of recorders."""
     return np.array([1.0 / np.abs(of_place(model, p, 2 * np.pi * f_hz)) ** 2 for p in places])
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import bent_path, force_colour, line_forces, periodic, sensor_faults
+from . import bent_path, coupled_caps, force_colour, line_forces, periodic, sensor_faults
 from .model import EffectUse, Model
 from .model_uses import not_judged
 from .path_fit import Spectrum
@@ -29,6 +29,7 @@ def suspects(model: Model, point: WorkingPoint, y: Array, everywhere: bool = Fal
     rest = lines + force_colour.find(model, _without(lines, model, point))
     if point.data.measured_force:
         rest += bent_path.find(model, point, periodic.known_lines(_having(model, lines)))
+    rest += coupled_caps.find(model, point)
     if not everywhere:
         bad = {p for s in clipped for p in s.at} | {point.data.places[i] for i in not_judged(model, point.data.places)}
         rest = [kept for s in rest if (kept := _elsewhere(s, bad, point)) is not None]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from . import (
     bent_path,
     common_fall,
+    coupled_caps,
     force_colour,
     force_level,
     modulation,
@@ -139,10 +140,11 @@ def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
             break
         model, found = renewed, found | again
         point = fit_record(model, prepare(model, y, rate_hz))
-    for _ in range(ROUNDS if any(u.name in periodic.PERIODIC or _told(u, model) for u in uses) else 0):
+    for _ in range(ROUNDS if any(u.name in (*periodic.PERIODIC, *LINEAR) for u in uses) else 0):
         model, bent = bent_path.refined(model, point)
+        model, mutual = coupled_caps.refined(model, point)
         model, stepped = periodic_fit.settled(model, point)
-        stepped |= bent
+        stepped |= bent | mutual
         found |= stepped
         if stepped:
             point = fit_record(model, prepare(model, y, rate_hz))

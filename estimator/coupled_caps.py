@@ -1,0 +1,211 @@
+"""A sensor whose gain or delay is wrong, told by what two caps answer each other through the shaft.
+
+Of a channel that reads g times its motion the equation of motion, times g, has its known mass again, and
+    D1 y1 + g B x2 = g F1,    D2 x2 + B y1 / g = F2,
+B what shaft and disc put between the caps: it seems to be stronger one way and weaker the other by the same factor,
+g = 1 + error or exp(-i w delay). A shaft or a disc other than the rig file's changes both ways alike, a cap's mass one
+of them. Which of the two sensors is wrong, by g or by 1 / g, is not told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from .balance import shaft_notch
+from .effects import CATALOGUE
+from .effects.places import at, written
+from .estimate import Parameter
+from .linear_memory import filtered
+from .model import EffectUse, Model, Setting
+from .path_fit import Term
+from .rotor import between_caps
+from .sensor_response import BLIND
+from .side_by_side import each
+from .subproblem import subproblem
+from .suspect import Suspect
+from .working_point import WorkingPoint
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+GAIN, SKEW = BLIND
+# Changes of B: ln of its size in the first cap's force and in the second's, its delay (s) and, in the second's, advance
+FAULTS = {GAIN: (1.0, -1.0, 0.0, 0.0), SKEW: (0.0, 0.0, 1.0, 1.0)}
+OTHERWISE = ((1.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, -1.0), (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0))  # shaft, masses
+LOOKED = {GAIN: 0.05, SKEW: 0.3}  # standard deviation, of 1 and of a sample, that a record is to have to be looked at
+CALIBRATED = {GAIN: 2e-3, SKEW: 0.01}  # that no calibration would show
+FEWEST = 10.0  # nats, for a cause, and for another one beside it
+LEVEL = 1e-3  # p-value above which nothing is said
+NOTE = (
+    "told by what the caps answer each other through the shaft: the sensor of the other cap, wrong by the inverse, is "
+    "the same"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Between:
+    """Changes of B between two places, by index, as in FAULTS. mean : (4,). information : (4, 4). rms : (4,) N of the
+    force that a unit of each makes."""
+
+    i: int
+    j: int
+    mean: Array
+    information: Array
+    rms: Array
+
+    def along(self, *directions: tuple[float, ...]) -> tuple[Array, Array]:
+        """The likeliest multiples of some directions and their covariance."""
+        H = np.array(directions).T
+        C = np.linalg.inv(H.T @ self.information @ H)
+        return C @ (H.T @ self.information @ self.mean), C
+
+    def nats(self, *directions: tuple[float, ...]) -> float:
+        """What they explain."""
+        z, C = self.along(*directions)
+        return float(0.5 * z @ np.linalg.solve(C, z))
+
+
+def find(model: Model, point: WorkingPoint) -> list[Suspect]:
+    """Gains and delays of sensors that the model does not have yet, the likelier one of each pair of caps."""
+    out = []
+    for i, j in _pairs(model, point):
+        here = {point.data.places[i], point.data.places[j]}
+        uses = [use for use in model.effects if use.name in BLIND]
+        used = {use.name for use in uses if here.intersection(at(CATALOGUE[use.name], use, model))}
+        if names := [name for name in _told(model, point, i, j) if name not in used]:
+            out += _found(point, _between(model, point, i, j), names)
+    return out
+
+
+def _found(point: WorkingPoint, seen: Between, names: list[str]) -> list[Suspect]:
+    """The likeliest fault, if nothing else that may be wrong with B is likelier."""
+    places, rate = point.data.places, point.data.rate_hz
+    name = max(names, key=lambda one: seen.nats(FAULTS[one]))
+    alone, other = seen.nats(FAULTS[name]), max(OTHERWISE, key=lambda one: seen.nats(one))
+    both = seen.nats(FAULTS[name], other) > alone + FEWEST
+    gain = seen.nats(FAULTS[name], other) - seen.nats(other) if both else alone
+    z, C = seen.along(FAULTS[name], *([other] if both else []))
+    p = float(chdtrc(1, 2 * gain)) * len(FAULTS) * len(places)
+    slight = abs(z[0]) < CALIBRATED[name] / (rate if name == SKEW else 1.0)
+    if alone < seen.nats(other) or gain < FEWEST or p > LEVEL or slight:
+        return []
+    k = _whose(point, seen, name, float(z[0]))
+    own = _parameter(name, float(z[0]) if k == seen.i else -float(z[0]), float(np.sqrt(C[0, 0])))
+    force = np.abs(z[0] * np.array(FAULTS[name])) * seen.rms
+    power = {seen.i: float(force[0] ** 2 + force[2] ** 2), seen.j: float(force[1] ** 2 + force[3] ** 2)}
+    where = f"{places[seen.i]} and {places[seen.j]} do not answer each other alike"
+    return [Suspect(name, (places[k],), gain, 1, p, power, "other_bearing", where, {places[k]: own}, NOTE)]
+
+
+def _whose(point: WorkingPoint, seen: Between, name: str, z: float) -> int:
+    """Which of the two: the one that is late; of a gain the one without which forces of both directions are alike."""
+    if name == SKEW:
+        return seen.i if z > 0 else seen.j
+    apart = np.zeros(2)
+    for row, k in enumerate((seen.i, seen.j)):
+        if (o := point.data.other(k)) is not None:
+            apart[row] = np.log(point.S[k] / point.S[o])
+    return seen.i if abs(apart[0] - 2 * z) + abs(apart[1]) <= abs(apart[0]) + abs(apart[1] + 2 * z) else seen.j
+
+
+def _parameter(name: str, z: float, sd: float) -> dict[str, Parameter]:
+    """The number of a fault that is a change of B by z."""
+    if name == SKEW:
+        return {"delay": Parameter(z, sd, "s")}
+    return {"error": Parameter(float(np.expm1(z)), float(np.exp(z)) * sd, "1")}
+
+
+def refined(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:
+    """The model with the numbers of such faults, those undone in the record of the point, one step nearer, and these as
+    parameters. Of two sensors of a pair the first."""
+    found: dict[str, Parameter] = {}
+    uses = {use.name: use for use in model.effects}
+    for i, j in _pairs(model, point) if uses.keys() & set(BLIND) else ():
+        sought: dict[str, tuple[str, float]] = {}
+        for name in set(_told(model, point, i, j)) & uses.keys():
+            keys = at(CATALOGUE[name], uses[name], model)
+            here = [(point.data.places[k], sign) for k, sign in ((i, 1.0), (j, -1.0)) if point.data.places[k] in keys]
+            fixed = any(s.fixed for key, _ in here for s in written(CATALOGUE[name], uses[name], model, key).values())
+            if here and not fixed:
+                sought[name] = here[0]
+        if not sought:
+            continue
+        z, C = _between(model, point, i, j).along(*(FAULTS[name] for name in sought))
+        for k, (name, (key, sign)) in enumerate(sought.items()):
+            ((q, old),) = written(CATALOGUE[name], uses[name], model, key).items()
+            now = _now(name, old.value or 0.0) + sign * float(z[k])
+            own = _parameter(name, now, float(np.sqrt(C[k, k])))
+            found[f"{key}.{name}.{q}"] = own[q]
+            numbered = {key: {q: replace(old, value=own[q].value)}}
+            uses[name] = replace(uses[name], parameters={**_apart(uses[name], model), **numbered})
+    return replace(model, effects=tuple(uses[use.name] for use in model.effects)), found
+
+
+def _apart(use: EffectUse, model: Model) -> dict[str, dict[str, Setting]]:
+    """What a use has at each of its places, by itself."""
+    return {key: dict(written(CATALOGUE[use.name], use, model, key)) for key in at(CATALOGUE[use.name], use, model)}
+
+
+def _now(name: str, value: float) -> float:
+    """The change of B that a number is."""
+    return value if name == SKEW else float(np.log1p(value))
+
+
+def _pairs(model: Model, point: WorkingPoint) -> list[tuple[int, int]]:
+    """Both caps of a direction, where no force is measured and a shaft is between."""
+    data = point.data
+    if not data.shaft.any() or data.measured_force or point.kL.min() <= 0.0:
+        return []
+    opposite = [(i, data.opposite(i)) for i in range(len(data.places))]
+    return [(i, j) for i, j in opposite if j is not None and i < j]
+
+
+def _told(model: Model, point: WorkingPoint, i: int, j: int) -> list[str]:
+    """Faults that the record can show, by what the motion of a cap makes of the force on the other; a gain where both
+    caps' masses are known."""
+    data = point.data
+    w = 2 * np.pi * data.f_hz
+    R = np.linalg.inv(point.A)
+    a = np.einsum("bij,j,bij->bi", R, point.S, R.conj()).real  # one-sided PSD of the acceleration
+    mutual = np.abs(data.shaft[:, i, j]) ** 2 * (a[:, j] / point.S[i] + a[:, i] / point.S[j]) / w**4
+    per_bin = 2 * data.seconds * data.rate_hz / data.block
+    known = all(model.cap_mass(data.places[k]) is not None for k in (i, j))
+    sd = {GAIN: (per_bin * mutual.sum()) ** -0.5 if known else np.inf,
+          SKEW: (per_bin * (w**2 * mutual).sum()) ** -0.5 * data.rate_hz}  # fmt: skip
+    return [name for name in BLIND if sd[name] < LOOKED[name]]
+
+
+def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
+    """The likeliest changes of B, beside everything else of the model."""
+    data, P = point.data, len(point.data.places)
+    low, high = shaft_notch(model) or (0.0, 0.0)
+
+    def both_ways(w: Array) -> Complexes:
+        """Without its resonance, where a block is too short for what the disc does."""
+        out = between_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, model.mass["disc"], w)
+        return np.where(np.abs(w / (2 * np.pi) - 0.5 * (low + high)) < high - low, 0.0, out)
+
+    def term(k: int) -> Term:
+        row, sign = k % 2, (1.0, 1.0, -1j, 1j)[k]
+
+        def unit(w: Array) -> Complexes:
+            return np.asarray(both_ways(w) * sign * (w if k > 1 else 1.0))
+
+        here, there = ((i, j), (j, i))[row]
+        z = filtered(unit, data.x[there], data.rate_hz)
+        memory = np.zeros((P, data.bins.size), complex)
+        memory[there] = unit(2 * np.pi * data.f_hz)
+        return Term(str(k), "1", {here: z}, np.zeros((P, P, 2)), 1.0 / max(float(np.std(z)), 1e-300), {here: memory})
+
+    terms = each(term, range(4))
+    fitted = subproblem(point, (i, j), point.weighing.columns(terms)).fit(steps=12)
+    at_end = [fitted.names.index(str(k)) for k in range(4)]
+    scale = fitted.scales[at_end]
+    mean, C = fitted.delta[at_end] * scale, fitted.covariance[np.ix_(at_end, at_end)] * np.outer(scale, scale)
+    grown = np.array([*(1.0 + mean[:2]), 1.0, 1.0])
+    mean = np.array([*np.log(np.maximum(grown[:2], 1e-3)), *mean[2:]])
+    information = np.asarray(np.linalg.inv(C / np.outer(grown, grown)), dtype=np.float64)
+    return Between(i, j, mean, information, np.array([1.0 / t.scale for t in terms]))
