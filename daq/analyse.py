@@ -250,9 +250,13 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
 
 def ending(last: Mapping[str, Any]) -> str:
     """Why an improvement stops, from its last diagnosis."""
+    from estimator.diagnose import OTHERWISE
+
     verdict = last["verdict"]
     if verdict == "complete":
         return "the last model is complete: nothing of the catalogue predicts the record better than chance would"
+    if OTHERWISE in last["messages"]:
+        return f"something is left: {OTHERWISE}"
     if verdict == "unknown":
         return "something is left that the catalogue does not hold; type a law of your own into the rig file"
     return f"the last diagnosis names {verdict}, which was not added"

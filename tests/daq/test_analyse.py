@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.analyse import fitted, with_lines, with_verdict
+from daq.analyse import ending, fitted, with_lines, with_verdict
 from daq.cli import main
 from daq.edit import with_effect, with_values
 from daq.measurement import Measurement
 from daq.rig import Rig, load_rig
+from estimator.diagnose import OTHERWISE
 from estimator.estimate import Parameter
 from estimator.simulate import simulate
 
@@ -56,6 +57,11 @@ def test_where_to_show_it_is_checked_first(tmp_path: Path, capsys: pytest.Captur
     assert main([*command, "--rerun", "picture.png"]) == 2
     assert main([*command, "--html", str(tmp_path / "no" / "r.html")]) == 2
     assert "create it first" in capsys.readouterr().err
+
+
+def test_an_improvement_that_ends_at_the_shaft_does_not_ask_for_a_law() -> None:
+    assert "the shaft of the rig file" in ending({"verdict": "unknown", "messages": ["the first", OTHERWISE]})
+    assert "type a law of your own" in ending({"verdict": "unknown", "messages": ["the first"]})
 
 
 def test_the_model_with_the_verdict_has_what_was_found() -> None:
