@@ -19,6 +19,7 @@ MOST_MEANS = 8.0
 FALLS_DB = (0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0, 16.0)  # at the end of the band, that searches for a design begin with
 ORDERS, RIPPLES_DB, EDGES = range(3, 9), (0.1, 0.7), np.linspace(0.55, 1.1, 12)  # of Chebyshev filters; top by cutoff
 MOST_RIPPLE = 0.41  # 1.5 dB
+CUTOFFS = (0.1, 100.0)  # over the end of the band: what lies beyond is no recorder, or no filter
 MOST_ECHO = 2.0  # of what a design folds back
 SMALL = 1e-5  # change of a filter's number, for its derivative
 STEPS, ENOUGH = 60, 0.01  # at most; in deviance, that a step is to bring
@@ -71,6 +72,8 @@ def likeliest(seen: Sequence[Seen], blank: Filter) -> tuple[float, Filter]:
 def _ways(blank: Filter) -> Iterator[Way]:
     """Filters of one or two numbers."""
 
+    lowest, highest = np.log(np.array(CUTOFFS) * blank.top_hz).tolist()
+
     def poles(name: str, own: tuple[float, ...], z: Array) -> Filter:
         return replace(blank, poles=own, name=name, cutoff_hz=float(np.exp(z[0])))
 
@@ -80,10 +83,10 @@ def _ways(blank: Filter) -> Iterator[Way]:
     yield Way(lambda z: replace(blank, means=float(z[0])), ((1.0,), (3.0,)), (0.0,), (MOST_MEANS,))
     for name, own in designs().items():
         cutoffs = np.log(blank.top_hz) - 0.5 * np.log(_squares(own))
-        yield Way(partial(poles, name, own), tuple((z,) for z in cutoffs.tolist()), (-np.inf,), (np.inf,))
+        yield Way(partial(poles, name, own), tuple((z,) for z in cutoffs.tolist()), (lowest,), (highest,))
     for order in ORDERS:
         first = [(float(np.log(blank.top_hz / x)), 10 ** (dB / 10) - 1) for x in EDGES for dB in RIPPLES_DB]
-        yield Way(partial(rippled, order), tuple(first), (-np.inf, 0.0), (np.inf, MOST_RIPPLE))
+        yield Way(partial(rippled, order), tuple(first), (lowest, 0.0), (highest, MOST_RIPPLE))
 
 
 def _further(found: Tried) -> Iterator[Way]:
