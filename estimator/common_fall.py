@@ -3,7 +3,7 @@ of two: roll_off.py."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,8 @@ def find(point: WorkingPoint) -> RollOff | None:
     together, found = _fall(point, places, cells, fits, EXPLAINED)
     if found is not None and together - (df := sum(c.n.size - 4 for c in cells)) < CHANCE * np.sqrt(2.0 * df):
         return dict.fromkeys(data.places, found)
+    if len(places) > 1 and (most := _all_but_one(point, places, cells, fits)):
+        return dict.fromkeys(data.places, most)
     names = tuple(data.places[i] for i in places)
     nodes = [(own, *_fall(point, [places[k] for k in own], [cells[k] for k in own], [fits[k] for k in own], ALIKE))
              for own in devices(names)]  # fmt: skip
@@ -67,6 +69,24 @@ def _fall(
         return before, None
     other = sum(force_colour.otherwise(point, i, c, *fit) for i, c, fit in zip(places, cells, fits, strict=True))
     return (after, found) if after < other + BEHIND * len(places) else (before, None)
+
+
+def _all_but_one(point: WorkingPoint, places: list[int], cells: list[Cells], fits: list[Plain]) -> Filter | None:
+    """What all places but some one fall by, if what that one has of its own, as a sensor's resonance or noise, is
+    likelier behind the same filter."""
+    best, found = np.inf, None
+    for one, (i, c, fit) in enumerate(zip(places, cells, fits, strict=True)):
+        rest = [k for k in range(len(places)) if k != one]
+        after, off = _fall(point, [places[k] for k in rest], [cells[k] for k in rest], [fits[k] for k in rest], ALIKE)
+        if off is None:
+            continue
+        hz = c.w / (2 * np.pi)
+        back = off.folded(hz, point.data.kinds[i]) * _through(point, i, hz)
+        behind = replace(c, colour=c.colour * off.passed(hz), back=c.back + back)
+        own = force_colour.otherwise(point, i, behind, *force_colour.plain(point, i, behind))
+        if after + own < best and own < force_colour.otherwise(point, i, c, *fit):
+            best, found = after + own, off
+    return found
 
 
 def _in_common(cells: list[Cells], fits: list[Plain]) -> bool:

@@ -138,6 +138,19 @@ def test_behind_one_recorder_the_places_without_a_colour_show_its_filter() -> No
         np.testing.assert_allclose(own.passed(f), power("butterworth", f), rtol=0.03)
 
 
+@pytest.mark.parametrize("recorder", ["", "bessel"])
+def test_a_sensor_that_resonates_does_not_hide_the_filter_of_all(recorder: str) -> None:
+    """Both sensors were called resonant; the other one alone, behind the filter, shows what the first has too."""
+    rig = one_bearing()
+    y = simulate(rig, RATE, 6.0, seed=3, noise=0.02)
+    f = np.fft.rfftfreq(len(y), 1 / RATE)
+    resonance = 1.0 / (1.0 - (f / 5600.0) ** 2 + 1j * f / 5600.0 / 5.0)
+    y[:, 0] = np.fft.irfft(np.fft.rfft(y[:, 0]) * resonance, len(y))
+    y = through(y, recorder) if recorder else y
+    found = common_fall.find(fit_record(rig, prepare(rig, y, RATE)))
+    assert (set(found) if found else set()) == (set(rig.places) if recorder else set())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("recorder", RECORDERS)
 def test_a_complete_model_behind_a_filter_is_complete(recorder: str) -> None:
