@@ -114,6 +114,8 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             before = replace(
                 fitted_model(model, point), ball_pass_order=given.ball_pass_order, order_found=False, mass=given.mass
             )
+            if best.effect not in PERIODIC:  # a shape of the spectra that the recorder's filter was sought in
+                before = replace(before, roll_off=given.roll_off)
             try:
                 new_whole = _refitted(with_settings(before, best), y, rate_hz)
             except DataError as problem:  # far from the rotor
