@@ -253,17 +253,19 @@ def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[E
     shaft = []
     if nats > SURE and point.data.disc is not None:
         how = "softer (or its disc heavier)" if loss > 0 else "stiffer (or its disc lighter)"
-        shaft = [f"the shaft is {how} than the rig file says, by some {100 * abs(loss) / point.data.disc.K:.1g} %"]
+        percent = 100 * abs(loss) / point.data.disc.K
+        by = f"{percent:.2g} +- {percent / np.sqrt(2 * nats):.1g} %"
+        shaft = [f"the shaft is {how} than the rig file says, by {by}: give its true stiffness there"]
     if before.any_found() and before.percent(point) >= 100 * missing_force.NEGLIGIBLE:
         said = [
             *shaft,
             "the residual force can be predicted, but no effect of the catalogue does it significantly",
             *dict.fromkeys(s.region for s in before.shares),
         ]
-        if any(f.group == "other_bearing" for r in before.residuals for f in r.found):
+        if not shaft and any(f.group == "other_bearing" for r in before.residuals for f in r.found):
             said.append(OTHERWISE)
         return Diagnosis("unknown", entries, shape_of(point, before), messages=tuple(said))
-    said = [*shaft, "nothing of the catalogue improves the prediction beyond chance"]
+    said = shaft
     if point.data.measured_force:
         said.append(_beside_forces(point))
     return Diagnosis("complete", entries, messages=tuple(said))

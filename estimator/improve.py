@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from . import recorder_phase
 from .diagnose import Diagnosis, diagnose_point
 from .errors import DataError
 from .estimate import Parameter
@@ -26,6 +27,7 @@ from .working_point import WorkingPoint, fit_model
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 MOST = 5  # effects added at most
+ENDED = ("complete", "unknown")  # verdicts that name nothing
 UNSCORED = (
     "sensor_noise",
     "sensor_clipping",
@@ -99,7 +101,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         found = diagnose_point(model, point, y, inner)
         diagnoses.append(found)
         best = found.ranking[0] if found.ranking else None
-        if found.verdict in ("complete", "unknown") or best is None:
+        if found.verdict in ENDED or best is None:
             break
         if best.placed:
             richer = fit_model(point.data, [*point.placed, *best.placed], start=point)
@@ -107,8 +109,10 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                 messages.append(f"{found.verdict} was named but is not told from zero when fitted: not added")
                 break
             new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
-            if whole.masses:  # were found without what was missing
-                new_whole = _refitted(replace(new_whole.model, mass=given.mass), y, rate_hz)
+            # masses, and what the recorder delays, were sought beside what was missing
+            if whole.masses or recorder_phase.found(new_whole.model, richer):
+                again = replace(new_whole.model, mass=given.mass, roll_off=given.roll_off)
+                new_whole = _refitted(again, y, rate_hz)
         else:
             # forces of time alone make products with the motion that pass for a stiffness that turns: sought again
             before = replace(
@@ -134,7 +138,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             break
         whole, model, point, shift = new_whole, new_whole.model, new_whole.point, moved
         rungs.append(new)
-    messages = [*whole.messages, *messages, *idle(point)]
+    messages = [*whole.messages, *messages, *idle(point), *(found.messages if found.verdict in ENDED else ())]
     say(1.0, "done")
     return Ladder(tuple(rungs), fitted_model(model, point), whole.parameters, found, tuple(messages), tuple(diagnoses))
 
