@@ -36,6 +36,7 @@ CLOSE = 10.0  # nats behind the first of the ranking, where the shape of what is
 REFINED, NEAR = 12, 0.3  # trials refined at most; share of the best gain at a bearing that earns it, everywhere
 SURE = 30.0  # nats, from which a shaft that is not the rig file's is told
 FAR = 0.2  # share of the best effect's gain under which it is not asked what searched numbers of another spot would do
+EARNED = 5.0  # nats held out, of a law where no force is missing: ln of what a search tries
 IDLE = "refused: no force is missing there, and fitted with the model it is not told from zero or predicts no better"
 OTHERWISE = (
     "the caps answer each other otherwise than the shaft of the rig file lets them: its spring or the disc's mass is "
@@ -192,11 +193,12 @@ def _fits(
     as the motion may seem to be something: no force is missing at its places, and it is not told from zero at any or
     predicts no better."""
     missing = bool({i for p in entry.placed for i in p.at}.intersection(before.places_found()))
+    samples = point.data.blocks * point.data.block
     uses = [*point.placed, *entry.placed]
     after_point = fit_model(point.data, uses, start=point, rounds=2 if missing else 6)
     if not missing and (
         {use.key for use in entry.placed}.issubset(untold(after_point))
-        or heldout_nll(after_point) >= heldout_nll(point)
+        or heldout_nll(after_point) > heldout_nll(point) - EARNED / samples
     ):
         return replace(entry, notes=(*entry.notes, IDLE)), None
     joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
