@@ -4,6 +4,7 @@ of two: roll_off.py."""
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from . import force_colour
 from .filter_search import Seen, likeliest
 from .force_colour import Cells
 from .roll_off import POWERS, Filter, RollOff, devices
+from .side_by_side import answers
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -67,7 +69,8 @@ def _fall(
         return before, None
     if after - df > max((1 - explained) * (before - df), CHANCE * np.sqrt(2 * df)):
         return before, None
-    other = sum(force_colour.otherwise(point, i, c, *fit) for i, c, fit in zip(places, cells, fits, strict=True))
+    asked = zip(places, cells, fits, strict=True)
+    other = sum(answers([partial(force_colour.otherwise, point, i, c, *fit) for i, c, fit in asked]))
     return (after, found) if after < other + BEHIND * len(places) else (before, None)
 
 

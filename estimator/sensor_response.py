@@ -12,11 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .model import MOTION, Model
+from .roll_off import Filter
+from .side_by_side import each
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 BLIND = ("sensor_gain", "sensor_skew")  # caps that are not coupled say nothing of them: diagnosis.md
 LINEAR = (*BLIND, "sensor_resonance")  # faults that are a response
+GRID = 8192  # frequencies that a filter is computed at, straight lines between: to a millionth
 
 
 def forced(model: Model) -> frozenset[str]:
@@ -40,9 +43,19 @@ def response(name: str, values: Mapping[str, float | None], w: Array) -> Complex
 def of_place(model: Model, place: str, w: Array) -> Complexes:
     """(f,) of all that is undone in the motion channel at a place: faults of the model and, as far as the band goes,
     the recorder's filter."""
+    out = _faults(model, place, w)
+    own = recorder(model, place)
+    return out if own is None else out * own.response(np.minimum(w / (2 * np.pi), model.band[1]))
+
+
+def recorder(model: Model, place: str) -> Filter | None:
+    """The recorder's filter that is undone at a place: not beside a measured force, which went through it too."""
+    return None if place in forced(model) else (model.roll_off or {}).get(place)
+
+
+def _faults(model: Model, place: str, w: Array) -> Complexes:
+    """(f,) of the sensor."""
     out = np.ones(w.size, complex)
-    if model.roll_off and place in model.roll_off and place not in forced(model):
-        out = model.roll_off[place].response(np.minimum(w / (2 * np.pi), model.band[1]))
     for use in model.effects:
         if use.name not in (LINEAR if place in forced(model) else BLIND):
             continue
@@ -55,22 +68,25 @@ def of_place(model: Model, place: str, w: Array) -> Complexes:
 
 def undone(model: Model, y: Array, rate_hz: float) -> Array:
     """The record (n, channels), SI, with the responses of its sensors that the model knows of taken back."""
-    out = y
     if not model.roll_off and not any(use.name in LINEAR for use in model.effects):
-        return out
-    for k, channel in enumerate(model.channels):
-        if channel.kind not in MOTION:
-            continue
-        f: Array = np.asarray(np.fft.rfftfreq(len(y), 1 / rate_hz), dtype=np.float64)
-        H = of_place(model, channel.place, 2 * np.pi * f)
+        return y
+    f: Array = np.asarray(np.fft.rfftfreq(len(y), 1 / rate_hz), dtype=np.float64)
+    moving = [k for k, channel in enumerate(model.channels) if channel.kind in MOTION]
+    filters = {recorder(model, model.channels[k].place) for k in moving} - {None}
+    grid = np.linspace(0.0, model.band[1], GRID)
+    known = {own: np.interp(f, grid, own.response(grid)) for own in filters if own is not None}
+
+    def column(k: int) -> Array:
+        place, z = model.channels[k].place, y[:, k]
+        H = _faults(model, place, 2 * np.pi * f)
+        if (own := recorder(model, place)) is not None:
+            H *= known[own]
         if np.ptp(H) == 0.0:
-            factor = float(H[0].real)
-            if factor != 1.0:
-                out = y.copy() if out is y else out
-                out[:, k] /= factor
-            continue
-        out = y.copy() if out is y else out
-        gap = np.isnan(out[:, k])
-        moved = np.fft.irfft(np.fft.rfft(np.nan_to_num(out[:, k])) / H, len(out))
-        out[:, k] = np.where(gap, np.nan, moved)
+            return np.asarray(z / float(H[0].real))
+        gap = np.isnan(z)
+        return np.where(gap, np.nan, np.fft.irfft(np.fft.rfft(np.where(gap, 0.0, z)) / H, len(z)))
+
+    out = y.copy()
+    for k, z in zip(moving, each(column, moving), strict=True):
+        out[:, k] = z
     return out

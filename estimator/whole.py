@@ -86,9 +86,9 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     whole = _turning(model, y, rate_hz)
     if not model.roll_off:
         if off := common_fall.find(whole.point):
-            whole = _turning(replace(model, roll_off=off), y, rate_hz)
+            whole = _turning(replace(model, roll_off=off), y, rate_hz, whole.point)
         if late := recorder_phase.found(whole.model, whole.point):
-            whole = _turning(replace(model, roll_off=late), y, rate_hz)
+            whole = _turning(replace(model, roll_off=late), y, rate_hz, whole.point)
     data, slopes = whole.point.data, whole.point.slopes
     for i, place in enumerate(() if data.measured_force else data.places):
         refuse_without_resonance(place, float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band)
@@ -103,10 +103,11 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     return replace(whole, messages=(*said, *whole.messages), masses=masses)
 
 
-def _turning(model: Model, y: Array, rate_hz: float) -> Whole:
-    """The same at the speed that the model gives, the ball-pass order from the record where the model leaves it."""
+def _turning(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None = None) -> Whole:
+    """The same at the speed that the model gives, the ball-pass order from the record where the model leaves it.
+    begun : the same before a filter was undone."""
     if not modulation.sought(model):
-        return _fitted(model, y, rate_hz)
+        return _fitted(model, y, rate_hz, begun)
     if laws := modulation.laws(model):
         bare = replace(model, effects=tuple(u for u in model.effects if u not in laws))
         model, said = modulation.turned(model, _fitted(bare, y, rate_hz).point)
@@ -116,11 +117,11 @@ def _turning(model: Model, y: Array, rate_hz: float) -> Whole:
     return replace(whole, model=model, messages=(*whole.messages, *said))
 
 
-def _fitted(model: Model, y: Array, rate_hz: float) -> Whole:
+def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None = None) -> Whole:
     """The same at the ball-pass order that the model gives."""
     uses = [u for u in model.effects if beside_the_laws(u)]
     if not uses:
-        return Whole(model, fit_record(model, prepare(model, y, rate_hz)), {})
+        return Whole(model, fit_record(model, prepare(model, y, rate_hz), begun), {})
     limited, y = y, restored(model, y, clipped(model))
     undone = [u for u in uses if _undone(u, model)]
     bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u in undone))
