@@ -40,11 +40,12 @@ def find(point: WorkingPoint) -> RollOff | None:
     together, found = _fall(point, places, cells, fits, EXPLAINED)
     if found is not None and together - (df := sum(c.n.size - 4 for c in cells)) < CHANCE * np.sqrt(2.0 * df):
         return dict.fromkeys(data.places, found)
-    if len(places) > 1 and (most := _all_but_one(point, places, cells, fits)):
-        return dict.fromkeys(data.places, most)
     names = tuple(data.places[i] for i in places)
     nodes = [(own, *_fall(point, [places[k] for k in own], [cells[k] for k in own], [fits[k] for k in own], ALIKE))
              for own in devices(names)]  # fmt: skip
+    deviance, most = _all_but_one(point, places, cells, fits) if len(places) > 1 else (np.inf, None)
+    if most is not None and deviance < sum(after for _, after, _ in nodes):
+        return dict.fromkeys(data.places, most)
     apart = {names[k]: off for own, _, off in nodes if off is not None for k in own}
     less = together - sum(after for _, after, _ in nodes)
     if apart and (found is None or chdtrc(POWERS.size * (len(nodes) - 1), less) < LEVEL):
@@ -74,9 +75,11 @@ def _fall(
     return (after, found) if after < other + BEHIND * len(places) else (before, None)
 
 
-def _all_but_one(point: WorkingPoint, places: list[int], cells: list[Cells], fits: list[Plain]) -> Filter | None:
-    """What all places but some one fall by, if what that one has of its own, as a sensor's resonance or noise, is
-    likelier behind the same filter."""
+def _all_but_one(
+    point: WorkingPoint, places: list[int], cells: list[Cells], fits: list[Plain]
+) -> tuple[float, Filter | None]:
+    """Deviance of all places, and what all but some one fall by, if what that one has of its own, as a sensor's
+    resonance or noise, is likelier behind the same filter."""
     best, found = np.inf, None
     for one, (i, c, fit) in enumerate(zip(places, cells, fits, strict=True)):
         rest = [k for k in range(len(places)) if k != one]
@@ -89,7 +92,7 @@ def _all_but_one(point: WorkingPoint, places: list[int], cells: list[Cells], fit
         own = force_colour.otherwise(point, i, behind, *force_colour.plain(point, i, behind))
         if after + own < best and own < force_colour.otherwise(point, i, c, *fit):
             best, found = after + own, off
-    return found
+    return best, found
 
 
 def _in_common(cells: list[Cells], fits: list[Plain]) -> bool:
