@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from . import pedestal_form
-from .bandlimit import noise_shape
 from .effects import CATALOGUE
 from .estimate import Parameter
 from .model import MOTION, Model
@@ -33,15 +32,16 @@ DARKEST = 0.985  # of S, that the gain of a colour may take away at low frequenc
 BROADENED = 0.75  # of a damping: what one resonance has too much in place of two, of a rotor and a strong pedestal
 PEAKED = 1.0  # quality of a sensor's resonance: below it filters look alike
 FOLDED = 0.01  # of what sampling folds back, that noise of a sensor has to be NOISE_RATIO times as strong as
+LEAST_SHARE = 1e-3  # of the noise of the noisiest sensor, in power, that every one is given
 NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
 
 
 @dataclass(frozen=True, slots=True)
 class Cells:
     """Mean spectra of one place. power : (cells,) N^2/Hz mean |F|^2; n : bins; A : (cells,) tangent, the other caps
-    answering; w : rad/s; colour : shape of the force that the model has; heard : force that white noise of the sensors
-    at all caps makes, over that noise; others : (m/s^2)^2/Hz that the forces at the other caps move this one by; back :
-    over S, the force that what sampling folds back at all caps makes."""
+    answering; w : rad/s; colour : shape of the force that the model has; heard : force that the noise of the
+    sensors at all caps makes, over that of its own; others : (m/s^2)^2/Hz that the forces at the other caps move this
+    one by; back : over S, the force that what sampling folds back at all caps makes."""
 
     power: Array
     n: Array
@@ -67,6 +67,13 @@ class Cells:
         return np.asarray(force * np.abs(self.A / A) ** 2 + noise * self.heard + S * self.back)
 
 
+def _heard(point: WorkingPoint, i: int) -> Array:
+    """(bins,) as Cells.heard: sensors are as noisy to each other as the fit has them, alike where it has none."""
+    N = point.nu * point.S
+    N = np.maximum(N, LEAST_SHARE * N.max()) if N.any() else np.ones(N.size)
+    return np.asarray(np.einsum("kl,lk,l->k", np.abs(point.A[:, i]) ** 2, point.data.noise_shape, N) / N[i])
+
+
 def cells_of(point: WorkingPoint, i: int) -> Cells:
     """Cells about evenly spread in log frequency, fine at the resonance."""
     data, power = point.data, _power(point, i)
@@ -81,7 +88,7 @@ def cells_of(point: WorkingPoint, i: int) -> Cells:
     A, others = answered(point.A, point.S, i)
     return Cells(
         mean(power), width * data.blocks, mean(w), mean(A.real) + 1j * mean(A.imag), mean(data.colour[i]),
-        mean(data.heard(point.A)[i]), mean(others), mean(beyond(data, point.A, point.S)[i]),
+        mean(_heard(point, i)), mean(others), mean(beyond(data, point.A, point.S)[i]),
     )  # fmt: skip
 
 
@@ -384,7 +391,7 @@ def noisy(model: Model, point: WorkingPoint, noise: Array) -> list[Suspect]:
         if others.size == 0 or place in have:
             continue
         # noise counts where it is loudest: that of an accelerometer low in the band, that of displacement at its top
-        white = noise_shape(data.kinds, 2 * np.pi * data.f_hz)[i] * data.sharpened[i]
+        white = data.noise_shape[i]
         folded = point.S[i] * float(np.sum(data.folded[i]) / np.sum(white))
         floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i].max()), FOLDED * folded)
         if noise[i] < NOISE_RATIO * floor:

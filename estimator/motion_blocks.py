@@ -103,9 +103,14 @@ class MotionBlocks:
         return np.asarray(np.fft.rfftfreq(self.block, 1 / self.rate_hz)[self.bins], dtype=np.float64)
 
     def heard(self, A: NDArray[np.complex128]) -> Array:
-        """(places, bins) PSD of force over that of white sensor noise, seen through A (bins, places, places)."""
-        shape = noise_shape(self.kinds, 2 * np.pi * self.f_hz) * self.sharpened
-        return np.asarray(np.einsum("kil,lk->ik", np.abs(A) ** 2, shape))
+        """(places, bins) PSD of force over that of white noise of the place's own sensor, through A (bins, places,
+        places)."""
+        return np.asarray(np.abs(np.einsum("kii->ik", A)) ** 2 * self.noise_shape)
+
+    @property
+    def noise_shape(self) -> Array:
+        """(places, bins) PSD as acceleration of white noise of the sensors, over that noise."""
+        return np.asarray(noise_shape(self.kinds, 2 * np.pi * self.f_hz) * self.sharpened)
 
     @property
     def seconds(self) -> float:

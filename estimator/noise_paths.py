@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .bandlimit import noise_shape
 from .motion_blocks import MotionBlocks
 from .side_by_side import each
 
@@ -54,10 +53,10 @@ class NoisePaths:
 
 def noise_paths(data: MotionBlocks, A: Complexes, nu: Array, S: Array) -> NoisePaths:
     """A : (bins, places, places). nu : (places,) noise of the sensors over S. S : (places,)."""
-    back = beyond(data, A, S)
+    back = beyond(data, A, S) + _others(data, A, S, nu)
     weight = 1.0 / (data.colour + back + nu[:, None] * data.heard(A))
     P = len(data.places)
-    noise = (noise_shape(data.kinds, 2 * np.pi * data.f_hz) * data.sharpened * nu[:, None] + data.folded) * S[:, None]
+    noise = (data.noise_shape * nu[:, None] + data.folded) * S[:, None]
     R = np.einsum("kil,lk,kjl->kij", A, noise, A.conj())
     R[:, range(P), range(P)] = 0.0
     root = np.sqrt(weight / S[:, None]).T
@@ -70,12 +69,18 @@ def beyond(data: MotionBlocks, A: Complexes, S: Array) -> Array:
     return np.asarray(np.einsum("kil,lk->ik", np.abs(A) ** 2, data.folded * S[:, None]) / S[:, None])
 
 
+def _others(data: MotionBlocks, A: Complexes, S: Array, nu: Array) -> Array:
+    """(places, bins) the same of the noise of the sensors at the other places."""
+    noise = data.noise_shape * (nu * S)[:, None]
+    return np.asarray(np.einsum("kil,lk->ik", np.abs(A) ** 2, noise) / S[:, None] - nu[:, None] * data.heard(A))
+
+
 def noise_of(point: WorkingPoint) -> tuple[Array, Array]:
     """nu, (places,), by maximum likelihood on the spectrum of the inferred force; what one of it is there of the force
     noise, in the mean over the band."""
     data = point.data
     heard = data.heard(point.A)
-    known = data.colour + beyond(data, point.A, point.S)
+    known = data.colour + beyond(data, point.A, point.S) + _others(data, point.A, point.S, point.nu)
     weight = heard.mean(axis=1)
 
     def at(i: int) -> float:

@@ -84,14 +84,13 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     """
     model, masses = unknown_mass.weighed(timed(model, y, rate_hz), y, rate_hz)
     whole = _turning(model, y, rate_hz)
+    _resonates(whole.point)
     if not model.roll_off:
         if off := common_fall.find(whole.point):
             whole = _turning(replace(model, roll_off=off), y, rate_hz, whole.point)
         if late := recorder_phase.found(whole.model, whole.point):
             whole = _turning(replace(model, roll_off=late), y, rate_hz, whole.point)
-    data, slopes = whole.point.data, whole.point.slopes
-    for i, place in enumerate(() if data.measured_force else data.places):
-        refuse_without_resonance(place, float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band)
+    data = whole.point.data
     said = (
         *shortened(data, y),
         *unknown_mass.said(masses),
@@ -101,6 +100,13 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
         *shaft_law.said(data, [use.effect for use in whole.point.placed]),
     )
     return replace(whole, messages=(*said, *whole.messages), masses=masses)
+
+
+def _resonates(point: WorkingPoint) -> None:
+    """Refuses places that do not resonate in the band."""
+    data, slopes = point.data, point.slopes
+    for i, place in enumerate(() if data.measured_force else data.places):
+        refuse_without_resonance(place, float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band)
 
 
 def _turning(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None = None) -> Whole:

@@ -91,3 +91,15 @@ def test_a_pedestal_is_found_where_it_does_not_stand_out_by_itself() -> None:
     assert set(found) == {"bearing1.x", "bearing1.y"}
     frequency = found["bearing1.y"].settings["bearing1.y"]["frequency"]
     assert frequency.value == pytest.approx(2.6 * f0, rel=0.03)
+
+
+def test_one_noisy_sensor_beside_a_stiff_shaft_is_found() -> None:
+    """Its noise comes into the force at the other cap too, and was spread over both sensors."""
+    rig = coupled_on_a_stiff_shaft()
+    noise = EffectUse("sensor_noise", {"bearing1.x": {"rms": Setting(0.4)}})
+    y = simulate(replace(rig, effects=(*rig.effects, noise)), RATE, 8.0, seed=7, noise=0.02, full_scale=490.5)
+    whole = fit_whole(rig, y, RATE)
+    (one,) = [s for s in force_colour.find(whole.model, whole.point) if s.p_value < 1e-3]
+    assert (one.effect, one.at) == ("sensor_noise", ("bearing1.x",))
+    rms = one.settings["bearing1.x"]["rms"]
+    assert rms.value == pytest.approx(0.4, rel=0.05)
