@@ -44,7 +44,7 @@ def find(point: WorkingPoint) -> RollOff | None:
     nodes = [(own, *_fall(point, [places[k] for k in own], [cells[k] for k in own], [fits[k] for k in own], ALIKE))
              for own in devices(names)]  # fmt: skip
     deviance, most = _all_but_one(point, places, cells, fits) if len(places) > 1 else (np.inf, None)
-    if most is not None and deviance < sum(after for _, after, _ in nodes):
+    if most is not None and deviance < (sum(after for _, after, _ in nodes) if nodes else together):
         return dict.fromkeys(data.places, most)
     apart = {names[k]: off for own, _, off in nodes if off is not None for k in own}
     less = together - sum(after for _, after, _ in nodes)
