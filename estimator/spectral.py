@@ -165,7 +165,12 @@ def judged(balance: Balance, point: Point, covariance: Floats, model: Model) -> 
             elif given is not None:
                 out[name] = Parameter(given, 0.0, UNITS[key], True, "given")
         out[f"{place}.S"] = _judged(point.S[i], point.S[i] * sd[point.beta.size + i], UNITS["S"])
-    return out | {name: _judged(value, s, f.unit) for name, (f, value, s) in free.items() if name not in out}
+    out |= {name: _judged(value, s, f.unit) for name, (f, value, s) in free.items() if name not in out}
+    adrift = tuple(f"{p}." for p in balance.places if f"{p}.m" in free and not np.isfinite(free[f"{p}.m"][2]))
+    return {
+        name: _judged(0.0, np.inf, q.unit) if q.unit.startswith("N") and name.startswith(adrift) else q
+        for name, q in out.items()
+    }  # fmt: skip
 
 
 def _judged(value: float, sd: float, unit: str) -> Parameter:
@@ -267,6 +272,15 @@ def _falls(solution: Solution) -> bool:
     return any(suspected(ratio[:, own], f_hz, count, max(peaks)) for own in ([*range(len(places))], *devices(places)))
 
 
+def ratios_only(place: str, kL: float, c: float, m: float) -> str:
+    """What to tell of a place whose mass is not known."""
+    hz, zeta = np.sqrt(kL / m) / (2 * np.pi), c / (2 * np.sqrt(kL * m))
+    return (
+        f"{place}: no mass is known, so only ratios are: resonance {hz:.1f} Hz, damping {100 * zeta:.2f} % of "
+        "critical; give [rig.mass] to have stiffness in N/m"
+    )
+
+
 def messages(solution: Solution) -> tuple[str, ...]:
     """What the user should know beside the numbers: what was assumed and does not hold, what sets no scale."""
     out = []
@@ -282,12 +296,7 @@ def messages(solution: Solution) -> tuple[str, ...]:
     for i, place in enumerate(places):
         name = f"{place}.m"
         if name in values and not np.isfinite(sd[solution.balance.names.index(name)]):
-            hz = np.sqrt(values[f"{place}.kL"] / values[name]) / (2 * np.pi)
-            zeta = values[f"{place}.c"] / (2 * np.sqrt(values[f"{place}.kL"] * values[name]))
-            out.append(
-                f"{place}: no mass is known, so only ratios are: resonance {hz:.1f} Hz, damping {100 * zeta:.2f} % "
-                "of critical; give [rig.mass] to have stiffness in N/m"
-            )
+            out.append(ratios_only(place, values[f"{place}.kL"], values[f"{place}.c"], values[name]))
         if solution.record.force:  # what is left is the sensor's noise, not a force
             continue
         excess = solution.local.power[:, i] / (solution.local.spread[:, i] * record.counted) - 1.0

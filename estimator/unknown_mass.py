@@ -18,8 +18,10 @@ from .estimate import Parameter
 from .model import Model
 from .periodic import PERIODIC
 from .sensor_response import forced
+from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
+FREE = "no mass is known, so only ratios are: give [rig.mass]"
 
 
 def weighed(model: Model, y: Array, rate_hz: float) -> tuple[Model, dict[str, Parameter]]:
@@ -38,6 +40,26 @@ def weighed(model: Model, y: Array, rate_hz: float) -> tuple[Model, dict[str, Pa
     told = {f"{p}.m": fitted[f"{p}.m"] for p in left_out}
     found = {p: q.value for p in left_out if (q := told[f"{p}.m"]).identifiable and q.value and q.value > 0.0}
     return replace(model, mass={**model.mass, **found}), {f"{p}.m": told[f"{p}.m"] for p in found}
+
+
+def without_scale(model: Model, numbers: dict[str, Parameter]) -> dict[str, Parameter]:
+    """The numbers by full name without those in newtons at places whose mass nothing tells: they are per kg of cap."""
+    unknown = {p for p in model.places if model.cap_mass(p) is None and p not in forced(model)}
+    keys = {f"{p}." for p in unknown} | {f"{p.split('.')[0]}.{u.name}." for p in unknown for u in model.effects}
+    return {
+        name: Parameter(None, None, q.unit, False, FREE)
+        if q.unit.startswith("N") and name.startswith(tuple(keys)) else q
+        for name, q in numbers.items()
+    }  # fmt: skip
+
+
+def ratios(model: Model, point: WorkingPoint) -> tuple[str, ...]:
+    """What to tell the user of places whose mass nothing tells."""
+    data = point.data
+    return tuple(
+        spectral.ratios_only(p, point.kL[i], point.c[i], data.mass[i]) for i, p in enumerate(data.places)
+        if model.cap_mass(p) is None and p not in forced(model) and point.kL[i] > 0.0
+    )  # fmt: skip
 
 
 def said(told: dict[str, Parameter]) -> tuple[str, ...]:

@@ -68,7 +68,7 @@ class Whole:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
-        return parameters(self.point) | self.beside | self.masses
+        return unknown_mass.without_scale(self.model, parameters(self.point) | self.beside) | self.masses
 
 
 def beside_the_laws(use: EffectUse) -> bool:
@@ -94,6 +94,7 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     said = (
         *shortened(data, y),
         *unknown_mass.said(masses),
+        *unknown_mass.ratios(whole.model, whole.point),
         *roll_off.said(whole.model.roll_off, data.places),
         *force_level.said(data.level),
         *one_end.said(whole.model, dict(zip(data.places, whole.point.kL.tolist(), strict=True))),
