@@ -19,6 +19,7 @@ from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 Plain = tuple[float, Array, Array]  # likelihood, numbers and their scales: force_colour.plain
+Place = tuple[int, Cells, Plain]  # its index, its cells and the model fitted to them
 LEVEL = 1e-6
 LEAST = 0.002  # rms of ln(power) over the band, from where it matters to S
 EXPLAINED = 0.5  # of the misfit beyond chance
@@ -37,32 +38,30 @@ def find(point: WorkingPoint) -> RollOff | None:
         return None
     places = [i for i in whole if np.ptp(data.colour[i]) == 0.0] or whole
     cells, fits = _without_lines(point, [force_colour.cells_of(point, i) for i in places])
-    together, found = _fall(point, places, cells, fits, EXPLAINED)
+    own = list(zip(places, cells, fits, strict=True))
+    together, found = _fall(point, own, EXPLAINED)
     if found is not None and together - (df := sum(c.n.size - 4 for c in cells)) < CHANCE * np.sqrt(2.0 * df):
         return dict.fromkeys(data.places, found)
     names = tuple(data.places[i] for i in places)
-    nodes = [(own, *_fall(point, [places[k] for k in own], [cells[k] for k in own], [fits[k] for k in own], ALIKE))
-             for own in devices(names)]  # fmt: skip
-    deviance, most = _all_but_one(point, places, cells, fits) if len(places) > 1 else (np.inf, None)
-    if most is not None and deviance < (sum(after for _, after, _ in nodes) if nodes else together):
+    nodes = [(at, *_fall(point, [own[k] for k in at], ALIKE)) for at in devices(names)]
+    each_its_own = sum(after for _, after, _ in nodes) if nodes else together
+    deviance, most = _all_but_one(point, own) if len(own) > 1 else (np.inf, None)
+    if most is not None and deviance < each_its_own:
         return dict.fromkeys(data.places, most)
-    apart = {names[k]: off for own, _, off in nodes if off is not None for k in own}
-    less = together - sum(after for _, after, _ in nodes)
-    if apart and (found is None or chdtrc(POWERS.size * (len(nodes) - 1), less) < LEVEL):
+    apart = {names[k]: off for at, _, off in nodes if off is not None for k in at}
+    if apart and (found is None or chdtrc(POWERS.size * (len(nodes) - 1), together - each_its_own) < LEVEL):
         return apart
     return None if found is None else dict.fromkeys(data.places, found)
 
 
-def _fall(
-    point: WorkingPoint, places: list[int], cells: list[Cells], fits: list[Plain], explained: float
-) -> tuple[float, Filter | None]:
+def _fall(point: WorkingPoint, own: list[Place], explained: float) -> tuple[float, Filter | None]:
     """Deviance of some places behind what they fall alike by, and that; without it where nothing falls, or something
     else fits better. explained : of the misfit beyond chance, at least."""
-    hz, count = cells[0].w / (2 * np.pi), cells[0].n
-    before, df = -2 * sum(level for level, _, _ in fits), float(sum(c.n.size - 4 for c in cells))
-    if not _in_common(cells, fits):
+    hz, count = own[0][1].w / (2 * np.pi), own[0][1].n
+    before, df = -2 * sum(fit[0] for _, _, fit in own), float(sum(c.n.size - 4 for _, c, _ in own))
+    if not _in_common(own):
         return before, None
-    seen = [Seen(c, _through(point, i, hz), point.data.kinds[i]) for i, c in zip(places, cells, strict=True)]
+    seen = [Seen(c, _through(point, i, hz), point.data.kinds[i]) for i, c, _ in own]
     after, found = likeliest(seen, Filter(point.data.rate_hz, point.data.band[1]))
     fall = -np.log(found.passed(hz))
     rms = float(np.sqrt(np.average((fall - np.average(fall, weights=count)) ** 2, weights=count)))
@@ -70,36 +69,33 @@ def _fall(
         return before, None
     if after - df > max((1 - explained) * (before - df), CHANCE * np.sqrt(2 * df)):
         return before, None
-    asked = zip(places, cells, fits, strict=True)
-    other = sum(answers([partial(force_colour.otherwise, point, i, c, *fit) for i, c, fit in asked]))
-    return (after, found) if after < other + BEHIND * len(places) else (before, None)
+    other = sum(answers([partial(force_colour.otherwise, point, i, c, *fit) for i, c, fit in own]))
+    return (after, found) if after < other + BEHIND * len(own) else (before, None)
 
 
-def _all_but_one(
-    point: WorkingPoint, places: list[int], cells: list[Cells], fits: list[Plain]
-) -> tuple[float, Filter | None]:
+def _all_but_one(point: WorkingPoint, own: list[Place]) -> tuple[float, Filter | None]:
     """Deviance of all places, and what all but some one fall by, if what that one has of its own, as a sensor's
     resonance or noise, is likelier behind the same filter."""
     best, found = np.inf, None
-    for one, (i, c, fit) in enumerate(zip(places, cells, fits, strict=True)):
-        rest = [k for k in range(len(places)) if k != one]
-        after, off = _fall(point, [places[k] for k in rest], [cells[k] for k in rest], [fits[k] for k in rest], ALIKE)
+    for k, (i, c, fit) in enumerate(own):
+        after, off = _fall(point, own[:k] + own[k + 1 :], ALIKE)
         if off is None:
             continue
         hz = c.w / (2 * np.pi)
         back = off.folded(hz, point.data.kinds[i]) * _through(point, i, hz)
         behind = replace(c, colour=c.colour * off.passed(hz), back=c.back + back)
-        own = force_colour.otherwise(point, i, behind, *force_colour.plain(point, i, behind))
-        if after + own < best and own < force_colour.otherwise(point, i, c, *fit):
-            best, found = after + own, off
+        alone = force_colour.otherwise(point, i, behind, *force_colour.plain(point, i, behind))
+        if after + alone < best and alone < force_colour.otherwise(point, i, c, *fit):
+            best, found = after + alone, off
     return best, found
 
 
-def _in_common(cells: list[Cells], fits: list[Plain]) -> bool:
+def _in_common(own: list[Place]) -> bool:
     """Whether the spectra have anything smooth in common beside the model: a cheap look before a search. 3 % of ripple
     in all of four is 36 powers of ten from chance, where the deviance of their 900 cells is 3.4 standard deviations."""
-    off = sum((_ratio(c, fit) - 1.0) * np.sqrt(c.n) for c, fit in zip(cells, fits, strict=True)) / np.sqrt(len(cells))
-    x, n = np.pi * cells[0].w / cells[0].w[-1], np.sqrt(cells[0].n)
+    off = sum((_ratio(c, fit) - 1.0) * np.sqrt(c.n) for _, c, fit in own) / np.sqrt(len(own))
+    first = own[0][1]
+    x, n = np.pi * first.w / first.w[-1], np.sqrt(first.n)
     Q, _ = np.linalg.qr(n[:, None] * np.cos(np.multiply.outer(x, np.arange(1, WAVES + 1))))
     return bool(chdtrc(WAVES, float(np.sum((Q.T @ off) ** 2))) < LOOK)
 
