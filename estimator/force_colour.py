@@ -19,7 +19,7 @@ from . import pedestal_form
 from .effects import CATALOGUE
 from .estimate import Parameter
 from .model import MOTION, Model
-from .noise_paths import LEAST_NOISE, beyond
+from .noise_paths import LEAST_NOISE, beyond, heard_of_all
 from .suspect import Suspect
 from .working_point import WorkingPoint
 
@@ -71,7 +71,7 @@ def _heard(point: WorkingPoint, i: int) -> Array:
     """(bins,) as Cells.heard: sensors are as noisy to each other as the fit has them, alike where it has none."""
     N = point.nu * point.S
     N = np.maximum(N, LEAST_SHARE * N.max()) if N.any() else np.ones(N.size)
-    return np.asarray(np.einsum("kl,lk,l->k", np.abs(point.A[:, i]) ** 2, point.data.noise_shape, N) / N[i])
+    return np.asarray(heard_of_all(point.data, point.A, N)[i] / N[i])
 
 
 def cells_of(point: WorkingPoint, i: int) -> Cells:

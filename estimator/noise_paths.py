@@ -53,8 +53,7 @@ class NoisePaths:
 
 def noise_paths(data: MotionBlocks, A: Complexes, nu: Array, S: Array) -> NoisePaths:
     """A : (bins, places, places). nu : (places,) noise of the sensors over S. S : (places,)."""
-    back = beyond(data, A, S) + _others(data, A, S, nu)
-    weight = 1.0 / (data.colour + back + nu[:, None] * data.heard(A))
+    weight = 1.0 / (data.colour + beyond(data, A, S) + heard_of_all(data, A, nu * S) / S[:, None])
     P = len(data.places)
     noise = (data.noise_shape * nu[:, None] + data.folded) * S[:, None]
     R = np.einsum("kil,lk,kjl->kij", A, noise, A.conj())
@@ -66,22 +65,27 @@ def noise_paths(data: MotionBlocks, A: Complexes, nu: Array, S: Array) -> NoiseP
 
 def beyond(data: MotionBlocks, A: Complexes, S: Array) -> Array:
     """(places, bins) PSD over S of each inferred force of what is folded back at all places."""
-    return np.asarray(np.einsum("kil,lk->ik", np.abs(A) ** 2, data.folded * S[:, None]) / S[:, None])
+    return _through(A, data.folded * S[:, None]) / S[:, None]
 
 
-def _others(data: MotionBlocks, A: Complexes, S: Array, nu: Array) -> Array:
-    """(places, bins) the same of the noise of the sensors at the other places."""
-    noise = data.noise_shape * (nu * S)[:, None]
-    return np.asarray(np.einsum("kil,lk->ik", np.abs(A) ** 2, noise) / S[:, None] - nu[:, None] * data.heard(A))
+def heard_of_all(data: MotionBlocks, A: Complexes, N: Array) -> Array:
+    """(places, bins) the same, not over S, of white noise N (places,) of all sensors."""
+    return _through(A, data.noise_shape * N[:, None])
+
+
+def _through(A: Complexes, noise: Array) -> Array:
+    """(places, bins) PSD of the forces that are inferred from noise (places, bins) of the accelerations."""
+    return np.asarray(np.einsum("kil,lk->ik", np.abs(A) ** 2, noise))
 
 
 def noise_of(point: WorkingPoint) -> tuple[Array, Array]:
     """nu, (places,), by maximum likelihood on the spectrum of the inferred force; what one of it is there of the force
     noise, in the mean over the band."""
     data = point.data
-    heard = data.heard(point.A)
-    known = data.colour + beyond(data, point.A, point.S) + _others(data, point.A, point.S, point.nu)
-    weight = heard.mean(axis=1)
+    own = data.heard(point.A)
+    noise = heard_of_all(data, point.A, point.nu * point.S) / point.S[:, None]
+    known = data.colour + beyond(data, point.A, point.S) + noise - point.nu[:, None] * own
+    weight = own.mean(axis=1)
 
     def at(i: int) -> float:
         step = point.fit.delta[point.columns.index[i]].astype(np.float32)  # the noise is of the values after it
@@ -89,7 +93,7 @@ def noise_of(point: WorkingPoint) -> tuple[Array, Array]:
         Z = Z.reshape(data.blocks, -1, 2)
         power = np.einsum("bkc,bkc->k", Z, Z) / data.blocks / point.weighing.weight[i]
         grid = np.concatenate([[0.0], np.geomspace(LEAST_NOISE, 1e3, 61) / weight[i]])
-        shape = known[i] + grid[:, None] * heard[i]
+        shape = known[i] + grid[:, None] * own[i]
         S = np.mean(power / shape, axis=1)
         cost = np.log(S) + np.mean(np.log(shape), axis=1)
         return _least(grid, cost)
