@@ -72,9 +72,9 @@ def undone(model: Model, y: Array, rate_hz: float) -> Array:
         return y
     f: Array = np.asarray(np.fft.rfftfreq(len(y), 1 / rate_hz), dtype=np.float64)
     moving = [k for k, channel in enumerate(model.channels) if channel.kind in MOTION]
-    filters = {recorder(model, model.channels[k].place) for k in moving} - {None}
+    filters = {own for k in moving if (own := recorder(model, model.channels[k].place)) is not None}
     grid = np.linspace(0.0, model.band[1], GRID)
-    known = {own: np.interp(f, grid, own.response(grid)) for own in filters if own is not None}
+    known = {own: np.interp(f, grid, own.response(grid)) for own in filters}
 
     def column(k: int) -> Array:
         place, z = model.channels[k].place, y[:, k]

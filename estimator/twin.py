@@ -13,6 +13,7 @@ from .errors import DataError, ModelError
 from .free_run import free_run
 from .model import Model
 from .motion_blocks import MotionBlocks, cut, spectrum
+from .sensor_response import recorder
 from .simulate import simulate
 from .working_point import WorkingPoint
 
@@ -64,8 +65,7 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
     for i, name in enumerate(names):
         f, measured = of_acceleration(data, i)
         model_psd = np.interp(f, *of_acceleration(own, i))
-        if model.roll_off and data.places[i] in model.roll_off:
-            off = model.roll_off[data.places[i]]
+        if (off := recorder(model, data.places[i])) is not None:
             measured, model_psd = measured * off.passed(f), model_psd * off.passed(f)  # as it was measured
             folded = off.folded(np.maximum(f, data.band[0]), data.kinds[i])
             model_psd = model_psd + folded * point.S[i] / data.mass[i] ** 2
