@@ -264,13 +264,11 @@ def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[E
             "the residual force can be predicted, but no effect of the catalogue does it significantly",
             *dict.fromkeys(s.region for s in before.shares),
         ]
-        if not shaft and any(f.group == "other_bearing" for r in before.residuals for f in r.found):
+        if any(f.group == "other_bearing" for r in before.residuals for f in r.found):
             said.append(OTHERWISE)
         return Diagnosis("unknown", entries, shape_of(point, before), messages=tuple(said))
-    said = shaft
-    if point.data.measured_force:
-        said.append(_beside_forces(point))
-    return Diagnosis("complete", entries, messages=tuple(said))
+    forces = [_beside_forces(point)] if point.data.measured_force else []
+    return Diagnosis("complete", entries, messages=(*shaft, *forces))
 
 
 def _beside_forces(point: WorkingPoint) -> str:
