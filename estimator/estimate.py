@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -33,6 +33,21 @@ class Parameter:
         value, sd = (self.value, self.sd) if self.identifiable else (None, None)
         out: dict[str, Any] = {"value": value, "sd": sd, "unit": self.unit, "identifiable": self.identifiable}
         return out | ({"reason": self.reason} if self.reason else {})
+
+
+def without_scale(numbers: Mapping[str, Parameter], places: Collection[str], reason: str) -> dict[str, Parameter]:
+    """Numbers by full name; those in newtons at places whose mass nothing tells, and of laws at their nodes, are known
+    per kg of cap alone."""
+    nodes = {place.split(".")[0] for place in places}
+
+    def adrift(name: str) -> bool:
+        node, direction = name.split(".")[:2]
+        return f"{node}.{direction}" in places if direction in ("x", "y") else node in nodes
+
+    return {
+        name: Parameter(None, None, q.unit, False, reason) if q.unit.startswith("N") and adrift(name) else q
+        for name, q in numbers.items()
+    }
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from .contour import modes_of
 from .effects.ball_pass import BALL_PASS
 from .effects.custom import effect_of
 from .errors import DataError
-from .estimate import Parameter
+from .estimate import Parameter, without_scale
 from .fit_result import Fit
 from .fold_tangents import excess
 from .gram import spectra, taper, valid_blocks
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from .whole import Whole
 
 Floats = NDArray[np.float64]
+SCALELESS = "the data leave it free: nothing in the model sets its scale"
 START_SECONDS = 20.0  # of a record, for where a gap is begun
 UNMEASURED = 1e-3  # of the measured force, in power, from which on it matters whether the rest is noise or a force
 PATHS = 4  # that a law is fitted along where the force is known, each from the last fit
@@ -166,11 +167,8 @@ def judged(balance: Balance, point: Point, covariance: Floats, model: Model) -> 
                 out[name] = Parameter(given, 0.0, UNITS[key], True, "given")
         out[f"{place}.S"] = _judged(point.S[i], point.S[i] * sd[point.beta.size + i], UNITS["S"])
     out |= {name: _judged(value, s, f.unit) for name, (f, value, s) in free.items() if name not in out}
-    adrift = tuple(f"{p}." for p in balance.places if f"{p}.m" in free and not np.isfinite(free[f"{p}.m"][2]))
-    return {
-        name: _judged(0.0, np.inf, q.unit) if q.unit.startswith("N") and name.startswith(adrift) else q
-        for name, q in out.items()
-    }  # fmt: skip
+    adrift = [p for p in balance.places if f"{p}.m" in free and not np.isfinite(free[f"{p}.m"][2])]
+    return without_scale(out, adrift, SCALELESS)
 
 
 def _judged(value: float, sd: float, unit: str) -> Parameter:
@@ -178,7 +176,7 @@ def _judged(value: float, sd: float, unit: str) -> Parameter:
     if judged.identifiable:
         return judged
     if not np.isfinite(sd):
-        return Parameter(None, None, unit, False, "the data leave it free: nothing in the model sets its scale")
+        return Parameter(None, None, unit, False, SCALELESS)
     return Parameter(None, None, unit, False, f"{value:.3g} +- {sd:.2g}: not told from zero by this record")
 
 

@@ -29,7 +29,7 @@ def weighed(model: Model, y: Array, rate_hz: float) -> tuple[Model, dict[str, Pa
 
     Where a force is measured it sets the scale, and the mass is left to it.
     """
-    left_out = [p for p in model.places if model.cap_mass(p) is None and p not in forced(model)]
+    left_out = unknown(model)
     if not left_out or model.shaft == "none" or model.shaft_stiffness == 0.0 or "disc" not in model.mass:
         return model, {}
     laws = tuple(u for u in model.effects if effect_of(u).kind == "force" and u.name not in PERIODIC)
@@ -42,23 +42,17 @@ def weighed(model: Model, y: Array, rate_hz: float) -> tuple[Model, dict[str, Pa
     return replace(model, mass={**model.mass, **found}), {f"{p}.m": told[f"{p}.m"] for p in found}
 
 
-def without_scale(model: Model, numbers: dict[str, Parameter]) -> dict[str, Parameter]:
-    """The numbers by full name without those in newtons at places whose mass nothing tells: they are per kg of cap."""
-    unknown = {p for p in model.places if model.cap_mass(p) is None and p not in forced(model)}
-    keys = {f"{p}." for p in unknown} | {f"{p.split('.')[0]}.{u.name}." for p in unknown for u in model.effects}
-    return {
-        name: Parameter(None, None, q.unit, False, FREE)
-        if q.unit.startswith("N") and name.startswith(tuple(keys)) else q
-        for name, q in numbers.items()
-    }  # fmt: skip
+def unknown(model: Model) -> list[str]:
+    """Places whose mass nothing tells."""
+    return [p for p in model.places if model.cap_mass(p) is None and p not in forced(model)]
 
 
 def ratios(model: Model, point: WorkingPoint) -> tuple[str, ...]:
     """What to tell the user of places whose mass nothing tells."""
-    data = point.data
+    at = [point.data.places.index(p) for p in unknown(model)]
     return tuple(
-        spectral.ratios_only(p, point.kL[i], point.c[i], data.mass[i]) for i, p in enumerate(data.places)
-        if model.cap_mass(p) is None and p not in forced(model) and point.kL[i] > 0.0
+        spectral.ratios_only(point.data.places[i], point.kL[i], point.c[i], point.data.mass[i])
+        for i in at if point.kL[i] > 0.0
     )  # fmt: skip
 
 

@@ -32,7 +32,7 @@ from .declip import RESTORED, restored
 from .effect import EffectParameter
 from .effects import NAMED
 from .effects.places import at, written
-from .estimate import Parameter
+from .estimate import Parameter, without_scale
 from .fit_result import Fit
 from .fitted import parameters
 from .model import EffectUse, Model, Setting
@@ -68,7 +68,8 @@ class Whole:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
-        return unknown_mass.without_scale(self.model, parameters(self.point) | self.beside) | self.masses
+        found = parameters(self.point) | self.beside
+        return without_scale(found, unknown_mass.unknown(self.model), unknown_mass.FREE) | self.masses
 
 
 def beside_the_laws(use: EffectUse) -> bool:
