@@ -31,6 +31,7 @@ GRACE_S = 2.0  # a live link may take this much longer than the seconds asked fo
 OPEN_S = 0.05  # a stop is looked for this often while the link is opened
 STOP_S = 0.6  # after a stop, this long for the reader to end, and for the estimator to finish
 ESTIMATOR_S = 10.0  # at the end of the seconds or of the source, this long
+ANSWER_S = 30.0  # and this long for a diagnosis that is under way, unless stopped
 BUSY_S = 0.01
 VERSIONS = ("rotorscope", "numpy", "scipy", "numba", "mcap", "protobuf")
 
@@ -139,6 +140,11 @@ def acquire(
         # what was read before the stop is logged in any case; of a file it can be read again
         while not pipeline.done and (live or not stop.is_set()) and (rest := queue.take(0.0)):
             pipeline.step(rest)
+        until_ns = clock.now_ns() + ANSWER_S * 1e9
+        pipeline.tick(driver.stats, {"reader": queue.dropped})
+        while pipeline.pending and not stop.is_set() and clock.now_ns() < until_ns:
+            stop.wait(READ_S)
+            pipeline.tick(driver.stats, {"reader": queue.dropped})
     finally:
         pipeline.finish(driver.stats, {"reader": queue.dropped}, STOP_S if stop.is_set() else ESTIMATOR_S)
     return _summary(pipeline, driver, device)

@@ -127,10 +127,11 @@ class Naming:
             self._child.kill()
 
     def health(self) -> SinkHealth:
+        pending = self._thread is not None and self._thread.is_alive()  # asked first: it speaks before it ends
         out = []
         while self._notices:
             out.append(self._notices.popleft())
-        return SinkHealth(0.0, 0, tuple(out))
+        return SinkHealth(0.0, 0, tuple(out), pending)
 
     # -- the rest is private ----------------------------------------------------------------------------------------
 

@@ -88,6 +88,7 @@ class Pipeline:
         self.last_estimate: Estimate | None = None
         self.problems: list[str] = []
         self.dropped: dict[str, int] = {}  # in the end, by sink: samples that it has not taken
+        self.pending = False  # whether a sink has something to say still, as it was last heard
 
     @property
     def done(self) -> bool:
@@ -345,9 +346,11 @@ class Pipeline:
         self._lag_s[stage] = max(self._lag_s.get(stage, 0.0), (self._clock.now_ns() - since_ns) / 1e9)
 
     def _hear_sinks(self) -> None:
+        self.pending = False
         for sink in self._sinks:
             if isinstance(sink, Reporting):
                 health = sink.health()
+                self.pending |= health.pending
                 self._unsaid += health.notices
                 self.dropped[type(sink).__name__] = health.dropped
 

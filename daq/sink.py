@@ -57,11 +57,13 @@ class Sink(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SinkHealth:
-    """How a sink with a thread of its own is doing. dropped : samples not taken so far; notices : new ones."""
+    """How a sink with a thread of its own is doing. dropped : samples not taken so far; notices : new ones; pending :
+    it was asked something, and what it will say is worth waiting for at the end of a session."""
 
     lag_s: float
     dropped: int
     notices: tuple[Notice, ...] = ()
+    pending: bool = False
 
 
 @runtime_checkable

@@ -16,12 +16,13 @@ import pytest
 from promises import until, within
 from stand_ins import MomentEstimator, Recorder, ScriptedDriver, info_of, paper_rig, vibration
 
-from daq.acquire import Device, RunSummary, acquire, acquire_all
+from daq.acquire import ANSWER_S, Device, RunSummary, acquire, acquire_all
 from daq.errors import ConfigError
 from daq.links import open_driver
 from daq.log_reader import read_log
 from daq.log_writer import LogWriter
 from daq.replay import replay
+from daq.sink import SinkHealth
 from drivers.errors import LinkOpenError
 from drivers.reading import Block, Gap, Notice, Reading
 
@@ -42,6 +43,36 @@ def finite(rows: int, block: int = 256) -> Iterator[list[Reading]]:
     yield [INFO]
     for at in range(0, rows, block):
         yield [vibration(at, min(block, rows - at))]
+
+
+class Thinker(Recorder):
+    """A sink that was asked something and answers `after_s` after the session's last sample."""
+
+    def __init__(self, after_s: float) -> None:
+        super().__init__()
+        self.after_s, self.last_s = after_s, 0.0
+
+    def readings(self, batch: Sequence[Reading]) -> None:
+        self.last_s = time.monotonic() if any(isinstance(r, Block) for r in batch) else self.last_s
+
+    def health(self) -> SinkHealth:
+        pending = time.monotonic() < self.last_s + self.after_s
+        said = () if pending or not self.last_s else (Notice(1, "warning", "effect_named", "a clearance"),)
+        return SinkHealth(0.0, 0, said, pending)
+
+
+def test_a_diagnosis_under_way_at_the_end_is_waited_for_and_logged(tmp_path: Path) -> None:
+    source = ScriptedDriver(finite(51_200), kind="can")
+    acquire(RIG, source, [LogWriter(tmp_path / "a.mcap"), Thinker(0.3)], 2.0, make=MomentEstimator)
+    assert "effect_named" in {notice.code for notice in read_log(tmp_path / "a.mcap").notices}
+
+
+def test_a_stop_does_not_wait_for_a_diagnosis() -> None:
+    stop = threading.Event()
+    threading.Timer(0.3, stop.set).start()
+    began_s = time.monotonic()
+    acquire(RIG, ScriptedDriver(finite(51_200), kind="can"), [Thinker(1e6)], 2.0, stop, make=MomentEstimator)
+    assert time.monotonic() - began_s < ANSWER_S
 
 
 def test_a_finite_source_is_taken_whole_and_replays_bit_for_bit(tmp_path: Path) -> None:
