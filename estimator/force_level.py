@@ -51,6 +51,8 @@ def said(level: Array | None) -> tuple[str, ...]:
 
 def _is_uneven(power: Array, count: float) -> bool:
     """Whether sixths of a record differ by more than little and more than chance."""
+    if power.size < 6:
+        return False
     sixth = np.arange(power.size) * 6 // power.size
     parts = np.bincount(sixth)
     rms = np.sqrt(np.bincount(sixth, power) / parts)

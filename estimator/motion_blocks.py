@@ -270,10 +270,13 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     ).whole(np.float32)
     starts = _valid_starts(motion.valid, block)
     if starts.size < 2 * FOLDS:
+        needed = f"at least {2 * FOLDS * block / rate_hz:.2g} s are needed"
+        if np.isfinite(used).all():
+            left = f"{len(y) / rate_hz:.2g} s, {starts.size * block / rate_hz:.2g} s of it behind the analysis filter"
+            raise DataError(f"the record has {left}; {needed}: record half a minute or more")
         raise DataError(
             f"only {starts.size * block / rate_hz:.2f} s in stretches of {block / rate_hz:.2g} s without a missing or "
-            f"clipped sample; at least {2 * FOLDS * block / rate_hz:.1f} s are needed: see what the gaps come from, or "
-            "record longer"
+            f"clipped sample; {needed}: see what the gaps come from, or record longer"
         )
     P = len(places)
     runs = _runs(starts, block)

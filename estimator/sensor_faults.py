@@ -48,7 +48,7 @@ def ends(y: Array, low: float, high: float) -> tuple[tuple[float, int] | None, t
 
 def limited(name: str, level: float, count: int, samples: int) -> str:
     """What is said of a channel of which so many samples are at a level."""
-    return f"{name} is limited to +-{level:.3g} in {100 * count / samples:.2g} % of its samples"
+    return f"{name} is limited to +-{level:.3g} in {100 * count / samples:.3g} % of its samples"
 
 
 def _piled(z: Array) -> tuple[float, int] | None:

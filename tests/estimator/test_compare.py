@@ -43,6 +43,11 @@ def test_complete_model_leaves_nothing(rig: Model) -> None:
 
 
 @pytest.mark.slow
+def test_of_a_short_record_it_is_said_that_little_is_seen_in_it(rig: Model) -> None:
+    y = simulate(rig, RATE, 2.0, seed=8, noise=0.02, full_scale=490.5)
+    assert any("of the record can be judged" in said for said in compare(rig, y, RATE).messages)
+
+
 def test_the_map_points_at_the_state_and_the_curve_shows_the_law(rig: Model) -> None:
     c = compare(rig, record(rig, "quadratic", 0.06), RATE)
     assert not c.adequate

@@ -77,7 +77,7 @@ def test_a_faulty_sensor_is_not_reported_as_rotor_physics(rig: Model) -> None:
 
 
 def test_too_short_a_record_is_refused(rig: Model) -> None:
-    with pytest.raises(DataError, match="record longer"):
+    with pytest.raises(DataError, match="record half a minute"):
         diagnose(rig, np.random.default_rng(0).standard_normal((4000, 2)), RATE)
 
 

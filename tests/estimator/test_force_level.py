@@ -48,6 +48,11 @@ def test_chance_is_no_level() -> None:
     assert level_of(struck, at, 1000.0) is None
 
 
+def test_a_handful_of_parts_is_even() -> None:
+    """Of a record of two seconds: no sixth of it has a part of its own."""
+    assert level_of(np.array([[1.0, 2.0, 3.0, 4.0, 5.0]]), np.arange(5.0), 1000.0) is None
+
+
 def test_a_complete_model_under_a_growing_force_lacks_nothing() -> None:
     """With the force taken as even 2.1 % of the bearing force seemed missing, against time; with more motion 17 %."""
     y = rig_record(8.0, seed=2, level=0.6, growth=2.5)
