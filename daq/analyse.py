@@ -29,6 +29,8 @@ from .rig import Rig, load_rig
 from .tables import ladder_table, number, parameters_table
 
 BROKEN = 1e-4  # of the samples missing: it may be that which leaves too few stretches
+_OUTSIDE = "the catalogue does not hold; type a law of your own into the rig file"
+_NO_LAW = "is no law of a bearing: see the note on the shaft, and mend the rig file or the sensor first"
 NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is missing"
 
 
@@ -194,6 +196,8 @@ def step(rig: Rig, comparison: Mapping[str, Any]) -> dict[str, Any]:
 
 def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     """A diagnosis for people."""
+    from estimator.diagnose import about_the_shaft
+
     table = Table(box=None, header_style="bold", pad_edge=False)
     for heading in ("effect", "at", "held-out gain", "p-value", "missing there [%]", "parameters", "detectable from"):
         table.add_column(Text(heading), overflow="fold")
@@ -218,7 +222,7 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     known = f"rotorscope effects {name} says what to look at" if name in CATALOGUE else "rotorscope add puts it in"
     verdict = {
         "complete": "the model is complete: nothing in the catalogue earns its place",
-        "unknown": "something is missing that the catalogue does not hold; type a law of your own into the rig file",
+        "unknown": f"something is missing that {_NO_LAW if about_the_shaft(value['messages']) else _OUTSIDE}",
     }.get(name, f"missing: {name}; {known}")
     return [*people, f"verdict: {name}", verdict]
 
@@ -250,15 +254,14 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
 
 def ending(last: Mapping[str, Any]) -> str:
     """Why an improvement stops, from its last diagnosis."""
-    from estimator.diagnose import OTHERWISE
+    from estimator.diagnose import about_the_shaft
 
     verdict = last["verdict"]
     if verdict == "complete":
         return "the last model is complete: nothing of the catalogue predicts the record better than chance would"
-    if OTHERWISE in last["messages"]:
-        return f"something is left: {OTHERWISE}"
     if verdict == "unknown":
-        return "something is left that the catalogue does not hold; type a law of your own into the rig file"
+        shaft = about_the_shaft(last["messages"])
+        return f"something is left: {shaft}" if shaft else f"something is left that {_OUTSIDE}"
     return f"the last diagnosis names {verdict}, which was not added"
 
 

@@ -42,6 +42,7 @@ OTHERWISE = (
     "the caps answer each other otherwise than the shaft of the rig file lets them: its spring or the disc's mass is "
     "another, or a sensor has a wrong gain or is late"
 )
+SHAFT = "the shaft is "  # softer or stiffer than the rig file says
 FAMILY = {
     "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
     "quadratic": "even in x", "stop": "even in x",
@@ -257,7 +258,7 @@ def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[E
         how = "softer (or its disc heavier)" if loss > 0 else "stiffer (or its disc lighter)"
         percent = 100 * abs(loss) / point.data.disc.K
         by = f"{percent:.2g} +- {percent / np.sqrt(2 * nats):.1g} %"
-        shaft = [f"the shaft is {how} than the rig file says, by {by}: give its true stiffness there"]
+        shaft = [f"{SHAFT}{how} than the rig file says, by {by}: give its true stiffness there"]
     if before.any_found() and before.percent(point) >= 100 * missing_force.NEGLIGIBLE:
         said = [
             *shaft,
@@ -269,6 +270,11 @@ def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[E
         return Diagnosis("unknown", entries, shape_of(point, before), messages=tuple(said))
     forces = [_beside_forces(point)] if point.data.measured_force else []
     return Diagnosis("complete", entries, messages=(*shaft, *forces))
+
+
+def about_the_shaft(messages: Sequence[str]) -> str:
+    """The message by which a diagnosis lays what is left to the rig file's shaft, or to a sensor, and to no law."""
+    return next((text for text in messages if text == OTHERWISE or text.startswith(SHAFT)), "")
 
 
 def _beside_forces(point: WorkingPoint) -> str:

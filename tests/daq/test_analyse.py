@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.analyse import ending, fitted, with_lines, with_verdict
+from daq.analyse import diagnosis_text, ending, fitted, with_lines, with_verdict
 from daq.cli import main
 from daq.edit import with_effect, with_values
 from daq.measurement import Measurement
@@ -40,7 +40,7 @@ def test_a_record_that_cannot_answer_is_named(tmp_path: Path, capsys: pytest.Cap
     rng = np.random.default_rng(0)
     np.savez(short, rate_hz=25600.0, **{n: rng.standard_normal(4000) for n in ("b1x", "b1y", "b2x", "b2y")})
     assert main(["compare", str(short), "--rig", str(PAPER)]) == 4
-    assert f"{short}: only" in capsys.readouterr().err
+    assert f"{short}: the record has 0.16 s, " in capsys.readouterr().err
 
 
 def test_a_fit_says_that_a_channel_of_a_file_is_at_its_full_scale(tmp_path: Path) -> None:
@@ -59,9 +59,15 @@ def test_where_to_show_it_is_checked_first(tmp_path: Path, capsys: pytest.Captur
     assert "create it first" in capsys.readouterr().err
 
 
-def test_an_improvement_that_ends_at_the_shaft_does_not_ask_for_a_law() -> None:
-    assert "the shaft of the rig file" in ending({"verdict": "unknown", "messages": ["the first", OTHERWISE]})
-    assert "type a law of your own" in ending({"verdict": "unknown", "messages": ["the first"]})
+def test_what_ends_at_the_shaft_does_not_ask_for_a_law() -> None:
+    stiffer = "the shaft is stiffer (or its disc lighter) than the rig file says, by 14 +- 0.8 %"
+    for text in (OTHERWISE, stiffer):
+        unknown = {"verdict": "unknown", "ranking": [], "messages": ["the first", text]}
+        assert ending(unknown) == f"something is left: {text}"
+        assert "see the note on the shaft" in diagnosis_text(unknown)[-1]
+    unknown = {"verdict": "unknown", "ranking": [], "messages": ["the first"]}
+    assert "type a law of your own" in ending(unknown)
+    assert "type a law of your own" in diagnosis_text(unknown)[-1]
 
 
 def test_the_model_with_the_verdict_has_what_was_found() -> None:
