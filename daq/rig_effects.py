@@ -11,7 +11,6 @@ from pydantic import ValidationError
 from estimator.effect import Effect
 from estimator.effects import CATALOGUE
 from estimator.effects.places import places
-from estimator.errors import ModelError
 from estimator.model import DIRECTIONS, NODES, CustomLaw, EffectUse, Model, Setting
 
 from .rig_file import CustomTable, ModelTable, SettingTable
@@ -76,7 +75,7 @@ def effects_of(
             path: Path = ("model", "custom", [c.name for c in table.custom].index(name))
             own = customs[name]
             law, possible, wrong = _law(own, model, base)
-            problems += [Problem((*path, where), text) for where, text in wrong]
+            problems += [Problem((*path, *where.split(".")), text) for where, text in wrong]
             reader = _Reader(path, tuple(law.units), possible, channels, problems)
             values = reader.read({"at": own.at} if own.at else {})
             for settings_there in values.values():
@@ -117,14 +116,21 @@ def _law(
             if k not in known
         ]
         return CustomLaw(None, own.module, known, effect), places(effect, model), wrong
-    from estimator.effects.expression import compile_law
+    from estimator.effects.expression import ExpressionError, compile_law
 
     law = CustomLaw(own.expression, None, units)
     try:
         compile_law(own.expression or "", tuple(units))
-    except ModelError as error:
-        return law, model.places, [("expression", f'"{own.expression}": {error}')]
+    except ExpressionError as error:
+        if error.parameter:
+            return law, model.places, [(f"parameters.{error.parameter}", str(error))]
+        return law, model.places, [("expression", f'"{_in_a_line(own.expression or "")}": {error}')]
     return law, model.places, []
+
+
+def _in_a_line(expression: str, most: int = 80) -> str:
+    text = " ".join(expression.split())
+    return text if len(text) <= most else f"{text[:most]} ..."
 
 
 def _nowhere(effect: Effect, model: Model) -> str:

@@ -16,7 +16,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from .units import factor
+from .units import factor, foreign
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -54,6 +54,13 @@ class SettingTable(NumberOrTable):
         if isinstance(data, bool) or not isinstance(data, int | float):
             raise ValueError(f"{data!r} is neither a number nor a table such as {{ value = 1.0, fixed = true }}")
         return {"value": float(data)}
+
+    @field_validator("unit")
+    @classmethod
+    def in_si(cls, value: str | None) -> str | None:
+        if value and (part := foreign(value)):
+            raise ValueError(f'"{value}": {part} is no SI unit; laws see m, m/s and s, and give N: convert the value')
+        return value
 
     @model_validator(mode="after")
     def ordered(self) -> SettingTable:

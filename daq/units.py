@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from types import MappingProxyType
 
 GRAVITY = 9.80665  # m/s^2, the standard value
@@ -15,6 +16,7 @@ UNITS = MappingProxyType(
     }
 )
 SI = MappingProxyType({kind: next(iter(units)) for kind, units in UNITS.items()})
+OF_LAWS = frozenset(("m", "s", "kg", "N", "Hz", "rad", "J", "W", "Pa"))  # of a law's parameters
 _SPELLINGS = str.maketrans({"²": "2", "µ": "u", "μ": "u", "·": "*"})
 
 
@@ -24,6 +26,11 @@ def canonical(unit: str) -> str:
     if text.endswith("/s/s"):
         text = text[:-4] + "/s^2"
     return text[:-3] + "/s^2" if text.endswith("/s2") else text
+
+
+def foreign(unit: str) -> str:
+    """The first part of a parameter's unit that is not SI; "" where all are."""
+    return next((part for part in re.findall(r"[^\W\d_]+|[%°]", unit) if part not in OF_LAWS), "")
 
 
 def factor(kind: str, unit: str) -> float:

@@ -59,13 +59,16 @@ FUNCTIONS: dict[str, tuple[int, str]] = {  # name -> number of arguments, scalar
 OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod, ast.FloorDiv)
 COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)
 
+SIGNS = {"BitXor": "^", "BitAnd": "&", "BitOr": "|", "LShift": "<<", "RShift": ">>", "MatMult": "@", "Invert": "~"}
+
 
 class ExpressionError(ModelError):
-    """What is wrong with an expression, and at which column (from 1) of it."""
+    """What is wrong with an expression, and at which column (from 1) of it; or with a parameter of it."""
 
-    def __init__(self, text: str, column: int) -> None:
-        super().__init__(f"{text} (column {column})")
+    def __init__(self, text: str, column: int, parameter: str = "") -> None:
+        super().__init__(text if parameter else f"{text} (column {column})")
         self.column = column
+        self.parameter = parameter
 
 
 @njit(error_model="numpy")
@@ -128,7 +131,9 @@ class _Rewrite(ast.NodeTransformer):
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
         if not isinstance(node.op, OPERATORS):
-            raise ExpressionError(f"operator {_describe(node.op)} is not allowed", node.col_offset + 1)
+            at = (node.left.end_col_offset or node.left.col_offset) + 1
+            remedy = "; a power is **" if isinstance(node.op, ast.BitXor) else ""
+            raise ExpressionError(f"operator {_describe(node.op)} is not allowed{remedy}", at)
         small = isinstance(node.right, ast.Constant) and type(node.right.value) is int and abs(node.right.value) <= 16
         if isinstance(node.op, ast.Pow) and small:  # a whole power stays whole: exact for negative x, and fast
             node.left = self.visit(node.left)
@@ -160,6 +165,9 @@ class _Rewrite(ast.NodeTransformer):
         raise ExpressionError(f'unknown name "{node.id}"; there are {known} and numpy functions', node.col_offset + 1)
 
     def visit_Call(self, node: ast.Call) -> ast.AST:
+        if isinstance(node.func, ast.Attribute) and node.func.attr in FUNCTIONS:
+            name = node.func.attr
+            raise ExpressionError(f"write {name}(...), without a module before it", node.col_offset + 1)
         if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS:
             what = f'"{node.func.id}"' if isinstance(node.func, ast.Name) else "this"
             known = ", ".join(sorted(FUNCTIONS))
@@ -179,8 +187,12 @@ def _describe(node: ast.AST) -> str:
         ast.Subscript: "an index [ ]",
         ast.Lambda: "lambda",
         ast.Tuple: "a tuple",
+        ast.List: "a list",
+        ast.ListComp: "a list",
+        ast.NamedExpr: "an assignment (:=)",
+        ast.JoinedStr: "a text",
     }
-    return words.get(type(node), type(node).__name__)
+    return words.get(type(node)) or SIGNS.get(type(node).__name__, f"this ({type(node).__name__})")
 
 
 def _depth(node: ast.AST) -> int:
@@ -199,7 +211,7 @@ def compile_law(expression: str, parameters: tuple[str, ...]) -> tuple[Callable[
     """
     for name in parameters:
         if not name.isidentifier() or name in STATE or name in FUNCTIONS or name in CONSTANTS or name in ("s", "p"):
-            raise ExpressionError(f'a parameter cannot be called "{name}"', 1)
+            raise ExpressionError(f'a parameter cannot be called "{name}"; rename it', 1, name)
     text = expression.replace("\n", " ")
     lead = len(text) - len(text.lstrip())
     if not text.strip():
@@ -217,11 +229,11 @@ def compile_law(expression: str, parameters: tuple[str, ...]) -> tuple[Callable[
     rewrite = _Rewrite(parameters)
     try:
         body = ast.unparse(ast.fix_missing_locations(rewrite.visit(tree)))
-    except ExpressionError as error:
+    except ExpressionError as error:  # none of a parameter
         raise ExpressionError(str(error).rsplit(" (column", 1)[0], error.column + lead) from None
     unused = [name for name in parameters if name not in rewrite.used]
     if unused:
-        raise ExpressionError(f"parameter {', '.join(unused)} is not used", 1)
+        raise ExpressionError("the expression does not use it; write it there, or remove it", 1, unused[0])
     if not rewrite.used & set(STATE):
         raise ExpressionError(f"the law uses none of {', '.join(STATE)}: it would be a constant", 1)
     namespace: dict[str, object] = {"math": math, **SCALARS}

@@ -196,13 +196,24 @@ other = 3
         ("k*gg", 'unknown name "gg"'),
         ("k*(x", "column"),
         ("__import__('os')", "column"),
-        ("x**3", "k is not used"),
+        ("k*gg + " + "x + " * 30 + "x", 'x ...": unknown name "gg"'),
     ],
 )
 def test_a_wrong_expression_is_said_with_its_position(expression: str, said: str) -> None:
     (line,) = problems(HEAD + LAW.format(expression) + CHANNELS)
     assert ": model.custom[0].expression: " in line
     assert said in line
+
+
+def test_a_parameter_that_the_law_does_not_use_or_that_is_not_in_si_is_said_with_its_own_position() -> None:
+    (line,) = problems(HEAD + LAW.format("x**3") + CHANNELS)
+    assert ": model.custom[0].parameters.k: the expression does not use it" in line
+    for unit, part in (("N/mm", "mm"), ("kN/m", "kN"), ("um", "um")):
+        law = LAW.format("k*x").replace("k = 1.0", f'k = {{ value = 1.0, unit = "{unit}" }}')
+        (line,) = problems(HEAD + law + CHANNELS)
+        assert f'model.custom[0].parameters.k.unit: "{unit}": {part} is no SI unit' in line
+    law = LAW.format("k*x").replace("k = 1.0", 'k = { value = 1.0, unit = "N s^0.5/m^1.5" }')
+    assert Rig.parse(HEAD + law + CHANNELS).model.effects[0].name == "mine"
 
 
 def test_a_law_from_a_module(tmp_path: Path) -> None:
