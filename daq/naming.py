@@ -260,9 +260,9 @@ def said(found: Mapping[str, Any], question: Question) -> tuple[str, str, str]:
     row = rows[0]
     from .report_numbers import odds, percent
 
-    text = f"{verdict} at {' and '.join(row['at'])} is missing from the model over {over} (p {odds(row['p_value'])}, "
-    text += f"missing force {percent(row['missing_force_before_percent'])} -> "
-    text += f"{percent(row['missing_force_after_percent'])})"
+    text = f"{verdict} at {' and '.join(row['at'])} is missing from the model over {over} (p {odds(row['p_value'])}"
+    before, after = row["missing_force_before_percent"], row["missing_force_after_percent"]
+    text += f", missing force {percent(before)} -> {percent(after)})" if before else ", its force not yet seen)"
     if second := next((r["effect"] for r in rows if r["effect"] != verdict), ""):
         text += f"; runner-up {second}"
     return "warning", "effect_named", f"{text}; rotorscope effects {verdict} says what to look at"

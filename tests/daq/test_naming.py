@@ -15,7 +15,7 @@ from daq.demo import truth_text
 from daq.importers import import_file
 from daq.live_table import missing_text
 from daq.log_reader import read_log
-from daq.naming import Naming, Question, answer
+from daq.naming import Naming, Question, answer, said
 from daq.output import Output
 from daq.replay import replay
 from daq.rig import Rig, load_rig
@@ -115,6 +115,13 @@ def test_the_line_of_the_live_table() -> None:
         missing_text(OPEN) == "missing force 0.80 % of the bearing force   most like clearance 1.00 %, quintic 0.70 %"
     )
     assert missing_text({}) == ""
+
+
+def test_an_effect_whose_force_is_not_seen_yet_is_not_said_to_fall_from_nothing_to_nothing() -> None:
+    question = Question(RIG.text, RIG.base, RIG.path, (), np.zeros((8000, 4)), RATE, 60.0)
+    row = named()["ranking"][0] | {"missing_force_before_percent": 0.0}
+    assert "->" in said(named(), question)[2]
+    assert "its force not yet seen" in said({"verdict": "clearance", "ranking": [row]}, question)[2]
 
 
 def test_a_question_that_cannot_be_answered_is_one_line() -> None:
