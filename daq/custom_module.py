@@ -24,7 +24,7 @@ def load_effect(module: str, base: Path) -> Effect:
     sys.modules[key] = loaded  # numba and dataclasses look their module up by name
     try:
         spec.loader.exec_module(loaded)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         del sys.modules[key]
         raise ValueError(f"{path} fails with {type(error).__name__}: {error}; correct it") from error
     effect = getattr(loaded, name, None)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .balance import Balance
 from .calm import as_seen
-from .errors import DataError
+from .errors import NotFiniteError
 from .features import FINER, HALF, MARGIN, State, decimated, depends, folds, law_force, ready, rough
 from .hidden_states import along, remember
 from .linear_memory import filtered, response
@@ -188,13 +188,10 @@ class Columns:
             as_seen(total, mean, stretch.calm[:, inner], column.row, self.balance.other(column.row))
         return total, tangents
 
-    def not_finite(self, k: int) -> DataError:
+    def not_finite(self, k: int) -> NotFiniteError:
         """What is wrong where the force of law column k is not a number."""
         column = self.balance.columns[k]
-        return DataError(
-            f"the force of effect {self.balance.laws[column.law].effect.name} at {self.balance.places[column.row]} "
-            "is not finite along the measured motion: check its expression and limits"
-        )
+        return NotFiniteError(self.balance.laws[column.law].effect.name, self.balance.places[column.row])
 
     def tangent_series(self, k: int, stretch: Stretch) -> tuple[Floats, Floats, int]:
         """Tangents of column k along x and v, and how many rows there are to a row of the stretch."""

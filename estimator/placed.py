@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from . import linear_memory, shaft_law
 from .calm import as_seen
 from .effect import Effect
+from .errors import NotFiniteError
 from .features import FINER, MARGIN, Series, State, decimated, depends, folds, jumps, law_force
 from .hidden_states import along
 from .motion_blocks import FOLDS, MotionBlocks
@@ -110,6 +111,8 @@ def _along(
             series = None if tangents is None else (tangents[0, a:b], tangents[1, a:b])
             out[a:b], part = law_force(effect, p, state, reads, series)
         sums[f] += part
+    if not (np.isfinite(sums).all() and np.isfinite(out.sum())):
+        raise NotFiniteError(effect.name, data.places[i])
     sums /= np.maximum(data.fold_rows, 1)[:, None]
     if data.calm is not None:
         as_seen(out, data.over_folds(sums), data.calm, i, -1 if o is None else o)

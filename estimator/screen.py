@@ -15,6 +15,7 @@ from .effect import Effect
 from .effects.places import kinematic
 from .effects.places import places as canonical_places
 from .effects.strength import search_range
+from .errors import NotFiniteError
 from .model import Model
 from .model_uses import FORCES, acting, not_judged, searched, size, start
 from .path_fit import Columns, PathFit
@@ -136,11 +137,15 @@ def alone(point: WorkingPoint, places: tuple[int, ...], steps: int = 3) -> Alone
 
 
 def assess(point: WorkingPoint, placed: Placed, steps: int = 3, against: Alone | None = None) -> Assessed | None:
-    """Gain of the amplitudes within their limits, at given searched parameters; None if the model has such columns.
+    """Gain of the amplitudes within their limits, at given searched parameters; None if the model has such columns, or
+    the law is no number there.
 
     against : `alone`, if it is known.
     """
-    extra = trial_columns(point, placed)
+    try:
+        extra = trial_columns(point, placed)
+    except NotFiniteError:
+        return None
     if extra is None:
         return None
     problem = subproblem(point, placed.at, extra)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import cfunc, njit, types
-from numba.core.errors import NumbaError
+from numba.core.errors import NumbaError, UnsupportedBytecodeError
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -45,7 +45,7 @@ def machine_code(law: Callable[..., Any], signature: Any, function: Callable[...
     """
     try:
         compiled = cfunc(signature, error_model="numpy", **options)(function)
-    except NumbaError as error:
+    except (NumbaError, UnsupportedBytecodeError, TypeError) as error:
         why = str(error).strip().splitlines()
         said = next((line.strip() for line in why[1:] if line.strip()), why[0])
         raise ModelError(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dis
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +38,7 @@ def custom_effect(use: EffectUse) -> Effect:
     if custom is None:
         raise ModelError(f"effect {use.name} is not a custom one")
     if custom.effect is not None:
-        return _loaded(use.name, custom.effect)
+        return _loaded(use, custom.effect)
     if custom.expression is None:
         raise ModelError(f"custom effect {use.name}: the module {custom.module!r} has not been loaded")
     names = tuple(custom.units)
@@ -72,8 +74,9 @@ def custom_effect(use: EffectUse) -> Effect:
     return Effect(**{**fields, "parameters": marked})
 
 
-def _loaded(name: str, effect: Effect) -> Effect:
+def _loaded(use: EffectUse, effect: Effect) -> Effect:
     """A module's object, if it is an Effect that can work under its name."""
+    name = use.name
     if not isinstance(effect, Effect):
         raise ModelError(f"custom effect {name}: the module's object is a {type(effect).__name__}, not an Effect")
     needs = {"memory": ("rates", "memory_force"), "sensor": ("apply",), "excitation": ("shape",)}.get(
@@ -84,7 +87,13 @@ def _loaded(name: str, effect: Effect) -> Effect:
         raise ModelError(f"custom effect {name}: an Effect of kind {effect.kind} needs {' and '.join(lacking)}")
     for law, kind in ((effect.force, "force"), (effect.rates, "rates"), (effect.memory_force, "memory")):
         if law is not None:
+            if any(step.opname == "RAISE_VARARGS" for step in dis.get_instructions(law)):
+                raise ModelError(f"custom effect {name}: {law.__name__} raises or asserts; compiled laws cannot")
             address(law, kind)
+    if effect.kind == "force":
+        settings = next(iter(use.parameters.values()), {})
+        given = [(q, settings.get(q.name, Setting())) for q in effect.parameters]
+        _refuse_not_finite(effect, np.array([1.0 if q.linear and not s.value else _start(q, s) for q, s in given]))
     return effect
 
 

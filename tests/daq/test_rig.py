@@ -234,6 +234,9 @@ def test_a_law_from_a_module(tmp_path: Path) -> None:
     (tmp_path / "laws.py").write_text("1/0")
     with pytest.raises(ConfigError, match="fails with ZeroDivisionError"):
         load_rig(tmp_path / "rig.toml")
+    (tmp_path / "laws.py").write_text("raise SystemExit(3)")
+    with pytest.raises(ConfigError, match="fails with SystemExit"):
+        load_rig(tmp_path / "rig.toml")
 
 
 def test_an_effect_of_the_disc_needs_a_shaft() -> None:

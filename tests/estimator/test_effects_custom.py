@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hidden_effects import RATE, one_bearing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,8 +17,10 @@ from estimator.effects import CATALOGUE
 from estimator.effects.custom import custom_effect
 from estimator.effects.expression import FUNCTIONS, ExpressionError, compile_law
 from estimator.effects.law_loop import force_array
-from estimator.errors import ModelError
+from estimator.errors import DataError, ModelError
 from estimator.model import CustomLaw, EffectUse, Setting
+from estimator.simulate import simulate
+from estimator.whole import fit_whole
 
 
 def own(expression: str, **parameters: tuple[float | None, str]) -> EffectUse:
@@ -184,3 +189,48 @@ def test_no_text_gets_past_the_parser_in_any_other_way(text: str) -> None:
             "tan",
             *FUNCTIONS,
         }
+
+
+def raising(x, v, xo, vo, t, phase, s, p):  # type: ignore[no-untyped-def]
+    if x > 1e-7:
+        raise ValueError("too far")
+    return p[0] * x
+
+
+def nowhere(x, v, xo, vo, t, phase, s, p):  # type: ignore[no-untyped-def]
+    return p[0] * math.log(x)
+
+
+def importing(x, v, xo, vo, t, phase, s, p):  # type: ignore[no-untyped-def]
+    import json
+
+    return json.loads("1.0") * x
+
+
+def short(x, v):  # type: ignore[no-untyped-def]
+    return x + v
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        (raising, "raises or asserts"),
+        (nowhere, "not finite at x = 0"),
+        (importing, "cannot compile it"),
+        (short, "cannot compile it"),
+    ],
+)
+def test_a_modules_law_that_cannot_work_is_refused(law: Callable[..., float], said: str) -> None:
+    use = EffectUse("mine", {}, CustomLaw(None, "a.py:B", {}, replace(CATALOGUE["cubic"], force=law)))
+    with pytest.raises(ModelError, match=said):
+        custom_effect(use)
+
+
+def test_a_law_that_the_motion_leaves_is_said_by_name() -> None:
+    """Beyond what its numbers suggest: it is first seen along the record."""
+    rig = one_bearing()
+    law = CustomLaw("k*(x + g)*sqrt(1e-7 - abs(x))", None, {"k": "N/m^1.5", "g": "m"})
+    use = EffectUse("mine", {"bearing1.x": {"k": Setting(1e6), "g": Setting(1e-9)}}, law)
+    y = simulate(rig, RATE, 3.0, seed=1, noise=0.02)
+    with pytest.raises(DataError, match=r"effect mine at bearing1.x is not finite along the measured motion"):
+        fit_whole(replace(rig, effects=(use,)), y, RATE)
