@@ -11,6 +11,9 @@ from hidden_effects import RATE, one_bearing, record
 from estimator import screen
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
+from estimator.estimate import Parameter
+from estimator.evidence import entries
+from estimator.missing_force import survey
 from estimator.model import Model
 from estimator.model_uses import placed_of
 from estimator.placed import Placed
@@ -53,6 +56,19 @@ def test_the_strongest_takes_the_gap_of_another_that_suits_it_better(weak: tuple
     lent = {t.spot: t for t in screen.borrowed(point, rig, [wrong, strongest], [wrong.spot, other.spot])}
     assert lent[wrong.spot].placed.p[1] == other.placed.p[1]
     assert lent[wrong.spot].gain > wrong.gain
+
+
+def test_a_number_that_is_given_has_no_spread(
+    weak: tuple[Model, WorkingPoint, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The balls of a bearing were 6.00 +- 0.46."""
+    rig, point, _ = weak
+    monkeypatch.setattr(screen, "grid", lambda *_: [np.array([1.0, 2e-7, 6.0])])
+    found = screen.best_at(point, rig, CATALOGUE["hertz"], "bearing1")
+    assert found is not None
+    (entry,) = entries(rig, point, [screen.judged(found)], survey(point, rig))
+    assert entry.parameters["bearing1.hertz.balls"] == Parameter(6.0, 0.0, "1", True, "given")
+    assert entry.parameters["bearing1.hertz.preload"].sd != 0.0
 
 
 def test_steps_on_the_whole_record_find_the_gap(weak: tuple[Model, WorkingPoint, float]) -> None:
