@@ -210,7 +210,7 @@ def compile_law(expression: str, parameters: tuple[str, ...]) -> tuple[Callable[
     Raises ExpressionError: what, and the column. Nothing of the text is executed but the whitelisted arithmetic.
     """
     for name in parameters:
-        if not name.isidentifier() or name in STATE or name in FUNCTIONS or name in CONSTANTS or name in ("s", "p"):
+        if not name.isidentifier() or name in STATE or name in FUNCTIONS or name in CONSTANTS:
             raise ExpressionError(f'a parameter cannot be called "{name}"; rename it', 1, name)
     text = expression.replace("\n", " ")
     lead = len(text) - len(text.lstrip())

@@ -106,9 +106,15 @@ def test_a_parameter_that_is_not_used_is_named() -> None:
 
 
 def test_parameters_cannot_hide_a_state_or_function() -> None:
-    for name in ("x", "sin", "pi", "p", "2a"):
+    for name in ("x", "sin", "pi", "2a"):
         with pytest.raises(ExpressionError, match="cannot be called"):
             compile_law(f"{name}*v", (name,))
+
+
+def test_parameters_may_have_the_names_that_compiled_laws_use_inside() -> None:
+    effect = custom_effect(own("p*s*tanh(x/s)", p=(2.0, "N/m"), s=(1.0, "m")))
+    x = np.array([-2.0, 0.5])
+    np.testing.assert_allclose(force_array(effect, np.array([3.0, 0.7]), x), 2.1 * np.tanh(x / 0.7))
 
 
 def test_a_law_that_is_not_finite_is_refused_where_it_happens() -> None:
