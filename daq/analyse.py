@@ -208,7 +208,7 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
         )
         seen = row.get("detectable_from")
         limit = f"{number(seen['value'])} {seen['unit']}" if seen else ""
-        cells = (row["effect"], ", ".join(row["at"]), f"{row['heldout_gain']:.5g}", f"{row['p_value']:.2g}",
+        cells = (row["effect"], ", ".join(row["at"]), f"{row['heldout_gain']:.5g}", _p(row["p_value"]),
                  f"{before:.2f} -> {after:.2f}", parameters, limit)  # fmt: skip
         table.add_row(*(Text(c) for c in cells))
     people: list[Any] = [table, ""] if value["ranking"] else []
@@ -225,6 +225,11 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
         "unknown": f"something is missing that {_NO_LAW if about_the_shaft(value['messages']) else _OUTSIDE}",
     }.get(name, f"missing: {name}; {known}")
     return [*people, f"verdict: {name}", verdict]
+
+
+def _p(value: float) -> str:
+    """Beyond 1e-20 the figures mean nothing."""
+    return "< 1e-20" if value < 1e-20 else f"{value:.2g}"
 
 
 def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | None, rerun: str | None) -> None:
