@@ -31,10 +31,12 @@ LITTLE = 1e-4  # correlation of two rows, anywhere in the band, that moves nothi
 
 @dataclass(frozen=True, slots=True)
 class NoisePaths:
-    """weight : (places, bins), S over the PSD of each inferred force; root : (bins, places) one over its root. shared :
-    (bins, places, places) correlations of these forces by noise; None where they are independent."""
+    """weight : (places, bins), S over the PSD of each inferred force; root : (bins, places) one over its root. noise :
+    (places, bins) what of that PSD is noise of sensors, which does not rise with the force. shared : (bins, places,
+    places) correlations of these forces by noise; None where they are independent."""
 
     weight: Array
+    noise: Array
     root: Array
     shared: Complexes | None
 
@@ -53,14 +55,15 @@ class NoisePaths:
 
 def noise_paths(data: MotionBlocks, A: Complexes, nu: Array, S: Array) -> NoisePaths:
     """A : (bins, places, places). nu : (places,) noise of the sensors over S. S : (places,)."""
-    weight = 1.0 / (data.colour + beyond(data, A, S) + heard_of_all(data, A, nu * S) / S[:, None])
+    heard = heard_of_all(data, A, nu * S) / S[:, None]
+    weight = 1.0 / (data.colour + beyond(data, A, S) + heard)
     P = len(data.places)
     noise = (data.noise_shape * nu[:, None] + data.folded) * S[:, None]
     R = np.einsum("kil,lk,kjl->kij", A, noise, A.conj())
     R[:, range(P), range(P)] = 0.0
     root = np.sqrt(weight / S[:, None]).T
     shared = R * root[:, :, None] * root[:, None, :]
-    return NoisePaths(weight, root, shared if np.abs(shared).max(initial=0.0) > LITTLE else None)
+    return NoisePaths(weight, heard * weight, root, shared if np.abs(shared).max(initial=0.0) > LITTLE else None)
 
 
 def beyond(data: MotionBlocks, A: Complexes, S: Array) -> Array:

@@ -138,11 +138,15 @@ class Weighing:
     measured: Complexes | None = None
     _root: Array = field(init=False)
     _bins: slice | NDArray[np.int64] = field(init=False)
+    _even: list[Spectrum] | None = field(init=False)
 
     def __post_init__(self) -> None:
         # one-sided PSD normalisation: the mean of |F|^2 over bins is S
         self._root = np.sqrt(self.weight * 2.0 / (self.data.rate_hz * self.data.block)).astype(np.float32)
         bins = self.data.bins
+        self._even = None if self.data.level is None else [
+            (1.0 / np.sqrt(self.rise(i))).astype(np.float32) for i in range(len(self.data.places))
+        ]  # fmt: skip
         unbroken = bins[-1] - bins[0] == bins.size - 1  # a slice is read four times faster
         self._bins = slice(int(bins[0]), int(bins[-1]) + 1) if unbroken else bins
 
@@ -169,9 +173,17 @@ class Weighing:
             part = z[a : a + TOGETHER]
             part = part if single else (scale * part).astype(np.float32)  # it may be too small for that before
             np.multiply(rfft(part, axis=1)[:, self._bins], root, out=out[a : a + TOGETHER].view(np.complex64))
-        if self.data.level is not None:
-            out /= np.sqrt(self.data.level[i, first : first + len(z), None]).astype(np.float32)
+        if self._even is not None:
+            out.view(np.complex64)[...] *= self._even[i][first : first + len(z)]
         return out
+
+    def rise(self, i: int, some: slice | NDArray[np.int64] = slice(None)) -> Array:
+        """(blocks, bins) PSD of the inferred force at place i in some blocks, over that of the record: the level of the
+        force but for noise of sensors, which does not rise with it."""
+        if self.data.level is None:
+            return np.ones((self.data.start[some].size, self.weight.shape[1]))
+        level = self.data.level[i, some, None]
+        return np.asarray(level + (1.0 - level) * self.paths.noise[i])
 
     def seen(self, tangents: Complexes) -> Complexes:
         """Tangents (..., places, places, bins) as the determinant needs them: to what is measured."""
@@ -228,7 +240,7 @@ def gram(weighing: Weighing, force: dict[int, Spectrum], *columns: Columns) -> G
             n[i, f] = here.size * bins
             log_weight[i, f] = here.size * np.log(weighing.weight[i]).sum()
             if data.level is not None:
-                log_weight[i, f] -= bins * np.log(data.level[i, here]).sum()
+                log_weight[i, f] -= np.log(weighing.rise(i, here)).sum()
 
     each(at_place, range(P))
     return Gram(

@@ -372,12 +372,16 @@ def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list
 
 def _level(point: WorkingPoint) -> Array | None:
     """(places, blocks) how strong the unknown forces are along the record: force_level.py."""
-    data = point.data
+    data, weighing = point.data, point.weighing
     if data.measured_force:
         return None
-    spectra = (point.spectra[i] for i in range(len(data.places)))
-    power = np.array([np.einsum("bk,bk->b", Z, Z) for Z in spectra], dtype=np.float64)
-    return level_of(power * (1.0 if data.level is None else data.level), data.start / data.rate_hz, data.bins.size)
+
+    def power(i: int) -> Array:
+        Z = point.spectra[i].reshape(data.blocks, -1, 2)
+        own, noise = np.einsum("bkc,bkc,bk->b", Z, Z, weighing.rise(i)), point.S[i] * weighing.paths.noise[i].sum()
+        return np.maximum(own - noise, 0.1 * own)
+
+    return level_of(np.array(each(power, range(len(data.places)))), data.start / data.rate_hz, data.bins.size)
 
 
 def _left_out(point: WorkingPoint) -> Array:
