@@ -73,13 +73,13 @@ def worth(point: WorkingPoint, effect: str, places: set[int]) -> dict[int, float
 def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) -> tuple[float, float, int]:
     """Mean square in N^2 explained by the polynomials of a state at place i, nats gained, number of terms."""
     data = point.data
-    z = data.seen(i) if state == "x" else data.v[i]
+    z = data.calmed(i) if state == "x" else data.v[i]
     rms = float(data.rms[0 if state == "x" else 1, i])
     u = (z / rms).astype(np.float32)
     here, which = point.fluctuations[i], 0 if state == "x" else 1
     memory: dict[int, dict[int, Complexes]] = {}
     if here is not None:
-        for order, _, below in _hermite((here.data.v[i] if which else here.data.seen(i)) / rms, orders):
+        for order, _, below in _hermite((here.data.v[i] if which else here.data.calmed(i)) / rms, orders):
             tangents = np.zeros((2, below.size))
             tangents[which] = order * below / rms
             memory[order] = {i: at_home(-here.of(tangents), i, data)}
@@ -87,6 +87,8 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
     def term(order: int, polynomial: Series, below: Series) -> Term | None:
         slopes = np.zeros((len(data.places),) * 2 + (2,))
         slopes[i, i, which] = order * float(np.mean(below, dtype=np.float64)) / rms
+        if state == "x" and data.calm is not None:  # along the whole displacement: calm.as_seen
+            polynomial = polynomial - slopes[i, i, 0] * data.calm[i]
         own = Term(f"smooth.{order}", "N", {i: polynomial}, slopes, memory=memory.get(order, {}))
         made = orthogonal(own, point.spans, least=1e-3)
         return None if made is None else light(made)
