@@ -28,6 +28,8 @@ from .working_point import WorkingPoint, thinned
 Array = NDArray[np.float64]
 SMALL = 0.05  # rad at psi = 1, of the difference that the derivative is taken from
 ELSE = 2.0  # times the nats of a phase, that columns of the states win where a law is missing: 4 and more; 1 if none is
+AHEAD = 1.5  # times the lag that is known, that it may be less: no recorder is ahead of the motion, one may have none
+MOST = 5.0  # rad of a lag: an elliptic filter of order 12 whose edge is the end of the band has 4.5
 LOOKS = ((8.0, 2.5), (24.0, 5.0))  # s of the record, and standard deviations that are worth more of it, or are certain
 
 
@@ -37,18 +39,21 @@ def found(model: Model, point: WorkingPoint) -> RollOff | None:
     data, part = point.data, point
     if data.measured_force or point.kL.min() <= 0.0:
         return None
+    flat = Filter(data.rate_hz, data.band[1], nepers=(0.0,) * POWERS.size)
+    known = {place: (model.roll_off or {}).get(place, flat) for place in data.places}
+    behind = [float(own.lag(np.array([own.top_hz]))[0]) for own in known.values()]
     rad = nats = 0.0
     for seconds, sure in LOOKS:
         part = thinned(point, seconds)
         seen = excess(part, lambda f: np.minimum(f / data.band[1], 1.0) ** LATE)
-        if seen is None or abs(seen[0]) < sure * seen[1] or (seen[0] < 0.0 and not model.roll_off):
+        if seen is None or abs(seen[0]) < sure * seen[1]:
+            return None
+        if not -AHEAD * min(behind) < seen[0] < MOST - max(behind):
             return None
         rad, nats = seen[0], 0.5 * (seen[0] / seen[1]) ** 2
     felt = sum(f.gain for r in missing_force.survey(part, model).residuals for f in r.found)
     if felt > ELSE * nats:
         return None
-    flat = Filter(data.rate_hz, data.band[1], nepers=(0.0,) * POWERS.size)
-    known = {place: (model.roll_off or {}).get(place, flat) for place in data.places}
     return {place: replace(own, late=own.late + rad) for place, own in known.items()}
 
 

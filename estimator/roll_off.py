@@ -61,17 +61,18 @@ class Filter:
         return np.asarray(out)
 
     def response(self, f_hz: Array) -> NDArray[np.complex128]:
-        """(f,) measured over true, its delay left out: that of the poles is of minimum phase, means have none."""
+        """(f,) measured over true, its delay left out."""
+        return np.asarray(np.sqrt(self.passed(f_hz)) * np.exp(-1j * self.lag(f_hz)))
+
+    def lag(self, f_hz: Array) -> Array:
+        """(f,) rad that the phase is behind that of its delay: the poles' is of minimum phase, means have none."""
         s = np.zeros(0, complex)
         if self.poles:
             s = np.sqrt(-np.roots([*self.poles[::-1], 1.0]).astype(complex))  # of H(s) H(-s)
             s = np.where(s.real > 0.0, -s, s)
         x = f_hz[..., None] / self.cutoff_hz
-        phase = (
-            -np.sum(np.angle(1.0 - 1j * x / s) - x * np.imag(-1j / s), axis=-1)
-            - self.late * (f_hz / self.top_hz) ** LATE
-        )
-        return np.asarray(np.sqrt(self.passed(f_hz)) * np.exp(1j * phase))
+        own = np.sum(np.angle(1.0 - 1j * x / s) - x * np.imag(-1j / s), axis=-1)
+        return np.asarray(own + self.late * (f_hz / self.top_hz) ** LATE)
 
     def folded(self, f_hz: Array, kind: str) -> Array:
         """(f,) PSD, as acceleration of a sensor of this kind, of what is folded back, over that of a free mass."""
