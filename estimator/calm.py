@@ -72,7 +72,7 @@ def calm_of(f_hz: Array, seen: Array, e: Array, reach: int) -> Calm:
     return Calm(f_hz, gain - 1.0, doubt, reach)
 
 
-def as_seen(force: Array, mean: Array, calm: NDArray[np.floating], own: int, other: int) -> None:
+def as_seen(force: NDArray[np.floating], mean: Array, calm: NDArray[np.floating], own: int, other: int) -> None:
     """Of a law's force (n,) on what it sees, made in place: its mean tangent is of the whole displacement.
 
     mean : (4,) tangents along x, v and those of the other direction. calm : (places, n). other : -1 where none is.
