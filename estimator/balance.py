@@ -221,7 +221,8 @@ def build(
                     if known is None:
                         known = kinematic(q.scale, model)
                     p[j] = q.default * scale if known is None else known
-                    steps[j] = 1e-3 * max(abs(p[j]), scale if j in rest else 0.0)
+                    least = scale if j in rest and (q.scale != "1" or p[j] == 0.0) else 0.0
+                    steps[j] = 1e-3 * max(abs(p[j]), least)
                     if search and j in rest and not setting.fixed and kinematic(q.scale, model) is None:
                         searched.append(j)
                 laws.append(Law(effect, key, row, p, linear_parts, tuple(searched), steps))

@@ -13,6 +13,7 @@ from hidden_effects import RATE, one_bearing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from estimator import spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.custom import custom_effect
 from estimator.effects.expression import FUNCTIONS, ExpressionError, compile_law
@@ -240,3 +241,19 @@ def test_a_law_that_the_motion_leaves_is_said_by_name() -> None:
     y = simulate(rig, RATE, 3.0, seed=1, noise=0.02)
     with pytest.raises(DataError, match=r"effect mine at bearing1.x is not finite along the measured motion"):
         fit_whole(replace(rig, effects=(use,)), y, RATE)
+
+
+def test_a_law_typed_with_a_length_in_metres_is_fitted() -> None:
+    """Its derivative had been taken over a millimetre, and "the data leave it free" was said of gap and kL."""
+    rig, place, gap = one_bearing(), "bearing1.x", 1.9e-7
+    hidden = EffectUse("clearance", {place: {"k": Setting(3e6), "gap": Setting(gap)}})
+    y = simulate(replace(rig, effects=(hidden,)), RATE, 4.0, seed=1, noise=0.02)
+    law = CustomLaw("k*(maximum(x - g, 0) + minimum(x + g, 0))", None, {"k": "N/m", "g": "m"})
+    typed = EffectUse("mine", {place: {"k": Setting(2e6), "g": Setting(1.5e-7)}}, law)
+    found = spectral.fit(replace(rig, effects=(typed,)), y, RATE).parameters
+    for name, true in (("mine.k", 3e6), ("mine.g", gap)):
+        p = found[f"{place}.{name}"]
+        assert p.value is not None
+        assert p.sd is not None
+        assert abs(p.value - true) < 3.0 * p.sd < 0.5 * true
+    assert found[f"{place}.kL"].identifiable
