@@ -98,16 +98,16 @@ def pictures(now: Json, old: Json, ladder: Sequence[Json], two: bool) -> dict[st
         "ladder": figures.ladder(ladder) if ladder else None,
         "laws": curves.laws(now.get("laws", ()), old.get("laws", ())),
         "residuals": curves.residuals(now.get("curves", ()), old.get("curves", ())),
-        "where": figures.where_map(now.get("where", ()), old.get("where", ()) if two else None, looked_at(now)),
+        "where": figures.where_map(now.get("where", ()), old.get("where", ()) if two else None, looked_at(old, now)),
         "spectra": figures.spectra(now.get("spectra", {}), old.get("spectra", {}), now.get("psd_distance_db", {})),
         "densities": figures.densities(now.get("densities", {}), old.get("densities", {}), now.get("pdf_distance", {})),
         "orbits": figures.orbits(now.get("orbits", {})),
     }
 
 
-def looked_at(comparison: Json) -> list[str]:
-    """The channels of a comparison."""
-    return list(dict.fromkeys(c["channel"] for c in comparison.get("curves", ())))
+def looked_at(*comparisons: Json) -> list[str]:
+    """The channels of comparisons; of a clipped one a model with the fault draws no laws."""
+    return list(dict.fromkeys(c["channel"] for one in comparisons for c in one.get("curves", ())))
 
 
 def finding(diagnosis: Json, number: int, of: int, ladder: Sequence[Json]) -> dict[str, Any]:

@@ -71,6 +71,10 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
     if verdict == "complete":
         return ["Diagnosis: complete. No effect of the catalogue improves the prediction by more than chance would."]
     if verdict == "unknown":
+        from estimator.diagnose import about_the_shaft
+
+        if shaft := about_the_shaft(diagnosis.get("messages", ())):
+            return [f"Diagnosis: unknown. A force is missing that is no law of a bearing: {shaft}."]
         near = f" The nearest are {listed([r['effect'] for r in rows[:3]])}." if rows else ""
         return [
             "Diagnosis: unknown. A force is missing, but no effect of the catalogue explains it; its shape is drawn "
@@ -80,11 +84,12 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
     if best is None:
         return [f"Diagnosis: {verdict}."]
     before, after = best["missing_force_before_percent"], best["missing_force_after_percent"]
-    said = [
-        f"Diagnosis: {verdict} at {listed(best['at'])} {'was' if past else 'is'} missing "
-        f"(p {odds(best['p_value'])}). With it the missing force there {'fell' if past else 'falls'} from "
-        f"{percent(before)} to {percent(after)}."
-    ]
+    where, p = listed(best["at"]), odds(best["p_value"])
+    text = f"Diagnosis: {verdict} at {where} {'was' if past else 'is'} missing (p {p})."
+    if after < before:
+        fall = f"{'fell' if past else 'falls'} from {percent(before)} to {percent(after)}"
+        text += f" With it the missing force there {fall}."
+    said = [text]
     second = runner_up(diagnosis)
     if second is not None:
         said.append(f"The runner-up is {second['effect']} at {listed(second['at'])}.")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import adequacy, amplitude, evidence, missing_force, screen
+from .errors import DataError
 from .evidence import Entry
 from .features import ready
 from .fitted import parameters, untold
@@ -22,7 +23,7 @@ from .periodic_fit import found_beside
 from .shape import Shape, shape_of
 from .side_by_side import answers
 from .suspects import suspects
-from .whole import fit_whole
+from .whole import fit_whole, with_found
 from .working_point import WorkingPoint, fit_model, plain, thinned
 
 Array = NDArray[np.float64]
@@ -91,7 +92,8 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
 def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:
     """The same from a model already fitted."""
     before, entries = _ranked(model, point, y, say)
-    return _verdict(model, point, before, entries, say)
+    found = _verdict(model, point, before, entries, say)
+    return _restored(model, point, y, before, found) if found.verdict == "sensor_clipping" else found
 
 
 def _verdict(
@@ -109,6 +111,18 @@ def _verdict(
             entries[0] = _beside(model, point, before, best)
         return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries), messages=best.notes)
     return _law(model, point, before, entries, say)
+
+
+def _restored(model: Model, point: WorkingPoint, y: Array, before: missing_force.Survey, found: Diagnosis) -> Diagnosis:
+    """The finding of clipped channels with what is missing once what lies beyond their level is drawn."""
+    best, *others = found.ranking
+    rate_hz = point.data.rate_hz
+    try:
+        whole = fit_whole(with_found(model, best.settings), y[: int(missing_force.SURVEY_SECONDS * rate_hz)], rate_hz)
+    except DataError:  # too little of the record is whole
+        return found
+    after = missing_force.survey(whole.point, whole.model, only=before.places_found())
+    return replace(found, ranking=(replace(best, after_percent=after.percent(whole.point)), *others))
 
 
 def _loss(entries: Sequence[Entry]) -> tuple[float, float]:

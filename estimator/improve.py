@@ -13,15 +13,13 @@ from . import recorder_phase
 from .diagnose import Diagnosis, diagnose_point
 from .errors import DataError
 from .estimate import Parameter
-from .evidence import Entry
 from .fitted import fitted_model, untold
 from .heldout import heldout_nll, heldout_rmse
 from .missing_force import survey
 from .model import Model
 from .periodic import PERIODIC
-from .suspect import as_use
 from .suspects import suspects
-from .whole import Whole, fit_whole, with_uses
+from .whole import Whole, fit_whole, with_found
 from .working_point import WorkingPoint, fit_model
 
 Array = NDArray[np.float64]
@@ -121,7 +119,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             if best.effect not in PERIODIC:  # a shape of the spectra that the recorder's filter was sought in
                 before = replace(before, roll_off=given.roll_off)
             try:
-                new_whole = _refitted(with_settings(before, best), y, rate_hz)
+                new_whole = _refitted(with_found(before, best.settings), y, rate_hz)
             except DataError as problem:  # far from the rotor
                 messages.append(f"{found.verdict} was named but no fit with it is sound ({problem}): not added")
                 break
@@ -147,11 +145,6 @@ def _refitted(model: Model, y: Array, rate_hz: float) -> Whole:
     """The whole of a model that begins from a fit, and the masses that the rig file leaves out with it."""
     whole = fit_whole(model, y, rate_hz)
     return replace(whole, model=fitted_model(whole.model, whole.point))
-
-
-def with_settings(model: Model, entry: Entry) -> Model:
-    """The model with an effect that is no force law, at the values found."""
-    return with_uses(model, {name: as_use(name, own).parameters for name, own in entry.settings.items()})
 
 
 def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:

@@ -44,7 +44,7 @@ from .search_start import fit_record
 from .sensor_response import BLIND, LINEAR, forced
 from .shaft_angle import timed
 from .start import refuse_without_resonance
-from .suspect import Suspect
+from .suspect import Suspect, as_use
 from .suspects import suspects
 from .working_point import WorkingPoint
 
@@ -180,6 +180,11 @@ def with_uses(model: Model, further: Mapping[str, Mapping[str, Mapping[str, Sett
         use = uses.get(name, EffectUse(name, {}))
         uses[name] = replace(use, parameters={**use.parameters, **own})
     return replace(model, effects=tuple(uses.values()))
+
+
+def with_found(model: Model, found: Mapping[str, Mapping[str, Mapping[str, Parameter]]]) -> Model:
+    """The model with effects that are no force laws, at the values found. found : by the name of the effect."""
+    return with_uses(model, {name: as_use(name, own).parameters for name, own in found.items()})
 
 
 def _further_lines(model: Model, seen: list[Suspect]) -> dict[str, dict[str, dict[str, Setting]]]:

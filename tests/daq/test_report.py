@@ -15,6 +15,7 @@ from made_up_results import compared, diagnosed, made_up
 from daq.errors import LogError
 from daq.report import render, write_report
 from daq.report_numbers import interval, number, odds, parameter, percent, prefix, unit_text
+from daq.report_words import about_diagnosis
 
 
 @functools.cache
@@ -84,6 +85,16 @@ def test_every_verdict_and_every_part_alone(verdict: str) -> None:
     page = Page(render("t", diagnoses=[diagnosed(verdict)]))
     assert verdict in page.text
     assert ("shape of what is missing" in page.text) == (verdict == "unknown")
+
+
+def test_what_is_said_of_a_diagnosis_is_what_it_found() -> None:
+    row = {"effect": "sensor_clipping", "at": ["bearing1"], "p_value": 1e-30, "missing_force_before_percent": 1.7}
+    for after, falls in ((0.0, True), (1.7, False)):
+        found = {"verdict": "sensor_clipping", "ranking": [row | {"missing_force_after_percent": after}]}
+        assert ("falls from" in about_diagnosis(found)[0]) == falls
+    unknown = {"verdict": "unknown", "ranking": [], "messages": ["the shaft is softer than the rig file says"]}
+    assert "softer" in about_diagnosis(unknown)[0]
+    assert "typed" not in about_diagnosis(unknown)[0]
 
 
 def test_only_the_contract_keys() -> None:

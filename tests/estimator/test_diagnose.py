@@ -74,6 +74,7 @@ def test_named_first(rig: Model, effect: str) -> None:
 def test_a_faulty_sensor_is_not_reported_as_rotor_physics(rig: Model) -> None:
     found = diagnose(rig, record(rig, "sensor_clipping", 0.06), RATE)
     assert found.verdict == "sensor_clipping"
+    assert found.ranking[0].after_percent < 0.2 * found.ranking[0].before_percent
 
 
 def test_too_short_a_record_is_refused(rig: Model) -> None:

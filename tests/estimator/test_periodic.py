@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from estimator import evidence, line_forces
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
-from estimator.improve import with_settings
 from estimator.missing_force import survey
 from estimator.model import EffectUse, Model, Setting
 from estimator.motion_blocks import MotionBlocks
@@ -21,7 +20,7 @@ from estimator.periodic_fit import PIECES, found_beside, refined
 from estimator.preparation import prepare
 from estimator.simulate import simulate
 from estimator.suspects import suspects
-from estimator.whole import fit_whole
+from estimator.whole import fit_whole, with_found
 from estimator.working_point import WorkingPoint, fit_model
 
 LINE = {"a": 0.12, "b": -0.05, "frequency": 791.37}
@@ -192,7 +191,7 @@ def test_a_place_may_have_more_than_one_line(rig: Model) -> None:
     seen = suspects(rig, whole.point, y)
     entry = evidence.entries(rig, whole.point, [], survey(whole.point, rig, only=()), seen)[0]
     assert [*entry.settings] == [*hums]
-    added = fit_whole(with_settings(rig, entry), y, RATE)
+    added = fit_whole(with_found(rig, entry.settings), y, RATE)
     assert suspects(added.model, added.point, y) == []
     for name, (hz, force) in hums.items():
         for key, value in {"a": force, "b": -0.3 * force, "frequency": hz}.items():
