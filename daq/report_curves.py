@@ -15,8 +15,12 @@ AS_THEY_ARE = ("deg", "Hz", "s")  # units without prefixes
 
 
 def force_reach(curves: Sequence[Json]) -> float:
-    """How far the force axis goes, in N: all of the curves where they are known, and the usual band."""
-    widths = [floats(c["band_high"]) - floats(c["band_low"]) for c in curves]
+    """How far the force axis goes, in N: all of the curves where they are known, and the usual band (0 without one)."""
+    bare = [0.0 * floats(c["force"]) for c in curves]
+    widths = [
+        floats(c["band_high"]) - floats(c["band_low"]) if c.get("band_high") and c.get("band_low") else none
+        for c, none in zip(curves, bare, strict=True)
+    ]
     usual = max((float(np.nanmedian(w)) for w in widths if np.isfinite(w).any()), default=0.0)
     known = [np.abs(floats(c["force"]))[w <= 4 * usual] for c, w in zip(curves, widths, strict=True)]
     tallest = max((float(np.nanmax(k, initial=0)) for k in known), default=0.0)
@@ -108,8 +112,10 @@ def shape(found: Json, number: int = 0) -> str:
     name, base = AGAINST.get(found["against"], (found["against"], ""))
     at, force = floats(found["at"]), floats(found["force"])
     x_gain, x_unit = scaled([found["at"]], base)
-    y_gain, y_unit = scaled([found["force"]], "N")
+    reach = force_reach([found])
+    y_gain, y_unit = scaled([[reach]], "N")
     figure, (ax,) = new_figure(6.4, 3.0)
+    ax.set_ylim(-reach * y_gain, reach * y_gain)
     ax.axhline(0, color="#888888", linewidth=0.8)
     if found.get("band_low") and found.get("band_high"):
         low, high = floats(found["band_low"]) * y_gain, floats(found["band_high"]) * y_gain

@@ -64,6 +64,11 @@ def log_comparison(
             for name, drawing in picture.frame.frame():
                 recording.log(f"{entity}/{name}", drawing)
             recording.log(f"{entity}/curves", plane.curves(picture.frame, picture.series))
+    for entity, picture in unknown(diagnoses).items():
+        drawn[entity] = picture.title
+        for name, drawing in picture.frame.frame():
+            recording.log(f"{entity}/{name}", drawing, static=True)
+        recording.log(f"{entity}/curves", plane.curves(picture.frame, picture.series), static=True)
     texts = documents(title, comparison, before, diagnoses, ladder, notes)
     for name, text in texts.items():
         page = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
@@ -167,6 +172,25 @@ def residuals(steps: Sequence[Json], now: int) -> dict[str, Picture]:
     return found
 
 
+def unknown(diagnoses: Sequence[Json]) -> dict[str, Picture]:
+    """The shape of what no effect explains, of the last diagnosis that found one."""
+    shape = next((d["shape"] for d in reversed(diagnoses) if d.get("shape")), None)
+    if shape is None:
+        return {}
+    name, base = AGAINST.get(shape["against"], (shape["against"], ""))
+    x_gain, x_unit = scaled([shape["at"]], base)
+    reach = force_reach([shape])
+    y_gain, y_unit = scaled([[reach]], "N")
+    high = plane.round_up(reach * y_gain)
+    frame = plane.Plane(span([shape["at"]], x_gain, f"{name}, {x_unit}"), plane.Axis(-high, high, y_unit))
+    at = floats(shape["at"]) * x_gain
+    bands = [key for key in ("band_low", "band_high") if shape.get(key)]
+    series: list[Series] = [(at, floats(shape[key]) * y_gain, BAND[BEFORE]) for key in bands]
+    series.append((at, floats(shape["force"]) * y_gain, BEFORE))
+    channel = str(shape.get("channel", ""))
+    return {f"unknown/{part(channel)}": Picture(frame, series, f"{channel} against {name} [{y_unit}]")}
+
+
 def spectra(steps: Sequence[Json], now: int) -> dict[str, Picture]:
     found: dict[str, Picture] = {}
     for channel, s in steps[now].get("spectra", {}).items():
@@ -228,6 +252,7 @@ def layout(drawn: Mapping[str, str], texts: Sequence[str] = ("Summary",)) -> Any
     kinds = {
         "law": "Law",
         "residual": "Residual force",
+        "unknown": "Unknown",
         "spectrum": "Spectra",
         "density": "Densities",
         "orbit": "Orbits",

@@ -24,6 +24,16 @@ def test_everything_that_the_report_draws(tmp_path: Path) -> None:
         assert rows[page] == 1
 
 
+def test_the_shape_of_what_is_unknown_is_drawn(tmp_path: Path) -> None:
+    parts = made_up()
+    curve = parts["comparison"]["curves"][0]
+    found = {"verdict": "unknown", "ranking": [], "messages": [], "shape": curve}
+    for name, shape in (("band", curve), ("bare", {k: v for k, v in curve.items() if not k.startswith("band")})):
+        out = tmp_path / f"{name}.rrd"
+        log_comparison(str(out), parts["comparison"], diagnoses=[found | {"shape": shape}])
+        assert entities(out)["unknown/b1x/curves"] == 1
+
+
 def test_only_the_contract_keys(tmp_path: Path) -> None:
     bare = {k: v for k, v in made_up()["comparison"].items() if k not in ("curves", "spectra", "densities", "orbits")}
     log_comparison(str(tmp_path / "bare.rrd"), bare)
