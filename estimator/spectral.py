@@ -184,19 +184,19 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
     """Parameters with standard deviations from (n, channels) rows in SI. Raises DataError.
 
     A model with more than laws of the states of a cap, with a force that remembers, or with a law that moves the cap
-    off its centre is fitted as compare fits it, and so are a record behind a filter that shows, a rotor beyond whirl
-    and a force beside those measured.
+    off its centre is fitted as compare fits it, and so are a record behind a filter that shows, a rotor beyond whirl,
+    a force beside those measured, and a law with searched numbers whose likelihood is not brought to its maximum here.
     """
     known = all(model.cap_mass(place) is not None for place in model.places)
     solution: Solution | None = None
     if not (known and _more_than_laws(model)):
         solution = analyse(model, y, rate_hz, phase, _begun(model, y, rate_hz) if known else None)
-    whirls = solution is not None and known and _whirls(solution)
-    if solution is None or whirls or (known and _falls(solution)):
+    lost = solution is not None and known and (astray(solution) or _whirls(solution))
+    if solution is None or lost or (known and _falls(solution)):
         from . import whole
 
         found = whole.fit_whole(model, check_record(model, y, rate_hz), rate_hz)
-        if solution is None or whirls or found.model.roll_off:
+        if solution is None or lost or found.model.roll_off:
             return whole.as_fit(found)
     if (beside := pushed(solution, y)) is not None:
         from . import whole
@@ -247,6 +247,14 @@ def _more_than_laws(model: Model) -> bool:
         timed = bool(model.speed_rpm) or model.tacho is not None
         more |= timed and any(u.name == BALL_PASS.name for u in model.effects)
     return more
+
+
+def astray(solution: Solution) -> bool:
+    """Whether the search for a law's numbers has not come to rest, or has left for where they do nothing: of two that
+    nearly do the same, say."""
+    sd = np.sqrt(np.diag(solution.covariance))
+    told = [np.isfinite(sd[j]) for j, f in enumerate(solution.balance.free) if f.searched]
+    return bool(told) and not (solution.converged and all(told))
 
 
 def _whirls(solution: Solution) -> bool:

@@ -13,15 +13,19 @@ from hidden_effects import RATE, one_bearing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator import spectral
+from estimator import screen, spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.custom import custom_effect
 from estimator.effects.expression import FUNCTIONS, ExpressionError, compile_law
 from estimator.effects.law_loop import force_array
 from estimator.errors import DataError, ModelError
 from estimator.model import CustomLaw, EffectUse, Setting
+from estimator.model_uses import placed_of
+from estimator.placed import Placed
+from estimator.preparation import prepare
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
+from estimator.working_point import fit_model
 
 
 def own(expression: str, **parameters: tuple[float | None, str]) -> EffectUse:
@@ -257,3 +261,26 @@ def test_a_law_typed_with_a_length_in_metres_is_fitted() -> None:
         assert p.sd is not None
         assert abs(p.value - true) < 3.0 * p.sd < 0.5 * true
     assert found[f"{place}.kL"].identifiable
+
+
+def test_a_search_that_has_left_for_where_its_numbers_do_nothing_is_not_believed() -> None:
+    """f (exp(x / w) - 1 - x / w) in 60 s beside a cubic: w had gone to infinity, and kL was 7.9e10 +- 0.8e10 N/m."""
+    rig = one_bearing()
+    hidden = EffectUse("clearance", {"bearing1.x": {"k": Setting(3e6), "gap": Setting(1.9e-7)}})
+    y = simulate(rig, RATE, 3.0, seed=1, noise=0.02)
+    found = spectral.analyse(replace(rig, effects=(hidden,)), y, RATE)
+    (searched,) = [k for k, f in enumerate(found.balance.free) if f.searched]
+    far = found.covariance.copy()
+    far[searched, searched] = np.inf
+    assert spectral.astray(replace(found, covariance=far))
+    assert spectral.astray(replace(found, converged=False))
+    assert not spectral.astray(replace(found, converged=True, covariance=np.eye(len(far))))
+    assert not spectral.astray(replace(spectral.analyse(rig, y, RATE), converged=False))
+
+
+def test_a_law_that_grows_beyond_all_measure_at_a_value_on_trial_is_passed_over() -> None:
+    rig = one_bearing()
+    data = prepare(rig, simulate(rig, RATE, 2.0, seed=1, noise=0.02), RATE)
+    point = fit_model(data, placed_of(rig, data))
+    effect = custom_effect(own("f*exp(x/w)", f=(1e-3, "N"), w=(1e-9, "m")))
+    assert screen.assess(point, Placed(effect, "bearing1.x.mine", (0,), np.array([1.0, 1e-9]), (True, False))) is None
