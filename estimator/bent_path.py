@@ -248,6 +248,11 @@ def refined(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Paramet
     return replace(model, effects=tuple(uses)), found
 
 
+def _density(r: Response, peak: Peak) -> float:
+    """PSD of the noise of a sensor of motion, with the least of what is folded into it."""
+    return exp(peak.u[1]) + float(np.min(r.folded))
+
+
 def _noisy(model: Model, point: WorkingPoint, heard: Mapping[int, tuple[Response, Peak, Array]]) -> list[Suspect]:
     """A sensor whose noise stands out of its neighbours', where white noise of force and motion is all that is left."""
     data = point.data
@@ -257,14 +262,17 @@ def _noisy(model: Model, point: WorkingPoint, heard: Mapping[int, tuple[Response
         place = data.places[i]
         P, _, s = expected(r, base.A, base.u)
         off = np.log(P / s)
-        others = [exp(b.u[1]) for j, (_, b, _) in heard.items() if j != i and data.kinds[j] == data.kinds[i]]
+        others = [_density(*own[:2]) for j, own in heard.items() if j != i and data.kinds[j] == data.kinds[i]]
         depth = np.average(off**2 - 1.0 / r.n, weights=r.n)
         if not others or place in have or depth > UNEVEN**2:
             continue
-        density, floor = exp(base.u[1]), float(np.median(others))
-        quiet = highest(r, partial(linear, r), np.array([base.u[0], np.log(floor), *base.u[2:]]), scale, held=1)
+        density, floor = _density(r, base), float(np.median(others))
+        if density < NOISE_RATIO * floor:
+            continue
+        own = np.log(floor - min(float(np.min(r.folded)), 0.9 * floor))
+        quiet = highest(r, partial(linear, r), np.array([base.u[0], own, *base.u[2:]]), scale, held=1)
         gain = base.nats - quiet.nats
-        if density < NOISE_RATIO * floor or 2 * gain < NOISE_RATIO:
+        if 2 * gain < NOISE_RATIO:
             continue
         rms = float(np.sqrt(density * data.rate_hz / 2))
         name, unit = next(c.name for c in model.channels if c.place == place), MOTION[data.kinds[i]]
@@ -362,7 +370,7 @@ def _odd(r: Response, peak: Peak) -> tuple[Array, Array]:
     P, rest, s = expected(r, peak.A, peak.u)
     N, Q = exp(peak.u[1]) * r.noise, exp(peak.u[0])
     own = r.unmeasured * Q / np.abs(peak.A) ** 2 + r.share(Q) * (r.aa - N)  # motion that Q makes, or stands for
-    odd = rest - peak.A * (N + own)
+    odd = rest - peak.A * (N + own) - np.abs(peak.A - r.alike) ** 2 * r.folded / peak.A.conj()
     return np.asarray(np.abs(odd) ** 2 / r.aa), np.maximum(s, P - np.abs(rest) ** 2 / r.aa)
 
 

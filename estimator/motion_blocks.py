@@ -64,6 +64,7 @@ class MotionBlocks:
     driven: Array  # (places,) N^2/Hz, PSD of the measured forces; 0 without
     sharpened: Array  # (places, bins) by what undoing a response has multiplied its noise, in power
     folded: Array  # (places, bins) PSD of acceleration that sampling folds back, over S: roll_off.py
+    folded_beside: Array  # (places, bins) the same, not over S, beside a measured force: folded_force.py
     measured: Series | None = None  # (places, n) displacement below the band, where the sensor is one of displacement
     slow: Series | None = None  # (places, n) all of it that the laws see: slow_motion.py
     calm: Series | None = None  # (places, n) what laws see of x beside it, less the noise of sensors: calm.py
@@ -187,7 +188,8 @@ def without_hz(data: MotionBlocks, low: float, high: float) -> MotionBlocks:
     if keep.all():
         return data
     return replace(data, bins=data.bins[keep], shaft=data.shaft[keep], colour=data.colour[:, keep],
-                   sharpened=data.sharpened[:, keep], folded=data.folded[:, keep])  # fmt: skip
+                   sharpened=data.sharpened[:, keep], folded=data.folded[:, keep],
+                   folded_beside=data.folded_beside[:, keep])  # fmt: skip
 
 
 def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:
@@ -321,8 +323,9 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     return MotionBlocks(
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
         shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, driven,
-        sharpened(model, places, f), _folded(model, places, kinds, mass, f), below, below, None, 0.0,
-        _shared(model, places), pushes(model, places), waves(model, places, rate_hz), disc=disc_of(model),
+        sharpened(model, places, f), _folded(model, places, kinds, mass, f), np.zeros((P, f.size)),
+        below, below, None, 0.0, _shared(model, places), pushes(model, places), waves(model, places, rate_hz),
+        disc=disc_of(model),
     )  # fmt: skip
 
 

@@ -7,16 +7,22 @@ W = 1 / diag R, leave of that T A^-1 (R W - 1) beside the slope of the determina
 taken for a force at bearing 1 that follows bearing 2 (0.6 % of the bearing force, beside a shaft half as stiff as a
 bearing, behind a Bessel filter of order 6 at 0.45 of the rate). So the response of every force is taken as that to what
 is measured, T A^-1 R W A, which is T where the rows are independent.
+
+Where a force is measured and something is folded back beside it (folded_force.py), the mean product is known without
+S, which is noise of the sensor of the force there and moves nothing: T (M B^H + A^-1 S), S of the other places. Rows
+are still weighed as if their noise were nu |A|^2, S: by its own density, so little near the end of the band that the
+harmonics of laws rule the fit there, a force with a jump came out 10 % too weak, by what noise does to its instants.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .folded_force import alike
 from .motion_blocks import MotionBlocks
 from .side_by_side import each
 
@@ -33,12 +39,15 @@ LITTLE = 1e-4  # correlation of two rows, anywhere in the band, that moves nothi
 class NoisePaths:
     """weight : (places, bins), S over the PSD of each inferred force; root : (bins, places) one over its root. noise :
     (places, bins) what of that PSD is noise of sensors, which does not rise with the force. shared : (bins, places,
-    places) correlations of these forces by noise; None where they are independent."""
+    places) correlations of these forces by noise; None where they are independent. folded : (bins, places, places)
+    M B^H W; alone : (bins, places) S W of places without a measured force; None where nothing is folded beside one."""
 
     weight: Array
     noise: Array
     root: Array
     shared: Complexes | None
+    folded: Complexes | None = None
+    alone: Array | None = None
 
     def coherent(self, i: int, j: int) -> float:
         """Correlation of two inferred forces in the mean over the band."""
@@ -47,14 +56,17 @@ class NoisePaths:
     def measured(self, A: Complexes) -> Complexes | None:
         """(bins, places, places) from the response to the motion to that to what is measured; A as the determinant has
         it."""
+        if self.folded is not None and self.alone is not None:
+            return np.asarray(np.linalg.solve(A, self.alone[:, :, None] * A) + self.folded @ A)
         if self.shared is None:
             return None
         apart = self.shared * self.root[:, None, :] / self.root[:, :, None]  # R W - 1
         return np.asarray(np.eye(A.shape[1]) + np.linalg.solve(A, apart @ A))
 
 
-def noise_paths(data: MotionBlocks, A: Complexes, nu: Array, S: Array) -> NoisePaths:
-    """A : (bins, places, places). nu : (places,) noise of the sensors over S. S : (places,)."""
+def noise_paths(data: MotionBlocks, A: Complexes, slopes: Array, nu: Array, S: Array) -> NoisePaths:
+    """A : (bins, places, places), slopes : (places, places, 2) its mean tangent. nu : (places,) noise of the
+    sensors over S. S : (places,)."""
     heard = heard_of_all(data, A, nu * S) / S[:, None]
     weight = 1.0 / (data.colour + beyond(data, A, S) + heard)
     P = len(data.places)
@@ -63,7 +75,16 @@ def noise_paths(data: MotionBlocks, A: Complexes, nu: Array, S: Array) -> NoiseP
     R[:, range(P), range(P)] = 0.0
     root = np.sqrt(weight / S[:, None]).T
     shared = R * root[:, :, None] * root[:, None, :]
-    return NoisePaths(weight, heard * weight, root, shared if np.abs(shared).max(initial=0.0) > LITTLE else None)
+    paths = NoisePaths(weight, heard * weight, root, shared if np.abs(shared).max(initial=0.0) > LITTLE else None)
+    if not data.folded_beside.any():
+        return paths
+    B = A.copy()
+    for i in np.flatnonzero(data.folded_beside[:, 0]):
+        k, c = slopes[i, i]
+        B[:, i, i] -= alike(data.f_hz, data.rate_hz, float(data.mass[i]), float(k), float(c))
+        noise[i] = data.folded_beside[i]
+    folded = np.einsum("lk,kjl->klj", noise, B.conj()) * root[:, None, :] ** 2
+    return replace(paths, folded=folded, alone=(data.colour * weight * (data.driven == 0.0)[:, None]).T)
 
 
 def beyond(data: MotionBlocks, A: Complexes, S: Array) -> Array:

@@ -10,19 +10,26 @@ Both noises white, of densities N and Q, the likelihood of the motion given the 
 from pulling A' towards zero, as p keeps that in f from pushing it up. Q may be a force that acts unmeasured beside f
 instead, the machine's own beside a shaker's: then f is what it is, and p = 0; or some of both. Amplitude and phase of
 every bin count: a thousandth of the force is seen that no power spectrum shows. What may bend A: bent_path.py.
+
+What sampling folds back, of density M, is n in the motion and m n in the force: (A' - m) n is left (folded_force.py).
+The measured force tells m M / |f|^2 f of it, which is taken out of both; the rest, independent of f, adds |A' - m|^2 M.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .bandlimit import noise_shape
-from .working_point import WorkingPoint
+from .folded_force import alike, folded
+
+if TYPE_CHECKING:
+    from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -50,16 +57,34 @@ class Response:
     noise: Array
     hz: Array  # width of each cell
     unmeasured: float = 0.0
+    alike: Complexes | float = 0.0  # (cells,) force per acceleration of what is folded
+    folded: Array | float = 0.0  # (cells,) M
+    across: Array | float = 0.0  # (cells,) of Q, what is folded into the motion of the other caps, through the shaft
 
     def share(self, Q: float) -> Array:
         """(cells,) p: what of the measured force is noise where the density Q is left."""
-        return np.minimum((1.0 - self.unmeasured) * Q / self.ff, 0.5)
+        return np.minimum((1.0 - self.unmeasured) * (Q + self.across) / self.ff, 0.5)
+
+    def less(self, alike: Complexes, folded: Array) -> Response:
+        """Without what the measured force tells of the fold; the rest of that is noise. alike, folded : (cells,)"""
+        folded = np.minimum(folded, 0.5 * self.ff / np.abs(alike) ** 2)
+        told = alike.conj() * folded / self.ff
+        B, rest = told * (self.A - alike), 1 - (told * alike).real
+        af, rf = self.A.conj() * self.aa - self.ra.conj(), self.A.conj() * self.ra - self.rr
+        return replace(
+            self,
+            rr=self.rr - 2 * np.real(B.conj() * rf) + np.abs(B) ** 2 * self.ff,
+            ra=self.ra - told.conj() * rf - B * af.conj() + B * told.conj() * self.ff,
+            aa=self.aa - 2 * np.real(told.conj() * af) + np.abs(told) ** 2 * self.ff,
+            ff=rest**2 * self.ff, alike=alike, folded=rest * folded,
+        )  # fmt: skip
 
 
-def response_of(point: WorkingPoint, i: int, lines: Collection[float] = ()) -> Response:
-    """Of place i; bins beside `lines` (Hz) are left out."""
+def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), every: int = 1) -> Response:
+    """Of place i; bins beside `lines` (Hz) are left out. every : so manyth block is looked at."""
     data = point.data
-    R, v = (_spectra(z, data.block, data.start)[:, data.bins] for z in (point.force[i], data.v[i]))
+    blocks = (z.reshape(-1, data.block)[::every] for z in (point.force[i], data.v[i]))
+    R, v = (_spectra(z, data.block, data.start[::every])[:, data.bins] for z in blocks)
     w = 2 * np.pi * data.f_hz
     a = 1j * w * v
     spacing = data.rate_hz / data.block
@@ -78,9 +103,18 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = ()) -> R
 
     rr, ra, aa, ff, A, ww = (mean(z) for z in (*power, point.A[:, i, i], w))
     shape = noise_shape(data.kinds[i : i + 1], w)[0] * data.sharpened[i]
-    return Response(
+    found = Response(
         ww.real, OVERLAPPED * width * len(R), rr.real, ra, aa.real, ff.real, A, mean(shape).real, spacing * width
     )
+    if data.kinds[i] != "acceleration":
+        return found
+    k, c = point.slopes[i, i]
+    back = alike(found.w / (2 * np.pi), data.rate_hz, float(data.mass[i]), float(k), float(c))
+    density = folded(found, back, data.rate_hz)
+    found = found.less(back, density) if density.any() else found
+    others = np.arange(len(data.places)) != i
+    across = np.sum(np.abs(point.A[:, i]) ** 2 * data.folded_beside.T, axis=1, where=others)
+    return replace(found, across=mean(across).real) if across.any() else found
 
 
 def _spectra(z: Array, block: int, start: NDArray[np.int64]) -> NDArray[np.complex64]:
@@ -121,14 +155,14 @@ def highest(
 
     def slopes(u: Array, A: Complexes, rest: Complexes, s: Array) -> tuple[Array, Array]:
         P = left(r, A, exp(u[0]))
-        own = exp(u[1]) * r.noise
+        own, back = exp(u[1]) * r.noise, (A - r.alike) * r.folded
         dA = np.zeros((u.size, r.w.size), complex)
         for j in range(2, u.size):
             up, down = u[2:].copy(), u[2:].copy()
             up[j - 2] += 1e-4 * scale[j]
             down[j - 2] -= 1e-4 * scale[j]
             dA[j] = (bend(up) - bend(down)) / 2e-4
-        ds = 2 * np.real(A.conj() * dA) * own
+        ds = 2 * np.real((A * own + back).conj() * dA)
         ds[0], ds[1] = exp(u[0]) * scale[0], np.abs(A) ** 2 * own * scale[1]
         g = (2 * np.real(dA.conj() * rest) / s + ds * (1 / s - P / s**2) - 2 * np.real(dA / A)) @ r.n
         H = 2 * np.real((dA.conj() * (r.n * r.aa / s)) @ dA.T) + (ds * (r.n / s**2)) @ ds.T
@@ -201,4 +235,5 @@ def expected(r: Response, A: Complexes, u: Array) -> tuple[Array, Complexes, Arr
     p = r.share(Q)
     rest = (1 - p) * r.ra + (A - (1 - p) * r.A) * r.aa
     own = r.unmeasured + (1 - r.unmeasured) * (1 - p)
-    return left(r, A, Q), rest, np.abs(A) ** 2 * exp(u[1]) * r.noise + own * Q
+    s = np.abs(A) ** 2 * exp(u[1]) * r.noise + np.abs(A - r.alike) ** 2 * r.folded + own * (Q + r.across)
+    return left(r, A, Q), rest, s

@@ -27,6 +27,7 @@ from .shaft_law import without_comb
 from .side_by_side import each
 from .slow_motion import with_slow
 from .terms import Spans, add_to, dressed, light, linear_terms, reach, terms
+from .transfer import response_of
 
 Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
@@ -115,6 +116,9 @@ def fit_model(
         nu_old, (nu, weight) = nu, noise_of(point)
         settled = np.allclose(nu * weight, nu_old * weight, rtol=NOISE_STEP, atol=NOISE_STEP * LEAST_NOISE)
         settled &= not data.folded.any() or np.allclose(S, S_old, rtol=BESIDE)
+        folded = _folded_beside(point)
+        if not np.allclose(folded, data.folded_beside, rtol=BESIDE, atol=0.0):
+            data, settled = replace(data, folded_beside=folded), False
         data = data if settled else _calmed(data, nu, point.S)
         beside = _left_out(point)
         if not np.allclose(beside, data.left_out, rtol=BESIDE, atol=0.0):
@@ -240,7 +244,7 @@ def _at(
     own = each(lambda use: terms(use, data, lin), uses)
     F, A, D = _forces(data, kL, c, uses, own)
     line = contour(A, data.mass, D, data.f_hz)
-    paths = noise_paths(data, A, nu, S)
+    paths = noise_paths(data, A, D, nu, S)
     weighing = Weighing(data, paths, line.s, paths.measured(along(line.s, A, data.mass, D)))
     spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
     mean = [Mean(float(data.mass[i]), float(D[i, i, 1]), float(D[i, i, 0])) for i in range(P)]
@@ -394,14 +398,27 @@ def _left_out(point: WorkingPoint) -> Array:
 
 
 def _calmed(data: MotionBlocks, nu: Array, S: Array) -> MotionBlocks:
-    """The record as laws see it beside the noise of sensors; as it is where a force is measured (likely_path.py)."""
+    """The record as laws see it beside the noise of sensors; where a force is measured, of what is folded beside it."""
     noise = as_displacement(data.kinds, data.f_hz, nu * S) * data.sharpened
     inside = np.array([kind != "displacement" for kind in data.kinds]) * S
     noise = noise + data.folded * inside[:, None] / (2 * np.pi * data.f_hz) ** 4
-    if data.measured_force or is_little(data.f_hz, noise, data.rms[0] ** 2):
+    if data.measured_force:
+        noise = data.folded_beside / (2 * np.pi * data.f_hz) ** 4
+    if is_little(data.f_hz, noise, data.rms[0] ** 2):
         return replace(data, calm=None, doubt=0.0)
     found = calm_of(data.f_hz, _spectrum(data), noise, 0)
     return replace(data, calm=found.of(data.x, data.rate_hz).astype(np.float32), doubt=found.doubt)
+
+
+def _folded_beside(point: WorkingPoint) -> Array:
+    """(places, bins) PSD of the acceleration that is folded beside a measured force: folded_force.py."""
+    data = point.data
+    out = np.zeros_like(data.colour)
+    for i in np.flatnonzero(data.driven):
+        r = response_of(point, int(i), every=max(1, data.blocks // LOOKED_AT))
+        if np.any(r.folded):
+            out[i] = np.interp(data.f_hz, r.w / (2 * np.pi), r.folded)
+    return out
 
 
 def _spectrum(data: MotionBlocks) -> Array:
