@@ -146,8 +146,8 @@ def _made_by_laws(point: WorkingPoint, s: Spectrum, order: float, hz: float, Z: 
     if point.data.measured_force or not seen.any():
         return False
     left = unexplained.harmonics(point, i, order * point.data.phase, Z.size)[seen]
-    read = Z[seen] * _unit(point, s, f_hz[seen], i) ** 2
-    return bool(np.sum(np.abs(left) ** 2) < unexplained.LEAST**2 * np.sum(read))
+    over_noise = np.abs(left / _unit(point, s, f_hz[seen], i)) ** 2  # one beside a resonance is many times the others
+    return bool(np.sum(over_noise) < unexplained.LEAST**2 * np.sum(Z[seen]))
 
 
 def _defect(

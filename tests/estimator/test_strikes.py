@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden_effects import RATE, one_bearing
+from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 
 from estimator import line_forces
+from estimator.balance import shaft_notch
 from estimator.model import EffectUse, Model, Setting
 from estimator.simulate import simulate
 from estimator.suspect import Suspect
@@ -34,6 +35,22 @@ def test_a_train_is_found_that_no_geometry_and_no_single_line_announces(rig: Mod
     suspects = found(rig, y)
     assert set(suspects) == {"local_defect"}
     assert suspects["local_defect"].settings["bearing1.x"]["order"].value == pytest.approx(4.6527, abs=2e-4)
+
+
+def test_a_train_with_a_harmonic_on_the_discs_resonance_is_one() -> None:
+    """That one is read many times too strong, and by it the laws seemed to make the train: its second harmonics were
+    named one, and all others lines."""
+    rig = coupled_on_a_stiff_shaft()
+    cubic = EffectUse("cubic", {p: {"kNL": Setting(1.3e18)} for p in rig.places})
+    notch = shaft_notch(rig)
+    assert notch is not None
+    order = 0.5 * sum(notch) / 5 / ((rig.speed_rpm or 0.0) / 60.0)
+    values = {"strike": Setting(6.0), "order": Setting(order), "angle": Setting(1.0), "width": Setting(0.06)}
+    hidden = EffectUse("local_defect", {"bearing1.x": values, "bearing1.y": values})
+    y = simulate(replace(rig, effects=(cubic, *rig.effects, hidden)), RATE, SECONDS, seed=5, noise=0.02)
+    suspects = found(replace(rig, effects=(cubic,)), y)
+    assert set(suspects) == {"local_defect"}
+    assert suspects["local_defect"].settings["bearing1.x"]["order"].value == pytest.approx(order, abs=2e-4)
 
 
 def test_odd_harmonics_of_the_mains_are_lines_and_no_train(rig: Model) -> None:
