@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import recorder_phase
+from . import common_fall, recorder_phase
 from .diagnose import Diagnosis, diagnose_point
 from .errors import DataError
 from .estimate import Parameter
@@ -107,8 +107,9 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                 messages.append(f"{found.verdict} was named but is not told from zero when fitted: not added")
                 break
             new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
-            # masses, and what the recorder delays, were sought beside what was missing
-            if whole.masses or recorder_phase.found(new_whole.model, richer):
+            # masses, and what the recorder takes and delays, were sought beside what was missing
+            taken = model.roll_off is not given.roll_off or common_fall.find(richer)
+            if whole.masses or taken or recorder_phase.found(new_whole.model, richer):
                 again = replace(new_whole.model, mass=given.mass, roll_off=given.roll_off)
                 new_whole = _refitted(again, y, rate_hz)
         else:

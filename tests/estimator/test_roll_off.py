@@ -17,6 +17,7 @@ from estimator import common_fall, roll_off, spectral
 from estimator.compare import compare
 from estimator.diagnose import diagnose
 from estimator.filter_designs import designs
+from estimator.improve import improve
 from estimator.model import EffectUse, Model, Setting
 from estimator.preparation import prepare
 from estimator.rolling import RollingSpectral
@@ -223,6 +224,21 @@ def test_an_effect_behind_a_filter_is_named() -> None:
     found = diagnose(rig, through(record(rig, "clearance", 0.06, seconds=30.0), "bessel"), RATE)
     assert found.verdict == "clearance"
     assert any("recorder's filter" in message for message in found.messages)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("recorder", ["mean of a sample", "bessel"])
+def test_the_filter_is_sought_again_once_a_law_is_added(recorder: str) -> None:
+    """What a missing law makes of the spectra had been taken for a filter and was kept: it was half too strong here,
+    and a colour was named after it, with a law more, behind five means of half a sample."""
+    rig = one_bearing()
+    ladder = improve(rig, through(record(rig, "stiffness_drift", 0.2, seconds=20.0), recorder), RATE)
+    assert [use.name for use in ladder.model.effects] == ["cubic", "stiffness_drift"]
+    assert ladder.last.verdict == "complete"
+    top = np.array([TOP])
+    assert ladder.model.roll_off is not None
+    for own in ladder.model.roll_off.values():
+        assert 10 * np.log10(own.passed(top) / power(recorder, top)) == pytest.approx(0.0, abs=0.15)
 
 
 @pytest.mark.slow
