@@ -147,7 +147,8 @@ def _finite(
     for name, b in zip(names, bad, strict=True):
         if b.any():
             row = int(b.argmax())
-            text = f"{name} is not a number at row {row} (t = {row / rate:.6g} s), and at {int(b.sum())} rows in all"
+            count = f"{b.sum():d} row{'s' if b.sum() > 1 else ''} in all"
+            text = f"{name} is not a number at row {row} (t = {row / rate:.6g} s), {count}"
             break
     remedy = "cut the record there, or import with --gaps where all channels are missing together"
     raise LogError(f"{path}: {text}; {remedy}")

@@ -66,6 +66,13 @@ def test_the_whole_story_is_on_the_page() -> None:
         assert text in page.text, text
 
 
+def test_beside_a_measured_force_the_page_does_not_say_that_only_the_response_was_measured() -> None:
+    parts = made_up()
+    assert "Only the response" in render(**parts)
+    parts["comparison"]["simulation_rmse"] = {"b1x": 0.1}
+    assert "Only the response" not in render(**parts)
+
+
 def test_nothing_comes_from_the_network() -> None:
     page = Page(story())
     assert not {"script", "link", "iframe", "img", "object"} & set(page.tags)
