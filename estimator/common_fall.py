@@ -32,11 +32,11 @@ BEHIND = 12.0  # in deviance and a place, that causes of other kinds, two number
 
 def find(point: WorkingPoint) -> RollOff | None:
     """None where nothing falls, or something else fits better. A place whose force has a colour in the model takes the
-    filter that the others show: what falls there is within the colour."""
+    filter that the others show, and so does one whose sensor's resonance is undone: what falls there is within that."""
     data, whole = point.data, [*range(len(point.data.places))]
     if data.measured_force or point.kL.min() <= 0.0:
         return None
-    places = [i for i in whole if np.ptp(data.colour[i]) == 0.0] or whole
+    places = [i for i in whole if np.ptp(data.colour[i]) == np.ptp(data.sharpened[i]) == 0.0] or whole
     cells, fits = _without_lines(point, [force_colour.cells_of(point, i) for i in places])
     own = list(zip(places, cells, fits, strict=True))
     together, found = _fall(point, own, EXPLAINED)

@@ -75,7 +75,7 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
         here = {point.data.places[i], point.data.places[j]}
         uses = [use for use in model.effects if use.name in LINEAR]
         used = {use.name for use in uses if here.intersection(at(CATALOGUE[use.name], use, model))}
-        if "sensor_resonance" in used:  # a shape of the force here: what it does to what the caps answer is not undone
+        if "sensor_resonance" in used:  # undone, by numbers whose errors would be a delay
             continue
         if names := [name for name in _told(model, point, i, j) if name not in used]:
             out += _found(point, _between(model, point, i, j), names)

@@ -322,7 +322,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     kinds = tuple(model.channels[k].kind for k in moving)
     return MotionBlocks(
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
-        shaft_response(model, places, f), colours(model, places, f), np.zeros((P, 2)), rms, driven,
+        shaft_response(model, places, f), colours(model, places, f, COLOURS[:1]), np.zeros((P, 2)), rms, driven,
         sharpened(model, places, f), _folded(model, places, kinds, mass, f), np.zeros((P, f.size)),
         below, below, None, 0.0, _shared(model, places), pushes(model, places), waves(model, places, rate_hz),
         disc=disc_of(model),
@@ -358,14 +358,15 @@ def _folded(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], mass:
     return out
 
 
-def colours(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
-    """(places, f) what the model's own effects make of a white force: coloured excitation, a resonant sensor."""
+def colours(model: Model, places: tuple[str, ...], f_hz: Array, names: tuple[str, ...] = COLOURS) -> Array:
+    """(places, f) what the model's own effects make of a white force: coloured excitation and, where that is not undone
+    in the record, a resonant sensor. names : of the effects."""
     from .effects import CATALOGUE
 
     known = forced(model)
     out = np.ones((len(places), f_hz.size))
     for use in model.effects:
-        if use.name not in COLOURS:
+        if use.name not in names:
             continue
         for i, place in enumerate(places):
             if place in known:  # a measured force has the colour that it has, and its sensor is undone

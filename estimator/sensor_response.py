@@ -1,7 +1,9 @@
 """What a faulty sensor makes of the motion, as a response: measured over true, by frequency.
 
-Beside a measured force these faults can be told (bent_path.py) and are undone in the record before anything is fitted.
-Without one, a gain and a delay are undone as far as the rig file gives them, and a resonance is a shape of the force.
+They are undone in the record before anything is fitted. Beside a measured force they can be told (bent_path.py).
+Without one, a gain and a delay are undone as far as the rig file gives them; a resonance is a shape of the spectrum of
+the force (force_colour.py), and undone by the numbers that this shows: with its phase left in, what is answered through
+a stiff shaft is not the rotor's (a shaft half as stiff as the bearings, a resonance at four times theirs: c 9 % off).
 """
 
 from __future__ import annotations
@@ -57,7 +59,7 @@ def _faults(model: Model, place: str, w: Array) -> Complexes:
     """(f,) of the sensor."""
     out = np.ones(w.size, complex)
     for use in model.effects:
-        if use.name not in (LINEAR if place in forced(model) else BLIND):
+        if use.name not in LINEAR:
             continue
         channels = {c.name for c in model.channels if c.place == place and c.kind in MOTION}
         own = [s for key, s in use.parameters.items() if key in (place, place.split(".")[0]) or key in channels]

@@ -140,10 +140,10 @@ def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None =
     further = _further_lines(model, seen)
     model, found = _all_numbered(with_uses(model, further), numbered | further.keys(), seen, point)
     point = fit_record(model, prepare(model, y, rate_hz))
-    colours = {u.name for u in uses if u.name in COLOURS and not _told(u, model)}
+    colours = {u.name for u in uses if u.name in COLOURS[:1]}
     for _ in range(ROUNDS if colours else 0):  # found among laws that they distort
         data = point.data
-        flat = replace(point, data=replace(data, colour=colours_of(bare, data.places, data.f_hz)))
+        flat = replace(point, data=replace(data, colour=colours_of(bare, data.places, data.f_hz, COLOURS[:1])))
         renewed, again = _all_numbered(model, colours, force_colour.find(bare, flat), flat)
         if not _moved(found, again):
             break

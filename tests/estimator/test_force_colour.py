@@ -11,7 +11,8 @@ from scipy.signal import butter, lfilter
 
 from estimator import force_colour
 from estimator.improve import improve
-from estimator.model import EffectUse, Setting
+from estimator.missing_force import survey
+from estimator.model import Channel, EffectUse, Model, Setting
 from estimator.preparation import prepare
 from estimator.search_start import fit_record
 from estimator.simulate import simulate
@@ -103,3 +104,33 @@ def test_one_noisy_sensor_beside_a_stiff_shaft_is_found() -> None:
     assert (one.effect, one.at) == ("sensor_noise", ("bearing1.x",))
     rms = one.settings["bearing1.x"]["rms"]
     assert rms.value == pytest.approx(0.4, rel=0.05)
+
+
+def test_a_resonance_is_undone_in_what_the_other_cap_answers() -> None:
+    """Two caps on a chain half as stiff as their bearings, bin by bin; left in, its phase made c 12 % wrong."""
+    rng = np.random.default_rng(2)
+    n, m, disc, k, c, ks, S = round(8.0 * RATE), 0.25, 0.5, 2.5e7, 100.0, 1.2e7, 1e-4
+    f = np.fft.rfftfreq(n, 1 / RATE)[1:]
+    w2, iw = (2 * np.pi * f) ** 2, 2j * np.pi * f
+    bearing, shaft = k + iw * c, ks + iw * 2.0
+    D = np.zeros((f.size, 3, 3), complex)
+    D[:, [0, 1], [0, 1]] = (bearing + shaft - m * w2)[:, None]
+    D[:, 2, 2] = 2 * shaft - disc * w2
+    for i in range(2):
+        D[:, i, 2] = D[:, 2, i] = -shaft
+    F = np.fft.rfft(rng.normal(size=(2, n)) * np.sqrt(S * RATE / 2))[:, 1:]
+    a = -w2 * np.linalg.solve(D, np.stack([*F, 0 * f], axis=1)[:, :, None])[:, :2, 0].T
+    a[0] /= 1 - (f / 5600.0) ** 2 + 0.2j * f / 5600.0
+    y = np.fft.irfft(np.pad(a, ((0, 0), (1, 0))), n).T
+    y += 1e-3 * y.std(axis=0) * rng.normal(size=y.shape)
+    rig = Model(
+        (Channel("b1", "bearing1", "x"), Channel("b2", "bearing2", "x")), (100.0, 8000.0), "chain",
+        {"bearing1": m, "bearing2": m, "disc": disc}, ks, 2.0,
+        effects=(EffectUse("sensor_resonance", {"bearing1.x": {}}),),
+    )  # fmt: skip
+    whole = fit_whole(rig, y, RATE)
+    for name, true in (("kL", k), ("c", c)):
+        for place in rig.places:
+            p = whole.parameters[f"{place}.{name}"]
+            assert p.value == pytest.approx(true, abs=3.5 * (p.sd or 0.0)), (place, name)
+    assert not survey(whole.point, whole.model).any_found()
