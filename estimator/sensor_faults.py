@@ -48,7 +48,8 @@ def ends(y: Array, low: float, high: float) -> tuple[tuple[float, int] | None, t
 
 def limited(name: str, level: float, count: int, samples: int) -> str:
     """What is said of a channel of which so many samples are at a level."""
-    return f"{name} is limited to +-{level:.3g} in {100 * count / samples:.3g} % of its samples"
+    share = 100 * count / samples
+    return f"{name} is limited to +-{level:.3g} in {f'{share:.2g}' if share < 99.5 else '100'} % of its samples"
 
 
 def _piled(z: Array) -> tuple[float, int] | None:

@@ -99,6 +99,11 @@ def test_a_converters_full_scale_is_seen_in_a_few_samples_and_its_steps_are_none
         assert 60 < found[1] < 400
 
 
+def test_the_share_of_clipped_samples_reads_well() -> None:
+    for count, text in ((61, "in 0.061 %"), (1340, "in 1.3 %"), (100_000, "in 100 %")):
+        assert text in sensor_faults.limited("b1x", 27.8, count, 100_000)
+
+
 def test_what_counts_as_clipped_is_certain_too() -> None:
     """Nothing else is sought on a clipped channel: a finding that is then not claimed would leave "complete"."""
     y = np.random.default_rng(4).standard_normal(300_000)
