@@ -46,6 +46,15 @@ def usual(effect: Effect) -> Array:
     return np.array([1.0 if q.linear else q.default for q in effect.parameters])
 
 
+def own_sizes(effect: Effect) -> Array:
+    """(4,) of x, v, xo, vo that the usual parameters of a law are natural for: a user's law has its lengths in m."""
+
+    def of(unit: str) -> float:
+        return max((abs(q.default) for q in effect.parameters if q.unit == unit and q.default), default=1.0)
+
+    return np.array([of("m"), of("m/s")] * 2)
+
+
 def below(
     linear: tuple[float, float, float], rate_hz: float, band: tuple[float, float], kind: str
 ) -> Callable[[Array], Complexes]:

@@ -31,7 +31,7 @@ from .periodic import PERIODIC
 from .record import Bank, Record, prepare, stretches
 from .roll_off import devices, suspected
 from .sensor_response import forced
-from .slow_motion import lopsided, usual
+from .slow_motion import lopsided, own_sizes, usual
 from .start import Start
 
 if TYPE_CHECKING:
@@ -243,7 +243,7 @@ def _more_than_laws(model: Model) -> bool:
     effects = [effect_of(use) for use in model.effects]
     more = any(e.kind != "force" or e.name in PERIODIC for e in effects)
     if not forced(model):
-        more |= any(lopsided(e, usual(e), np.ones(4)) for e in effects)
+        more |= any(lopsided(e, usual(e), own_sizes(e)) for e in effects)
         timed = bool(model.speed_rpm) or model.tacho is not None
         more |= timed and any(u.name == BALL_PASS.name for u in model.effects)
     return more
