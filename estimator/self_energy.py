@@ -56,8 +56,9 @@ class Mean:
         return max(least, DECAYS * self.decay)
 
     def lags(self, dt: float, most: int) -> int:
-        """Number of lags after which free motion has died out, a power of two unless `most`."""
-        return min(most, 1 << int(np.ceil(np.log2(7.0 * self.decay / dt))))
+        """Number of lags after which free motion has died out, a power of two unless `most`; a step of a fit may try a
+        damping that lets nothing move."""
+        return min(most, 1 << max(3, int(np.ceil(np.log2(7.0 * self.decay / dt)))))
 
 
 def spectra(tangents: NDArray[np.floating], lags: int) -> Spectra:

@@ -125,3 +125,9 @@ def test_models_are_compared_by_the_value_whose_derivatives_their_columns_have(
     assert trial is not None
     assert trial.gain > 5.0
     assert both.fit.log_likelihood - alone.fit.log_likelihood == pytest.approx(trial.gain, rel=0.5)
+
+
+def test_a_damping_that_lets_nothing_move_has_lags_all_the_same() -> None:
+    """A step of a fit went there, and improve ended with "negative shift count"."""
+    for c, lags in ((60.0, 2048), (1e9, 8)):
+        assert Mean(0.2, c, 1e7).lags(1 / 25600.0, 1 << 15) == lags
