@@ -192,9 +192,10 @@ def groups(
     """
     P = len(data.places)
     sx, sv = float(data.rms[0, i]), float(data.rms[1, i])
-    x = data.calmed(i)
-    u, w = (x / sx).astype(np.float32), (data.v[i] / sv).astype(np.float32)
-    yield _as_laws(hat_group("displacement", x, sx, i, 0, P, X_STEP), data, i)
+    u, w = (data.calmed(i) / sx).astype(np.float32), (data.v[i] / sv).astype(np.float32)
+    # of calmed displacements a sum of hats is nearly the law's own column, but for mean tangents that are known to a
+    # part in a hundred: 97 nats of nothing were won at one cap behind a Bessel filter of order 6
+    yield hat_group("displacement", data.seen(i), sx, i, 0, P, X_STEP)
     yield hat_group("velocity", data.v[i], sv, i, 1, P, v_step)
 
     def m(z: Series) -> float:

@@ -36,7 +36,7 @@ def dressings(
     sizes : (2,) rms of x and v that the group is built with; knots of a group of hat functions; orders, times : of
     those that turn or change with time.
     """
-    x, v = here.data.calmed(here.place), here.data.v[here.place]
+    x, v = (here.data.calmed if knots is None else here.data.seen)(here.place), here.data.v[here.place]
     if knots is not None:
         which = 0 if name == "displacement" else 1
         step, last = float(knots[1] - knots[0]), knots.size - 2
