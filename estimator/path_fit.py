@@ -145,7 +145,7 @@ class Weighing:
         self._root = np.sqrt(self.weight * 2.0 / (self.data.rate_hz * self.data.block)).astype(np.float32)
         bins = self.data.bins
         self._even = None if self.data.level is None else [
-            (1.0 / np.sqrt(self.rise(i))).astype(np.float32) for i in range(len(self.data.places))
+            (1.0 / np.sqrt(self.rise(i, own))).astype(np.float32) for i, own in enumerate(self.data.level)
         ]  # fmt: skip
         unbroken = bins[-1] - bins[0] == bins.size - 1  # a slice is read four times faster
         self._bins = slice(int(bins[0]), int(bins[-1]) + 1) if unbroken else bins
@@ -177,13 +177,17 @@ class Weighing:
             out.view(np.complex64)[...] *= self._even[i][first : first + len(z)]
         return out
 
-    def rise(self, i: int, some: slice | NDArray[np.int64] = slice(None)) -> Array:
-        """(blocks, bins) PSD of the inferred force at place i in some blocks, over that of the record: the level of the
-        force but for noise of sensors, which does not rise with it."""
-        if self.data.level is None:
-            return np.ones((self.data.start[some].size, self.weight.shape[1]))
-        level = self.data.level[i, some, None]
-        return np.asarray(level + (1.0 - level) * self.paths.noise[i])
+    def rise(self, i: int, level: Array) -> Array:
+        """(blocks, bins) PSD of the inferred force at place i in blocks of a level (blocks,), over that of the record:
+        the level of the force but for noise of sensors, which does not rise with it."""
+        return np.asarray(level[:, None] + (1.0 - level[:, None]) * self.paths.noise[i])
+
+    def power(self, i: int, Z: Spectrum) -> Array:
+        """(blocks,) power of a spectrum seen at place i (blocks, 2 bins), as it was before blocks were weighed by the
+        level of the force."""
+        if self._even is not None:
+            Z = (Z.view(np.complex64) / self._even[i]).view(np.float32)
+        return np.asarray(np.einsum("bk,bk->b", Z, Z), np.float64)
 
     def seen(self, tangents: Complexes) -> Complexes:
         """Tangents (..., places, places, bins) as the determinant needs them: to what is measured."""
@@ -240,7 +244,7 @@ def gram(weighing: Weighing, force: dict[int, Spectrum], *columns: Columns) -> G
             n[i, f] = here.size * bins
             log_weight[i, f] = here.size * np.log(weighing.weight[i]).sum()
             if data.level is not None:
-                log_weight[i, f] -= np.log(weighing.rise(i, here)).sum()
+                log_weight[i, f] -= np.log(weighing.rise(i, data.level[i, here])).sum()
 
     each(at_place, range(P))
     return Gram(

@@ -381,8 +381,7 @@ def _level(point: WorkingPoint) -> Array | None:
         return None
 
     def power(i: int) -> Array:
-        Z = point.spectra[i].reshape(data.blocks, -1, 2)
-        own, noise = np.einsum("bkc,bkc,bk->b", Z, Z, weighing.rise(i)), point.S[i] * weighing.paths.noise[i].sum()
+        own, noise = weighing.power(i, point.spectra[i]), point.S[i] * weighing.paths.noise[i].sum()
         return np.asarray(np.maximum(own - noise, 0.1 * own))
 
     return level_of(np.array(each(power, range(len(data.places)))), data.start / data.rate_hz, data.bins.size)
