@@ -27,7 +27,8 @@ from .side_by_side import each
 
 Array = NDArray[np.float64]
 FOLDS = 6
-COLOURS = ("coloured_excitation", "sensor_resonance")  # effects that are a shape of the force's spectrum
+OF_FORCE = ("coloured_excitation",)  # effects that are a shape of the spectrum of the force itself
+COLOURS = (*OF_FORCE, "sensor_resonance")  # and those that look like one where they are not undone in the record
 _OTHER = {"x": "y", "y": "x"}
 
 
@@ -322,7 +323,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     kinds = tuple(model.channels[k].kind for k in moving)
     return MotionBlocks(
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
-        shaft_response(model, places, f), colours(model, places, f, COLOURS[:1]), np.zeros((P, 2)), rms, driven,
+        shaft_response(model, places, f), colours(model, places, f, OF_FORCE), np.zeros((P, 2)), rms, driven,
         sharpened(model, places, f), _folded(model, places, kinds, mass, f), np.zeros((P, f.size)),
         below, below, None, 0.0, _shared(model, places), pushes(model, places), waves(model, places, rate_hz),
         disc=disc_of(model),

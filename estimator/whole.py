@@ -37,7 +37,7 @@ from .fit_result import Fit
 from .fitted import parameters
 from .model import EffectUse, Model, Setting
 from .model_uses import clipped
-from .motion_blocks import COLOURS
+from .motion_blocks import COLOURS, OF_FORCE
 from .motion_blocks import colours as colours_of
 from .preparation import prepare, shortened
 from .search_start import fit_record
@@ -140,10 +140,10 @@ def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None =
     further = _further_lines(model, seen)
     model, found = _all_numbered(with_uses(model, further), numbered | further.keys(), seen, point)
     point = fit_record(model, prepare(model, y, rate_hz))
-    colours = {u.name for u in uses if u.name in COLOURS[:1]}
+    colours = {u.name for u in uses if u.name in OF_FORCE}
     for _ in range(ROUNDS if colours else 0):  # found among laws that they distort
         data = point.data
-        flat = replace(point, data=replace(data, colour=colours_of(bare, data.places, data.f_hz, COLOURS[:1])))
+        flat = replace(point, data=replace(data, colour=colours_of(bare, data.places, data.f_hz, OF_FORCE)))
         renewed, again = _all_numbered(model, colours, force_colour.find(bare, flat), flat)
         if not _moved(found, again):
             break
