@@ -16,11 +16,11 @@ AS_THEY_ARE = ("deg", "Hz", "s")  # units without prefixes
 
 def force_reach(curves: Sequence[Json]) -> float:
     """How far the force axis goes, in N: all of the curves where they are known, and the usual band (0 without one)."""
-    bare = [0.0 * floats(c["force"]) for c in curves]
     widths = [
-        floats(c["band_high"]) - floats(c["band_low"]) if c.get("band_high") and c.get("band_low") else none
-        for c, none in zip(curves, bare, strict=True)
-    ]
+        floats(c["band_high"]) - floats(c["band_low"]) if c.get("band_high") and c.get("band_low")
+        else 0.0 * floats(c["force"])
+        for c in curves
+    ]  # fmt: skip
     usual = max((float(np.nanmedian(w)) for w in widths if np.isfinite(w).any()), default=0.0)
     known = [np.abs(floats(c["force"]))[w <= 4 * usual] for c, w in zip(curves, widths, strict=True)]
     tallest = max((float(np.nanmax(k, initial=0)) for k in known), default=0.0)
