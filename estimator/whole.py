@@ -120,7 +120,7 @@ def _turning(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None 
         bare = replace(model, effects=tuple(u for u in model.effects if u not in laws))
         model, said = modulation.turned(model, _fitted(bare, y, rate_hz).point)
         return replace(_fitted(modulation.begun(model) if said else model, y, rate_hz), messages=said)
-    whole = _fitted(model, y, rate_hz)
+    whole = _fitted(model, y, rate_hz, begun)
     model, said = modulation.turned(whole.model, whole.point)
     return replace(whole, model=model, messages=(*whole.messages, *said))
 
