@@ -33,6 +33,7 @@ BROADENED = 0.75  # of a damping: what one resonance has too much in place of tw
 PEAKED = 1.0  # quality of a sensor's resonance: below it filters look alike
 FOLDED = 0.01  # of what sampling folds back, that noise of a sensor has to be NOISE_RATIO times as strong as
 LEAST_SHARE = 1e-3  # of the noise of the noisiest sensor, in power, that every one is given
+SMALL = 1e-8  # change of a number, in its scale, for a derivative
 NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
 
 
@@ -53,7 +54,7 @@ class Cells:
     back: Array
 
     def tangent(self, u: Array) -> NDArray[np.complex128]:
-        """A with u[2:4], changes of k and c."""
+        """A with u[2:4], changes of k and c. Here and below u may be (numbers, m, 1), for (m, cells) at once."""
         return np.asarray(self.A - u[2] / self.w**2 + u[3] / (1j * self.w))
 
     def spectrum(self, u: Array, A: NDArray[np.complex128], factor: float | Array = 1.0) -> Array:
@@ -106,9 +107,9 @@ def _power(point: WorkingPoint, i: int) -> Array:
     return np.asarray(np.einsum("bkc,bkc->k", Z, Z).astype(np.float64) / point.data.blocks / point.weighing.weight[i])
 
 
-def _exp(z: float) -> float:
+def _exp(z: Array) -> Array:
     """exp, kept finite on the way to the maximum."""
-    return float(np.exp(np.clip(z, -80.0, 20.0)))
+    return np.asarray(np.exp(np.clip(z, -80.0, 20.0)))
 
 
 def base_model(c: Cells, u: Array) -> Array:
@@ -185,11 +186,16 @@ def _maximum(
     root, df = np.sqrt(c.n), c.n.size - scale.size
 
     def residual(z: Array) -> Array:
-        return deviance(root, c.power / np.maximum(model(c, z * scale), 1e-300))
+        return deviance(root, c.power / np.maximum(model(c, (z * scale).T), 1e-300))
+
+    def slopes(z: Array) -> Array:
+        step = SMALL * np.maximum(1.0, np.abs(z))
+        here, *there = residual(np.vstack([z, z + np.diag(step)])[None])
+        return np.asarray((there - here).T / step)
 
     best: tuple[float, Array, Array] | None = None
     for start in starts:
-        found = least_squares(residual, start / scale, x_scale=1.0, max_nfev=60)
+        found = least_squares(residual, start / scale, slopes, method="lm", max_nfev=60)
         if best is None or found.cost < best[0]:
             J = np.asarray(found.jac)
             H = J.T @ J

@@ -17,8 +17,8 @@ def starts(peak_hz: float) -> tuple[tuple[float, ...], ...]:
 
 
 def values(z: Array, cap_mass: float) -> Array:
-    """(3,) kg, Hz and damping ratio of a point (3,) of the search."""
-    return np.asarray(np.exp(np.clip(z, LOW, HIGH)) * [cap_mass, 1.0, 1.0])
+    """(3,) kg, Hz and damping ratio of a point (3,) of the search; of points (3, m, 1) too."""
+    return np.asarray((np.exp(np.clip(z.T, LOW, HIGH)) * [cap_mass, 1.0, 1.0]).T)
 
 
 def free(p: Array, cap_mass: float) -> Array:
