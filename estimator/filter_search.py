@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .filter_designs import chebyshev, designs
 from .force_colour import Cells
 from .roll_off import POWERS, Filter
+from .side_by_side import answers
 
 Array = NDArray[np.float64]
 MOST_MEANS = 8.0
@@ -63,7 +64,8 @@ def likeliest(seen: Sequence[Seen], blank: Filter) -> tuple[float, Filter]:
     any_form = Way(
         lambda z: replace(blank, nepers=tuple(z.tolist())), ((0.01,) * count,), (0.0,) * count, (np.inf,) * count
     )
-    best = min((_tried(seen, way) for way in (any_form, *_ways(blank))), key=lambda one: one.information)
+    ways = [any_form, *_ways(blank)]
+    best = min(answers([partial(_tried, seen, way) for way in ways], ways), key=lambda one: one.information)
     for further in _further(best):
         best = min(best, _tried(seen, further), key=lambda one: one.information)
     return best.information, best.way.made(best.z)
