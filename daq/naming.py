@@ -148,7 +148,8 @@ class Naming:
         self._before, self._gap = now, False
         if before is None or gap or now.samples > JUMP * before.samples:
             return
-        self._since = now.index
+        if self._since is None or before.index - before.samples >= self._since:  # it had forgotten the old state
+            self._since = now.index
         settling = self._changed is not None and now.index - self._changed < CALM_S * self._rate_hz
         self._changed = now.index if not settling else self._changed
         moved = []

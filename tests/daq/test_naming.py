@@ -100,6 +100,22 @@ def test_what_was_named_after_a_jump_is_not_told_twice() -> None:
     assert told.feed(30, OPEN) == []
 
 
+def test_old_samples_that_are_dropped_late_do_not_put_the_question_off() -> None:
+    told = Told()
+    told.feed(20, SOUND, 20_000.0)
+    told.feed(4, SOUND, 9_000.0, kL=1.1e7)  # of which most are from before the jump
+    told.feed(6, SOUND, 5_000.0, kL=1.1e7)
+    assert [(q.y[0, 0], len(q.y)) for q in told.asked] == [(0.5 * 20_500, 8000)]
+
+
+def test_a_second_change_puts_the_question_off() -> None:
+    told = Told()
+    told.feed(20, SOUND, 20_000.0)
+    told.feed(4, SOUND, 3_000.0, kL=1.1e7)
+    told.feed(10, SOUND, 1_500.0, kL=1.2e7)
+    assert [(q.y[0, 0], len(q.y)) for q in told.asked] == [(0.5 * 24_500, 8000)]
+
+
 def test_missing_samples_are_missing_in_the_question() -> None:
     told = Told()
     told.feed(1, OPEN)
