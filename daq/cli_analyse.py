@@ -115,6 +115,9 @@ def confusion(
     at: Annotated[str, typer.Option("--at", help="bearing1, both, or the two with a comma.")] = "bearing1",
     seeds: Annotated[int, typer.Option("--seeds", min=0, help="Runs of each effect and strength.")] = 1,
     complete: Annotated[int, typer.Option("--complete", min=0, help="Runs with nothing hidden.")] = 4,
+    pairs: Annotated[
+        int, typer.Option("--pairs", min=0, help="Runs with two effects hidden together, which improve is to add.")
+    ] = 0,
     seconds: Annotated[float, typer.Option("--seconds", min=1.0, help="Length of each record.")] = 20.0,
     json: Json = None,
     quiet: Quiet = False,
@@ -124,7 +127,7 @@ def confusion(
     from .confusion import confusion as body
 
     given = (effects.split(",") if effects else [], strengths.split(","), at.split(","))
-    body(Output(json, quiet, verbose), rig, out, *given, seeds, complete, seconds)
+    body(Output(json, quiet, verbose), rig, out, *given, seeds, complete, pairs, seconds)
 
 
 def register(app: typer.Typer) -> None:

@@ -14,8 +14,8 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,94 +24,27 @@ from numpy.typing import NDArray
 
 from estimator.diagnose import diagnose_point
 from estimator.effects import CATALOGUE
-from estimator.effects.places import places
-from estimator.effects.strength import size, strengths, with_effect
 from estimator.errors import ModelError
-from estimator.estimate import Parameter
 from estimator.heldout import heldout_nll
 from estimator.improve import rung
-from estimator.model import EffectUse, Model, Setting
-from estimator.simulate import simulate
+from estimator.model import EffectUse, Model
 from estimator.whole import Whole, fit_whole
 
+from . import hidden_pairs
 from .errors import ConfigError
+from .hidden import AT, COMPLETE, FRACTIONS, RATE_HZ, Case, cases, hidden, numbers, record
+from .hidden_pairs import Pair, pairs, run_pair
 from .output import Output, write_whole
 from .rig import load_rig
 from .rig_problems import did_you_mean
 
-RATE_HZ = 25600.0
-FULL_SCALE = 490.5  # m/s^2, of the simulated counts
-FRACTIONS = {"weak": 0.02, "strong": 0.06}
-COMPLETE = "complete"
-AT = ("bearing1", "both")
 SEEN = 20.0  # nats between two models under which their difference is mostly chance
-
-
-@dataclass(frozen=True, slots=True)
-class Case:
-    """One run: a hidden effect (or "complete"), its strength, where it acts, the seed."""
-
-    effect: str
-    strength: str
-    at: str  # bearing1 | both
-    seed: int
-
-    @property
-    def key(self) -> str:
-        return f"{self.effect}/{self.strength}/{self.at}/{self.seed}"
-
-
-def cases(
-    effects: Iterable[str], strength_names: Iterable[str], at: Iterable[str], seeds: int, complete: int
-) -> list[Case]:
-    """Every run asked for; a complete model has only its seed."""
-    out = [Case(COMPLETE, "-", "-", s) for s in range(complete)]
-    for seed in range(seeds):
-        out += [Case(e, s, a, seed) for e in effects for s in strength_names for a in at if not _single(e, a)]
-    return out
-
-
-def _single(effect: str, at: str) -> bool:
-    """Effects of the whole rig or of one sensor have one place only."""
-    kind = CATALOGUE[effect].kind
-    return at == "both" and (kind in ("disc", "shaft", "sensor") or effect == "correlated_force")
-
-
-def varied(model: Model, seed: int) -> tuple[Model, float]:
-    """A complete model of its own for every seed: damping, stiffness, forces, band; and the sensor noise (m/s^2)."""
-    rng = np.random.default_rng(1000 + seed)
-    linear = {}
-    for place, old in model.linear.items():
-        new = dict(old)
-        for name, low, high in (("kL", 0.8, 1.25), ("c", 0.4, 2.5), ("S", 0.6, 1.6)):
-            new[name] = Setting((old[name].value or 0.0) * float(np.exp(rng.uniform(np.log(low), np.log(high)))))
-        linear[place] = new
-    noise = float(np.exp(rng.uniform(np.log(0.005), np.log(0.1))))
-    band = float(rng.uniform(100.0, 300.0)), float(rng.uniform(5000.0, 9500.0))
-    return replace(model, linear=linear, band=band), noise
-
-
-def hidden(model: Model, case: Case, seconds: float) -> tuple[Model, Model, float]:
-    """(what is simulated, what the diagnosis is given, sensor noise)."""
-    if case.effect == COMPLETE:
-        truth, noise = varied(model, case.seed)
-        return truth, replace(model, band=truth.band), noise
-    effect = CATALOGUE[case.effect]
-    known = replace(model, effects=tuple(u for u in model.effects if u.name != case.effect))
-    can = places(effect, model)
-    first = [p for p in can if p.startswith("bearing1")] or list(can)
-    if effect.kind == "sensor":
-        first = first[:1]
-    where = tuple(can) if case.at == "both" else tuple(first)
-    values = strengths(effect, size(model, "bearing1.x", RATE_HZ), FRACTIONS[case.strength], model, seconds)
-    return with_effect(known, effect, values, *where), known, 0.02
 
 
 def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
     """Simulate and diagnose one case."""
     truth, known, noise = hidden(model, case, seconds)
-    y = simulate(truth, RATE_HZ, seconds, seed=7000 + case.seed, noise=noise, full_scale=FULL_SCALE)
-    y[np.abs(y) > (1.0 - 1e-6) * FULL_SCALE] = np.nan  # left out, as from a log
+    y = record(truth, seconds, case.seed, noise)
     begin = time.process_time()
     fitted = fit_whole(known, y, RATE_HZ)
     found = diagnose_point(fitted.model, fitted.point, y)
@@ -156,22 +89,11 @@ def added(
     }
 
 
-def numbers(truth: Model, found: Mapping[str, Parameter]) -> dict[str, list[float]]:
-    """Full name -> error of a fitted parameter over the true value, and over its standard deviation."""
-    true = {
-        f"{place}.{use.name}.{name}": setting.value
-        for use in truth.effects for place, settings in use.parameters.items() for name, setting in settings.items()
-    }  # fmt: skip
-    out = {}
-    for name, p in found.items():
-        value = true.get(name)
-        if value and p.value is not None and p.sd:
-            out[name] = [(p.value - value) / abs(value), (p.value - value) / p.sd]
-    return out
-
-
 def markdown(runs: Sequence[Mapping[str, Any]], seconds: float) -> str:
-    """The matrix as a table: hidden effect, how often it was named by strength and place, and what else was said."""
+    """The matrix as a table: hidden effect, how often it was named by strength and place, and what else was said; empty
+    without runs."""
+    if not runs:
+        return ""
     columns = sorted({(r["strength"], r["at"]) for r in runs}, key=lambda c: (c[0] == "strong", c))
     heads = ["named right" if c == ("-", "-") else f"{c[0]}, {c[1]}" for c in columns]
     lines = [
@@ -212,15 +134,20 @@ def ended(runs: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
 
 def confusion(
     output: Output, rig_path: Path, out: Path, effects: Sequence[str], strengths_: Sequence[str], at: Sequence[str],
-    seeds: int, complete: int, seconds: float,
+    seeds: int, complete: int, two: int, seconds: float,
 ) -> None:  # fmt: skip
-    """Run what is missing of the matrix in the folder `out`, then write confusion.md and confusion.json there."""
+    """Run what is missing of the matrix in the folder `out`, then write confusion.md and confusion.json there.
+
+    two : number of runs with two effects hidden together.
+    """
     for given, there, what in (
         (effects, list(CATALOGUE), "effect"), (strengths_, list(FRACTIONS), "strength"), (at, list(AT), "place"),
     ):  # fmt: skip
         for name in given:
             if name not in there:
                 raise ConfigError(f'"{name}" is no {what}; {did_you_mean(name, there, "there are")}')
+    if two and len(set(effects)) == 1:
+        raise ConfigError(f"--pairs: {effects[0]} alone makes no pair; give --effects two names, or none for all")
     model = load_rig(rig_path).model
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -229,21 +156,25 @@ def confusion(
     path = out / "runs.jsonl"
     done = read_runs(path, seconds)
     known = {r["key"] for r in done}
-    todo = [c for c in cases(effects or CATALOGUE, strengths_, at, seeds, complete) if c.key not in known]
+    pool = effects or list(CATALOGUE)
+    asked: list[Case | Pair] = [*cases(pool, strengths_, at, seeds, complete), *pairs(model, pool, two)]
+    todo = [c for c in asked if c.key not in known]
     if done:
         output.note(f"{path}: {len(done)} runs are there already; {len(todo)} to do")
     with output.progress("confusion matrix") as progress:
         for number, case in enumerate(todo):
             progress(number / len(todo), f"{case.key} ({number + 1} of {len(todo)})")
             try:
-                result = run(model, case, seconds)
+                result = run(model, case, seconds) if isinstance(case, Case) else run_pair(model, case, seconds)
             except ModelError as problem:  # not every strength of every effect leaves the rotor standing
                 output.note(f"{case.key}: not simulated: {problem}")
                 continue
             done.append(result)
             with path.open("a", encoding="utf-8") as lines:
                 lines.write(json.dumps(result) + "\n")
-    text = markdown(done, seconds)
+    together = [r for r in done if "pair" in r]
+    tables = [markdown([r for r in done if "pair" not in r], seconds), hidden_pairs.markdown(together, seconds)]
+    text = "\n".join(filter(None, tables))
     write_whole(out / "confusion.md", text)
     value = {"schema": 1, "seconds": seconds, "runs": done}
     write_whole(out / "confusion.json", json.dumps(value, indent=1) + "\n")

@@ -32,7 +32,7 @@ print(time.perf_counter() - wall, time.process_time() - cpu, peak)
 def test_one_minute(command: str, target_s: float, tmp_path: Path) -> None:
     import numpy as np
 
-    from daq.confusion import RATE_HZ, Case, hidden
+    from daq.hidden import RATE_HZ, Case, hidden
     from daq.rig import load_rig
     from estimator.simulate import simulate
 

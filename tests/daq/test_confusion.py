@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from daq import confusion as subject
+from daq import hidden_pairs
 from daq.cli import main
-from daq.confusion import Case, cases
+from daq.hidden import Case, cases, with_hidden
+from daq.hidden_pairs import NOBODY_TELLS, Pair, pairs
 from daq.rig import load_rig
+from estimator.diagnose import Diagnosis
+from estimator.effects import CATALOGUE
 from estimator.evidence import Entry
+from estimator.improve import Ladder, Rung
+from estimator.model import Model
 
 PAPER = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 
@@ -72,3 +79,73 @@ def test_what_is_named_is_added_and_closes_the_gap(
     assert found["added"]["gap"] > 300.0
     assert abs(found["added"]["to_go"]) < 0.05 * found["added"]["gap"]
     assert subject.ended([found]) == ("1/1", "1/1")
+
+
+def test_a_pair_is_two_effects_whatever_else_is_asked() -> None:
+    model = load_rig(PAPER).model
+    many = pairs(model, CATALOGUE, 300)
+    assert pairs(model, CATALOGUE, 7) == many[:7]
+    assert all(len(p.at) == 2 and set(p.at) != NOBODY_TELLS for p in many)
+    assert {name for p in many for name in p.at} == set(CATALOGUE)
+    assert {where for p in many for name, where in p.at.items() if name == "clearance"} == {"bearing1", "both"}
+    assert {where for p in many for name, where in p.at.items() if name == "sensor_skew"} == {"bearing1"}
+    assert set(pairs(model, ["imbalance", "bow"], 1)[0].at) == NOBODY_TELLS, "unless nothing else is asked for"
+    assert not pairs(replace(model, shaft="none"), ["cubic", "crack"], 1), "there is no shaft to crack"
+
+
+def test_a_pair_that_nobody_tells_is_so_by_the_catalogue() -> None:
+    one, other = NOBODY_TELLS
+    assert one in CATALOGUE[other].confused_with
+    assert other in CATALOGUE[one].confused_with
+
+
+def test_pairs_are_counted_and_a_second_call_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran: list[int] = []
+    right = {"verdict": "complete", "before_percent": 6.0, "after_percent": 0.0, "numbers": {"k": [0.01, 0.5]}}
+
+    def run(model: object, pair: Pair, seconds: float) -> dict[str, object]:
+        ran.append(pair.seed)
+        steps = [[*pair.at], [*pair.at][:1], ["line", *pair.at]][pair.seed]
+        return {"key": pair.key, "pair": pair.at, "seed": pair.seed, "seconds": seconds, "steps": steps} | right
+
+    monkeypatch.setattr(subject, "run_pair", run)
+    command = ["confusion", str(PAPER), "--out", str(tmp_path), "--seeds", "0", "--complete", "0", "--quiet"]
+    command += ["--effects", "stop,rub,cubic"]
+    assert main([*command, "--pairs", "1"]) == 0
+    assert main([*command, "--pairs", "3"]) == 0
+    assert ran == [0, 1, 2]
+    text = (tmp_path / "confusion.md").read_text()
+    assert "Both within two steps: 1/3; one of them: 2, none: 0. Something else was added in 1." in text
+    assert '"complete" at the end: 3. Missing force falls by 80 % or more: 3/3.' in text
+    assert "named right" not in text, "no matrix where no single effect was hidden"
+
+
+def test_one_effect_makes_no_pair(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["confusion", str(PAPER), "--out", str(tmp_path), "--effects", "rub", "--pairs", "2"]) == 2
+    assert "rub alone makes no pair" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("seconds", "stands_in"), [(2.0, True), pytest.param(20.0, False, marks=pytest.mark.slow)], ids=["quick", "whole"]
+)
+def test_what_improve_adds_of_a_pair_is_told(seconds: float, stands_in: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    pair = Pair({"clearance": "both", "quadratic_damping": "bearing1"}, 0)
+    model = load_rig(PAPER).model
+    if stands_in:  # improve has tests of its own: here it adds the truth
+        monkeypatch.setattr(hidden_pairs, "improve", lambda known, *_: _ladder_to_truth(known, pair, model, seconds))
+    found = hidden_pairs.run_pair(model, pair, seconds)
+    assert set(found["steps"]) == set(pair.at)
+    assert len(found["steps"]) == 2
+    assert found["verdict"] == "complete"
+    assert found["added_at"] == found["hidden_at"]
+    assert len(found["added_at"]["clearance"]) == 4
+    assert found["before_percent"] > 3.0
+    assert found["after_percent"] < 0.2
+
+
+def _ladder_to_truth(known: Model, pair: Pair, model: Model, seconds: float) -> Ladder:
+    assert not set(pair.at) & {u.name for u in known.effects}
+    truth, _ = with_hidden(model, pair.at, 0.06, seconds)
+    rungs = tuple(Rung((), 0.0, (p, p, p)) for p in (6.0, 3.0, 0.0))
+    said = tuple(Diagnosis(v, ()) for v in (*pair.at, "complete"))
+    return Ladder(rungs, truth, {}, said[-1], (), said)

@@ -157,7 +157,8 @@ def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model, monk
 
 @pytest.mark.slow
 def test_false_alarms_are_rare() -> None:
-    from daq.confusion import COMPLETE, Case, run
+    from daq.confusion import run
+    from daq.hidden import COMPLETE, Case
 
     model = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
     verdicts = [run(model, Case(COMPLETE, "-", "-", seed), 20.0)["verdict"] for seed in range(40)]
