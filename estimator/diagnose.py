@@ -209,13 +209,14 @@ def _fits(
     predicts no better."""
     missing = bool({i for p in entry.placed for i in p.at}.intersection(before.places_found()))
     samples = point.data.blocks * point.data.block
-    uses = [*point.placed, *entry.placed]
-    after_point = fit_model(point.data, uses, start=point, rounds=2 if missing else 6)
+    rounds = 2 if missing else 6
+    after_point = fit_model(point.data, [*point.placed, *entry.placed], start=point, rounds=rounds)
     if not missing and (
         {use.key for use in entry.placed}.issubset(untold(after_point))
         or heldout_nll(after_point) > heldout_nll(point) - EARNED / samples
     ):
         return replace(entry, notes=(*entry.notes, IDLE)), None
+    entry, after_point = _where_told(point, entry, after_point, rounds)
     joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
     smooth = adequacy.left(point, after_point, entry.effect, {i for p in entry.placed for i in p.at})
     after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
@@ -228,6 +229,24 @@ def _fits(
         model, after_part, after, entry, say
     )
     return entry, left if wrong else 0.0
+
+
+def _where_told(
+    point: WorkingPoint, entry: Entry, after_point: WorkingPoint, rounds: int
+) -> tuple[Entry, WorkingPoint]:
+    """The entry and its fit without bearings where the law, fitted at all of them together, is not told from zero and
+    predicts no better: on trial by themselves they win by what they share with the one that has it, as where the
+    forces at the two are coherent."""
+    silent = set(untold(after_point))
+    idle = [n for n in entry.at if all(use.key in silent for use in entry.placed if use.key.split(".")[0] == n)]
+    if not idle or len(idle) == len(entry.at):
+        return entry, after_point
+    fewer = evidence.without(entry, idle)
+    less = fit_model(point.data, [*point.placed, *fewer.placed], start=point, rounds=rounds)
+    samples = point.data.blocks * point.data.block
+    if heldout_nll(less) > heldout_nll(after_point) + EARNED / samples:
+        return entry, after_point
+    return fewer, less
 
 
 def _ranked(

@@ -48,6 +48,7 @@ class Entry:
     settings: dict[str, Settings] = field(default_factory=dict)  # of an effect that is no force law, by name in a model
     notes: tuple[str, ...] = ()
     amplitude_gain: float | None = None  # nats on the largest amplitudes by parameters fitted to the smaller
+    by_node: dict[str, tuple[float, float]] = field(default_factory=dict)  # gain and heldout_gain of a law's nodes
 
     def to_json(self) -> dict[str, Any]:
         out: dict[str, Any] = {
@@ -99,7 +100,7 @@ def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: Survey) ->
     best = min(odds, key=lambda n: (odds[n], -sum(t.gain for t in nodes[n])))
     at = tuple(n for n in nodes if n == best or odds[n] * tried < JOINT)
     used = [t for n in at for t in nodes[n]]
-    gain = sum(max(t.gain, 0.0) for t in used)
+    gain = _gain(used)
     df = sum(t.df for t in used)
     heldout = float(sum(t.heldout.sum() for t in used))
     p = min(1.0, min(odds[n] for n in at) * tried)
@@ -122,7 +123,27 @@ def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: Survey) ->
         placed=tuple(t.placed for t in used),
         detectable=_detectable(used),
         notes=_shorter(point, used),
+        by_node={n: (_gain(nodes[n]), float(sum(t.heldout.sum() for t in nodes[n]))) for n in at},
     )
+
+
+def without(entry: Entry, nodes: Sequence[str]) -> Entry:
+    """The entry of a law at its other nodes."""
+    by_node = {n: nats for n, nats in entry.by_node.items() if n not in nodes}
+    placed = tuple(p for p in entry.placed if p.key.split(".")[0] not in nodes)
+    return replace(
+        entry,
+        at=tuple(n for n in entry.at if n not in nodes),
+        gain=sum(gain for gain, _ in by_node.values()),
+        heldout_gain=sum(heldout for _, heldout in by_node.values()),
+        parameters={k: v for k, v in entry.parameters.items() if k.split(".")[0] not in nodes},
+        placed=placed,
+        by_node=by_node,
+    )
+
+
+def _gain(trials: Sequence[Trial]) -> float:
+    return sum(max(t.gain, 0.0) for t in trials)
 
 
 def _shorter(point: WorkingPoint, used: Sequence[Trial]) -> tuple[str, ...]:

@@ -1,0 +1,64 @@
+"""A law found at both bearings stays at those where it is told, all of them fitted together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_effects import RATE, ROOT
+
+from daq.rig import load_rig
+from estimator import evidence
+from estimator.diagnose import _where_told
+from estimator.effects import CATALOGUE
+from estimator.effects.strength import with_effect
+from estimator.evidence import Entry
+from estimator.model import Model, Setting
+from estimator.placed import Placed
+from estimator.simulate import simulate
+from estimator.whole import fit_whole
+from estimator.working_point import fit_model
+
+SECONDS, NODES = 8.0, ("bearing1", "bearing2")
+
+
+def one_direction() -> Model:
+    """The paper's rig in x, with forces at the two bearings that are coherent."""
+    rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    rig = replace(
+        rig,
+        channels=tuple(c for c in rig.channels if c.place.endswith("x")),
+        linear={k: v for k, v in rig.linear.items() if k.endswith("x")},
+        effects=(),
+    )
+    return with_effect(rig, CATALOGUE["correlated_force"], {"rho": 0.4}, "bearing1.x")
+
+
+@pytest.mark.parametrize("hidden", [NODES[:1], NODES])
+def test_a_bearing_that_only_shares_the_force_of_the_other_is_not_named(hidden: tuple[str, ...]) -> None:
+    rig, drift = one_direction(), CATALOGUE["stiffness_drift"]
+    truth = with_effect(rig, drift, {"rate": 1.2e5, "curvature": 0.0}, *[f"{n}.x" for n in hidden])
+    model = replace(rig, effects=(replace(rig.effects[0], parameters={"bearing1.x": {"rho": Setting(0.4)}}),))
+    y = simulate(truth, RATE, SECONDS, seed=3, noise=0.02, full_scale=490.5)
+    point = fit_whole(model, y, RATE).point
+    laws = tuple(
+        Placed(drift, f"{n}.x.stiffness_drift", (i,), np.array([1e5 * (n in hidden), 0.0]), (True, False))
+        for i, n in enumerate(NODES)
+    )
+    both = {"bearing1": (90.0, 80.0), "bearing2": (9.0, 8.0)}
+    named = Entry("stiffness_drift", NODES, 99.0, 88.0, 1e-9, 3.0, 0.0, {}, 99.0, placed=laws, by_node=both)
+    entry, after = _where_told(point, named, fit_model(point.data, [*point.placed, *laws], start=point), 2)
+    assert entry.at == hidden
+    assert entry.heldout_gain == sum(both[n][1] for n in hidden)
+    assert {use.key for use in after.placed if use.effect is drift} == {f"{n}.x.stiffness_drift" for n in hidden}
+
+
+def test_without_a_bearing_its_nats_and_numbers_go() -> None:
+    laws = tuple(Placed(CATALOGUE["cubic"], f"{n}.x.cubic", (i,), np.ones(1), (True,)) for i, n in enumerate(NODES))
+    by_node = {"bearing1": (5.0, 4.0), "bearing2": (3.0, 1.0)}
+    parameters = {f"{n}.x.cubic.kNL": object() for n in NODES}
+    entry = Entry("cubic", NODES, 8.0, 5.0, 1e-3, 1.0, 0.0, parameters, 8.0, placed=laws, by_node=by_node)  # type: ignore[arg-type]
+    less = evidence.without(entry, ["bearing2"])
+    assert (less.at, less.gain, less.heldout_gain, less.placed) == (("bearing1",), 5.0, 4.0, laws[:1])
+    assert set(less.parameters) == {"bearing1.x.cubic.kNL"}
