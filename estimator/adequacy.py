@@ -23,23 +23,25 @@ from .working_point import WorkingPoint
 Array = NDArray[np.float64]
 Series = NDArray[np.floating]
 ODD = (3, 5, 7, 9)
-STATE = {  # even terms beside an odd law belong to another one
-    "cubic": ("x", ODD), "quintic": ("x", ODD), "clearance": ("x", ODD), "hertz": ("x", ODD),
-    "quadratic": ("x", tuple(range(2, 10))), "stop": ("x", tuple(range(2, 10))),
-    "coulomb": ("v", ODD[:3]), "quadratic_damping": ("v", ODD[:3]),
+EVEN = ("v", (2, 4, 6))  # no law is: what is passes for a drag, or for a law of x that is not odd either
+X, V, ONE_SIDED = (("x", ODD),), (("v", ODD[:3]), EVEN), (("x", tuple(range(2, 10))), EVEN)
+STATES = {  # the law's own first; terms even in x beside an odd law of x belong to another one
+    "cubic": X, "quintic": X, "clearance": X, "hertz": X, "quadratic": ONE_SIDED, "stop": ONE_SIDED,
+    "coulomb": V, "quadratic_damping": V,
 }  # fmt: skip
 LEVEL = 1e-3
 MOST = 0.1  # rms left beside the right law
+OTHER = 0.5  # the same of terms not its own: less may be another law's, still to be found or not yet settled
 
 
 def state_of(effect: str) -> str:
     """The state that the law's own misfit is drawn against."""
-    return {"x": "displacement", "v": "velocity"}[STATE[effect][0] if effect in STATE else "x"]
+    return {"x": "displacement", "v": "velocity"}[STATES[effect][0][0] if effect in STATES else "x"]
 
 
 def most_left(effect: str, otherwise: float) -> float:
     """What `left` may be beside the right law."""
-    return MOST if effect in STATE else otherwise
+    return MOST if effect in STATES else otherwise
 
 
 def left(before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int]) -> float | None:
@@ -47,9 +49,14 @@ def left(before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int
 
     0 if it is not significant. None for effects of no single state.
     """
-    if effect not in STATE:
+    if effect not in STATES:
         return None
-    state, orders = STATE[effect]
+    own, *others = (_left(before, after, places, *terms) for terms in STATES[effect])
+    return max(own, *(rest for rest in others if rest > OTHER), 0.0)
+
+
+def _left(before: WorkingPoint, after: WorkingPoint, places: set[int], state: str, orders: tuple[int, ...]) -> float:
+    """The same of the terms of one state."""
     powers, nats, counts = zip(*(_smooth(after, i, state, orders) for i in sorted(places)), strict=True)
     if sum(counts) == 0 or chdtrc(sum(counts), 2 * max(sum(nats), 0.0)) > LEVEL:
         return 0.0
@@ -59,14 +66,14 @@ def left(before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int
 
 
 def worth(point: WorkingPoint, effect: str, places: set[int]) -> dict[int, float]:
-    """Nats, less one for each term, that the smooth terms earn beside an effect at each place where they do."""
-    if effect not in STATE:
-        return {}
-    earned = {}
+    """Nats, less one for each term, that the smooth terms of a state earn beside an effect at each place where they
+    do."""
+    earned: dict[int, float] = {}
     for i in places:
-        _, nats, count = _smooth(point, i, *STATE[effect])
-        if nats > count:
-            earned[i] = nats - count
+        for state, orders in STATES.get(effect, ()):
+            _, nats, count = _smooth(point, i, state, orders)
+            if nats > count:
+                earned[i] = max(earned.get(i, 0.0), nats - count)
     return earned
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from .adequacy import STATE
+from .adequacy import STATES
 from .path_fit import Gram, Jacobian, PathFit, Term, fit, log_likelihood, term_response
 from .placed import Placed
 from .side_by_side import answers
@@ -56,7 +56,7 @@ def upper_part(point: WorkingPoint, i: int) -> NDArray[np.bool_]:
 
 def judged(effect: str) -> bool:
     """Whether an effect is a law of displacement, which alone can be judged so."""
-    return effect in STATE and STATE[effect][0] == "x"
+    return effect in STATES and STATES[effect][0][0] == "x"
 
 
 def extrapolated(point: WorkingPoint, placed: tuple[Placed, ...]) -> Extrapolation | None:

@@ -171,8 +171,8 @@ def _law(
         tuple(entries),
         shape_of(point, before, (best.placed[0].at[0], adequacy.state_of(best.effect))),
         messages=(
-            f"{best.effect} comes nearest but leaves {100 * left[best.effect]:.0f} % of the missing force in the same "
-            "state: no law of the catalogue has this shape",
+            f"{best.effect} comes nearest but leaves {100 * left[best.effect]:.0f} % of what a state explains of the "
+            "missing force: no law of the catalogue has this shape",
             *_clipped(entries),
         ),
     )
@@ -195,7 +195,7 @@ def _close(entries: list[Entry]) -> list[int]:
 def _passed_over(left: dict[str, float]) -> tuple[str, ...]:
     """What was ahead, and why it is not the answer. left : of each effect judged, the last one named."""
     return tuple(
-        f"{effect} was ahead by a few nats but leaves {100 * rest:.0f} % of the missing force in the same state"
+        f"{effect} was ahead by a few nats but leaves {100 * rest:.0f} % of what a state explains"
         for effect, rest in [*left.items()][:-1]
     )
 

@@ -1,0 +1,52 @@
+"""Whether a law has the shape of what is missing: one of another state is seen, the right one leaves nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_effects import RATE, one_bearing, record
+from numpy.typing import NDArray
+
+from estimator import adequacy, screen
+from estimator.effects import CATALOGUE
+from estimator.effects.strength import size
+from estimator.model import CustomLaw, EffectUse, Model, Setting
+from estimator.preparation import prepare
+from estimator.search_start import fit_record
+from estimator.simulate import simulate
+from estimator.working_point import fit_model
+
+SECONDS = 10.0
+
+
+def left(rig: Model, y: NDArray[np.float64], effect: str) -> float:
+    point = fit_record(rig, prepare(rig, y, RATE))
+    trial = screen.best_at(point, rig, CATALOGUE[effect], "bearing1.x")
+    assert trial is not None
+    after = fit_model(point.data, [*point.placed, trial.placed], start=point, rounds=2)
+    found = adequacy.left(point, after, effect, {0})
+    assert found is not None
+    return found
+
+
+def one_sided_drag(rig: Model) -> NDArray[np.float64]:
+    """Of one direction of the velocity: half of it is odd, as a drag that the catalogue has, half even."""
+    there = size(rig, "bearing1.x", RATE)
+    law = CustomLaw("d*v*maximum(v, 0)", None, {"d": "N s^2/m^2"})
+    values = {"d": Setting(0.1 * there.kL * there.x / there.v**2)}
+    truth = replace(rig, effects=(*rig.effects, EffectUse("one_way", {"bearing1.x": values}, law)))
+    return simulate(truth, RATE, SECONDS, seed=6, noise=0.02, full_scale=490.5)
+
+
+@pytest.mark.parametrize("effect", ["quadratic", "quadratic_damping"])
+def test_a_drag_of_one_direction_is_neither_a_one_sided_spring_nor_a_drag(effect: str) -> None:
+    rig = one_bearing()
+    assert left(rig, one_sided_drag(rig), effect) > adequacy.OTHER
+
+
+@pytest.mark.parametrize("effect", ["quadratic", "stop", "coulomb", "quadratic_damping"])
+def test_the_right_law_leaves_nothing_even_in_the_velocity(effect: str) -> None:
+    rig = one_bearing()
+    assert left(rig, record(rig, effect, 0.06), effect) < adequacy.MOST
