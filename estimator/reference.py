@@ -26,6 +26,7 @@ Series = NDArray[np.float32]
 GROUPS = ("displacement", "velocity", "level", "other_direction", "other_bearing", "time", "shaft_angle")
 X_STEP, V_STEP, SPAN = 0.35, 0.5, 3.7
 KNOWN = 1e-3  # of a column's power: with less beside the model's own columns it says nothing of its own
+VISITED = 30  # samples beyond the last knot but one, on each side, that the last is there for
 KICKED = 2.5  # widths of a hat of velocity, at least, over what the force moves the velocity by within the band's tau
 
 
@@ -117,15 +118,23 @@ def _filled(law: Callable[..., None], columns: int, *states: Series) -> tuple[li
     return list(out), slopes / states[0].size
 
 
-def hat_group(
-    name: str, z: NDArray[np.floating[Any]], scale: float, place: int, which: int, places: int, step: float
-) -> Group:
-    """Hats over +-SPAN rms (scale) of a state; which: 0 for x, 1 for v."""
+def knots_of(z: NDArray[np.floating[Any]], scale: float, step: float) -> Array:
+    """(k,) knots of hats of a state, SI: over +-SPAN rms (scale), as far as it is visited. step : between them, in rms.
+
+    A column that is not zero at one sample only, little as it is there, has a mean slope as one that is 1: for the
+    determinant of it 790 nats were won, in a complete model whose damping grows with the motion and thins its tails.
+    """
     half = int(np.ceil(SPAN / step))
-    knots: Array = np.arange(-half, half + 1, dtype=np.float64) * step * scale
+    while half > 2 and min(np.sum(side > (half - 1) * step * scale) for side in (z, -z)) < VISITED:
+        half -= 1
+    return np.arange(-half, half + 1, dtype=np.float64) * step * scale
+
+
+def hat_group(name: str, z: NDArray[np.floating[Any]], knots: Array, place: int, which: int, places: int) -> Group:
+    """Hats at some knots of a state; which: 0 for x, 1 for v."""
     out = np.zeros((knots.size, z.size), np.float32)
     slopes = np.zeros(knots.size)
-    _hats(z, float(knots[0]), step * scale, out, slopes)
+    _hats(z, float(knots[0]), float(knots[1] - knots[0]), out, slopes)
     tangents = []
     for s in slopes:
         t = np.zeros((places, 2))
@@ -182,21 +191,20 @@ def groups(
     data: MotionBlocks,
     i: int,
     orders: tuple[float, ...],
+    knots: tuple[Array, Array],
     times: tuple[float, float] | None = None,
-    v_step: float = V_STEP,
 ) -> Iterator[Group]:
     """Every group of columns of place i, one at a time (they are large). orders : of shaft rotation, for stiffness.
 
-    v_step : between knots of the velocity, over its rms. times : s, first and last of the record where the data are a
-    part of it.
+    knots : of the hats of x and v. times : s, first and last of the record where the data are a part of it.
     """
     P = len(data.places)
     sx, sv = float(data.rms[0, i]), float(data.rms[1, i])
     u, w = (data.calmed(i) / sx).astype(np.float32), (data.v[i] / sv).astype(np.float32)
     # of calmed displacements a sum of hats is nearly the law's own column, but for mean tangents that are known to a
     # part in a hundred: 97 nats of nothing were won at one cap behind a Bessel filter of order 6
-    yield hat_group("displacement", data.seen(i), sx, i, 0, P, X_STEP)
-    yield hat_group("velocity", data.v[i], sv, i, 1, P, v_step)
+    yield hat_group("displacement", data.seen(i), knots[0], i, 0, P)
+    yield hat_group("velocity", data.v[i], knots[1], i, 1, P)
 
     def m(z: Series) -> float:
         return float(np.mean(z, dtype=np.float64))
@@ -234,12 +242,16 @@ def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subpro
     own = float(np.sqrt(np.vdot(point.spectra[i], point.spectra[i]) / point.spectra[i].size))
     made: list[tuple[NDArray[np.int64], Array, Array]] = []
     by_fold: list[list[Group]] = []
-    v_step, room = velocity_step(point, i), np.empty(0, np.float32)
+    ends = (
+        knots_of(data.seen(i), float(data.rms[0, i]), X_STEP),
+        knots_of(data.v[i], float(data.rms[1, i]), velocity_step(point, i)),
+    )
+    room = np.empty(0, np.float32)
     for f in range(FOLDS):
         part, first = fold_of(data, f), fold_span(point, f).start
         found = []
         spectra: list[Series] = []
-        for g in groups(part, i, orders, times, v_step):
+        for g in groups(part, i, orders, ends, times):
             spectra += [point.weighing.spectrum(i, z, first=first) for z in g.series]
             found.append(Group(g.name, [], g.tangents, g.knots))
         if not room.size:  # the same for all folds: memory that is new takes longer than what is computed in it

@@ -1,4 +1,4 @@
-"""What the black box sees of noisy sensors is what laws see."""
+"""What the black box sees of noisy sensors is what laws see; it has no columns where the motion hardly is."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from hidden_effects import RATE, one_bearing
 
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths, with_effect
-from estimator.reference import pool
+from estimator.reference import VISITED, knots_of, pool
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
@@ -27,3 +27,15 @@ def test_a_law_of_the_model_is_no_column_of_its_own_in_noise() -> None:
     rms = np.sqrt(np.diag(G))
     C = G / np.multiply.outer(rms, rms)
     assert 1.0 - C[-1, :-1] @ np.linalg.solve(C[:-1, :-1], C[:-1, -1]) < 1e-4
+
+
+def test_hats_reach_as_far_as_the_motion_does() -> None:
+    """A hat that one sample touches has hardly a force, and the mean slope of one that the sample is in the middle of:
+    in the determinant 790 nats were won by that."""
+    z = np.random.default_rng(0).uniform(-2.0, 2.0, 100_000)
+    z[7] = 3.6
+    knots = knots_of(z, 1.0, 0.5)
+    assert knots[-1] == -knots[0] == 2.0
+    assert np.sum(z > knots[-2]) >= VISITED
+    gaussian = np.random.default_rng(0).standard_normal(500_000)
+    assert knots_of(gaussian, 1.0, 0.5)[-1] == 4.0
