@@ -19,7 +19,7 @@ from .missing_force import survey
 from .model import Model
 from .periodic import PERIODIC
 from .suspects import suspects
-from .whole import Whole, fit_whole, with_found
+from .whole import SHAPING, Whole, fit_whole, with_found
 from .working_point import WorkingPoint, fit_model
 
 Array = NDArray[np.float64]
@@ -107,9 +107,10 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                 messages.append(f"{found.verdict} was named but is not told from zero when fitted: not added")
                 break
             new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
-            # masses, and what the recorder takes and delays, were sought beside what was missing
+            # masses, shapes of spectra, and what the recorder takes and delays, were sought beside what was missing
             taken = model.roll_off is not given.roll_off or common_fall.find(richer)
-            if whole.masses or taken or recorder_phase.found(new_whole.model, richer):
+            shaped = any(use.name in SHAPING for use in model.effects)
+            if whole.masses or shaped or taken or recorder_phase.found(new_whole.model, richer):
                 again = replace(new_whole.model, mass=given.mass, roll_off=given.roll_off)
                 new_whole = _refitted(again, y, rate_hz)
         else:

@@ -62,6 +62,30 @@ def test_what_is_named_and_not_told_from_zero_is_not_added(rig: Model, monkeypat
     assert f"{ahead.effect} was named but is not told from zero when fitted: not added" in ladder.messages
 
 
+def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(
+    rig: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The missing force is in the spectrum that the colour is seen in; left so, a sensor resonance was added later."""
+    rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
+    cubic = CATALOGUE["cubic"]
+    own = strengths(cubic, size(rig, "bearing1.x", RATE), 0.15, rig)
+    colour = {"gain": 4.0, "corner": 800.0}
+    known = with_effect(rig, CATALOGUE["coloured_excitation"], colour, "bearing1.x")
+    y = simulate(with_effect(known, cubic, own, "bearing1.x"), RATE, 4.0, seed=4, noise=NOISE)
+    law = Placed(cubic, "bearing1.x.cubic", (0,), np.array([own["kNL"]]), (True,))
+    named = Entry("cubic", ("bearing1",), 9.0, 8.0, 1e-4, 6.0, 0.0, {}, 7.0, placed=(law,))
+    said = iter([Diagnosis("cubic", (named,)), Diagnosis("complete", ())])
+    monkeypatch.setattr("estimator.improve.diagnose_point", lambda *_: next(said))
+    # where all places have the wrong colour it passes for the recorder's filter, which is sought again anyway
+    monkeypatch.setattr("estimator.common_fall.find", lambda *_: {})
+    ladder = improve(known, y, RATE)
+    assert ladder.rungs[-1].effects == ("coloured_excitation", "cubic")
+    alone = fit_whole(having(known, EffectUse("cubic", {"bearing1.x": {}})), y, RATE).parameters
+    for name in colour:
+        found, best = (p[f"bearing1.x.coloured_excitation.{name}"] for p in (ladder.parameters, alone))
+        assert abs(found.value - best.value) < 0.5 * best.sd, (found, best)
+
+
 @pytest.mark.slow
 def test_two_effects_hidden_together_are_found_in_two_steps(rig: Model) -> None:
     ladder = improve(rig, hidden_together(rig, "quadratic", "coulomb", 0.06, SECONDS), RATE)
