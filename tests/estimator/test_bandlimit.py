@@ -89,6 +89,28 @@ def test_a_sharp_resonance_beside_or_in_the_band_does_not_spread_over_it(low: fl
     assert np.abs(out.u[0] - expected)[out.valid].max() < 0.05 * np.abs(expected).max()
 
 
+@pytest.mark.parametrize("over", [0.86, 0.93, 0.98, 0.9998, 1.0, 1.001, 1.02, 1.05, 1.12])
+def test_a_sharp_resonance_at_the_edge_of_the_band_is_left_out_and_nothing_else(over: float) -> None:
+    """A disc at 125.58 Hz, where the band began at 125.6: straight lines from there made 60 N of a hundredth."""
+    m, c, low = 0.58, 0.34, 125.6
+    k = 0.5 * m * (2 * np.pi * over * low) ** 2
+
+    def reaction(f: np.ndarray) -> np.ndarray:
+        w = 2 * np.pi * f
+        return -(k**2) / (2 * k + 2j * w * c - m * w**2)
+
+    rate = 25600.0
+    noise = np.random.default_rng(0).standard_normal((200_000, 1))
+    out = band_limit(noise, ["displacement"], rate, (low, 8000.0), extra=reaction)
+    f, x, u = (np.fft.rfftfreq(8192, 1 / rate), *(z[0][out.valid] for z in (out.x, out.u)))
+    pieces = len(x) // 8192
+    X, U = (np.fft.rfft(z[: pieces * 8192].reshape(pieces, -1) * np.hanning(8192)) for z in (x, u))
+    found = (U * X.conj()).mean(0) / (abs(X) ** 2).mean(0)
+    seen = (f > max(low, (over + 1 / 6) * low)) & (f < 1000.0)
+    assert np.abs(found[seen] / reaction(f[seen]) - 1).max() < 0.04
+    assert np.abs(found[(f > 0.55 * low) & (f < 1000.0)]).max() < 10 * k
+
+
 @pytest.mark.parametrize(("apart_hz", "most"), [(40.0, 0.02), (60.0, 0.002)])
 def test_beside_a_sharp_resonance_that_is_left_out_the_response_is_right(apart_hz: float, most: float) -> None:
     """A disc of 992 Hz that rings for two seconds: 25 Hz on either side are left out, what comes after is to hold. A
