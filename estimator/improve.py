@@ -13,6 +13,7 @@ from . import common_fall, recorder_phase
 from .diagnose import Diagnosis, diagnose_point
 from .errors import DataError
 from .estimate import Parameter
+from .evidence import Settings
 from .fitted import fitted_model, untold
 from .heldout import heldout_nll, heldout_rmse
 from .missing_force import survey
@@ -121,7 +122,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             if best.effect not in PERIODIC:  # a shape of the spectra that the recorder's filter was sought in
                 before = replace(before, roll_off=given.roll_off)
             try:
-                new_whole = _refitted(with_found(before, best.settings), y, rate_hz)
+                new_whole = _with_found(before, given, best.settings, y, rate_hz)
             except DataError as problem:  # far from the rotor
                 messages.append(f"{found.verdict} was named but no fit with it is sound ({problem}): not added")
                 break
@@ -141,6 +142,19 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     messages = [*whole.messages, *messages, *idle(point), *(found.messages if found.verdict in ENDED else ())]
     say(1.0, "done")
     return Ladder(tuple(rungs), fitted_model(model, point), whole.parameters, found, tuple(messages), tuple(diagnoses))
+
+
+def _with_found(before: Model, given: Model, settings: dict[str, Settings], y: Array, rate_hz: float) -> Whole:
+    """The whole of a model with what was found, begun from its fit without it; where that ended too far from the rotor,
+    as of a sensor that is clipped much, from the numbers that were given. Raises DataError if neither is sound."""
+    try:
+        return _refitted(with_found(before, settings), y, rate_hz)
+    except DataError:
+        own = {use.name: use for use in given.effects}
+        afresh = replace(
+            before, linear=given.linear, effects=tuple(own.get(use.name, use) for use in before.effects)
+        )  # fmt: skip
+        return _refitted(with_found(afresh, settings), y, rate_hz)
 
 
 def _refitted(model: Model, y: Array, rate_hz: float) -> Whole:

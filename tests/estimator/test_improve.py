@@ -15,12 +15,14 @@ from estimator.diagnose import Diagnosis, diagnose
 from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.effects.strength import size, strengths, with_effect
+from estimator.errors import DataError
+from estimator.estimate import Parameter
 from estimator.evidence import Entry
-from estimator.improve import improve
+from estimator.improve import _with_found, improve
 from estimator.model import CustomLaw, EffectUse, Model, Setting
 from estimator.placed import Placed
 from estimator.simulate import simulate
-from estimator.whole import fit_whole
+from estimator.whole import Whole, fit_whole
 
 NOISE, FULL_SCALE = 0.02, 981.0  # beyond whirl 500 m/s^2 are reached
 
@@ -60,6 +62,33 @@ def test_what_is_named_and_not_told_from_zero_is_not_added(rig: Model, monkeypat
     ladder = improve(rig, simulate(rig, RATE, 4.0, seed=4, noise=NOISE), RATE)
     assert len(ladder.rungs) == 1
     assert f"{ahead.effect} was named but is not told from zero when fitted: not added" in ladder.messages
+
+
+def test_where_a_faulty_sensor_led_the_fit_astray_it_begins_from_what_was_given(
+    rig: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a channel with a tenth of its samples at the ceiling the cubic ends softening without end, without a mode in
+    the band, and from there no fit was sound: the clipping was named and not added."""
+    given = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
+    y = simulate(given, RATE, 2.0, seed=4, noise=NOISE)
+    soft = {"bearing1.x": given.linear["bearing1.x"] | {"kL": Setting(1e4)}}
+    astray = having(replace(given, linear=soft), EffectUse("cubic", {"bearing1.x": {"kNL": Setting(-1e20)}}))
+    begun: list[tuple[Model, bool]] = []
+
+    def fitted(model: Model, y: NDArray[np.float64], rate_hz: float) -> Whole:
+        begun.append((model, model.linear == given.linear))
+        if not begun[-1][1]:
+            raise DataError("no resonance of bearing1.x inside the band")
+        return fit_whole(model, y, rate_hz)
+
+    monkeypatch.setattr("estimator.improve.fit_whole", fitted)
+    found = {"sensor_noise": {"bearing1.x": {"rms": Parameter(NOISE, 1e-3, "m/s^2")}}}
+    whole = _with_found(astray, given, found, y, RATE)
+    assert [sound for _, sound in begun] == [False, True]
+    assert [use.name for use in begun[1][0].effects] == ["cubic", "sensor_noise"]
+    assert whole.parameters["bearing1.x.kL"].value == pytest.approx(1e7, rel=0.01)
+    with pytest.raises(DataError):
+        _with_found(astray, replace(given, linear=soft), found, np.zeros((100, 1)), RATE)
 
 
 def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(
