@@ -89,7 +89,7 @@ def markdown(runs: Sequence[Mapping[str, Any]], seconds: float) -> str:
         "| pair | hidden | added by `improve`, in order | missing force, % | numbers covered | at the end |",
         "|---" * 6 + "|",
     ]
-    for r in runs:
+    for r in sorted(runs, key=lambda r: r["seed"]):
         both = ", ".join(f"{name} ({where})" for name, where in r["pair"].items())
         scores = [z for _, z in r["numbers"].values()]
         covered = f"{sum(abs(z) < 1.96 for z in scores)}/{len(scores)}"
