@@ -98,11 +98,13 @@ def markdown(runs: Sequence[Mapping[str, Any]], seconds: float) -> str:
     count = Counter(len(set(r["pair"]) & set(r["steps"][:STEPS])) for r in runs)
     ends = sum(r["verdict"] == COMPLETE for r in runs)
     more = sum(bool(set(r["steps"]) - set(r["pair"])) for r in runs)
+    elsewhere = sum(any(set(at) != set(r["added_at"].get(e, at)) for e, at in r["hidden_at"].items()) for r in runs)
     fallen = [r["after_percent"] < 0.2 * r["before_percent"] for r in runs if r["before_percent"] > 0.0]
     lines += [
         "",
         f"Both within two steps: {count[2]}/{len(runs)}; one of them: {count[1]}, none: {count[0]}. Something else was "
-        f'added in {more}. "complete" at the end: {ends}. Missing force falls by 80 % or more: {sum(fallen)}/'
+        f'added in {more}, one of the two at other places in {elsewhere}. "complete" at the end: {ends}. '
+        f"Missing force falls by 80 % or more: {sum(fallen)}/"
         f"{len(fallen)}. Numbers covered: true values, also of the model's own effects, within the 95 % interval then.",
     ]
     return "\n".join(lines) + "\n"

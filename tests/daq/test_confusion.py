@@ -106,7 +106,10 @@ def test_pairs_are_counted_and_a_second_call_goes_on(tmp_path: Path, monkeypatch
     def run(model: object, pair: Pair, seconds: float) -> dict[str, object]:
         ran.append(pair.seed)
         steps = [[*pair.at], [*pair.at][:1], ["line", *pair.at]][pair.seed]
-        return {"key": pair.key, "pair": pair.at, "seed": pair.seed, "seconds": seconds, "steps": steps} | right
+        hidden = {name: ["bearing1.x"] for name in pair.at}
+        added = hidden | {[*pair.at][0]: ["bearing1.x", "bearing2.x"][: 1 + pair.seed // 2]}
+        named = {"key": pair.key, "pair": pair.at, "seed": pair.seed, "seconds": seconds, "steps": steps}
+        return named | {"hidden_at": hidden, "added_at": added} | right
 
     monkeypatch.setattr(subject, "run_pair", run)
     command = ["confusion", str(PAPER), "--out", str(tmp_path), "--seeds", "0", "--complete", "0", "--quiet"]
@@ -115,7 +118,8 @@ def test_pairs_are_counted_and_a_second_call_goes_on(tmp_path: Path, monkeypatch
     assert main([*command, "--pairs", "3"]) == 0
     assert ran == [0, 1, 2]
     text = (tmp_path / "confusion.md").read_text()
-    assert "Both within two steps: 1/3; one of them: 2, none: 0. Something else was added in 1." in text
+    assert "Both within two steps: 1/3; one of them: 2, none: 0. Something else was added in 1, " in text
+    assert "one of the two at other places in 1." in text
     assert '"complete" at the end: 3. Missing force falls by 80 % or more: 3/3.' in text
     assert "named right" not in text, "no matrix where no single effect was hidden"
 
