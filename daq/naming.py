@@ -33,7 +33,7 @@ from .scaling import Scaling
 from .sink import Session, SinkHealth, Status
 
 KEPT_S = 30.0  # of samples
-ENOUGH_S = 8.0  # of the new state, to try the catalogue on
+ENOUGH_S = 7.0  # of the new state, to try the catalogue on
 EVERY_S = 60.0  # at most so often
 CALM_S = 20.0  # after a change: what follows within it is the estimator settling
 GROWN = 1.5  # times the missing force of the last time: something else has come

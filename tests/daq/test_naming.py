@@ -70,7 +70,7 @@ def test_it_is_said_at_once_and_named_from_what_comes_after() -> None:
     assert told.feed(1, OPEN) == ["missing_force"]
     assert told.feed(20, OPEN) == ["effect_named"]
     (question,) = told.asked
-    assert question.y.shape == (8000, 4)
+    assert question.y.shape == (7000, 4)
     assert question.y[0, 0] == 0.5 * (60_500 % 30_000)
     assert told.feed(100, OPEN) == []
 
@@ -105,7 +105,7 @@ def test_old_samples_that_are_dropped_late_do_not_put_the_question_off() -> None
     told.feed(20, SOUND, 20_000.0)
     told.feed(4, SOUND, 9_000.0, kL=1.1e7)  # of which most are from before the jump
     told.feed(6, SOUND, 5_000.0, kL=1.1e7)
-    assert [(q.y[0, 0], len(q.y)) for q in told.asked] == [(0.5 * 20_500, 8000)]
+    assert [(q.y[0, 0], len(q.y)) for q in told.asked] == [(0.5 * 20_500, 7000)]
 
 
 def test_a_second_change_puts_the_question_off() -> None:
@@ -113,7 +113,7 @@ def test_a_second_change_puts_the_question_off() -> None:
     told.feed(20, SOUND, 20_000.0)
     told.feed(4, SOUND, 3_000.0, kL=1.1e7)
     told.feed(10, SOUND, 1_500.0, kL=1.2e7)
-    assert [(q.y[0, 0], len(q.y)) for q in told.asked] == [(0.5 * 24_500, 8000)]
+    assert [(q.y[0, 0], len(q.y)) for q in told.asked] == [(0.5 * 24_500, 7000)]
 
 
 def test_missing_samples_are_missing_in_the_question() -> None:
@@ -134,7 +134,7 @@ def test_the_line_of_the_live_table() -> None:
 
 
 def test_an_effect_whose_force_is_not_seen_yet_is_not_said_to_fall_from_nothing_to_nothing() -> None:
-    question = Question(RIG.text, RIG.base, RIG.path, (), np.zeros((8000, 4)), RATE, 60.0)
+    question = Question(RIG.text, RIG.base, RIG.path, (), np.zeros((7000, 4)), RATE, 60.0)
     row = named()["ranking"][0] | {"missing_force_before_percent": 0.0}
     assert "->" in said(named(), question)[2]
     assert "its force not yet seen" in said({"verdict": "clearance", "ranking": [row]}, question)[2]
