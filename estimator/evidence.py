@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
+from . import modulation
 from .effects import CATALOGUE, NAMED
+from .effects.ball_pass import BALL_PASS
 from .effects.places import at
 from .estimate import Parameter
 from .missing_force import Survey
@@ -76,6 +78,9 @@ def entries(
     for t in trials:
         by_effect.setdefault(t.effect.name, []).append(t)
     out = [_entry(point, own, tried, before) for own in by_effect.values()]
+    if model.order_found:  # by the same data
+        more = modulation.looked_at(point)
+        out = [replace(e, p_value=min(1.0, e.p_value * more)) if e.effect == BALL_PASS.name else e for e in out]
     for name in dict.fromkeys(s.effect for s in others if s.effect != UNKNOWN):
         out.append(_suspected(model, point, [s for s in others if s.effect == name], before))
     return sorted(after_what_clipping_cannot_make(out), key=lambda e: -e.score)

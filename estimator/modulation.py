@@ -113,6 +113,12 @@ def turning(point: WorkingPoint) -> Turning | None:
     return Turning(hz / rotation, float(np.sqrt(6.0 / nats) / (2 * np.pi * seconds)) / rotation)
 
 
+def looked_at(point: WorkingPoint) -> float:
+    """Frequencies that `turning` looks at, independent ones: as many trials are behind an order of the record."""
+    data = point.data
+    return max(1.0, (HIGH - LOW) * data.speed / (2 * np.pi) * float(data.t[-1] - data.t[0]))
+
+
 def _without_lines(force: Array) -> Array:
     """What is left of a measured force, (n,), without its lines: they make lines in the motion too, and with these in
     every product. A stiffness that turns makes none in the force itself."""

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, SECONDS, one_bearing
 
-from estimator import modulation, spectral
+from estimator import evidence, modulation, screen, spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths, with_effect
+from estimator.missing_force import Survey
 from estimator.model import EffectUse, Model, Setting
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
@@ -74,3 +75,17 @@ def test_the_order_is_as_certain_as_it_says() -> None:
         scores.append((found.order - order) / found.sd)
     assert 0.7 < float(np.sqrt(np.mean(np.square(scores)))) < 1.3
     assert max(map(abs, scores)) < 4.0
+
+
+def test_an_order_taken_from_the_record_pays_for_all_that_were_looked_at(rig: Model) -> None:
+    """One of 78 complete models had a line of 35 nats among its products, one of 62,000, and a ball pass of 21."""
+    point = fit_whole(rig, simulate(rig, RATE, 4.0, seed=2, noise=0.02, full_scale=490.5), RATE).point
+    trial = screen.best_at(point, rig, CATALOGUE["ball_pass"], "bearing1.x")
+    assert trial is not None
+    some = replace(trial, gain=25.0)
+    survey = Survey((), point.bearing_force)
+    given, found = (
+        evidence.entries(replace(rig, order_found=known), point, [some], survey)[0].p_value for known in (False, True)
+    )
+    assert found == pytest.approx(given * modulation.looked_at(point))
+    assert modulation.looked_at(point) == pytest.approx(29.7 * point.data.speed / (2 * np.pi) * 4.0, rel=0.2)
