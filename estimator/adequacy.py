@@ -52,7 +52,7 @@ def left(before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int
     if effect not in STATES:
         return None
     own, *others = (_left(before, after, places, *terms) for terms in STATES[effect])
-    return max(own, *(rest for rest in others if rest > OTHER), 0.0)
+    return max([own, *(rest for rest in others if rest > OTHER)])
 
 
 def _left(before: WorkingPoint, after: WorkingPoint, places: set[int], state: str, orders: tuple[int, ...]) -> float:

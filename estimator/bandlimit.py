@@ -166,10 +166,11 @@ def _held(
     Of a resonance at the lower edge, which no straight line goes on from, the lines begin where those fits do.
     """
     low, high = band
-    about = np.linspace(low - 2 * rate_hz / half, low + 2 * rate_hz / half, ABOUT)
+    width = 2 * rate_hz / half  # left out on either side of it: balance.shaft_notch
+    about = np.linspace(low - width, low + width, ABOUT)
     peak = int(np.argmax(np.abs(response(about))))
     if 0 < peak < ABOUT - 1:
-        low = float(about[peak] + 2 * rate_hz / half)
+        low = float(about[peak]) + width
     step = 1e-3 * low
 
     def continued(f: Floats) -> Complexes:
