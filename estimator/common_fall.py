@@ -3,7 +3,8 @@ of two: roll_off.py."""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -13,7 +14,9 @@ from scipy.special import chdtrc
 from . import force_colour
 from .filter_search import Seen, likeliest
 from .force_colour import Cells
-from .roll_off import POWERS, Filter, RollOff, devices
+from .model import Model
+from .roll_off import POWERS, Filter, RollOff, devices, images
+from .sensor_response import resonance
 from .side_by_side import answers
 from .working_point import WorkingPoint
 
@@ -24,23 +27,37 @@ LEVEL = 1e-6
 LEAST = 0.002  # rms of ln(power) over the band, from where it matters to S
 EXPLAINED = 0.5  # of the misfit beyond chance
 ALIKE = 0.8  # the same of two channels of a bearing: one that falls beside one that does not leaves half
+NOTHING: Mapping[int, tuple[float, float]] = {}
 CHANCE = 3.0  # standard deviations of a deviance
 WAVES, LOOK = 12, 1e-4  # half waves along the band, and chance of them, of what is looked into
 LINE, LINES = 6.0, 0.1  # standard deviations that a line raises a cell by; of the cells, those that lines may have
 BEHIND = 12.0  # in deviance and a place, that causes of other kinds, two numbers each, may fit better by (Schwarz)
 
 
-def find(point: WorkingPoint) -> RollOff | None:
+def find(model: Model, point: WorkingPoint) -> RollOff | None:
     """None where nothing falls, or something else fits better. A place whose force has a colour in the model takes the
-    filter that the others show, and so does one whose sensor's resonance is undone: what falls there is within that."""
+    filter that the others show, and so does one whose sensor's resonance is undone: what falls there is within that.
+    Where the others show none, it is sought with the resonance: filter_search.py."""
     data, whole = point.data, [*range(len(point.data.places))]
     if data.measured_force or point.kL.min() <= 0.0:
         return None
-    places = [i for i in whole if np.ptp(data.colour[i]) == np.ptp(data.sharpened[i]) == 0.0] or whole
-    cells, fits = _without_lines(point, [force_colour.cells_of(point, i) for i in places])
-    own = list(zip(places, cells, fits, strict=True))
+    white = [i for i in whole if np.ptp(data.colour[i]) == 0.0]
+    found = _of(point, [i for i in white if np.ptp(data.sharpened[i]) == 0.0] or whole)
+    undone = {i: numbers for i in white if (numbers := resonance(model, data.places[i])) is not None}
+    if found is not None or not undone:
+        return found
+    own = _measured(point, white)
+    if all(chdtrc(c.n.size - 4.0, -2 * fit[0]) > LOOK for i, c, fit in own if i in undone):
+        return None
+    _, off = _fall(point, own, EXPLAINED, undone)
+    return None if off is None else dict.fromkeys(data.places, off)
+
+
+def _of(point: WorkingPoint, places: list[int]) -> RollOff | None:
+    """The same by what some places show."""
+    data, own = point.data, _measured(point, places)
     together, found = _fall(point, own, EXPLAINED)
-    if found is not None and together - (df := sum(c.n.size - 4 for c in cells)) < CHANCE * np.sqrt(2.0 * df):
+    if found is not None and together - (df := sum(c.n.size - 4 for _, c, _ in own)) < CHANCE * np.sqrt(2.0 * df):
         return dict.fromkeys(data.places, found)
     names = tuple(data.places[i] for i in places)
     nodes = [(at, *_fall(point, [own[k] for k in at], ALIKE)) for at in devices(names)]
@@ -54,18 +71,25 @@ def find(point: WorkingPoint) -> RollOff | None:
     return None if found is None else dict.fromkeys(data.places, found)
 
 
-def _fall(point: WorkingPoint, own: list[Place], explained: float) -> tuple[float, Filter | None]:
+def _measured(point: WorkingPoint, places: list[int]) -> list[Place]:
+    cells, fits = _without_lines(point, [force_colour.cells_of(point, i) for i in places])
+    return list(zip(places, cells, fits, strict=True))
+
+
+def _fall(
+    point: WorkingPoint, own: list[Place], explained: float, undone: Mapping[int, tuple[float, float]] = NOTHING
+) -> tuple[float, Filter | None]:
     """Deviance of some places behind what they fall alike by, and that; without it where nothing falls, or something
-    else fits better. explained : of the misfit beyond chance, at least."""
+    else fits better. explained : of the misfit beyond chance, at least. undone : resonances of sensors, by place."""
     hz, count = own[0][1].w / (2 * np.pi), own[0][1].n
     before, df = -2 * sum(fit[0] for _, _, fit in own), float(sum(c.n.size - 4 for _, c, _ in own))
-    if not _in_common(own):
+    if not undone and not _in_common(own):
         return before, None
-    seen = [Seen(c, _through(point, i, hz), point.data.kinds[i]) for i, c, _ in own]
+    seen = [Seen(c, *_through(point, i, hz), point.data.kinds[i], undone.get(i)) for i, c, _ in own]
     after, found = likeliest(seen, Filter(point.data.rate_hz, point.data.band[1]))
     fall = -np.log(found.passed(hz))
     rms = float(np.sqrt(np.average((fall - np.average(fall, weights=count)) ** 2, weights=count)))
-    if chdtrc(POWERS.size, before - after) > LEVEL or rms < LEAST:
+    if chdtrc(POWERS.size + 2 * len(undone), before - after) > LEVEL or rms < LEAST:
         return before, None
     if after - df > max((1 - explained) * (before - df), CHANCE * np.sqrt(2 * df)):
         return before, None
@@ -82,8 +106,11 @@ def _all_but_one(point: WorkingPoint, own: list[Place]) -> tuple[float, Filter |
         if off is None:
             continue
         hz = c.w / (2 * np.pi)
-        back = off.folded(hz, point.data.kinds[i]) * _through(point, i, hz)
-        behind = replace(c, colour=c.colour * off.passed(hz), back=c.back + back)
+        here, others = _through(point, i, hz)
+        echoes = here * off.echoes(hz, point.data.kinds[i])
+        back = c.back + echoes.sum(axis=0) + others * off.folded(hz, point.data.kinds[i])
+        beyond = images(off.rate_hz, hz)[: len(echoes)]
+        behind = replace(c, colour=c.colour * off.passed(hz), back=back, echoes=echoes, images=beyond)
         alone = force_colour.otherwise(point, i, behind, *force_colour.plain(point, i, behind))
         if after + alone < best and alone < force_colour.otherwise(point, i, c, *fit):
             best, found = after + alone, off
@@ -109,7 +136,7 @@ def _without_lines(point: WorkingPoint, cells: list[Cells]) -> tuple[list[Cells]
         keep = np.max(over, axis=0) < LINE
         if keep.all() or keep.sum() < (1 - LINES) * whole:
             return cells, fits
-        cells = [Cells(*(getattr(c, f.name)[keep] for f in fields(c))) for c in cells]
+        cells = [c.at(keep) for c in cells]
 
 
 def _ratio(c: Cells, fit: Plain) -> Array:
@@ -117,8 +144,10 @@ def _ratio(c: Cells, fit: Plain) -> Array:
     return c.power / force_colour.base_model(c, fit[1])
 
 
-def _through(point: WorkingPoint, i: int, hz: Array) -> Array:
-    """(cells,) PSD over S of the inferred force at a place, of white noise at all that a free mass has from its S."""
+def _through(point: WorkingPoint, i: int, hz: Array) -> tuple[Array, Array]:
+    """(cells,) PSD over S of the inferred force at a place, of white noise that a free mass has from its S: there, and
+    at the others."""
     data = point.data
-    share = np.abs(point.A[:, i]) ** 2 @ (point.S / point.S[i] / data.mass**2)
-    return np.asarray(np.interp(hz, data.f_hz, share))
+    share = np.abs(point.A[:, i]) ** 2 * (point.S / point.S[i] / data.mass**2)
+    own = share[:, i]
+    return np.interp(hz, data.f_hz, own), np.interp(hz, data.f_hz, share.sum(axis=1) - own)

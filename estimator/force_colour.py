@@ -8,7 +8,7 @@ each (a shape near the resonance can hide in them).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import numpy as np
@@ -20,6 +20,7 @@ from .effects import CATALOGUE
 from .estimate import Parameter
 from .model import MOTION, Model
 from .noise_paths import LEAST_NOISE, beyond, heard_of_all
+from .roll_off import images
 from .suspect import Suspect
 from .working_point import WorkingPoint
 
@@ -42,7 +43,8 @@ class Cells:
     """Mean spectra of one place. power : (cells,) N^2/Hz mean |F|^2; n : bins; A : (cells,) tangent, the other caps
     answering; w : rad/s; colour : shape of the force that the model has; heard : force that the noise of the
     sensors at all caps makes, over that of its own; others : (m/s^2)^2/Hz that the forces at the other caps move this
-    one by; back : over S, the force that what sampling folds back at all caps makes."""
+    one by; back : over S, the force that what sampling folds back at all caps makes; echoes : (images, cells) of that
+    the own sensor's, by image; images : (images, cells) Hz of these."""
 
     power: Array
     n: Array
@@ -52,6 +54,12 @@ class Cells:
     heard: Array
     others: Array
     back: Array
+    echoes: Array
+    images: Array
+
+    def at(self, keep: NDArray[np.bool_]) -> Cells:
+        """Some of them."""
+        return Cells(*(getattr(self, f.name)[..., keep] for f in fields(self)))
 
     def tangent(self, u: Array) -> NDArray[np.complex128]:
         """A with u[2:4], changes of k and c. Here and below u may be (numbers, m, 1), for (m, cells) at once."""
@@ -83,13 +91,15 @@ def cells_of(point: WorkingPoint, i: int) -> Cells:
     width = np.diff(np.append(first, power.size)).astype(np.float64)
 
     def mean(z: Array) -> Array:
-        return np.asarray(np.add.reduceat(z, first) / width)
+        return np.asarray(np.add.reduceat(z, first, axis=-1) / width)
 
     w = 2 * np.pi * data.f_hz
     A, others = answered(point.A, point.S, i)
+    echoes = np.abs(point.A[:, i, i]) ** 2 * data.echoes[:, i]
     return Cells(
         mean(power), width * data.blocks, mean(w), mean(A.real) + 1j * mean(A.imag), mean(data.colour[i]),
-        mean(_heard(point, i)), mean(others), mean(beyond(data, point.A, point.S)[i]),
+        mean(_heard(point, i)), mean(others), mean(beyond(data, point.A, point.S)[i]), mean(echoes),
+        mean(images(data.rate_hz, data.f_hz)[: len(echoes)]),
     )  # fmt: skip
 
 
@@ -150,13 +160,19 @@ def _resonance(top: float) -> Shape:
         return np.array([np.exp(np.clip(z[0], 3, 13)), np.exp(np.clip(z[1], -0.5, 5))])
 
     def model(c: Cells, u: Array) -> Array:
-        f0, quality = values(u[4:])
-        r = c.w / (2 * np.pi * f0)
-        H2 = 1.0 / ((1 - r**2) ** 2 + (r / quality) ** 2)
-        return c.spectrum(u, c.tangent(u), H2)
+        numbers = values(u[4:])
+        out = c.spectrum(u, c.tangent(u), resonant(c.w / (2 * np.pi), *numbers))
+        beyond = c.echoes[:, None] * (resonant(c.images[:, None], *numbers) - 1.0)
+        return np.asarray(out + (_exp(u[0]) * beyond.sum(axis=0)).reshape(out.shape))
 
     starts = tuple((float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4) for q in (4, 25))
     return Shape("sensor_resonance", ("frequency", "quality"), ("Hz", "1"), starts, model, values)
+
+
+def resonant(f_hz: Array, f0: float | Array, quality: float | Array) -> Array:
+    """Power that a sensor's resonance multiplies that at f_hz by."""
+    r2 = (f_hz / f0) ** 2
+    return np.asarray(1.0 / ((1 - r2) ** 2 + r2 / quality**2))
 
 
 def _pedestal(mass: float, kL: float, c0: float, peak: float) -> Shape:

@@ -109,7 +109,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                 break
             new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
             # masses, shapes of spectra, and what the recorder takes and delays, were sought beside what was missing
-            taken = model.roll_off is not given.roll_off or common_fall.find(richer)
+            taken = model.roll_off is not given.roll_off or common_fall.find(new_whole.model, richer)
             shaped = any(use.name in SHAPING for use in model.effects)
             if whole.masses or shaped or taken or recorder_phase.found(new_whole.model, richer):
                 again = replace(new_whole.model, mass=given.mass, roll_off=given.roll_off)

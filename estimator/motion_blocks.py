@@ -21,7 +21,7 @@ from .model import MOTION, Model
 from .periodic import Push, Wave, pushes, series, waves
 from .plausible import check_moves
 from .rotor import shaft_at_caps
-from .sensor_response import forced, of_place
+from .sensor_response import echoes, forced, of_place
 from .shaft_angle import measured_phase
 from .side_by_side import each
 
@@ -64,7 +64,7 @@ class MotionBlocks:
     rms: Array  # (3, places) of x, of v and of a, over the whole record
     driven: Array  # (places,) N^2/Hz, PSD of the measured forces; 0 without
     sharpened: Array  # (places, bins) by what undoing a response has multiplied its noise, in power
-    folded: Array  # (places, bins) PSD of acceleration that sampling folds back, over S: roll_off.py
+    echoes: Array  # (images, places, bins) PSD of acceleration that sampling folds back, over S: roll_off.py
     folded_beside: Array  # (places, bins) the same, not over S, beside a measured force: folded_force.py
     measured: Series | None = None  # (places, n) displacement below the band, where the sensor is one of displacement
     slow: Series | None = None  # (places, n) all of it that the laws see: slow_motion.py
@@ -79,6 +79,11 @@ class MotionBlocks:
     @property
     def measured_force(self) -> bool:
         return bool(self.driven.any())
+
+    @property
+    def folded(self) -> Array:
+        """(places, bins) PSD of acceleration that sampling folds back, over S."""
+        return np.asarray(self.echoes.sum(axis=0))
 
     @property
     def blocks(self) -> int:
@@ -189,7 +194,7 @@ def without_hz(data: MotionBlocks, low: float, high: float) -> MotionBlocks:
     if keep.all():
         return data
     return replace(data, bins=data.bins[keep], shaft=data.shaft[keep], colour=data.colour[:, keep],
-                   sharpened=data.sharpened[:, keep], folded=data.folded[:, keep],
+                   sharpened=data.sharpened[:, keep], echoes=data.echoes[..., keep],
                    folded_beside=data.folded_beside[:, keep])  # fmt: skip
 
 
@@ -324,7 +329,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     return MotionBlocks(
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
         shaft_response(model, places, f), colours(model, places, f, OF_FORCE), np.zeros((P, 2)), rms, driven,
-        sharpened(model, places, f), _folded(model, places, kinds, mass, f), np.zeros((P, f.size)),
+        sharpened(model, places, f), _echoes(model, places, kinds, mass, f), np.zeros((P, f.size)),
         below, below, None, 0.0, _shared(model, places), pushes(model, places), waves(model, places, rate_hz),
         disc=disc_of(model),
     )  # fmt: skip
@@ -350,12 +355,12 @@ def sharpened(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
     return np.array([1.0 / np.abs(of_place(model, p, 2 * np.pi * f_hz)) ** 2 for p in places])
 
 
-def _folded(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], mass: Array, f_hz: Array) -> Array:
-    """What the recorder's filter lets through above half the rate, as MotionBlocks.folded."""
-    out = np.zeros((len(places), f_hz.size))
-    for place, own in (model.roll_off or {}).items():
-        i = places.index(place)
-        out[i] = own.folded(f_hz, kinds[i]) / own.passed(f_hz) / mass[i] ** 2
+def _echoes(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], mass: Array, f_hz: Array) -> Array:
+    """What the recorder's filter lets through above half the rate, as MotionBlocks.echoes."""
+    own = [echoes(model, place, kind, f_hz) / m**2 for place, kind, m in zip(places, kinds, mass, strict=True)]
+    out = np.zeros((max(map(len, own)), len(places), f_hz.size))
+    for i, z in enumerate(own):
+        out[: len(z), i] = z
     return out
 
 

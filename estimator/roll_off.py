@@ -76,12 +76,14 @@ class Filter:
 
     def folded(self, f_hz: Array, kind: str) -> Array:
         """(f,) PSD, as acceleration of a sensor of this kind, of what is folded back, over that of a free mass."""
+        return np.asarray(self.echoes(f_hz, kind).sum(axis=0))
+
+    def echoes(self, f_hz: Array, kind: str) -> Array:
+        """(images, f) the same from each of its images."""
         if self.nepers:
-            return np.zeros_like(f_hz)
-        rates = self.rate_hz * np.arange(1.0, IMAGES + 1)[:, None]
-        images = np.concatenate([rates - f_hz, rates + f_hz])
-        back = self.passed(images) * (images / f_hz) ** (2.0 * POWER_OF_W[kind])
-        return self.echo * np.asarray(back.sum(axis=0))
+            return np.zeros((0, f_hz.size))
+        beyond = images(self.rate_hz, f_hz)
+        return np.asarray(self.echo * self.passed(beyond) * (beyond / f_hz) ** (2.0 * POWER_OF_W[kind]))
 
     def said(self) -> str:
         """What to tell the user of it; nothing of one that is too weak."""
@@ -112,6 +114,12 @@ class Filter:
 
 
 RollOff = Mapping[str, Filter]  # by place: one for all, or of some
+
+
+def images(rate_hz: float, f_hz: Array) -> Array:
+    """(images, f) Hz of what sampling folds to f (f,)."""
+    rates = rate_hz * np.arange(1.0, IMAGES + 1)[:, None]
+    return np.asarray(np.concatenate([rates - f_hz, rates + f_hz]))
 
 
 def gain(nepers: tuple[float, ...], f_hz: Array, top_hz: float) -> Array:

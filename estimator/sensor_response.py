@@ -13,8 +13,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from .model import MOTION, Model
-from .roll_off import Filter
+from .model import MOTION, EffectUse, Model
+from .roll_off import Filter, images
 from .side_by_side import each
 
 Array = NDArray[np.float64]
@@ -30,14 +30,14 @@ def forced(model: Model) -> frozenset[str]:
 
 
 def response(name: str, values: Mapping[str, float | None], w: Array) -> Complexes:
-    """(f,) of one fault at w (f,) rad/s; 1 where a number is not known."""
+    """Of one fault at w rad/s, of its shape; 1 where a number is not known."""
     if name == "sensor_gain":
-        return np.full(w.size, 1.0 + (values.get("error") or 0.0), complex)
+        return np.full(w.shape, 1.0 + (values.get("error") or 0.0), complex)
     if name == "sensor_skew":
         return np.asarray(np.exp(-1j * w * (values.get("delay") or 0.0)))
     f0, quality = values.get("frequency"), values.get("quality")
     if not f0 or not quality:
-        return np.ones(w.size, complex)
+        return np.ones(w.shape, complex)
     r = w / (2 * np.pi * f0)
     return np.asarray(1.0 / (1.0 - r**2 + 1j * r / quality))
 
@@ -55,17 +55,38 @@ def recorder(model: Model, place: str) -> Filter | None:
     return None if place in forced(model) else (model.roll_off or {}).get(place)
 
 
+def echoes(model: Model, place: str, kind: str, f_hz: Array) -> Array:
+    """(images, f) PSD of the acceleration that the recorder at a place folds back from each image, over that of a free
+    mass, once the responses are undone: the sensor had its own at the image."""
+    own = (model.roll_off or {}).get(place)
+    if own is None or own.nepers:
+        return np.zeros((0, f_hz.size))
+    heard = np.abs(_faults(model, place, 2 * np.pi * images(own.rate_hz, f_hz))) ** 2
+    return np.asarray(own.echoes(f_hz, kind) * heard / np.abs(of_place(model, place, 2 * np.pi * f_hz)) ** 2)
+
+
+def resonance(model: Model, place: str) -> tuple[float, float] | None:
+    """Hz and quality of the resonance of the sensor at a place, as the model has it."""
+    numbers = [_numbers(use, model, place) for use in model.effects if use.name == "sensor_resonance"]
+    f0, quality = (numbers[0].get(name) if numbers else None for name in ("frequency", "quality"))
+    return (f0, quality) if f0 and quality else None
+
+
 def _faults(model: Model, place: str, w: Array) -> Complexes:
-    """(f,) of the sensor."""
-    out = np.ones(w.size, complex)
+    """Of the sensor, of the shape of w."""
+    out = np.ones(w.shape, complex)
     for use in model.effects:
         if use.name not in LINEAR:
             continue
-        channels = {c.name for c in model.channels if c.place == place and c.kind in MOTION}
-        own = [s for key, s in use.parameters.items() if key in (place, place.split(".")[0]) or key in channels]
-        if own:
-            out *= response(use.name, {n: s.value for n, s in own[0].items()}, w)
+        out *= response(use.name, _numbers(use, model, place), w)
     return out
+
+
+def _numbers(use: EffectUse, model: Model, place: str) -> dict[str, float | None]:
+    """What a use says of the motion channel at a place; nothing if it is of another."""
+    channels = {c.name for c in model.channels if c.place == place and c.kind in MOTION}
+    own = [s for key, s in use.parameters.items() if key in (place, place.split(".")[0]) or key in channels]
+    return {name: setting.value for name, setting in own[0].items()} if own else {}
 
 
 def undone(model: Model, y: Array, rate_hz: float) -> Array:

@@ -13,7 +13,7 @@ from .errors import DataError, ModelError
 from .free_run import free_run
 from .model import Model
 from .motion_blocks import MotionBlocks, cut, spectrum
-from .sensor_response import recorder
+from .sensor_response import echoes, recorder
 from .simulate import simulate
 from .working_point import WorkingPoint
 
@@ -67,8 +67,8 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
         model_psd = np.interp(f, *of_acceleration(own, i))
         if (off := recorder(model, data.places[i])) is not None:
             measured, model_psd = measured * off.passed(f), model_psd * off.passed(f)  # as it was measured
-            folded = off.folded(np.maximum(f, data.band[0]), data.kinds[i])
-            model_psd = model_psd + folded * point.S[i] / data.mass[i] ** 2
+            folded = echoes(model, data.places[i], data.kinds[i], np.maximum(f, data.band[0])).sum(axis=0)
+            model_psd = model_psd + folded * off.passed(f) * point.S[i] / data.mass[i] ** 2
         inside = (f >= data.band[0]) & (f <= data.band[1])
         # noise of the sensor and its counts belongs to the measurement, not to the rotor
         noise = point.nu[i] * point.S[i] * noise_shape(data.kinds[i : i + 1], 2 * np.pi * f[inside])[0]

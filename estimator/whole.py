@@ -87,7 +87,7 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     whole = _turning(model, y, rate_hz)
     _resonates(whole.point)
     if not model.roll_off:
-        if off := common_fall.find(whole.point):
+        if off := common_fall.find(whole.model, whole.point):
             whole = _turning(replace(model, roll_off=off), y, rate_hz, whole.point)
         if late := recorder_phase.found(whole.model, whole.point):
             whole = _turning(replace(model, roll_off=late), y, rate_hz, whole.point)

@@ -12,8 +12,8 @@ from scipy import signal
 
 from estimator.filter_designs import chebyshev, designs
 from estimator.filter_search import Seen, _spectrum, likeliest
-from estimator.force_colour import CELLS, Cells
-from estimator.roll_off import Filter
+from estimator.force_colour import CELLS, Cells, resonant
+from estimator.roll_off import Filter, images
 from estimator.sensor_response import undone
 
 Array = NDArray[np.float64]
@@ -21,21 +21,31 @@ TOP, MASS, BINS, BLOCKS = 8000.0, 0.2, 2000, 300
 BLANK = Filter(RATE, TOP)
 
 
-def seen(off: Filter, resonance_hz: float, S: float, seed: int, noise: float = 0.0) -> Seen:
-    """A cap's cells behind a filter, its model 2 % off in k and 10 % in c; nothing is at the other caps."""
+def seen(
+    off: Filter, resonance_hz: float, S: float, seed: int, noise: float = 0.0,
+    true: tuple[float, float] | None = None, undone: tuple[float, float] | None = None,
+) -> Seen:  # fmt: skip
+    """A cap's cells behind a filter, its model 2 % off in k and 10 % in c; nothing is at the other caps. true, undone :
+    Hz and quality of a resonance of its sensor, as it is and as it has been taken back."""
     f = np.linspace(200.0, TOP, BINS)
     edges = np.unique(np.round(np.geomspace(12, BINS, CELLS)).astype(int))
     n = np.diff(edges, prepend=0)
     w = 2 * np.pi * np.add.reduceat(f, edges - n) / n
     k, c = MASS * (2 * np.pi * resonance_hz) ** 2, 40.0
     A, one = MASS - k / w**2 + c / (1j * w), np.ones(w.size)
-    cells = Cells(one, n.astype(float) * BLOCKS, w, A, one, np.abs(A) ** 2, 0 * w, 0 * w)
+    none = np.zeros((0, w.size))
+    cells = Cells(one, n.astype(float) * BLOCKS, w, A, one, np.abs(A) ** 2, 0 * w, 0 * w, none, none)
     through = np.abs(A) ** 2 / MASS**2
     hz = w / (2 * np.pi)
+    passed, echoes = off.passed(hz), off.echoes(hz, "acceleration")
+    if true is not None and undone is not None:
+        was = resonant(hz, *undone)
+        passed, echoes = passed * resonant(hz, *true) / was, echoes * resonant(images(RATE, hz), *true) / was
+        cells = replace(cells, heard=cells.heard / was)
     u = np.array([np.log(S), noise, 0.02 * k, -0.1 * c])
-    mean = _spectrum(cells, u, off.passed(hz), off.folded(hz, "acceleration") * through)[0]
+    mean = _spectrum(cells, u, passed, echoes.sum(axis=0) * through)[0]
     power = mean * np.random.default_rng(seed).gamma(cells.n) / cells.n
-    return Seen(replace(cells, power=power), through, "acceleration")
+    return Seen(replace(cells, power=power), through, 0 * w, "acceleration", undone)
 
 
 def both(off: Filter) -> list[Seen]:
@@ -77,11 +87,23 @@ def test_means_that_fold_back_half_as_much_again_are_found() -> None:
     assert found.echo == pytest.approx(1.5, abs=0.05)
 
 
+@pytest.mark.parametrize("true", [(5600.0, 12.0), (4000.0, 5.0)])
+def test_a_mean_is_seen_where_a_sensor_resonates(true: tuple[float, float]) -> None:
+    """Behind it a white acceleration stays white: the other place alone shows almost nothing of it."""
+    off, undone = replace(BLANK, means=1.0), (0.994 * true[0], 0.94 * true[1])
+    places = [seen(off, 1100.0, 0.01, 1, true=true, undone=undone), seen(off, 900.0, 0.004, 2, noise=1e-3)]
+    information, found = likeliest(places, BLANK)
+    assert not found.poles
+    assert found.means == pytest.approx(1.0, abs=0.05)
+    df = sum(own.cells.n.size for own in places)
+    assert abs(information - df) < 4 * np.sqrt(2 * df)
+
+
 def test_derivatives_are_those_of_the_spectrum() -> None:
     own = seen(replace(BLANK, means=1.0), 1000.0, 0.01, 3)
     c = replace(own.cells, others=1e-3 / own.cells.w**0.5)
     hz = c.w / (2 * np.pi)
-    passed, back = np.sinc(hz / RATE) ** 2, 0.1 * own.through
+    passed, back = np.sinc(hz / RATE) ** 2, 0.1 * own.own
     u = np.array([-4.0, 1e-3, 1e5, 5.0])
     _, J = _spectrum(c, u, passed, back)
     for row, one, small in zip(J, np.eye(4), (1e-6, 1e-9, 1.0, 1e-5), strict=True):

@@ -44,7 +44,7 @@ def test_the_force_inferred_by_a_wrong_stiffness_beside_caps_that_answer() -> No
     inferred = thought @ np.linalg.inv(true)
     A, others = force_colour.answered(thought, S, i)
     one = np.ones(f)
-    c = force_colour.Cells(one, one, one, A, one, 0.0 * one, others, 0.0 * one)
+    c = force_colour.Cells(one, one, one, A, one, 0.0 * one, others, 0.0 * one, *2 * [np.zeros((0, f))])
     found = c.spectrum(np.array([np.log(S[i]), 0.0, 0.0, 0.0]), A + delta)
     np.testing.assert_allclose(found, np.abs(inferred[:, i]) ** 2 @ S, rtol=1e-9)
 
