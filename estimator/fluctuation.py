@@ -6,7 +6,7 @@ Beside a law that remembers it is found by a probe: probe.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,15 @@ class Fluctuation:
         """(bins,) N/m per unit: Sigma of a law with tangents (2, n) along x and v on `data`."""
         Z = _spectra(tangents, self.data, self.g.shape[1])
         return self_energy(covariance(Z, self.K, self.g.shape[1]), self.g, 1.0 / self.data.rate_hz, self.data.f_hz)
+
+    def shorter(self, seconds: float) -> Fluctuation:
+        """The same from less of the record."""
+        data = part_of(self.data, seconds)
+        if data is self.data:
+            return self
+        blocks = self.total.reshape(2, self.data.blocks, -1)
+        total = blocks[:, np.isin(self.data.start, data.start)].reshape(2, -1)
+        return replace(self, data=data, total=total, K=_spectra(total, data, self.g.shape[1]))
 
     def coarse(self, rate_hz: float, mean: Mean) -> Fluctuation:
         """The same at the rate of the record, for laws without jumps, if that follows how fast the motion leaves one of

@@ -66,6 +66,10 @@ class Probe:
             _remembered(law.step, law.force, self.motion, self.lags, a, carried, sums)
         return self._sigma(sums / _impulses(self.motion, self.lags))
 
+    def shorter(self, seconds: float) -> Probe:
+        """The same: impulses were sent along all of it."""
+        return self
+
     def coarse(self, rate_hz: float, mean: Mean) -> Probe:
         """The same at the rate of the record: enough for laws without jumps."""
         by = round(self.data.rate_hz / rate_hz)

@@ -10,7 +10,7 @@ from hidden_effects import RATE, one_bearing, record, size, strengths, with_effe
 
 from estimator import adequacy, missing_force, spectral
 from estimator.effects import CATALOGUE
-from estimator.fluctuation import fluctuations
+from estimator.fluctuation import Fluctuation, fluctuations
 from estimator.model import EffectUse, Model
 from estimator.model_uses import placed_of
 from estimator.motion_blocks import finer
@@ -66,6 +66,20 @@ def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
     own = [u for u in point.placed if 0 in u.at]
     parts = [here.of(tangent_series(u, here.data, 0, u.p)) for u in own]
     assert np.abs(sum(parts) - here.whole).max() < 1e-4 * np.abs(here.whole).max()
+
+
+@pytest.mark.parametrize("strong", ["quadratic_damping"], indirect=True)
+def test_a_part_of_the_record_dresses_a_column_nearly_as_all_of_it(strong: Case) -> None:
+    _, _, _, point = strong
+    whole = point.fluctuations[0]
+    assert isinstance(whole, Fluctuation)
+    part = whole.shorter(whole.data.seconds / 2)
+    assert 0.4 < part.data.seconds / whole.data.seconds < 0.6
+    assert part.total.shape[1] == part.data.t.size
+    use = next(u for u in point.placed if 0 in u.at and u.effect.name == "quadratic_damping")
+    both, all_of_it = (here.of(tangent_series(use, here.data, 0, use.p)) for here in (part, whole))
+    assert np.abs(both - all_of_it).max() < 0.1 * np.abs(all_of_it).max()
+    assert whole.shorter(whole.data.seconds) is whole
 
 
 def test_the_finer_grid_keeps_the_motion() -> None:
