@@ -23,7 +23,7 @@ from .path_fit import PathFit
 from .placed import Placed
 from .side_by_side import each
 from .subproblem import Subproblem
-from .working_point import WorkingPoint, fit_model
+from .working_point import WorkingPoint, fit_model, glanced
 
 Array = NDArray[np.float64]
 SECONDS = 6.0
@@ -34,13 +34,19 @@ BELOW = 0.1  # of a damping without a pedestal: a fit with one may end as far be
 CLOSER = np.array([0.56, 1.0, 1.8])  # about the best node of a grid of several numbers, whose steps are wide
 
 
-def fit_record(model: Model, data: MotionBlocks, begun: WorkingPoint | None = None) -> WorkingPoint:
+def fit_record(
+    model: Model, data: MotionBlocks, begun: WorkingPoint | None = None, glance: bool = False
+) -> WorkingPoint:
     """The model fitted to a record, whatever values its rig file starts from. begun : the same fitted to nearly the
-    same record, to begin from where only amplitudes are sought."""
+    same record, to begin from where only amplitudes are sought. glance : there, near enough to look at the force."""
     uses, near = _suggested(data, placed_of(model, data), placed_of(_unnumbered(model), data))
     loose = [k for k, use in enumerate(uses) if _searched(use)]
+    if not loose and not near and begun:
+        return fit_model(data, list(begun.placed), begun)
+    if not loose and not near and glance:
+        return glanced(data, uses)
     if not loose:
-        return fit_model(data, uses, near) if near or not begun else fit_model(data, list(begun.placed), begun)
+        return fit_model(data, uses, near)
     part = part_of(data, SECONDS)
     kinds = {k: (uses[k].effect.name, *_searched(uses[k])) for k in loose}
     for kind in dict.fromkeys(kinds.values()):

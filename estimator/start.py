@@ -182,11 +182,17 @@ def resonances(evidence: Evidence, B: Floats) -> tuple[Floats, Floats]:
     return f[peaks], np.asarray(widths, dtype=np.float64)
 
 
-def refuse_without_resonance(place: str, m: float, c: float, kL: float, band: tuple[float, float]) -> None:
-    """Raises DataError if a place with this mean response does not resonate inside the band, Hz."""
+def resonates(m: float, c: float, kL: float, band: tuple[float, float]) -> bool:
+    """Whether a place with this mean response resonates inside the band, Hz."""
     low, high = band
     f0 = np.sqrt(kL / m) / (2 * np.pi) if kL > 0 and m > 0 else 0.0
-    if not (1.02 * low < f0 < 0.98 * high) or c > 1.8 * np.sqrt(kL * m):
+    return bool(1.02 * low < f0 < 0.98 * high and c <= 1.8 * np.sqrt(kL * m))
+
+
+def refuse_without_resonance(place: str, m: float, c: float, kL: float, band: tuple[float, float]) -> None:
+    """Raises DataError if a place with this mean response does not resonate inside the band, Hz."""
+    if not resonates(m, c, kL, band):
+        low, high = band
         raise DataError(
             f"no resonance of {place} inside the band {low:g}-{high:g} Hz: choose a band around the bearing resonance, "
             "and check that the channel is the bearing's"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import starmap
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ from .preparation import prepare, shortened
 from .search_start import fit_record
 from .sensor_response import BLIND, LINEAR, forced
 from .shaft_angle import timed
-from .start import refuse_without_resonance
+from .start import refuse_without_resonance, resonates
 from .suspect import Suspect, as_use
 from .suspects import suspects
 from .working_point import WorkingPoint
@@ -84,13 +85,14 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     stiffness and damping then, and so of what is missing beside them.
     """
     model, masses = unknown_mass.weighed(timed(model, y, rate_hz), y, rate_hz)
-    whole = _turning(model, y, rate_hz)
-    _resonates(whole.point)
-    if not model.roll_off:
-        if off := common_fall.find(whole.model, whole.point):
-            whole = _turning(replace(model, roll_off=off), y, rate_hz, whole.point)
-        if late := recorder_phase.found(whole.model, whole.point):
-            whole = _turning(replace(model, roll_off=late), y, rate_hz, whole.point)
+    begun = _glanced(model, y, rate_hz)
+    off = common_fall.find(model, begun) if begun and all(starmap(resonates, _means(begun))) else None
+    whole = _turning(replace(model, roll_off=off) if off else model, y, rate_hz, begun)
+    if not begun and not model.roll_off and (off := common_fall.find(whole.model, whole.point)):
+        whole = _turning(replace(model, roll_off=off), y, rate_hz, whole.point)
+    _refuse(whole.point)
+    if not model.roll_off and (late := recorder_phase.found(whole.model, whole.point)):
+        whole = _turning(replace(model, roll_off=late), y, rate_hz, whole.point)
     data = whole.point.data
     said = (
         *shortened(data, y),
@@ -104,16 +106,30 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     return replace(whole, messages=(*said, *whole.messages), masses=masses)
 
 
-def _resonates(point: WorkingPoint) -> None:
-    """Refuses places that do not resonate in the band."""
+def _glanced(model: Model, y: Array, rate_hz: float) -> WorkingPoint | None:
+    """The model's laws near enough to see a filter, which is undone before they are fitted in earnest. None where the
+    model has more than laws of the states, or a filter."""
+    if model.roll_off or modulation.laws(model) or any(beside_the_laws(u) for u in model.effects):
+        return None
+    return fit_record(model, prepare(model, y, rate_hz), glance=True)
+
+
+def _means(point: WorkingPoint) -> list[tuple[float, float, float, tuple[float, float]]]:
+    """m, c and k of the mean response of the places without a measured force, and the band."""
     data, slopes = point.data, point.slopes
-    for i, place in enumerate(() if data.measured_force else data.places):
-        refuse_without_resonance(place, float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band)
+    own = range(0 if data.measured_force else len(data.places))
+    return [(float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band) for i in own]
+
+
+def _refuse(point: WorkingPoint) -> None:
+    """Refuses places that do not resonate in the band."""
+    for place, mean in zip(point.data.places, _means(point), strict=False):
+        refuse_without_resonance(place, *mean)
 
 
 def _turning(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None = None) -> Whole:
     """The same at the speed that the model gives, the ball-pass order from the record where the model leaves it.
-    begun : the same before a filter was undone."""
+    begun : the same nearly fitted, or before a filter was undone."""
     if not modulation.sought(model):
         return _fitted(model, y, rate_hz, begun)
     if laws := modulation.laws(model):
@@ -129,7 +145,8 @@ def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None =
     """The same at the ball-pass order that the model gives."""
     uses = [u for u in model.effects if beside_the_laws(u)]
     if not uses:
-        return Whole(model, fit_record(model, prepare(model, y, rate_hz), begun), {})
+        data = replace(begun.data) if begun and not model.roll_off else prepare(model, y, rate_hz)  # seen anew
+        return Whole(model, fit_record(model, data, begun), {})
     limited, y = y, restored(model, y, clipped(model))
     undone = [u for u in uses if _undone(u, model)]
     bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u in undone))

@@ -32,11 +32,12 @@ from .transfer import response_of
 Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
 LEAP = 3.0  # from a part of a record to the next
-LAST_ROUNDS = 3  # at most, on the whole of it
+ROUNDS, LAST_ROUNDS = 6, 3  # at most, and on the whole of it
 NOISE_STEP = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
 LEAST_LEFT = 0.3  # of a stiffness, after a step, where the force is measured
 STRIDE = 0.3  # of the reach of a searched parameter: one standard deviation of the step that is taken at once
 SETTLED = 0.1  # standard deviations by which the last step of a fit moves
+NEARLY = 0.5  # the same on a part of a record, which is not where the fit ends
 SHAKEN = 0.3  # the same where laws are dressed by a probe, which moves with them
 LOOKED_AT = 80  # blocks, for the spectrum of the motion
 BESIDE = 0.05  # of what laws do not see outside of the band, or of what is folded into it, that it moves by
@@ -86,9 +87,13 @@ class WorkingPoint:
 
 
 def fit_model(
-    data: MotionBlocks, uses: list[Placed], start: WorkingPoint | None = None, rounds: int = 6
-) -> WorkingPoint:
-    """Fit kL, c, S and every free parameter of the effects, from a start that needs no values of the linear part."""
+    data: MotionBlocks, uses: list[Placed], start: WorkingPoint | None = None, rounds: int = ROUNDS,
+    moving: float = SETTLED,
+) -> WorkingPoint:  # fmt: skip
+    """Fit kL, c, S and every free parameter of the effects, from a start that needs no values of the linear part.
+
+    moving : standard deviations by which the last of fewer than `rounds` steps may move.
+    """
     P = len(data.places)
     data = without_comb(data, [use.effect for use in uses])
     if start is None:
@@ -127,20 +132,30 @@ def fit_model(
         if not alike(level, data.level):
             data, settled = replace(data, level=level), False
         shaken = any(isinstance(f, Probe) for f in point.fluctuations)
-        if rounds == 0 or (moved.max(initial=0.0) < (SHAKEN if shaken else SETTLED) and settled):
+        if rounds == 0 or (moved.max(initial=0.0) < (max(SHAKEN, moving) if shaken else moving) and settled):
             return replace(point, kL=kL, c=c, placed=tuple(uses))
         rounds -= 1
         del point  # its columns are large: let go before the next are made
 
 
-def _approached(data: MotionBlocks, uses: list[Placed], rounds: int) -> WorkingPoint | None:
+def glanced(data: MotionBlocks, uses: list[Placed]) -> WorkingPoint:
+    """The same with one step on the whole record where a part of it is enough to begin from: to look at its force."""
+    data = without_comb(data, [use.effect for use in uses])
+    start = _approached(data, uses)
+    if start is None:
+        return fit_model(data, uses)
+    point = fit_model(data, list(start.placed), start, rounds=0)
+    return replace(point, nu=noise_of(point)[0])
+
+
+def _approached(data: MotionBlocks, uses: list[Placed], rounds: int = ROUNDS) -> WorkingPoint | None:
     """The model fitted to a part of a long record, and by a step each to longer ones where a step is dear; None for a
     short record."""
     lin = np.stack([data.mass, *np.ones((2, len(data.places)))], axis=1)
     dear = any(remembers(u, lin[u.at[0]]) for u in uses)
     start, seconds = None, FIRST_SECONDS
     while (start is None or dear) and (part := part_of(data, seconds)) is not data:
-        start = fit_model(part, uses, start, rounds if start is None else 0)
+        start = fit_model(part, uses, start, rounds if start is None else 0, NEARLY)
         uses, seconds = list(start.placed), LEAP * seconds
     return start
 
