@@ -337,8 +337,11 @@ def resonance_hz(point: WorkingPoint, i: int) -> float:
 
 
 def _shaped(c: Cells, shape: Shape, u: Array, scale: Array) -> tuple[float, Array, Array]:
-    """Largest likelihood of the base model, at u, with a cause beside it; where, and the standard deviations there."""
-    starts = [np.concatenate([u, s]) for s in shape.starts]
+    """Largest likelihood of the base model, at u, with a cause beside it; where, and the standard deviations there.
+
+    Without the cause there may have been no noise, ln 0, and from there a search finds none."""
+    begun = np.array([u[0], max(u[1], u[0] + float(np.log(LEAST_NOISE / np.mean(c.heard)))), *u[2:]])
+    starts = [np.concatenate([begun, s]) for s in shape.starts]
     if shape.idle:
         starts += [start - shape.idle * np.eye(start.size)[3] for start in starts]
     return _maximum(c, shape.model, starts, np.concatenate([scale, np.full(len(shape.names), 0.3)]))

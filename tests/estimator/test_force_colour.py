@@ -134,3 +134,23 @@ def test_a_resonance_is_undone_in_what_the_other_cap_answers() -> None:
             p = whole.parameters[f"{place}.{name}"]
             assert p.value == pytest.approx(true, abs=3.5 * (p.sd or 0.0)), (place, name)
     assert not survey(whole.point, whole.model).any_found()
+
+
+def test_noise_that_only_the_cause_shows_is_found_beside_it() -> None:
+    """Without the resonance no noise was seen, and from none the search did not leave: the quality was 8 standard
+    deviations low."""
+    place, true = "bearing1.x", {"frequency": 5600.0, "quality": 5.0}
+    known = {"kL": Setting(5.3e7), "c": Setting(126.0), "S": Setting(4.4e-3)}
+    rig = one_bearing()
+    rig = replace(
+        rig, channels=rig.channels[:1], band=(220.0, 8000.0), mass={"bearing1": 0.45}, linear={place: known}, effects=()
+    )
+    y = simulate(rig, RATE, 8.0, seed=3, noise=0.0)
+    r = np.fft.rfftfreq(len(y), 1 / RATE) / true["frequency"]
+    y[:, 0] = np.fft.irfft(np.fft.rfft(y[:, 0]) / (1.0 - r**2 + 1j * r / true["quality"]), len(y))
+    y += 0.5 * np.random.default_rng(1).normal(size=y.shape)
+    found = force_colour.find(rig, fit_record(rig, prepare(rig, y, RATE)))
+    (own,) = (s for s in found if s.effect == "sensor_resonance")
+    for name, value in true.items():
+        p = own.settings[place][name]
+        assert p.value == pytest.approx(value, abs=4 * (p.sd or 0.0)), name
