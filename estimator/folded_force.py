@@ -9,10 +9,16 @@ It is told from all that may bend the path by its coherence with the motion that
 density of n: what a wrong k, c or A leaves there is as the motion is, w^4 at low frequencies, and a law under Gaussian
 motion leaves nothing that follows it (Bussgang). From both sides of the rate comes M(rate - f) + M(rate + f), which is
 even in f: two numbers are enough, behind any filter.
+
+Of a sensor of motion whose response H is undone, what is folded went through it at the image: n = H(w')* / H(w) a(w')*
+and, from beyond the rate, H(w'') / H(w) a(w''). A delay of 0.8 samples turns the two by +-293 degrees, so that they
+answer the force no more as the mass does, and apart: two numbers more, odd in f, for M(rate - f) - M(rate + f). Taken
+for what a sensor in time folds it left 22 % of a force.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,11 +39,25 @@ def alike(hz: Array, rate_hz: float, mass: float, k: float, c: float) -> Complex
     return np.asarray(mass - k / was**2 - c / (1j * was))
 
 
-def folded(r: Response, back: Complexes, rate_hz: float) -> Array:
-    """(cells,) PSD of the acceleration that is folded, 0 where none is seen. back : (cells,) as `alike` gives it."""
+@dataclass(frozen=True, slots=True)
+class Folded:
+    """density : (cells,) PSD of the acceleration, 0 where none is seen. force : (cells,) that goes with it."""
+
+    density: Array
+    force: Complexes
+
+
+def folded(r: Response, back: Complexes, passed: Complexes, rate_hz: float) -> Folded:
+    """back : (cells,) as `alike` gives it. passed : (2, cells) H(w')* / H(w) and H(w'') / H(w)."""
     from scipy.optimize import lsq_linear
 
-    B, x2 = r.A - back, (r.w / (2 * np.pi * rate_hz)) ** 2
+    x, through = r.w / (2 * np.pi * rate_hz), np.abs(passed) ** 2
+    even, odd = [(x**p, x**p) for p in (0, 2)], [(x**p, -(x**p)) for p in (1, 3)]
+    sides = np.array(even if np.allclose(passed, 1.0) else even + odd)  # (numbers, 2, cells)
+
+    def noise(density: Array) -> Complexes:
+        return np.asarray(np.sum((r.A * through - back * passed.conj()) * density, axis=-2))
+
     weight = np.sqrt(r.n / (r.rr * r.aa))
 
     rotor = [r.aa / r.w**2, r.aa / (1j * r.w), r.A * r.aa, 1j * r.w * r.A * r.aa]  # of wrong k, c, gain and delay
@@ -52,7 +72,11 @@ def folded(r: Response, back: Complexes, rate_hz: float) -> Array:
 
     before, _ = fitted()
     sensor, _ = fitted(r.A * r.noise)
-    after, numbers = fitted(B, B * x2)
+    after, numbers = fitted(*noise(sides))
     if sensor - after < WORTH or after - 2 * r.n.size > LEFT * before:
-        return np.zeros_like(r.w)
-    return np.asarray(numbers[-2] + numbers[-1] * x2)
+        return Folded(np.zeros_like(r.w), back)
+    density = np.maximum(np.tensordot(numbers[len(rotor) :], sides, 1), 0.0)
+    seen = np.sum(through * density, axis=0)
+    with np.errstate(invalid="ignore"):
+        force = back * np.sum(passed.conj() * density, axis=0) / seen
+    return Folded(seen, np.where(seen > 0.0, force, back))

@@ -21,11 +21,12 @@ from .model import MOTION, Model
 from .periodic import Push, Wave, pushes, series, waves
 from .plausible import check_moves
 from .rotor import shaft_at_caps
-from .sensor_response import echoes, forced, of_place
+from .sensor_response import echoes, forced, of_place, passed_of_images
 from .shaft_angle import measured_phase
 from .side_by_side import each
 
 Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 FOLDS = 6
 OF_FORCE = ("coloured_excitation",)  # effects that are a shape of the spectrum of the force itself
 COLOURS = (*OF_FORCE, "sensor_resonance")  # and those that look like one where they are not undone in the record
@@ -66,6 +67,8 @@ class MotionBlocks:
     sharpened: Array  # (places, bins) by what undoing a response has multiplied its noise, in power
     echoes: Array  # (images, places, bins) PSD of acceleration that sampling folds back, over S: roll_off.py
     folded_beside: Array  # (places, bins) the same, not over S, beside a measured force: folded_force.py
+    alike_beside: Complexes  # (places, bins) the force that goes with it
+    passed: Complexes  # (2, places, bins) sensor_response.passed_of_images
     measured: Series | None = None  # (places, n) displacement below the band, where the sensor is one of displacement
     slow: Series | None = None  # (places, n) all of it that the laws see: slow_motion.py
     calm: Series | None = None  # (places, n) what laws see of x beside it, less the noise of sensors: calm.py
@@ -195,7 +198,8 @@ def without_hz(data: MotionBlocks, low: float, high: float) -> MotionBlocks:
         return data
     return replace(data, bins=data.bins[keep], shaft=data.shaft[keep], colour=data.colour[:, keep],
                    sharpened=data.sharpened[:, keep], echoes=data.echoes[..., keep],
-                   folded_beside=data.folded_beside[:, keep])  # fmt: skip
+                   folded_beside=data.folded_beside[:, keep], alike_beside=data.alike_beside[:, keep],
+                   passed=data.passed[..., keep])  # fmt: skip
 
 
 def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:
@@ -330,6 +334,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
         places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
         shaft_response(model, places, f), colours(model, places, f, OF_FORCE), np.zeros((P, 2)), rms, driven,
         sharpened(model, places, f), _echoes(model, places, kinds, mass, f), np.zeros((P, f.size)),
+        np.zeros((P, f.size), complex), np.stack([passed_of_images(model, p, rate_hz, f) for p in places], axis=1),
         below, below, None, 0.0, _shared(model, places), pushes(model, places), waves(model, places, rate_hz),
         disc=disc_of(model),
     )  # fmt: skip

@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .folded_force import alike
 from .motion_blocks import MotionBlocks
 from .side_by_side import each
 
@@ -64,9 +63,8 @@ class NoisePaths:
         return np.asarray(np.eye(A.shape[1]) + np.linalg.solve(A, apart @ A))
 
 
-def noise_paths(data: MotionBlocks, A: Complexes, slopes: Array, nu: Array, S: Array) -> NoisePaths:
-    """A : (bins, places, places), slopes : (places, places, 2) its mean tangent. nu : (places,) noise of the
-    sensors over S. S : (places,)."""
+def noise_paths(data: MotionBlocks, A: Complexes, nu: Array, S: Array) -> NoisePaths:
+    """A : (bins, places, places). nu : (places,) noise of the sensors over S. S : (places,)."""
     heard = heard_of_all(data, A, nu * S) / S[:, None]
     weight = 1.0 / (data.colour + beyond(data, A, S) + heard)
     P = len(data.places)
@@ -79,9 +77,8 @@ def noise_paths(data: MotionBlocks, A: Complexes, slopes: Array, nu: Array, S: A
     if not data.folded_beside.any():
         return paths
     B = A.copy()
-    for i in np.flatnonzero(data.folded_beside[:, 0]):
-        k, c = slopes[i, i]
-        B[:, i, i] -= alike(data.f_hz, data.rate_hz, float(data.mass[i]), float(k), float(c))
+    for i in np.flatnonzero(data.folded_beside.any(axis=1)):
+        B[:, i, i] -= data.alike_beside[i]
         noise[i] = data.folded_beside[i]
     folded = np.einsum("lk,kjl->klj", noise, B.conj()) * root[:, None, :] ** 2
     return replace(paths, folded=folded, alone=(data.colour * weight * (data.driven == 0.0)[:, None]).T)

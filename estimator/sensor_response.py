@@ -65,6 +65,13 @@ def echoes(model: Model, place: str, kind: str, f_hz: Array) -> Array:
     return np.asarray(own.echoes(f_hz, kind) * heard / np.abs(of_place(model, place, 2 * np.pi * f_hz)) ** 2)
 
 
+def passed_of_images(model: Model, place: str, rate_hz: float, f_hz: Array) -> Complexes:
+    """(2, f) what the sensor at a place lets through of what is folded to f from below and from beyond the rate, the
+    first backwards, once its response is undone."""
+    below, beyond = (_faults(model, place, 2 * np.pi * (rate_hz + side * f_hz)) for side in (-1, 1))
+    return np.asarray(np.stack([below.conj(), beyond]) / _faults(model, place, 2 * np.pi * f_hz))
+
+
 def resonance(model: Model, place: str) -> tuple[float, float] | None:
     """Hz and quality of the resonance of the sensor at a place, as the model has it."""
     numbers = [_numbers(use, model, place) for use in model.effects if use.name == "sensor_resonance"]

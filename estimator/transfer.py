@@ -110,8 +110,8 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), ever
         return found
     k, c = point.slopes[i, i]
     back = alike(found.w / (2 * np.pi), data.rate_hz, float(data.mass[i]), float(k), float(c))
-    density = folded(found, back, data.rate_hz)
-    found = found.less(back, density) if density.any() else found
+    seen = folded(found, back, np.stack([mean(z) for z in data.passed[:, i]]), data.rate_hz)
+    found = found.less(seen.force, seen.density) if seen.density.any() else found
     others = np.arange(len(data.places)) != i
     across = np.sum(np.abs(point.A[:, i]) ** 2 * data.folded_beside.T, axis=1, where=others)
     return replace(found, across=mean(across).real) if across.any() else found

@@ -121,9 +121,9 @@ def fit_model(
         nu_old, (nu, weight) = nu, noise_of(point)
         settled = np.allclose(nu * weight, nu_old * weight, rtol=NOISE_STEP, atol=NOISE_STEP * LEAST_NOISE)
         settled &= not data.folded.any() or np.allclose(S, S_old, rtol=BESIDE)
-        folded = _folded_beside(point)
+        folded, force = _folded_beside(point)
         if not np.allclose(folded, data.folded_beside, rtol=BESIDE, atol=0.0):
-            data, settled = replace(data, folded_beside=folded), False
+            data, settled = replace(data, folded_beside=folded, alike_beside=force), False
         data = data if settled else _calmed(data, nu, point.S)
         beside = _left_out(point)
         if not np.allclose(beside, data.left_out, rtol=BESIDE, atol=0.0):
@@ -259,7 +259,7 @@ def _at(
     own = each(lambda use: terms(use, data, lin), uses)
     F, A, D = _forces(data, kL, c, uses, own)
     line = contour(A, data.mass, D, data.f_hz)
-    paths = noise_paths(data, A, D, nu, S)
+    paths = noise_paths(data, A, nu, S)
     weighing = Weighing(data, paths, line.s, paths.measured(along(line.s, A, data.mass, D)))
     spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
     mean = [Mean(float(data.mass[i]), float(D[i, i, 1]), float(D[i, i, 0])) for i in range(P)]
@@ -424,15 +424,18 @@ def _calmed(data: MotionBlocks, nu: Array, S: Array) -> MotionBlocks:
     return replace(data, calm=found.of(data.x, data.rate_hz).astype(np.float32), doubt=found.doubt)
 
 
-def _folded_beside(point: WorkingPoint) -> Array:
-    """(places, bins) PSD of the acceleration that is folded beside a measured force: folded_force.py."""
+def _folded_beside(point: WorkingPoint) -> tuple[Array, NDArray[np.complex128]]:
+    """(places, bins) PSD of the acceleration that is folded beside a measured force, and the force that goes with it:
+    folded_force.py."""
     data = point.data
-    out = np.zeros_like(data.colour)
+    out, force = np.zeros_like(data.colour), np.zeros(data.colour.shape, complex)
     for i in np.flatnonzero(data.driven):
         r = response_of(point, int(i), every=max(1, data.blocks // LOOKED_AT))
         if np.any(r.folded):
-            out[i] = np.interp(data.f_hz, r.w / (2 * np.pi), r.folded)
-    return out
+            hz = r.w / (2 * np.pi)
+            out[i] = np.interp(data.f_hz, hz, r.folded)
+            force[i] = np.interp(data.f_hz, hz, r.alike)
+    return out, force
 
 
 def _spectrum(data: MotionBlocks) -> Array:
