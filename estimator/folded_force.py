@@ -41,10 +41,12 @@ def alike(hz: Array, rate_hz: float, mass: float, k: float, c: float) -> Complex
 
 @dataclass(frozen=True, slots=True)
 class Folded:
-    """density : (cells,) PSD of the acceleration, 0 where none is seen. force : (cells,) that goes with it."""
+    """density : (cells,) PSD of the acceleration, 0 where none is seen. force : (cells,) that goes with it. likely :
+    whether it is seen, or less sure than is asked for and likelier than noise of the sensor."""
 
     density: Array
     force: Complexes
+    likely: bool
 
 
 def folded(r: Response, back: Complexes, passed: Complexes, rate_hz: float) -> Folded:
@@ -74,9 +76,9 @@ def folded(r: Response, back: Complexes, passed: Complexes, rate_hz: float) -> F
     sensor, _ = fitted(r.A * r.noise)
     after, numbers = fitted(*noise(sides))
     if sensor - after < WORTH or after - 2 * r.n.size > LEFT * before:
-        return Folded(np.zeros_like(r.w), back)
+        return Folded(np.zeros_like(r.w), back, bool(sensor > after and before - after > WORTH))
     density = np.maximum(np.tensordot(numbers[len(rotor) :], sides, 1), 0.0)
     seen = np.sum(through * density, axis=0)
     with np.errstate(invalid="ignore"):
         force = back * np.sum(passed.conj() * density, axis=0) / seen
-    return Folded(seen, np.where(seen > 0.0, force, back))
+    return Folded(seen, np.where(seen > 0.0, force, back), True)

@@ -81,7 +81,8 @@ class Response:
 
 
 def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), every: int = 1) -> Response:
-    """Of place i; bins beside `lines` (Hz) are left out. every : so manyth block is looked at."""
+    """Of place i; bins beside `lines` (Hz) are left out. every : so manyth block is looked at, all if it is in doubt
+    what is folded back."""
     data = point.data
     blocks = (z.reshape(-1, data.block)[::every] for z in (point.force[i], data.v[i]))
     R, v = (_spectra(z, data.block, data.start[::every])[:, data.bins] for z in blocks)
@@ -111,6 +112,8 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), ever
     k, c = point.slopes[i, i]
     back = alike(found.w / (2 * np.pi), data.rate_hz, float(data.mass[i]), float(k), float(c))
     seen = folded(found, back, np.stack([mean(z) for z in data.passed[:, i]]), data.rate_hz)
+    if every > 1 and seen.likely and not seen.density.any():
+        return response_of(point, i, lines)
     found = found.less(seen.force, seen.density) if seen.density.any() else found
     others = np.arange(len(data.places)) != i
     across = np.sum(np.abs(point.A[:, i]) ** 2 * data.folded_beside.T, axis=1, where=others)

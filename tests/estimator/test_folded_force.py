@@ -103,6 +103,13 @@ def test_what_is_folded_was_late_at_its_image(samples: float) -> None:
     assert not bent_path.find(whole.model, whole.point)
 
 
+def test_all_of_the_record_is_looked_at_where_a_part_is_not_enough() -> None:
+    """In doubt the fold was left out, by turns of a fit: a cubic was 9 % too weak, 26 standard deviations."""
+    record = sampled(noise=0.05)
+    point = fit_whole(RIG, record.y, RATE).point
+    assert all(np.any(response_of(point, 0, every=every).folded) for every in (1, 2, 4, 8))
+
+
 @pytest.mark.parametrize("noise", [1e-3, 0.03])
 def test_noise_of_sensors_is_no_fold(noise: float) -> None:
     r = response_of(fit_whole(RIG, sampled(filtered=False, noise=noise).y, RATE).point, 0)
