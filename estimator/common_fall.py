@@ -16,18 +16,19 @@ from .filter_search import Seen, likeliest
 from .force_colour import Cells
 from .model import Model
 from .roll_off import POWERS, Filter, RollOff, devices, images
-from .sensor_response import resonance
+from .sensor_response import SHAPES, shape
 from .side_by_side import answers
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 Plain = tuple[float, Array, Array]  # likelihood, numbers and their scales: force_colour.plain
+Shaped = tuple[tuple[float, float] | None, ...]  # numbers of SHAPES that a place has in the model
 Place = tuple[int, Cells, Plain]  # its index, its cells and the model fitted to them
 LEVEL = 1e-6
 LEAST = 0.002  # rms of ln(power) over the band, from where it matters to S
 EXPLAINED = 0.5  # of the misfit beyond chance
 ALIKE = 0.8  # the same of two channels of a bearing: one that falls beside one that does not leaves half
-NOTHING: Mapping[int, tuple[float, float]] = {}
+NOTHING: Mapping[int, Shaped] = {}
 CHANCE = 3.0  # standard deviations of a deviance
 WAVES, LOOK = 12, 1e-4  # half waves along the band, and chance of them, of what is looked into
 LINE, LINES = 6.0, 0.1  # standard deviations that a line raises a cell by; of the cells, those that lines may have
@@ -37,19 +38,19 @@ BEHIND = 12.0  # in deviance and a place, that causes of other kinds, two number
 def find(model: Model, point: WorkingPoint) -> RollOff | None:
     """None where nothing falls, or something else fits better. A place whose force has a colour in the model takes the
     filter that the others show, and so does one whose sensor's resonance is undone: what falls there is within that.
-    Where the others show none, it is sought with the resonance: filter_search.py."""
+    Where the others show none, it is sought with these shapes: filter_search.py."""
     data, whole = point.data, [*range(len(point.data.places))]
     if data.measured_force or point.kL.min() <= 0.0:
         return None
-    white = [i for i in whole if np.ptp(data.colour[i]) == 0.0]
-    found = _of(point, [i for i in white if np.ptp(data.sharpened[i]) == 0.0] or whole)
-    undone = {i: numbers for i in white if (numbers := resonance(model, data.places[i])) is not None}
-    if found is not None or not undone:
+    shapes = [tuple(shape(model, place, name) for name in SHAPES) for place in data.places]
+    shaped = {i: shapes[i] for i in whole if any(shapes[i])}
+    plain = [i for i in whole if i not in shaped]
+    found = _of(point, plain) if plain else None
+    if found is not None or not shaped:
         return found
-    own = _measured(point, white)
-    if all(chdtrc(c.n.size - 4.0, -2 * fit[0]) > LOOK for i, c, fit in own if i in undone):
-        return None
-    _, off = _fall(point, own, EXPLAINED, undone)
+    own = _measured(point, whole)
+    stands_out = any(chdtrc(c.n.size - 4.0, -2 * fit[0]) < LOOK for i, c, fit in own if i in shaped)
+    off = _fall(point, own, EXPLAINED, shaped)[1] if stands_out or _in_common(own) else None
     return None if off is None else dict.fromkeys(data.places, off)
 
 
@@ -77,19 +78,20 @@ def _measured(point: WorkingPoint, places: list[int]) -> list[Place]:
 
 
 def _fall(
-    point: WorkingPoint, own: list[Place], explained: float, undone: Mapping[int, tuple[float, float]] = NOTHING
+    point: WorkingPoint, own: list[Place], explained: float, shaped: Mapping[int, Shaped] = NOTHING
 ) -> tuple[float, Filter | None]:
     """Deviance of some places behind what they fall alike by, and that; without it where nothing falls, or something
-    else fits better. explained : of the misfit beyond chance, at least. undone : resonances of sensors, by place."""
+    else fits better. explained : of the misfit beyond chance, at least."""
     hz, count = own[0][1].w / (2 * np.pi), own[0][1].n
     before, df = -2 * sum(fit[0] for _, _, fit in own), float(sum(c.n.size - 4 for _, c, _ in own))
-    if not undone and not _in_common(own):
+    if not shaped and not _in_common(own):
         return before, None
-    seen = [Seen(c, *_through(point, i, hz), point.data.kinds[i], undone.get(i)) for i, c, _ in own]
+    seen = [Seen(c, *_through(point, i, hz), point.data.kinds[i], *shaped.get(i, ())) for i, c, _ in own]
     after, found = likeliest(seen, Filter(point.data.rate_hz, point.data.band[1]))
     fall = -np.log(found.passed(hz))
     rms = float(np.sqrt(np.average((fall - np.average(fall, weights=count)) ** 2, weights=count)))
-    if chdtrc(POWERS.size + 2 * len(undone), before - after) > LEVEL or rms < LEAST:
+    free = 2 * sum(one is not None for shapes in shaped.values() for one in shapes)
+    if chdtrc(POWERS.size + free, before - after) > LEVEL or rms < LEAST:
         return before, None
     if after - df > max((1 - explained) * (before - df), CHANCE * np.sqrt(2 * df)):
         return before, None

@@ -148,8 +148,7 @@ def _coloured(place_peak: float) -> Shape:
         return np.array([np.exp(np.clip(z[0], -6, 7)) - DARKEST, np.exp(np.clip(z[1], 2, 12))])
 
     def model(c: Cells, u: Array) -> Array:
-        gain, corner = values(u[4:])
-        return c.spectrum(u, c.tangent(u), 1 + gain / (1 + (c.w / (2 * np.pi * corner)) ** 2))
+        return c.spectrum(u, c.tangent(u), coloured(c.w / (2 * np.pi), *values(u[4:])))
 
     starts = tuple((g, float(np.log(place_peak * f))) for g in (0.6, 1.5, -0.5) for f in (0.4, 1.0, 2.5))
     return Shape("coloured_excitation", ("gain", "corner"), ("1", "Hz"), starts, model, values)
@@ -167,6 +166,11 @@ def _resonance(top: float) -> Shape:
 
     starts = tuple((float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4) for q in (4, 25))
     return Shape("sensor_resonance", ("frequency", "quality"), ("Hz", "1"), starts, model, values)
+
+
+def coloured(f_hz: Array, gain: float | Array, corner: float | Array) -> Array:
+    """Power that a colour of the force multiplies that at f_hz by."""
+    return np.asarray(1 + gain / (1 + (f_hz / corner) ** 2))
 
 
 def resonant(f_hz: Array, f0: float | Array, quality: float | Array) -> Array:

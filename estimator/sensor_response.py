@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 BLIND = ("sensor_gain", "sensor_skew")  # caps that are not coupled say nothing of them: diagnosis.md
 LINEAR = (*BLIND, "sensor_resonance")  # faults that are a response
+SHAPES = {"sensor_resonance": ("frequency", "quality"), "coloured_excitation": ("gain", "corner")}
 GRID = 8192  # frequencies that a filter is computed at, straight lines between: to a millionth
 
 
@@ -72,11 +73,11 @@ def passed_of_images(model: Model, place: str, rate_hz: float, f_hz: Array) -> C
     return np.asarray(np.stack([below.conj(), beyond]) / _faults(model, place, 2 * np.pi * f_hz))
 
 
-def resonance(model: Model, place: str) -> tuple[float, float] | None:
-    """Hz and quality of the resonance of the sensor at a place, as the model has it."""
-    numbers = [_numbers(use, model, place) for use in model.effects if use.name == "sensor_resonance"]
-    f0, quality = (numbers[0].get(name) if numbers else None for name in ("frequency", "quality"))
-    return (f0, quality) if f0 and quality else None
+def shape(model: Model, place: str, effect: str) -> tuple[float, float] | None:
+    """Numbers of a shape of the spectrum at a place, an effect of SHAPES, as the model has it."""
+    numbers = [_numbers(use, model, place) for use in model.effects if use.name == effect]
+    a, b = (numbers[0].get(name) if numbers else None for name in SHAPES[effect])
+    return (a, b) if a and b else None
 
 
 def _faults(model: Model, place: str, w: Array) -> Complexes:

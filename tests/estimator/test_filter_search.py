@@ -12,7 +12,7 @@ from scipy import signal
 
 from estimator.filter_designs import chebyshev, designs
 from estimator.filter_search import Seen, _spectrum, likeliest
-from estimator.force_colour import CELLS, Cells, resonant
+from estimator.force_colour import CELLS, Cells, coloured, resonant
 from estimator.roll_off import Filter, images
 from estimator.sensor_response import undone
 
@@ -24,9 +24,11 @@ BLANK = Filter(RATE, TOP)
 def seen(
     off: Filter, resonance_hz: float, S: float, seed: int, noise: float = 0.0,
     true: tuple[float, float] | None = None, undone: tuple[float, float] | None = None,
+    force: tuple[float, float] | None = None, thought: tuple[float, float] | None = None,
 ) -> Seen:  # fmt: skip
     """A cap's cells behind a filter, its model 2 % off in k and 10 % in c; nothing is at the other caps. true, undone :
-    Hz and quality of a resonance of its sensor, as it is and as it has been taken back."""
+    Hz and quality of a resonance of its sensor, as it is and as it has been taken back. force, thought : gain and
+    corner of the colour of the force, as it is and in the model."""
     f = np.linspace(200.0, TOP, BINS)
     edges = np.unique(np.round(np.geomspace(12, BINS, CELLS)).astype(int))
     n = np.diff(edges, prepend=0)
@@ -42,10 +44,13 @@ def seen(
         was = resonant(hz, *undone)
         passed, echoes = passed * resonant(hz, *true) / was, echoes * resonant(images(RATE, hz), *true) / was
         cells = replace(cells, heard=cells.heard / was)
+    if force is not None and thought is not None:
+        cells = replace(cells, colour=coloured(hz, *thought))
+        passed = passed * coloured(hz, *force) / cells.colour
     u = np.array([np.log(S), noise, 0.02 * k, -0.1 * c])
     mean = _spectrum(cells, u, passed, echoes.sum(axis=0) * through)[0]
     power = mean * np.random.default_rng(seed).gamma(cells.n) / cells.n
-    return Seen(replace(cells, power=power), through, 0 * w, "acceleration", undone)
+    return Seen(replace(cells, power=power), through, 0 * w, "acceleration", undone, thought)
 
 
 def both(off: Filter) -> list[Seen]:
@@ -95,6 +100,19 @@ def test_a_mean_is_seen_where_a_sensor_resonates(true: tuple[float, float]) -> N
     information, found = likeliest(places, BLANK)
     assert not found.poles
     assert found.means == pytest.approx(1.0, abs=0.05)
+    df = sum(own.cells.n.size for own in places)
+    assert abs(information - df) < 4 * np.sqrt(2 * df)
+
+
+@pytest.mark.parametrize(("gain", "corner"), [(12.0, 1900.0), (-0.7, 900.0)])
+def test_a_filter_is_found_where_all_forces_have_a_colour(gain: float, corner: float) -> None:
+    """The colours had taken over most of the fall, and a filter of a quarter of it was found."""
+    off = replace(BLANK, poles=designs()["Bessel filter of order 6"], cutoff_hz=0.45 * RATE)
+    thought = (1.2 * gain, 1.05 * corner)
+    places = [seen(off, hz, 0.01, k, force=(gain, corner), thought=thought) for k, hz in enumerate((1100.0, 900.0))]
+    information, found = likeliest(places, BLANK)
+    f = np.linspace(200.0, TOP, 100)
+    np.testing.assert_allclose(found.passed(f), off.passed(f), rtol=0.06)  # all that colours leave of it
     df = sum(own.cells.n.size for own in places)
     assert abs(information - df) < 4 * np.sqrt(2 * df)
 
