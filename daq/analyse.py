@@ -92,13 +92,12 @@ def fitted(rig: Rig, data: Measurement, method: str) -> Fit:
     from estimator.shaft_angle import measured_phase
 
     clipped = sensor_faults.find(rig.model, data.y)
-    y = declip.restored(rig.model, data.y, frozenset(place for s in clipped for place in s.at))
+    y, off = declip.restored(rig.model, data.y, frozenset(place for s in clipped for place in s.at))
     module = import_module(f"estimator.{method.replace('-', '_')}")
     phase = measured_phase(rig.model, y, data.rate_hz) if method == "spectral" else None
     result: Fit = module.fit(rig.model, y, data.rate_hz, **({} if phase is None else {"phase": phase}))
-    moved = [k for k in range(y.shape[1]) if y is not data.y and np.nansum(abs(y[:, k] - data.y[:, k]))]
-    beyond = {rig.model.channels[k].place for k in moved}
-    said = [f"{s.region}: {declip.RESTORED}" if s.at[0] in beyond else sensor_faults.said(s) for s in clipped]
+    drawn = {place for place, error in off.items() if error < np.inf}
+    said = [f"{s.region}: {declip.RESTORED}" if s.at[0] in drawn else sensor_faults.said(s) for s in clipped]
     return replace(result, messages=(*result.messages, *said))
 
 
@@ -124,6 +123,8 @@ def _compared(output: Output, rig: Rig, data: Measurement) -> dict[str, Any]:
 
 def comparison_text(value: Mapping[str, Any]) -> list[Any]:
     """A comparison for people."""
+    from estimator.missing_force import UNJUDGED
+
     missing = value["missing_force_percent"]
     interval = f"{missing['low']:.2f} to {missing['high']:.2f}"
     left = value["heldout_nll"] - value["reference_nll"]
@@ -144,7 +145,8 @@ def comparison_text(value: Mapping[str, Any]) -> list[Any]:
         if value.get(name):
             people.append(f"{text}: " + ", ".join(f"{c} {number(d)}" for c, d in value[name].items()))
     people += [f"note: {message}" for message in value.get("messages", ())]
-    people.append("the model is adequate" if value["adequate"] else NOT_ADEQUATE)
+    if UNJUDGED not in value.get("messages", ()):  # a note above
+        people.append("the model is adequate" if value["adequate"] else NOT_ADEQUATE)
     return people
 
 
@@ -197,6 +199,7 @@ def step(rig: Rig, comparison: Mapping[str, Any]) -> dict[str, Any]:
 def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     """A diagnosis for people."""
     from estimator.diagnose import about_the_shaft
+    from estimator.missing_force import UNJUDGED
 
     table = Table(box=None, header_style="bold", pad_edge=False)
     for heading in ("effect", "at", "held-out gain", "p-value", "missing there [%]", "parameters", "detectable from"):
@@ -224,6 +227,7 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
         "complete": "the model is complete: nothing in the catalogue earns its place",
         "unknown": f"something is missing that {_NO_LAW if about_the_shaft(value['messages']) else _OUTSIDE}",
     }.get(name, f"missing: {name}; {known}")
+    verdict = UNJUDGED if UNJUDGED in value["messages"] else verdict
     return [*people, f"verdict: {name}", verdict]
 
 
@@ -260,10 +264,13 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
 def ending(last: Mapping[str, Any]) -> str:
     """Why an improvement stops, from its last diagnosis."""
     from estimator.diagnose import about_the_shaft
+    from estimator.missing_force import UNJUDGED
 
     verdict = last["verdict"]
     if verdict == "complete":
         return "the last model is complete: nothing of the catalogue predicts the record better than chance would"
+    if UNJUDGED in last["messages"]:
+        return UNJUDGED
     if verdict == "unknown":
         shaft = about_the_shaft(last["messages"])
         return f"something is left: {shaft}" if shaft else f"something is left that {_OUTSIDE}"

@@ -42,7 +42,11 @@ def regions(before: Json | None, now: Json | None) -> list[tuple[str, Json]]:
 def about_comparison(comparison: Json) -> list[str]:
     missing = comparison["missing_force_percent"]
     span = f"{percent(missing['value'])} (95 % interval {percent(missing['low'])} to {percent(missing['high'])})"
-    if comparison["adequate"]:
+    from estimator.missing_force import UNJUDGED
+
+    if UNJUDGED in comparison.get("messages", ()):
+        said = [f"{UNJUDGED[0].upper()}{UNJUDGED[1:]}."]
+    elif comparison["adequate"]:
         said = [f"The model explains this record: the missing force is {span} of the bearing force."]
     else:
         said = [
@@ -72,7 +76,10 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
         return ["Diagnosis: complete. No effect of the catalogue improves the prediction by more than chance would."]
     if verdict == "unknown":
         from estimator.diagnose import about_the_shaft
+        from estimator.missing_force import UNJUDGED
 
+        if UNJUDGED in diagnosis.get("messages", ()):
+            return [f"Diagnosis: unknown. {UNJUDGED[0].upper()}{UNJUDGED[1:]}."]
         if shaft := about_the_shaft(diagnosis.get("messages", ())):
             return [f"Diagnosis: unknown. A force is missing that is no law of a bearing: {shaft}."]
         near = f" The nearest are {listed([r['effect'] for r in rows[:3]])}." if rows else ""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from .errors import DataError
 from .model import Model
-from .model_uses import not_judged
+from .model_uses import clipped
 from .plausible import check_moves
 
 CLIPPED = 0.002  # fraction of samples at the extreme value that is no accident
@@ -27,14 +27,13 @@ def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArra
         raise DataError("the model has no motion channel on a bearing: nothing can be estimated")
     if not np.isfinite(rate_hz) or rate_hz <= 0:
         raise DataError(f"sampling rate {rate_hz} Hz: it must be positive")
-    known = not_judged(model, model.places)
     for i, channel in enumerate(model.channels):
         if channel.kind == "tacho":
             continue
         z = y[:, i]
         z = z[np.isfinite(z)]
         low, high = check_moves(channel.name, z)
-        if channel.place in model.places and model.places.index(channel.place) in known:
+        if channel.place in clipped(model):
             continue  # the model says so: the fit does, beside its numbers
         at_end = max(np.mean(z == low), np.mean(z == high))
         if at_end > CLIPPED and at_end * z.size > 4 and np.unique(z[:100000]).size > 16:

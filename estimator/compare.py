@@ -104,7 +104,7 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         psd_distance_db=beside.psd_distance_db,
         pdf_distance=beside.pdf_distance,
         where=where,
-        adequate=not found.any_found(),
+        adequate=found.looked_anywhere() and not found.any_found(),
         curves=drawn,
         laws=laws,
         spectra=beside.spectra,
@@ -112,5 +112,10 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         orbits=beside.orbits,
         parameters=whole.parameters,
         simulation_rmse=heldout_rmse(model, y, point.data.rate_hz),
-        messages=(*whole.messages, *clipped, *((beside.message,) if beside.message else ())),
+        messages=(
+            *whole.messages,
+            *clipped,
+            *missing_force.unjudged(found),
+            *((beside.message,) if beside.message else ()),
+        ),
     )

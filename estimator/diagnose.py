@@ -100,7 +100,7 @@ def _verdict(
     model: Model, point: WorkingPoint, before: missing_force.Survey, entries: list[Entry], say: Progress
 ) -> Diagnosis:  # fmt: skip
     """What the ranking comes to."""
-    if not entries or entries[0].p_value > SIGNIFICANT or _negligible(entries[0]):
+    if not entries or entries[0].p_value > SIGNIFICANT or _negligible(point, entries[0]):
         return _nothing(point, before, tuple(entries))
     best = entries[0]
     if best.placed and best.effect != "crack" and _loss(entries)[1] > best.gain:
@@ -279,9 +279,10 @@ def _extrapolating(point: WorkingPoint, entries: list[Entry]) -> list[Entry]:
     return passed + refused
 
 
-def _negligible(best: Entry) -> bool:
-    """Whether a force law, however certain, explains less than any simulation or filter leaves behind."""
-    return bool(best.placed) and best.explained_percent < 100 * missing_force.NEGLIGIBLE
+def _negligible(point: WorkingPoint, best: Entry) -> bool:
+    """Whether a force law, however certain, explains less than any simulation, filter or ceiling leaves behind."""
+    least = max((missing_force.negligible(point, i) for use in best.placed for i in use.at), default=0.0)
+    return best.explained_percent < 100 * least
 
 
 def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[Entry, ...]) -> Diagnosis:
@@ -301,6 +302,8 @@ def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[E
         if any(f.group == "other_bearing" for r in before.residuals for f in r.found):
             said.append(OTHERWISE)
         return Diagnosis("unknown", entries, shape_of(point, before), messages=tuple(said))
+    if not before.looked_anywhere():
+        return Diagnosis("unknown", entries, messages=(*shaft, missing_force.UNJUDGED))
     forces = [_beside_forces(point)] if point.data.measured_force else []
     return Diagnosis("complete", entries, messages=(*shaft, *forces))
 

@@ -35,9 +35,11 @@ class Parameter:
         return out | ({"reason": self.reason} if self.reason else {})
 
 
-def without_scale(numbers: Mapping[str, Parameter], places: Collection[str], reason: str) -> dict[str, Parameter]:
-    """Numbers by full name; those in newtons at places whose mass nothing tells, and of laws at their nodes, are known
-    per kg of cap alone."""
+def untold_at(
+    places: Collection[str], reason: str, numbers: Mapping[str, Parameter], unit: str = ""
+) -> dict[str, Parameter]:
+    """Numbers by full name without those at some places, and of laws at their nodes, in units that begin so: "N" where
+    nothing tells the mass of a cap."""
     nodes = {place.split(".")[0] for place in places}
 
     def adrift(name: str) -> bool:
@@ -45,7 +47,7 @@ def without_scale(numbers: Mapping[str, Parameter], places: Collection[str], rea
         return f"{node}.{direction}" in places if direction in ("x", "y") else node in nodes
 
     return {
-        name: Parameter(None, None, q.unit, False, reason) if q.unit.startswith("N") and adrift(name) else q
+        name: Parameter(None, None, q.unit, False, reason) if q.unit.startswith(unit) and adrift(name) else q
         for name, q in numbers.items()
     }
 

@@ -26,7 +26,6 @@ from scipy.special import chdtrc
 from . import reference
 from .effects.places import kinematic
 from .model import Model
-from .model_uses import not_judged
 from .path_fit import PathFit
 from .side_by_side import answers, each
 from .subproblem import Subproblem
@@ -37,6 +36,8 @@ Array = NDArray[np.float64]
 LEVEL = 1e-3  # of a group at a place, after counting the groups and places tried
 SURVEY_SECONDS = 24.0  # of a long record: enough to see a thousandth of the bearing force
 NEGLIGIBLE = 1.2e-3  # of the rms bearing force: below it lie the band limit and the integrators of any simulation
+UNJUDGED = "nothing can be said of the model: the sensors of all channels are clipped, take larger ranges"
+LEANS = 0.4  # of what drawn motion is off by, that may look like a law: 0.18 and 0.24 of it where 1 and 3 % are drawn
 DEGREE = 9  # of the smooth curves
 RIDGE = 1e-3  # of a column's own information: keeps hat functions that nothing visits at zero
 
@@ -85,7 +86,8 @@ def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) 
     found: list[Found] = []
     fitted, power = base, 0.0
     current = plain
-    upper = 0.0
+    least = (negligible(point, i) * point.bearing_force[i]) ** 2
+    upper = least if point.data.unsure(i) else 0.0
     while len(chosen) < len(names):
         best: tuple[float, str, Subproblem, PathFit, float, float] | None = None
         for name in names:
@@ -109,7 +111,7 @@ def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) 
             break
         gained, name, current_new, fitted_new, p, reached = best
         total, _ = power_of(point, current_new, fitted_new, i)
-        if total - power < (NEGLIGIBLE * point.bearing_force[i]) ** 2:
+        if total - power < least:
             break
         current, fitted = current_new, fitted_new
         chosen.append(name)
@@ -118,6 +120,11 @@ def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) 
         power = max(total, power)
     P, sd = power_of(point, current, fitted, i) if chosen else (0.0, 0.0)
     return Residual(i, tuple(found), P, sd, current, fitted, knots, problem, upper)
+
+
+def negligible(point: WorkingPoint, i: int) -> float:
+    """Share of the bearing force at a place below which nothing is told of it."""
+    return max(NEGLIGIBLE, LEANS * point.data.unsure(i))
 
 
 def odds(problem: Subproblem, fit: PathFit, names: tuple[str, ...], gained: float) -> float:
@@ -210,7 +217,8 @@ def _hidden(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) -> f
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What is found at every place. bearing : (places,) N rms; total of the missing force as a share of it."""
+    """What is found at every place. bearing : (places,) N rms, 0 where nothing is judged; total of the missing force as
+    a share of it."""
 
     residuals: tuple[Residual, ...]
     bearing: Array
@@ -223,6 +231,10 @@ class Survey:
         kept = [s for s in others if s.effect not in SHAPES or all(s.gain > by_state.get(i, 0.0) for i in s.power)]
         return replace(self, shares=tuple(shares(kept)))
 
+    def looked_anywhere(self) -> bool:
+        """Whether any place was judged: where a sensor is clipped none is."""
+        return bool(self.residuals)
+
     def any_found(self) -> bool:
         return bool(self.shares) or any(r.found for r in self.residuals)
 
@@ -234,7 +246,10 @@ class Survey:
         return self.interval(places)[0]
 
     def interval(self, places: tuple[int, ...] | None = None) -> tuple[float, float, float]:
-        """Value, low, high in per cent: 95 %; where nothing is found, high is what could hide there."""
+        """Value, low, high in per cent: 95 %; where nothing is found, high is what could hide there: all of it where
+        nothing was looked at."""
+        if not self.looked_anywhere() and not self.shares:
+            return 0.0, 0.0, 100.0
         own = [r for r in self.residuals if places is None or r.place in places]
         scale = float(np.sum(self.bearing[list(range(self.bearing.size) if places is None else places)] ** 2))
         P = sum(r.P for r in own) + sum(s.power for s in self.shares if places is None or s.place in places)
@@ -242,6 +257,11 @@ class Survey:
         hidden = sum(r.upper for r in own if not r.found)
         low = P - 1.96 * sd if P > 0 else 0.0
         return tuple(100 * float(np.sqrt(max(z, 0.0) / scale)) for z in (P, low, P + 1.96 * sd + hidden))  # type: ignore[return-value]
+
+
+def unjudged(found: Survey) -> tuple[str, ...]:
+    """What to say of a record of which nothing is judged."""
+    return () if found.looked_anywhere() else (UNJUDGED,)
 
 
 def orders_of(model: Model) -> tuple[float, ...]:
@@ -260,7 +280,7 @@ def survey(
     """
     point = thinned(point, seconds)
     found = each(lambda question: question(), _questions(point, model, only))
-    return Survey(tuple(found), point.bearing_force).beside(others)
+    return Survey(tuple(found), _judged(point)).beside(others)
 
 
 def surveyed(
@@ -270,13 +290,18 @@ def surveyed(
     asked: by two processes."""
     asked: list[Callable[[], Any]] = [others, *more, *_questions(point, model)]  # the longest, as they are, first
     suspects, *found = answers(asked)
-    own = Survey(tuple(found[len(more) :]), point.bearing_force)
+    own = Survey(tuple(found[len(more) :]), _judged(point))
     return own.beside(suspects), suspects, *found[: len(more)]
+
+
+def _judged(point: WorkingPoint) -> Array:
+    """(places,) N rms, bearing force of the places that are judged, 0 at the others."""
+    unsure = np.array([point.data.unsure(i) for i in range(len(point.data.places))])
+    return np.where(unsure < np.inf, point.bearing_force, 0.0)
 
 
 def _questions(point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None) -> list[Callable[[], Residual]]:
     """What a survey asks at every place (or some), to be answered in any order."""
-    left_out = not_judged(model, point.data.places)
-    places = [i for i in (range(len(point.data.places)) if only is None else only) if i not in left_out]
+    places = [i for i in (range(len(point.data.places)) if only is None else only) if point.data.unsure(i) < np.inf]
     tries = len(point.data.places) * len(reference.GROUPS)
     return [partial(explain, point, i, orders_of(model), tries) for i in places]

@@ -91,11 +91,6 @@ def on_trial(model: Model) -> list[Effect]:
     return [*CATALOGUE.values(), *(effect_of(use) for use in model.candidates)]
 
 
-def not_judged(model: Model, places: tuple[str, ...]) -> frozenset[int]:
-    """Places whose channel the model calls clipped: what a limiter does to the states is not the rotor's doing."""
-    return frozenset(i for i, p in enumerate(places) if p in clipped(model))
-
-
 def clipped(model: Model) -> frozenset[str]:
     """Places whose channel the model calls clipped."""
     named = {p for u in model.effects if u.name == "sensor_clipping" for p in u.parameters}

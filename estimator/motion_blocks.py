@@ -78,6 +78,7 @@ class MotionBlocks:
     waves: tuple[Wave, ...] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
     level: Array | None = None  # (places, blocks) power of the unknown force over its mean: force_level.py
     disc: Disc | None = None  # on its shaft, where there is one: shaft_law.py
+    drawn: Array | None = None  # (places,) rms by which motion drawn beyond a ceiling is off, over its own: declip.py
 
     @property
     def measured_force(self) -> bool:
@@ -87,6 +88,10 @@ class MotionBlocks:
     def folded(self) -> Array:
         """(places, bins) PSD of acceleration that sampling folds back, over S."""
         return np.asarray(self.echoes.sum(axis=0))
+
+    def unsure(self, i: int) -> float:
+        """How far off the motion at a place is, over its own, where some was drawn; inf where nothing can be judged."""
+        return 0.0 if self.drawn is None else float(self.drawn[i])
 
     @property
     def blocks(self) -> int:

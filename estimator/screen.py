@@ -17,7 +17,7 @@ from .effects.places import places as canonical_places
 from .effects.strength import search_range
 from .errors import NotFiniteError
 from .model import Model
-from .model_uses import FORCES, acting, not_judged, searched, size, start
+from .model_uses import FORCES, acting, searched, size, start
 from .path_fit import Columns, PathFit
 from .periodic import PERIODIC
 from .placed import Placed
@@ -68,7 +68,7 @@ def spots(effect: Effect, model: Model, point: WorkingPoint) -> list[str]:
     if effect.kind not in FORCES or effect.name in PERIODIC or effect.name == "pedestal":
         return []
     taken = {u.key for u in point.placed}
-    left_out = not_judged(model, point.data.places)
+    left_out = {i for i in range(len(point.data.places)) if point.data.unsure(i) == np.inf}
     return [
         s
         for s in canonical_places(effect, model)

@@ -16,7 +16,7 @@ from .contour import modes_of
 from .effects.ball_pass import BALL_PASS
 from .effects.custom import effect_of
 from .errors import DataError
-from .estimate import Parameter, without_scale
+from .estimate import Parameter, untold_at
 from .fit_result import Fit
 from .fold_tangents import excess
 from .gram import spectra, taper, valid_blocks
@@ -168,7 +168,7 @@ def judged(balance: Balance, point: Point, covariance: Floats, model: Model) -> 
         out[f"{place}.S"] = _judged(point.S[i], point.S[i] * sd[point.beta.size + i], UNITS["S"])
     out |= {name: _judged(value, s, f.unit) for name, (f, value, s) in free.items() if name not in out}
     adrift = [p for p in balance.places if f"{p}.m" in free and not np.isfinite(free[f"{p}.m"][2])]
-    return without_scale(out, adrift, SCALELESS)
+    return untold_at(adrift, SCALELESS, out, "N")
 
 
 def _judged(value: float, sd: float, unit: str) -> Parameter:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from . import bent_path, coupled_caps, force_colour, line_forces, periodic, sensor_faults
 from .model import EffectUse, Model
-from .model_uses import not_judged
+from .model_uses import clipped as clipped_by
 from .path_fit import Spectrum
 from .side_by_side import each
 from .suspect import Suspect, as_use
@@ -31,7 +31,7 @@ def suspects(model: Model, point: WorkingPoint, y: Array, everywhere: bool = Fal
         rest += bent_path.find(model, point, periodic.known_lines(_having(model, lines)))
     rest += coupled_caps.find(model, point)
     if not everywhere:
-        bad = {p for s in clipped for p in s.at} | {point.data.places[i] for i in not_judged(model, point.data.places)}
+        bad = {p for s in clipped for p in s.at} | clipped_by(model)
         rest = [kept for s in rest if (kept := _elsewhere(s, bad, point)) is not None]
     return clipped + sorted(rest, key=lambda s: -s.gain)
 

@@ -29,16 +29,16 @@ from . import (
     shaft_law,
     unknown_mass,
 )
-from .declip import RESTORED, restored
+from .declip import LOST, RESTORED, restored
 from .effect import EffectParameter
 from .effects import NAMED
 from .effects.places import at, written
-from .estimate import Parameter, without_scale
+from .estimate import Parameter, untold_at
 from .fit_result import Fit
 from .fitted import parameters
 from .model import EffectUse, Model, Setting
 from .model_uses import clipped
-from .motion_blocks import COLOURS, OF_FORCE
+from .motion_blocks import COLOURS, OF_FORCE, MotionBlocks
 from .motion_blocks import colours as colours_of
 from .preparation import prepare, shortened
 from .search_start import fit_record
@@ -69,8 +69,10 @@ class Whole:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
-        found = parameters(self.point) | self.beside
-        return without_scale(found, unknown_mass.unknown(self.model), unknown_mass.FREE) | self.masses
+        data = self.point.data
+        lost = {place for i, place in enumerate(data.places) if data.unsure(i) == np.inf}
+        found = untold_at(lost, LOST, parameters(self.point)) | self.beside
+        return untold_at(unknown_mass.unknown(self.model), unknown_mass.FREE, found, "N") | self.masses
 
 
 def beside_the_laws(use: EffectUse) -> bool:
@@ -86,7 +88,7 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     """
     model, masses = unknown_mass.weighed(timed(model, y, rate_hz), y, rate_hz)
     begun = _glanced(model, y, rate_hz)
-    off = common_fall.find(model, begun) if begun and all(starmap(resonates, _means(begun))) else None
+    off = common_fall.find(model, begun) if begun and all(starmap(resonates, _means(begun).values())) else None
     whole = _turning(replace(model, roll_off=off) if off else model, y, rate_hz, begun)
     if not begun and not model.roll_off and (off := common_fall.find(whole.model, whole.point)):
         whole = _turning(replace(model, roll_off=off), y, rate_hz, whole.point)
@@ -114,16 +116,16 @@ def _glanced(model: Model, y: Array, rate_hz: float) -> WorkingPoint | None:
     return fit_record(model, prepare(model, y, rate_hz), glance=True)
 
 
-def _means(point: WorkingPoint) -> list[tuple[float, float, float, tuple[float, float]]]:
-    """m, c and k of the mean response of the places without a measured force, and the band."""
+def _means(point: WorkingPoint) -> dict[str, tuple[float, float, float, tuple[float, float]]]:
+    """By place m, c and k of the mean response, and the band; of places that are judged and have no measured force."""
     data, slopes = point.data, point.slopes
-    own = range(0 if data.measured_force else len(data.places))
-    return [(float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band) for i in own]
+    own = [i for i in range(len(data.places)) if not data.measured_force and data.unsure(i) < np.inf]
+    return {data.places[i]: (float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band) for i in own}
 
 
 def _refuse(point: WorkingPoint) -> None:
     """Refuses places that do not resonate in the band."""
-    for place, mean in zip(point.data.places, _means(point), strict=False):
+    for place, mean in _means(point).items():
         refuse_without_resonance(place, *mean)
 
 
@@ -147,16 +149,21 @@ def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None =
     if not uses:
         data = replace(begun.data) if begun and not model.roll_off else prepare(model, y, rate_hz)  # seen anew
         return Whole(model, fit_record(model, data, begun), {})
-    limited, y = y, restored(model, y, clipped(model))
+    limited, (y, off) = y, restored(model, y, clipped(model))
+
+    def prepared(model: Model) -> MotionBlocks:
+        data = prepare(model, y, rate_hz)
+        return replace(data, drawn=np.array([off.get(p, 0.0) for p in data.places])) if off else data
+
     undone = [u for u in uses if _undone(u, model)]
     bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u in undone))
-    point = fit_record(bare, prepare(bare, y, rate_hz))
+    point = fit_record(bare, prepared(bare))
     numbered = {u.name for u in uses if u not in undone or not _told(u, model)}
     seen = suspects(bare, point, y, everywhere=True)
     seen += sensor_faults.find(bare, limited) if limited is not y else []
     further = _further_lines(model, seen)
     model, found = _all_numbered(with_uses(model, further), numbered | further.keys(), seen, point)
-    point = fit_record(model, prepare(model, y, rate_hz))
+    point = fit_record(model, prepared(model))
     colours = {u.name for u in uses if u.name in OF_FORCE}
     for _ in range(ROUNDS if colours else 0):  # found among laws that they distort
         data = point.data
@@ -165,7 +172,7 @@ def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None =
         if not _moved(found, again):
             break
         model, found = renewed, found | again
-        point = fit_record(model, prepare(model, y, rate_hz))
+        point = fit_record(model, prepared(model))
     for _ in range(ROUNDS if any(u.name in (*periodic.PERIODIC, *LINEAR) for u in uses) else 0):
         model, bent = bent_path.refined(model, point)
         model, mutual = coupled_caps.refined(model, point)
@@ -173,15 +180,10 @@ def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None =
         stepped |= bent | mutual
         found |= stepped
         if stepped:
-            point = fit_record(model, prepare(model, y, rate_hz))
-    messages = (*_several(model, further), *_limited(model, limited is not y))
+            point = fit_record(model, prepared(model))
+    told = (f"{place}: {RESTORED if error < np.inf else LOST}" for place, error in sorted(off.items()))
+    messages = (*_several(model, further), *told)
     return Whole(model, point, found | _levels(model, found, point), messages)
-
-
-def _limited(model: Model, beyond: bool) -> tuple[str, ...]:
-    """What to tell the user of clipped channels. beyond : whether what was taken from them is restored."""
-    what = RESTORED if beyond else "values are those of what is left of it"
-    return tuple(f"{place}: its sensor is clipped: {what}" for place in sorted(clipped(model)))
 
 
 def _several(model: Model, further: Mapping[str, Mapping[str, Mapping[str, Setting]]]) -> tuple[str, ...]:

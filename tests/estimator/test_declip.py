@@ -6,14 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden_effects import RATE, one_bearing
+from hidden_effects import RATE, one_bearing, record
 
+from estimator import missing_force
 from estimator.declip import ceilings, restored
+from estimator.diagnose import diagnose, diagnose_point
 from estimator.model import EffectUse
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
 HERE = frozenset(["bearing1.x"])
+LOST = {"bearing1.x": np.inf}
 
 
 def test_what_lies_beyond_is_as_far_as_it_was() -> None:
@@ -24,7 +27,7 @@ def test_what_lies_beyond_is_as_far_as_it_was() -> None:
     z[:, 0] = np.clip(y[:, 0], -top, top)
     z[5000:5010] = np.nan
     at = np.abs(z[:, 0]) == top
-    made = restored(rig, z, HERE)
+    made, off = restored(rig, z, HERE)
     same = ~at
     assert np.array_equal(made[same, 0], z[same, 0], equal_nan=True)
     assert np.array_equal(made[:, 1], z[:, 1], equal_nan=True)
@@ -33,7 +36,10 @@ def test_what_lies_beyond_is_as_far_as_it_was() -> None:
     beyond, was = (np.abs(w[at, 0]) - top for w in (made, y))
     assert beyond.mean() == pytest.approx(was.mean(), rel=0.06)
     assert np.sqrt(np.mean(beyond**2)) == pytest.approx(np.sqrt(np.mean(was**2)), rel=0.06)
-    assert np.array_equal(restored(rig, z, HERE), made, equal_nan=True)
+    assert np.array_equal(restored(rig, z, HERE)[0], made, equal_nan=True)
+    there = at & np.isfinite(y[:, 0])
+    error = np.sqrt(0.5 * np.sum((made[there, 0] - y[there, 0]) ** 2) / len(y)) / np.nanstd(y[:, 0])
+    assert off["bearing1.x"] == pytest.approx(error, rel=0.1)
 
 
 def test_a_channel_without_a_ceiling_is_left_alone() -> None:
@@ -41,13 +47,13 @@ def test_a_channel_without_a_ceiling_is_left_alone() -> None:
     rng = np.random.default_rng(1)
     y = rng.standard_normal((20000, 2))
     assert ceilings(y[:, 0]) == (-np.inf, np.inf)
-    assert restored(rig, y, HERE) is y
+    assert restored(rig, y, HERE) == (y, {})
     sharp = np.clip(y, -2.5, 2.5)
-    assert restored(rig, sharp, frozenset()) is sharp
+    assert restored(rig, sharp, frozenset()) == (sharp, {})
     blurred = np.clip(y, -2.5, 2.5) + 0.001 * rng.standard_normal(y.shape)
-    assert restored(rig, blurred, HERE) is blurred
+    assert restored(rig, blurred, HERE) == (blurred, LOST)
     flat = np.clip(y, -0.5, 0.5)  # of a square wave nothing is known
-    assert restored(rig, flat, HERE) is flat
+    assert restored(rig, flat, HERE) == (flat, LOST)
 
 
 @pytest.mark.slow
@@ -75,3 +81,31 @@ def test_a_model_with_the_clipping_has_the_numbers_of_the_rotor(share: float) ->
     assert off.value is not None
     assert off.sd is not None
     assert abs(off.value - 10.0e6) > 6 * off.sd
+
+
+def test_nothing_is_told_of_a_bearing_whose_motion_cannot_be_restored() -> None:
+    """A limiter at half of the rms, everywhere: no number, no verdict, and all of the force may be missing."""
+    rig = one_bearing()
+    y = np.clip(simulate(rig, RATE, 8.0, seed=5), -3.0, 3.0)
+    known = replace(rig, effects=(*rig.effects, EffectUse("sensor_clipping", {p: {} for p in rig.places})))
+    whole = fit_whole(known, y, RATE)
+    assert not whole.parameters["bearing1.x.kL"].identifiable
+    assert "cannot be restored" in whole.parameters["bearing1.x.kL"].reason
+    assert whole.parameters["bearing1.x.sensor_clipping.level"].value == pytest.approx(3.0)
+    found = missing_force.survey(whole.point, whole.model)
+    assert found.interval() == (0.0, 0.0, 100.0)
+    said = diagnose_point(whole.model, whole.point, y)
+    assert said.verdict == "unknown"
+    assert missing_force.UNJUDGED in said.messages
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("lost", "verdict"), [(None, "complete"), ("clearance", "clearance")])
+def test_a_law_is_found_where_all_sensors_are_clipped_a_little_and_none_is_made(lost: str | None, verdict: str) -> None:
+    """One sample in two hundred is drawn: what a draw is off by is nothing that the model lacks."""
+    rig = one_bearing()
+    complete = simulate(rig, RATE, 30.0, seed=6, noise=0.02, full_scale=490.5)
+    y = complete if lost is None else record(rig, lost, 0.06, seed=6, seconds=30.0)
+    top = np.quantile(np.abs(y), 0.995, axis=0)
+    known = replace(rig, effects=(*rig.effects, EffectUse("sensor_clipping", {p: {} for p in rig.places})))
+    assert diagnose(known, np.clip(y, -top, top), RATE).verdict == verdict
