@@ -114,7 +114,8 @@ def answered(A: NDArray[np.complex128], S: Array, i: int) -> tuple[NDArray[np.co
 def _power(point: WorkingPoint, i: int) -> Array:
     """(bins,) mean |F|^2 of the force at a place, N^2/Hz."""
     Z = point.spectra[i].reshape(point.data.blocks, -1, 2)
-    return np.asarray(np.einsum("bkc,bkc->k", Z, Z).astype(np.float64) / point.data.blocks / point.weighing.weight[i])
+    power = np.einsum("bkc,bkc->k", Z, Z).astype(np.float64) / point.data.blocks / point.weighing.weight[i]
+    return np.asarray(power if point.weighing.rings is None else power / point.weighing.rings.kept[i])
 
 
 def _exp(z: Array) -> Array:

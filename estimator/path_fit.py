@@ -24,6 +24,7 @@ from scipy.linalg import block_diag
 from .contour import turns
 from .motion_blocks import FOLDS, MotionBlocks
 from .noise_paths import NoisePaths
+from .ringing import Ringing, ringing
 from .side_by_side import each
 
 Array = NDArray[np.float64]
@@ -139,6 +140,7 @@ class Weighing:
     _root: Array = field(init=False)
     _bins: slice | NDArray[np.int64] = field(init=False)
     _even: list[Spectrum] | None = field(init=False)
+    rings: Ringing | None = field(init=False)
 
     def __post_init__(self) -> None:
         # one-sided PSD normalisation: the mean of |F|^2 over bins is S
@@ -147,6 +149,7 @@ class Weighing:
         self._even = None if self.data.level is None else [
             (1.0 / np.sqrt(self.rise(i, own))).astype(np.float32) for i, own in enumerate(self.data.level)
         ]  # fmt: skip
+        self.rings = ringing(self.data, self._root)
         unbroken = bins[-1] - bins[0] == bins.size - 1  # a slice is read four times faster
         self._bins = slice(int(bins[0]), int(bins[-1]) + 1) if unbroken else bins
 
@@ -173,6 +176,8 @@ class Weighing:
             part = z[a : a + TOGETHER]
             part = part if single else (scale * part).astype(np.float32)  # it may be too small for that before
             np.multiply(rfft(part, axis=1)[:, self._bins], root, out=out[a : a + TOGETHER].view(np.complex64))
+        if self.rings is not None:
+            self.rings.take_out(i, out)
         if self._even is not None:
             out.view(np.complex64)[...] *= self._even[i][first : first + len(z)]
         return out
@@ -223,7 +228,7 @@ def gram(weighing: Weighing, force: dict[int, Spectrum], *columns: Columns) -> G
     total = sum(len(c.names) for c in columns)
     G = np.zeros((P, FOLDS, 1 + total, 1 + total))
     n = np.zeros((P, FOLDS))
-    bins = weighing.weight.shape[1]
+    kept = np.ones_like(weighing.weight) if weighing.rings is None else weighing.rings.kept
     log_weight = np.zeros((P, FOLDS))
 
     def at_place(i: int) -> None:
@@ -241,10 +246,10 @@ def gram(weighing: Weighing, force: dict[int, Spectrum], *columns: Columns) -> G
             span = slice(int(here[0]), int(here[-1]) + 1)
             Z = np.concatenate([s[:, span].reshape(len(s), -1) for s in stacks])
             G[i, f][at[:, None], at] = Z @ Z.T
-            n[i, f] = here.size * bins
-            log_weight[i, f] = here.size * np.log(weighing.weight[i]).sum()
+            n[i, f] = here.size * kept[i].sum()
+            log_weight[i, f] = here.size * (kept[i] @ np.log(weighing.weight[i]))
             if data.level is not None:
-                log_weight[i, f] -= np.log(weighing.rise(i, data.level[i, here])).sum()
+                log_weight[i, f] -= (np.log(weighing.rise(i, data.level[i, here])) @ kept[i]).sum()
 
     each(at_place, range(P))
     return Gram(
@@ -257,14 +262,17 @@ def gram(weighing: Weighing, force: dict[int, Spectrum], *columns: Columns) -> G
 class Jacobian:
     """2 sum_f log |det A(f)| per block and its derivatives, about the working point's A0 (bins, places, places).
 
-    offset : to be taken from it for the line that A0 is given along: contour.py.
+    offset : to be taken from it for the line that A0 is given along: contour.py. kept : (bins,) share of each that the
+    likelihood has of its bin.
     dressing : (bins, places), what of A0 comes from fluctuating tangents (self_energy.py). It is quadratic in the
     amplitudes of the laws, and a column of one of them has the half of its derivative: the value whose derivatives
     the columns have is 2 log |det A| - Re tr(A^-1 dressing), stationary in A. Models are compared by it.
     """
 
-    def __init__(self, A0: Complexes, offset: float = 0.0, dressing: Complexes | None = None) -> None:
-        self.A0, self.offset = A0, offset
+    def __init__(
+        self, A0: Complexes, offset: float = 0.0, dressing: Complexes | None = None, kept: Array | None = None
+    ) -> None:
+        self.A0, self.offset, self.kept = A0, offset, np.ones(len(A0)) if kept is None else kept
         self.dressing = np.zeros(self.A0.shape[:2], complex) if dressing is None else dressing
         self._begun()
 
@@ -272,7 +280,7 @@ class Jacobian:
         self.turned, self.half = turns(np.linalg.det(self.A0)), 0.0
         if self.dressing.any():
             own = np.einsum("fii->fi", np.linalg.inv(self.A0)) * self.dressing
-            self.half = float(own.real.sum())
+            self.half = float(self.kept @ own.real.sum(axis=1))
 
     def at(self, places: NDArray[np.int64]) -> Jacobian:
         """The same of some places, the others as they are: what they answer through the shaft stays in A0."""
@@ -285,7 +293,7 @@ class Jacobian:
         share = places.size / self.A0.shape[1]
         out.offset = self.offset * share
         if answer is not None:  # all places together have what the whole has
-            whole, own = (2 * float(np.log(np.abs(np.linalg.det(A))).sum()) for A in (self.A0, out.A0))
+            whole, own = (2 * float(self.kept @ np.log(np.abs(np.linalg.det(A)))) for A in (self.A0, out.A0))
             out.offset += own - whole * share
         out._begun()
         return out
@@ -318,7 +326,7 @@ class Jacobian:
         determinant = np.linalg.det(self.of(tangents, delta))
         if turns(determinant) < self.turned - CROSSED:
             return -np.inf
-        return float(2 * np.log(np.abs(determinant)).sum()) - self.offset - self.half
+        return float(2 * self.kept @ np.log(np.abs(determinant))) - self.offset - self.half
 
     def derivatives(self, tangents: Complexes, delta: Array) -> tuple[Array, Array]:
         """Gradient (k,) and second derivative (k, k) to the increments."""
@@ -329,8 +337,8 @@ class Jacobian:
         for j, t in enumerate(tangents):
             for i in acting[j]:  # A^-1 A_j, row i of A_j only
                 R[j] += inverse[:, :, i][:, :, None] * t[i].T[:, None, :]
-        gradient = 2 * np.einsum("jfpp->j", R).real
-        left = R.reshape(k, -1)
+        gradient = 2 * np.einsum("jfpp,f->j", R, self.kept).real
+        left = (R * self.kept[:, None, None]).reshape(k, -1)
         right = np.swapaxes(R, 2, 3).reshape(k, -1)
         return np.asarray(gradient), np.asarray(-2 * (left @ right.T).real)
 

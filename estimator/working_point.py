@@ -280,7 +280,8 @@ def _at(
             dressing[:, i] = here.whole / (2 * np.pi * data.f_hz) ** 2
             A[:, i, i] += dressing[:, i]
     there = (1j * line.s.imag / line.s) ** 2  # over -w^2 becomes over s^2
-    jacobian = Jacobian(along(line.s, A, data.mass, D), line.offset, dressing * there[:, None])
+    kept = None if weighing.rings is None else weighing.rings.kept.mean(axis=0)
+    jacobian = Jacobian(along(line.s, A, data.mass, D), line.offset, dressing * there[:, None], kept)
     caution = _caution(data, G, uses)
     result = _cautious(G, jacobian, data.fold_blocks, caution)
     kept = tuple(light(t) for t in made)
