@@ -67,6 +67,9 @@ def _of(point: WorkingPoint, places: list[int]) -> RollOff | None:
     if most is not None and deviance < each_its_own:
         return dict.fromkeys(data.places, most)
     apart = {names[k]: off for at, _, off in nodes if off is not None for k in at}
+    for off in [*apart.values()][:1]:  # of the other bearing too, if it shows none of its own: one recorder, not two
+        bare = [(at, after) for at, after, none in nodes if none is None]
+        apart |= {names[k]: off for at, after in bare if _explains(point, off, [own[k] for k in at], after) for k in at}
     if apart and (found is None or chdtrc(POWERS.size * (len(nodes) - 1), together - each_its_own) < LEVEL):
         return apart
     return None if found is None else dict.fromkeys(data.places, found)
@@ -107,16 +110,28 @@ def _all_but_one(point: WorkingPoint, own: list[Place]) -> tuple[float, Filter |
         after, off = _fall(point, own[:k] + own[k + 1 :], ALIKE)
         if off is None:
             continue
-        hz = c.w / (2 * np.pi)
-        here, others = _through(point, i, hz)
-        echoes = here * off.echoes(hz, point.data.kinds[i])
-        back = c.back + echoes.sum(axis=0) + others * off.folded(hz, point.data.kinds[i])
-        beyond = images(off.rate_hz, hz)[: len(echoes)]
-        behind = replace(c, colour=c.colour * off.passed(hz), back=back, echoes=echoes, images=beyond)
+        behind = _behind(point, i, c, off)
         alone = force_colour.otherwise(point, i, behind, *force_colour.plain(point, i, behind))
         if after + alone < best and alone < force_colour.otherwise(point, i, c, *fit):
             best, found = after + alone, off
     return best, found
+
+
+def _explains(point: WorkingPoint, off: Filter, own: list[Place], before: float) -> bool:
+    """Whether a filter takes half of some places' misfit beyond chance. before : their deviance without it."""
+    behind = [(i, _behind(point, i, c, off)) for i, c, _ in own]
+    after = -2 * sum(force_colour.plain(point, i, c)[0] for i, c in behind)
+    return after - (df := sum(c.n.size - 4 for _, c, _ in own)) < (1 - EXPLAINED) * (before - df)
+
+
+def _behind(point: WorkingPoint, i: int, c: Cells, off: Filter) -> Cells:
+    """The cells of a place behind a filter."""
+    hz = c.w / (2 * np.pi)
+    here, others = _through(point, i, hz)
+    echoes = here * off.echoes(hz, point.data.kinds[i])
+    back = c.back + echoes.sum(axis=0) + others * off.folded(hz, point.data.kinds[i])
+    beyond = images(off.rate_hz, hz)[: len(echoes)]
+    return replace(c, colour=c.colour * off.passed(hz), back=back, echoes=echoes, images=beyond)
 
 
 def _in_common(own: list[Place]) -> bool:

@@ -393,6 +393,18 @@ def test_each_bearing_may_have_a_recorder_of_its_own() -> None:
         assert S.value == pytest.approx(rig.linear[place]["S"].value, abs=4 * (S.sd or 0.0)), place
 
 
+@pytest.mark.parametrize("two", ["", "bessel"])
+def test_a_bearing_whose_own_spectra_do_not_tell_has_the_filter_of_the_other_if_that_explains_them(two: str) -> None:
+    """As beside a late sensor on a stiff shaft: each channel of the other bearing was called resonant."""
+    rig, y = two_devices(4.0, "bessel", two)
+    point = fit_record(rig, prepare(rig, y, RATE))
+    first, second = (common_fall._measured(point, at) for at in ([0, 1], [2, 3]))
+    _, off = common_fall._fall(point, first, 0.5)
+    assert off is not None
+    before = -2 * sum(fit[0] for _, _, fit in second)
+    assert common_fall._explains(point, off, second, before) == bool(two)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("two", ["", "butterworth"])
 def test_a_complete_model_behind_two_recorders_is_complete(two: str) -> None:
