@@ -67,8 +67,8 @@ def _of(point: WorkingPoint, places: list[int]) -> RollOff | None:
     if most is not None and deviance < each_its_own:
         return dict.fromkeys(data.places, most)
     apart = {names[k]: off for at, _, off in nodes if off is not None for k in at}
-    for off in [*apart.values()][:1]:  # of the other bearing too, if it shows none of its own: one recorder, not two
-        bare = [(at, after) for at, after, none in nodes if none is None]
+    if apart:  # of the other bearing too, if it shows none of its own: one recorder, not two
+        off, bare = next(iter(apart.values())), [(at, after) for at, after, none in nodes if none is None]
         apart |= {names[k]: off for at, after in bare if _explains(point, off, [own[k] for k in at], after) for k in at}
     if apart and (found is None or chdtrc(POWERS.size * (len(nodes) - 1), together - each_its_own) < LEVEL):
         return apart

@@ -23,10 +23,9 @@ LEARNT_FROM = 1 << 19  # samples, for the spectrum
 MOST = 0.15  # of the samples at the ceiling. Of 11 % kNL comes out a fifth low, of 3 % a tenth; kL 0.3 and 0.15 % high
 RESTORED = "its sensor is clipped: what lies beyond is drawn from the samples beside it; a larger range is better"
 LOST = "its sensor is clipped, and what lies beyond cannot be restored: take a larger range"
-Restored = tuple[Array, dict[str, float]]
 
 
-def restored(model: Model, y: Array, places: frozenset[str]) -> Restored:
+def restored(model: Model, y: Array, places: frozenset[str]) -> tuple[Array, dict[str, float]]:
     """The record (n, channels), SI, with the motion channels at these places beyond their ceilings, itself if nothing
     is to be restored; and by place how far off that is, rms over that of the channel: inf where something was taken
     that cannot be restored. The same draws for the same record."""
@@ -64,7 +63,8 @@ def _beyond(y: Array, at: NDArray[np.bool_], low: float, high: float, rng: np.ra
     for turn in range(ROUNDS + 1):
         if turn < ROUNDS:
             weights, sd = _between(z)
-        before = z.copy()
+        else:  # another draw by the last spectrum
+            before = z.copy()
         for _ in range(SWEEPS):
             for group in groups:
                 rows, side, limit = inner[group], sides[group], limits[group]

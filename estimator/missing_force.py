@@ -296,12 +296,11 @@ def surveyed(
 
 def _judged(point: WorkingPoint) -> Array:
     """(places,) N rms, bearing force of the places that are judged, 0 at the others."""
-    unsure = np.array([point.data.unsure(i) for i in range(len(point.data.places))])
-    return np.where(unsure < np.inf, point.bearing_force, 0.0)
+    return np.where(np.isin(np.arange(len(point.data.places)), point.data.judged), point.bearing_force, 0.0)
 
 
 def _questions(point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None) -> list[Callable[[], Residual]]:
     """What a survey asks at every place (or some), to be answered in any order."""
-    places = [i for i in (range(len(point.data.places)) if only is None else only) if point.data.unsure(i) < np.inf]
+    places = [i for i in point.data.judged if only is None or i in only]
     tries = len(point.data.places) * len(reference.GROUPS)
     return [partial(explain, point, i, orders_of(model), tries) for i in places]

@@ -94,6 +94,11 @@ class MotionBlocks:
         return 0.0 if self.drawn is None else float(self.drawn[i])
 
     @property
+    def judged(self) -> tuple[int, ...]:
+        """Indices of the places that can be judged."""
+        return tuple(i for i in range(len(self.places)) if self.unsure(i) < np.inf)
+
+    @property
     def blocks(self) -> int:
         return int(self.start.size)
 

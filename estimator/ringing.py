@@ -38,9 +38,7 @@ def ringing(data: MotionBlocks, weights: NDArray[np.floating]) -> Ringing | None
     """None where no disc rings in the band. weights : (places, bins) of the spectra."""
     if data.disc is None or not data.band[0] < (f0 := data.disc.w0 / (2 * np.pi)) < data.band[1]:
         return None
-    f = data.f_hz
-    if not np.all(f != f0):  # the bins about it are not left out
-        return None
+    f = data.f_hz  # without f0: balance.shaft_notch
     forms = np.stack([1 / (f - f0), 1 / (f - f0) ** 2, 1 / (f + f0)], axis=1)
     shapes, kept = [], []
     for own in weights:

@@ -68,13 +68,12 @@ def spots(effect: Effect, model: Model, point: WorkingPoint) -> list[str]:
     if effect.kind not in FORCES or effect.name in PERIODIC or effect.name == "pedestal":
         return []
     taken = {u.key for u in point.placed}
-    left_out = {i for i in range(len(point.data.places)) if point.data.unsure(i) == np.inf}
     return [
         s
         for s in canonical_places(effect, model)
         if f"{s}.{effect.name}" not in taken
         and acting(effect, s, point.data)
-        and not left_out.intersection(acting(effect, s, point.data))
+        and set(point.data.judged).issuperset(acting(effect, s, point.data))
     ]
 
 

@@ -41,12 +41,12 @@ def fit_record(
     same record, to begin from where only amplitudes are sought. glance : there, near enough to look at the force."""
     uses, near = _suggested(data, placed_of(model, data), placed_of(_unnumbered(model), data))
     loose = [k for k, use in enumerate(uses) if _searched(use)]
-    if not loose and not near and begun:
-        return fit_model(data, list(begun.placed), begun)
-    if not loose and not near and glance:
-        return glanced(data, uses)
-    if not loose:
+    if not loose and near:
         return fit_model(data, uses, near)
+    if not loose and begun:
+        return fit_model(data, list(begun.placed), begun)
+    if not loose:
+        return glanced(data, uses) if glance else fit_model(data, uses)
     part = part_of(data, SECONDS)
     kinds = {k: (uses[k].effect.name, *_searched(uses[k])) for k in loose}
     for kind in dict.fromkeys(kinds.values()):

@@ -70,7 +70,7 @@ class Whole:
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
         data = self.point.data
-        lost = {place for i, place in enumerate(data.places) if data.unsure(i) == np.inf}
+        lost = {place for i, place in enumerate(data.places) if i not in data.judged}
         found = untold_at(lost, LOST, parameters(self.point)) | self.beside
         return untold_at(unknown_mass.unknown(self.model), unknown_mass.FREE, found, "N") | self.masses
 
@@ -119,7 +119,7 @@ def _glanced(model: Model, y: Array, rate_hz: float) -> WorkingPoint | None:
 def _means(point: WorkingPoint) -> dict[str, tuple[float, float, float, tuple[float, float]]]:
     """By place m, c and k of the mean response, and the band; of places that are judged and have no measured force."""
     data, slopes = point.data, point.slopes
-    own = [i for i in range(len(data.places)) if not data.measured_force and data.unsure(i) < np.inf]
+    own = () if data.measured_force else data.judged
     return {data.places[i]: (float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band) for i in own}
 
 
