@@ -72,6 +72,7 @@ class Whole:
         data = self.point.data
         lost = {place for i, place in enumerate(data.places) if i not in data.judged}
         found = untold_at(lost, LOST, parameters(self.point)) | self.beside
+        found = unknown_mass.widened(self.model, found, self.masses)
         return untold_at(unknown_mass.unknown(self.model), unknown_mass.FREE, found, "N") | self.masses
 
 
@@ -86,15 +87,20 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     Raises DataError, also where no force is measured and a place does not resonate in the band: nothing is told of its
     stiffness and damping then, and so of what is missing beside them.
     """
-    model, masses = unknown_mass.weighed(timed(model, y, rate_hz), y, rate_hz)
+    given = timed(model, y, rate_hz)
+    model, masses = unknown_mass.weighed(given, y, rate_hz)
     begun = _glanced(model, y, rate_hz)
     off = common_fall.find(model, begun) if begun and all(starmap(resonates, _means(begun).values())) else None
+    if off and unknown_mass.of_shaft(given):  # what the shaft tells of them is told without the filter
+        return fit_whole(replace(given, roll_off=off), y, rate_hz)
     whole = _turning(replace(model, roll_off=off) if off else model, y, rate_hz, begun)
     if not begun and not model.roll_off and (off := common_fall.find(whole.model, whole.point)):
         whole = _turning(replace(model, roll_off=off), y, rate_hz, whole.point)
     _refuse(whole.point)
     if not model.roll_off and (late := recorder_phase.found(whole.model, whole.point)):
         whole = _turning(replace(model, roll_off=late), y, rate_hz, whole.point)
+    if whole.model.roll_off != model.roll_off and unknown_mass.of_shaft(given):
+        return fit_whole(replace(given, roll_off=whole.model.roll_off), y, rate_hz)
     data = whole.point.data
     said = (
         *shortened(data, y),
