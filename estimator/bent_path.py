@@ -19,6 +19,7 @@ from . import pedestal_form
 from .effects import CATALOGUE
 from .effects.places import at, written
 from .estimate import Parameter
+from .folded_force import images
 from .force_colour import NOISE_RATIO, resonance_hz
 from .missing_force import NEGLIGIBLE
 from .model import MOTION, Model
@@ -41,7 +42,9 @@ MATTERS = 1e-3  # of the force, in power: less noise than that bends nothing tha
 # each cell, as |f|^2 is noisy there: 14 to 197 nats in records with 2 to 30 % of noise, whatever their length
 WORTH = 250.0
 ALIKE = 10.0  # nats, within which what is left is noise of the sensor
+AS_WELL = 0.99  # of the nats of the likeliest cause, that a delay brings where it is one
 CALIBRATED = 2e-3  # error of a gain that no calibration, and no weighing of a cap, would show to be one
+CARRIED, SETTLED = 8, 0.1  # times at most that what is folded goes through a sensor as found; standard deviations
 UNEVEN = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
 NOTES = {
     "pedestal": CATALOGUE["pedestal"].distinguish,
@@ -55,13 +58,15 @@ NOTES = {
 class Cause:
     """What may bend a tangent. values : parameters in SI of their free form, and `free` the other way; starts : in it.
 
-    bend : A' of a response, the tangent (cells,) without the cause, kL and c, and the parameters."""
+    bend : A' of a response, the tangent (cells,) without the cause, kL and c, and the parameters. sensor : of a
+    sensor's fault, its response at w (..., cells) over what is undone; what is folded went through it at the image."""
 
     effect: str
     starts: tuple[tuple[float, ...], ...]
     values: Callable[[Array], Array]
     free: Callable[[Array], Array]
     bend: Callable[[Response, Complexes, float, float, Array], Complexes]
+    sensor: Callable[[Array, Array], Complexes] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -82,11 +87,14 @@ def _sensor(effect: str, starts: tuple[tuple[float, ...], ...], unit: float, now
     limits = np.array([(3.0, 13.0), (-1.5, 6.0)]).T
 
     def bend(r: Response, A: Complexes, k: float, c: float, p: Array) -> Complexes:
-        return np.asarray(A * response(effect, now, r.w) / response(effect, dict(zip(names, p, strict=True)), r.w))
+        return np.asarray(A / sensor(r.w, p))
+
+    def sensor(w: Array, p: Array) -> Complexes:
+        return response(effect, dict(zip(names, p, strict=True)), w) / response(effect, now, w)
 
     if unit == 0.0:
-        return Cause(effect, starts, lambda z: np.exp(np.clip(z, *limits)), np.log, bend)
-    return Cause(effect, starts, lambda z: unit * z, lambda p: p / unit, bend)
+        return Cause(effect, starts, lambda z: np.exp(np.clip(z, *limits)), np.log, bend, sensor)
+    return Cause(effect, starts, lambda z: unit * z, lambda p: p / unit, bend, sensor)
 
 
 def causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str, float | None]]) -> list[Cause]:
@@ -118,8 +126,19 @@ def bent(
     wide = np.concatenate([scale, np.full(starts[0].size, 0.1)])
     peaks = [highest(r, bend, np.concatenate([base.u[:4], z]), wide) for z in starts]
     best = max(peaks, key=lambda peak: peak.nats)
-    again = [highest(r, bend, np.concatenate([noise, best.u[2:]]), wide) for noise in noises(r, best.A)]
-    return max([best, *again], key=lambda peak: peak.nats)
+
+    def again(r: Response) -> list[Peak]:
+        return [highest(r, bend, np.concatenate([noise, best.u[2:]]), wide) for noise in noises(r, best.A)]
+
+    best = max([best, *again(r)], key=lambda peak: peak.nats)
+    if cause.sensor is None or r.bare is None:
+        return best
+    for _ in range(CARRIED):
+        was, further = best.u[OWN], cause.sensor(images(r.w, point.data.rate_hz), cause.values(best.u[OWN]))
+        best = max(again(r.through(further)), key=lambda peak: peak.nats)
+        if np.all(np.abs(best.u[OWN] - was) < SETTLED * np.sqrt(np.diag(best.covariance)[OWN])):
+            break
+    return best
 
 
 def _settings(cause: Cause, peak: Peak, part: slice = OWN) -> dict[str, Parameter]:
@@ -148,6 +167,9 @@ def find(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> li
         if r.n.size < FEWEST:
             continue
         tried = _likeliest(model, point, i, r)
+        if late := r.late(point.data.rate_hz):
+            delayed = _likeliest(model, point, i, late)
+            tried = delayed if delayed.late and delayed.nats > tried.nats else tried
         found = _found(model, point, i, tried)
         if not found:
             heard[i] = tried.response, tried.base, tried.scale
@@ -163,6 +185,17 @@ class Tried:
     base: Peak
     scale: Array
     causes: dict[Cause, Peak]
+
+    @property
+    def nats(self) -> float:
+        """Of the best."""
+        return max(self.base.nats, *(peak.nats for peak in self.causes.values()), -np.inf)
+
+    @property
+    def late(self) -> bool:
+        """Whether a delay is as likely as any cause; a resonance far above the band is hardly likelier."""
+        gains = {cause.effect: peak.nats - self.base.nats for cause, peak in self.causes.items()}
+        return gains.get("sensor_skew", 0.0) > AS_WELL * max(gains.values(), default=0.0)
 
     @property
     def likely(self) -> float:
@@ -234,11 +267,12 @@ def refined(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Paramet
                 continue
             if point.kL[i] <= 0.0:
                 continue
-            r = response_of(point, i, lines)
-            base, scale = plain(point, i, r)
             (cause,) = (c for c in causes(point, i, {use.name: now}) if c.effect == use.name)
             starts = [cause.free(np.array([now[n] for n in cause.names])), *map(np.array, cause.starts)]
-            best = _settings(cause, bent(point, i, r, cause, base, scale, starts))
+            r = response_of(point, i, lines)
+            late = r.late(point.data.rate_hz) if use.name == "sensor_skew" else None
+            peaks = [bent(point, i, z, cause, *plain(point, i, z), starts) for z in (r, late) if z]
+            best = _settings(cause, max(peaks, key=lambda peak: peak.nats))
             new.pop(key.split(".")[0], None)
             new[key] = {n: s if s.fixed else replace(s, value=best[n].value) for n, s in own.items()}
             for n, q in best.items():
@@ -325,6 +359,9 @@ def _found(model: Model, point: WorkingPoint, i: int, at_place: Tried) -> list[S
                         NOTES[cause.effect])]  # fmt: skip
 
     out = [s for cause, peak in tried.items() for s in suspect(cause, OWN, peak, base)]
+    late = next((peak for cause, peak in tried.items() if cause.effect == "sensor_skew"), base)
+    if at_place.late and not _bent_still(r, late, least):
+        out = [s for s in out if s.effect != "sensor_resonance"]
     best = max(tried.values(), key=lambda peak: peak.nats, default=base)
     if not _bent_still(r, best, least):
         slight = any(c.effect == "sensor_gain" and abs(peak.u[4]) < CALIBRATED and not _bent_still(r, peak, least)

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .bandlimit import noise_shape
-from .folded_force import alike, folded
+from .folded_force import Folded, alike, folded
 
 if TYPE_CHECKING:
     from .working_point import WorkingPoint
@@ -60,14 +60,31 @@ class Response:
     alike: Complexes | float = 0.0  # (cells,) force per acceleration of what is folded
     folded: Array | float = 0.0  # (cells,) M
     across: Array | float = 0.0  # (cells,) of Q, what is folded into the motion of the other caps, through the shaft
+    fold: Folded | None = None  # of an acceleration, seen or not
+    bare: Response | None = None  # the same with it, where it was taken out
 
     def share(self, Q: float) -> Array:
         """(cells,) p: what of the measured force is noise where the density Q is left."""
         return np.minimum((1.0 - self.unmeasured) * (Q + self.across) / self.ff, 0.5)
 
-    def less(self, alike: Complexes, folded: Array) -> Response:
-        """Without what the measured force tells of the fold; the rest of that is noise. alike, folded : (cells,)"""
-        folded = np.minimum(folded, 0.5 * self.ff / np.abs(alike) ** 2)
+    def through(self, further: Complexes) -> Response:
+        """The same where the sensor has a response that is not undone, (2, cells) at the images of what is folded."""
+        if self.fold is None or self.bare is None:
+            return self
+        return replace(self.bare, unmeasured=self.unmeasured).less(self.fold.through(further))
+
+    def late(self, rate_hz: float) -> Response | None:
+        """The same of a sensor that is late by more than is undone; None where that explains no more."""
+        if self.fold is None:
+            return None
+        bare = self.bare or self
+        fold = folded(bare, self.fold.back, self.fold.undone, rate_hz, late=True)
+        return bare.less(fold) if fold.density.any() else None
+
+    def less(self, fold: Folded) -> Response:
+        """Without what the measured force tells of the fold; the rest of that is noise."""
+        alike = fold.force
+        folded = np.minimum(fold.seen, 0.5 * self.ff / np.abs(alike) ** 2)
         told = alike.conj() * folded / self.ff
         B, rest = told * (self.A - alike), 1 - (told * alike).real
         af, rf = self.A.conj() * self.aa - self.ra.conj(), self.A.conj() * self.ra - self.rr
@@ -76,7 +93,7 @@ class Response:
             rr=self.rr - 2 * np.real(B.conj() * rf) + np.abs(B) ** 2 * self.ff,
             ra=self.ra - told.conj() * rf - B * af.conj() + B * told.conj() * self.ff,
             aa=self.aa - 2 * np.real(told.conj() * af) + np.abs(told) ** 2 * self.ff,
-            ff=rest**2 * self.ff, alike=alike, folded=rest * folded,
+            ff=rest**2 * self.ff, alike=alike, folded=rest * folded, fold=fold, bare=self,
         )  # fmt: skip
 
 
@@ -114,10 +131,10 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), ever
     seen = folded(found, back, np.stack([mean(z) for z in data.passed[:, i]]), data.rate_hz)
     if every > 1 and seen.likely and not seen.density.any():
         return response_of(point, i, lines)
-    found = found.less(seen.force, seen.density) if seen.density.any() else found
     others = np.arange(len(data.places)) != i
     across = np.sum(np.abs(point.A[:, i]) ** 2 * data.folded_beside.T, axis=1, where=others)
-    return replace(found, across=mean(across).real) if across.any() else found
+    found = replace(found, across=mean(across).real) if across.any() else found
+    return found.less(seen) if seen.density.any() else replace(found, fold=seen)
 
 
 def _spectra(z: Array, block: int, start: NDArray[np.int64]) -> NDArray[np.complex64]:
