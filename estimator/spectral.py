@@ -41,6 +41,7 @@ Floats = NDArray[np.float64]
 SCALELESS = "the data leave it free: nothing in the model sets its scale"
 START_SECONDS = 20.0  # of a record, for where a gap is begun
 UNMEASURED = 1e-3  # of the measured force, in power, from which on it matters whether the rest is noise or a force
+SHARED = 0.03  # of the PSD of an inferred force in a cell: with 0.17, kL was one standard deviation high, with 0.9 five
 PATHS = 4  # that a law is fitted along where the force is known, each from the last fit
 OVERLAP = 0.106  # correlation of the energies of neighbouring blocks (sums of w^2 w'^2 over w^4, gram.taper)
 
@@ -185,13 +186,14 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
 
     A model with more than laws of the states of a cap, with a force that remembers, or with a law that moves the cap
     off its centre is fitted as compare fits it, and so are a record behind a filter that shows, a rotor beyond whirl,
-    a force beside those measured, and a law with searched numbers whose likelihood is not brought to its maximum here.
+    a force beside those measured, noise of a sensor that comes through the shaft into the force at another, and a law
+    with searched numbers whose likelihood is not brought to its maximum here.
     """
     known = all(model.cap_mass(place) is not None for place in model.places)
     solution: Solution | None = None
     if not (known and _more_than_laws(model)):
         solution = analyse(model, y, rate_hz, phase, _begun(model, y, rate_hz) if known else None)
-    lost = solution is not None and known and (astray(solution) or _whirls(solution))
+    lost = solution is not None and known and (astray(solution) or _whirls(solution) or _shared(solution))
     if solution is None or lost or (known and _falls(solution)):
         from . import whole
 
@@ -264,6 +266,14 @@ def _whirls(solution: Solution) -> bool:
     A = B @ responses(balance, solution.bank.tangents, f_hz)
     modes, _ = modes_of(A, np.diag(B), f_hz)
     return bool(np.any(modes.real > 0.0))
+
+
+def _shared(solution: Solution) -> bool:
+    """Whether noise of a sensor is much of the force that is inferred at another place, through the shaft: rows are
+    taken as independent here, and are not then (noise_paths.py)."""
+    point, local = solution.point, solution.local
+    shares = point.noise * local.floor / local.spread[:, :, None]
+    return bool(np.max(shares, where=~np.eye(point.S.size, dtype=bool), initial=0.0) > SHARED)
 
 
 def _falls(solution: Solution) -> bool:
