@@ -189,7 +189,9 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
     a force beside those measured, noise of a sensor that comes through the shaft into the force at another, and a law
     with searched numbers whose likelihood is not brought to its maximum here.
     """
-    known = all(model.cap_mass(place) is not None for place in model.places)
+    from . import unknown_mass
+
+    known = not unknown_mass.unknown(model) or bool(unknown_mass.of_shaft(model))
     solution: Solution | None = None
     if not (known and _more_than_laws(model)):
         solution = analyse(model, y, rate_hz, phase, _begun(model, y, rate_hz) if known else None)
