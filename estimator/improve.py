@@ -113,6 +113,8 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             shaped = any(use.name in SHAPING for use in model.effects)
             if whole.masses or shaped or taken or recorder_phase.found(new_whole.model, richer):
                 again = replace(new_whole.model, mass=given.mass, roll_off=given.roll_off)
+                del richer, new_whole  # large, as is the last one, and the next is larger while it is made
+                whole = replace(whole, point=(point := point.rowless()))
                 new_whole = _refitted(again, y, rate_hz)
         else:
             # forces of time alone make products with the motion that pass for a stiffness that turns: sought again
@@ -121,6 +123,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             )
             if best.effect not in PERIODIC:  # a shape of the spectra that the recorder's filter was sought in
                 before = replace(before, roll_off=given.roll_off)
+            whole = replace(whole, point=(point := point.rowless()))
             try:
                 new_whole = _with_found(before, given, best.settings, y, rate_hz)
             except DataError as problem:  # far from the rotor

@@ -93,6 +93,8 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     off = common_fall.find(model, begun) if begun and all(starmap(resonates, _means(begun).values())) else None
     if off and unknown_mass.of_shaft(given):  # what the shaft tells of them is told without the filter
         return fit_whole(replace(given, roll_off=off), y, rate_hz)
+    if off and begun:
+        begun = begun.rowless()
     whole = _turning(replace(model, roll_off=off) if off else model, y, rate_hz, begun)
     if not begun and not model.roll_off and (off := common_fall.find(whole.model, whole.point)):
         whole = _turning(replace(model, roll_off=off), y, rate_hz, whole.point)

@@ -85,6 +85,12 @@ class WorkingPoint:
             power = power.reshape(len(power), self.data.blocks, -1).mean(axis=2) / self.data.level
         return np.asarray(np.sqrt(np.mean(power, axis=1)))
 
+    def rowless(self) -> WorkingPoint:
+        """Itself without rows, which are large: for a fit of another record to begin from."""
+        none = np.zeros(self.data.x.shape[1], bool)
+        data = self.data.at(none)
+        return replace(self, data=data, force=self.force[:, none], weighing=replace(self.weighing, data=data))
+
 
 def fit_model(
     data: MotionBlocks, uses: list[Placed], start: WorkingPoint | None = None, rounds: int = ROUNDS,

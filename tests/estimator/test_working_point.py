@@ -9,6 +9,7 @@ import pytest
 from hidden_effects import RATE, one_bearing
 
 from estimator import bandlimit, noise_paths, working_point
+from estimator.fitted import parameters
 from estimator.model import EffectUse, Setting
 from estimator.model_uses import placed_of
 from estimator.noise_paths import _least
@@ -61,3 +62,15 @@ def test_what_laws_do_not_see_is_that_of_the_rotor_behind_strong_noise() -> None
     own = bandlimit.left_out(*(np.array([z]) for z in (m, c, kL, S)), rig.band, RATE, ["acceleration"])
     point = working_point.fit_model(data, placed_of(rig, data))
     assert point.data.left_out[1] == pytest.approx(own[0], rel=0.1)
+
+
+def test_without_its_rows_a_fit_says_the_same_and_another_begins_from_it() -> None:
+    """Held whole while the next was made it took improve of a minute from 1.45 to 1.93 GB."""
+    rig = one_bearing()
+    data = prepare(rig, simulate(rig, RATE, 4.0, seed=1, noise=0.02, full_scale=490.5), RATE)
+    point = working_point.fit_model(data, placed_of(rig, data))
+    bare = point.rowless()
+    assert bare.data.x.size == bare.force.size == bare.weighing.data.x.size == 0
+    assert parameters(bare) == parameters(point)
+    again = working_point.fit_model(replace(data), list(bare.placed), bare)
+    np.testing.assert_allclose(again.kL, point.kL, rtol=1e-4)
