@@ -31,6 +31,7 @@ MOST = 20.0  # that one of them counts for
 SURE, LEVEL = 1.3, 1e-4  # the local noise is known to about a tenth; chance of a false train in a record
 LEAST_ORDER, MOST_ORDER = 0.3, 30.0  # of the shaft, as the effect's own limits
 VISIBLE, PLAIN = 8.0, 25.0  # power over noise of a harmonic that is seen, and of one that cannot be overlooked
+BESIDE = np.arange(4, 16)  # bins on either side of a line that tell what is beside it
 GAP, GAPS = 0.25, 0.2  # of the power of its neighbours, under which a harmonic is left out; share that may be
 
 
@@ -58,9 +59,10 @@ def find(
         enough = 40 + 5 * np.sqrt(harmonics.size)
         i = int(np.argmax(gains))
         visible = int((Z[i] > VISIBLE).sum())
-        if visible < 4 or gains[i] <= enough or (best is not None and gains[i] <= best.gain):
+        if visible < 4 or gains[i] <= enough or (best is not None and gains.sum() <= best.gain):
             continue
-        if not _full(point, s, hz * harmonics.astype(float), Z, i) or _made_by_laws(point, s, order, hz, Z[i], i):
+        F, unit = _forces(point, s, bins + np.argmax([Zs[i, bins + d] for d in (-1, 0, 1)], axis=0) - 1, i)
+        if not _full(F / unit, unit) or _made_by_laws(point, order, hz, F / unit, unit, i):
             continue
         places = [point.data.places[j] for j in range(len(gains)) if gains[j] > enough]
         best, fundamental = _defect(point, s, order, rotation, places, float(np.sum(gains))), hz
@@ -116,38 +118,40 @@ def _centred(s: Spectrum, Zs: Array, hz: float, high: float) -> float:
     return hz
 
 
-def _full(point: WorkingPoint, s: Spectrum, f_hz: Array, Z: Array, i: int) -> bool:
-    """Whether the force at place i has all its harmonics, as far as they would be seen beside their neighbours.
+def _forces(point: WorkingPoint, s: Spectrum, bins: NDArray[np.intp], i: int) -> tuple[Array, Array]:
+    """(lines,) N at place i of lines at some bins by a linear reading of the motion, and of what is beside them."""
+    near = np.clip(bins[:, None] + np.concatenate([[0], -BESIDE, BESIDE]), 1, s.f_hz.size - 1)
+    Y, f_hz = s.Y[:, near.ravel()], s.f_hz[near.ravel()]
+    if set(s.kinds) == {"force"}:
+        F = np.abs(Y[i])
+    else:
+        A = tangent_at(point, f_hz, shaft_response(s.model, point.data.places, f_hz))[:, i]
+        F = np.abs(np.sum(A * to_acceleration(s.kinds, 2 * np.pi * f_hz) * Y.T, axis=1))
+    F = F.reshape(near.shape)
+    return np.asarray(F[:, 0]), np.sqrt(np.median(F[:, 1:] ** 2, axis=1) / np.log(2.0))
 
-    f_hz : (harmonics,). Z : (places, harmonics) power over noise.
+
+def _full(over: Array, unit: Array) -> bool:
+    """Whether a train has all its harmonics, as far as they would be seen beside their neighbours.
+
+    over : (harmonics,) its force, in what is beside a harmonic; unit : (harmonics,) N of that.
     """
-    unit = _unit(point, s, f_hz, i)
-    F = np.sqrt(Z[i]) * unit
+    F = over * unit
     expected = 0.5 * (F[:-2] + F[2:])
     plain = (expected / unit[1:-1]) ** 2 > PLAIN
     left_out = plain & (F[1:-1] ** 2 < GAP * expected**2)
     return bool(left_out.sum() <= GAPS * plain.sum())
 
 
-def _unit(point: WorkingPoint, s: Spectrum, f_hz: Array, i: int) -> Array:
-    """(f,) N of one noise at place i."""
-    bins = np.clip(np.round(f_hz * s.seconds).astype(int), 1, s.f_hz.size - 2)
-    noise: Array = np.sqrt(s.noise[i, bins])
-    if set(s.kinds) == {"force"}:
-        return noise
-    A = tangent_at(point, f_hz, shaft_response(s.model, point.data.places, f_hz))[:, i, i]
-    return np.asarray(noise * np.abs(to_acceleration((s.kinds[i],), 2 * np.pi * f_hz)[:, 0] * A))
-
-
-def _made_by_laws(point: WorkingPoint, s: Spectrum, order: float, hz: float, Z: Array, i: int) -> bool:
-    """Whether the laws of the model make the harmonics that are seen out of other lines. Z : (harmonics,)."""
-    f_hz = hz * np.arange(1.0, Z.size + 1)
-    seen = (Z > VISIBLE) & unexplained.known(point, f_hz)
+def _made_by_laws(point: WorkingPoint, order: float, hz: float, over: Array, unit: Array, i: int) -> bool:
+    """Whether the laws of the model make the harmonics that are seen out of other lines. over, unit : as `_full` has
+    them."""
+    seen = (over**2 > VISIBLE) & unexplained.known(point, hz * np.arange(1.0, over.size + 1))
     if point.data.measured_force or not seen.any():
         return False
-    left = unexplained.harmonics(point, i, order * point.data.phase, Z.size)[seen]
-    over_noise = np.abs(left / _unit(point, s, f_hz[seen], i)) ** 2  # one beside a resonance is many times the others
-    return bool(np.sum(over_noise) < unexplained.LEAST**2 * np.sum(Z[seen]))
+    left = unexplained.harmonics(point, i, order * point.data.phase, over.size)[seen]
+    over_noise = np.abs(left / unit[seen]) ** 2  # one beside a resonance is many times the others
+    return bool(np.sum(over_noise) < unexplained.LEAST**2 * np.sum(over[seen] ** 2))
 
 
 def _defect(
