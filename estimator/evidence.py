@@ -19,7 +19,7 @@ from .model import Model
 from .periodic import LINE_NAMES
 from .placed import Placed
 from .screen import Trial
-from .suspect import UNKNOWN, Suspect
+from .suspect import CLAIMED, UNKNOWN, Suspect
 from .working_point import WorkingPoint
 
 Settings = dict[str, dict[str, Parameter]]  # by canonical place, by name
@@ -83,7 +83,7 @@ def entries(
         out = [replace(e, p_value=min(1.0, e.p_value * more)) if e.effect == BALL_PASS.name else e for e in out]
     for name in dict.fromkeys(s.effect for s in others if s.effect != UNKNOWN):
         out.append(_suspected(model, point, [s for s in others if s.effect == name], before))
-    return sorted(after_what_clipping_cannot_make(out), key=lambda e: -e.score)
+    return sorted(after_strikes(after_what_clipping_cannot_make(out), model.band[0]), key=lambda e: -e.score)
 
 
 def after_what_clipping_cannot_make(found: list[Entry]) -> list[Entry]:
@@ -92,6 +92,19 @@ def after_what_clipping_cannot_make(found: list[Entry]) -> list[Entry]:
     return [
         replace(e, score=e.gain, notes=(*e.notes[:1], "too few samples to make what is ahead"))
         if e.effect == "sensor_clipping" and laws > PER_CLIPPED * e.gain
+        else e
+        for e in found
+    ]
+
+
+def after_strikes(found: list[Entry], low_hz: float) -> list[Entry]:
+    """Lines that are all below the band stand behind strikes in it: of these sampling folds harmonics to anywhere, and
+    what is at a few Hz is many times as much in newtons as in the motion that shows it."""
+    strikes = max((e.score for e in found if e.effect == "local_defect" and e.p_value < CLAIMED), default=np.inf)
+    return [
+        replace(e, score=min(e.score, np.nextafter(strikes, -np.inf)))
+        if e.effect == "line"
+        and all((q["frequency"].value or 0.0) < low_hz for own in e.settings.values() for q in own.values())
         else e
         for e in found
     ]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import common_fall, recorder_phase
-from .diagnose import Diagnosis, diagnose_point
+from .diagnose import EARNED, Diagnosis, diagnose_point
 from .errors import DataError
 from .estimate import Parameter
 from .evidence import Settings
@@ -137,7 +137,8 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         if best.effect not in UNSCORED and new.heldout_nll >= rungs[-1].heldout_nll:
             messages.append(f"{found.verdict} was named but does not improve the held-out likelihood: not added")
             break
-        if best.effect in PERIODIC and new.missing[0] >= rungs[-1].missing[0]:
+        earned = (rungs[-1].heldout_nll - new.heldout_nll) * point.data.blocks * point.data.block > EARNED
+        if best.effect in PERIODIC and new.missing[0] >= rungs[-1].missing[0] and not earned:
             messages.append(f"{found.verdict} was named but leaves as much of the force as before: not added")
             break
         whole, model, point, shift = new_whole, new_whole.model, new_whole.point, moved

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 
-from estimator import line_forces, strikes
+from estimator import evidence, line_forces, strikes
 from estimator.balance import shaft_notch
+from estimator.estimate import Parameter
+from estimator.evidence import Settings
 from estimator.model import EffectUse, Model, Setting
 from estimator.simulate import simulate
 from estimator.suspect import Suspect
@@ -74,3 +76,20 @@ def test_the_force_beside_harmonics_is_as_white_near_the_discs_resonance_as_else
         _, unit = strikes._forces(point, s, bins, 0)
         spread.append(np.median(unit))
     assert spread[0] == pytest.approx(spread[1], rel=0.2)
+
+
+@pytest.mark.parametrize(("hz", "first"), [((4.3, 89.2), "local_defect"), ((4.3, 300.0), "line")])
+def test_lines_below_the_band_come_after_strikes_in_it(hz: tuple[float, ...], first: str) -> None:
+    """Of strikes that sampling folded to 4 to 123 Hz nine lines were named first, 70 N at 4 Hz among them."""
+    lines = {
+        name: {"bearing1.x": {"frequency": Parameter(f, 0.01, "Hz")}}
+        for name, f in zip(("line", "line_2"), hz, strict=True)
+    }
+    strikes = entry("local_defect", 3735.0)
+    found = evidence.after_strikes([entry("line", 8331.0, lines), strikes], 171.6)
+    assert max(found, key=lambda e: e.score).effect == first
+    assert evidence.after_strikes([entry("line", 8331.0, lines)], 171.6)[0].score == 8331.0
+
+
+def entry(effect: str, score: float, settings: dict[str, Settings] | None = None) -> evidence.Entry:
+    return evidence.Entry(effect, ("bearing1",), score, score, 0.0, 97.0, 0.0, {}, score, settings=settings or {})
