@@ -62,7 +62,7 @@ def find(
         if visible < 4 or gains[i] <= enough or (best is not None and gains.sum() <= best.gain):
             continue
         F, unit = _forces(point, s, bins + np.argmax([Zs[i, bins + d] for d in (-1, 0, 1)], axis=0) - 1, i)
-        if not _full(F / unit, unit) or _made_by_laws(point, order, hz, F / unit, unit, i):
+        if not _full(F, unit) or _made_by_laws(point, order, hz, F, unit, i):
             continue
         places = [point.data.places[j] for j in range(len(gains)) if gains[j] > enough]
         best, fundamental = _defect(point, s, order, rotation, places, float(np.sum(gains))), hz
@@ -131,21 +131,21 @@ def _forces(point: WorkingPoint, s: Spectrum, bins: NDArray[np.intp], i: int) ->
     return np.asarray(F[:, 0]), np.sqrt(np.median(F[:, 1:] ** 2, axis=1) / np.log(2.0))
 
 
-def _full(over: Array, unit: Array) -> bool:
+def _full(F: Array, unit: Array) -> bool:
     """Whether a train has all its harmonics, as far as they would be seen beside their neighbours.
 
-    over : (harmonics,) its force, in what is beside a harmonic; unit : (harmonics,) N of that.
+    F, unit : (harmonics,) N of its force, and of what is beside each harmonic.
     """
-    F = over * unit
     expected = 0.5 * (F[:-2] + F[2:])
     plain = (expected / unit[1:-1]) ** 2 > PLAIN
     left_out = plain & (F[1:-1] ** 2 < GAP * expected**2)
     return bool(left_out.sum() <= GAPS * plain.sum())
 
 
-def _made_by_laws(point: WorkingPoint, order: float, hz: float, over: Array, unit: Array, i: int) -> bool:
-    """Whether the laws of the model make the harmonics that are seen out of other lines. over, unit : as `_full` has
+def _made_by_laws(point: WorkingPoint, order: float, hz: float, F: Array, unit: Array, i: int) -> bool:
+    """Whether the laws of the model make the harmonics that are seen out of other lines. F, unit : as `_full` has
     them."""
+    over = F / unit
     seen = (over**2 > VISIBLE) & unexplained.known(point, hz * np.arange(1.0, over.size + 1))
     if point.data.measured_force or not seen.any():
         return False

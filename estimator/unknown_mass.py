@@ -87,8 +87,8 @@ def _key(name: str) -> str:
 
 def _held(model: Model, name: str) -> float:
     """What the shaft adds to kL or c of a place, as these are in the motion of its cap above the disc's resonance."""
-    of_shaft = {"kL": model.shaft_stiffness, "c": model.shaft_damping}
-    return float(shaft_matrix(model.shaft, of_shaft.get(name.rsplit(".", 1)[1], 0.0))[0, 0])
+    added = {"kL": model.shaft_stiffness, "c": model.shaft_damping}
+    return float(shaft_matrix(model.shaft, added.get(name.rsplit(".", 1)[1], 0.0))[0, 0])
 
 
 def said(told: dict[str, Parameter]) -> tuple[str, ...]:
