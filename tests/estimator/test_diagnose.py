@@ -22,7 +22,7 @@ from estimator.placed import Placed
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
-UNTOLD = ("bow", "crack")  # on a soft shaft: docs/diagnosis.md, what cannot be told
+UNTOLD = ("bow", "crack")  # on a soft shaft: docs/diagnosis.md, what one record cannot tell
 
 
 @pytest.fixture(scope="module")
