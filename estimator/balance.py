@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .disc import Disc, disc_of
 from .effect import Effect
 from .effects.custom import effect_of
 from .effects.places import at, kinematic, written
@@ -68,7 +69,8 @@ class Free:
 
 @dataclass(frozen=True, slots=True)
 class Balance:
-    """places : rows of B; fixed : (rows, columns) B0; common : response of the shaft's reaction to displacement."""
+    """places : rows of B; fixed : (rows, columns) B0; common : response of the shaft's reaction to displacement; disc :
+    None without one on a shaft."""
 
     places: tuple[str, ...]
     kinds: tuple[str, ...]  # of the motion channel at each place
@@ -77,6 +79,7 @@ class Balance:
     free: tuple[Free, ...]
     fixed: Floats
     common: Callable[[Floats], Complexes] | None
+    disc: Disc | None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -255,7 +258,7 @@ def build(
         high = np.inf if setting.high is None else setting.high
         free.append(Free(name, unit, float(start), tuple(where), low, high, searched_one))
     kinds = tuple(model.channels[c].kind for c in motion_channels(model))
-    return Balance(places, kinds, tuple(columns), tuple(laws), tuple(free), B0, common)
+    return Balance(places, kinds, tuple(columns), tuple(laws), tuple(free), B0, common, disc_of(model))
 
 
 def directions_measured(model: Model) -> tuple[str, ...]:

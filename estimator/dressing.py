@@ -12,8 +12,9 @@ from .columns import Columns
 from .contour import lasting, modes_of
 from .gram import valid_blocks
 from .likelihood import responses
+from .mean_response import Mean, mean_responses
 from .record import Record, stretches
-from .self_energy import SECONDS, Mean, covariance, dressed_response, self_energy, spectra
+from .self_energy import DECAYS, SECONDS, covariance, dressed_response, self_energy, spectra
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -29,11 +30,13 @@ def self_energies(
     not decay, or no law is there.
     """
     balance = columns.balance
-    mean = mean_responses(balance, B, tangents)
-    if all(law.effect.kind != "force" for law in balance.laws) or any(m.c <= 0 or m.k <= 0 for m in mean):
+    D = mean_tangents(balance, B, tangents)
+    own = np.einsum("iik->ki", D)
+    if all(law.effect.kind != "force" for law in balance.laws) or np.any(own <= 0.0) or np.any(np.diag(B) <= 0.0):
         return None
+    mean = of_caps(balance, B, D)
     modes, motion = modes_of(B @ responses(balance, tangents, f_hz), np.diag(B), f_hz)
-    lasts = lasting(modes, motion, np.array([1.0 / m.decay for m in mean]))
+    lasts = lasting(modes, motion, own[1] / (2 * np.diag(B)))
     out = np.zeros((f_hz.size, len(balance.columns), len(balance.columns)), complex)
     for row in np.flatnonzero(~lasts).tolist():
         laws = [
@@ -91,7 +94,7 @@ def flutter(record: Record, columns: Columns, seconds: float = SECONDS) -> Flutt
 def _covariances(record: Record, columns: Columns, laws: list[int], mean: Mean, seconds: float) -> tuple[Floats, float]:
     """(laws, laws, 2, 2, lags) <kappa_ja(t + lag) kappa_kb(t)>, a and b: along x and v; and the time step."""
     usable = valid_blocks(record.motion.valid, record.grid)[::2]  # each row once
-    usable = usable[: max(2, int(mean.seconds(seconds) * record.rate_hz / record.grid.size))]
+    usable = usable[: max(2, int(mean.seconds(seconds, DECAYS) * record.rate_hz / record.grid.size))]
     series, factor = _series(record, columns, laws, usable)  # (laws, 2, blocks, n)
     dt = 1.0 / (factor * record.rate_hz)
     series -= series.mean(axis=(2, 3), keepdims=True)
@@ -127,15 +130,28 @@ def _series(record: Record, columns: Columns, laws: list[int], usable: NDArray[n
     return out, factor
 
 
-def mean_responses(balance: Balance, B: Floats, tangents: Floats) -> list[Mean]:
-    """Of each place, from the coefficients and the mean tangents (columns, 4); the shaft's springs are left out."""
+def mean_tangents(balance: Balance, B: Floats, tangents: Floats) -> Floats:
+    """(places, places, 2) mean tangents of displacement and velocity, N/m and N s/m, from the coefficients and the
+    tangents of the columns (columns, 4); what B has of a chain's springs included."""
     P = len(balance.places)
-    out = []
+    D = np.zeros((P, P, 2))
     for i in range(P):
+        D[i, i] = B[i, 2 * P + i], B[i, P + i]
         law = np.array([c.kind == "law" and c.row == i for c in balance.columns])
-        k, c = (float(B[i, n * P + i] + B[i, law] @ tangents[law, a]) for n, a in ((2, 0), (1, 1)))
-        out.append(Mean(float(B[i, i]), c, k))
-    return out
+        moved = B[i, law] @ tangents[law]
+        D[i, i] += moved[:2]
+        if (other := balance.other(i)) >= 0:
+            D[i, other] += moved[2:]
+    return D
+
+
+def of_caps(balance: Balance, B: Floats, D: Floats) -> tuple[Mean, ...]:
+    """Mean response of each place, D as `mean_tangents` gives it."""
+    disc, every = balance.disc, np.arange(len(D))
+    if disc is not None and disc.shaft == "chain":  # what holds a cap while the disc stands still
+        D = D.copy()
+        D[every, every] -= disc.ks, disc.cs
+    return mean_responses(np.diag(B), D, balance.places, disc)
 
 
 def dressed(pairs: Complexes, balance: Balance, B: Floats, f_hz: Floats) -> Complexes:

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .hidden_states import FINER
+from .mean_response import Mean
 from .motion_blocks import MotionBlocks, coarser, finer, part_of
 from .placed import Placed, remembers, sharp_at, tangent_series
 from .probe import LEAST, SHARE, Probe, probed
-from .self_energy import Complexes, Mean, Spectra, covariance, dressed_response, self_energy, spectra
+from .self_energy import DECAYS, SECONDS, Complexes, Spectra, covariance, dressed_response, self_energy, spectra
 from .side_by_side import each
 
 Array = NDArray[np.float64]
@@ -87,10 +88,10 @@ def fluctuations(
     """
     own = [[u for u in uses if i in u.at and u.effect.kind == "force"] for i in range(len(mean))]
     remembering = [[u for u in uses if i in u.at and remembers(u, lin[i])] for i in range(len(mean))]
-    sound = [m.c > 0 and m.k > 0 and (lasting is None or not lasting[i]) for i, m in enumerate(mean)]
+    sound = [m.sound and (lasting is None or not lasting[i]) for i, m in enumerate(mean)]
     used = [i for i, laws in enumerate(own) if laws and sound[i] and not remembering[i]]
     probing = [i for i, laws in enumerate(remembering) if laws and sound[i]]
-    part = part_of(data, max(mean[i].seconds() for i in used)) if used else data
+    part = part_of(data, max(mean[i].seconds(SECONDS, DECAYS) for i in used)) if used else data
     if any(sharp_at(u.effect, u.p, data, i) for i in used for u in own[i]):
         part = finer(part)
     path = finer(part_of(data, max(LEAST, SHARE * data.seconds)), FINER) if probing else data

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .balance import Balance, build
 from .bandlimit import passband
-from .dressing import Flutter, dressed, flutter, mean_responses, self_energies
+from .dressing import Flutter, dressed, flutter, mean_tangents, self_energies
 from .errors import DataError
 from .force_level import level_of
 from .known_force import is_known
@@ -105,9 +105,9 @@ def highest(bank: Bank, start: Start, point: Point) -> tuple[Bank, Local, bool]:
 
 def _refuse_unstable(balance: Balance, bank: Bank, point: Point) -> None:
     """Raises DataError if the given values of the effects make a place's mean stiffness or damping negative."""
-    mean = mean_responses(balance, balance.coefficients(point.beta), bank.tangents)
-    for place, m in zip(balance.places, mean, strict=True):
-        for value, word in ((m.k, "stiffness"), (m.c, "damping")):
+    D = mean_tangents(balance, balance.coefficients(point.beta), bank.tangents)
+    for i, place in enumerate(balance.places):
+        for value, word in zip(D[i, i], ("stiffness", "damping"), strict=True):
             if value <= 0:
                 own = (place, place.split(".")[0])
                 given = [

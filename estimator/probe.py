@@ -20,12 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from .linearised import Linearised, passed, together
+from .mean_response import Mean
 from .motion_blocks import MotionBlocks, coarser
 from .placed import Placed, remembers, tangent_series
-from .self_energy import Mean
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -98,10 +97,11 @@ def probed(
     laws = [(u, u.p) for u in uses if u.effect.kind == "memory"]
     lags = min(int(DECAYS * mean.decay * rate), n // 2) // (2 * SERIES) * 2 * SERIES
     motion = np.zeros((2, SERIES, n), np.float32)
-    cap, states = np.zeros((SERIES, 2)), np.zeros((SERIES, sum(u.effect.states for u, _ in laws)))
-    flight = expm(np.array([[0.0, 1.0], [-mean.k / mean.m, -mean.c / mean.m]]) / rate)
+    modes = np.zeros((SERIES, mean.poles.size), complex)
+    states = np.zeros((SERIES, sum(u.effect.states for u, _ in laws)))
+    free = mean.poles, mean.residues, np.exp(mean.poles / rate)
     for a, law in _pieces(laws, data, i, lin):
-        _send(law.step, law.force, tangents, flight, mean.m, 1.0 / rate, lags, a, cap, states, motion)
+        _send(law.step, law.force, tangents, *free, 1.0 / rate, lags, a, modes, states, motion)
     answer = _centred(motion, lags)
     power = (answer**2).reshape(8, -1).sum(axis=1)
     if not power[-1] < LEFT * power[0]:
@@ -145,16 +145,20 @@ def _impulses(motion: NDArray[np.float32], lags: int) -> int:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _send(step, force, tangents, flight, m, dt, lags, first, cap, states, motion):  # type: ignore[no-untyped-def]
+def _send(step, force, tangents, poles, residues, flight, dt, lags, first, modes, states, motion):  # type: ignore[no-untyped-def]  # noqa: E501
     """Fill motion (2, series, rows) with the answers of a cap to impulses of force, one every `lags` rows in a series.
 
-    Along rows `first` ... of the path, those of step and force. flight : (2, 2) what a step makes of x and v without
-    the laws that fluctuate or remember; these push once a step.
+    Along rows `first` ... of the path, those of step and force. flight : (modes,) what a step makes of the modes
+    without the laws that fluctuate or remember; these push once a step.
     """
     series, S = states.shape
-    z, after = np.zeros(S), np.zeros(S)
+    yields = 0.0  # 1 / kg
+    for k in range(poles.size):
+        yields += (poles[k] * residues[k]).real
+    z, after, y = np.zeros(S), np.zeros(S), np.zeros(poles.size, np.complex128)
     for s in range(series):
-        x, v = cap[s]
+        y[:] = modes[s]
+        x = y.sum().real
         for j in range(S):
             z[j] = states[s, j]
         phase = (first - s * lags // series) % lags
@@ -164,18 +168,23 @@ def _send(step, force, tangents, flight, m, dt, lags, first, cap, states, motion
             if i < begun:
                 continue
             if phase == lags or i == begun:
-                phase, x, v = 0, 0.0, 1.0 / m
+                phase, x = 0, 0.0
+                y[:] = residues
                 for j in range(S):
                     z[j] = 0.0
+            v = 0.0
+            for k in range(poles.size):
+                v += poles[k].real * y[k].real - poles[k].imag * y[k].imag
             push = (tangents[0, i] + force[r, S]) * x + (tangents[1, i] + force[r, S + 1]) * v
             for j in range(S):
                 push += force[r, j] * z[j]
-            push *= dt / m
+            push *= dt
             motion[0, s, i] = x
-            motion[1, s, i] = v - 0.5 * push
-            v -= push
-            x1 = flight[0, 0] * x + flight[0, 1] * v
-            v = flight[1, 0] * x + flight[1, 1] * v
+            motion[1, s, i] = v - 0.5 * push * yields
+            x1 = 0.0
+            for k in range(poles.size):
+                y[k] = flight[k] * (y[k] - push * residues[k])
+                x1 += y[k].real
             mid, rise = 0.5 * (x + x1), x1 - x
             for j in range(S):
                 after[j] = step[r, j, S] * mid + step[r, j, S + 1] * rise
@@ -185,7 +194,7 @@ def _send(step, force, tangents, flight, m, dt, lags, first, cap, states, motion
                 z[j] = after[j]
             x = x1
             phase += 1
-        cap[s, 0], cap[s, 1] = x, v
+        modes[s] = y
         for j in range(S):
             states[s, j] = z[j]
 

@@ -15,11 +15,11 @@ out 15 % too high.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from .mean_response import Mean
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -27,38 +27,10 @@ Spectra = tuple[NDArray[np.complex64] | None, ...]
 SECONDS, DECAYS = 8.0, 1000.0  # of the record that the covariances are taken from: the longer of the two
 ROUNDS = 10  # of the self-consistent response
 STRONG = 1.0  # rms of the tangent stiffness over its mean, above which the second order is not used
-# the same over the half-width of the resonance, c w0: beside a cubic of 20 to 50 of them, dressed, the scatter was 1.7
-# to 2.8 times what the intervals say, undressed 0.8; at 18 (one degree at rms 1, 30 records) kNL is 0.55 % small and
-# its 95 % interval covers 87 %, undressed 0.85 and 57 %
+# the same over the least dynamic stiffness, c w0 of a cap by itself: beside a cubic of 20 to 50 of it, dressed, the
+# scatter was 1.7 to 2.8 times what the intervals say, undressed 0.8; at 18 (one degree at rms 1, 30 records) kNL is
+# 0.55 % small and its 95 % interval covers 87 %, undressed 0.85 and 57 %
 WIDE = 19.0
-
-
-@dataclass(frozen=True, slots=True)
-class Mean:
-    """The mean response at a place: m x'' + c x' + k x = F, effects included by their mean tangents. SI."""
-
-    m: float
-    c: float
-    k: float
-
-    @property
-    def hz(self) -> float:
-        """Of its resonance."""
-        return float(np.sqrt(max(self.k / self.m, 0.0)) / (2 * np.pi))
-
-    @property
-    def decay(self) -> float:
-        """s in which free motion falls by e."""
-        return 2 * self.m / self.c
-
-    def seconds(self, least: float = SECONDS) -> float:
-        """Of the record that its covariances need."""
-        return max(least, DECAYS * self.decay)
-
-    def lags(self, dt: float, most: int) -> int:
-        """Number of lags after which free motion has died out, a power of two unless `most`; a step of a fit may try a
-        damping that lets nothing move."""
-        return min(most, 1 << max(3, int(np.ceil(np.log2(7.0 * self.decay / dt)))))
 
 
 def spectra(tangents: NDArray[np.floating], lags: int) -> Spectra:
@@ -97,20 +69,15 @@ def dressed_response(total: Floats, dt: float, mean: Mean) -> Floats | None:
 
     total : (2, 2, lags) covariance of K. None where K is so strong that the second order means nothing.
     """
-    if mean.c <= 0 or mean.k <= 0:
-        return None
-    if total[0, 0, 0] > min(STRONG * mean.k, WIDE * mean.c * np.sqrt(mean.k / mean.m)) ** 2:
+    if not mean.sound or total[0, 0, 0] > min(STRONG * mean.stiffness, WIDE * mean.width) ** 2:
         return None
     lags = total.shape[2]
     tau, iw = np.arange(lags) * dt, 2j * np.pi * np.fft.rfftfreq(2 * lags, dt)
-    D = mean.k + iw * mean.c + iw**2 * mean.m
-    wd = np.sqrt(max(mean.k / mean.m - mean.decay**-2, 1.0))
-    free, sine, cosine = np.exp(-tau / mean.decay), np.sin(wd * tau), np.cos(wd * tau)
-    bare = np.stack([free * sine / (mean.m * wd), free * (cosine - sine / (wd * mean.decay)) / mean.m])
+    G, bare = mean.at(iw.imag), mean.after(tau)
     sigma, g = np.zeros(iw.size, complex), bare
     for _ in range(ROUNDS):
         sigma = 0.5 * (sigma + _transform(total, g, dt))
-        change = 1.0 / (D - sigma) - 1.0 / D
+        change = sigma * G**2 / (1.0 - sigma * G)
         g = bare + np.fft.irfft(np.stack([change, iw * change]), axis=1)[:, :lags] / dt
     return g
 

@@ -15,6 +15,7 @@ from .effects.strength import search_range
 from .features import Series
 from .fluctuation import Fluctuation, fluctuations
 from .force_level import alike, level_of
+from .mean_response import mean_responses
 from .model_uses import size, stiffness
 from .motion_blocks import FOLDS, MotionBlocks, part_of, spectrum
 from .noise_paths import LEAST_NOISE, noise_of, noise_paths
@@ -22,7 +23,6 @@ from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing
 from .periodic import Wave
 from .placed import Placed, evaluate, remembers
 from .probe import Probe
-from .self_energy import Mean
 from .shaft_law import without_comb
 from .side_by_side import each
 from .slow_motion import with_slow
@@ -268,7 +268,7 @@ def _at(
     paths = noise_paths(data, A, nu, S)
     weighing = Weighing(data, paths, line.s, paths.measured(along(line.s, A, data.mass, D)))
     spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
-    mean = [Mean(float(data.mass[i]), float(D[i, i, 1]), float(D[i, i, 0])) for i in range(P)]
+    mean = mean_responses(data.mass, D, data.places, data.disc)
     around = fluctuations(data, uses, mean, lin, line.lasting) if longer is None else longer.fluctuations
     made = [t for i in range(P) for t in linear_terms(data, i, lin[i], uses)]
     if longer is None:

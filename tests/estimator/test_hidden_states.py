@@ -14,12 +14,12 @@ from estimator.effects.strength import size, strengths, with_effect
 from estimator.fluctuation import Fluctuation, fluctuations
 from estimator.hidden_states import along
 from estimator.linearised import passed, together
+from estimator.mean_response import mean_responses
 from estimator.model import EffectUse
 from estimator.model_uses import placed_of
 from estimator.placed import Placed
 from estimator.preparation import prepare
 from estimator.probe import Probe
-from estimator.self_energy import Mean
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 from estimator.working_point import fit_model, thinned
@@ -127,7 +127,7 @@ def test_a_probe_and_covariances_say_the_same_of_a_law_that_remembers_nothing() 
     model = replace(rig, effects=(*rig.effects, EffectUse("quadratic_damping", {p: {} for p in rig.places})))
     data = prepare(model, y, RATE)
     point = fit_model(data, placed_of(model, data))
-    mean = [Mean(float(data.mass[i]), float(s[i, 1]), float(s[i, 0])) for i, s in enumerate(point.slopes)]
+    mean = mean_responses(data.mass, point.slopes, data.places, data.disc)
     known = fluctuations(data, point.placed, mean, point.lin)[0]
     idle = Placed(BOUC_WEN, "idle", (0,), np.array([1.0, data.rms[0, 0]]), (True, True))
     sent = fluctuations(data, [*point.placed, idle], mean, point.lin)[0]

@@ -11,8 +11,8 @@ from estimator.dressing import pair_energies
 from estimator.jacobian import levels
 from estimator.likelihood import Likelihood, Point, maximise
 from estimator.maximum import initial, inverse
+from estimator.mean_response import alone
 from estimator.record import Bank, Record, gather, prepare
-from estimator.self_energy import Mean
 from estimator.start import Start, linear_start
 
 
@@ -85,14 +85,14 @@ def test_force_and_noise_levels_come_back_from_cell_powers() -> None:
 
 
 def test_dressing_is_causal_it_moves_response_but_adds_none() -> None:
-    mean, dt, lags = Mean(1.0, 20.0, (2 * np.pi * 100.0) ** 2), 1e-4, 8192
+    m, c, k, dt, lags = 1.0, 20.0, (2 * np.pi * 100.0) ** 2, 1e-4, 8192
     tau = np.arange(lags) * dt
     C = np.zeros((1, 1, 2, 2, lags))
     C[0, 0, 1, 1] = 30.0 * np.exp(-tau / 1e-3)  # covariance of the tangent damping of one law, per unit of it
     f = np.linspace(0.5, 4999.5, 20000)
-    sigma = pair_energies(C, dt, np.ones(1), mean, f)[:, 0, 0]
+    sigma = pair_energies(C, dt, np.ones(1), alone(m, c, k), f)[:, 0, 0]
     iw = 2j * np.pi * f
-    D = mean.k + iw * mean.c + iw**2 * mean.m
+    D = k + iw * c + iw**2 * m
     # E[phi' G_v] = (1 - Sigma) G_v per unit mean tangent 1: the integral over all f of its real part is that of the
     # impulse response at 0+, 1 / (2 m), less the tail beyond the grid
     bare = np.trapezoid((iw / D).real, f) * 2
