@@ -85,6 +85,12 @@ class Balance:
     def names(self) -> tuple[str, ...]:
         return tuple(f.name for f in self.free)
 
+    def by_itself(self, D: Floats) -> Floats:
+        """(places, places, 2) N/m and N s/m, D less what holds the caps of a chain while its disc stands still."""
+        if self.disc is None or self.disc.shaft != "chain":
+            return D
+        return D - np.multiply.outer(np.eye(len(D)), [self.disc.ks, self.disc.cs])
+
     def other(self, row: int) -> int:
         """Row of the other direction at the same node, -1 if it is not measured."""
         node, direction = self.places[row].split(".")

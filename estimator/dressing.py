@@ -147,11 +147,7 @@ def mean_tangents(balance: Balance, B: Floats, tangents: Floats) -> Floats:
 
 def of_caps(balance: Balance, B: Floats, D: Floats) -> tuple[Mean, ...]:
     """Mean response of each place, D as `mean_tangents` gives it."""
-    disc, every = balance.disc, np.arange(len(D))
-    if disc is not None and disc.shaft == "chain":  # what holds a cap while the disc stands still
-        D = D.copy()
-        D[every, every] -= disc.ks, disc.cs
-    return mean_responses(np.diag(B), D, balance.places, disc)
+    return mean_responses(np.diag(B), balance.by_itself(D), balance.places, balance.disc)
 
 
 def dressed(pairs: Complexes, balance: Balance, B: Floats, f_hz: Floats) -> Complexes:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .disc import Disc
-from .rotor import shaft_matrix
+from .rotor import shaft_at_caps, shaft_matrix
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -81,6 +81,23 @@ class Mean:
         return min(most, 1 << max(3, int(np.ceil(np.log2(7.0 * self.decay / dt)))))
 
 
+def yields(w: Floats, mass: Floats, D: Floats, places: Sequence[str], disc: Disc | None) -> Complexes:
+    """(f, places, places) m/N at w (f,) rad/s, displacement of each cap per force on each; see `mean_responses`."""
+    iw = 1j * w[:, None, None]
+    dynamic = D[..., 0] + iw * D[..., 1] + iw**2 * np.diag(mass)
+    if disc is not None:
+        caps, _ = shaft_at_caps(disc.shaft, disc.ks, disc.cs, disc.m, w)
+        for at, ends in _directions(places):
+            dynamic[:, np.array(at)[:, None], at] += caps[:, np.array(ends)[:, None], ends]
+    return np.asarray(np.linalg.inv(dynamic))
+
+
+def _directions(places: Sequence[str]) -> list[tuple[list[int], list[int]]]:
+    """Indices of the places of each direction, and of their ends of the shaft."""
+    by = [[i for i, p in enumerate(places) if p.endswith(d)] for d in sorted({p.split(".")[1] for p in places})]
+    return [(at, [0 if places[i].startswith("bearing1") else 1 for i in at]) for at in by]
+
+
 def alone(m: float, c: float, k: float) -> Mean:
     """Of one mass by itself."""
     return mean_responses(np.array([m]), np.array([[[k, c]]]), ("bearing1.x",), None)[0]
@@ -92,13 +109,11 @@ def mean_responses(mass: Floats, D: Floats, places: Sequence[str], disc: Disc | 
     n = len(places)
     M, K, C = mass, D[..., 0], D[..., 1]
     if disc is not None:
-        for d in sorted({p.split(".")[1] for p in places}):
-            at = [i for i, p in enumerate(places) if p.endswith(d)]
-            rows = [0 if places[i].startswith("bearing1") else 1 for i in at] + [2]
+        for at, ends in _directions(places):
             M, K, C = np.append(M, disc.m), np.pad(K, (0, 1)), np.pad(C, (0, 1))
-            here = np.ix_([*at, len(M) - 1], [*at, len(M) - 1])
-            K[here] += shaft_matrix(disc.shaft, disc.ks)[np.ix_(rows, rows)]
-            C[here] += shaft_matrix(disc.shaft, disc.cs)[np.ix_(rows, rows)]
+            here, nodes = np.ix_([*at, len(M) - 1], [*at, len(M) - 1]), np.ix_([*ends, 2], [*ends, 2])
+            K[here] += shaft_matrix(disc.shaft, disc.ks)[nodes]
+            C[here] += shaft_matrix(disc.shaft, disc.cs)[nodes]
     size = len(M)
     poles, right = np.linalg.eig(np.block([[np.zeros((size, size)), np.eye(size)], [-K / M[:, None], -C / M[:, None]]]))
     left = np.linalg.inv(right)[:, size:] / M

@@ -265,12 +265,12 @@ class Push:
     force: dict[int, Complexes]
     swings: dict[int, Complexes]
 
-    def displacement(self, t: Array, phase: Array, response: Callable[[int, Array], Complexes]) -> dict[int, Array]:
-        """(n,) m by index of the place. response : (index, w (f,) rad/s) -> (f,) m/N."""
-        made = {}
-        for i, F in self.force.items():
-            w = 2 * np.pi * self.one.hz * np.arange(1.0, F.size + 1)
-            made[i] = _turned(F * response(i, w))
+    def displacement(self, t: Array, phase: Array, response: Callable[[Array], Complexes]) -> dict[int, Array]:
+        """(n,) m by index of the place. response : w (f,) rad/s -> (f, places, places) m/N."""
+        F = np.stack([*self.force.values()], axis=1)
+        yields = response(2 * np.pi * self.one.hz * np.arange(1.0, len(F) + 1))[..., [*self.force]]
+        moved = np.einsum("fij,fj->if", yields, F)
+        made = {i: _turned(x) for i, x in enumerate(moved) if x.any()}
         return Wave("", "m", self.one, made, self.swings).series(t, phase)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +11,9 @@ from numpy.typing import NDArray
 from .bandlimit import half_length
 from .columns import Columns, Stretch
 from .features import MARGIN, State
-from .linear_memory import filtered
+from .mean_response import yields
 from .record import Record
-from .slow_motion import below, lopsided, usual
+from .slow_motion import below, lopsided, moved, usual
 
 Floats = NDArray[np.float64]
 ROUNDS = 2  # the law is evaluated about the centre, then about the one that it makes: off by its slope squared
@@ -58,16 +59,19 @@ class SlowMotion:
         valid, out = stretch.valid[inner], np.zeros((P, stretch.rows))
         if not valid.any():
             return out
-        shaft = 0.0 if balance.common is None else float(balance.common(np.array([self._band[0]]))[0].real)
+        D = np.stack([np.diag(np.diag(B[:, n * P : (n + 1) * P])) for n in (2, 1)], axis=-1)
+        own = partial(yields, mass=np.diag(B), D=balance.by_itself(D), places=balance.places, disc=balance.disc)
+        response = below(own, self._rate_hz, self._band, balance.kinds)
+        rest = response(np.zeros(1))[0].real
         for _ in range(ROUNDS):
             seen = replace(stretch, slow=measured + np.pad(out, [(0, 0), (MARGIN, MARGIN)], mode="edge"))
             states: dict[tuple[int, bool], State] = {}
-            out = np.zeros_like(out)
+            push, out = {}, np.zeros_like(out)
             for row, laws in self._laws.items():
-                push = np.sum([B[row, k] * self._columns.law(k, seen, states)[0] for k in laws], axis=0)
-                mean = float(push[valid].mean())
-                linear = (float(B[row, row]), float(B[row, 2 * P + row]) + shaft, float(B[row, P + row]))
-                response = below(linear, self._rate_hz, self._band, balance.kinds[row])
-                out[row] = filtered(response, np.where(valid, push - mean, 0.0), self._rate_hz)
-                out[row] += mean * float(response(np.zeros(1))[0].real)
+                total = np.sum([B[row, k] * self._columns.law(k, seen, states)[0] for k in laws], axis=0)
+                mean = float(total[valid].mean())
+                push[row] = np.where(valid, total - mean, 0.0)
+                out -= mean * rest[:, row, None]
+            for i, x in moved(push, response, self._rate_hz, self._band[0]).items():
+                out[i] += x
         return np.asarray(measured[:, inner] + out)

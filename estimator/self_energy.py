@@ -72,8 +72,8 @@ def dressed_response(total: Floats, dt: float, mean: Mean) -> Floats | None:
     if not mean.sound or total[0, 0, 0] > min(STRONG * mean.stiffness, WIDE * mean.width) ** 2:
         return None
     lags = total.shape[2]
-    tau, iw = np.arange(lags) * dt, 2j * np.pi * np.fft.rfftfreq(2 * lags, dt)
-    G, bare = mean.at(iw.imag), mean.after(tau)
+    w: Floats = np.asarray(2 * np.pi * np.fft.rfftfreq(2 * lags, dt), np.float64)
+    G, bare, iw = mean.at(w), mean.after(np.arange(lags, dtype=np.float64) * dt), 1j * w
     sigma, g = np.zeros(iw.size, complex), bare
     for _ in range(ROUNDS):
         sigma = 0.5 * (sigma + _transform(total, g, dt))

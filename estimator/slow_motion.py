@@ -1,7 +1,8 @@
 """The slow displacement that some laws make and no accelerometer sees: below the band, it follows from the law.
 
 A law with an even part (a quadratic one, a one-sided stop) pushes the cap off its centre, by more while the vibration
-is stronger: x_slow = -h(phi(x + x_slow)), h the stiffness-controlled response below the band. Left out, kq of 6 % of
+is stronger: x_slow = -h(phi(x + x_slow)), h the response of the rotor below the band, through the shaft also at the
+other cap: there it is half as large with a shaft twice as stiff as the bearings. Left out, kq of 6 % of
 the bearing force comes out 4 % too small, and the law works about the wrong centre. A periodic force below the band,
 such as an imbalance, turns the stiffness of a law that sees only the rest. Hysteresis pushes by loops that end off the
 centre, now on this side and now on that: less, but what it loses so near the edge of the band, and about twice the
@@ -10,7 +11,7 @@ resonance, would be taken for stiffness.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,8 +21,7 @@ from .bandlimit import unseen
 from .effect import Effect
 from .effects.compiled import memory_array
 from .effects.law_loop import force_array
-from .features import Series
-from .linear_memory import filtered
+from .mean_response import yields
 from .motion_blocks import MotionBlocks
 from .placed import Placed, evaluate, remembers
 from .side_by_side import each
@@ -56,18 +56,33 @@ def own_sizes(effect: Effect) -> Array:
 
 
 def below(
-    linear: tuple[float, float, float], rate_hz: float, band: tuple[float, float], kind: str
+    yields: Callable[[Array], Complexes], rate_hz: float, band: tuple[float, float], kinds: Sequence[str]
 ) -> Callable[[Array], Complexes]:
-    """Displacement below the band per restoring force, m/N at w (f,) rad/s, as far as a sensor of this kind does not
-    show it. linear : m, k, c."""
-    m, k, c = linear
+    """Displacement below the band per force, (f, places, places) m/N at w (f,) rad/s, as far as the sensors do not show
+    it. yields : all of it. kinds : of the sensor at each place."""
 
     def response(w: Array) -> Complexes:
         f = w / (2 * np.pi)
-        part = np.where(f < band[0], unseen(f, rate_hz, band, kind), 0.0)
-        return np.asarray(-part / (k + 1j * w * c - m * w**2))
+        part = np.stack([np.where(f < band[0], unseen(f, rate_hz, band, kind), 0.0) for kind in kinds], axis=1)
+        return np.asarray(part[..., None] * yields(w))
 
     return response
+
+
+def moved(
+    push: Mapping[int, Array], response: Callable[[Array], Complexes], rate_hz: float, low_hz: float
+) -> dict[int, Array]:
+    """(n,) m by place, of those that restoring forces push (n,) N by place move; nothing from low_hz on."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    n = next(iter(push.values())).size
+    size = next_fast_len(n, real=True)
+    f: Array = np.asarray(np.fft.rfftfreq(size, 1 / rate_hz)[: int(low_hz * size / rate_hz) + 1], np.float64)
+    G = response(2 * np.pi * f)
+    forces = {j: np.asarray(rfft(one, size)[: f.size]) for j, one in push.items()}
+    there = [i for i in range(G.shape[1]) if G[:, i, list(forces)].any()]
+    F = np.stack([*forces.values()], axis=1)
+    return {i: irfft(-(G[:, i, list(forces)] * F).sum(axis=1), size)[:n] for i in there}
 
 
 def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -> MotionBlocks:
@@ -78,25 +93,28 @@ def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -
             remembers(u, lin[i]))] for i in range(len(data.places))]  # fmt: skip
     if not any(own) and not data.pushes:
         return data
-    stiffness = kL + np.diag(data.shaft[0].real)  # N/m at the lowest bin
+    D = np.zeros((*np.diag(kL).shape, 2))
+    D[..., 0], D[..., 1] = np.diag(kL), np.diag(c)
+    response = below(
+        lambda w: yields(w, data.mass, D, data.places, data.disc), data.rate_hz, data.band, data.kinds
+    )  # fmt: skip
 
     def force(use: Placed, i: int) -> Array:
         if use.effect.kind == "force":
             return evaluate(use, data, i, lin)[0]
         return memory_array(use.effect, use.p, lin[i], data.seen(i), data.v[i], data.rate_hz)
 
-    def response(i: int) -> Callable[[Array], Complexes]:
-        return below((float(data.mass[i]), float(stiffness[i]), float(c[i])), data.rate_hz, data.band, data.kinds[i])
+    def at(i: int) -> Array:
+        return np.asarray(np.sum([force(u, i) for u in own[i]], axis=0))
 
-    def at(i: int) -> Series:
-        if not own[i]:
-            return np.zeros(data.x.shape[1], np.float32)
-        total = np.sum([force(u, i) for u in own[i]], axis=0)
-        return filtered(response(i), total, data.rate_hz).astype(np.float32)
-
-    slow = np.stack(each(at, range(len(data.places))))
-    for push in data.pushes:
-        for i, x in push.displacement(data.t, data.phase, lambda i, w: -response(i)(w)).items():
+    pushed = [i for i, laws in enumerate(own) if laws]
+    slow = np.zeros(data.x.shape, np.float32)
+    if pushed:
+        push = dict(zip(pushed, each(at, pushed), strict=True))
+        for i, x in moved(push, response, data.rate_hz, data.band[0]).items():
+            slow[i] += x
+    for periodic in data.pushes:
+        for i, x in periodic.displacement(data.t, data.phase, response).items():
             slow[i] += x
     if data.measured is not None:
         slow += data.measured

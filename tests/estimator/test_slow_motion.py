@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden_effects import RATE, one_bearing
+from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import firwin, oaconvolve
 
 from estimator import adequacy, missing_force, spectral
@@ -55,6 +55,27 @@ def test_the_slow_displacement_is_the_one_that_a_sensor_would_show(truth: Model)
     assert ours.mean() == pytest.approx(below[inner].mean(), rel=0.12)
     a, b = ours - ours.mean(), below[inner] - below[inner].mean()
     assert (a @ b) / (a @ a) == pytest.approx(1.0, abs=0.2)  # beside it the random force moves the cap as much again
+
+
+def test_on_a_stiff_shaft_the_other_cap_moves_slowly_too() -> None:
+    """Of a cap alone the displacement at rest would be an eighth too small, and nothing at the other one."""
+    rig = replace(coupled_on_a_stiff_shaft(), effects=())
+    quadratic = CATALOGUE["quadratic"]
+    law = with_effect(
+        rig, quadratic, strengths(quadratic, size(rig, "bearing1.x", RATE), 0.15, rig, SECONDS), "bearing1.x"
+    )
+    sensors = tuple(replace(c, kind="displacement") for c in law.channels)
+    x = simulate(replace(law, channels=sensors), RATE, SECONDS, seed=8).mean(axis=0)
+    data = prepare(law, simulate(law, RATE, SECONDS, seed=8), RATE)
+    linear = [np.array([rig.linear[p][name].value for p in rig.places]) for name in ("kL", "c")]
+    slow = with_slow(data, *linear, placed_of(law, data)).slow
+    assert slow is not None
+    ours = dict(zip(data.places, slow.mean(axis=1), strict=True))
+    theirs = dict(zip((c.place for c in law.channels), x, strict=True))
+    assert ours["bearing1.x"] == pytest.approx(theirs["bearing1.x"], rel=0.06)  # about the centre, not yet off it
+    share, true = (of["bearing2.x"] / of["bearing1.x"] for of in (ours, theirs))
+    assert share == pytest.approx(true, abs=0.02)
+    assert ours["bearing1.y"] == 0.0
 
 
 def test_hysteresis_moves_the_cap_slowly_too() -> None:

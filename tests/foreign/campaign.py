@@ -22,7 +22,7 @@ ONE_PLACE = (*OF_SENSOR, *OF_FORCE, "crack", "imbalance", "bow")
 
 
 def cases(kinds: list[str], seeds: range, strengths: list[str], seconds: float, growth: float) -> Iterator[Case]:
-    """All cases of the kinds asked for: names of effects, `complete`, `outside`, `catalogue`, `pairs`."""
+    """All cases of the kinds asked for: names of effects (several by +), `complete`, `outside`, `catalogue`, `pairs`."""
     for seed in seeds:
         for kind in kinds:
             if kind == "complete":
@@ -32,7 +32,7 @@ def cases(kinds: list[str], seeds: range, strengths: list[str], seconds: float, 
             names = {"catalogue": list(CATALOGUE), "outside": list(OUTSIDE), "pairs": [""]}.get(kind, [kind])
             for name in names:
                 for strength in strengths:
-                    chosen = [name] if name else [str(n) for n in rng.choice(CATALOGUE, 2, replace=False)]
+                    chosen = name.split("+") if name else [str(n) for n in rng.choice(CATALOGUE, 2, replace=False)]
                     at = {n: "bearing1" if n in ONE_PLACE or rng.uniform() < 0.5 else "both" for n in chosen}
                     yield Case(at, strength, seed, seconds, growth)
 
@@ -86,7 +86,7 @@ def _rotorscope(*words: object) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--kinds", default="catalogue", help="catalogue, complete, outside, pairs or names, by commas")
+    parser.add_argument("--kinds", default="catalogue", help="catalogue, complete, outside, pairs or names (with + between), by commas")
     parser.add_argument("--seeds", default="0:1", help="first:end")
     parser.add_argument("--strengths", default="weak,strong")
     parser.add_argument("--seconds", type=float, default=60.0)
