@@ -22,7 +22,7 @@ ONE_PLACE = (*OF_SENSOR, *OF_FORCE, "crack", "imbalance", "bow")
 
 
 def cases(kinds: list[str], seeds: range, strengths: list[str], seconds: float, growth: float) -> Iterator[Case]:
-    """All cases of the kinds asked for: names of effects (several by +), `complete`, `outside`, `catalogue`, `pairs`."""
+    """All cases of the kinds asked for: names of effects (+ between several), complete, outside, catalogue, pairs."""
     for seed in seeds:
         for kind in kinds:
             if kind == "complete":
@@ -86,7 +86,8 @@ def _rotorscope(*words: object) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--kinds", default="catalogue", help="catalogue, complete, outside, pairs or names (with + between), by commas")
+    kinds = "catalogue, complete, outside, pairs or names of effects (+ between several), by commas"
+    parser.add_argument("--kinds", default="catalogue", help=kinds)
     parser.add_argument("--seeds", default="0:1", help="first:end")
     parser.add_argument("--strengths", default="weak,strong")
     parser.add_argument("--seconds", type=float, default=60.0)
