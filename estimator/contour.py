@@ -22,18 +22,14 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 MARGIN = 1.0  # of the spacing of the bins, at least, from any mode to the line: a sum is then good to exp(-2 pi)
-TAKES_PART = 0.1  # of the largest motion in a mode
-LASTING = 0.5  # of the rate at which a place would decay by itself
 
 
 @dataclass(frozen=True, slots=True)
 class Contour:
-    """s : (bins,) rad/s. offset : what the way there adds to 2 sum log |det A| of a block of the record, nats.
-    lasting : (places,) see below."""
+    """s : (bins,) rad/s. offset : what the way there adds to 2 sum log |det A| of a block of the record, nats."""
 
     s: Complexes
     offset: float
-    lasting: NDArray[np.bool_]
 
 
 def contour(A: Complexes, mass: Array, D: Array, f_hz: Array) -> Contour:
@@ -43,9 +39,9 @@ def contour(A: Complexes, mass: Array, D: Array, f_hz: Array) -> Contour:
     length = 1.0 / float(np.diff(f_hz).min())
     resonance = np.sqrt(np.median(np.maximum(np.diag(D[..., 0]) / mass, 0.0)))
     near = int(np.argmin(np.abs(iw.imag - resonance)))
-    modes, motion = modes_at(A[near], mass, iw[near], (f_hz[0], f_hz[-1]))
+    modes = modes_at(A[near], mass, iw[near], (f_hz[0], f_hz[-1]))
     shift, turned = past(modes, MARGIN / length, (f_hz[0], f_hz[-1]))
-    return Contour(shift + iw, length * shift * turned / np.pi, lasting(modes, motion, np.diag(D[..., 1]) / (2 * mass)))
+    return Contour(shift + iw, length * shift * turned / np.pi)
 
 
 def past(modes: Complexes, margin_hz: float | Array, band: tuple[float, float]) -> tuple[float, float]:
@@ -64,27 +60,18 @@ def past(modes: Complexes, margin_hz: float | Array, band: tuple[float, float]) 
     return shift, float(turned.sum())
 
 
-def lasting(modes: Complexes, motion: Array, alone: Array) -> NDArray[np.bool_]:
-    """(places,) whether a place takes part in a mode that grows, or decays at less than half of the rate of the place
-    by itself, `alone` (places,) 1/s: its own response is not what it does."""
-    slow = modes.real[None] > -LASTING * np.maximum(alone, 0.0)[:, None]
-    return np.asarray(np.any(slow & (motion > TAKES_PART * motion.max(axis=0, initial=0.0)), axis=1))
-
-
-def modes_at(A: Complexes, mass: Array, s: complex, band: tuple[float, float]) -> tuple[Complexes, Array]:
-    """(modes,) rad/s and (places, modes) size of the motion of the modes in the band, Hz, of m s^2 + c s + k, real:
-    s^2 A at s = iw."""
+def modes_at(A: Complexes, mass: Array, s: complex, band: tuple[float, float]) -> Complexes:
+    """(modes,) rad/s of those in the band, Hz, of m s^2 + c s + k, real: s^2 A at s = iw."""
     P = mass.size
     rest = (A - np.diag(mass)) * s**2
     free = np.zeros((2 * P, 2 * P))
     free[:P, P:] = np.eye(P)
     free[P:] = -np.hstack([rest.real, rest.imag / s.imag]) / mass[:, None]
-    values, vectors = np.linalg.eig(free)
-    inside = (values.imag > 2 * np.pi * band[0]) & (values.imag < 2 * np.pi * band[1])
-    return values[inside], np.abs(vectors[:P, inside])
+    modes = np.linalg.eigvals(free)
+    return np.asarray(modes[(modes.imag > 2 * np.pi * band[0]) & (modes.imag < 2 * np.pi * band[1])], np.complex128)
 
 
-def modes_of(A: Complexes, mass: Array, f_hz: Array, size: Array | None = None) -> tuple[Complexes, Array]:
+def modes_of(A: Complexes, mass: Array, f_hz: Array, size: Array | None = None) -> Complexes:
     """The same of A (f, places, places), as it is where its determinant is least. size : (f,) |det A|, if known."""
     near = int(np.argmin(np.abs(np.linalg.det(A)) if size is None else size))
     return modes_at(A[near], mass, 2j * np.pi * f_hz[near], (f_hz[0], f_hz[-1]))

@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from .balance import Balance
 from .columns import Columns
-from .contour import lasting, modes_of
 from .gram import valid_blocks
-from .likelihood import responses
 from .mean_response import Mean, mean_responses
 from .record import Record, stretches
 from .self_energy import DECAYS, SECONDS, covariance, dressed_response, self_energy, spectra
@@ -25,9 +23,8 @@ def self_energies(
 ) -> Complexes | None:
     """(f, columns, columns) N/m, at f_hz, per pair of law columns at one place: Sigma_j is its sum over k times B_k.
 
-    B : (places, columns) coefficients of the balance; tangents : (columns, 4) means. Nothing where a place takes part
-    in a mode that lasts or grows (contour.py), as what decays is needed. None where the mean response of a place does
-    not decay, or no law is there.
+    B : (places, columns) coefficients of the balance; tangents : (columns, 4) means. Nothing where what was pushed does
+    not come to rest. None where the mean tangents of a place are not positive, or no law is there.
     """
     balance = columns.balance
     D = mean_tangents(balance, B, tangents)
@@ -35,10 +32,8 @@ def self_energies(
     if all(law.effect.kind != "force" for law in balance.laws) or np.any(own <= 0.0) or np.any(np.diag(B) <= 0.0):
         return None
     mean = of_caps(balance, B, D)
-    modes, motion = modes_of(B @ responses(balance, tangents, f_hz), np.diag(B), f_hz)
-    lasts = lasting(modes, motion, own[1] / (2 * np.diag(B)))
     out = np.zeros((f_hz.size, len(balance.columns), len(balance.columns)), complex)
-    for row in np.flatnonzero(~lasts).tolist():
+    for row in [i for i, m in enumerate(mean) if m.sound]:
         laws = [
             k
             for k, c in enumerate(balance.columns)

@@ -79,18 +79,15 @@ def fluctuations(
     uses: Sequence[Placed],
     mean: Sequence[Mean],
     lin: Array,
-    lasting: NDArray[np.bool_] | None = None,
 ) -> tuple[Fluctuation | Probe | None, ...]:
     """By place, None without a law there, or where the laws are too strong for the second order.
 
-    mean : mean response of each place, the laws included that remember nothing. lin : (places, 3) m, kL, c. lasting :
-    (places,) of those that respond for longer than by themselves, as near whirl: contour.py.
+    mean : mean response of each place, the laws included that remember nothing. lin : (places, 3) m, kL, c.
     """
     own = [[u for u in uses if i in u.at and u.effect.kind == "force"] for i in range(len(mean))]
     remembering = [[u for u in uses if i in u.at and remembers(u, lin[i])] for i in range(len(mean))]
-    sound = [m.sound and (lasting is None or not lasting[i]) for i, m in enumerate(mean)]
-    used = [i for i, laws in enumerate(own) if laws and sound[i] and not remembering[i]]
-    probing = [i for i, laws in enumerate(remembering) if laws and sound[i]]
+    used = [i for i, laws in enumerate(own) if laws and mean[i].sound and not remembering[i]]
+    probing = [i for i, laws in enumerate(remembering) if laws and mean[i].sound]
     part = part_of(data, max(mean[i].seconds(SECONDS, DECAYS) for i in used)) if used else data
     if any(sharp_at(u.effect, u.p, data, i) for i in used for u in own[i]):
         part = finer(part)

@@ -141,7 +141,7 @@ class Likelihood:
         f, length, shift = nodes.f_hz, grid.size / grid.rate_hz, 0.0
         size = np.abs(np.linalg.det(A))
         if mass.min() > 0.0:
-            modes, _ = modes_of(A, mass, f, size)
+            modes = modes_of(A, mass, f, size)
             after = np.clip(np.searchsorted(f, modes.imag / (2 * np.pi)), 1, f.size - 1)
             margin = MARGIN / length * np.maximum(nodes.weight[after - 1], nodes.weight[after])
             shift, turned = past(modes, margin, (f[0], f[-1]))

@@ -31,6 +31,7 @@ STRONG = 1.0  # rms of the tangent stiffness over its mean, above which the seco
 # scatter was 1.7 to 2.8 times what the intervals say, undressed 0.8; at 18 (one degree at rms 1, 30 records) kNL is
 # 0.55 % small and its 95 % interval covers 87 %, undressed 0.85 and 57 %
 WIDE = 19.0
+LONG = 0.5  # of the lags, in which free motion must fall by e
 
 
 def spectra(tangents: NDArray[np.floating], lags: int) -> Spectra:
@@ -67,11 +68,14 @@ def covariance(Z: Spectra, K: Spectra, lags: int) -> Floats:
 def dressed_response(total: Floats, dt: float, mean: Mean) -> Floats | None:
     """(2, lags) impulse response of x and v, dressed by its own self-energy (causal at any strength of K).
 
-    total : (2, 2, lags) covariance of K. None where K is so strong that the second order means nothing.
+    total : (2, 2, lags) covariance of K. None where K is so strong that the second order means nothing, or what was
+    pushed does not come to rest within the lags.
     """
-    if not mean.sound or total[0, 0, 0] > min(STRONG * mean.stiffness, WIDE * mean.width) ** 2:
-        return None
     lags = total.shape[2]
+    if not mean.sound or mean.decay > LONG * lags * dt:
+        return None
+    if total[0, 0, 0] > min(STRONG * mean.stiffness, WIDE * mean.width) ** 2:
+        return None
     w: Floats = np.asarray(2 * np.pi * np.fft.rfftfreq(2 * lags, dt), np.float64)
     G, bare, iw = mean.at(w), mean.after(np.arange(lags, dtype=np.float64) * dt), 1j * w
     sigma, g = np.zeros(iw.size, complex), bare

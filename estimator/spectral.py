@@ -266,7 +266,7 @@ def _whirls(solution: Solution) -> bool:
     balance, f_hz = solution.balance, solution.start.nodes.f_hz
     B = balance.coefficients(solution.point.beta)
     A = B @ responses(balance, solution.bank.tangents, f_hz)
-    modes, _ = modes_of(A, np.diag(B), f_hz)
+    modes = modes_of(A, np.diag(B), f_hz)
     return bool(np.any(modes.real > 0.0))
 
 

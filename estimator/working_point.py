@@ -269,7 +269,7 @@ def _at(
     weighing = Weighing(data, paths, line.s, paths.measured(along(line.s, A, data.mass, D)))
     spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
     mean = mean_responses(data.mass, D, data.places, data.disc)
-    around = fluctuations(data, uses, mean, lin, line.lasting) if longer is None else longer.fluctuations
+    around = fluctuations(data, uses, mean, lin) if longer is None else longer.fluctuations
     made = [t for i in range(P) for t in linear_terms(data, i, lin[i], uses)]
     if longer is None:
         own = each(lambda k: dressed(own[k], uses[k], around), range(len(uses)))

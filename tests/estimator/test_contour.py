@@ -99,11 +99,10 @@ def test_a_step_that_takes_a_mode_across_the_line_is_not_taken() -> None:
 
 def test_the_axis_cannot_tell_growth_from_decay() -> None:
     """What the line is for: on the axis the slope by c turns round."""
-    D, iw = tangents(1e7, -24.0), 2j * np.pi * F_HZ
+    iw = 2j * np.pi * F_HZ
     A = (MASS[0] + 1e7 / iw**2 - 24.0 / iw)[:, None, None]
     on_axis = Jacobian(A).derivatives((1.0 / iw)[None, None, None], np.zeros(1))[0][0]
     assert on_axis == pytest.approx(-BLOCK_S / (2 * MASS[0]), rel=0.1)
-    assert contour(A, MASS, D, F_HZ).lasting.all()
 
 
 @pytest.mark.slow
