@@ -15,8 +15,8 @@ from .effect import Effect
 from .effects.custom import effect_of
 from .effects.places import at, kinematic, written
 from .estimate import Parameter
+from .known_spectra import COLOURS
 from .model import DIRECTIONS, EffectUse, Model, Setting
-from .motion_blocks import COLOURS
 from .periodic import PERIODIC
 from .sensor_response import BLIND
 

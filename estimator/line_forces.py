@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from . import strikes, unexplained
 from .balance import shaft_notch
 from .estimate import Parameter
+from .known_spectra import shaft_response
 from .line_spectrum import Spectrum, by_angle, residual_spectrum, spectrum_of
 from .missing_force import NEGLIGIBLE
 from .model import Model
-from .motion_blocks import shaft_response
 from .periodic import known_lines, to_cap
 from .sensor_response import undone
 from .suspect import Suspect

@@ -9,27 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .balance import shaft_notch, shaft_reaction
 from .bandlimit import noise_shape
-from .disc import Disc, disc_of
-from .effects.custom import effect_of
-from .effects.places import at
-from .errors import DataError
+from .disc import Disc
 from .features import NEAREST, Series
-from .filtered import Filtered
-from .model import MOTION, Model
-from .periodic import Push, Wave, pushes, series, waves
-from .plausible import check_moves
-from .rotor import shaft_at_caps
-from .sensor_response import echoes, forced, of_place, passed_of_images
-from .shaft_angle import measured_phase
-from .side_by_side import each
+from .periodic import Push, Wave
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 FOLDS = 6
-OF_FORCE = ("coloured_excitation",)  # effects that are a shape of the spectrum of the force itself
-COLOURS = (*OF_FORCE, "sensor_resonance")  # and those that look like one where they are not undone in the record
 _OTHER = {"x": "y", "y": "x"}
 
 
@@ -198,7 +185,7 @@ def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
     if data.blocks <= 1.25 * per_fold * FOLDS:
         return data
     pick = np.concatenate([np.flatnonzero(data.fold == f)[:per_fold] for f in range(FOLDS)])
-    return data.at(_runs(pick * data.block, data.block), **data.of_blocks(pick))
+    return data.at(runs(pick * data.block, data.block), **data.of_blocks(pick))
 
 
 def without_hz(data: MotionBlocks, low: float, high: float) -> MotionBlocks:
@@ -252,169 +239,7 @@ def spectrum(series: Array, block: int, rate_hz: float) -> tuple[Array, Array]:
     return f, np.asarray(np.mean(np.abs(Z) ** 2, axis=0) * 2 / (rate_hz * np.sum(window**2)))
 
 
-def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
-    """(f, places, places) N/m: what shaft and disc add to the dynamic stiffness at the measured caps."""
-    D = np.zeros((f_hz.size, len(places), len(places)), complex)
-    disc = model.mass.get("disc", 0.0)
-    if model.shaft == "none" or disc <= 0.0:
-        return D
-    caps, _ = shaft_at_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, disc, 2 * np.pi * f_hz)
-    for i, p in enumerate(places):
-        for j, q in enumerate(places):
-            if p.split(".")[1] == q.split(".")[1]:
-                D[:, i, j] = caps[:, int(p[7]) - 1, int(q[7]) - 1]
-    return D
-
-
-def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBlocks:
-    """Band-limit a record (n, channels of the model) and cut it into valid blocks.
-
-    Raises DataError if no ten blocks are valid, or a channel does not move.
-    """
-    y = np.asarray(y, dtype=np.float64)
-    if y.ndim != 2 or y.shape[1] != len(model.channels):
-        raise DataError(
-            f"the record has {y.shape[-1]} channels, the rig {len(model.channels)}: use the rig of the record"
-        )
-    places = model.places
-    if not places:
-        raise DataError("the rig has no motion channel at a bearing: nothing to compare")
-    moving = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind in MOTION) for p in places]
-    shaken = {c.place: k for k, c in enumerate(model.channels) if c.kind == "force"}
-    columns = moving + [shaken[p] for p in places if p in shaken]
-    for k in columns:
-        check_moves(model.channels[k].name, y[np.isfinite(y[:, k]), k])
-    while block > 1024 and y.shape[0] < 24 * block:
-        block //= 2
-    used = y if columns == [*range(y.shape[1])] else y[:, columns]
-    motion = Filtered(
-        used, [model.channels[k].kind for k in columns], rate_hz, model.band, shaft_reaction(model), slow=True
-    ).whole(np.float32)
-    starts = _valid_starts(motion.valid, block)
-    if starts.size < 2 * FOLDS:
-        needed = f"at least {2 * FOLDS * block / rate_hz:.2g} s are needed"
-        if np.isfinite(used).all():
-            left = f"{len(y) / rate_hz:.2g} s, {starts.size * block / rate_hz:.2g} s of it behind the analysis filter"
-            raise DataError(f"the record has {left}; {needed}: record half a minute or more")
-        raise DataError(
-            f"only {starts.size * block / rate_hz:.2f} s in stretches of {block / rate_hz:.2g} s without a missing or "
-            f"clipped sample; {needed}: see what the gaps come from, or record longer"
-        )
-    P = len(places)
-    runs = _runs(starts, block)
-
-    def valid(z: Series) -> Series:
-        return z[:, runs[0]] if len(runs) == 1 else np.concatenate([z[:, run] for run in runs], axis=1)
-
-    t = np.arange(len(y)) / rate_hz
-    speed = 2 * np.pi * (model.speed_rpm or 0.0) / 60
-    angle = measured_phase(model, y, rate_hz)
-    turning = np.stack([t, speed * t if angle is None else angle])
-    a, v, x, u, (t, phase) = map(valid, (motion.a, motion.v[:P], motion.x[:P], motion.u, turning))
-    below = None if motion.slow is None else valid(motion.slow[:P])
-    mass = np.array([model.cap_mass(p) or 1.0 for p in places])
-    measured = {places.index(p): a[P + k] for k, p in enumerate(p for p in places if p in shaken)}
-    for i, force in measured.items():
-        if model.cap_mass(places[i]) is None:  # the scale that the force gives
-            Z = np.stack([a[i], v[i], x[i]]).astype(np.float64)
-            mass[i] = np.linalg.solve(Z @ Z.T, Z @ force)[0]
-    known = u[:P] if len(u) else np.zeros_like(x)
-    for direction in "xy":
-        same = [i for i, p in enumerate(places) if p.endswith(direction)]
-        reaction = known[same].sum(axis=0)
-        for i in same:
-            np.multiply(mass[i], a[i], out=known[i])
-            known[i] += reaction
-            if len(u) and model.shaft == "chain":
-                known[i] += model.shaft_stiffness * x[i]
-                known[i] += model.shaft_damping * v[i]
-    driven = np.zeros(P)
-    for i, force in measured.items():
-        known[i] -= force
-        driven[i] = np.mean(force**2) / (model.band[1] - model.band[0])
-    rms = np.array([each(np.std, z) for z in (x, v, a[:P])])
-    periodic = series(model, places, t, phase, rate_hz)
-    if periodic is not None:
-        known -= periodic
-    fold = np.minimum(np.arange(starts.size) * FOLDS // starts.size, FOLDS - 1)
-    bins = bins_of(model, rate_hz, block)
-    f = np.asarray(bins * (rate_hz / block), dtype=np.float64)
-    kinds = tuple(model.channels[k].kind for k in moving)
-    return MotionBlocks(
-        places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
-        shaft_response(model, places, f), colours(model, places, f, OF_FORCE), np.zeros((P, 2)), rms, driven,
-        sharpened(model, places, f), _echoes(model, places, kinds, mass, f), np.zeros((P, f.size)),
-        np.zeros((P, f.size), complex), np.stack([passed_of_images(model, p, rate_hz, f) for p in places], axis=1),
-        below, below, None, 0.0, _shared(model, places), pushes(model, places), waves(model, places, rate_hz),
-        disc=disc_of(model),
-    )  # fmt: skip
-
-
-def bins_of(model: Model, rate_hz: float, block: int) -> NDArray[np.int64]:
-    """Bins of a block spectrum that a fit looks at."""
-    f = np.fft.rfftfreq(block, 1 / rate_hz)
-    inside = (f >= model.band[0]) & (f <= model.band[1])
-    if notch := shaft_notch(model):
-        inside &= (f < notch[0]) | (f > notch[1])
-    return np.flatnonzero(inside)
-
-
-def _shared(model: Model, places: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
-    found = [at(effect_of(u), u, model) for u in model.effects if u.name == "correlated_force"]
-    firsts = [p for keys in found for p in keys]
-    return tuple((places.index(p), places.index(f"bearing2.{p[-1]}")) for p in firsts)
-
-
-def sharpened(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
-    """(places, f) |true over measured|^2 of the responses that are undone, of sensors and of recorders."""
-    return np.array([1.0 / np.abs(of_place(model, p, 2 * np.pi * f_hz)) ** 2 for p in places])
-
-
-def _echoes(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], mass: Array, f_hz: Array) -> Array:
-    """What the recorder's filter lets through above half the rate, as MotionBlocks.echoes."""
-    own = [echoes(model, place, kind, f_hz) / m**2 for place, kind, m in zip(places, kinds, mass, strict=True)]
-    out = np.zeros((max(map(len, own)), len(places), f_hz.size))
-    for i, z in enumerate(own):
-        out[: len(z), i] = z
-    return out
-
-
-def colours(model: Model, places: tuple[str, ...], f_hz: Array, names: tuple[str, ...] = COLOURS) -> Array:
-    """(places, f) what the model's own effects make of a white force: coloured excitation and, where that is not undone
-    in the record, a resonant sensor. names : of the effects."""
-    from .effects import CATALOGUE
-
-    known = forced(model)
-    out = np.ones((len(places), f_hz.size))
-    for use in model.effects:
-        if use.name not in names:
-            continue
-        for i, place in enumerate(places):
-            if place in known:  # a measured force has the colour that it has, and its sensor is undone
-                continue
-            own = [s for k, s in use.parameters.items() if k in (place, place.split(".")[0])]
-            if not own:
-                continue
-            values = [s.value for q in CATALOGUE[use.name].parameters if (s := own[0].get(q.name)) is not None]
-            a, b = (*(z for z in values if z is not None), None, None)[:2]
-            if a is None or b is None:
-                continue
-            if use.name == "coloured_excitation":
-                out[i] *= 1 + a / (1 + (f_hz / b) ** 2)
-            else:
-                r = f_hz / a
-                out[i] /= (1 - r**2) ** 2 + (r / b) ** 2
-    return out
-
-
-def _runs(starts: NDArray[np.int64], block: int) -> list[slice]:
+def runs(starts: NDArray[np.int64], block: int) -> list[slice]:
     """The rows of all blocks, neighbours joined."""
     cuts = np.flatnonzero(np.diff(starts) != block) + 1
     return [slice(int(s[0]), int(s[-1]) + block) for s in np.split(starts, cuts)]
-
-
-def _valid_starts(valid: NDArray[np.bool_], block: int) -> NDArray[np.int64]:
-    """First rows of as many non-overlapping all-valid blocks as there are."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], valid.astype(np.int8), [0]])))
-    out = [np.arange(a, b - block + 1, block) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return np.concatenate(out) if out else np.zeros(0, np.int64)

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from .effects.places import written
 from .estimate import Parameter
 from .features import Series
+from .known_spectra import shaft_response
 from .model import Model, Setting
-from .motion_blocks import MotionBlocks, shaft_response
+from .motion_blocks import MotionBlocks
 from .periodic import (
     FREQUENCY,
     LINE_NAMES,

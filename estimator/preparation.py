@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .cut_record import cut
 from .model import Model
-from .motion_blocks import MotionBlocks, cut, part_of
+from .motion_blocks import MotionBlocks, part_of
 from .sensor_response import undone
 
 Array = NDArray[np.float64]

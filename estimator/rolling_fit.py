@@ -17,10 +17,10 @@ from .features import MARGIN
 from .gram import valid_blocks
 from .jacobian import levels
 from .known_force import is_known
+from .known_spectra import colours
 from .likelihood import Evidence, Likelihood, Local, Point, active, maximise
 from .maximum import Maximum, initial, inverse, maximum, without_noise
 from .model import Model
-from .motion_blocks import colours
 from .moving_lines import MovingLines
 from .record import Record, gather
 from .rolling_fall import Fall

@@ -19,9 +19,9 @@ from .bandlimit import to_acceleration
 from .effects import CATALOGUE
 from .effects.places import kinematic, orders
 from .estimate import Parameter
+from .known_spectra import shaft_response
 from .line_spectrum import Spectrum
 from .model import Model
-from .motion_blocks import shaft_response
 from .suspect import Suspect
 from .working_point import WorkingPoint, tangent_at
 

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .bandlimit import noise_shape
+from .cut_record import cut
 from .errors import DataError, ModelError
 from .free_run import free_run
 from .model import Model
-from .motion_blocks import MotionBlocks, cut, spectrum
+from .motion_blocks import MotionBlocks, spectrum
 from .sensor_response import echoes, recorder
 from .simulate import simulate
 from .working_point import WorkingPoint

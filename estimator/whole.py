@@ -36,10 +36,11 @@ from .effects.places import at, written
 from .estimate import Parameter, untold_at
 from .fit_result import Fit
 from .fitted import parameters
+from .known_spectra import COLOURS, OF_FORCE
+from .known_spectra import colours as colours_of
 from .model import EffectUse, Model, Setting
 from .model_uses import clipped
-from .motion_blocks import COLOURS, OF_FORCE, MotionBlocks
-from .motion_blocks import colours as colours_of
+from .motion_blocks import MotionBlocks
 from .preparation import prepare, shortened
 from .search_start import fit_record
 from .sensor_response import BLIND, LINEAR, forced

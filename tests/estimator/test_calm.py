@@ -8,11 +8,11 @@ from reference_rig import CLEARANCE, GAP, PLACES, rig_model, rig_record
 from reference_rig import RATE as RIG_RATE
 from reference_samples import langevin
 
+from estimator.cut_record import cut
 from estimator.estimate import Parameter
 from estimator.features import MARGIN
 from estimator.lines import begin
 from estimator.model import Channel, Model
-from estimator.motion_blocks import cut
 from estimator.record import prepare
 from estimator.rolling import RollingSpectral
 from estimator.spectral import analyse, report
