@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from .missing_force import power_of
-from .path_fit import Complexes, Term
 from .placed import at_home
 from .side_by_side import each
 from .subproblem import gain, subproblem
 from .terms import light, orthogonal
+from .weighing import Complexes, Term
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]

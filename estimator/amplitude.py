@@ -20,11 +20,13 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from .adequacy import STATES
-from .path_fit import Gram, Jacobian, PathFit, Term, fit, log_likelihood, term_response
+from .determinant import Jacobian
+from .path_fit import Gram, PathFit, fit, log_likelihood
 from .placed import Placed
 from .side_by_side import answers
 from .subproblem import component
 from .terms import dressed, linear_terms, terms
+from .weighing import Term, term_response
 from .working_point import WorkingPoint, thinned
 
 Array = NDArray[np.float64]

@@ -21,12 +21,12 @@ from .effects.places import at, written
 from .estimate import Parameter
 from .linear_memory import filtered
 from .model import EffectUse, Model, Setting
-from .path_fit import Term
 from .rotor import between_caps
 from .sensor_response import BLIND, LINEAR
 from .side_by_side import each
 from .subproblem import subproblem
 from .suspect import Suspect
+from .weighing import Term
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from . import missing_force
 from .linear_memory import filtered
 from .model import Model
-from .path_fit import Term
 from .placed import evaluate
 from .roll_off import LATE, POWERS, Filter, RollOff
 from .side_by_side import each
 from .subproblem import gain, subproblem
 from .terms import orthogonal
+from .weighing import Term
 from .working_point import WorkingPoint, thinned
 
 Array = NDArray[np.float64]

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from .calm import as_seen
 from .fluctuation import Fluctuation
 from .motion_blocks import FOLDS, MotionBlocks, fold_of
-from .path_fit import Complexes, response
 from .probe import Probe
 from .reference_tangents import dressings, lapse, waves
 from .subproblem import Subproblem, base_of, extended, fold_span, products, subproblem
+from .weighing import Complexes, response
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]

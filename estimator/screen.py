@@ -18,11 +18,12 @@ from .effects.strength import search_range
 from .errors import NotFiniteError
 from .model import Model
 from .model_uses import FORCES, acting, searched, size, start
-from .path_fit import Columns, PathFit
+from .path_fit import PathFit
 from .periodic import PERIODIC
 from .placed import Placed
 from .subproblem import Subproblem, heldout_gain, subproblem
 from .terms import dressed, orthogonal, terms
+from .weighing import Columns
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]

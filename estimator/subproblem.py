@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .determinant import Jacobian
 from .motion_blocks import FOLDS
-from .path_fit import TOLD, Columns, Complexes, Gram, Jacobian, PathFit, Spectrum, fit, log_likelihood
+from .path_fit import TOLD, Gram, PathFit, fit, log_likelihood
+from .weighing import Columns, Complexes, Spectrum
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from . import bent_path, coupled_caps, force_colour, line_forces, periodic, sensor_faults
 from .model import EffectUse, Model
 from .model_uses import clipped as clipped_by
-from .path_fit import Spectrum
 from .side_by_side import each
 from .suspect import Suspect, as_use
+from .weighing import Spectrum
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]

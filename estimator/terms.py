@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from . import linear_memory, shaft_law
 from .fluctuation import Fluctuation
 from .motion_blocks import FOLDS, MotionBlocks
-from .path_fit import Complexes, Term
 from .placed import Evaluated, Placed, at_home, evaluate, tangent_series
 from .probe import Probe
+from .weighing import Complexes, Term
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .bandlimit import left_out
 from .calm import as_displacement, calm_of, is_little
 from .contour import along, contour
+from .determinant import Jacobian
 from .effects.strength import search_range
 from .features import Series
 from .fluctuation import Fluctuation, fluctuations
@@ -19,7 +20,7 @@ from .mean_response import mean_responses
 from .model_uses import size, stiffness
 from .motion_blocks import FOLDS, MotionBlocks, part_of, spectrum
 from .noise_paths import LEAST_NOISE, noise_of, noise_paths
-from .path_fit import Columns, Gram, Jacobian, PathFit, Spectrum, Term, Weighing, fit, gram
+from .path_fit import Gram, PathFit, fit, gram
 from .periodic import Wave
 from .placed import Placed, evaluate, remembers
 from .probe import Probe
@@ -28,6 +29,7 @@ from .side_by_side import each
 from .slow_motion import with_slow
 from .terms import Spans, add_to, dressed, light, linear_terms, reach, terms
 from .transfer import response_of
+from .weighing import Columns, Spectrum, Term, Weighing
 
 Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at

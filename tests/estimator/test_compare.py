@@ -12,8 +12,8 @@ from hidden_effects import RATE, one_bearing, record, schema
 
 from estimator import sensor_faults
 from estimator.compare import compare
+from estimator.determinant import Jacobian
 from estimator.model import Channel, Model
-from estimator.path_fit import Jacobian
 from estimator.sensor_faults import clipping_level
 from estimator.simulate import simulate
 

@@ -13,14 +13,15 @@ from reference_rig import CROSS, PLACES, RATE, TRUTH, rig_model, rig_record
 
 from estimator.balance import build
 from estimator.contour import MARGIN, along, contour
+from estimator.determinant import Jacobian
 from estimator.likelihood import Likelihood, Local, Point
 from estimator.lines import begin
 from estimator.model import EffectUse
-from estimator.path_fit import Jacobian, response
 from estimator.record import gather, prepare
 from estimator.rolling import RollingSpectral
 from estimator.spectral import fit
 from estimator.start import LEAST_DAMPING, linear_start
+from estimator.weighing import response
 from estimator.whole import fit_whole
 
 BLOCK_S = 0.32

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from estimator.determinant import Jacobian
 from estimator.motion_blocks import FOLDS
-from estimator.path_fit import Gram, Jacobian, fit
+from estimator.path_fit import Gram, fit
 from estimator.subproblem import Subproblem
 
 

@@ -1,0 +1,99 @@
+"""The determinant of the mean tangent in the path likelihood, taken along a line that leaves all modes to the left
+(contour.py), and its derivatives."""
+
+from __future__ import annotations
+
+from copy import copy
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .contour import turns
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+CROSSED = 1.5 * np.pi  # a mode that crosses its line takes two pi off the turn of det A, one that leaves the band one
+
+
+class Jacobian:
+    """2 sum_f log |det A(f)| per block and its derivatives, about the working point's A0 (bins, places, places).
+
+    offset : to be taken from it for the line that A0 is given along: contour.py. kept : (bins,) share of each that the
+    likelihood has of its bin.
+    dressing : (bins, places), what of A0 comes from fluctuating tangents (self_energy.py). It is quadratic in the
+    amplitudes of the laws, and a column of one of them has the half of its derivative: the value whose derivatives
+    the columns have is 2 log |det A| - Re tr(A^-1 dressing), stationary in A. Models are compared by it.
+    """
+
+    def __init__(
+        self, A0: Complexes, offset: float = 0.0, dressing: Complexes | None = None, kept: Array | None = None
+    ) -> None:
+        self.A0, self.offset, self.kept = A0, offset, np.ones(len(A0)) if kept is None else kept
+        self.dressing = np.zeros(self.A0.shape[:2], complex) if dressing is None else dressing
+        self._begun()
+
+    def _begun(self) -> None:
+        self.turned, self.half = turns(np.linalg.det(self.A0)), 0.0
+        if self.dressing.any():
+            own = np.einsum("fii->fi", np.linalg.inv(self.A0)) * self.dressing
+            self.half = float(self.kept @ own.real.sum(axis=1))
+
+    def at(self, places: NDArray[np.int64]) -> Jacobian:
+        """The same of some places, the others as they are: what they answer through the shaft stays in A0."""
+        out = copy(self)
+        answer = self.answer(places)
+        out.A0, out.dressing = self.A0[:, places[:, None], places], self.dressing[:, places]
+        if answer is not None:
+            others, follow = answer
+            out.A0 = out.A0 - self.A0[:, places[:, None], others] @ follow
+        share = places.size / self.A0.shape[1]
+        out.offset = self.offset * share
+        if answer is not None:  # all places together have what the whole has
+            whole, own = (2 * float(self.kept @ np.log(np.abs(np.linalg.det(A)))) for A in (self.A0, out.A0))
+            out.offset += own - whole * share
+        out._begun()
+        return out
+
+    def answer(self, places: NDArray[np.int64]) -> tuple[NDArray[np.int64], Complexes] | None:
+        """The places that the shaft couples to these, and their motion per motion of these, less its sign,
+        (bins, others, places); None where there are none."""
+        others = np.setdiff1d(np.arange(self.A0.shape[1], dtype=np.int64), places)
+        others = others[np.any(self.A0[:, others[:, None], places] != 0, axis=(0, 2))]
+        if not others.size:
+            return None
+        follow = np.linalg.solve(self.A0[:, others[:, None], others], self.A0[:, others[:, None], places])
+        return others.astype(np.int64), np.asarray(follow, dtype=np.complex128)
+
+    def tangents(self, tangents: Complexes, places: NDArray[np.int64]) -> Complexes:
+        """What tangents (terms, all places, all places, bins) of forces at some places add to A0 `at` them."""
+        own = tangents[:, places][:, :, places]
+        answer = self.answer(places)
+        if answer is None:
+            return own
+        others, follow = answer
+        return np.asarray(own - np.einsum("tikf,fkj->tijf", tangents[:, places][:, :, others], follow))
+
+    def of(self, tangents: Complexes, delta: Array) -> Complexes:
+        """A at increments delta, (bins, places, places)."""
+        return np.asarray(self.A0 + np.moveaxis(np.tensordot(delta, tangents, 1), 2, 0))
+
+    def value(self, tangents: Complexes, delta: Array) -> float:
+        """-inf where a mode has crossed the line: what the sum gives there is that of its mirror image."""
+        determinant = np.linalg.det(self.of(tangents, delta))
+        if turns(determinant) < self.turned - CROSSED:
+            return -np.inf
+        return float(2 * self.kept @ np.log(np.abs(determinant))) - self.offset - self.half
+
+    def derivatives(self, tangents: Complexes, delta: Array) -> tuple[Array, Array]:
+        """Gradient (k,) and second derivative (k, k) to the increments."""
+        inverse = np.linalg.inv(self.of(tangents, delta))
+        k, P = len(tangents), tangents.shape[1]
+        acting = [np.flatnonzero(np.any(t != 0, axis=(1, 2))) for t in tangents]
+        R = np.zeros((k, len(self.A0), P, P), complex)
+        for j, t in enumerate(tangents):
+            for i in acting[j]:  # A^-1 A_j, row i of A_j only
+                R[j] += inverse[:, :, i][:, :, None] * t[i].T[:, None, :]
+        gradient = 2 * np.einsum("jfpp,f->j", R, self.kept).real
+        left = (R * self.kept[:, None, None]).reshape(k, -1)
+        right = np.swapaxes(R, 2, 3).reshape(k, -1)
+        return np.asarray(gradient), np.asarray(-2 * (left @ right.T).real)

@@ -1,0 +1,158 @@
+"""Forces and the terms of laws turned into the weighted spectra of blocks that the path likelihood is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .motion_blocks import FOLDS, MotionBlocks
+from .noise_paths import NoisePaths
+from .ringing import Ringing, ringing
+from .side_by_side import each
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Spectrum = NDArray[np.float32]
+TOGETHER = 32  # blocks at a time: more do not stay in the cache
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One parameter's force per unit: series by place index, (n,) N per unit, and its mean tangent.
+
+    tangent : (places, places, 2): mean derivative of the force at place i to x_l and to v_l. apart : (folds, places,
+    places, 2) of those of each time fold less these; None for a term that is the same throughout.
+    memory : by place, (places, bins) N/m per unit, more of the mean response of the force there to every x_l: of a
+    force with memory or through the disc, or of a tangent that fluctuates (fluctuation.py).
+    name : "bearing1.x.kL" and so on. scale : what the parameter is divided by in the computation.
+    """
+
+    name: str
+    unit: str
+    series: dict[int, NDArray[Any]]
+    tangent: Array
+    scale: float = 1.0
+    memory: dict[int, Complexes] = field(default_factory=dict)
+    apart: Array | None = None
+
+
+def response(tangent: Array, s: Complexes) -> Complexes:
+    """(..., bins) contribution to A at s (bins,) of a mean tangent (..., 2)."""
+    return np.asarray(tangent[..., :1] / s**2 + tangent[..., 1:] / s)
+
+
+def term_response(term: Term, s: Complexes) -> Complexes:
+    """(places, places, bins) contribution to A at s (bins,) of one scaled unit of a term."""
+    out = response(term.tangent, s)
+    for i, more in term.memory.items():
+        out[i] += more / s**2
+    return out * term.scale
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Terms turned into weighted spectra, by place: (terms there, blocks, 2 bins) float32."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    scales: Array
+    tangents: Complexes  # (terms, places, places, bins), contribution to A per scaled unit
+    spectra: dict[int, Spectrum]
+    index: dict[int, NDArray[np.int64]]  # place -> number of the term of each row of spectra
+    apart: Array  # (terms, folds, places, places, 2) mean tangents of time folds less those of all, per scaled unit
+
+
+@dataclass
+class Weighing:
+    """Turns series into weighted block spectra at a working point. s : (bins,) of the determinant. measured : (bins,
+    places, places) from a response to the motion to one to what is measured: noise_paths.py."""
+
+    data: MotionBlocks
+    paths: NoisePaths
+    s: Complexes
+    measured: Complexes | None = None
+    _root: Array = field(init=False)
+    _bins: slice | NDArray[np.int64] = field(init=False)
+    _even: list[Spectrum] | None = field(init=False)
+    rings: Ringing | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        # one-sided PSD normalisation: the mean of |F|^2 over bins is S
+        self._root = np.sqrt(self.weight * 2.0 / (self.data.rate_hz * self.data.block)).astype(np.float32)
+        bins = self.data.bins
+        self._even = None if self.data.level is None else [
+            (1.0 / np.sqrt(self.rise(i, own))).astype(np.float32) for i, own in enumerate(self.data.level)
+        ]  # fmt: skip
+        self.rings = ringing(self.data, self._root)
+        unbroken = bins[-1] - bins[0] == bins.size - 1  # a slice is read four times faster
+        self._bins = slice(int(bins[0]), int(bins[-1]) + 1) if unbroken else bins
+
+    @property
+    def weight(self) -> Array:
+        """(places, bins)"""
+        return self.paths.weight
+
+    def spectrum(
+        self, i: int, series: Array | Spectrum, scale: float = 1.0, out: Spectrum | None = None, first: int = 0
+    ) -> Spectrum:
+        """(blocks, 2 bins) float32 of scale times a series (n,) seen at place i, the bins of the band.
+
+        first : number of the block that the series begins with.
+        """
+        from scipy.fft import rfft
+
+        z, root = series.reshape(-1, self.data.block), self._root[i]
+        if out is None:
+            out = np.empty((len(z), 2 * root.size), np.float32)
+        single = z.dtype == np.float32
+        root = root * np.float32(scale) if single else root
+        for a in range(0, len(z), TOGETHER):
+            part = z[a : a + TOGETHER]
+            part = part if single else (scale * part).astype(np.float32)  # it may be too small for that before
+            np.multiply(rfft(part, axis=1)[:, self._bins], root, out=out[a : a + TOGETHER].view(np.complex64))
+        if self.rings is not None:
+            self.rings.take_out(i, out)
+        if self._even is not None:
+            out.view(np.complex64)[...] *= self._even[i][first : first + len(z)]
+        return out
+
+    def rise(self, i: int, level: Array) -> Array:
+        """(blocks, bins) PSD of the inferred force at place i in blocks of a level (blocks,), over that of the record:
+        the level of the force but for noise of sensors, which does not rise with it."""
+        return np.asarray(level[:, None] + (1.0 - level[:, None]) * self.paths.noise[i])
+
+    def power(self, i: int, Z: Spectrum) -> Array:
+        """(blocks,) power of a spectrum seen at place i (blocks, 2 bins), as it was before blocks were weighed by the
+        level of the force."""
+        if self._even is not None:
+            Z = (Z.view(np.complex64) / self._even[i]).view(np.float32)
+        return np.asarray(np.einsum("bk,bk->b", Z, Z), np.float64)
+
+    def seen(self, tangents: Complexes) -> Complexes:
+        """Tangents (..., places, places, bins) as the determinant needs them: to what is measured."""
+        if self.measured is None:
+            return tangents
+        return np.asarray(np.einsum("...ilf,flj->...ijf", tangents, self.measured))
+
+    def columns(self, terms: list[Term]) -> Columns:
+        index: dict[int, list[int]] = {}
+        for k, term in enumerate(terms):
+            for i in term.series:
+                index.setdefault(i, []).append(k)
+
+        def at(i: int) -> Spectrum:
+            out = np.empty((len(index[i]), self.data.blocks, 2 * self.weight.shape[1]), np.float32)
+            for row, k in zip(out, index[i], strict=True):
+                self.spectrum(i, terms[k].series[i], terms[k].scale, row)
+            return out
+
+        spectra = dict(zip(index, each(at, index), strict=True))
+        tangents = self.seen(np.array([term_response(t, self.s) for t in terms]))
+        return Columns(
+            tuple(t.name for t in terms), tuple(t.unit for t in terms), np.array([t.scale for t in terms]), tangents,
+            spectra, {i: np.array(k) for i, k in index.items()},
+            np.array([np.zeros((FOLDS, *t.tangent.shape)) if t.apart is None else t.apart * t.scale for t in terms]),
+        )  # fmt: skip
