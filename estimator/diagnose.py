@@ -17,6 +17,7 @@ from .features import ready
 from .fitted import parameters, untold
 from .heldout import heldout_nll
 from .model import Model
+from .model_fit import fit_model
 from .model_uses import acting, on_trial, searched
 from .periodic import PERIODIC
 from .periodic_fit import found_beside
@@ -24,7 +25,7 @@ from .shape import Shape, shape_of
 from .side_by_side import answers
 from .suspects import suspects
 from .whole import fit_whole, with_found
-from .working_point import WorkingPoint, fit_model, plain, thinned
+from .working_point import WorkingPoint, plain, thinned
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]

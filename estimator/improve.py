@@ -18,10 +18,11 @@ from .fitted import fitted_model, untold
 from .heldout import heldout_nll, heldout_rmse
 from .missing_force import survey
 from .model import Model
+from .model_fit import fit_model
 from .periodic import PERIODIC
 from .suspects import suspects
 from .whole import SHAPING, Whole, fit_whole, with_found
-from .working_point import WorkingPoint, fit_model
+from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]

@@ -19,6 +19,7 @@ from .estimate import Parameter
 from .features import Series
 from .known_spectra import shaft_response
 from .model import Model, Setting
+from .model_fit import fit_model
 from .motion_blocks import MotionBlocks
 from .periodic import (
     FREQUENCY,
@@ -35,7 +36,7 @@ from .periodic import (
     waves,
 )
 from .suspect import as_use
-from .working_point import WorkingPoint, fit_model, tangent_at
+from .working_point import WorkingPoint, tangent_at
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

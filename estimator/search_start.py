@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 
 from . import bent_path, force_colour, screen
 from .model import Model, Setting
+from .model_fit import fit_model, glanced
 from .model_uses import placed_of
 from .motion_blocks import MotionBlocks, part_of
 from .path_fit import PathFit
 from .placed import Placed
 from .side_by_side import each
 from .subproblem import Subproblem
-from .working_point import WorkingPoint, fit_model, glanced
+from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 SECONDS = 6.0

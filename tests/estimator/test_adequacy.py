@@ -13,10 +13,10 @@ from estimator import adequacy, screen
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size
 from estimator.model import CustomLaw, EffectUse, Model, Setting
+from estimator.model_fit import fit_model
 from estimator.preparation import prepare
 from estimator.search_start import fit_record
 from estimator.simulate import simulate
-from estimator.working_point import fit_model
 
 SECONDS = 10.0
 

@@ -17,11 +17,11 @@ from estimator.effects import CATALOGUE
 from estimator.heldout import heldout_rmse
 from estimator.improve import improve
 from estimator.model import EffectUse, Model
+from estimator.model_fit import fit_model
 from estimator.preparation import prepare
 from estimator.suspects import suspects
 from estimator.transfer import left, linear, plain, response_of
 from estimator.whole import fit_whole
-from estimator.working_point import fit_model
 
 Array = NDArray[np.float64]
 Sensor = Callable[[Array], Array]

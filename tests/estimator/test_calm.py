@@ -13,11 +13,11 @@ from estimator.estimate import Parameter
 from estimator.features import MARGIN
 from estimator.lines import begin
 from estimator.model import Channel, Model
+from estimator.model_fit import fit_model
 from estimator.record import prepare
 from estimator.rolling import RollingSpectral
 from estimator.spectral import analyse, report
 from estimator.whole import fit_whole
-from estimator.working_point import fit_model
 
 RATE = 1000.0
 

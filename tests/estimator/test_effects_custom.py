@@ -20,12 +20,12 @@ from estimator.effects.expression import FUNCTIONS, ExpressionError, compile_law
 from estimator.effects.law_loop import force_array
 from estimator.errors import DataError, ModelError
 from estimator.model import CustomLaw, EffectUse, Setting
+from estimator.model_fit import fit_model
 from estimator.model_uses import placed_of
 from estimator.placed import Placed
 from estimator.preparation import prepare
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
-from estimator.working_point import fit_model
 
 
 def own(expression: str, **parameters: tuple[float | None, str]) -> EffectUse:

@@ -12,6 +12,7 @@ from estimator import adequacy, mean_response, missing_force, spectral
 from estimator.effects import CATALOGUE
 from estimator.fluctuation import Fluctuation, fluctuations
 from estimator.model import EffectUse, Model
+from estimator.model_fit import fit_model
 from estimator.model_uses import placed_of
 from estimator.motion_blocks import finer
 from estimator.placed import tangent_series
@@ -19,7 +20,7 @@ from estimator.preparation import prepare
 from estimator.screen import assess
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
-from estimator.working_point import WorkingPoint, fit_model
+from estimator.working_point import WorkingPoint
 
 SLOW = 12800.0
 Case = tuple[str, Model, np.ndarray, WorkingPoint]

@@ -16,13 +16,14 @@ from estimator.hidden_states import along
 from estimator.linearised import passed, together
 from estimator.mean_response import mean_responses
 from estimator.model import EffectUse
+from estimator.model_fit import fit_model
 from estimator.model_uses import placed_of
 from estimator.placed import Placed
 from estimator.preparation import prepare
 from estimator.probe import Probe
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
-from estimator.working_point import fit_model, thinned
+from estimator.working_point import thinned
 
 BOUC_WEN = CATALOGUE["bouc_wen"]
 LIN = np.array([0.2, 1e7, 60.0])

@@ -10,12 +10,13 @@ from hidden_effects import RATE, one_bearing, record
 
 from estimator import missing_force, reference
 from estimator.model import EffectUse, Setting
+from estimator.model_fit import fit_model
 from estimator.model_uses import placed_of
 from estimator.preparation import prepare
 from estimator.simulate import simulate
 from estimator.subproblem import Subproblem
 from estimator.whole import fit_whole
-from estimator.working_point import WorkingPoint, fit_model
+from estimator.working_point import WorkingPoint
 
 Hats = tuple[WorkingPoint, Subproblem, tuple[str, ...], np.ndarray]
 

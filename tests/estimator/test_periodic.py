@@ -14,6 +14,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
 from estimator.missing_force import survey
 from estimator.model import EffectUse, Model, Setting
+from estimator.model_fit import fit_model
 from estimator.motion_blocks import MotionBlocks
 from estimator.periodic import known_lines, periodic_of, series
 from estimator.periodic_fit import PIECES, found_beside, refined
@@ -21,7 +22,7 @@ from estimator.preparation import prepare
 from estimator.simulate import simulate
 from estimator.suspects import suspects
 from estimator.whole import fit_whole, with_found
-from estimator.working_point import WorkingPoint, fit_model
+from estimator.working_point import WorkingPoint
 
 LINE = {"a": 0.12, "b": -0.05, "frequency": 791.37}
 DEFECT = {"strike": 1.5, "order": 2.1, "angle": 0.7, "width": 0.05}

@@ -15,10 +15,11 @@ from estimator.estimate import Parameter
 from estimator.evidence import entries
 from estimator.missing_force import survey
 from estimator.model import Model
+from estimator.model_fit import fit_model
 from estimator.model_uses import placed_of
 from estimator.placed import Placed
 from estimator.preparation import prepare
-from estimator.working_point import WorkingPoint, fit_model
+from estimator.working_point import WorkingPoint
 
 CLEARANCE = CATALOGUE["clearance"]
 

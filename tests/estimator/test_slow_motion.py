@@ -14,13 +14,13 @@ from estimator.effects import CATALOGUE
 from estimator.effects.custom import custom_effect
 from estimator.effects.strength import size, strengths, with_effect
 from estimator.model import CustomLaw, EffectUse, Model, Setting
+from estimator.model_fit import fit_model
 from estimator.model_uses import placed_of
 from estimator.preparation import prepare
 from estimator.rolling import RollingSpectral
 from estimator.simulate import simulate
 from estimator.slow_motion import lopsided, own_sizes, usual, with_slow
 from estimator.whole import fit_whole
-from estimator.working_point import fit_model
 
 SECONDS = 12.0
 

@@ -15,10 +15,10 @@ from estimator.effects import CATALOGUE
 from estimator.effects.strength import with_effect
 from estimator.evidence import Entry
 from estimator.model import Model, Setting
+from estimator.model_fit import fit_model
 from estimator.placed import Placed
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
-from estimator.working_point import fit_model
 
 SECONDS, NODES = 8.0, ("bearing1", "bearing2")
 

@@ -1,0 +1,224 @@
+"""The model fitted to a record step by step, and between the steps what of the record goes with the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .bandlimit import left_out
+from .calm import as_displacement, calm_of, is_little
+from .effects.strength import search_range
+from .force_level import alike, level_of
+from .model_uses import size, stiffness
+from .motion_blocks import MotionBlocks, part_of, spectrum
+from .noise_paths import LEAST_NOISE, noise_of
+from .placed import Placed, evaluate, remembers
+from .probe import Probe
+from .shaft_law import without_comb
+from .side_by_side import each
+from .slow_motion import with_slow
+from .transfer import response_of
+from .working_point import WorkingPoint, point_at
+
+Array = NDArray[np.float64]
+FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
+LEAP = 3.0  # from a part of a record to the next
+ROUNDS, LAST_ROUNDS = 6, 3  # at most, and on the whole of it
+NOISE_STEP = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
+LEAST_LEFT = 0.3  # of a stiffness, after a step, where the force is measured
+SETTLED = 0.1  # standard deviations by which the last step of a fit moves
+NEARLY = 0.5  # the same on a part of a record, which is not where the fit ends
+SHAKEN = 0.3  # the same where laws are dressed by a probe, which moves with them
+LOOKED_AT = 80  # blocks, for the spectrum of the motion
+BESIDE = 0.05  # of what laws do not see outside of the band, or of what is folded into it, that it moves by
+STILL = 1.0  # the same below which the slow displacement is left as it is
+
+
+def fit_model(
+    data: MotionBlocks, uses: list[Placed], start: WorkingPoint | None = None, rounds: int = ROUNDS,
+    moving: float = SETTLED,
+) -> WorkingPoint:  # fmt: skip
+    """Fit kL, c, S and every free parameter of the effects, from a start that needs no values of the linear part.
+
+    moving : standard deviations by which the last of fewer than `rounds` steps may move.
+    """
+    data = without_comb(data, [use.effect for use in uses])
+    if start is None:
+        start = _approached(data, uses, rounds)
+        uses, rounds = (uses, rounds) if start is None else (list(start.placed), LAST_ROUNDS)
+    data, kL, c, nu, S = _begun(data, uses, start)
+    moved = np.full(1, np.inf)
+    while True:
+        data = data if moved.max(initial=0.0) < STILL else with_slow(data, kL, c, uses)
+        point = point_at(data, kL, c, nu, S, uses)
+        S_old, S = S, point.S
+        moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
+        moved = moved[: moved.size - 2 * len(data.shared) - len(data.waves)]
+        kL, c, uses = _moved(point, kL, c)
+        nu_old, (nu, weight) = nu, noise_of(point)
+        settled = np.allclose(nu * weight, nu_old * weight, rtol=NOISE_STEP, atol=NOISE_STEP * LEAST_NOISE)
+        settled &= not data.folded.any() or np.allclose(S, S_old, rtol=BESIDE)
+        data, settled = _renewed(point, nu, settled)
+        shaken = any(isinstance(f, Probe) for f in point.fluctuations)
+        if rounds == 0 or (moved.max(initial=0.0) < (max(SHAKEN, moving) if shaken else moving) and settled):
+            return replace(point, kL=kL, c=c, placed=tuple(uses))
+        rounds -= 1
+        del point  # its columns are large: let go before the next are made
+
+
+def _begun(
+    data: MotionBlocks, uses: list[Placed], start: WorkingPoint | None
+) -> tuple[MotionBlocks, Array, Array, Array, Array]:  # fmt: skip
+    """kL, c, nu and S to begin from, and the record as laws see it by them."""
+    if start is None:
+        kL, c, S = _first_linear(data)
+        nu = np.zeros(len(data.places))
+        beside = left_out(data.mass, c, kL, S + data.driven, data.band, data.rate_hz, data.kinds)
+        return _calmed(replace(data, left_out=beside), nu, S), kL, c, nu, S
+    kL, c, nu, S = start.kL.copy(), start.c.copy(), start.nu.copy(), start.S
+    if start.data is not data:
+        data = _calmed(replace(data, left_out=start.data.left_out), nu, start.S)
+    if {u.key for u in uses} - {u.key for u in start.placed}:  # a strong law takes over much of kL and c
+        kL, c, _ = _first_linear(data, uses, start.lin)
+    return data, kL, c, nu, S
+
+
+def _renewed(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionBlocks, bool]:
+    """The record of a point as laws see it after its step, and whether it is what it was. settled : whether the noise
+    of sensors, nu now, and what is folded over are."""
+    data = point.data
+    folded, force = _folded_beside(point)
+    if not np.allclose(folded, data.folded_beside, rtol=BESIDE, atol=0.0):
+        data, settled = replace(data, folded_beside=folded, alike_beside=force), False
+    data = data if settled else _calmed(data, nu, point.S)
+    beside = _left_out(point)
+    if not np.allclose(beside, data.left_out, rtol=BESIDE, atol=0.0):
+        data, settled = replace(data, left_out=beside), False
+    level = _level(point)
+    if not alike(level, data.level):
+        data, settled = replace(data, level=level), False
+    return data, settled
+
+
+def glanced(data: MotionBlocks, uses: list[Placed]) -> WorkingPoint:
+    """The same with one step on the whole record where a part of it is enough to begin from: to look at its force."""
+    data = without_comb(data, [use.effect for use in uses])
+    start = _approached(data, uses)
+    if start is None:
+        return fit_model(data, uses)
+    point = fit_model(data, list(start.placed), start, rounds=0)
+    return replace(point, nu=noise_of(point)[0])
+
+
+def _approached(data: MotionBlocks, uses: list[Placed], rounds: int = ROUNDS) -> WorkingPoint | None:
+    """The model fitted to a part of a long record, and by a step each to longer ones where a step is dear; None for a
+    short record."""
+    lin = np.stack([data.mass, *np.ones((2, len(data.places)))], axis=1)
+    dear = any(remembers(u, lin[u.at[0]]) for u in uses)
+    start, seconds = None, FIRST_SECONDS
+    while (start is None or dear) and (part := part_of(data, seconds)) is not data:
+        start = fit_model(part, uses, start, rounds if start is None else 0, NEARLY)
+        uses, seconds = list(start.placed), LEAP * seconds
+    return start
+
+
+def _first_linear(
+    data: MotionBlocks, uses: Sequence[Placed] = (), lin: Array | None = None
+) -> tuple[Array, Array, Array]:
+    """kL by least squares (consistent: E[a v] = 0 leaves it alone), c from the power balance S = 4 c m E[v^2], S.
+
+    uses : laws whose force, at (places, 3) m, kL, c, is known beside.
+    """
+    kL, c, powers = np.zeros((3, len(data.places)))
+    for i in range(len(data.places)):
+        x, v = data.x[i], data.v[i]
+        known = data.known[i]
+        for use in uses:
+            if i in use.at and lin is not None:
+                known = known + evaluate(use, data, i, lin)[0]
+        kL[i] = -np.dot(x, known) / np.dot(x, x)
+        f = (known + kL[i] * x).reshape(data.blocks, data.block)[:: max(1, data.blocks // 40)]
+        power = np.mean(np.abs(np.fft.rfft(f * np.hanning(data.block), axis=1)) ** 2, axis=0)[data.bins]
+        S = float(np.median(power)) * 2 / (data.rate_hz * data.block * 0.375)
+        c[i] = (S + data.driven[i]) / (4 * data.mass[i] * np.mean(v * v))
+        powers[i] = S
+    return kL, c, powers
+
+
+def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list[Placed]]:
+    """Values after the increments of the fit, searched parameters kept inside their limits."""
+    step = dict(zip(point.fit.names, point.fit.delta * point.fit.scales, strict=True))
+    places = point.data.places
+    least = np.where(point.data.driven > 0.0, LEAST_LEFT * kL, -np.inf)  # a known force forgives no step too far
+    kL = np.maximum(kL + np.array([step[f"{p}.kL"] for p in places]), least)
+    c = c + np.array([step[f"{p}.c"] for p in places])
+    uses = []
+    for use in point.placed:
+        p, i = use.p.copy(), use.at[0]
+        natural = size(point.data, i, kL[i] if kL[i] > 0.0 else stiffness(point.data, i))  # of a step too far
+        for k, q in enumerate(use.effect.parameters):
+            new = p[k] + step.get(use.name(k), 0.0)
+            if not q.linear:
+                low, high = search_range(q, natural)
+                new = float(np.clip(new, min(low, p[k]), max(high, p[k])))
+            p[k] = new
+        uses.append(use.with_values(p))
+    return kL, c, uses
+
+
+def _level(point: WorkingPoint) -> Array | None:
+    """(places, blocks) how strong the unknown forces are along the record: force_level.py."""
+    data, weighing = point.data, point.weighing
+    if data.measured_force:
+        return None
+
+    def power(i: int) -> Array:
+        own, noise = weighing.power(i, point.spectra[i]), point.S[i] * weighing.paths.noise[i].sum()
+        return np.asarray(np.maximum(own - noise, 0.1 * own))
+
+    return level_of(np.array(each(power, range(len(data.places)))), data.start / data.rate_hz, data.bins.size)
+
+
+def _left_out(point: WorkingPoint) -> Array:
+    """(places, 2) sd of the displacement and velocity that laws do not see; as it was where the fit is far off."""
+    data = point.data
+    kL, c = np.einsum("iik->ki", point.slopes)
+    if not (np.all(kL > 0.0) and np.all(c > 0.0)):
+        return data.left_out
+    return left_out(data.mass, c, kL, point.S + data.driven, data.band, data.rate_hz, data.kinds)
+
+
+def _calmed(data: MotionBlocks, nu: Array, S: Array) -> MotionBlocks:
+    """The record as laws see it beside the noise of sensors; where a force is measured, of what is folded beside it."""
+    noise = as_displacement(data.kinds, data.f_hz, nu * S) * data.sharpened
+    inside = np.array([kind != "displacement" for kind in data.kinds]) * S
+    noise = noise + data.folded * inside[:, None] / (2 * np.pi * data.f_hz) ** 4
+    if data.measured_force:
+        noise = data.folded_beside / (2 * np.pi * data.f_hz) ** 4
+    if is_little(data.f_hz, noise, data.rms[0] ** 2):
+        return replace(data, calm=None, doubt=0.0)
+    found = calm_of(data.f_hz, _spectrum(data), noise, 0)
+    return replace(data, calm=found.of(data.x, data.rate_hz).astype(np.float32), doubt=found.doubt)
+
+
+def _folded_beside(point: WorkingPoint) -> tuple[Array, NDArray[np.complex128]]:
+    """(places, bins) PSD of the acceleration that is folded beside a measured force, and the force that goes with it:
+    folded_force.py."""
+    data = point.data
+    out, force = np.zeros_like(data.colour), np.zeros(data.colour.shape, complex)
+    for i in np.flatnonzero(data.driven):
+        r = response_of(point, int(i), every=max(1, data.blocks // LOOKED_AT))
+        if np.any(r.folded):
+            hz = r.w / (2 * np.pi)
+            out[i] = np.interp(data.f_hz, hz, r.folded)
+            force[i] = np.interp(data.f_hz, hz, r.alike)
+    return out, force
+
+
+def _spectrum(data: MotionBlocks) -> Array:
+    """(places, bins) one-sided PSD of the displacement, m^2/Hz, of some of the blocks."""
+    some = data.x.reshape(len(data.places), data.blocks, -1)[:, :: max(1, data.blocks // LOOKED_AT)]
+    return np.array([spectrum(x.ravel(), data.block, data.rate_hz)[1][data.bins] for x in some])
