@@ -1,55 +1,33 @@
-"""Which effect is missing: every effect of the catalogue on trial, by held-out likelihood, with honest odds."""
+"""Which effect is missing: what the ranking of all that could be (ranking.py) comes to, with honest odds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import adequacy, amplitude, evidence, missing_force, screen
+from . import adequacy, evidence, explains, missing_force
 from .errors import DataError
 from .evidence import Entry
-from .features import ready
-from .fitted import parameters, untold
-from .heldout import heldout_nll
 from .model import Model
-from .model_fit import fit_model
-from .model_uses import acting, on_trial, searched
 from .periodic import PERIODIC
 from .periodic_fit import found_beside
+from .ranking import FOREMOST, SIGNIFICANT, Progress, ranked
 from .shape import Shape, shape_of
-from .side_by_side import answers
-from .suspects import suspects
 from .whole import fit_whole, with_found
-from .working_point import WorkingPoint, plain, thinned
+from .working_point import WorkingPoint, thinned
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
-SIGNIFICANT = 1e-3  # p-value, after counting all that was tried, below which an effect is claimed
-SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same state means another law
-SEARCH_SECONDS = 6.0
-EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
-FOREMOST = 3  # of the ranking, judged on the largest amplitudes too
 CLOSE = 10.0  # nats behind the first of the ranking, where the shape of what is left decides
-REFINED, NEAR = 12, 0.3  # trials refined at most; share of the best gain at a bearing that earns it, everywhere
 SURE = 30.0  # nats, from which a shaft that is not the rig file's is told
-FAR = 0.2  # share of the best effect's gain under which it is not asked what searched numbers of another spot would do
-EARNED = 5.0  # nats held out, of a law where no force is missing: ln of what a search tries
-IDLE = "refused: no force is missing there, and fitted with the model it is not told from zero or predicts no better"
 OTHERWISE = (
     "the caps answer each other otherwise than the shaft of the rig file lets them: its spring or the disc's mass is "
     "another, or a sensor has a wrong gain or is late"
 )
 SHAFT = "the shaft is "  # softer or stiffer than the rig file says
-FAMILY = {
-    "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
-    "quadratic": "even in x", "stop": "even in x",
-    "coulomb": "damping", "quadratic_damping": "damping", "displacement_damping": "damping", "bouc_wen": "damping",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +70,7 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
 
 def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:
     """The same from a model already fitted."""
-    before, entries = _ranked(model, point, y, say)
+    before, entries = ranked(model, point, y, say)
     found = _verdict(model, point, before, entries, say)
     return _restored(model, point, y, before, found) if found.verdict == "sensor_clipping" else found
 
@@ -154,7 +132,7 @@ def _law(
     for k in _close(entries):
         name = entries[k].effect
         say(0.85, f"does {name} explain it?")
-        entries[k], rest = _fits(model, point, before, entries[k], say)
+        entries[k], rest = explains.fits(model, point, before, entries[k], say)
         if rest is None:
             idle.append(k)
             continue
@@ -201,85 +179,6 @@ def _passed_over(left: dict[str, float]) -> tuple[str, ...]:
     )
 
 
-def _fits(
-    model: Model, point: WorkingPoint, before: missing_force.Survey, entry: Entry, say: Progress
-) -> tuple[Entry, float | None]:  # fmt: skip
-    """The entry fitted together with the model, and what it leaves of the missing force in its own state (rms): 0 if
-    that is no more than a law of the right shape may leave. None where it is nothing, as laws that see noise as strong
-    as the motion may seem to be something: no force is missing at its places, and it is not told from zero at any or
-    predicts no better."""
-    missing = bool({i for p in entry.placed for i in p.at}.intersection(before.places_found()))
-    samples = point.data.blocks * point.data.block
-    rounds = 2 if missing else 6
-    after_point = fit_model(point.data, [*point.placed, *entry.placed], start=point, rounds=rounds)
-    if not missing and (
-        {use.key for use in entry.placed}.issubset(untold(after_point))
-        or heldout_nll(after_point) > heldout_nll(point) - EARNED / samples
-    ):
-        return replace(entry, notes=(*entry.notes, IDLE)), None
-    entry, after_point = _where_told(point, entry, after_point, rounds)
-    joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
-    smooth = adequacy.left(point, after_point, entry.effect, {i for p in entry.placed for i in p.at})
-    after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
-    del after_point
-    after = missing_force.survey(after_part, model, only=before.places_found())
-    values = {k: joint.get(k, p) for k, p in entry.parameters.items()}
-    entry = replace(entry, after_percent=after.percent(after_part), parameters=values)
-    left = _same_state_left(before, after, entry) if smooth is None else smooth
-    wrong = left > adequacy.most_left(entry.effect, SAME_SHAPE) and not _another_explains(
-        model, after_part, after, entry, say
-    )
-    return entry, left if wrong else 0.0
-
-
-def _where_told(
-    point: WorkingPoint, entry: Entry, after_point: WorkingPoint, rounds: int
-) -> tuple[Entry, WorkingPoint]:
-    """The entry and its fit without bearings where the law, fitted at all of them together, is not told from zero and
-    predicts no better: on trial by themselves they win by what they share with the one that has it, as where the
-    forces at the two are coherent."""
-    silent = set(untold(after_point))
-    idle = [n for n in entry.at if all(use.key in silent for use in entry.placed if use.key.split(".")[0] == n)]
-    if not idle or len(idle) == len(entry.at):
-        return entry, after_point
-    fewer = evidence.without(entry, idle)
-    less = fit_model(point.data, [*point.placed, *fewer.placed], start=point, rounds=rounds)
-    samples = point.data.blocks * point.data.block
-    if heldout_nll(less) > heldout_nll(after_point) + EARNED / samples:
-        return entry, after_point
-    return fewer, less
-
-
-def _ranked(
-    model: Model, point: WorkingPoint, y: Array, say: Progress
-) -> tuple[missing_force.Survey, list[Entry]]:  # fmt: skip
-    """What is missing, and what could be it, the likeliest first."""
-    say(0.15, "what can still be predicted")
-    part = thinned(point, missing_force.SURVEY_SECONDS)
-    before, others = missing_force.surveyed(part, model, lambda: suspects(model, point, y))
-    trials = _screen(model, point, part, say)
-    entries = evidence.entries(model, point, trials, before, others)
-    say(0.8, "largest amplitudes")
-    return before, _extrapolating(part, entries)
-
-
-def _extrapolating(point: WorkingPoint, entries: list[Entry]) -> list[Entry]:
-    """The ranking with a law in front that is not refused on the largest amplitudes; those refused go to its end."""
-    passed: list[Entry] = []
-    refused: list[Entry] = []
-    for number, entry in enumerate(entries):
-        on_trial = not passed and number < FOREMOST and entry.p_value < SIGNIFICANT and amplitude.judged(entry.effect)
-        found = amplitude.extrapolated(point, entry.placed) if on_trial and entry.placed else None
-        if found is None:
-            passed.append(entry)
-        elif found.refused:
-            note = f"refused: fitted to the smaller motion it makes the largest worse by {-found.gain:.0f} nats"
-            refused.append(replace(entry, amplitude_gain=found.gain, notes=(*entry.notes, note)))
-        else:
-            passed.append(replace(entry, amplitude_gain=found.gain))
-    return passed + refused
-
-
 def _negligible(point: WorkingPoint, best: Entry) -> bool:
     """Whether a force law, however certain, explains less than any simulation, filter or ceiling leaves behind."""
     least = max((missing_force.negligible(point, i) for use in best.placed for i in use.at), default=0.0)
@@ -321,112 +220,3 @@ def _beside_forces(point: WorkingPoint) -> str:
         f"the force at {', '.join(known)} is measured: its colour, and what it shares with another, are its own and "
         "nothing that the model lacks"
     )
-
-
-def _screen(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress) -> list[screen.Trial]:
-    """The best trial of every force effect at every spot on part of the record, on the whole of it where that can tell
-    more; searched parameters refined for the promising ones."""
-    small = plain(part, SEARCH_SECONDS)
-    pairs = [(e, s) for e in on_trial(model) for s in screen.spots(e, model, point)]
-    for effect, _ in pairs:
-        if effect.force is not None:
-            ready(effect)
-
-    def said(done: int) -> None:
-        effect, spot = pairs[done - 1]
-        say(0.25 + 0.35 * done / len(pairs), f"{effect.name} at {spot}")
-
-    effects = [e for e, _ in pairs]
-    tried = answers([partial(screen.tried, small, part, model, *pair) for pair in pairs], effects, said)
-    by_effect: dict[str, list[screen.Trial]] = {}
-    for t in tried:
-        if t is not None:
-            by_effect.setdefault(t.effect.name, []).append(t)
-
-    gains = {name: sum(max(t.gain, 0.0) for t in own) for name, own in by_effect.items()}
-
-    def lent(name: str) -> list[screen.Trial]:
-        if gains[name] < FAR * max(gains.values()):
-            return by_effect[name]
-        return screen.borrowed(part, model, by_effect[name], [s for e, s in pairs if e.name == name])
-
-    say(0.6, "the whole record")
-    trials = [t for own in answers([partial(lent, name) for name in by_effect], effects) for t in own]
-    trials.sort(key=lambda t: -t.gain)
-    promising = [t for t in _promising(trials) if searched(t.effect, model)][:REFINED]
-
-    def whole(trial: screen.Trial, worth: bool) -> screen.Trial:
-        near = any(trial is t for t in promising)
-        found = screen.refined(part, model, trial) if near else trial
-        if worth and part is not point:
-            again = screen.again(point, model, found)
-            found = found if again is None else screen.refined(point, model, again) if near else again
-        return screen.judged(found)
-
-    worth = zip(trials, screen.contenders(trials), strict=True)
-    return answers([partial(whole, *pair) for pair in worth], effects)
-
-
-def _promising(trials: list[screen.Trial]) -> list[screen.Trial]:
-    """Those of effects that come near the best one at some bearing, all directions of it together."""
-    sums: dict[tuple[str, str], float] = {}
-    for t in trials:
-        key = t.spot.split(".")[0], t.effect.name
-        sums[key] = sums.get(key, 0.0) + max(t.gain, 0.0)
-    best = {node: max(g for (n, _), g in sums.items() if n == node) for node, _ in sums}
-    near = {effect for (node, effect), g in sums.items() if g > max(4.0, NEAR * best[node])}
-    return [t for t in trials if t.gain > 2.0 and t.effect.name in near]
-
-
-def _same_state_left(before: missing_force.Survey, after: missing_force.Survey, best: Entry) -> float:
-    """rms left over rms before, in the state where the effect explains most: 0 if its law has the right shape.
-
-    States that it does not touch belong to something else that is missing too.
-    """
-    places = {i for p in best.placed for i in p.at}
-    was, rest = _by_state(before, places), _by_state(after, places)
-    if not was:
-        return 0.0
-    state = max(was, key=lambda g: was[g] - rest.get(g, 0.0))
-    return float(np.sqrt(min(max(rest.get(state, 0.0), 0.0) / was[state], 1.0))) if was[state] > 0 else 0.0
-
-
-def _by_state(found: missing_force.Survey, places: set[int]) -> dict[str, float]:
-    out: dict[str, float] = {}
-    for r in found.residuals:
-        for f in r.found if r.place in places else ():
-            out[f.group] = out.get(f.group, 0.0) + f.power
-    return out
-
-
-def _another_explains(
-    model: Model, point: WorkingPoint, left: missing_force.Survey, best: Entry, say: Progress
-) -> bool:
-    """Whether a second effect, of another family, explains what the first leaves: two missing, not one unknown.
-
-    At all its spots together it is to earn what smooth terms in the state of the first do: a one-sided stop has an odd
-    half, which takes a part of what an odd law of the wrong shape leaves. Where the first has no single state, as
-    hysteresis, it is its own state: beside an odd curve any odd law takes a part.
-    """
-    say(0.93, "one effect or two?")
-    small = plain(point, SEARCH_SECONDS)
-    family = FAMILY.get(best.effect, best.effect)
-    found = {r.place: sum(f.gain for f in r.found) for r in left.residuals if r.found}
-    smooth = adequacy.worth(point, best.effect, {i for p in best.placed for i in p.at})
-    for effect in on_trial(model):
-        if FAMILY.get(effect.name, effect.name) == family:
-            continue
-        earned, asked, seen = 0.0, sum(smooth.values()), False
-        for spot in screen.spots(effect, model, point):
-            on = acting(effect, spot, point.data)
-            if not {*found, *smooth}.intersection(on):
-                continue
-            trial = screen.tried(small, point, model, effect, spot)
-            if trial is not None:
-                earned += max(trial.gain - trial.df, 0.0)
-                asked += 0.0 if smooth else sum(adequacy.worth(point, effect.name, {*on}).values())
-                here = sum(found.get(i, 0.0) for i in on)
-                seen |= here > 0.0 and trial.gain > EXPLAINS * here
-        if seen and earned >= asked:
-            return True
-    return False

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import common_fall, recorder_phase
-from .diagnose import EARNED, Diagnosis, diagnose_point
+from .diagnose import Diagnosis, diagnose_point
 from .errors import DataError
 from .estimate import Parameter
 from .evidence import Settings
+from .explains import EARNED
 from .fitted import fitted_model, untold
 from .heldout import heldout_nll, heldout_rmse
 from .missing_force import survey

@@ -12,13 +12,15 @@ from hidden_effects import RATE, ROOT, SECONDS, one_bearing, record, schema
 
 from daq.rig import load_rig
 from estimator import evidence
-from estimator.diagnose import Diagnosis, _another_explains, _law, _promising, _ranked, _verdict, diagnose, quiet
+from estimator.diagnose import Diagnosis, _law, _verdict, diagnose, quiet
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
 from estimator.errors import DataError
+from estimator.explains import another_explains
 from estimator.improve import improve
 from estimator.model import Model
 from estimator.placed import Placed
+from estimator.ranking import _promising, ranked
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
@@ -106,7 +108,7 @@ def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
     monkeypatch.setattr("estimator.model_uses.CATALOGUE", {name: CATALOGUE[name] for name in ("quadratic", "stop")})
     y = record(rig, "quadratic", 0.06)
     fitted = fit_whole(rig, y, RATE)
-    before, entries = _ranked(fitted.model, fitted.point, y, quiet)
+    before, entries = ranked(fitted.model, fitted.point, y, quiet)
     right, wrong = (next(e for e in entries if e.effect == name) for name in ("quadratic", "stop"))
 
     def verdict(ahead: float) -> Diagnosis:
@@ -128,7 +130,7 @@ def test_a_law_that_is_nothing_once_it_is_fitted_with_the_model_is_not_named(
     monkeypatch.setattr("estimator.model_uses.CATALOGUE", {name: CATALOGUE[name] for name in ("quadratic", "coulomb")})
     y = simulate(rig, RATE, 3.0, seed=6, noise=0.02)
     fitted = fit_whole(rig, y, RATE)
-    before, entries = _ranked(fitted.model, fitted.point, y, quiet)
+    before, entries = ranked(fitted.model, fitted.point, y, quiet)
     assert not before.places_found()
     seeming = next(replace(e, p_value=1e-8, explained_percent=0.5) for e in entries if e.effect == "quadratic")
     others = [e for e in entries if e.effect != "quadratic"]
@@ -149,7 +151,7 @@ def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model, monk
     def explained(gain: float) -> bool:
         monkeypatch.setattr("estimator.model_uses.CATALOGUE", {"stop": CATALOGUE["stop"]})
         monkeypatch.setattr("estimator.screen.tried", lambda *_: SimpleNamespace(gain=gain, df=2))
-        return _another_explains(bare, point, left, best, quiet)  # type: ignore[arg-type]
+        return another_explains(bare, point, left, best, quiet)  # type: ignore[arg-type]
 
     assert not explained(8.0)
     assert explained(1000.0)

@@ -10,10 +10,10 @@ from hidden_effects import RATE, ROOT
 
 from daq.rig import load_rig
 from estimator import evidence
-from estimator.diagnose import _where_told
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import with_effect
 from estimator.evidence import Entry
+from estimator.explains import _where_told
 from estimator.model import Model, Setting
 from estimator.model_fit import fit_model
 from estimator.placed import Placed

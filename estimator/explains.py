@@ -1,0 +1,130 @@
+"""Whether a law, fitted together with the model, explains what is missing: by itself, or beside a second one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from . import adequacy, evidence, missing_force, screen
+from .evidence import Entry
+from .fitted import parameters, untold
+from .heldout import heldout_nll
+from .model import Model
+from .model_fit import fit_model
+from .model_uses import acting, on_trial
+from .ranking import SEARCH_SECONDS, Progress
+from .working_point import WorkingPoint, plain, thinned
+
+SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same state means another law
+EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
+EARNED = 5.0  # nats held out, of a law where no force is missing: ln of what a search tries
+IDLE = "refused: no force is missing there, and fitted with the model it is not told from zero or predicts no better"
+FAMILY = {
+    "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
+    "quadratic": "even in x", "stop": "even in x",
+    "coulomb": "damping", "quadratic_damping": "damping", "displacement_damping": "damping", "bouc_wen": "damping",
+}  # fmt: skip
+
+
+def fits(
+    model: Model, point: WorkingPoint, before: missing_force.Survey, entry: Entry, say: Progress
+) -> tuple[Entry, float | None]:  # fmt: skip
+    """The entry fitted together with the model, and what it leaves of the missing force in its own state (rms): 0 if
+    that is no more than a law of the right shape may leave. None where it is nothing, as laws that see noise as strong
+    as the motion may seem to be something: no force is missing at its places, and it is not told from zero at any or
+    predicts no better."""
+    missing = bool({i for p in entry.placed for i in p.at}.intersection(before.places_found()))
+    samples = point.data.blocks * point.data.block
+    rounds = 2 if missing else 6
+    after_point = fit_model(point.data, [*point.placed, *entry.placed], start=point, rounds=rounds)
+    if not missing and (
+        {use.key for use in entry.placed}.issubset(untold(after_point))
+        or heldout_nll(after_point) > heldout_nll(point) - EARNED / samples
+    ):
+        return replace(entry, notes=(*entry.notes, IDLE)), None
+    entry, after_point = _where_told(point, entry, after_point, rounds)
+    joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
+    smooth = adequacy.left(point, after_point, entry.effect, {i for p in entry.placed for i in p.at})
+    after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
+    del after_point
+    after = missing_force.survey(after_part, model, only=before.places_found())
+    values = {k: joint.get(k, p) for k, p in entry.parameters.items()}
+    entry = replace(entry, after_percent=after.percent(after_part), parameters=values)
+    left = _same_state_left(before, after, entry) if smooth is None else smooth
+    wrong = left > adequacy.most_left(entry.effect, SAME_SHAPE) and not another_explains(
+        model, after_part, after, entry, say
+    )
+    return entry, left if wrong else 0.0
+
+
+def _where_told(
+    point: WorkingPoint, entry: Entry, after_point: WorkingPoint, rounds: int
+) -> tuple[Entry, WorkingPoint]:
+    """The entry and its fit without bearings where the law, fitted at all of them together, is not told from zero and
+    predicts no better: on trial by themselves they win by what they share with the one that has it, as where the
+    forces at the two are coherent."""
+    silent = set(untold(after_point))
+    idle = [n for n in entry.at if all(use.key in silent for use in entry.placed if use.key.split(".")[0] == n)]
+    if not idle or len(idle) == len(entry.at):
+        return entry, after_point
+    fewer = evidence.without(entry, idle)
+    less = fit_model(point.data, [*point.placed, *fewer.placed], start=point, rounds=rounds)
+    samples = point.data.blocks * point.data.block
+    if heldout_nll(less) > heldout_nll(after_point) + EARNED / samples:
+        return entry, after_point
+    return fewer, less
+
+
+def _same_state_left(before: missing_force.Survey, after: missing_force.Survey, best: Entry) -> float:
+    """rms left over rms before, in the state where the effect explains most: 0 if its law has the right shape.
+
+    States that it does not touch belong to something else that is missing too.
+    """
+    places = {i for p in best.placed for i in p.at}
+    was, rest = _by_state(before, places), _by_state(after, places)
+    if not was:
+        return 0.0
+    state = max(was, key=lambda g: was[g] - rest.get(g, 0.0))
+    return float(np.sqrt(min(max(rest.get(state, 0.0), 0.0) / was[state], 1.0))) if was[state] > 0 else 0.0
+
+
+def _by_state(found: missing_force.Survey, places: set[int]) -> dict[str, float]:
+    out: dict[str, float] = {}
+    for r in found.residuals:
+        for f in r.found if r.place in places else ():
+            out[f.group] = out.get(f.group, 0.0) + f.power
+    return out
+
+
+def another_explains(
+    model: Model, point: WorkingPoint, left: missing_force.Survey, best: Entry, say: Progress
+) -> bool:
+    """Whether a second effect, of another family, explains what the first leaves: two missing, not one unknown.
+
+    At all its spots together it is to earn what smooth terms in the state of the first do: a one-sided stop has an odd
+    half, which takes a part of what an odd law of the wrong shape leaves. Where the first has no single state, as
+    hysteresis, it is its own state: beside an odd curve any odd law takes a part.
+    """
+    say(0.93, "one effect or two?")
+    small = plain(point, SEARCH_SECONDS)
+    family = FAMILY.get(best.effect, best.effect)
+    found = {r.place: sum(f.gain for f in r.found) for r in left.residuals if r.found}
+    smooth = adequacy.worth(point, best.effect, {i for p in best.placed for i in p.at})
+    for effect in on_trial(model):
+        if FAMILY.get(effect.name, effect.name) == family:
+            continue
+        earned, asked, seen = 0.0, sum(smooth.values()), False
+        for spot in screen.spots(effect, model, point):
+            on = acting(effect, spot, point.data)
+            if not {*found, *smooth}.intersection(on):
+                continue
+            trial = screen.tried(small, point, model, effect, spot)
+            if trial is not None:
+                earned += max(trial.gain - trial.df, 0.0)
+                asked += 0.0 if smooth else sum(adequacy.worth(point, effect.name, {*on}).values())
+                here = sum(found.get(i, 0.0) for i in on)
+                seen |= here > 0.0 and trial.gain > EXPLAINS * here
+        if seen and earned >= asked:
+            return True
+    return False
