@@ -20,9 +20,10 @@ from .effects import CATALOGUE
 from .effects.places import at, written
 from .estimate import Parameter
 from .folded_force import images
-from .force_colour import NOISE_RATIO, resonance_hz
+from .force_shapes import resonance_hz
 from .missing_force import NEGLIGIBLE
 from .model import MOTION, Model
+from .noise_floor import NOISE_RATIO
 from .periodic import known_lines
 from .sensor_response import LINEAR, forced, response
 from .suspect import UNKNOWN, Suspect

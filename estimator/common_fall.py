@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from . import force_colour
+from . import force_shapes
 from .filter_search import Seen, likeliest
-from .force_colour import Cells
+from .force_cells import Cells, cells_of
 from .model import Model
 from .roll_off import POWERS, Filter, RollOff, devices, images
 from .sensor_response import SHAPES, shape
@@ -21,7 +21,7 @@ from .side_by_side import answers
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
-Plain = tuple[float, Array, Array]  # likelihood, numbers and their scales: force_colour.plain
+Plain = tuple[float, Array, Array]  # likelihood, numbers and their scales: force_shapes.plain
 Shaped = tuple[tuple[float, float] | None, ...]  # numbers of SHAPES that a place has in the model
 Place = tuple[int, Cells, Plain]  # its index, its cells and the model fitted to them
 LEVEL = 1e-6
@@ -76,7 +76,7 @@ def _of(point: WorkingPoint, places: list[int]) -> RollOff | None:
 
 
 def _measured(point: WorkingPoint, places: list[int]) -> list[Place]:
-    cells, fits = _without_lines(point, [force_colour.cells_of(point, i) for i in places])
+    cells, fits = _without_lines(point, [cells_of(point, i) for i in places])
     return list(zip(places, cells, fits, strict=True))
 
 
@@ -98,7 +98,7 @@ def _fall(
         return before, None
     if after - df > max((1 - explained) * (before - df), CHANCE * np.sqrt(2 * df)):
         return before, None
-    other = sum(answers([partial(force_colour.otherwise, point, i, c, *fit) for i, c, fit in own]))
+    other = sum(answers([partial(force_shapes.otherwise, point, i, c, *fit) for i, c, fit in own]))
     return (after, found) if after < other + BEHIND * len(own) else (before, None)
 
 
@@ -111,8 +111,8 @@ def _all_but_one(point: WorkingPoint, own: list[Place]) -> tuple[float, Filter |
         if off is None:
             continue
         behind = _behind(point, i, c, off)
-        alone = force_colour.otherwise(point, i, behind, *force_colour.plain(point, i, behind))
-        if after + alone < best and alone < force_colour.otherwise(point, i, c, *fit):
+        alone = force_shapes.otherwise(point, i, behind, *force_shapes.plain(point, i, behind))
+        if after + alone < best and alone < force_shapes.otherwise(point, i, c, *fit):
             best, found = after + alone, off
     return best, found
 
@@ -120,7 +120,7 @@ def _all_but_one(point: WorkingPoint, own: list[Place]) -> tuple[float, Filter |
 def _explains(point: WorkingPoint, off: Filter, own: list[Place], before: float) -> bool:
     """Whether a filter takes half of some places' misfit beyond chance. before : their deviance without it."""
     behind = [(i, _behind(point, i, c, off)) for i, c, _ in own]
-    after = -2 * sum(force_colour.plain(point, i, c)[0] for i, c in behind)
+    after = -2 * sum(force_shapes.plain(point, i, c)[0] for i, c in behind)
     return after - (df := sum(c.n.size - 4 for _, c, _ in own)) < (1 - EXPLAINED) * (before - df)
 
 
@@ -148,8 +148,8 @@ def _without_lines(point: WorkingPoint, cells: list[Cells]) -> tuple[list[Cells]
     """The cells that no line raises at any place, if they are few, and the model of each place fitted to them."""
     whole = cells[0].n.size
     while True:
-        fits = [force_colour.plain(point, i, c) for i, c in enumerate(cells)]
-        over = [force_colour.deviance(np.sqrt(c.n), _ratio(c, fit)) for c, fit in zip(cells, fits, strict=True)]
+        fits = [force_shapes.plain(point, i, c) for i, c in enumerate(cells)]
+        over = [force_shapes.deviance(np.sqrt(c.n), _ratio(c, fit)) for c, fit in zip(cells, fits, strict=True)]
         keep = np.max(over, axis=0) < LINE
         if keep.all() or keep.sum() < (1 - LINES) * whole:
             return cells, fits
@@ -158,7 +158,7 @@ def _without_lines(point: WorkingPoint, cells: list[Cells]) -> tuple[list[Cells]
 
 def _ratio(c: Cells, fit: Plain) -> Array:
     """(cells,) measured power over the model's."""
-    return c.power / force_colour.base_model(c, fit[1])
+    return c.power / force_shapes.base_model(c, fit[1])
 
 
 def _through(point: WorkingPoint, i: int, hz: Array) -> tuple[Array, Array]:

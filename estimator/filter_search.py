@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .filter_designs import chebyshev, designs
-from .force_colour import DARKEST, Cells, coloured, resonant
+from .force_cells import Cells
+from .force_shapes import DARKEST, coloured, resonant
 from .roll_off import POWERS, Filter, images
 from .side_by_side import answers
 

@@ -19,7 +19,9 @@ from . import (
     coupled_caps,
     force_colour,
     force_level,
+    force_shapes,
     modulation,
+    noise_floor,
     one_end,
     periodic,
     periodic_fit,
@@ -237,7 +239,7 @@ def _levels(model: Model, found: Mapping[str, Parameter], point: WorkingPoint) -
     for i, place in enumerate(point.data.places):
         gain, corner = (found.get(f"{place}.coloured_excitation.{n}") for n in ("gain", "corner"))
         if gain and corner and gain.value is not None and corner.value is not None and (gain.sd or corner.sd):
-            out[f"{place}.S"] = force_colour.level(point, i, gain.value, corner.value)
+            out[f"{place}.S"] = force_shapes.level(point, i, gain.value, corner.value)
     return out
 
 
@@ -314,7 +316,7 @@ def _found(
 ) -> dict[str, Parameter]:
     """Name -> number of a use at a canonical place; of several lines the one nearest to the frequency written."""
     if use.name == "sensor_noise" and key in point.data.places:
-        return {"rms": force_colour.sensor_noise(point, point.data.places.index(key))}
+        return {"rms": noise_floor.sensor_noise(point, point.data.places.index(key))}
     if use.name == "bow":
         return _bow(model, [s.settings[key] for s in seen if s.effect == "imbalance"])
     if use.name in periodic.LINE_NAMES:

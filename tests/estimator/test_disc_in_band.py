@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, ROOT
 
 from daq.rig import load_rig
-from estimator import force_colour, spectral
+from estimator import force_cells, force_colour, force_shapes, spectral
 from estimator.compare import compare
 from estimator.model import Model
 from estimator.simulate import simulate
@@ -57,13 +57,13 @@ def test_what_rings_from_block_to_block_is_no_force_beside_the_bins_left_out() -
     y = simulate(rig, RATE, 20.0, seed=3)
     y[:, 0] += 2.0 * np.random.default_rng(1).standard_normal(len(y))
     point = fit_whole(rig, y, RATE).point
-    cells = force_colour.cells_of(point, 0)
-    level, u, _ = force_colour.plain(point, 0, cells)
+    cells = force_cells.cells_of(point, 0)
+    level, u, _ = force_shapes.plain(point, 0, cells)
     df = cells.n.size - 4
     assert abs(-2 * level - df) < 4 * np.sqrt(2 * df)
     f = cells.w / (2 * np.pi)
     near = (f > 440.0) & (f < 560.0)
-    ratio = (cells.power / force_colour.base_model(cells, u))[near]
+    ratio = (cells.power / force_shapes.base_model(cells, u))[near]
     assert abs(np.average(ratio, weights=cells.n[near]) - 1.0) < 4 / np.sqrt(cells.n[near].sum())
     found = [s.effect for s in force_colour.find(rig, point)]
     assert found == ["sensor_noise"]

@@ -12,7 +12,8 @@ from scipy import signal
 
 from estimator.filter_designs import chebyshev, designs
 from estimator.filter_search import Seen, _spectrum, likeliest
-from estimator.force_colour import CELLS, Cells, coloured, resonant
+from estimator.force_cells import CELLS, Cells
+from estimator.force_shapes import coloured, resonant
 from estimator.roll_off import Filter, images
 from estimator.sensor_response import undone
 

@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import butter, lfilter
 
-from estimator import force_colour
+from estimator import force_cells, force_colour, force_shapes
 from estimator.improve import improve
 from estimator.missing_force import survey
 from estimator.model import Channel, EffectUse, Model, Setting
@@ -42,9 +42,9 @@ def test_the_force_inferred_by_a_wrong_stiffness_beside_caps_that_answer() -> No
     true = thought.copy()
     true[:, i, i] += delta
     inferred = thought @ np.linalg.inv(true)
-    A, others = force_colour.answered(thought, S, i)
+    A, others = force_cells.answered(thought, S, i)
     one = np.ones(f)
-    c = force_colour.Cells(one, one, one, A, one, 0.0 * one, others, 0.0 * one, *2 * [np.zeros((0, f))])
+    c = force_cells.Cells(one, one, one, A, one, 0.0 * one, others, 0.0 * one, *2 * [np.zeros((0, f))])
     found = c.spectrum(np.array([np.log(S[i]), 0.0, 0.0, 0.0]), A + delta)
     np.testing.assert_allclose(found, np.abs(inferred[:, i]) ** 2 @ S, rtol=1e-9)
 
@@ -55,9 +55,9 @@ def test_noise_of_the_sensors_comes_through_a_stiff_shaft_too() -> None:
     rig = replace(coupled_on_a_stiff_shaft(), effects=())
     point = fit_record(rig, prepare(rig, simulate(rig, RATE, 6.0, seed=4, noise=0.3), RATE))
     for i in range(4):
-        c = force_colour.cells_of(point, i)
+        c = force_cells.cells_of(point, i)
         df = c.n.size - 4
-        assert abs(-2 * force_colour.plain(point, i, c)[0] - df) < 4.0 * np.sqrt(2 * df)
+        assert abs(-2 * force_shapes.plain(point, i, c)[0] - df) < 4.0 * np.sqrt(2 * df)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, ROOT, one_bearing
 
 from daq.rig import load_rig
-from estimator import force_colour
+from estimator import force_colour, noise_floor
 from estimator.compare import compare
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
@@ -47,7 +47,7 @@ def test_the_noise_of_a_sensor_is_no_point_of_a_grid(rms: float) -> None:
     y = simulate(rig, RATE, 6.0, seed=5)
     y += rms * np.random.default_rng(2).standard_normal(y.shape)
     point = fit_whole(rig, y, RATE).point
-    found = [force_colour.sensor_noise(point, i) for i in range(2)]
+    found = [noise_floor.sensor_noise(point, i) for i in range(2)]
     off = [(p.value - rms) / p.sd for p in found if p.value is not None and p.sd is not None]
     assert np.sqrt(np.mean(np.square(off))) < 1.7
 
@@ -59,4 +59,4 @@ def test_sensors_of_two_kinds_are_not_each_others_measure() -> None:
     rig = replace(rig, channels=tuple(replace(c, kind=kinds[c.node]) for c in rig.channels))
     point = fit_whole(rig, simulate(rig, RATE, 6.0, seed=5), RATE).point
     quiet = np.array([0.02, 0.02, 1e-10, 1e-10]) ** 2 / (RATE / 2)
-    assert not force_colour.noisy(rig, point, quiet)
+    assert not noise_floor.noisy(rig, point, quiet)
