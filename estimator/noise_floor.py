@@ -1,13 +1,18 @@
-"""A sensor whose noise stands out of its neighbours'."""
+"""A sensor whose noise stands out of its neighbours': in the inferred force, or beside a measured one."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from .estimate import Parameter
 from .model import MOTION, Model
 from .suspect import Suspect
+from .transfer import Peak, Response, exp, expected, highest, linear
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -55,3 +60,46 @@ def sensor_noise(point: WorkingPoint, i: int) -> Parameter:
     sd = 1.0 / np.sqrt(max(data.blocks * float(np.sum(share**2)), 1e-300))  # of ln(density), by the Whittle likelihood
     rms = float(np.sqrt(density * data.rate_hz / 2))
     return Parameter.judged(rms, 0.5 * rms * sd, MOTION[data.kinds[i]])
+UNEVEN = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
+
+
+def _density(r: Response, peak: Peak) -> float:
+    """PSD of the noise of a sensor of motion, with the least of what is folded into it."""
+    return exp(peak.u[1]) + float(np.min(r.folded))
+
+
+def noisy_beside_forces(
+    model: Model, point: WorkingPoint, heard: Mapping[int, tuple[Response, Peak, Array]]
+) -> list[Suspect]:  # fmt: skip
+    """A sensor whose noise stands out of its neighbours', where white noise of force and motion is all that is left."""
+    data = point.data
+    have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
+    out = []
+    for i, (r, base, scale) in heard.items():
+        place = data.places[i]
+        P, _, s = expected(r, base.A, base.u)
+        off = np.log(P / s)
+        others = [_density(*own[:2]) for j, own in heard.items() if j != i and data.kinds[j] == data.kinds[i]]
+        depth = np.average(off**2 - 1.0 / r.n, weights=r.n)
+        if not others or place in have or depth > UNEVEN**2:
+            continue
+        density, floor = _density(r, base), float(np.median(others))
+        if density < NOISE_RATIO * floor:
+            continue
+        own = np.log(floor - min(float(np.min(r.folded)), 0.9 * floor))
+        quiet = highest(r, partial(linear, r), np.array([base.u[0], own, *base.u[2:]]), scale, held=1)
+        gain = base.nats - quiet.nats
+        if 2 * gain < NOISE_RATIO:
+            continue
+        rms = float(np.sqrt(density * data.rate_hz / 2))
+        name, unit = next(c.name for c in model.channels if c.place == place), MOTION[data.kinds[i]]
+        power = float((density * r.noise * np.abs(r.A) ** 2) @ r.hz)
+        out.append(
+            Suspect(
+                "sensor_noise", (place,), gain, 1, float(chdtrc(1, 2 * gain)) * len(heard), {i: power}, "frequency",
+                f"noise floor of {name}: {rms:.2g} {unit} rms, {np.sqrt(density / floor):.1f} times its neighbours'",
+                {place: {"rms": Parameter(rms, 0.5 * rms * float(np.sqrt(base.covariance[1, 1])), unit)}},
+                "the model is not wrong: a simulation cannot follow what the sensor adds",
+            )
+        )  # fmt: skip
+    return out

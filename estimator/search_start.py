@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from . import bent_path, force_shapes, screen
+from . import bends, force_shapes, screen
 from .model import Model, Setting
 from .model_fit import fit_model, glanced
 from .model_uses import placed_of
@@ -91,7 +91,7 @@ def _suggested(
     for k in shaped:
         i = uses[k].at[0]
         if kL[i] > 0.0:  # not a fit far from the rotor
-            suggest = bent_path.pedestal if data.driven[i] > 0.0 else force_shapes.pedestal
+            suggest = bends.pedestal if data.driven[i] > 0.0 else force_shapes.pedestal
             suggested, kL[i], c[i] = suggest(without, i)
             begun[k] = uses[k].with_values(np.where(uses[k].free, suggested, uses[k].p))
     own = [begun.get(k, uses[k]) for k in shaped]

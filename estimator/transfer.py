@@ -9,7 +9,7 @@ Both noises white, of densities N and Q, the likelihood of the motion given the 
 (1 - p) f being what the measured force says of the true one. The last term is the Jacobian: it keeps the noise in a
 from pulling A' towards zero, as p keeps that in f from pushing it up. Q may be a force that acts unmeasured beside f
 instead, the machine's own beside a shaker's: then f is what it is, and p = 0; or some of both. Amplitude and phase of
-every bin count: a thousandth of the force is seen that no power spectrum shows. What may bend A: bent_path.py.
+every bin count: a thousandth of the force is seen that no power spectrum shows. What may bend A: bends.py.
 
 What sampling folds back, of density M, is n in the motion and m n in the force: (A' - m) n is left (folded_force.py).
 The measured force tells m M / |f|^2 f of it, which is taken out of both; the rest, independent of f, adds |A' - m|^2 M.

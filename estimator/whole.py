@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import (
-    bent_path,
+    bends,
     common_fall,
     coupled_caps,
     force_colour,
@@ -185,7 +185,7 @@ def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None =
         model, found = renewed, found | again
         point = fit_record(model, prepared(model))
     for _ in range(ROUNDS if any(u.name in (*periodic.PERIODIC, *LINEAR) for u in uses) else 0):
-        model, bent = bent_path.refined(model, point)
+        model, bent = bends.refined(model, point)
         model, mutual = coupled_caps.refined(model, point)
         model, stepped = periodic_fit.settled(model, point)
         stepped |= bent | mutual

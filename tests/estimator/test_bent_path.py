@@ -11,7 +11,7 @@ import pytest
 from exact_path import KL, MASS, RATE, RIG, C, S, record
 from numpy.typing import NDArray
 
-from estimator import bent_path, spectral
+from estimator import bends, bent_path, spectral
 from estimator.diagnose import diagnose
 from estimator.effects import CATALOGUE
 from estimator.heldout import heldout_rmse
@@ -232,9 +232,9 @@ def test_twice_the_nats_of_an_idle_cause_are_chi_square_whatever_the_noise() -> 
         point = fit_model(prepare(RIG, record(seed=seed, noise=noise), RATE), [])
         r = response_of(point, 0)
         base, scale = plain(point, 0, r)
-        for cause in bent_path.causes(point, 0, {}):
+        for cause in bends.causes(point, 0, {}):
             starts = [np.array(z) for z in cause.starts]
-            nats = bent_path.bent(point, 0, r, cause, base, scale, starts).nats - base.nats
+            nats = bends.bent(point, 0, r, cause, base, scale, starts).nats - base.nats
             won.setdefault(cause.effect, []).append(2 * nats)
     for name in ("sensor_gain", "sensor_skew"):
         assert 0.4 < np.mean(won[name]) < 1.8
