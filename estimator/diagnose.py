@@ -13,11 +13,12 @@ from . import adequacy, evidence, explains, missing_force
 from .errors import DataError
 from .evidence import Entry
 from .model import Model
+from .numbered import with_found
 from .periodic import PERIODIC
 from .periodic_fit import found_beside
 from .ranking import FOREMOST, SIGNIFICANT, Progress, ranked
 from .shape import Shape, shape_of
-from .whole import fit_whole, with_found
+from .whole import fit_whole
 from .working_point import WorkingPoint, thinned
 
 Array = NDArray[np.float64]

@@ -20,9 +20,10 @@ from .heldout import heldout_nll, heldout_rmse
 from .missing_force import survey
 from .model import Model
 from .model_fit import fit_model
+from .numbered import with_found
 from .periodic import PERIODIC
 from .suspects import suspects
-from .whole import SHAPING, Whole, fit_whole, with_found
+from .whole import SHAPING, Whole, fit_whole
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]

@@ -21,7 +21,6 @@ from . import (
     force_level,
     force_shapes,
     modulation,
-    noise_floor,
     one_end,
     periodic,
     periodic_fit,
@@ -32,9 +31,6 @@ from . import (
     unknown_mass,
 )
 from .declip import LOST, RESTORED, restored
-from .effect import EffectParameter
-from .effects import NAMED
-from .effects.places import at, written
 from .estimate import Parameter, untold_at
 from .fit_result import Fit
 from .fitted import parameters
@@ -43,19 +39,18 @@ from .known_spectra import colours as colours_of
 from .model import EffectUse, Model, Setting
 from .model_uses import clipped
 from .motion_blocks import MotionBlocks
+from .numbered import further_lines, moved, told_by_force, undone_as_given, with_numbers, with_uses
 from .preparation import prepare, shortened
 from .search_start import fit_record
-from .sensor_response import BLIND, LINEAR, forced
+from .sensor_response import BLIND, LINEAR
 from .shaft_angle import timed
 from .start import refuse_without_resonance, resonates
-from .suspect import Suspect, as_use
 from .suspects import suspects
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 SHAPING = (*COLOURS, "correlated_force", "sensor_clipping", "sensor_noise")
 ROUNDS = 2  # of the numbers of periodic forces and colours, which the rest of the fit depends on
-SETTLED = 0.5  # standard deviations by which a colour may still move
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,21 +161,21 @@ def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None =
         data = prepare(model, y, rate_hz)
         return replace(data, drawn=np.array([off.get(p, 0.0) for p in data.places])) if off else data
 
-    undone = [u for u in uses if _undone(u, model)]
+    undone = [u for u in uses if undone_as_given(u, model)]
     bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u in undone))
     point = fit_record(bare, prepared(bare))
-    numbered = {u.name for u in uses if u not in undone or not _told(u, model)}
+    numbered = {u.name for u in uses if u not in undone or not told_by_force(u, model)}
     seen = suspects(bare, point, y, everywhere=True)
     seen += sensor_faults.find(bare, limited) if limited is not y else []
-    further = _further_lines(model, seen)
-    model, found = _all_numbered(with_uses(model, further), numbered | further.keys(), seen, point)
+    further = further_lines(model, seen)
+    model, found = with_numbers(with_uses(model, further), numbered | further.keys(), seen, point)
     point = fit_record(model, prepared(model))
     colours = {u.name for u in uses if u.name in OF_FORCE}
     for _ in range(ROUNDS if colours else 0):  # found among laws that they distort
         data = point.data
         flat = replace(point, data=replace(data, colour=colours_of(bare, data.places, data.f_hz, OF_FORCE)))
-        renewed, again = _all_numbered(model, colours, force_colour.find(bare, flat), flat)
-        if not _moved(found, again):
+        renewed, again = with_numbers(model, colours, force_colour.find(bare, flat), flat)
+        if not moved(found, again):
             break
         model, found = renewed, found | again
         point = fit_record(model, prepared(model))
@@ -203,36 +198,6 @@ def _several(model: Model, further: Mapping[str, Mapping[str, Mapping[str, Setti
     return (f"line stands for several lines, {', '.join(['line', *names])}: fit --out writes them",) if names else ()
 
 
-def with_uses(model: Model, further: Mapping[str, Mapping[str, Mapping[str, Setting]]]) -> Model:
-    """The model with effects at further places. further : name -> canonical place -> parameter name -> Setting."""
-    uses = {use.name: use for use in model.effects}
-    for name, own in further.items():
-        use = uses.get(name, EffectUse(name, {}))
-        uses[name] = replace(use, parameters={**use.parameters, **own})
-    return replace(model, effects=tuple(uses.values()))
-
-
-def with_found(model: Model, found: Mapping[str, Mapping[str, Mapping[str, Parameter]]]) -> Model:
-    """The model with effects that are no force laws, at the values found. found : by the name of the effect."""
-    return with_uses(model, {name: as_use(name, own).parameters for name, own in found.items()})
-
-
-def _further_lines(model: Model, seen: list[Suspect]) -> dict[str, dict[str, dict[str, Setting]]]:
-    """Name -> place -> no numbers, of lines seen that the model has no name for: at a place where it has one without a
-    frequency, which is as many lines as there are."""
-    out: dict[str, dict[str, dict[str, Setting]]] = {}
-    uses = [(u, at(NAMED[u.name], u, model)) for u in model.effects if u.name in periodic.LINE_NAMES]
-    for key in dict.fromkeys(key for _, keys in uses for key in keys):
-        own = {u.name: written(NAMED[u.name], u, model, key).get("frequency", Setting()) for u, ks in uses if key in ks}
-        if all(setting.value is not None for setting in own.values()):
-            continue
-        free = [name for name in periodic.LINE_NAMES if name not in own]
-        count = sum(s.effect == "line" and key in s.settings for s in seen) - len(own)
-        for name in free[: max(count, 0)]:
-            out.setdefault(name, {})[key] = {}
-    return {name: out[name] for name in periodic.LINE_NAMES if name in out}
-
-
 def _levels(model: Model, found: Mapping[str, Parameter], point: WorkingPoint) -> dict[str, Parameter]:
     """S of the places whose excitation has a colour that was found."""
     out = {}
@@ -243,121 +208,8 @@ def _levels(model: Model, found: Mapping[str, Parameter], point: WorkingPoint) -
     return out
 
 
-def _told(use: EffectUse, model: Model) -> bool:
-    """Whether it is a sensor's response beside a measured force, which tells it."""
-    return use.name in LINEAR and bool(forced(model).intersection(at(NAMED[use.name], use, model)))
-
-
-def _undone(use: EffectUse, model: Model) -> bool:
-    """Whether it is a sensor's response that is undone before anything is known of it: as the rig file gives it."""
-    if not _told(use, model):
-        return use.name in BLIND
-    names = [q.name for q in NAMED[use.name].parameters]
-    return all(own.get(n, Setting()).value is not None for own in use.parameters.values() for n in names)
-
-
 def as_fit(whole: Whole) -> Fit:
     """The same as the result of a fit."""
     data = whole.point.data
     samples = data.blocks * data.block
     return Fit(whole.parameters, whole.point.fit.log_likelihood, samples, "spectral", whole.messages)
-
-
-def _all_numbered(
-    model: Model, names: set[str], seen: list[Suspect], point: WorkingPoint
-) -> tuple[Model, dict[str, Parameter]]:
-    """The model with what was found for the effects of these names, and that as parameters."""
-    found: dict[str, Parameter] = {}
-    effects = []
-    for use in model.effects:
-        if use.name in names:
-            use, own = _numbered(use, model, seen, point)
-            found |= own
-        effects.append(use)
-    return replace(model, effects=tuple(effects)), found
-
-
-def _moved(before: Mapping[str, Parameter], now: Mapping[str, Parameter]) -> bool:
-    """Whether numbers that were found both times differ by more than a part of a standard deviation."""
-    pairs = [(before[name], p) for name, p in now.items()]
-    if any(p.value is None or q.value is None for p, q in pairs):
-        return False
-    return any(abs((p.value or 0.0) - (q.value or 0.0)) > SETTLED * (q.sd or 0.0) for p, q in pairs if q.sd)
-
-
-def _numbered(
-    use: EffectUse, model: Model, seen: list[Suspect], point: WorkingPoint
-) -> tuple[EffectUse, dict[str, Parameter]]:
-    """The use with what was found for it at each of its places, and that as parameters."""
-    effect = NAMED[use.name]
-    found: dict[str, Parameter] = {}
-    new: dict[str, dict[str, Setting]] = {}
-    for key in at(effect, use, model):
-        old = written(effect, use, model, key)
-        own = _found(use, key, old, model, seen, point)
-        new[key] = {}
-        for q in effect.parameters:
-            setting, name = old.get(q.name, Setting()), f"{key}.{use.name}.{q.name}"
-            if setting.fixed and setting.value is not None:
-                found[name] = Parameter(setting.value, 0.0, q.unit, True, "given")
-            elif q.name in own:
-                found[name] = own[q.name]
-                setting = replace(setting, value=own[q.name].value)
-            else:
-                blind = use.name in BLIND and not _told(use, model)
-                found[name] = _unseen(blind, q)
-                setting = setting if blind else replace(setting, value=None)
-            new[key][q.name] = setting
-    return replace(use, parameters=new), found
-
-
-def _found(
-    use: EffectUse, key: str, old: Mapping[str, Setting], model: Model, seen: list[Suspect], point: WorkingPoint
-) -> dict[str, Parameter]:
-    """Name -> number of a use at a canonical place; of several lines the one nearest to the frequency written."""
-    if use.name == "sensor_noise" and key in point.data.places:
-        return {"rms": noise_floor.sensor_noise(point, point.data.places.index(key))}
-    if use.name == "bow":
-        return _bow(model, [s.settings[key] for s in seen if s.effect == "imbalance"])
-    if use.name in periodic.LINE_NAMES:
-        return _line(use, key, model, [s.settings[key] for s in seen if s.effect == "line" and key in s.settings])
-    return next((s.settings[key] for s in seen if s.effect == use.name and key in s.settings), {})
-
-
-def _line(use: EffectUse, key: str, model: Model, seen: list[dict[str, Parameter]]) -> dict[str, Parameter]:
-    """Of the lines seen at a place the one nearest to the frequency written; without one the strongest that no other
-    line of the model has."""
-    lines = {
-        u.name: written(NAMED[u.name], u, model, key).get("frequency", Setting()).value
-        for u in model.effects
-        if u.name in periodic.LINE_NAMES and key in at(NAMED[u.name], u, model)
-    }
-    left = list(seen)
-    for name, hz in sorted(lines.items(), key=lambda one: not one[1]):
-        if not left:
-            break
-        own = left.pop(min(range(len(left)), key=lambda k: abs((left[k]["frequency"].value or 0.0) - hz) if hz else k))
-        if name == use.name:
-            return own
-    return {}
-
-
-def _bow(model: Model, seen: list[dict[str, Parameter]]) -> dict[str, Parameter]:
-    """The line at the shaft's speed as the work of a bow, where it was found as that of an imbalance."""
-    if not seen:
-        return {}
-    rotation = np.array([2 * np.pi * (model.speed_rpm or 0.0) / 60.0])
-    through = complex(periodic.to_cap(model, "bearing1.x", rotation)[0])
-    ratio = through / (through - 0.5)
-    a, b = seen[0]["a"], seen[0]["b"]
-    force = ratio * complex(a.value or 0.0, b.value or 0.0)
-    sd = abs(ratio) * (a.sd or 0.0)
-    return {"a": Parameter(force.real, sd, "N"), "b": Parameter(force.imag, sd, "N")}
-
-
-def _unseen(blind: bool, q: EffectParameter) -> Parameter:
-    if blind:
-        why = "bearings that hardly feel each other say nothing of it: measure the force, or give it with fixed = true"
-    else:
-        why = periodic.UNTOLD
-    return Parameter(None, None, q.unit, False, why)

@@ -16,12 +16,13 @@ from estimator.missing_force import survey
 from estimator.model import EffectUse, Model, Setting
 from estimator.model_fit import fit_model
 from estimator.motion_blocks import MotionBlocks
+from estimator.numbered import with_found
 from estimator.periodic import known_lines, periodic_of, series
 from estimator.periodic_fit import PIECES, found_beside, refined
 from estimator.preparation import prepare
 from estimator.simulate import simulate
 from estimator.suspects import suspects
-from estimator.whole import fit_whole, with_found
+from estimator.whole import fit_whole
 from estimator.working_point import WorkingPoint
 
 LINE = {"a": 0.12, "b": -0.05, "frequency": 791.37}
