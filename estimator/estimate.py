@@ -40,16 +40,20 @@ def untold_at(
 ) -> dict[str, Parameter]:
     """Numbers by full name without those at some places, and of laws at their nodes, in units that begin so: "N" where
     nothing tells the mass of a cap."""
-    nodes = {place.split(".")[0] for place in places}
 
     def adrift(name: str) -> bool:
-        node, direction = name.split(".")[:2]
-        return f"{node}.{direction}" in places if direction in ("x", "y") else node in nodes
+        return any(belongs(name, place) for place in places)
 
     return {
         name: Parameter(None, None, q.unit, False, reason) if q.unit.startswith(unit) and adrift(name) else q
         for name, q in numbers.items()
     }
+
+
+def belongs(name: str, place: str) -> bool:
+    """Whether a number by its full name is of a place, or of a law at the node of the place."""
+    node, direction = name.split(".")[:2]
+    return place == f"{node}.{direction}" if direction in ("x", "y") else place.split(".")[0] == node
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from . import spectral
 from .effects.custom import effect_of
 from .errors import DataError
-from .estimate import Parameter
+from .estimate import Parameter, belongs
 from .model import Model
 from .periodic import PERIODIC
 from .rotor import shaft_matrix
@@ -69,7 +69,7 @@ def widened(model: Model, found: Mapping[str, Parameter], masses: Mapping[str, P
     """
     out = dict(found)
     for name, p in found.items():
-        own = [q for place, q in masses.items() if place.startswith(_key(name))]
+        own = [q for mass, q in masses.items() if belongs(name, mass.removesuffix(".m"))]
         power = 2 if p.unit.startswith("N^2") else int(p.unit.startswith(("N", "kg")))
         if not (own and power and p.identifiable and p.value is not None and p.sd is not None):
             continue
@@ -77,12 +77,6 @@ def widened(model: Model, found: Mapping[str, Parameter], masses: Mapping[str, P
         share = max((q.sd or 0.0) / (q.value or np.inf) for q in own)
         out[name] = replace(p, sd=float(np.hypot(p.sd, power * share * value)))
     return out
-
-
-def _key(name: str) -> str:
-    """Start of the names of the masses that a number goes with: of a place, or of a node."""
-    node, direction = name.split(".")[:2]
-    return f"{node}.{direction}." if direction in ("x", "y") else f"{node}."
 
 
 def _held(model: Model, name: str) -> float:

@@ -10,6 +10,7 @@ from scipy import signal
 
 from daq.rig import load_rig
 from estimator import spectral
+from estimator.estimate import belongs
 from estimator.model import EffectUse, Model, Setting
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
@@ -34,6 +35,11 @@ def test_standard_deviations_hold_those_of_the_masses() -> None:
     found, free = fit_whole(rig, y, RATE).parameters, spectral.fit(rig, y, RATE).parameters
     for name, p in found.items():
         assert 0.6 < (p.sd or 0.0) / (free[name].sd or 0.0) < 1.7, name
+
+
+def test_a_number_belongs_to_its_place_or_to_all_of_its_node() -> None:
+    names = ("bearing1.x.kL", "bearing1.y.kL", "bearing1.rub.gap", "bearing2.x.kL", "disc.crack.loss")
+    assert [belongs(name, "bearing1.x") for name in names] == [True, False, True, False, False]
 
 
 @pytest.mark.slow
