@@ -82,23 +82,34 @@ class Folded:
         return replace(self, passed=self.undone * np.stack([further[0].conj(), further[1]]))
 
 
-def folded(r: Response, back: Complexes, passed: Complexes, rate_hz: float, late: bool = False) -> Folded:
-    """back : (cells,) as `alike` gives it. passed : (2, cells) H(w')* / H(w) and H(w'') / H(w). late : of a sensor that
-    is late by more than is undone; nothing where that explains no more."""
-    from scipy.optimize import minimize_scalar, nnls
+@dataclass(frozen=True, slots=True)
+class Coherence:
+    """What of E[r a*] may be explained, by sensors that are late by so much, s. back, passed : as `folded` has them.
 
-    x = r.w / (2 * np.pi * rate_hz)
-    whole = images(r.w, rate_hz) * [[1], [-1]]  # rad/s by which a delay turns what was below the rate, and beyond
-    rotor = np.stack([r.aa / r.w**2, r.aa / (1j * r.w), r.A * r.aa, 1j * r.w * r.A * r.aa])  # wrong k, c, gain, delay
+    x : (cells,) frequency over the rate; beyond : (2, cells) rad/s by which a delay turns what was below the rate, and
+    beyond; rotor : (4, cells) by a wrong k, c, gain and delay."""
 
-    def weight(late: float) -> Array:
+    r: Response
+    back: Complexes
+    passed: Complexes
+    rate_hz: float
+    x: Array
+    beyond: Array
+    rotor: Complexes
+
+    def weight(self, late: float) -> Array:
         """Where the delay is undone; with one that is not, what is left is nothing but that at high frequencies."""
+        r = self.r
         off = r.A * (np.exp(1j * r.w * late) - 1)
         left = r.rr + 2 * np.real(off.conj() * r.ra) + np.abs(off) ** 2 * r.aa
         return np.asarray(np.sqrt(r.n / (np.maximum(left, 1e-9 * r.rr) * r.aa)))
 
-    def fitted(late: float, weight: Array, *noise: Complexes) -> tuple[float, Array]:
-        turn, free = np.exp(1j * r.w * late), rotor[:3] if late else rotor  # what is late is all as late
+    def by(self, late: float, weight: Array, *noise: Complexes) -> tuple[float, Array]:
+        """Chi square that the rotor and noises, (cells,) each and none negative, leave; how much there is of these."""
+        from scipy.optimize import nnls
+
+        r = self.r
+        turn, free = np.exp(1j * r.w * late), self.rotor[:3] if late else self.rotor  # what is late is all as late
         X = np.stack([*(turn * free), *noise, r.ra - r.A * (1 - turn) * r.aa], axis=1) * weight[:, None]
         X = np.concatenate([X.real, X.imag])
         scale = np.linalg.norm(X, axis=0)
@@ -106,39 +117,56 @@ def folded(r: Response, back: Complexes, passed: Complexes, rate_hz: float, late
         x, off = nnls(R[:, :-1], R[:, -1]) if noise else (np.zeros(0), float(np.linalg.norm(R)))
         return (off * scale[-1]) ** 2, x * scale[-1] / scale[len(free) : -1]
 
-    def from_sensor(late: float, weight: Array) -> float:
-        return fitted(late, weight, r.A * np.exp(1j * r.w * late) * r.noise)[0]
+    def by_sensor(self, late: float, weight: Array) -> float:
+        """Chi square that noise of the sensor leaves."""
+        return self.by(late, weight, self.r.A * np.exp(1j * self.r.w * late) * self.r.noise)[0]
 
-    def from_beyond(late: float, weight: Array, shapes: Sequence[tuple[int, int]] = APART) -> tuple[float, Folded]:
-        through = passed * np.exp(1j * late * whole) if late else passed
+    def by_fold(
+        self, late: float, weight: Array, shapes: Sequence[tuple[int, int]] = APART
+    ) -> tuple[float, Folded]:  # fmt: skip
+        """Chi square that what is folded back leaves, and that."""
+        r, x, back = self.r, self.x, self.back
+        through = self.passed * np.exp(1j * late * self.beyond) if late else self.passed
         sides = np.array([(x**p * (1 + 2 * x) ** k, x**p * (1 - 2 * x) ** k) for p, k in shapes])
         path = r.A * np.exp(1j * r.w * late) * np.abs(through) ** 2 - back * through.conj()
-        left, numbers = fitted(late, weight, *np.sum(path * sides, axis=1))
+        left, numbers = self.by(late, weight, *np.sum(path * sides, axis=1))
         density = np.abs(through) ** 2 * np.tensordot(numbers, sides, 1)
-        return left, Folded(density, through, passed, back, True)
+        return left, Folded(density, through, self.passed, back, True)
 
-    def likeliest(about: float, weight: Array) -> float:
+    def likeliest(self, about: float, weight: Array) -> float:
+        """s by which a sensor is late, near one that is about right."""
+        from scipy.optimize import minimize_scalar
+
+        step = STEP / self.rate_hz
         found = minimize_scalar(
-            lambda late: from_beyond(late, weight)[0], bounds=(about - STEP / rate_hz, about + STEP / rate_hz),
-            method="bounded", options={"xatol": NEAR / rate_hz},
+            lambda late: self.by_fold(late, weight)[0], bounds=(about - step, about + step),
+            method="bounded", options={"xatol": NEAR / self.rate_hz},
         )  # fmt: skip
         return float(found.x)
+
+
+def folded(r: Response, back: Complexes, passed: Complexes, rate_hz: float, late: bool = False) -> Folded:
+    """back : (cells,) as `alike` gives it. passed : (2, cells) H(w')* / H(w) and H(w'') / H(w). late : of a sensor that
+    is late by more than is undone; nothing where that explains no more."""
+    rotor = np.stack([r.aa / r.w**2, r.aa / (1j * r.w), r.A * r.aa, 1j * r.w * r.A * r.aa])
+    beyond = images(r.w, rate_hz) * [[1], [-1]]
+    c = Coherence(r, back, passed, rate_hz, r.w / (2 * np.pi * rate_hz), beyond, rotor)
 
     def told(before: float, sensor: float, after: float) -> bool:
         return sensor - after >= WORTH and after - 2 * r.n.size <= LEFT * before
 
-    now = weight(0.0)
-    before, sensor = fitted(0.0, now)[0], from_sensor(0.0, now)
-    after, fold = from_beyond(0.0, now, IN_TIME if np.allclose(passed, 1.0) else APART)
+    now = c.weight(0.0)
+    before, sensor = c.by(0.0, now)[0], c.by_sensor(0.0, now)
+    after, fold = c.by_fold(0.0, now, IN_TIME if np.allclose(passed, 1.0) else APART)
     nothing = replace(fold, density=np.zeros_like(fold.density), likely=sensor > after and before - after > WORTH)
     if not late:
         return fold if told(before, sensor, after) else nothing
     if before - min(sensor, after) < WORTH:
         return nothing
     grid = np.arange(-LATEST, LATEST + STEP, STEP) / rate_hz
-    about = likeliest(min(grid, key=lambda late: from_beyond(late, now)[0]), now)
-    then = weight(about)
-    by = likeliest(about, then)
-    left, turned = from_beyond(by, then)
-    more = after - from_beyond(by, now)[0] >= WORTH
-    return turned if more and told(fitted(by, then)[0], from_sensor(by, then), left) else nothing
+    about = c.likeliest(min(grid, key=lambda late: c.by_fold(late, now)[0]), now)
+    then = c.weight(about)
+    by = c.likeliest(about, then)
+    left, turned = c.by_fold(by, then)
+    more = after - c.by_fold(by, now)[0] >= WORTH
+    return turned if more and told(c.by(by, then)[0], c.by_sensor(by, then), left) else nothing
