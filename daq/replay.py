@@ -14,7 +14,7 @@ from .acquire import Notify, RunSummary, acquire
 from .clock import Clock, SystemClock
 from .errors import LogError
 from .estimators import MakeEstimator
-from .log_reader import Recording, read_log
+from .log_reader import Recording
 from .pipeline import OWN_CODES
 from .rig import Rig
 from .sink import Session, Sink, Status
@@ -150,8 +150,3 @@ def replay(
     driver = ReplayDriver(log, speed)
     outcome = acquire(rig, driver, [*sinks, *([checker] if check else [])], seconds, stop, notify=notify, make=make)
     return replace(outcome, identical=checker.identical, compared=checker.compared) if check else outcome
-
-
-def replay_driver(path: str, speed: float | None = None) -> ReplayDriver:
-    """For the link `replay:LOG.mcap`. Raises LogError if the log cannot be read."""
-    return ReplayDriver(read_log(path), speed)

@@ -21,7 +21,6 @@ from .units import factor, foreign
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Node = Literal["bearing1", "bearing2"]
-CapDirection = Literal["x", "y"]
 
 
 class Table(BaseModel):

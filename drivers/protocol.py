@@ -62,7 +62,6 @@ SAMPLE_ID = {"fd16": ID_FD16, "fd24": ID_FD24, "classic": ID_CLASSIC}
 
 _FD16_HEAD = np.dtype([("seq", "<u2"), ("lost", "u1"), ("flags", "u1"), ("time", "<u4")])
 _FD24_HEAD = np.dtype([("seq", "<u2"), ("lost", "u1"), ("flags", "u1")])
-_SYNC = np.dtype([("index", "<u4"), ("time", "<u4")])  # the top byte of index is the flags
 _INFO = np.dtype(
     [
         ("version", "u1"), ("layout", "u1"), ("channels", "u1"), ("channel", "u1"),

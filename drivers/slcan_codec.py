@@ -17,7 +17,6 @@ from drivers.can_frames import EXTENDED, REMOTE, CanFrames
 
 MAX_LINE = 160  # the longest is 1 + 8 + 1 + 128 + 8
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-STAMP_FORGET = 8  # damaged lines in a row after which the stamp's length is learnt anew
 _LENGTHS = np.array(FD_LENGTHS, np.int64)
 _HEX = np.full(256, 255, np.uint8)
 for _digit, _character in enumerate("0123456789ABCDEF"):

@@ -18,7 +18,7 @@ from .effect import Effect
 from .effects.custom import effect_of
 from .effects.places import at, kinematic, written
 from .errors import DataError
-from .model import DIRECTIONS, MOTION, UNITS, Model, Setting
+from .model import MOTION, UNITS, Model, Setting
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -265,11 +265,6 @@ def build(
         free.append(Free(name, unit, float(start), tuple(where), low, high, searched_one))
     kinds = tuple(model.channels[c].kind for c in motion_channels(model))
     return Balance(places, kinds, tuple(columns), tuple(laws), tuple(free), B0, common, disc_of(model))
-
-
-def directions_measured(model: Model) -> tuple[str, ...]:
-    """Directions with at least one measured place."""
-    return tuple(d for d in DIRECTIONS if any(p.endswith("." + d) for p in model.places))
 
 
 def restrict(balance: Balance, laws: set[int]) -> tuple[Balance, list[int]]:

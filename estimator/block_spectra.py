@@ -19,7 +19,6 @@ from .features import MARGIN, State
 from .gram import Layout
 
 Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 Complexes = NDArray[np.complex64]
 
 
