@@ -17,8 +17,9 @@ DISTINCT = 1e6  # condition of the modes of its states, below which they are tak
 BESIDE = 1e-3  # of a stiffness or damping, by which the derivative of a response is taken
 
 
-def response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], Complexes] | None:
-    """Force per displacement, N/m, at w (f,) rad/s, for parameters p and (m, kL, c); None if not linear."""
+def states(effect: Effect, p: Array, lin: Array) -> Array | None:
+    """(n + 1, n + 2) dz/dt of the n states, and the force, per (z, x, v); for parameters p and (m, kL, c). None if they
+    are not linear in them."""
     n = effect.states
     rates, force = effect.rates, effect.memory_force
     if rates is None or force is None:
@@ -35,9 +36,17 @@ def response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], Complexe
     for u in np.random.default_rng(0).normal(size=(4, n + 2)):
         if not np.allclose(seen(u), M @ u, rtol=1e-6, atol=1e-9 * np.abs(M).max()):
             return None
-    states, reads = M[:n, :n], M[n]
+    return M
 
-    rates_at, modes = np.linalg.eig(states)
+
+def response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], Complexes] | None:
+    """Force per displacement, N/m, at w (f,) rad/s, for parameters p and (m, kL, c); None if not linear."""
+    n, M = effect.states, states(effect, p, lin)
+    if M is None:
+        return None
+    own, reads = M[:n, :n], M[n]
+
+    rates_at, modes = np.linalg.eig(own)
     apart = n > 0 and np.linalg.cond(modes) < DISTINCT
 
     def transfer(w: Array) -> Complexes:
@@ -47,7 +56,7 @@ def response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], Complexe
             through = sum((a + iw * b) / (iw - rate) for a, b, rate in zip(*by_mode, rates_at, strict=True))
         else:
             push = M[:n, n] + iw[:, None] * M[:n, n + 1]
-            through = (reads[:n] @ np.linalg.solve(iw[:, None, None] * np.eye(n) - states, push[..., None]))[..., 0]
+            through = (reads[:n] @ np.linalg.solve(iw[:, None, None] * np.eye(n) - own, push[..., None]))[..., 0]
         return np.asarray(through + reads[n] + iw * reads[n + 1])
 
     return transfer

@@ -103,9 +103,11 @@ def alone(m: float, c: float, k: float) -> Mean:
     return mean_responses(np.array([m]), np.array([[[k, c]]]), ("bearing1.x",), None)[0]
 
 
-def mean_responses(mass: Floats, D: Floats, places: Sequence[str], disc: Disc | None) -> tuple[Mean, ...]:
+def mean_responses(
+    mass: Floats, D: Floats, places: Sequence[str], disc: Disc | None, memories: Sequence[tuple[int, Floats]] = ()
+) -> tuple[Mean, ...]:
     """Of each cap of a rotor. mass : (places,) kg; D : (places, places, 2) mean tangents of displacement and velocity,
-    N/m and N s/m, the shaft's left out. disc : None without a shaft."""
+    N/m and N s/m, the shaft's left out. disc : None without a shaft. memories : at a place, as linear_memory.states."""
     n = len(places)
     M, K, C = mass, D[..., 0], D[..., 1]
     if disc is not None:
@@ -115,8 +117,15 @@ def mean_responses(mass: Floats, D: Floats, places: Sequence[str], disc: Disc | 
             K[here] += shaft_matrix(disc.shaft, disc.ks)[nodes]
             C[here] += shaft_matrix(disc.shaft, disc.cs)[nodes]
     size = len(M)
-    poles, right = np.linalg.eig(np.block([[np.zeros((size, size)), np.eye(size)], [-K / M[:, None], -C / M[:, None]]]))
-    left = np.linalg.inv(right)[:, size:] / M
+    free = np.block([[np.zeros((size, size)), np.eye(size)], [-K / M[:, None], -C / M[:, None]]])
+    for i, own in memories:
+        before, more = len(free), len(own) - 1
+        seen = [*range(before, before + more), i, size + i]
+        free = np.pad(free, (0, more))
+        free[before:, seen] = own[:-1]
+        free[size + i, seen] -= own[-1] / mass[i]
+    poles, right = np.linalg.eig(free)
+    left = np.linalg.inv(right)[:, size : 2 * size] / M
     above = poles.imag >= 0.0
     double = np.where(poles.imag > 0.0, 2.0, 1.0)
 

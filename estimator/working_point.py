@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from . import linear_memory
 from .contour import along, contour
 from .determinant import Jacobian
 from .features import Series
 from .fluctuation import Fluctuation, fluctuations
-from .mean_response import mean_responses
+from .mean_response import Mean, mean_responses
 from .motion_blocks import FOLDS, MotionBlocks, part_of
 from .noise_paths import noise_paths
 from .path_fit import Gram, PathFit, fit, gram
@@ -155,7 +156,7 @@ def point_at(
     paths = noise_paths(data, A, nu, S)
     weighing = Weighing(data, paths, line.s, paths.measured(along(line.s, A, data.mass, D)))
     spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
-    mean = mean_responses(data.mass, D, data.places, data.disc)
+    mean = _means(data, D, uses, own, lin)
     around = fluctuations(data, uses, mean, lin) if longer is None else longer.fluctuations
     if longer is None:
         own = each(lambda k: dressed(own[k], uses[k], around), range(len(uses)))
@@ -180,6 +181,34 @@ def point_at(
         data, kL, c, _whole_power(data, result), nu, tuple(uses), F, weighing, spectra, own_terms, columns, G,
         jacobian, result, caution, A, D, coarse, Spans(own_terms),
     )  # fmt: skip
+
+
+def _means(data: MotionBlocks, D: Array, uses: list[Placed], made: list[list[Term]], lin: Array) -> list[Mean]:
+    """Mean response of each place. Of laws that remember, those at other caps answer as stiffness and damping of their
+    mean response at the resonance there; what is fed back at the place itself is followed by probe.py. made : the terms
+    of each use."""
+    linear = [
+        (i, own) for use in uses if use.effect.kind == "memory" for i in use.at
+        if (own := linear_memory.states(use.effect, use.p, lin[i])) is not None
+    ]  # fmt: skip
+    bare = mean_responses(data.mass, D, data.places, data.disc, linear)
+    beside = np.zeros((len(data.places), 2))
+    for use, terms_of in zip(uses, made, strict=True):
+        for i in use.at if remembers(use, lin[use.at[0]]) else ():
+            units = {t.name: t for t in terms_of}
+            at = int(np.argmin(np.abs(data.f_hz - bare[i].hz)))
+            for k, q in enumerate(use.effect.parameters):
+                if q.linear and use.name(k) in units:
+                    answer = use.p[k] * units[use.name(k)].memory[i][i, at]
+                    beside[i] += answer.real, answer.imag / (2 * np.pi * data.f_hz[at])
+    if not beside.any():
+        return list(bare)
+    out = []
+    for i in range(len(data.places)):
+        others = np.where(np.arange(len(beside)) == i, 0.0, beside.T).T
+        there = D + np.eye(len(D))[..., None] * others[:, None]
+        out.append(mean_responses(data.mass, there, data.places, data.disc, linear)[i])
+    return out
 
 
 def _all_terms(data: MotionBlocks, lin: Array, F: Series, uses: list[Placed], own: list[list[Term]]) -> list[Term]:

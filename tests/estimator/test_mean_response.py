@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from estimator import linear_memory
 from estimator.disc import Disc
+from estimator.effects import CATALOGUE
 from estimator.mean_response import alone, mean_responses
 from estimator.model import Shaft
 from estimator.rotor import shaft_at_caps, shaft_matrix
@@ -78,3 +80,14 @@ def test_a_mode_that_grows_is_not_sound() -> None:
     D[1, 1, 1] = -500.0
     assert not mean_responses(MASS[:2], D, PLACES[:2], disc("chain"))[0].sound  # through the shaft
     assert mean_responses(MASS[:2], D, PLACES[:2], None)[0].sound
+
+
+def test_a_pedestal_under_the_cap_answers_with_it() -> None:
+    pedestal, p, lin = CATALOGUE["pedestal"], np.array([0.4, 900.0, 0.02]), np.array([0.2, 1e7, 60.0])
+    own, answer = linear_memory.states(pedestal, p, lin), linear_memory.response(pedestal, p, lin)
+    assert own is not None
+    assert answer is not None
+    w = 2 * np.pi * np.linspace(10.0, 3000.0, 100)
+    exact = 1.0 / (1e7 + 60j * w - 0.2 * w**2 + answer(w))
+    mean = mean_responses(lin[:1], np.array([[[1e7, 60.0]]]), ("bearing1.x",), None, [(0, own)])[0]
+    assert np.abs(mean.at(w) - exact).max() < 1e-6 * np.abs(exact).max()

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from .motion import LAWS, push
 
 Array = NDArray[np.float64]
-SHARE = {"weak": 0.02, "strong": 0.06}  # of the rms bearing force: what no straight line in x and v explains of a law
+# Of the rms bearing force; of a stiffness what no straight line in x explains of it.
+SHARE = {"weak": 0.02, "strong": 0.06}
 OUTSIDE = ("saturating", "rippled", "smooth")  # laws that the catalogue does not have
 OF_CAP = (
     "cubic", "quintic", "quadratic", "clearance", "stop", "coulomb", "quadratic_damping", "displacement_damping",
@@ -19,6 +20,7 @@ OF_CAP = (
 OF_DIRECTION = (*OF_CAP, "pedestal", "line", "misalignment")
 OF_BOTH_DIRECTIONS = ("hertz", "rub", "cross_coupling", "anisotropy", "gyroscopic")
 LINEAR = ("cross_coupling", "anisotropy", "gyroscopic", "pedestal")
+WHOLE = ("coulomb", "quadratic_damping", "displacement_damping", "bouc_wen", "ball_pass", "local_defect")
 OF_TIME = ("imbalance", "misalignment", "bow", "line")
 OF_FORCE = ("correlated_force", "coloured_excitation")
 OF_SENSOR = ("sensor_gain", "sensor_clipping", "sensor_skew", "sensor_resonance", "sensor_noise")
@@ -98,8 +100,8 @@ def numbers(name: str, share: float, at: Size, rng: np.random.Generator) -> tupl
 
 
 def rest_of_line(name: str, one: tuple[float, ...], at: Size, rng: np.random.Generator) -> float:
-    """rms, N, of what no straight line in x and v explains of a law, in a Gaussian motion of the cap (one of memory: in
-    one of its frequency)."""
+    """rms, N, of what no straight line in x explains of a law, of those in WHOLE of all of it, in a Gaussian motion of
+    the cap; of one with memory in a swing of its frequency."""
     n = 20_000
     x, v, xo = rng.standard_normal((3, n)) * np.array([at.x, at.v, at.x])[:, None]
     t, z = rng.uniform(0.0, at.seconds, n), np.zeros(n)
@@ -113,7 +115,7 @@ def rest_of_line(name: str, one: tuple[float, ...], at: Size, rng: np.random.Gen
             z[k] = z[k - 1] + dt * (v[k] - (abs(v[k]) * z[k - 1] + v[k] * abs(z[k - 1])) / (2 * one[1]))
     p = np.array([*one, *np.zeros(5 - len(one))])
     f = np.array([push(LAWS.index(name), p, *q, at.turn, m) for *q, m in zip(x, v, xo, t, z, strict=True)])
-    if name in ("ball_pass", "local_defect"):
+    if name in WHOLE:
         return float(np.sqrt(np.mean(f**2)))
-    X = np.stack([np.ones(n), x, v], axis=1)
+    X = np.stack([np.ones(n), x], axis=1)
     return float(np.std(f - X @ np.linalg.lstsq(X, f, rcond=None)[0]))
