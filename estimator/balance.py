@@ -87,9 +87,7 @@ class Balance:
 
     def by_itself(self, D: Floats) -> Floats:
         """(places, places, 2) N/m and N s/m, D less what holds the caps of a chain while its disc stands still."""
-        if self.disc is None or self.disc.shaft != "chain":
-            return D
-        return D - np.multiply.outer(np.eye(len(D)), [self.disc.ks, self.disc.cs])
+        return D if self.disc is None else D - np.multiply.outer(np.eye(len(D)), self.disc.held)
 
     def other(self, row: int) -> int:
         """Row of the other direction at the same node, -1 if it is not measured."""

@@ -37,6 +37,12 @@ class Disc:
         return float(np.sqrt(self.K / self.m))
 
     @property
+    def held(self) -> tuple[float, float]:
+        """N/m and N s/m that the shaft holds a cap by while the disc and the other cap stand still, by a spring of its
+        own: that of a chain."""
+        return (self.ks, self.cs) if self.shaft == "chain" else (0.0, 0.0)
+
+    @property
     def comb_hz(self) -> tuple[float, float]:
         """Where a model whose shaft breathes is not judged."""
         return NEAR[0] * self.w0 / (2 * np.pi), NEAR[1] * self.w0 / (2 * np.pi)

@@ -123,10 +123,12 @@ def _glanced(model: Model, y: Array, rate_hz: float) -> WorkingPoint | None:
 
 
 def _means(point: WorkingPoint) -> dict[str, tuple[float, float, float, tuple[float, float]]]:
-    """By place m, c and k of the mean response, and the band; of places that are judged and have no measured force."""
-    data, slopes = point.data, point.slopes
+    """By place m, c and k of the mean response while the disc stands still, and the band; of places that are judged and
+    have no measured force."""
+    data = point.data
+    k, c = np.einsum("iik->ki", point.slopes) + np.reshape((0.0, 0.0) if data.disc is None else data.disc.held, (2, 1))
     own = () if data.measured_force else data.judged
-    return {data.places[i]: (float(data.mass[i]), slopes[i, i, 1], slopes[i, i, 0], data.band) for i in own}
+    return {data.places[i]: (float(data.mass[i]), float(c[i]), float(k[i]), data.band) for i in own}
 
 
 def _refuse(point: WorkingPoint) -> None:

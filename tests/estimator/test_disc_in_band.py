@@ -11,7 +11,7 @@ from hidden_effects import RATE, ROOT
 from daq.rig import load_rig
 from estimator import force_cells, force_colour, force_shapes, spectral
 from estimator.compare import compare
-from estimator.model import Model
+from estimator.model import Model, Setting
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
@@ -67,3 +67,12 @@ def test_what_rings_from_block_to_block_is_no_force_beside_the_bins_left_out() -
     assert abs(np.average(ratio, weights=cells.n[near]) - 1.0) < 4 / np.sqrt(cells.n[near].sum())
     found = [s.effect for s in force_colour.find(rig, point)]
     assert found == ["sensor_noise"]
+
+
+def test_a_bearing_whose_cap_resonates_by_its_shaft_alone_is_not_refused() -> None:
+    """By itself it would resonate at 123 Hz, below the band; held by the shaft it does so at 1100."""
+    rig = replace(ringing(), shaft_stiffness=1e7, mass={"disc": 0.7, "bearing1": 0.2, "bearing2": 0.2})
+    soft = {p: {**rig.linear[p], "kL": Setting(1.2e5 if p == "bearing1.x" else 9e6)} for p in rig.places}
+    rig = replace(rig, linear=soft)
+    found = fit_whole(rig, simulate(rig, RATE, 6.0, seed=2, noise=0.002), RATE).parameters["bearing1.x.kL"]
+    assert abs((found.value or 0.0) - 1.2e5) < 4.0 * (found.sd or 0.0)
