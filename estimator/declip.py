@@ -22,6 +22,8 @@ ROUNDS, SWEEPS = 3, 8  # spectra in turn with the samples; draws of every sample
 LEARNT_FROM = 1 << 19  # samples, for the spectrum
 MOST = 0.15  # of the samples at the ceiling. Of 11 % kNL comes out a fifth low, of 3 % a tenth; kL 0.3 and 0.15 % high
 RESTORED = "its sensor is clipped: what lies beyond is drawn from the samples beside it; a larger range is better"
+# why a number is not told, here or where the shaft brings what is not known of this cap
+SPOILED = "a sensor is clipped, here or at the other end of the shaft, and what lies beyond cannot be restored"
 LOST = "its sensor is clipped, and what lies beyond cannot be restored: take a larger range"
 
 

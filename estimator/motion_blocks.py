@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 FOLDS = 6
 _OTHER = {"x": "y", "y": "x"}
+SPOILS = 0.1  # of the motion of a cap: off by more, nothing is told of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +80,19 @@ class MotionBlocks:
     def unsure(self, i: int) -> float:
         """How far off the motion at a place is, over its own, where some was drawn; inf where nothing can be judged."""
         return 0.0 if self.drawn is None else float(self.drawn[i])
+
+    def passed_on(self, off: Mapping[str, float]) -> Array:
+        """(places,) how far off the motion is, over its own, where it is off by so much at some places (inf: nothing is
+        known of it): at the other cap by as much as the force that the shaft brings there is of that in its bearing."""
+        out = np.array([off.get(place, 0.0) for place in self.places])
+        for i, own in enumerate(out.copy()):
+            if own and (o := self.opposite(i)) is not None:
+                near = int(np.argmin(np.abs(2 * np.pi * self.f_hz - self.rms[1, i] / self.rms[0, i])))
+                shaft = float(np.abs(self.shaft[near, o, i]))
+                bearing = self.mass[o] * self.rms[1, o] ** 2 / self.rms[0, o]  # m w^2 x, as k x at its resonance
+                brought = min(own, 1.0) * shaft * self.rms[0, i] / bearing
+                out[o] = max(out[o], brought if brought < SPOILS else np.inf)
+        return out
 
     @property
     def judged(self) -> tuple[int, ...]:

@@ -30,7 +30,7 @@ from . import (
     shaft_law,
     unknown_mass,
 )
-from .declip import LOST, RESTORED, restored
+from .declip import LOST, RESTORED, SPOILED, restored
 from .estimate import Parameter, untold_at
 from .fit_result import Fit
 from .fitted import parameters
@@ -69,7 +69,7 @@ class Whole:
         """Every parameter by full name with its standard deviation."""
         data = self.point.data
         lost = {place for i, place in enumerate(data.places) if i not in data.judged}
-        found = untold_at(lost, LOST, parameters(self.point)) | self.beside
+        found = untold_at(lost, SPOILED, parameters(self.point)) | self.beside
         found = unknown_mass.widened(self.model, found, self.masses)
         return untold_at(unknown_mass.unknown(self.model), unknown_mass.FREE, found, "N") | self.masses
 
@@ -161,7 +161,7 @@ def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None =
 
     def prepared(model: Model) -> MotionBlocks:
         data = prepare(model, y, rate_hz)
-        return replace(data, drawn=np.array([off.get(p, 0.0) for p in data.places])) if off else data
+        return replace(data, drawn=data.passed_on(off)) if off else data
 
     undone = [u for u in uses if undone_as_given(u, model)]
     bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u in undone))
@@ -189,7 +189,9 @@ def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None =
         found |= stepped
         if stepped:
             point = fit_record(model, prepared(model))
-    told = (f"{place}: {RESTORED if error < np.inf else LOST}" for place, error in sorted(off.items()))
+    told = [f"{place}: {RESTORED if error < np.inf else LOST}" for place, error in sorted(off.items())]
+    spoiled = {p for i, p in enumerate(point.data.places) if i not in point.data.judged}.difference(off)
+    told += [f"{place}: nothing is told of it: {SPOILED}" for place in sorted(spoiled)]
     messages = (*_several(model, further), *told)
     return Whole(model, point, found | _levels(model, found, point), messages)
 

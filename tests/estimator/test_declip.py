@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden_effects import RATE, one_bearing, record
+from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing, record
 
 from estimator import missing_force
 from estimator.declip import ceilings, restored
 from estimator.diagnose import diagnose, diagnose_point
 from estimator.model import EffectUse
+from estimator.preparation import prepare
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
@@ -109,3 +110,13 @@ def test_a_law_is_found_where_all_sensors_are_clipped_a_little_and_none_is_made(
     top = np.quantile(np.abs(y), 0.995, axis=0)
     known = replace(rig, effects=(*rig.effects, EffectUse("sensor_clipping", {p: {} for p in rig.places})))
     assert diagnose(known, np.clip(y, -top, top), RATE).verdict == verdict
+
+
+def test_what_is_not_known_of_a_cap_comes_to_the_other_through_a_stiff_shaft() -> None:
+    """Numbers there had been said that were 150 standard deviations off, and a law was sought for it."""
+    stiff = replace(coupled_on_a_stiff_shaft(), effects=())
+    soft = replace(stiff, shaft_stiffness=1e5)
+    for rig, other in ((stiff, np.inf), (soft, pytest.approx(4e-5, rel=0.5))):
+        data = prepare(rig, simulate(rig, RATE, 3.0, seed=1), RATE)
+        off = dict(zip(data.places, data.passed_on({"bearing1.x": np.inf}), strict=True))
+        assert off == {"bearing1.x": np.inf, "bearing2.x": other, "bearing1.y": 0.0, "bearing2.y": 0.0}
