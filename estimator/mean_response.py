@@ -37,7 +37,7 @@ class Mean:
     @property
     def _power(self) -> Floats:
         """(modes,) variance of the displacement that white force makes, by modes apart."""
-        return np.asarray(np.abs(self.residues) ** 2 / np.abs(self.poles.real))
+        return np.asarray(np.abs(self.residues) ** 2 / np.maximum(np.abs(self.poles.real), 1e-9))
 
     @property
     def hz(self) -> float:
