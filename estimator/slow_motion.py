@@ -93,8 +93,7 @@ def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -
             remembers(u, lin[i]))] for i in range(len(data.places))]  # fmt: skip
     if not any(own) and not data.pushes:
         return data
-    D = np.zeros((*np.diag(kL).shape, 2))
-    D[..., 0], D[..., 1] = np.diag(kL), np.diag(c)
+    D = np.stack([np.diag(kL), np.diag(c)], axis=-1)
     response = below(
         lambda w: yields(w, data.mass, D, data.places, data.disc), data.rate_hz, data.band, data.kinds
     )  # fmt: skip

@@ -66,7 +66,7 @@ def _draw(case: Case) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def rig_file(rig: dict[str, Any], base: list[str], extra: str = "") -> str:
+def rig_file(rig: dict[str, Any], base: list[str]) -> str:
     """What the user knows of it."""
     sensor = 'kind = "acceleration"\nunit = "m/s^2"\n'
     channels = "".join(
@@ -76,7 +76,7 @@ def rig_file(rig: dict[str, Any], base: list[str], extra: str = "") -> str:
         f'schema = 1\n[rig]\nname = "foreign"\nshaft = "chain"\nspeed_rpm = {rig["rpm"]!r}\nball_pass_order = {ORDER}\n'
         f'[rig.mass]\ndisc = {rig["disc"]!r}\nbearing1 = {rig["m"][0]!r}\nbearing2 = {rig["m"][1]!r}\n'
         f'[rig.shaft_spring]\nstiffness = {rig["ks"]!r}\ndamping = {rig["cs"]!r}\n'
-        f"[band]\nlow = {rig['low']:.1f}\nhigh = {rig['high']:.1f}\n[model]\neffects = {base}\n{extra}{channels}"
+        f"[band]\nlow = {rig['low']:.1f}\nhigh = {rig['high']:.1f}\n[model]\neffects = {base}\n{channels}"
     )
 
 
