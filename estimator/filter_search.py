@@ -6,7 +6,9 @@ there, and all that is seen of it low in the band may pass for noise. A sensor t
 the images: its channel alone falls, and it is taken for another resonance than it is (5567 Hz and 11.3 for 5600 and 12,
 c 9 % off). So what is undone of it is sought anew behind the filter. So is a colour of the force, which takes over most
 of a slow fall (behind a Bessel filter a gain of 12 was 14.6 and S 17 % low). With them designs differ by few nats, and
-a number costs as many as Schwarz asks: by Akaike's two, ripples of 1.5 dB were found behind a filter without any.
+a number costs as many as Schwarz asks: by Akaike's two, ripples of 1.5 dB were found behind a filter without any. So
+does the noise of each sensor where all of it may be folded back: behind a Bessel filter, what comes from about the rate
+passed for 40 times the noise that there was, and of a common force it was not in common then.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ ORDERS, RIPPLES_DB, EDGES = range(3, 9), (0.1, 0.7), np.linspace(0.55, 1.1, 12) 
 MOST_RIPPLE = 0.41  # 1.5 dB
 CUTOFFS = (0.1, 100.0)  # over the end of the band: what lies beyond is no recorder, or no filter
 MOST_ECHO = 2.0  # of what a design folds back
+MOST_FLAT = 1.0  # white, of what is folded back
 MOST_MOVED = 1.0  # of the logarithm of a number of a shape
 SMALL = 1e-5  # change of a filter's number, for its derivative
 STEPS, ENOUGH = 60, 0.01  # at most; in deviance, that a step is to bring
@@ -53,28 +56,31 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """A kind of filter. made : of its numbers. first : where to begin. least, most : of each number."""
+    """A kind of filter. made : of its numbers. first : where to begin. least, most : of each number. quiet : what looks
+    like noise of the sensors is folded back."""
 
     made: Callable[[Array], Filter]
     first: tuple[tuple[float, ...], ...]
     least: tuple[float, ...]
     most: tuple[float, ...]
+    quiet: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Tried:
     """A way at the numbers where it explains most, those of Seen's shapes after them: as logarithms, over what they are
-    thought to be. information : deviance, and what the way's own numbers cost."""
+    thought to be. information : deviance, and what the way's own numbers cost. noisy : places with noise."""
 
     information: float
     way: Way
     z: Array
+    noisy: int
 
 
 def likeliest(seen: Sequence[Seen], blank: Filter) -> tuple[float, Filter]:
     """Deviance, with what the numbers of the filter cost, behind the one that explains all best, and that filter: means
-    over a sample, the poles of a design, both, with what they fold back, more or less of it, or a fall of any form that
-    folds nothing back."""
+    over a sample, the poles of a design, both, with what they fold back, more or less of it, also white, or a fall of
+    any form that folds nothing back."""
     count = POWERS.size
     any_form = Way(
         lambda z: replace(blank, nepers=tuple(z.tolist())), ((0.01,) * count,), (0.0,) * count, (np.inf,) * count
@@ -83,6 +89,9 @@ def likeliest(seen: Sequence[Seen], blank: Filter) -> tuple[float, Filter]:
     best = min(answers([partial(_tried, seen, way) for way in ways], ways), key=lambda one: one.information)
     for further in _further(best):
         best = min(best, _tried(seen, further), key=lambda one: one.information)
+    if (white := _white(best)) is not None and best.noisy == len(seen):
+        quiet, price = _tried(seen, white), float(np.log(sum(own.cells.n.size for own in seen)))
+        best = quiet if quiet.information < best.information + price * (best.noisy - 1) else best
     return best.information, best.way.made(best.z[: len(best.way.least)])
 
 
@@ -120,6 +129,17 @@ def _further(found: Tried) -> Iterator[Way]:
         yield Way(lambda z: replace(way.made(z[:-1]), echo=float(z[-1])), ((*numbers, 1.0),), least, most)
 
 
+def _white(found: Tried) -> Way | None:
+    """The filter found with what looks like noise folded back, if it folds anything."""
+    way, z = found.way, found.z[: len(found.way.least)]
+    if way.made(z).nepers:
+        return None
+    return Way(
+        lambda z: replace(way.made(z[:-1]), flat=float(z[-1])),
+        ((*z.tolist(), 0.01),), (*way.least, 0.0), (*way.most, MOST_FLAT), True,
+    )  # fmt: skip
+
+
 def _squares(poles: tuple[float, ...]) -> Array:
     """Squares of frequency over cutoff at which a design takes each of FALLS_DB."""
     x2 = np.geomspace(1e-4, 1e2, 600)
@@ -133,8 +153,8 @@ def _tried(seen: Sequence[Seen], way: Way) -> Tried:
     first = [np.array([*z, *still]) for z in way.first]
     begun = [_begun(seen, way, z) for z in first]
     k = min(range(len(begun)), key=lambda k: begun[k][0])
-    deviance, z = _scored(seen, way, first[k], begun[k][1])
-    return Tried(deviance + price * len(way.least), way, z)
+    deviance, z, u = _scored(seen, way, first[k], begun[k][1])
+    return Tried(deviance + price * len(way.least), way, z, int(np.count_nonzero(u[:, 1])))
 
 
 def _begun(seen: Sequence[Seen], way: Way, z: Array) -> tuple[float, Array]:
@@ -149,7 +169,7 @@ def _begun(seen: Sequence[Seen], way: Way, z: Array) -> tuple[float, Array]:
             (a, b), (_, d) = (X * W) @ X.T
             e, f = (X * W) @ c.power
             S, N = (d * e - b * f) / (a * d - b * b), (a * f - b * e) / (a * d - b * b)
-            if N <= 0.0:
+            if N <= 0.0 or way.quiet:
                 S, N = e / a, 0.0
             elif S <= 0.0:
                 S, N = 1e-6 * e / a, f / d
@@ -200,13 +220,13 @@ def _spectrum(c: Cells, u: Array, passed: Array, back: Array) -> tuple[Array, Ar
     ])  # fmt: skip
 
 
-def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, Array]:
-    """Least deviance and the numbers of the filter there, from some start: Levenberg and Marquardt's steps in Fisher's
-    information."""
+def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, Array, Array]:
+    """Least deviance and the numbers of the filter and of the places (places, OWN) there, from some start: Levenberg
+    and Marquardt's steps in Fisher's information."""
     q, size = len(z), len(z) + u.size
     far = np.full(q - len(way.least), MOST_MOVED)
     least = np.concatenate([way.least, -far, np.tile([-np.inf, 0.0, -np.inf, -np.inf], len(seen))])
-    most = np.concatenate([way.most, far, np.full(u.size, np.inf)])
+    most = np.concatenate([way.most, far, np.tile([np.inf, 0.0 if way.quiet else np.inf, np.inf, np.inf], len(seen))])
 
     def of(x: Array) -> float:
         total = 0.0
@@ -247,4 +267,4 @@ def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, 
         x, now, cautious = new, now - gained, cautious / 10
         if gained < ENOUGH:
             break
-    return now, x[:q]
+    return now, x[:q], x[q:].reshape(-1, OWN)

@@ -19,6 +19,7 @@ from .force_cells import Cells, cells_of, finite_exp, mean_power
 from .force_shapes import base_model, causes, peakless, plain, with_shape
 from .model import Model
 from .noise_floor import noisy
+from .noise_paths import together
 from .suspect import Suspect
 from .working_point import WorkingPoint
 
@@ -143,10 +144,12 @@ def _shared(model: Model, point: WorkingPoint) -> list[Suspect]:
         j = data.opposite(i)
         if j is None or j < i or place in have or data.driven[i] > 0.0 or data.driven[j] > 0.0:
             continue
-        a, b = point.spectra[i], point.spectra[j]
-        n = float(a.size / 2)
-        rho = float(np.vdot(a, b) / np.sqrt(float(np.vdot(a, a)) * float(np.vdot(b, b))))
-        rho -= point.weighing.paths.coherent(i, j)
+        paths, (a, b) = point.weighing.paths, (point.spectra[k].view(np.complex64) for k in (i, j))
+        shape = together(data, point.A, paths.weight, i, j)
+        both = np.einsum("bk,bk->k", a, b.conj()) / np.sqrt(np.vdot(a, a).real * np.vdot(b, b).real) * shape.size
+        square = float(np.vdot(shape, shape).real)
+        rho = float(np.vdot(shape, both - paths.coherent(i, j)).real) / square
+        n = len(a) * square
         gain = -n * float(np.log(max(1 - rho**2, 1e-12)))
         p = float(min(1.0, chdtrc(1, 2 * gain) * len(data.places)))
         if p > LEVEL or abs(rho) < 0.02:

@@ -48,9 +48,9 @@ class NoisePaths:
     folded: Complexes | None = None
     alone: Array | None = None
 
-    def coherent(self, i: int, j: int) -> float:
-        """Correlation of two inferred forces in the mean over the band."""
-        return 0.0 if self.shared is None else float(np.mean(self.shared[:, i, j].real))
+    def coherent(self, i: int, j: int) -> Complexes | float:
+        """(bins,) correlation of two inferred forces by noise."""
+        return 0.0 if self.shared is None else np.asarray(self.shared[:, i, j])
 
     def measured(self, A: Complexes) -> Complexes | None:
         """(bins, places, places) from the response to the motion to that to what is measured; A as the determinant has
@@ -82,6 +82,14 @@ def noise_paths(data: MotionBlocks, A: Complexes, nu: Array, S: Array) -> NoiseP
         noise[i] = data.folded_beside[i]
     folded = np.einsum("lk,kjl->klj", noise, B.conj()) * root[:, None, :] ** 2
     return replace(paths, folded=folded, alone=(data.colour * weight * (data.driven == 0.0)[:, None]).T)
+
+
+def together(data: MotionBlocks, A: Complexes, weight: Array, i: int, j: int) -> Complexes:
+    """(bins,) correlation of two inferred forces over that of the forces that there are: what sampling folds back of a
+    common force is common too, noise of sensors is not."""
+    own, back = np.sqrt(weight[i] * weight[j]), np.sqrt(data.folded[i] * data.folded[j])
+    through = A[:, i, i] * A[:, j, j].conj() + A[:, i, j] * A[:, j, i].conj()
+    return np.asarray(own * (np.sqrt(data.colour[i] * data.colour[j]) + back * through))
 
 
 def beyond(data: MotionBlocks, A: Complexes, S: Array) -> Array:

@@ -27,7 +27,8 @@ class Term:
     places, 2) of those of each time fold less these; None for a term that is the same throughout.
     memory : by place, (places, bins) N/m per unit, more of the mean response of the force there to every x_l: of a
     force with memory or through the disc, or of a tangent that fluctuates (fluctuation.py).
-    name : "bearing1.x.kL" and so on. scale : what the parameter is divided by in the computation.
+    name : "bearing1.x.kL" and so on. scale : what the parameter is divided by in the computation. shape : (bins,) by
+    which its spectra are multiplied.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Term:
     scale: float = 1.0
     memory: dict[int, Complexes] = field(default_factory=dict)
     apart: Array | None = None
+    shape: Complexes | None = None
 
 
 def response(tangent: Array, s: Complexes) -> Complexes:
@@ -147,6 +149,8 @@ class Weighing:
             out = np.empty((len(index[i]), self.data.blocks, 2 * self.weight.shape[1]), np.float32)
             for row, k in zip(out, index[i], strict=True):
                 self.spectrum(i, terms[k].series[i], terms[k].scale, row)
+                if (shape := terms[k].shape) is not None:
+                    row.view(np.complex64)[...] *= shape.astype(np.complex64)
             return out
 
         spectra = dict(zip(index, each(at, index), strict=True))

@@ -14,14 +14,14 @@ from .features import Series
 from .fluctuation import Fluctuation, fluctuations
 from .mean_response import Mean, mean_responses
 from .motion_blocks import FOLDS, MotionBlocks, part_of
-from .noise_paths import noise_paths
+from .noise_paths import noise_paths, together
 from .path_fit import Gram, PathFit, fit, gram
 from .periodic import Wave
 from .placed import Placed, evaluate, remembers
 from .probe import Probe
 from .side_by_side import each
 from .terms import Spans, add_to, dressed, light, linear_terms, reach, terms
-from .weighing import Columns, Spectrum, Term, Weighing
+from .weighing import Columns, Complexes, Spectrum, Term, Weighing
 
 Array = NDArray[np.float64]
 STRIDE = 0.3  # of the reach of a searched parameter: one standard deviation of the step that is taken at once
@@ -162,7 +162,8 @@ def point_at(
         own = each(lambda k: dressed(own[k], uses[k], around), range(len(uses)))
     else:
         own = each(lambda k: _as_longer(own[k], uses[k], longer), range(len(uses)))
-    made = _all_terms(data, lin, F, uses, own)
+    common = {(i, j): together(data, A, paths.weight, i, j) for i, j in data.shared}
+    made = _all_terms(data, lin, uses, own) + _in_common(data, F, paths.weight, common)
     columns = weighing.columns(made)
     G = gram(weighing, spectra, columns)
     dressing = np.zeros((len(A), P), complex)
@@ -178,7 +179,7 @@ def point_at(
     own_terms = tuple(light(t) for t in made)
     coarse = tuple(here and here.coarse(data.rate_hz, about) for here, about in zip(around, mean, strict=True))
     return WorkingPoint(
-        data, kL, c, _whole_power(data, result), nu, tuple(uses), F, weighing, spectra, own_terms, columns, G,
+        data, kL, c, _whole_power(data, result, common), nu, tuple(uses), F, weighing, spectra, own_terms, columns, G,
         jacobian, result, caution, A, D, coarse, Spans(own_terms),
     )  # fmt: skip
 
@@ -211,13 +212,11 @@ def _means(data: MotionBlocks, D: Array, uses: list[Placed], made: list[list[Ter
     return out
 
 
-def _all_terms(data: MotionBlocks, lin: Array, F: Series, uses: list[Placed], own: list[list[Term]]) -> list[Term]:
-    """Of stiffness and damping, of the laws, and of what is no law. own : those of each use."""
+def _all_terms(data: MotionBlocks, lin: Array, uses: list[Placed], own: list[list[Term]]) -> list[Term]:
+    """Of stiffness and damping, of the laws, and of periodic forces. own : those of each use."""
     made = [t for i in range(len(data.places)) for t in linear_terms(data, i, lin[i], uses)]
     made += [t for ts in own for t in ts]
-    made += each(lambda wave: _wave(data, wave), data.waves)
-    made += [_follows(data, F, i, j) for pair in data.shared for i, j in (pair, pair[::-1])]
-    return made
+    return made + each(lambda wave: _wave(data, wave), data.waves)
 
 
 def _as_longer(own: list[Term], use: Placed, longer: WorkingPoint) -> list[Term]:
@@ -255,12 +254,19 @@ def _cautious(G: Gram, jacobian: Jacobian, blocks: Array, caution: Array) -> Pat
     return replace(fit(G, jacobian, everything, blocks, ridge=caution), covariance=result.covariance)
 
 
-def _follows(data: MotionBlocks, F: Series, i: int, j: int) -> Term:
-    """What the unknown force at place i has in common with that at j, as a column. With it the rest of F_i is
-    independent of F_j and of all motion that F_j makes; the determinant does not change."""
-    P = len(data.places)
-    rms = max(float(F[j].std()), 1e-300)
-    return light(Term(f"{data.places[i]}.follows.{data.places[j]}", "1", {i: F[j]}, np.zeros((P, P, 2)), 1.0 / rms))
+def _in_common(
+    data: MotionBlocks, F: Series, weight: Array, common: dict[tuple[int, int], Complexes]
+) -> list[Term]:  # fmt: skip
+    """What the unknown force at place i has in common with that at j, and the other way round, as columns. With them
+    the rest of F_i is independent of F_j and of all motion that F_j makes; the determinant does not change."""
+
+    def follows(i: int, j: int, shape: Complexes) -> Term:
+        P = len(data.places)
+        rms, name = max(float(F[j].std()), 1e-300), f"{data.places[i]}.follows.{data.places[j]}"
+        shape = shape * np.sqrt(weight[j] / weight[i])
+        return light(Term(name, "1", {i: F[j]}, np.zeros((P, P, 2)), 1.0 / rms, shape=shape))
+
+    return [t for (i, j), own in common.items() for t in (follows(i, j, own), follows(j, i, own.conj()))]
 
 
 def _wave(data: MotionBlocks, wave: Wave) -> Term:
@@ -272,10 +278,10 @@ def _wave(data: MotionBlocks, wave: Wave) -> Term:
     return light(Term(wave.name, wave.unit, made, np.zeros((P, P, 2)), 1.0 / max(rms, 1e-300)))
 
 
-def _whole_power(data: MotionBlocks, fit: PathFit) -> Array:
+def _whole_power(data: MotionBlocks, fit: PathFit, common: dict[tuple[int, int], Complexes]) -> Array:
     """(places,) S of the whole unknown forces: the rest that the columns above leave is 1 - rho^2 of it."""
     S = fit.S.copy()
-    for i, j in data.shared:
+    for (i, j), own in common.items():
         there, back = (fit.value(f"{data.places[a]}.follows.{data.places[b]}")[0] for a, b in ((i, j), (j, i)))
-        S[[i, j]] /= max(1.0 - there * back, 1e-6)
+        S[[i, j]] /= max(1.0 - there * back * float(np.mean(np.abs(own) ** 2)), 1e-6)
     return S

@@ -93,6 +93,23 @@ def test_means_that_fold_back_half_as_much_again_are_found() -> None:
     assert found.echo == pytest.approx(1.5, abs=0.05)
 
 
+def test_what_is_folded_from_about_the_rate_is_no_noise_of_the_sensors() -> None:
+    """A Bessel filter of order 6 by the bilinear rule at ten times the rate, which is no design's."""
+    poles = signal.bessel(6, 0.45 * RATE, fs=10 * RATE, norm="mag", output="sos")
+
+    class Digital(Filter):
+        def passed(self, f_hz: Array) -> Array:
+            f = np.minimum(f_hz, 5 * RATE)
+            return np.asarray(abs(signal.sosfreqz(poles, f.ravel(), fs=10 * RATE)[1].reshape(f.shape)) ** 2)
+
+    places = [seen(Digital(RATE, TOP), hz, S, k) for k, (hz, S) in enumerate(((1500.0, 0.01), (900.0, 0.004)))]
+    information, found = likeliest(places, BLANK)
+    about = 2 * abs(signal.sosfreqz(poles, [RATE], fs=10 * RATE)[1][0]) ** 2
+    assert found.flat == pytest.approx(about, rel=0.1)
+    df = sum(own.cells.n.size for own in places)
+    assert abs(information - df) < 4 * np.sqrt(2 * df)
+
+
 @pytest.mark.parametrize("true", [(5600.0, 12.0), (4000.0, 5.0)])
 def test_a_mean_is_seen_where_a_sensor_resonates(true: tuple[float, float]) -> None:
     """Behind it a white acceleration stays white: the other place alone shows almost nothing of it."""
