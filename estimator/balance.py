@@ -23,7 +23,6 @@ from .model import MOTION, UNITS, Model, Setting
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 UNKNOWN = Setting()
-BESIDE_EDGE = 2.0  # of the lower edge of the band, that the disc resonates below it
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,11 +121,7 @@ def shaft_notch(model: Model) -> tuple[float, float] | None:
         return None
     springs = 2.0 if model.shaft == "chain" else 4.0
     resonance = float(np.sqrt(springs * model.shaft_stiffness / model.mass["disc"]) / (2 * np.pi))
-    width = model.band[0] / 6.0  # twice the resolution of the filters (bandlimit.half_length)
-    if resonance < BESIDE_EDGE * model.band[0]:
-        # the rotor's own mode with the disc is as near, a large motion, and at that distance what the filters hold of
-        # the reaction is 15 % off; at 1.8 times that 0.4 %
-        width *= 1.8
+    width = model.band[0] / 6.0  # four times the resolution of the filters (bandlimit.half_length)
     return resonance - width, resonance + width
 
 

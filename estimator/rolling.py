@@ -152,8 +152,10 @@ class RollingSpectral:
                 self._solve()
 
     def _standing(self, a: Floats) -> str:
-        """What to tell about a place whose acceleration (places, n) is none."""
-        rms = np.sqrt(np.einsum("cn,cn->c", a, a) / max(a.shape[1], 1))
+        """What to tell about a place whose acceleration (places, n) is none, if any is known."""
+        if not a.size:
+            return ""
+        rms = np.sqrt(np.einsum("cn,cn->c", a, a) / a.shape[1])
         usual = self._moves if self._moves.any() else np.full(len(a), rms.max(initial=0.0))
         still = np.flatnonzero(rms <= STILL * usual)
         return (
@@ -175,7 +177,6 @@ class RollingSpectral:
         if self._still:
             self._estimate = Estimate(self._seen, {}, 0.0, status=self._still)
             return
-        self._moves = record.rms("a")
         try:
             record, start = begin(record, 1, self._lines)
             self._grid = record.grid
@@ -183,7 +184,7 @@ class RollingSpectral:
         except DataError as e:
             self._estimate = Estimate(self._seen, {}, 0.0, status=str(e))
             return
-        self._next, self._ahead = record.motion.start, None
+        self._moves, self._next, self._ahead = record.rms("a"), record.motion.start, None
 
     def _settle(self, fitted: RollingFit) -> bool:
         """All of the first rows have been taken; False if too little of them was of use, and a new start is due."""

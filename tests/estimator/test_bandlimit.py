@@ -111,10 +111,10 @@ def test_a_sharp_resonance_at_the_edge_of_the_band_is_left_out_and_nothing_else(
     assert np.abs(found[(f > 0.55 * low) & (f < 1000.0)]).max() < 10 * k
 
 
-@pytest.mark.parametrize(("apart_hz", "most"), [(40.0, 0.02), (60.0, 0.002)])
+@pytest.mark.parametrize(("apart_hz", "most"), [(26.0, 0.001), (40.0, 0.0004)])
 def test_beside_a_sharp_resonance_that_is_left_out_the_response_is_right(apart_hz: float, most: float) -> None:
     """A disc of 992 Hz that rings for two seconds: 25 Hz on either side are left out, what comes after is to hold. A
-    reaction 5 and 2 % too large there made unknown masses 1 % too heavy."""
+    reaction 15 % off there was a pedestal of a complete model, and 5 % at 40 Hz made unknown masses 1 % too heavy."""
     k, m, c = 10e6, 0.515, 0.5
 
     def reaction(f: np.ndarray) -> np.ndarray:
