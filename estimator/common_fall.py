@@ -38,9 +38,10 @@ BEHIND = 12.0  # in deviance and a place, that causes of other kinds, two number
 def find(model: Model, point: WorkingPoint) -> RollOff | None:
     """None where nothing falls, or something else fits better. A place whose force has a colour in the model takes the
     filter that the others show, and so does one whose sensor's resonance is undone: what falls there is within that.
-    Where the others show none, it is sought with these shapes: filter_search.py."""
-    data, whole = point.data, [*range(len(point.data.places))]
-    if data.measured_force or point.kL.min() <= 0.0:
+    Where the others show none, it is sought with these shapes: filter_search.py. Places that cannot be judged, as
+    behind a clipped channel, take it too."""
+    data, whole = point.data, [*point.data.judged]
+    if data.measured_force or not whole or point.kL[whole].min() <= 0.0:
         return None
     shapes = [tuple(shape(model, place, name) for name in SHAPES) for place in data.places]
     shaped = {i: shapes[i] for i in whole if any(shapes[i])}

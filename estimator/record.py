@@ -147,14 +147,15 @@ def prepare(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None
         phase = np.asarray(2 * np.pi * turns_per_s / rate_hz * np.arange(motion.rows), dtype=np.float64)
     grid = layout(rate_hz, model.band, notches(model), CELLS if not forces else CELLS_WITH_FORCE)
     if (whole := valid_blocks(motion.valid, grid).size) < 8:
-        raise DataError(_too_little(model, grid, float(motion.valid.sum()) / rate_hz, whole))
+        raise DataError(_too_little(model, grid, motion, whole))
     return Record(model, rate_hz, motion, force, np.asarray(phase, np.float64), grid)
 
 
-def _too_little(model: Model, grid: Layout, seconds: float, whole: int) -> str:
-    """What is wrong with a record that has so many seconds of valid samples and so many whole blocks."""
+def _too_little(model: Model, grid: Layout, motion: Motion, whole: int) -> str:
+    """What is wrong with a record that has so few whole blocks: it is short, or in pieces."""
     length, low = grid.size / grid.rate_hz, f"band.low {model.band[0]:g} Hz"
-    if seconds < 6 * length:
+    seconds = float(motion.valid.sum()) / grid.rate_hz
+    if motion.rows < 6 * grid.size:
         return (
             f"the record has {seconds:.2f} s of valid samples, at least {6 * length:.1f} s are needed for {low}: "
             "record longer"
