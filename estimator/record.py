@@ -151,7 +151,7 @@ def prepare(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None
     return Record(model, rate_hz, motion, force, np.asarray(phase, np.float64), grid)
 
 
-def _too_little(model: Model, grid: Layout, motion: Motion, whole: int) -> str:
+def _too_little(model: Model, grid: Layout, motion: Motion | Filtered, whole: int) -> str:
     """What is wrong with a record that has so few whole blocks: it is short, or in pieces."""
     length, low = grid.size / grid.rate_hz, f"band.low {model.band[0]:g} Hz"
     seconds = float(motion.valid.sum()) / grid.rate_hz
