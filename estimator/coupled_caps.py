@@ -159,12 +159,12 @@ def _now(name: str, value: float) -> float:
 
 
 def _pairs(model: Model, point: WorkingPoint) -> list[tuple[int, int]]:
-    """Both caps of a direction, where no force is measured and a shaft is between."""
+    """Both caps of a direction, where no force is measured, a shaft is between and both can be judged."""
     data = point.data
     if not data.shaft.any() or data.measured_force or point.kL.min() <= 0.0:
         return []
-    opposite = [(i, data.opposite(i)) for i in range(len(data.places))]
-    return [(i, j) for i, j in opposite if j is not None and i < j]
+    opposite = [(i, data.opposite(i)) for i in data.judged]
+    return [(i, j) for i, j in opposite if j is not None and i < j and j in data.judged]
 
 
 def _told(model: Model, point: WorkingPoint, i: int, j: int) -> list[str]:

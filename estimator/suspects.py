@@ -19,7 +19,8 @@ Array = NDArray[np.float64]
 
 
 def suspects(model: Model, point: WorkingPoint, y: Array, everywhere: bool = False) -> list[Suspect]:
-    """Lines, shaped or shared forces, sensor faults, strongest first; of a clipped channel nothing else.
+    """Lines, shaped or shared forces, sensor faults, strongest first; of a clipped channel nothing else, nor of a place
+    that cannot be judged.
 
     A measured force has the shape and the company that it has: there, what bends the path to the motion is sought.
     everywhere : of clipped channels too, for a model that is known to have these effects there.
@@ -31,7 +32,8 @@ def suspects(model: Model, point: WorkingPoint, y: Array, everywhere: bool = Fal
         rest += bent_path.find(model, point, periodic.known_lines(_having(model, lines)))
     rest += coupled_caps.find(model, point)
     if not everywhere:
-        bad = {p for s in clipped for p in s.at} | clipped_by(model)
+        unknown = {p for i, p in enumerate(point.data.places) if i not in point.data.judged}
+        bad = {p for s in clipped for p in s.at} | clipped_by(model) | unknown
         rest = [kept for s in rest if (kept := _elsewhere(s, bad, point)) is not None]
     return clipped + sorted(rest, key=lambda s: -s.gain)
 
