@@ -11,7 +11,6 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing, record
 from estimator import missing_force
 from estimator.declip import ceilings, restored
 from estimator.diagnose import diagnose, diagnose_point
-from estimator.improve import improve
 from estimator.model import EffectUse
 from estimator.preparation import prepare
 from estimator.simulate import simulate
@@ -121,16 +120,3 @@ def test_what_is_not_known_of_a_cap_comes_to_the_other_through_a_stiff_shaft() -
         data = prepare(rig, simulate(rig, RATE, 3.0, seed=1), RATE)
         off = dict(zip(data.places, data.passed_on({"bearing1.x": np.inf}), strict=True))
         assert off == {"bearing1.x": np.inf, "bearing2.x": other, "bearing1.y": 0.0, "bearing2.y": 0.0}
-
-
-@pytest.mark.slow
-def test_of_caps_that_cannot_be_judged_no_fault_of_their_sensors_is_told_either() -> None:
-    """Behind a limiter at 0.9 of the rms, on a stiff shaft, the sensors' gains were called unlike, 40 % of the bearing
-    force, and a division by nothing ended the next step."""
-    rig = replace(coupled_on_a_stiff_shaft(), effects=())
-    y = simulate(rig, RATE, 20.0, seed=5, noise=0.02, full_scale=490.5)
-    top = 0.9 * y[:, 0].std()
-    y[:, 0] = np.clip(y[:, 0], -top, top)
-    ladder = improve(rig, y, RATE)
-    assert [e.name for e in ladder.model.effects] == ["sensor_clipping"]
-    assert ladder.last.verdict == "complete"
