@@ -105,33 +105,34 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         best = found.ranking[0] if found.ranking else None
         if found.verdict in ENDED or best is None:
             break
-        if best.placed:
-            richer = fit_model(point.data, [*point.placed, *best.placed], start=point)
-            if set(untold(richer)).issuperset(use.key for use in best.placed):
-                messages.append(f"{found.verdict} was named but is not told from zero when fitted: not added")
-                break
-            new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
-            # masses, shapes of spectra, and what the recorder takes and delays, were sought beside what was missing
-            taken = model.roll_off is not given.roll_off or common_fall.find(new_whole.model, richer)
-            shaped = any(use.name in SHAPING for use in model.effects)
-            if whole.masses or shaped or taken or recorder_phase.found(new_whole.model, richer):
-                again = replace(new_whole.model, mass=given.mass, roll_off=given.roll_off)
-                del richer, new_whole  # large, as is the last one, and the next is larger while it is made
+        try:
+            if best.placed:
+                richer = fit_model(point.data, [*point.placed, *best.placed], start=point)
+                if set(untold(richer)).issuperset(use.key for use in best.placed):
+                    messages.append(f"{found.verdict} was named but is not told from zero when fitted: not added")
+                    break
+                new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
+                # masses, shapes of spectra, and what the recorder takes and delays, were sought beside what was missing
+                taken = model.roll_off is not given.roll_off or common_fall.find(new_whole.model, richer)
+                shaped = any(use.name in SHAPING for use in model.effects)
+                if whole.masses or shaped or taken or recorder_phase.found(new_whole.model, richer):
+                    again = replace(new_whole.model, mass=given.mass, roll_off=given.roll_off)
+                    del richer, new_whole  # large, as is the last one, and the next is larger while it is made
+                    whole = replace(whole, point=(point := point.rowless()))
+                    new_whole = _refitted(again, y, rate_hz)
+            else:
+                # forces of time alone make products with the motion that pass for a stiffness that turns: sought again
+                before = replace(
+                    fitted_model(model, point),
+                    ball_pass_order=given.ball_pass_order, order_found=False, mass=given.mass,
+                )  # fmt: skip
+                if best.effect not in PERIODIC:  # a shape of the spectra that the recorder's filter was sought in
+                    before = replace(before, roll_off=given.roll_off)
                 whole = replace(whole, point=(point := point.rowless()))
-                new_whole = _refitted(again, y, rate_hz)
-        else:
-            # forces of time alone make products with the motion that pass for a stiffness that turns: sought again
-            before = replace(
-                fitted_model(model, point), ball_pass_order=given.ball_pass_order, order_found=False, mass=given.mass
-            )
-            if best.effect not in PERIODIC:  # a shape of the spectra that the recorder's filter was sought in
-                before = replace(before, roll_off=given.roll_off)
-            whole = replace(whole, point=(point := point.rowless()))
-            try:
                 new_whole = _with_found(before, given, best.settings, y, rate_hz)
-            except DataError as problem:  # far from the rotor
-                messages.append(f"{found.verdict} was named but no fit with it is sound ({problem}): not added")
-                break
+        except DataError as problem:  # far from the rotor
+            messages.append(f"{found.verdict} was named but no fit with it is sound ({problem}): not added")
+            break
         moved = shift
         if (data := new_whole.point.data).bins.size < point.data.bins.size:  # left out beside a crack
             moved = rungs[-1].heldout_nll - heldout_nll(fit_model(data, list(point.placed), start=point))
