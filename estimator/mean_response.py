@@ -19,6 +19,7 @@ from .rotor import shaft_at_caps, shaft_matrix
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 TAKES_PART = 0.01  # of the variance that white force makes by the largest mode: less is not waited for
+OVER = 1000  # times, to look for the end of an answer at
 FELT = 1e-6  # of the largest residue: modes with less are those of other caps
 
 
@@ -49,6 +50,17 @@ class Mean:
         """s in which free motion falls by e, in the slowest mode that takes part."""
         part = self._power > TAKES_PART * self._power.max()
         return float((-1.0 / self.poles.real[part]).max())
+
+    @property
+    def quick(self) -> float:
+        """The same in the mean over its modes, by their power."""
+        return float(self._power.sum() / (self._power @ np.abs(self.poles.real)))
+
+    def over(self, left: float) -> float:
+        """s after an impulse from which on only so much of the power of the answer is to come, by modes apart."""
+        power, decays = self._power / self._power.sum(), 2.0 * np.abs(self.poles.real)
+        t = np.linspace(0.0, -np.log(left) / decays[power > left].min(), OVER)
+        return float(t[np.argmax(np.exp(-np.multiply.outer(t, decays)) @ power <= left)])
 
     @property
     def stiffness(self) -> float:
