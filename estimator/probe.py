@@ -31,7 +31,7 @@ from .placed import Placed, remembers, tangent_series
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 SHARE, LEAST = 0.08, 2.0  # of a record that impulses go along, and s of it at least: their scatter beside the record's
-APART, SERIES = 0.375, (16, 128)  # decays between two impulses; series of them, launched one after the other
+APART, SERIES = 0.375, (16, 48)  # decays between two impulses; series of them, launched one after the other
 TO_COME = np.exp(-10.0)  # of the power of an answer, to where it is followed: five decays
 LEFT = 0.1  # power of the last eighth of an answer over that of the first, from which it does not die out
 PIECE = 1 << 14  # rows at a time
