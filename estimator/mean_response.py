@@ -57,10 +57,12 @@ class Mean:
         return float(self._power.sum() / (self._power @ np.abs(self.poles.real)))
 
     def over(self, left: float) -> float:
-        """s after an impulse from which on only so much of the power of the answer is to come, by modes apart."""
+        """s after an impulse from which on only so much of the power of the answer is to come, of modes that have more,
+        apart."""
         power, decays = self._power / self._power.sum(), 2.0 * np.abs(self.poles.real)
-        t = np.linspace(0.0, -np.log(left) / decays[power > left].min(), OVER)
-        return float(t[np.argmax(np.exp(-np.multiply.outer(t, decays)) @ power <= left)])
+        part = power > left
+        t = np.linspace(0.0, -1.01 * np.log(left) / decays[part].min(), OVER)
+        return float(t[np.argmax(np.exp(-np.multiply.outer(t, decays[part])) @ power[part] <= left)])
 
     @property
     def stiffness(self) -> float:
