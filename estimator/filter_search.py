@@ -8,7 +8,7 @@ c 9 % off). So what is undone of it is sought anew behind the filter. So is a co
 of a slow fall (behind a Bessel filter a gain of 12 was 14.6 and S 17 % low). With them designs differ by few nats, and
 a number costs as many as Schwarz asks: by Akaike's two, ripples of 1.5 dB were found behind a filter without any. So
 does the noise of each sensor where all of it may be folded back: behind a Bessel filter, what comes from about the rate
-passed for 40 times the noise that there was, and of a common force it was not in common then.
+passed for 4000 times the power of the noise that there was, and of a common force it was not in common then.
 """
 
 from __future__ import annotations
