@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +77,21 @@ class Tried:
     z: Array
     noisy: int
 
+    @property
+    def numbers(self) -> Array:
+        """The way's own."""
+        return self.z[: len(self.way.least)]
+
+    def more(self, name: str, first: float, least: float, most: float, quiet: bool = False) -> Way:
+        """The way with a number of Filter more."""
+        way = self.way
+
+        def made(z: Array) -> Filter:
+            own: dict[str, Any] = {name: float(z[-1])}
+            return replace(way.made(z[:-1]), **own)
+
+        return Way(made, ((*self.numbers.tolist(), first),), (*way.least, least), (*way.most, most), quiet)
+
 
 def likeliest(seen: Sequence[Seen], blank: Filter) -> tuple[float, Filter]:
     """Deviance, with what the numbers of the filter cost, behind the one that explains all best, and that filter: means
@@ -89,10 +105,12 @@ def likeliest(seen: Sequence[Seen], blank: Filter) -> tuple[float, Filter]:
     best = min(answers([partial(_tried, seen, way) for way in ways], ways), key=lambda one: one.information)
     for further in _further(best):
         best = min(best, _tried(seen, further), key=lambda one: one.information)
-    if (white := _white(best)) is not None and best.noisy == len(seen):
-        quiet, price = _tried(seen, white), float(np.log(sum(own.cells.n.size for own in seen)))
-        best = quiet if quiet.information < best.information + price * (best.noisy - 1) else best
-    return best.information, best.way.made(best.z[: len(best.way.least)])
+    off = best.way.made(best.numbers)
+    if not off.nepers and best.noisy == len(seen):  # all that looks like noise may be folded back
+        white = _tried(seen, best.more("flat", 0.01, 0.0, MOST_FLAT, quiet=True))
+        if white.information < best.information + _schwarz(seen) * (best.noisy - 1):
+            best, off = white, white.way.made(white.numbers)
+    return best.information, off
 
 
 def _ways(blank: Filter) -> Iterator[Way]:
@@ -117,27 +135,11 @@ def _ways(blank: Filter) -> Iterator[Way]:
 
 def _further(found: Tried) -> Iterator[Way]:
     """The filter found with a number more: means behind its poles; another share of what it folds back."""
-    way, z = found.way, found.z[: len(found.way.least)]
-    off, numbers = way.made(z), tuple(z.tolist())
+    off = found.way.made(found.numbers)
     if off.poles:
-        first = ((*numbers, 0.5),)
-        yield Way(
-            lambda z: replace(way.made(z[:-1]), means=float(z[-1])), first, (*way.least, 0.0), (*way.most, MOST_MEANS)
-        )
+        yield found.more("means", 0.5, 0.0, MOST_MEANS)
     if not off.nepers:
-        least, most = (*way.least, 1 / MOST_ECHO), (*way.most, MOST_ECHO)
-        yield Way(lambda z: replace(way.made(z[:-1]), echo=float(z[-1])), ((*numbers, 1.0),), least, most)
-
-
-def _white(found: Tried) -> Way | None:
-    """The filter found with what looks like noise folded back, if it folds anything."""
-    way, z = found.way, found.z[: len(found.way.least)]
-    if way.made(z).nepers:
-        return None
-    return Way(
-        lambda z: replace(way.made(z[:-1]), flat=float(z[-1])),
-        ((*z.tolist(), 0.01),), (*way.least, 0.0), (*way.most, MOST_FLAT), True,
-    )  # fmt: skip
+        yield found.more("echo", 1.0, 1 / MOST_ECHO, MOST_ECHO)
 
 
 def _squares(poles: tuple[float, ...]) -> Array:
@@ -148,13 +150,18 @@ def _squares(poles: tuple[float, ...]) -> Array:
 
 def _tried(seen: Sequence[Seen], way: Way) -> Tried:
     shapes = sum((own.undone is not None) + (own.colour is not None) for own in seen)
-    price = float(np.log(sum(own.cells.n.size for own in seen))) if shapes else 2.0
+    price = _schwarz(seen) if shapes else 2.0
     still = [0.0] * (2 * shapes)
     first = [np.array([*z, *still]) for z in way.first]
     begun = [_begun(seen, way, z) for z in first]
     k = min(range(len(begun)), key=lambda k: begun[k][0])
     deviance, z, u = _scored(seen, way, first[k], begun[k][1])
     return Tried(deviance + price * len(way.least), way, z, int(np.count_nonzero(u[:, 1])))
+
+
+def _schwarz(seen: Sequence[Seen]) -> float:
+    """What a number costs in deviance."""
+    return float(np.log(sum(own.cells.n.size for own in seen)))
 
 
 def _begun(seen: Sequence[Seen], way: Way, z: Array) -> tuple[float, Array]:

@@ -100,6 +100,11 @@ class MotionBlocks:
         return tuple(i for i in range(len(self.places)) if self.unsure(i) < np.inf)
 
     @property
+    def lost(self) -> frozenset[str]:
+        """The places that cannot."""
+        return frozenset(self.places).difference(self.places[i] for i in self.judged)
+
+    @property
     def blocks(self) -> int:
         return int(self.start.size)
 

@@ -32,8 +32,7 @@ def suspects(model: Model, point: WorkingPoint, y: Array, everywhere: bool = Fal
         rest += bent_path.find(model, point, periodic.known_lines(_having(model, lines)))
     rest += coupled_caps.find(model, point)
     if not everywhere:
-        unknown = {p for i, p in enumerate(point.data.places) if i not in point.data.judged}
-        bad = {p for s in clipped for p in s.at} | clipped_by(model) | unknown
+        bad = {p for s in clipped for p in s.at} | clipped_by(model) | point.data.lost
         rest = [kept for s in rest if (kept := _elsewhere(s, bad, point)) is not None]
     return clipped + sorted(rest, key=lambda s: -s.gain)
 

@@ -67,9 +67,7 @@ class Whole:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
-        data = self.point.data
-        lost = {place for i, place in enumerate(data.places) if i not in data.judged}
-        found = untold_at(lost, SPOILED, parameters(self.point)) | self.beside
+        found = untold_at(self.point.data.lost, SPOILED, parameters(self.point)) | self.beside
         found = unknown_mass.widened(self.model, found, self.masses)
         return untold_at(unknown_mass.unknown(self.model), unknown_mass.FREE, found, "N") | self.masses
 
@@ -190,8 +188,7 @@ def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None =
         if stepped:
             point = fit_record(model, prepared(model))
     told = [f"{place}: {RESTORED if error < np.inf else LOST}" for place, error in sorted(off.items())]
-    spoiled = {p for i, p in enumerate(point.data.places) if i not in point.data.judged}.difference(off)
-    told += [f"{place}: nothing is told of it: {SPOILED}" for place in sorted(spoiled)]
+    told += [f"{place}: nothing is told of it: {SPOILED}" for place in sorted(point.data.lost.difference(off))]
     messages = (*_several(model, further), *told)
     return Whole(model, point, found | _levels(model, found, point), messages)
 

@@ -254,9 +254,7 @@ def _cautious(G: Gram, jacobian: Jacobian, blocks: Array, caution: Array) -> Pat
     return replace(fit(G, jacobian, everything, blocks, ridge=caution), covariance=result.covariance)
 
 
-def _in_common(
-    data: MotionBlocks, F: Series, weight: Array, common: dict[tuple[int, int], Complexes]
-) -> list[Term]:  # fmt: skip
+def _in_common(data: MotionBlocks, F: Series, weight: Array, common: dict[tuple[int, int], Complexes]) -> list[Term]:
     """What the unknown force at place i has in common with that at j, and the other way round, as columns. With them
     the rest of F_i is independent of F_j and of all motion that F_j makes; the determinant does not change."""
 
