@@ -14,13 +14,13 @@ from estimator.effects.strength import size, strengths, with_effect
 from estimator.fluctuation import Fluctuation, fluctuations
 from estimator.hidden_states import along
 from estimator.linearised import passed, together
-from estimator.mean_response import mean_responses
+from estimator.mean_response import alone, mean_responses
 from estimator.model import EffectUse
 from estimator.model_fit import fit_model
 from estimator.model_uses import placed_of
 from estimator.placed import Placed
 from estimator.preparation import prepare
-from estimator.probe import Probe
+from estimator.probe import Probe, probed
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 from estimator.working_point import thinned
@@ -138,6 +138,24 @@ def test_a_probe_and_covariances_say_the_same_of_a_law_that_remembers_nothing() 
     assert np.linalg.norm(weight * (sent.whole - known.whole)) < 0.15 * np.linalg.norm(weight * known.whole)
     near = slice(int(np.searchsorted(data.f_hz, 900.0)), int(np.searchsorted(data.f_hz, 1300.0)))
     assert abs((sent.whole - known.whole)[near].mean()) < 0.1 * abs(known.whole[near].mean())
+
+
+def test_an_answer_may_have_any_number_of_lags() -> None:
+    """Twice a multiple of its series, which are between 16 and 48 beside a disc that rings longer than the cap."""
+    rig = one_bearing()
+    data = prepare(rig, record(rig, "quadratic_damping", 0.06, seed=5, seconds=4.0), RATE)
+    lin = np.array([0.2, 9e6, 60.0])
+    cap = alone(0.2, 60.0, 9e6)
+    idle = Placed(BOUC_WEN, "idle", (0,), np.array([1.0, data.rms[0, 0]]), (True, True))
+    taken = set()
+    for slower in (1.4, 1.7, 2.0, 2.3):
+        disc = complex(cap.poles[0].real / slower, 2 * np.pi * 300.0)
+        mean = replace(cap, poles=np.append(cap.poles, disc), residues=np.append(cap.residues, 0.2 * cap.residues))
+        sent = probed(data, data.f_hz, 0, [idle], mean, lin)
+        assert isinstance(sent, Probe)
+        assert np.isfinite(sent.whole).all()
+        taken.add(sent.lags % 8)
+    assert taken != {0}
 
 
 @pytest.mark.slow
