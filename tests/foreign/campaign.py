@@ -15,26 +15,31 @@ from typing import Any
 
 import numpy as np
 
-from .hidden import CATALOGUE, OF_FORCE, OF_SENSOR, OUTSIDE
-from .record import RATE_HZ, Case, made, rig_file
+from .hidden import CATALOGUE, FORMS, OF_FORCE, OF_SENSOR, OUTSIDE
+from .record import Case, made, rig_file
 
+WHOLE_KINDS: dict[str, tuple[str, ...]] = {
+    "catalogue": CATALOGUE, "outside": OUTSIDE, "forms": tuple(FORMS), "pairs": ("",),
+}  # fmt: skip
 ONE_PLACE = (*OF_SENSOR, *OF_FORCE, "crack", "imbalance", "bow")
 
 
-def cases(kinds: list[str], seeds: range, strengths: list[str], seconds: float, growth: float) -> Iterator[Case]:
-    """All cases of the kinds asked for: names of effects (+ between several), complete, outside, catalogue, pairs."""
+def cases(
+    kinds: list[str], seeds: range, strengths: list[str], seconds: float, growth: float, varied: bool
+) -> Iterator[Case]:
+    """All cases of the kinds asked for: names of effects (+ between several), complete, outside, forms, catalogue,
+    pairs."""
     for seed in seeds:
         for kind in kinds:
             if kind == "complete":
-                yield Case({}, "-", seed, seconds, growth)
+                yield Case({}, "-", seed, seconds, growth, varied)
                 continue
             rng = np.random.default_rng([seed, 4])
-            names = {"catalogue": list(CATALOGUE), "outside": list(OUTSIDE), "pairs": [""]}.get(kind, [kind])
-            for name in names:
+            for name in WHOLE_KINDS.get(kind, (kind,)):
                 for strength in strengths:
                     chosen = name.split("+") if name else [str(n) for n in rng.choice(CATALOGUE, 2, replace=False)]
                     at = {n: "bearing1" if n in ONE_PLACE or rng.uniform() < 0.5 else "both" for n in chosen}
-                    yield Case(at, strength, seed, seconds, growth)
+                    yield Case(at, strength, seed, seconds, growth, varied)
 
 
 def run(case: Case, folder: Path) -> dict[str, Any]:
@@ -46,16 +51,16 @@ def run(case: Case, folder: Path) -> dict[str, Any]:
     (path / "rig.toml").write_text(rig_file(rig, base))
     told = {"hidden": case.hidden, "rig": rig, "truth": truth}
     (path / "truth.json").write_text(json.dumps(told, indent=1, default=float))
-    channels = {f"b{n}{d}": y[:, 2 * (n - 1) + k] for n in (1, 2) for k, d in enumerate("xy")}
-    np.savez(path / "record.npz", rate_hz=RATE_HZ, **channels)
+    channels = dict(zip(rig["channels"], y.T, strict=True))
+    np.savez(path / "record.npz", rate_hz=rig["rate"], **channels)
     del y, channels
     _rotorscope("import", path / "record.npz", "--rig", path / "rig.toml", "--out", path / "record.mcap")
     (path / "record.npz").unlink()
     begun = time.perf_counter()
     found = _rotorscope("improve", path / "record.mcap", "--rig", path / "rig.toml", "--out", path / "better.toml")
     said = {
-        "key": case.key, "base": base, "recorder": rig["recorder"], "stiff": rig["ks"] > 0.1 * min(rig["kL"].values()),
-        "seconds": time.perf_counter() - begun,
+        "key": case.key, "base": base, "recorder": rig["recorder"], "shaft": rig["shaft"],
+        "stiff": rig["ks"] > 0.1 * min(rig["kL"].values()), "seconds": time.perf_counter() - begun,
     }  # fmt: skip
     if "ladder" not in found:
         return said | {"error": found.get("error", "")}
@@ -86,18 +91,20 @@ def _rotorscope(*words: object) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
-    kinds = "catalogue, complete, outside, pairs or names of effects (+ between several), by commas"
-    parser.add_argument("--kinds", default="catalogue", help=kinds)
+    known = "catalogue, complete, outside, forms, pairs or names of effects (+ between several), by commas"
+    parser.add_argument("--kinds", default="catalogue", help=known)
     parser.add_argument("--seeds", default="0:1", help="first:end")
     parser.add_argument("--strengths", default="weak,strong")
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--growth", type=float, default=1.0)
+    parser.add_argument("--varied", action="store_true", help="other shafts, rates, sets of channels, sensors")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / "runs.jsonl"
     done = {json.loads(line)["key"] for line in path.read_text().splitlines()} if path.exists() else set()
+    kinds, strengths = given.kinds.split(","), given.strengths.split(",")
     seeds = range(*map(int, given.seeds.split(":")))
-    for case in cases(given.kinds.split(","), seeds, given.strengths.split(","), given.seconds, given.growth):
+    for case in cases(kinds, seeds, strengths, given.seconds, given.growth, given.varied):
         if case.key in done:
             continue
         result = run(case, given.out)
@@ -109,6 +116,7 @@ def main() -> None:
 def line_of(result: dict[str, Any]) -> str:
     """One run for the eye: the missing force along the ladder, what was added, and the worst number in its sds."""
     shaft = "stiff" if result["stiff"] else "soft"
+    shaft = shaft if result["shaft"] == "chain" else result["shaft"]
     begun = f"{result['key']:45s} {result['recorder']:13s} {shaft:5s} {result['seconds']:4.0f} s  "
     if "error" in result:
         return begun + str(result["error"])

@@ -13,18 +13,29 @@ Array = NDArray[np.float64]
 # Of the rms bearing force; of a stiffness what no straight line in x explains of it.
 SHARE = {"weak": 0.02, "strong": 0.06}
 OUTSIDE = ("saturating", "rippled", "smooth")  # laws that the catalogue does not have
+# What another author may write for an effect of the catalogue: its name there.
+FORMS = {
+    "smooth_friction": "coulomb", "smooth_clearance": "clearance", "stribeck": "coulomb", "other_loop": "bouc_wen",
+    "half_sine_strikes": "local_defect", "two_orders": "ball_pass", "warming": "stiffness_drift",
+    "off_centre": "quadratic",
+}  # fmt: skip
 OF_CAP = (
     "cubic", "quintic", "quadratic", "clearance", "stop", "coulomb", "quadratic_damping", "displacement_damping",
     "bouc_wen", "ball_pass", "stiffness_drift", "local_defect", *OUTSIDE,
+    *FORMS,
 )  # fmt: skip
 OF_DIRECTION = (*OF_CAP, "pedestal", "line", "misalignment")
 OF_BOTH_DIRECTIONS = ("hertz", "rub", "cross_coupling", "anisotropy", "gyroscopic")
 LINEAR = ("cross_coupling", "anisotropy", "gyroscopic", "pedestal")
-WHOLE = ("coulomb", "quadratic_damping", "displacement_damping", "bouc_wen", "ball_pass", "local_defect")
+WHOLE = (
+    "coulomb", "quadratic_damping", "displacement_damping", "bouc_wen", "ball_pass", "local_defect", "smooth_friction",
+    "stribeck", "other_loop", "half_sine_strikes", "two_orders",
+)  # fmt: skip
 OF_TIME = ("imbalance", "misalignment", "bow", "line")
 OF_FORCE = ("correlated_force", "coloured_excitation")
 OF_SENSOR = ("sensor_gain", "sensor_clipping", "sensor_skew", "sensor_resonance", "sensor_noise")
-CATALOGUE = (*OF_CAP[:-3], *OF_BOTH_DIRECTIONS, "pedestal", "crack", *OF_TIME, *OF_FORCE, *OF_SENSOR)
+OF_CATALOGUE = OF_CAP[: -len(OUTSIDE) - len(FORMS)]
+CATALOGUE = (*OF_CATALOGUE, *OF_BOTH_DIRECTIONS, "pedestal", "crack", *OF_TIME, *OF_FORCE, *OF_SENSOR)
 PARAMETERS = {  # in the order that `numbers` gives them
     "cubic": "kNL", "quintic": "k5", "quadratic": "kq", "clearance": "k gap", "stop": "k gap", "coulomb": "fc",
     "quadratic_damping": "cq", "displacement_damping": "cx", "bouc_wen": "k slip", "ball_pass": "k_cos k_sin order",
@@ -91,10 +102,18 @@ def numbers(name: str, share: float, at: Size, rng: np.random.Generator) -> tupl
         "saturating": (1.0, spread(0.6, 1.5) * x),
         "rippled": (1.0, spread(0.25, 0.5) * x),
         "smooth": (1.0, spread(0.7, 1.2) * x, spread(-1, 1), spread(-1, 1)),
+        "smooth_friction": (1.0, spread(0.1, 0.3) * v),
+        "smooth_clearance": (1.0, spread(0.5, 1.3) * x, 0.1 * x),
+        "stribeck": (1.0, spread(0.3, 0.8) * v, 0.5),
+        "other_loop": (1.0, spread(0.5, 1.5) * x, spread(0.6, 0.9)),
+        "half_sine_strikes": (1.0, at.order, spread(0.0, 6.28), spread(1e-4, 4e-4), spread(0.0, 0.02)),
+        "two_orders": (*(np.array([np.cos(a := spread(0, 6.28)), np.sin(a)])), at.order),
+        "warming": (1.0, spread(0.2, 0.5) * at.seconds),
+        "off_centre": (1.0, spread(0.3, 0.8) * x),
     }
     one = shape.get(name, (1.0,))
     rms = rest_of_line(name, one, at, rng)
-    amplitudes = 2 if name in ("ball_pass", "rub") else 1
+    amplitudes = 2 if name in ("ball_pass", "two_orders", "rub") else 1
     scaled = [wanted / rms * q for q in one[:amplitudes]]
     return tuple(float(q) for q in (*scaled, *one[amplitudes:]))
 
@@ -105,14 +124,15 @@ def rest_of_line(name: str, one: tuple[float, ...], at: Size, rng: np.random.Gen
     n = 20_000
     x, v, xo = rng.standard_normal((3, n)) * np.array([at.x, at.v, at.x])[:, None]
     t, z = rng.uniform(0.0, at.seconds, n), np.zeros(n)
-    if name == "bouc_wen":
+    if name in ("bouc_wen", "other_loop"):
+        beta = one[2] if name == "other_loop" else 0.5
         w = at.v / at.x
         dt = 0.01 / w
         swing = 1.0 + 0.3 * np.sin(0.02 * w * dt * np.arange(n))
         angle = w * dt * np.arange(n)
         x, v = np.sqrt(2) * at.x * swing * np.sin(angle), np.sqrt(2) * at.v * swing * np.cos(angle)
         for k in range(1, n):
-            z[k] = z[k - 1] + dt * (v[k] - (abs(v[k]) * z[k - 1] + v[k] * abs(z[k - 1])) / (2 * one[1]))
+            z[k] = z[k - 1] + dt * (v[k] - (beta * abs(v[k]) * z[k - 1] + (1 - beta) * v[k] * abs(z[k - 1])) / one[1])
     p = np.array([*one, *np.zeros(5 - len(one))])
     f = np.array([push(LAWS.index(name), p, *q, at.turn, m) for *q, m in zip(x, v, xo, t, z, strict=True)])
     if name in WHOLE:

@@ -19,7 +19,10 @@ LAWS = (
     "cubic", "quintic", "quadratic", "clearance", "stop", "hertz", "coulomb", "quadratic_damping",
     "displacement_damping", "bouc_wen", "ball_pass", "crack", "stiffness_drift", "local_defect", "rub",
     "saturating", "rippled", "smooth",
+    "smooth_friction", "smooth_clearance", "stribeck", "other_loop", "half_sine_strikes", "two_orders", "warming",
+    "off_centre",
 )  # fmt: skip
+FULL_LOOP = LAWS.index("other_loop")
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +113,29 @@ def push(kind, p, x, v, xo, t, turn, z):  # type: ignore[no-untyped-def]  # prag
         return p[0] * p[1] * np.tanh(x / p[1])
     if kind == 16:
         return p[0] * p[1] * np.sin(x / p[1])
-    return p[0] * p[1] * (np.sin(x / p[1]) + p[2] * np.sin(2 * x / p[1]) + p[3] * np.sin(3 * x / p[1]))
+    if kind == 17:
+        return p[0] * p[1] * (np.sin(x / p[1]) + p[2] * np.sin(2 * x / p[1]) + p[3] * np.sin(3 * x / p[1]))
+    if kind == 18:
+        return p[0] * np.tanh(v / p[1])
+    if kind == 19:  # a dead zone with round corners, p[2] wide
+        up, down = (x - p[1]) / p[2], (-x - p[1]) / p[2]
+        return p[0] * p[2] * (np.log1p(np.exp(-abs(up))) + max(up, 0.0) - np.log1p(np.exp(-abs(down))) - max(down, 0.0))
+    if kind == 20:
+        return p[0] * (1.0 + p[2] * np.exp(-abs(v) / p[1])) * np.tanh(v / (0.05 * p[1]))
+    if kind == 21:
+        return p[0] * z
+    if kind == 22:  # p[3] s long, each early or late by p[4] of a period
+        period = 2 * np.pi / (p[1] * turn)
+        n = np.floor(t / period)
+        late = (np.sin(12.9898 * (n + p[2])) * 43758.5453) % 1.0 - 0.5
+        since = t - n * period - (0.3 + p[4] * late) * period
+        return -p[0] * np.sin(np.pi * since / p[3]) if 0.0 < since < p[3] else 0.0
+    if kind == 23:
+        angle = p[2] * turn * t
+        return (p[0] * np.cos(angle) + p[1] * np.sin(angle) + 0.4 * p[0] * np.cos(2 * angle)) * x
+    if kind == 24:
+        return p[0] * (1.0 - np.exp(-t / p[1])) * x
+    return p[0] * ((x + p[1]) ** 3 - p[1] ** 3)
 
 
 @njit(cache=False)
@@ -134,6 +159,9 @@ def steps(state, memory, step, drive, rate, inverse, forces, kinds, dofs, beside
             if kinds[i] == 9:
                 z = memory[i]
                 memory[i] = z + dt * (v - (abs(v) * z + v * abs(z)) / (2 * numbers[i, 1]))
+            if kinds[i] == FULL_LOOP:  # beta and gamma of its own: it unloads steeper than it loads
+                z, beta = memory[i], numbers[i, 2]
+                memory[i] = z + dt * (v - (beta * abs(v) * z + (1 - beta) * v * abs(z)) / numbers[i, 1])
             law[d] += push(kinds[i], numbers[i], x, v, state[o], t, turn, memory[i])
         for d in range(n):
             a = 0.0

@@ -19,6 +19,11 @@ RATE_HZ = 25600.0
 RECORDERS = ("linear phase", "linear phase", "linear phase", "butterworth", "bessel", "mean")
 ORDER = 2.1  # ball passes a turn
 DOFS = ("bearing1.x", "bearing2.x", "disc.x", "bearing1.y", "bearing2.y", "disc.y")
+SHAFTS = {
+    "chain": [[1.0, 0, -1], [0, 1, -1], [-1, -1, 2]],
+    "beam": [[1.0, 1, -2], [1, 1, -2], [-2, -2, 4]],
+    "none": [[0.0, 0, 0], [0, 0, 0], [0, 0, 1]],  # a disc that nothing sees
+}
 AT = {name: i for i, name in enumerate(DOFS)}
 
 
@@ -31,11 +36,12 @@ class Case:
     seed: int
     seconds: float = 60.0
     growth: float = 1.0  # of the rms of the unknown force along the record
+    varied: bool = False  # another shaft, rate, set of channels, sensors of other kinds: see `_varied`
 
     @property
     def key(self) -> str:
         what = "+".join(f"{name}@{at}" for name, at in self.hidden.items()) or "complete"
-        return f"{what}/{self.strength}/{self.seed}"
+        return f"{what}/{self.strength}/{self.seed}{'/varied' * self.varied}"
 
     def rng(self, use: int) -> np.random.Generator:
         """Random numbers of this case alone."""
@@ -62,18 +68,46 @@ def _draw(case: Case) -> dict[str, Any]:
         log(0.005, 0.03)), "cs": log(0.2, 2.0), "rpm": log(1500.0, 9000.0) * (4.0 if "crack" in case.hidden else 1.0),
         "low": rng.uniform(110.0, 250.0), "high": rng.uniform(6000.0, 9000.0), "noise": log(3e-4, 5e-3),
         "cubic": rng.uniform() < 0.6, "oversample": int(rng.choice([8, 10, 12])),
-        "recorder": str(rng.choice(RECORDERS)),
+        "recorder": str(rng.choice(RECORDERS)), "shaft": "chain", "rate": RATE_HZ,
+        "channels": [f"b{n}{d}" for n in (1, 2) for d in "xy"], "kind": "acceleration", "unit": "m/s^2",
+        "high_pass": 0.0, "offset": 0.0, "known": True,
+    }  # fmt: skip
+
+
+# kind of sensor -> units and their SI values
+UNITS = {"acceleration": {"m/s^2": 1.0, "g": 9.80665}, "velocity": {"mm/s": 1e-3}, "displacement": {"um": 1e-6}}
+
+
+def _varied(rig: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+    """The rig on another shaft or none, recorded at another rate by fewer channels, or others, coupled to AC."""
+    shaft = str(rng.choice(["chain", "beam", "none"]))
+    sets = [["b1x", "b2x"], rig["channels"]] + ([["b1x", "b1y"], ["b1x"]] if shaft == "none" else [])
+    kind = str(rng.choice(["acceleration"] * 4 + ["velocity"]))
+    rate = float(rng.choice([20000.0, 25600.0, 51200.0]))
+    return rig | {
+        "shaft": shaft, "channels": sets[int(rng.integers(len(sets)))], "kind": kind, "rate": rate,
+        "unit": str(rng.choice([*UNITS[kind]])), "high_pass": float(rng.choice([0.0, 0.5, 5.0])),
+        "offset": float(rng.choice([0.0, 0.1])), "known": bool(rng.uniform() < 0.7),
+        "high": min(rig["high"], 0.38 * rate), "oversample": 4 if rate > 50e3 else rig["oversample"],
     }  # fmt: skip
 
 
 def rig_file(rig: dict[str, Any], base: list[str]) -> str:
     """What the user knows of it."""
-    sensor = 'kind = "acceleration"\nunit = "m/s^2"\n'
+    sensor = f'kind = "{rig["kind"]}"\nunit = "{rig["unit"]}"\n'
     channels = "".join(
-        f'[[channel]]\nname = "b{n}{d}"\nnode = "bearing{n}"\ndirection = "{d}"\n{sensor}' for n in (1, 2) for d in "xy"
+        f'[[channel]]\nname = "{c}"\nnode = "bearing{c[1]}"\ndirection = "{c[2]}"\n{sensor}' for c in rig["channels"]
     )
+    name = f'schema = 1\n[rig]\nname = "foreign"\nshaft = "{rig["shaft"]}"\n'
+    turns = f"speed_rpm = {rig['rpm']!r}\nball_pass_order = {ORDER}\n" if rig["known"] else ""
+    if rig["shaft"] == "none":
+        masses = "".join(f"bearing{n} = {rig['m'][n - 1]!r}\n" for n in sorted({int(c[1]) for c in rig["channels"]}))
+        return (
+            f"{name}{turns}[rig.mass]\n{masses}[band]\nlow = {rig['low']:.1f}\nhigh = {rig['high']:.1f}\n"
+            f"[model]\neffects = {base}\n{channels}"
+        )
     return (
-        f'schema = 1\n[rig]\nname = "foreign"\nshaft = "chain"\nspeed_rpm = {rig["rpm"]!r}\nball_pass_order = {ORDER}\n'
+        f"{name}{turns}"
         f'[rig.mass]\ndisc = {rig["disc"]!r}\nbearing1 = {rig["m"][0]!r}\nbearing2 = {rig["m"][1]!r}\n'
         f'[rig.shaft_spring]\nstiffness = {rig["ks"]!r}\ndamping = {rig["cs"]!r}\n'
         f"[band]\nlow = {rig['low']:.1f}\nhigh = {rig['high']:.1f}\n[model]\neffects = {base}\n{channels}"
@@ -101,10 +135,10 @@ class Bench:
 
     def __post_init__(self) -> None:
         rig, n = self.rig, len(DOFS)
-        chain = np.kron(np.eye(2), [[1.0, 0, -1], [0, 1, -1], [-1, -1, 2]])
+        shaft = np.kron(np.eye(2), SHAFTS[rig["shaft"]])
         self.M = np.diag([*rig["m"], rig["disc"]] * 2)
-        self.K = rig["ks"] * chain + np.diag([rig["kL"].get(d, 0.0) for d in DOFS])
-        self.C = rig["cs"] * chain + np.diag([rig["c"].get(d, 0.0) for d in DOFS])
+        self.K = rig["ks"] * shaft + np.diag([rig["kL"].get(d, 0.0) for d in DOFS])
+        self.C = rig["cs"] * shaft + np.diag([rig["c"].get(d, 0.0) for d in DOFS])
         self.S = np.array([rig["S"].get(d, 0.0) for d in DOFS])
         self.truth = {f"{place}.{q}": rig[q][place] for place in rig["kL"] for q in ("kL", "c", "S")}
         P = self.rotor().covariance()
@@ -194,8 +228,10 @@ class Bench:
 
 
 def made(case: Case) -> tuple[Bench, list[str], Array]:
-    """The rotor with its truth, the effects of its rig file, and (n, 4) counts times scale in m/s^2."""
+    """The rotor with its truth, the effects of its rig file, and (n, channels) counts times scale in their unit."""
     rig = _draw(case)
+    if case.varied:
+        rig = _varied(rig, case.rng(5))
     bench = Bench(rig, case, case.rng(2))
     base = ["cubic"] if rig["cubic"] and "cubic" not in case.hidden else []
     for name in base:
@@ -207,9 +243,9 @@ def made(case: Case) -> tuple[Bench, list[str], Array]:
 
 
 def _recorded(bench: Bench) -> tuple[float, Array]:
-    """(m/s^2 a count, (n, 4) m/s^2) as a recorder keeps it."""
+    """(unit a count, (n, channels) in that unit) as a recorder keeps it."""
     case, rig, S = bench.case, bench.rig, bench.S
-    rate, rng = RATE_HZ * rig["oversample"], case.rng(3)
+    rate, rng = rig["rate"] * rig["oversample"], case.rng(3)
     first, second = AT["bearing1.x"], AT["bearing2.x"]
     gain, corner = bench.shape.get("coloured_excitation", (0.0, 1.0))
     low_pass, state = signal.bilinear([2 * np.pi * corner], [1.0, 2 * np.pi * corner], rate), np.zeros(1)
@@ -229,9 +265,11 @@ def _recorded(bench: Bench) -> tuple[float, Array]:
             out[:, dof] += np.real(amplitude * np.exp(1j * w * t))
         return out
 
-    caps = [AT[f"bearing{e}.{d}"] for e in (1, 2) for d in "xy"]
+    caps = [AT[f"bearing{c[1]}.{c[2]}"] for c in rig["channels"]]
     chunks = motion(bench.rotor(), force, rate, case.seconds, case.rng(4))
-    a = np.concatenate([out[3][:, caps].astype(np.float32) for out in chunks])
+    which = {"displacement": 1, "velocity": 2, "acceleration": 3}[rig["kind"]]
+    unit = UNITS[rig["kind"]][rig["unit"]]
+    a = np.concatenate([(out[which][:, caps] / unit).astype(np.float32) for out in chunks])
     return _sampled(a, rig, rate, bench.sensor, rng)
 
 
@@ -243,7 +281,7 @@ def _sampled(
     keep = rig["oversample"]
     columns = []
     rms = float(np.std(a))
-    for k in range(4):
+    for k in range(a.shape[1]):
         y = a[:, k].astype(np.float64)
         faulty = sensor if k == 0 else {}
         if "sensor_resonance" in faulty:
@@ -256,6 +294,9 @@ def _sampled(
         if "sensor_gain" in faulty:
             y *= 1.0 + faulty["sensor_gain"][0]
         y = _filtered(y, rig["recorder"], keep)[::keep]
+        if rig["high_pass"]:
+            y = signal.sosfilt(signal.butter(1, rig["high_pass"], "high", fs=rig["rate"], output="sos"), y)
+        y += rig["offset"] * rms
         loud = rig["noise"] * rms
         y += rng.standard_normal(y.size) * loud
         if "sensor_noise" in faulty:
