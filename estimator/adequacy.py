@@ -31,6 +31,9 @@ STATES = {  # the law's own first; terms even in x beside an odd law of x belong
 }  # fmt: skip
 LEVEL = 1e-3
 MOST = 0.1  # rms left beside the right law
+# the same of friction: a film, micro-slip or a simulation makes its step within some velocity, of which 0.1 to 0.2 rms
+# leave as much
+ROUNDED = 0.35
 OTHER = 0.5  # the same of terms not its own: less may be another law's, still to be found or not yet settled
 
 
@@ -41,6 +44,8 @@ def state_of(effect: str) -> str:
 
 def most_left(effect: str, otherwise: float) -> float:
     """What `left` may be beside the right law."""
+    if effect == "coulomb":
+        return ROUNDED
     return MOST if effect in STATES else otherwise
 
 

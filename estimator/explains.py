@@ -20,6 +20,7 @@ SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same 
 EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
 EARNED = 5.0  # nats held out, of a law where no force is missing: ln of what a search tries
 IDLE = "refused: no force is missing there, and fitted with the model it is not told from zero or predicts no better"
+ROUND = "its step is not sharp, or more than friction acts against velocity"
 FAMILY = {
     "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
     "quadratic": "even in x", "stop": "even in x",
@@ -55,6 +56,8 @@ def fits(
     wrong = left > adequacy.most_left(entry.effect, SAME_SHAPE) and not another_explains(
         model, after_part, after, entry, say
     )
+    if not wrong and adequacy.MOST < left and entry.effect == "coulomb":
+        entry = replace(entry, notes=(*entry.notes, f"{100 * left:.0f} % of what velocity explains is left: {ROUND}"))
     return entry, left if wrong else 0.0
 
 
