@@ -56,7 +56,7 @@ def fits(
     wrong = left > adequacy.most_left(entry.effect, SAME_SHAPE) and not another_explains(
         model, after_part, after, entry, say
     )
-    if not wrong and adequacy.MOST < left and entry.effect == "coulomb":
+    if not wrong and left > adequacy.MOST and entry.effect == "coulomb":
         entry = replace(entry, notes=(*entry.notes, f"{100 * left:.0f} % of what velocity explains is left: {ROUND}"))
     return entry, left if wrong else 0.0
 
