@@ -212,8 +212,9 @@ def _together(data: dict[str, Any], parts: dict[str, Any], base: Path | None) ->
             problems.append(Problem(("link", "signals", name), text))
     if "model" in parts:
         shaft: Shaft = parts["rig"].shaft if "rig" in parts else "none" if "rig" not in data else "chain"
+        rpm = parts["rig"].speed_rpm if "rig" in parts else None if "rig" not in data else 1.0
         known = _channels(channels) if motions else tuple(Channel(p, *p.split(".")) for p in CAPS)
-        problems += effects_of(parts["model"], NAMED, Model(known, (1.0, 2.0), shaft), base)[1]
+        problems += effects_of(parts["model"], NAMED, Model(known, (1.0, 2.0), shaft, speed_rpm=rpm), base)[1]
     return problems
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path as Folder
 from typing import Any
@@ -18,6 +19,7 @@ from .rig_problems import Path, Problem, did_you_mean, of_validation
 
 OF_ALL = ("at", "fixed", "value", "min", "max")  # keys of the whole effect's table
 
+_ANGLE = "goes with the shaft angle, which nothing tells: give rig.speed_rpm or a tacho channel, or remove it"
 _KEYS = ("effects", "linear", "custom")
 
 
@@ -89,9 +91,16 @@ def effects_of(
             if not possible:
                 i = table.effects.index(name)
                 problems.append(Problem(("model", "effects", i), f'"{name}" {_nowhere(effect, model)}'))
+            elif effect.turns and not _turning(model):
+                problems.append(Problem(("model", "effects", table.effects.index(name)), f'"{name}" {_ANGLE}'))
             reader = _Reader(("model", name), parameters, possible, channels, problems)
             uses.append(EffectUse(name, reader.read(settings)))
     return tuple(uses), problems
+
+
+def _turning(model: Model) -> bool:
+    """Whether the shaft angle is known."""
+    return bool(model.speed_rpm) or any(c.kind == "tacho" for c in model.channels)
 
 
 def _law(
@@ -115,6 +124,8 @@ def _law(
             for k in units
             if k not in known
         ]
+        if effect.turns and not _turning(model):
+            wrong.append(("module", f"{own.module} {_ANGLE}"))
         return CustomLaw(None, own.module, known, effect), places(effect, model), wrong
     from estimator.effects.expression import ExpressionError, compile_law
 
@@ -125,6 +136,8 @@ def _law(
         if error.parameter:
             return law, model.places, [(f"parameters.{error.parameter}", str(error))]
         return law, model.places, [("expression", f'"{_in_a_line(own.expression or "")}": {error}')]
+    if re.search(r"\bphase\b", own.expression or "") and not _turning(model):
+        return law, model.places, [("expression", f"the law {_ANGLE}")]
     return law, model.places, []
 
 

@@ -74,3 +74,12 @@ class Effect:
     memory_force: Callable[..., float] | None = None
     apply: Callable[..., Any] | None = None
     shape: Callable[..., Any] | None = None
+
+    @property
+    def turns(self) -> bool:
+        """Whether the law goes with the shaft angle."""
+        if self.force is None:
+            return False
+        p = [1.0 if q.linear else q.default for q in self.parameters]
+        begin, later = (self.force(1.0, 1.0, 1.0, 1.0, 1.0, phase, 1.0, p) for phase in (0.0, 1.0))
+        return bool(begin != later)

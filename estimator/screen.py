@@ -34,6 +34,7 @@ LEAST = 0.5  # nats that a step is to bring
 DIFFERENT = 2.0  # nats, about the price of a parameter, that a spot's own searched parameters are to be worth
 WORTH = 1e-3  # p-value of a trial whose searched parameters are tried at the other spots
 NEAR, BEHIND = 0.5, 25.0  # share of the best effect's gain, nats behind it, under which the whole record is not needed
+TURNING = ("_cos", "_sin")  # how amplitudes of what goes with the shaft angle end
 IDLE = 0.45  # p-value on two fifths of a record from which on the whole of it makes nothing significant (0.6 %)
 
 
@@ -167,7 +168,7 @@ def best_at(point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Tri
     where = acting(effect, spot, point.data)
     loose = searched(effect, model)
     unknown = [k for k in loose if kinematic(effect.parameters[k].scale, model) is None]
-    free = tuple(q.linear for q in effect.parameters)
+    free = _amplitudes(effect, point)
     best: tuple[Assessed, Placed] | None = None
     base = alone(point, where)
     for p in grid(effect, model, point, where[0], unknown):
@@ -176,6 +177,13 @@ def best_at(point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Tri
         if got is not None and (best is None or got.gain > best[0].gain):
             best = (got, placed)
     return None if best is None else _trial(effect, spot, *best, loose)
+
+
+def _amplitudes(effect: Effect, point: WorkingPoint) -> tuple[bool, ...]:
+    """Which parameters a law on trial is proportional to. Of those that go with the shaft angle none where no speed is
+    known: at one angle all along, what turns cannot be told from what does not."""
+    turns = bool(point.data.phase.any())
+    return tuple(q.linear and (turns or not q.name.endswith(TURNING)) for q in effect.parameters)
 
 
 def _trial(effect: Effect, spot: str, found: Assessed, placed: Placed, loose: list[int]) -> Trial:
@@ -190,7 +198,7 @@ def _trial(effect: Effect, spot: str, found: Assessed, placed: Placed, loose: li
     )
     df = max(len(problem.extra) + len(loose), 1)
     if effect.kind == "shaft":  # by what turns: a mean loss alone is a shaft that is softer than the rig file says
-        turning = [value / sd for name, (value, sd) in values.items() if name.endswith(("_cos", "_sin"))]
+        turning = [value / sd for name, (value, sd) in values.items() if name.endswith(TURNING)]
         gained, df = min(gained, 0.5 * float(np.sum(np.square(turning)))), max(len(turning), 1)
     return Trial(effect, spot, placed, gained, df, values, spread, problem, fit)
 
@@ -246,9 +254,8 @@ def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
 def again(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:
     """A trial found on part of the record, at the same searched parameters on the whole."""
     linear = [q.linear for q in found.effect.parameters]
-    placed = Placed(
-        found.effect, found.placed.key, found.placed.at, np.where(linear, 1.0, found.placed.p), tuple(linear)
-    )
+    p = np.where(linear, 1.0, found.placed.p)
+    placed = Placed(found.effect, found.placed.key, found.placed.at, p, _amplitudes(found.effect, point))
     got = assess(point, placed)
     return None if got is None else _trial(found.effect, found.spot, got, placed, searched(found.effect, model))
 

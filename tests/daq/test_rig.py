@@ -244,6 +244,23 @@ def test_an_effect_of_the_disc_needs_a_shaft() -> None:
     assert 'say rig.shaft = "chain" or "beam"' in line
 
 
+@pytest.mark.parametrize(
+    ("model", "at"),
+    [
+        ('effects = ["ball_pass"]\n', "model.effects[0]"),
+        ('[[model.custom]]\nname = "own"\nexpression = "k*x*cos(phase)"\nparameters = { k = { value = 1.0 } }\n',
+         "model.custom[0].expression"),
+    ],
+)  # fmt: skip
+def test_what_goes_with_the_shaft_angle_needs_one(model: str, at: str) -> None:
+    text = HEAD + "[model]\n" + model + CHANNELS
+    (line,) = problems(text)
+    assert f"{at}: " in line
+    assert "give rig.speed_rpm or a tacho channel" in line
+    Rig.parse(HEAD + "[rig]\nspeed_rpm = 100.0\n[model]\n" + model + CHANNELS)
+    Rig.parse(text + '[[channel]]\nname = "turn"\nkind = "tacho"\nunit = "V"\n')
+
+
 def test_masses_by_direction() -> None:
     rig = Rig.parse(HEAD + "[rig.mass]\nbearing1 = { x = 0.22, y = 0.245 }\nbearing2.x = 0.2\n" + CHANNELS)
     assert rig.model.mass == {"bearing1.x": 0.22, "bearing1.y": 0.245, "bearing2.x": 0.2}

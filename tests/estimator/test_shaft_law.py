@@ -17,7 +17,10 @@ from estimator.effects import CATALOGUE
 from estimator.effects.strength import with_effect
 from estimator.improve import improve
 from estimator.model import Model
+from estimator.preparation import prepare
 from estimator.rotor import shaft_at_caps
+from estimator.screen import best_at
+from estimator.search_start import fit_record
 from estimator.shaft_law import along
 from estimator.simulate import simulate
 
@@ -99,6 +102,17 @@ def test_the_determinant_is_that_of_the_periodic_rotor() -> None:
     only = disc.changed(w, mean, 0.0, turn, caps)
     assert np.abs(only - disc.changed(w, mean, 1e-9 * disc.K, turn, caps)).max() < 1e-6 * np.abs(only).max()
     assert found == pytest.approx(exact, rel=0.02)
+
+
+def test_without_a_speed_a_shaft_is_softer_and_not_cracked() -> None:
+    """At one angle all along a loss that turns is one that does not: the two had won two million nats together."""
+    still = replace(rig(), speed_rpm=None)
+    y = simulate(replace(still, shaft_stiffness=0.95e7), RATE_HZ, 8.0, seed=6, noise=0.02, full_scale=490.5)
+    trial = best_at(fit_record(still, prepare(still, y, RATE_HZ)), still, CRACK, "disc")
+    assert trial is not None
+    assert trial.p_value == 1.0
+    assert [*trial.values] == ["loss"]
+    assert 0.03e7 < trial.values["loss"][0] < 0.1e7  # a linear look
 
 
 @pytest.mark.slow

@@ -83,12 +83,12 @@ def _varied(rig: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
     shaft = str(rng.choice(["chain", "beam", "none"]))
     sets = [["b1x", "b2x"], rig["channels"]] + ([["b1x", "b1y"], ["b1x"]] if shaft == "none" else [])
     kind = str(rng.choice(["acceleration"] * 4 + ["velocity"]))
-    rate = float(rng.choice([20000.0, 25600.0, 51200.0]))
+    rate = float(rng.choice([12800.0, 25600.0, 51200.0]))
     return rig | {
         "shaft": shaft, "channels": sets[int(rng.integers(len(sets)))], "kind": kind, "rate": rate,
         "unit": str(rng.choice([*UNITS[kind]])), "high_pass": float(rng.choice([0.0, 0.5, 5.0])),
         "offset": float(rng.choice([0.0, 0.1])), "known": bool(rng.uniform() < 0.7),
-        "high": min(rig["high"], 0.38 * rate), "oversample": 4 if rate > 50e3 else rig["oversample"],
+        "high": min(rig["high"], 0.38 * rate), "oversample": int(2 * rig["oversample"] * max(RATE_HZ / rate, 0.5)),
     }  # fmt: skip
 
 
