@@ -49,6 +49,7 @@ class Effect:
     kind : force (acts on a cap), memory (a cap force with its own states), disc (acts on the disc), shaft (between
         disc and caps), excitation (shapes the unknown force), sensor (acts on a measured channel).
     scope : "direction": parameters of its own in x and in y; "node": one set shared by both directions of a node.
+    one_direction : of scope node: also where one direction alone is measured, as if nothing moved in the other.
     stationary_density : whether exp(-H/T) survives (physics.md section 6, column FDT).
     states, rates, memory_force : for kind memory: number of states z;
         rates(z, x, v, p, lin, dz) -> None fills dz; memory_force(z, x, v, p, lin) -> float; lin = (m, kL, c).
@@ -67,6 +68,7 @@ class Effect:
     check: str  # value reproduced by its test, and its source
     on_machine: str  # what an engineer should look at on the machine
     scope: Literal["direction", "node"] = "direction"
+    one_direction: bool = False
     stationary_density: bool = False
     force: Callable[..., float] | None = None
     states: int = 0

@@ -88,6 +88,7 @@ HERTZ = Effect(
         "low kL means little preload"
     ),
     scope="node",
+    one_direction=True,
     stationary_density=True,
     force=force,
 )

@@ -24,7 +24,8 @@ def places(effect: Effect, model: Model) -> tuple[str, ...]:
         both = (d for d in DIRECTIONS if all(f"{n}.{d}" in caps for n in NODES))
         return tuple(f"{NODES[0]}.{d}" for d in both)
     if effect.scope == "node":
-        return tuple(n for n in NODES if all(f"{n}.{d}" in caps for d in DIRECTIONS))
+        measured = ([f"{n}.{d}" in caps for d in DIRECTIONS] for n in NODES)
+        return tuple(n for n, own in zip(NODES, measured, strict=True) if all(own) or effect.one_direction and any(own))
     return tuple(caps)
 
 

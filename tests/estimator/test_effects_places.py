@@ -44,6 +44,7 @@ def test_canonical_places() -> None:
     assert places(CATALOGUE["imbalance"], replace(RIG, shaft="none")) == ()
     x_only = replace(RIG, channels=RIG.channels[::2])
     assert places(CATALOGUE["rub"], x_only) == ()
+    assert places(CATALOGUE["hertz"], x_only) == ("bearing1", "bearing2")  # as if nothing moved in y
     assert places(CATALOGUE["correlated_force"], x_only) == ("bearing1.x",)
 
 

@@ -102,3 +102,13 @@ def test_another_form_of_a_law_goes_by_its_name(name: str, tmp_path: Path) -> No
     found = run(Case({name: "bearing1"}, "strong", 3, 30.0), tmp_path)
     assert found["added"][:1] == [FORMS[name]]
     assert found["percent"][1] < 0.4 * found["percent"][0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["hertz", "line"])
+def test_what_was_hidden_is_found_in_one_direction(name: str, tmp_path: Path) -> None:
+    """Hertz contact was on trial where both directions are measured only, and "unknown"; beside a line, where no speed
+    is known, a crack was added that does not turn. Of contact the motion across is not known: its numbers are near."""
+    found = run(Case({name: "bearing1"}, "strong", 1, 30.0, varied=True), tmp_path)
+    assert (found["added"], found["verdict"]) == ([name], "complete")
+    assert found["percent"][-1] < 0.3
