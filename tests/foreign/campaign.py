@@ -51,7 +51,8 @@ def run(case: Case, folder: Path) -> dict[str, Any]:
     (path / "rig.toml").write_text(rig_file(rig, base))
     told = {"hidden": case.hidden, "rig": rig, "truth": truth}
     (path / "truth.json").write_text(json.dumps(told, indent=1, default=float))
-    channels = dict(zip(rig["channels"], y.T, strict=True))
+    names = [*rig["channels"], *(c.replace("b", "f") for c in rig["channels"] if rig["forced"])]
+    channels = dict(zip(names, y.T, strict=True))
     np.savez(path / "record.npz", rate_hz=rig["rate"], **channels)
     del y, channels
     _rotorscope("import", path / "record.npz", "--rig", path / "rig.toml", "--out", path / "record.mcap")

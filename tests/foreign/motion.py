@@ -1,4 +1,4 @@
-"""A rotor's motion by other means than the product's: the linear rotor stepped exactly, laws as kicks between steps.
+"""A rotor's motion by other means than the product's: the linear rotor stepped exactly, laws as kicks amid the steps.
 
 Nothing here is imported from the product: laws, units and signs are written from physics.md's text a second time.
 """
@@ -139,13 +139,15 @@ def push(kind, p, x, v, xo, t, turn, z):  # type: ignore[no-untyped-def]  # prag
 
 
 @njit(cache=False)
-def steps(state, memory, step, drive, rate, inverse, forces, kinds, dofs, beside, numbers, t0, dt, turn, out_x, out_v, out_a):  # type: ignore[no-untyped-def]  # noqa: E501  # pragma: no cover
-    """Advance in place; displacement, velocity and acceleration at the beginning of every step."""
+def steps(state, memory, half, drive, rate, inverse, forces, kinds, dofs, beside, numbers, t0, dt, turn, out_x, out_v, out_a):  # type: ignore[no-untyped-def]  # noqa: E501  # pragma: no cover
+    """Advance in place; displacement, velocity and acceleration amid every step, where its force is what is held. half,
+    drive : of half a step. t0 : the middle of the first step."""
     n = inverse.shape[0]
-    law = np.zeros(n)
+    law, kick = np.zeros(n), np.zeros(n)
     for k in range(forces.shape[0]):
         law[:] = 0.0
         t = t0 + k * dt
+        state[:] = half @ state + drive @ forces[k]
         for i in range(kinds.size):
             d, (o, far) = dofs[i], beside[i]
             if kinds[i] == 11:
@@ -163,19 +165,12 @@ def steps(state, memory, step, drive, rate, inverse, forces, kinds, dofs, beside
                 z, beta = memory[i], numbers[i, 2]
                 memory[i] = z + dt * (v - (beta * abs(v) * z + (1 - beta) * v * abs(z)) / numbers[i, 1])
             law[d] += push(kinds[i], numbers[i], x, v, state[o], t, turn, memory[i])
-        for d in range(n):
-            a = 0.0
-            for j in range(2 * n):
-                a += rate[d, j] * state[j]
-            for j in range(n):
-                a += inverse[d, j] * (forces[k, j] - law[j])
-            out_x[k, d], out_v[k, d], out_a[k, d] = state[d], state[n + d], a
-        for d in range(n):
-            kick = 0.0
-            for j in range(n):
-                kick += inverse[d, j] * law[j]
-            state[n + d] -= dt * kick
-        state[:] = step @ state + drive @ forces[k]
+        kick[:] = dt * (inverse @ law)
+        state[n:] -= 0.5 * kick
+        out_x[k], out_v[k] = state[:n], state[n:]
+        out_a[k] = rate @ state + inverse @ (forces[k] - law)
+        state[n:] -= 0.5 * kick
+        state[:] = half @ state + drive @ forces[k]
 
 
 def motion(
@@ -189,8 +184,8 @@ def motion(
     n, dt, F = len(rotor.M), 1.0 / rate_hz, rotor.flow()
     inverse = np.linalg.inv(rotor.M)
     push_in = np.vstack([np.zeros((n, n)), inverse])
-    whole = expm(np.block([[F, push_in], [np.zeros((n, 3 * n))]]) * dt)
-    step, drive = np.ascontiguousarray(whole[: 2 * n, : 2 * n]), np.ascontiguousarray(whole[: 2 * n, 2 * n :])
+    whole = expm(np.block([[F, push_in], [np.zeros((n, 3 * n))]]) * 0.5 * dt)
+    half, drive = np.ascontiguousarray(whole[: 2 * n, : 2 * n]), np.ascontiguousarray(whole[: 2 * n, 2 * n :])
     kinds = np.array([LAWS.index(one.name) for one in rotor.laws], dtype=np.int64)
     dofs = np.array([one.dof for one in rotor.laws], dtype=np.int64)
     beside = np.array([one.beside for one in rotor.laws], dtype=np.int64).reshape(-1, 2)
@@ -208,6 +203,6 @@ def motion(
         forces = rng.standard_normal((size, n)) * np.sqrt(rotor.S * rate_hz / 2)
         forces = force(t, forces)
         out = np.empty((3, size, n))
-        steps(state, memory, step, drive, F[n:], inverse, forces, kinds, dofs, beside, numbers,
+        steps(state, memory, half, drive, np.ascontiguousarray(F[n:]), inverse, forces, kinds, dofs, beside, numbers,
               first * dt, dt, rotor.turn, *out)  # fmt: skip
         yield forces, *out

@@ -70,7 +70,7 @@ def _draw(case: Case) -> dict[str, Any]:
         "cubic": rng.uniform() < 0.6, "oversample": int(rng.choice([8, 10, 12])),
         "recorder": str(rng.choice(RECORDERS)), "shaft": "chain", "rate": RATE_HZ,
         "channels": [f"b{n}{d}" for n in (1, 2) for d in "xy"], "kind": "acceleration", "unit": "m/s^2",
-        "high_pass": 0.0, "offset": 0.0, "known": True,
+        "high_pass": 0.0, "offset": 0.0, "known": True, "forced": False,
     }  # fmt: skip
 
 
@@ -79,7 +79,8 @@ UNITS = {"acceleration": {"m/s^2": 1.0, "g": 9.80665}, "velocity": {"mm/s": 1e-3
 
 
 def _varied(rig: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
-    """The rig on another shaft or none, recorded at another rate by fewer channels, or others, coupled to AC."""
+    """The rig on another shaft or none, recorded at another rate by fewer channels, or others, coupled to AC; of one in
+    five the force is measured, too."""
     shaft = str(rng.choice(["chain", "beam", "none"]))
     sets = [["b1x", "b2x"], rig["channels"]] + ([["b1x", "b1y"], ["b1x"]] if shaft == "none" else [])
     kind = str(rng.choice(["acceleration"] * 4 + ["velocity"]))
@@ -89,6 +90,7 @@ def _varied(rig: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
         "unit": str(rng.choice([*UNITS[kind]])), "high_pass": float(rng.choice([0.0, 0.5, 5.0])),
         "offset": float(rng.choice([0.0, 0.1])), "known": bool(rng.uniform() < 0.7),
         "high": min(rig["high"], 0.38 * rate), "oversample": int(2 * rig["oversample"] * max(RATE_HZ / rate, 0.5)),
+        "forced": bool(rng.uniform() < 0.2),
     }  # fmt: skip
 
 
@@ -98,6 +100,8 @@ def rig_file(rig: dict[str, Any], base: list[str]) -> str:
     channels = "".join(
         f'[[channel]]\nname = "{c}"\nnode = "bearing{c[1]}"\ndirection = "{c[2]}"\n{sensor}' for c in rig["channels"]
     )
+    if rig["forced"]:
+        channels += channels.replace('name = "b', 'name = "f').replace(sensor, 'kind = "force"\nunit = "N"\n')
     name = f'schema = 1\n[rig]\nname = "foreign"\nshaft = "{rig["shaft"]}"\n'
     turns = f"speed_rpm = {rig['rpm']!r}\nball_pass_order = {ORDER}\n" if rig["known"] else ""
     if rig["shaft"] == "none":
@@ -242,8 +246,8 @@ def made(case: Case) -> tuple[Bench, list[str], Array]:
     return bench, base, np.round(y / scale) * scale
 
 
-def _recorded(bench: Bench) -> tuple[float, Array]:
-    """(unit a count, (n, channels) in that unit) as a recorder keeps it."""
+def _recorded(bench: Bench) -> tuple[Array, Array]:
+    """((channels,) unit a count, (n, channels) in that unit) as a recorder keeps it."""
     case, rig, S = bench.case, bench.rig, bench.S
     rate, rng = rig["rate"] * rig["oversample"], case.rng(3)
     first, second = AT["bearing1.x"], AT["bearing2.x"]
@@ -269,8 +273,11 @@ def _recorded(bench: Bench) -> tuple[float, Array]:
     chunks = motion(bench.rotor(), force, rate, case.seconds, case.rng(4))
     which = {"displacement": 1, "velocity": 2, "acceleration": 3}[rig["kind"]]
     unit = UNITS[rig["kind"]][rig["unit"]]
-    a = np.concatenate([(out[which][:, caps] / unit).astype(np.float32) for out in chunks])
-    return _sampled(a, rig, rate, bench.sensor, rng)
+    kept = [np.stack([out[which][:, caps] / unit, out[0][:, caps]]).astype(np.float32) for out in chunks]
+    motions, forces = np.concatenate(kept, axis=1)
+    sensors = [_sampled(motions, rig, rate, bench.sensor, rng)]
+    sensors += [_sampled(forces, rig, rate, {}, rng)] if rig["forced"] else []
+    return np.concatenate([np.full(y.shape[1], scale) for scale, y in sensors]), np.hstack([y for _, y in sensors])
 
 
 def _sampled(
