@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from . import pedestal_form
 from .effects import CATALOGUE
 from .estimate import Parameter
 from .force_cells import Cells, cells_of, finite_exp, mean_power
@@ -20,13 +21,14 @@ from .force_shapes import base_model, causes, peakless, plain, with_shape
 from .model import Model
 from .noise_floor import noisy
 from .noise_paths import together
-from .suspect import Suspect
+from .suspect import UNKNOWN, Suspect
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 LEVEL = 1e-3
 LEAST_DEPTH = 0.015  # rms of ln(power / model): less is within what filters and integrators leave behind
 EXPLAINED = 0.5  # of the misfit beyond chance: a cause that leaves more is not the cause
+PLAIN = 0.1  # depth from which a shape that no cause explains is told: laws that a model lacks bend spectra by less
 
 
 def find(model: Model, point: WorkingPoint) -> list[Suspect]:
@@ -53,7 +55,8 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
             white.append((i, c, level, u, scale))
             continue
         shaped.add(i)
-        out += _shapes(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
+        own = _shapes(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
+        out += own or ([_unknown(point, i, c, u, level)] if depth > PLAIN else [])
     out += _alike(point, out, white, taken, shaped)
     out += [s for s in noisy(model, point, noise) if data.places.index(s.at[0]) not in shaped]
     return out + _shared(model, point)
@@ -89,15 +92,15 @@ def _shapes(
     place = data.places[i]
     out = []
     r = c.power / base_model(c, u)
-    weight = c.n / c.n.sum()
-    # one-step prediction error of a process with spectrum r: what of it is predictable from its own past
-    predictable = float(1 - np.exp(weight @ np.log(r)) / (weight @ r)) * _variance(point, i)
+    predictable = _predictable(point, i, c, r)
     for shape in causes(point, i):
         if shape.effect in taken:
             continue
         found, z, sd = with_shape(c, shape, u, scale)
         gain = found - level
         if gain < EXPLAINED * (-level - 0.5 * (c.n.size - 4)):
+            continue
+        if shape.effect == "pedestal" and pedestal_form.at_end(z[4:]):
             continue
         q = len(shape.names)
         values = shape.values(z[4:])
@@ -114,6 +117,21 @@ def _shapes(
             )
         )  # fmt: skip
     return out
+
+
+def _unknown(point: WorkingPoint, i: int, c: Cells, u: Array, level: float) -> Suspect:
+    """A spectrum that nothing of the catalogue has."""
+    r, df = c.power / base_model(c, u), c.n.size - 4
+    place = point.data.places[i]
+    p = float(min(1.0, chdtrc(df, -2 * level) * len(point.data.places)))
+    power = {i: _predictable(point, i, c, r)}
+    return Suspect(UNKNOWN, (place,), -level - 0.5 * df, df, p, power, "frequency", f"{place}: {_where(c, r)}")
+
+
+def _predictable(point: WorkingPoint, i: int, c: Cells, r: Array) -> float:
+    """N^2: one-step prediction error of a process with spectrum r, what of it is predictable from its own past."""
+    weight = c.n / c.n.sum()
+    return float(1 - np.exp(weight @ np.log(r)) / (weight @ r)) * _variance(point, i)
 
 
 def _falls(effect: str, values: Array, top_hz: float) -> str:

@@ -21,6 +21,12 @@ def values(z: Array, cap_mass: float) -> Array:
     return np.asarray((np.exp(np.clip(z.T, LOW, HIGH)) * [cap_mass, 1.0, 1.0]).T)
 
 
+def at_end(z: Array) -> bool:
+    """Whether a search ended at an end of what a pedestal may be, but for one that is too heavy or stiff to be told."""
+    ends = [z[0] <= LOW[0], z[1] <= LOW[1], z[2] >= HIGH[2]]
+    return any(ends)
+
+
 def free(p: Array, cap_mass: float) -> Array:
     """The point of the search with these values."""
     return np.asarray(np.log(p / [cap_mass, 1.0, 1.0]))

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
-from scipy.signal import butter, lfilter
+from scipy.signal import butter, iirpeak, lfilter
 
 from estimator import force_cells, force_colour, force_shapes
+from estimator.diagnose import diagnose
 from estimator.improve import improve
 from estimator.missing_force import survey
 from estimator.model import Channel, EffectUse, Model, Setting
@@ -31,6 +32,16 @@ def test_a_fall_without_a_peak_may_be_an_anti_alias_filter() -> None:
         said[name] = [s.note for s in found]
     assert not any(said["whole"])
     assert any("anti-alias filter" in note for note in said["filtered"])
+
+
+def test_a_force_with_a_peak_is_unknown_and_no_pedestal() -> None:
+    """A pedestal at both ends of what one may be explained two thirds of it, and no fit with it was sound."""
+    rig = replace(one_bearing(), effects=())
+    y = simulate(rig, RATE, 6.0, seed=0, noise=0.0)
+    peaked = y[:, 0] + 2.0 * lfilter(*iirpeak(2800.0, 2.0, fs=RATE), y[:, 0])
+    found = diagnose(rig, np.stack([peaked, y[:, 1]], axis=1), RATE)
+    assert found.verdict == "unknown"
+    assert any(m.startswith("bearing1.x: force spectrum") for m in found.messages)
 
 
 def test_the_force_inferred_by_a_wrong_stiffness_beside_caps_that_answer() -> None:
