@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .contour import turns
+from .tangent_rows import rows_times, times
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -71,7 +72,7 @@ class Jacobian:
         if answer is None:
             return own
         others, follow = answer
-        return np.asarray(own - np.einsum("tikf,fkj->tijf", tangents[:, places][:, :, others], follow))
+        return np.asarray(own - times(tangents[:, places][:, :, others], follow))
 
     def of(self, tangents: Complexes, delta: Array) -> Complexes:
         """A at increments delta, (bins, places, places)."""
@@ -86,14 +87,12 @@ class Jacobian:
 
     def derivatives(self, tangents: Complexes, delta: Array) -> tuple[Array, Array]:
         """Gradient (k,) and second derivative (k, k) to the increments."""
-        inverse = np.linalg.inv(self.of(tangents, delta))
-        k, P = len(tangents), tangents.shape[1]
-        acting = [np.flatnonzero(np.any(t != 0, axis=(1, 2))) for t in tangents]
-        R = np.zeros((k, len(self.A0), P, P), complex)
-        for j, t in enumerate(tangents):
-            for i in acting[j]:  # A^-1 A_j, row i of A_j only
-                R[j] += inverse[:, :, i][:, :, None] * t[i].T[:, None, :]
-        gradient = 2 * np.einsum("jfpp,f->j", R, self.kept).real
-        left = (R * self.kept[:, None, None]).reshape(k, -1)
-        right = np.swapaxes(R, 2, 3).reshape(k, -1)
-        return np.asarray(gradient), np.asarray(-2 * (left @ right.T).real)
+        inverse = np.asarray(np.linalg.inv(self.of(tangents, delta)), np.complex128)
+        term, row, passed = rows_times(tangents, inverse)  # A_j A^-1
+        weighed, own = passed * self.kept, np.arange(term.size)
+        traces = np.zeros((term.size, term.size))
+        for i, j in np.ndindex(tangents.shape[1:3]):
+            here, there = np.flatnonzero(row == i), np.flatnonzero(row == j)
+            traces[here[:, None], there] = (weighed[here, j] @ passed[there, i].T).real
+        terms = np.equal.outer(np.arange(len(tangents)), term).astype(float)
+        return 2 * terms @ weighed[own, row].real.sum(axis=1), -2 * terms @ traces @ terms.T

@@ -12,6 +12,7 @@ from .motion_blocks import FOLDS, MotionBlocks
 from .noise_paths import NoisePaths
 from .ringing import Ringing, ringing
 from .side_by_side import each
+from .tangent_rows import times
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -134,10 +135,10 @@ class Weighing:
         return np.asarray(np.einsum("bk,bk->b", Z, Z), np.float64)
 
     def seen(self, tangents: Complexes) -> Complexes:
-        """Tangents (..., places, places, bins) as the determinant needs them: to what is measured."""
+        """Tangents (terms, places, places, bins) as the determinant needs them: to what is measured."""
         if self.measured is None:
             return tangents
-        return np.asarray(np.einsum("...ilf,flj->...ijf", tangents, self.measured))
+        return times(tangents, self.measured)
 
     def columns(self, terms: list[Term]) -> Columns:
         index: dict[int, list[int]] = {}
