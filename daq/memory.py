@@ -12,7 +12,7 @@ from pathlib import Path
 SHARE = 0.5  # of the memory that is free
 LEAST_BYTES, FACTOR = 1 << 30, 100  # enough for any sound file: a gigabyte, and a hundred times its size
 UNKNOWN_BYTES = 4 << 30  # free memory where the system does not say
-# of mallopt in glibc, and what is asked: one heap for all threads, which keeps what it has, of arrays up to 32 MiB
+# of mallopt in glibc, and what is asked: one heap for all threads, which keeps what it has, of arrays up to 256 MiB
 ARENA_MAX, TRIM_THRESHOLD, MMAP_THRESHOLD = (-8, 1), (-1, 1 << 30), (-3, 256 << 20)
 
 
