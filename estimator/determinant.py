@@ -13,6 +13,7 @@ from .tangent_rows import rows_times, times
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+Answer = tuple[NDArray[np.int64], Complexes]
 CROSSED = 1.5 * np.pi  # a mode that crosses its line takes two pi off the turn of det A, one that leaves the band one
 
 
@@ -31,18 +32,29 @@ class Jacobian:
     ) -> None:
         self.A0, self.offset, self.kept = A0, offset, np.ones(len(A0)) if kept is None else kept
         self.dressing = np.zeros(self.A0.shape[:2], complex) if dressing is None else dressing
+        self._known: dict[bytes, tuple[Jacobian, Answer | None]] = {}  # of some places: every trial there asks for it
         self._begun()
 
     def _begun(self) -> None:
-        self.turned, self.half = turns(np.linalg.det(self.A0)), 0.0
+        self.turned, self.half = turns(_determinants(self.A0)), 0.0
         if self.dressing.any():
             own = np.einsum("fii->fi", np.linalg.inv(self.A0)) * self.dressing
             self.half = float(self.kept @ own.real.sum(axis=1))
 
     def at(self, places: NDArray[np.int64]) -> Jacobian:
         """The same of some places, the others as they are: what they answer through the shaft stays in A0."""
+        return self._of(places)[0]
+
+    def _of(self, places: NDArray[np.int64]) -> tuple[Jacobian, Answer | None]:
+        """The same and `answer`, made when they are first asked for."""
+        if (known := self._known.get(places.tobytes())) is None:
+            answer = self.answer(places)
+            known = self._known[places.tobytes()] = self._beside(answer, places), answer
+        return known
+
+    def _beside(self, answer: Answer | None, places: NDArray[np.int64]) -> Jacobian:
         out = copy(self)
-        answer = self.answer(places)
+        out._known = {}
         out.A0, out.dressing = self.A0[:, places[:, None], places], self.dressing[:, places]
         if answer is not None:
             others, follow = answer
@@ -50,12 +62,12 @@ class Jacobian:
         share = places.size / self.A0.shape[1]
         out.offset = self.offset * share
         if answer is not None:  # all places together have what the whole has
-            whole, own = (2 * float(self.kept @ np.log(np.abs(np.linalg.det(A)))) for A in (self.A0, out.A0))
+            whole, own = (2 * float(self.kept @ np.log(np.abs(_determinants(A)))) for A in (self.A0, out.A0))
             out.offset += own - whole * share
         out._begun()
         return out
 
-    def answer(self, places: NDArray[np.int64]) -> tuple[NDArray[np.int64], Complexes] | None:
+    def answer(self, places: NDArray[np.int64]) -> Answer | None:
         """The places that the shaft couples to these, and their motion per motion of these, less its sign,
         (bins, others, places); None where there are none."""
         others = np.setdiff1d(np.arange(self.A0.shape[1], dtype=np.int64), places)
@@ -68,7 +80,7 @@ class Jacobian:
     def tangents(self, tangents: Complexes, places: NDArray[np.int64]) -> Complexes:
         """What tangents (terms, all places, all places, bins) of forces at some places add to A0 `at` them."""
         own = tangents[:, places][:, :, places]
-        answer = self.answer(places)
+        answer = self._of(places)[1]
         if answer is None:
             return own
         others, follow = answer
@@ -80,15 +92,14 @@ class Jacobian:
 
     def value(self, tangents: Complexes, delta: Array) -> float:
         """-inf where a mode has crossed the line: what the sum gives there is that of its mirror image."""
-        determinant = np.linalg.det(self.of(tangents, delta))
+        determinant = _determinants(self.of(tangents, delta))
         if turns(determinant) < self.turned - CROSSED:
             return -np.inf
         return float(2 * self.kept @ np.log(np.abs(determinant))) - self.offset - self.half
 
     def derivatives(self, tangents: Complexes, delta: Array) -> tuple[Array, Array]:
         """Gradient (k,) and second derivative (k, k) to the increments."""
-        inverse = np.asarray(np.linalg.inv(self.of(tangents, delta)), np.complex128)
-        term, row, passed = rows_times(tangents, inverse)  # A_j A^-1
+        term, row, passed = rows_times(tangents, _inverses(self.of(tangents, delta)))  # A_j A^-1
         weighed, own = passed * self.kept, np.arange(term.size)
         traces = np.zeros((term.size, term.size))
         for i, j in np.ndindex(tangents.shape[1:3]):
@@ -96,3 +107,13 @@ class Jacobian:
             traces[here[:, None], there] = (weighed[here, j] @ passed[there, i].T).real
         terms = np.equal.outer(np.arange(len(tangents)), term).astype(float)
         return 2 * terms @ weighed[own, row].real.sum(axis=1), -2 * terms @ traces @ terms.T
+
+
+def _determinants(A: Complexes) -> Complexes:
+    """(bins,) of (bins, places, places); of one place it is a number, which LAPACK is asked for at length."""
+    return A[:, 0, 0] if A.shape[1] == 1 else np.asarray(np.linalg.det(A), np.complex128)
+
+
+def _inverses(A: Complexes) -> Complexes:
+    """(bins, places, places)"""
+    return 1.0 / A if A.shape[1] == 1 else np.asarray(np.linalg.inv(A), np.complex128)

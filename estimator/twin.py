@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .bandlimit import noise_shape
 from .cut_record import cut
 from .errors import DataError, ModelError
+from .features import Series
 from .free_run import free_run
 from .model import Model
 from .motion_blocks import MotionBlocks, spectrum
@@ -82,8 +83,8 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
         centre = 0.5 * (at[1:] + at[:-1])
         densities[name] = {
             "at": centre.tolist(),
-            "measured": np.histogram(data.x[i], at, density=True)[0].tolist(),
-            "model": np.histogram(own.x[i], at, density=True)[0].tolist(),
+            "measured": _density(data.x[i], at).tolist(),
+            "model": _density(own.x[i], at).tolist(),
         }
     for node in dict.fromkeys(p.split(".")[0] for p in data.places):
         pair = [data.places.index(f"{node}.{d}") for d in "xy" if f"{node}.{d}" in data.places]
@@ -106,6 +107,11 @@ def _driven(model: Model, record: Array, rate_hz: float) -> Array:
     moving = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind != "force") for p in model.places]
     y[:, moving] = free_run(model, np.ascontiguousarray(y[:, [force[p] for p in model.places]].T), rate_hz).T
     return y[int(SETTLE * rate_hz) :]
+
+
+def _density(x: Series, at: Array) -> Array:
+    """(cells,) per m, of x (n,) between points evenly spaced: told so, numpy counts without sorting."""
+    return np.asarray(np.histogram(x, at.size - 1, (at[0], at[-1]), density=True)[0])
 
 
 def of_acceleration(data: MotionBlocks, i: int) -> tuple[Array, Array]:
