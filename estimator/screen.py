@@ -106,7 +106,7 @@ def grid(effect: Effect, model: Model, point: WorkingPoint, i: int, loose: list[
 
 def trial_columns(point: WorkingPoint, placed: Placed) -> Columns | None:
     """Columns of the amplitudes, freed from the base; None if nothing is left of one of them."""
-    plain = terms(placed, point.data, point.lin, linear_only=True)
+    plain = terms(placed, point.data, point.lin, True, point.units)
     made = [orthogonal(t, point.spans) for t in dressed(plain, placed, point.fluctuations)]
     kept = [t for t in made if t is not None]
     return point.weighing.columns(kept) if kept else None
@@ -233,7 +233,7 @@ def judged(trial: Trial) -> Trial:
 def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
     """The trial after a Gauss-Newton step in its searched parameters; None where it would bring nothing."""
     placed = trial.placed
-    plain = terms(placed, point.data, point.lin)
+    plain = terms(placed, point.data, point.lin, units=point.units)
     made = [orthogonal(t, point.spans) for t in dressed(plain, placed, point.fluctuations)]
     kept = [t for t in made if t is not None]
     names = {t.name for t in kept}

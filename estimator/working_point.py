@@ -20,7 +20,7 @@ from .periodic import Wave
 from .placed import Placed, evaluate, remembers
 from .probe import Probe
 from .side_by_side import each
-from .terms import Spans, add_to, dressed, light, linear_terms, reach, terms
+from .terms import Spans, Units, add_to, dressed, light, linear_terms, reach, terms
 from .weighing import Columns, Complexes, Spectrum, Term, Weighing
 
 Array = NDArray[np.float64]
@@ -53,6 +53,7 @@ class WorkingPoint:
     slopes: Array  # (places, places, 2) mean tangent
     fluctuations: tuple[Fluctuation | Probe | None, ...]  # by place, of the laws of the model
     spans: Spans  # of the model's own columns, by place
+    units: Units  # of the law on trial
 
     @property
     def lin(self) -> Array:
@@ -180,7 +181,7 @@ def point_at(
     coarse = tuple(here and here.coarse(data.rate_hz, about) for here, about in zip(around, mean, strict=True))
     return WorkingPoint(
         data, kL, c, _whole_power(data, result, common), nu, tuple(uses), F, weighing, spectra, own_terms, columns, G,
-        jacobian, result, caution, A, D, coarse, Spans(own_terms),
+        jacobian, result, caution, A, D, coarse, Spans(own_terms), Units(),
     )  # fmt: skip
 
 
