@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,10 +86,11 @@ class Filter:
         """(images, f) the same from each of its images."""
         if self.nepers:
             return np.zeros((0, f_hz.size))
-        beyond = images(self.rate_hz, f_hz)
-        through = self.echo * self.passed(beyond)
+        through = self.echo * self.passed(images(self.rate_hz, f_hz))
         through[[0, IMAGES]] += self.flat / 2  # those about the rate
-        return np.asarray(through * (beyond / f_hz) ** (2.0 * POWER_OF_W[kind]))
+        if power := POWER_OF_W[kind]:
+            through *= (images(self.rate_hz, f_hz) / f_hz) ** (2.0 * power)
+        return np.asarray(through)
 
     def said(self) -> str:
         """What to tell the user of it; nothing of one that is too weak."""
@@ -123,8 +125,15 @@ RollOff = Mapping[str, Filter]  # by place: one for all, or of some
 
 def images(rate_hz: float, f_hz: Array) -> Array:
     """(images, f) Hz of what sampling folds to f (f,)."""
-    rates = rate_hz * np.arange(1.0, IMAGES + 1)[:, None]
-    return np.asarray(np.concatenate([rates - f_hz, rates + f_hz]))
+    return _images(rate_hz, np.ascontiguousarray(f_hz, np.float64).tobytes())
+
+
+@lru_cache(maxsize=8)  # searches ask for those of the same cells some thousand times
+def _images(rate_hz: float, f_hz: bytes) -> Array:
+    f, rates = np.frombuffer(f_hz), rate_hz * np.arange(1.0, IMAGES + 1)[:, None]
+    out = np.concatenate([rates - f, rates + f])
+    out.flags.writeable = False
+    return out
 
 
 def gain(nepers: tuple[float, ...], f_hz: Array, top_hz: float) -> Array:
