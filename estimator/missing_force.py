@@ -27,7 +27,7 @@ from . import reference
 from .effects.places import kinematic
 from .model import Model
 from .path_fit import PathFit
-from .side_by_side import answers, each
+from .side_by_side import answers
 from .subproblem import Subproblem
 from .suspect import SHAPES, Share, Suspect, shares
 from .working_point import WorkingPoint, thinned
@@ -279,7 +279,7 @@ def survey(
     seconds : of the record to look at.
     """
     point = thinned(point, seconds)
-    found = each(lambda question: question(), _questions(point, model, only))
+    found = answers(_questions(point, model, only))
     return Survey(tuple(found), _judged(point)).beside(others)
 
 
