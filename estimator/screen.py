@@ -23,7 +23,7 @@ from .periodic import PERIODIC
 from .placed import Placed
 from .subproblem import Subproblem, heldout_gain, subproblem
 from .terms import dressed, orthogonal, terms
-from .weighing import Columns
+from .weighing import Columns, Term
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -106,10 +106,24 @@ def grid(effect: Effect, model: Model, point: WorkingPoint, i: int, loose: list[
 
 def trial_columns(point: WorkingPoint, placed: Placed) -> Columns | None:
     """Columns of the amplitudes, freed from the base; None if nothing is left of one of them."""
-    plain = terms(placed, point.data, point.lin, True, point.units)
-    made = [orthogonal(t, point.spans) for t in dressed(plain, placed, point.fluctuations)]
-    kept = [t for t in made if t is not None]
+    kept = _freed(point, placed, linear_only=True)
     return point.weighing.columns(kept) if kept else None
+
+
+def _freed(point: WorkingPoint, placed: Placed, linear_only: bool = False) -> list[Term]:
+    """The terms of a law on trial, freed from the base."""
+    linear = [q.linear for q in placed.effect.parameters]
+
+    def made(free: Sequence[bool]) -> list[Term]:
+        own = replace(placed, free=tuple(np.logical_and(placed.free, free).tolist()))
+        return dressed(terms(own, point.data, point.lin), own, point.fluctuations)
+
+    if placed.effect.kind == "force":
+        found = point.units.of(placed, lambda: made(linear))
+        found = found if linear_only else found + made([not one for one in linear])
+    else:
+        found = made(linear if linear_only else [True] * len(linear))
+    return [t for t in (orthogonal(t, point.spans) for t in found) if t is not None]
 
 
 class Assessed(NamedTuple):
@@ -233,9 +247,7 @@ def judged(trial: Trial) -> Trial:
 def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
     """The trial after a Gauss-Newton step in its searched parameters; None where it would bring nothing."""
     placed = trial.placed
-    plain = terms(placed, point.data, point.lin, units=point.units)
-    made = [orthogonal(t, point.spans) for t in dressed(plain, placed, point.fluctuations)]
-    kept = [t for t in made if t is not None]
+    kept = _freed(point, placed)
     names = {t.name for t in kept}
     loose = [k for k in searched(trial.effect, model) if placed.name(k) in names]
     if not loose:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -27,30 +26,27 @@ LEAST = 1e-30  # rms per unit that single precision holds: x^5 of a quiet bearin
 
 class Units:
     """The terms of the amplitudes of the law that was asked for last, on one record: a search looks at a law's gain,
-    and goes on from there. Of laws of the states only."""
+    and goes on from there."""
 
     def __init__(self) -> None:
-        self._last: tuple[tuple[str, bytes], dict[int, Term]] = ("", b""), {}
+        self._last: tuple[tuple[str, bytes], list[Term]] = ("", b""), []
 
-    def of(self, placed: Placed, k: int, made: Callable[[], Term | None]) -> Term | None:
-        """That of parameter k, made if it is not known."""
+    def of(self, placed: Placed, made: Callable[[], list[Term]]) -> list[Term]:
+        """Those of a law of the states, made if they are not known."""
         searched = [not q.linear for q in placed.effect.parameters]
         law = placed.key, placed.p[searched].tobytes() + bytes(placed.at)
         last, known = self._last
         if law != last:
-            self._last = law, (known := {})
-        if k not in known and (term := made()) is not None:
-            known[k] = term
-        return known.get(k)
+            known = made()
+            self._last = law, known
+        return known
 
 
-def terms(
-    placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = False, units: Units | None = None
-) -> list[Term]:  # fmt: skip
+def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = False) -> list[Term]:
     """One column per free parameter: the force per unit for a linear one, a central difference for a searched one;
     none of a law that is zero all along the record.
 
-    lin : (places, 3) m, kL, c. units : what is known of this record.
+    lin : (places, 3) m, kL, c.
     """
 
     def law(i: int, p: Array) -> Evaluated:
@@ -58,30 +54,26 @@ def terms(
 
     responding = placed.effect.kind in ("memory", "shaft")
     at = _once(law) if responding else law
-
-    def made(k: int) -> Term | None:
+    out = []
+    for k, q in enumerate(placed.effect.parameters):
+        if not placed.free[k] or (linear_only and not q.linear):
+            continue
         series: dict[int, NDArray[Any]] = {}
         memory: dict[int, Complexes] = {}
         slopes = np.zeros((FOLDS, len(data.places), len(data.places), 2))
         ends = _ends(placed, k, data)
         for i in placed.at:
-            found = [at(shaft_law.first(data, i) if placed.effect.kind == "shaft" else i, p) for p, _ in ends]
-            series[i] = _summed([f if w == 1.0 else w * f for (_, w), (f, _, _) in zip(ends, found, strict=True)])
-            slopes[:, i] = _summed([w * s for (_, w), (_, s, _) in zip(ends, found, strict=True)])
+            made = [at(shaft_law.first(data, i) if placed.effect.kind == "shaft" else i, p) for p, _ in ends]
+            series[i] = _summed([f if w == 1.0 else w * f for (_, w), (f, _, _) in zip(ends, made, strict=True)])
+            slopes[:, i] = _summed([w * s for (_, w), (_, s, _) in zip(ends, made, strict=True)])
             if responding:
-                memory[i] = _summed([w * m for (_, w), (_, _, m) in zip(ends, found, strict=True) if m is not None])
+                memory[i] = _summed([w * m for (_, w), (_, _, m) in zip(ends, made, strict=True) if m is not None])
         rms = float(np.sqrt(np.mean([np.dot(z, z) / z.size for z in series.values()])))
         if rms == 0.0:
-            return None  # of a law that is still zero, or that the motion does not reach
-        mean, unit = data.over_folds(slopes), placed.effect.parameters[k].unit
-        return light(Term(placed.name(k), unit, series, mean, 1.0 / rms, memory, slopes - mean))
-
-    out = []
-    for k, q in enumerate(placed.effect.parameters):
-        if placed.free[k] and (q.linear or not linear_only):
-            asked = None if responding or not q.linear else units
-            out.append(asked.of(placed, k, partial(made, k)) if asked else made(k))
-    return [t for t in out if t is not None]
+            continue  # of a law that is still zero, or that the motion does not reach
+        mean = data.over_folds(slopes)
+        out.append(light(Term(placed.name(k), q.unit, series, mean, 1.0 / rms, memory, slopes - mean)))
+    return out
 
 
 def dressed(made: list[Term], placed: Placed, fluctuations: Sequence[Fluctuation | Probe | None]) -> list[Term]:
