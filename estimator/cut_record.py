@@ -53,8 +53,8 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     t = np.arange(len(y)) / rate_hz
     speed = 2 * np.pi * (model.speed_rpm or 0.0) / 60
     angle = measured_phase(model, y, rate_hz)
-    turning = np.stack([t, speed * t if angle is None else angle])
-    a, v, x, u, (t, phase) = map(valid, (motion.a, motion.v[:P], motion.x[:P], motion.u, turning))
+    angle = speed * t if angle is None else angle
+    a, v, x, u, (t,), (phase,) = map(valid, (motion.a, motion.v[:P], motion.x[:P], motion.u, t[None], angle[None]))
     below = None if motion.slow is None else valid(motion.slow[:P])
     measured = {places.index(p): a[P + k] for k, p in enumerate(shaken)}
     mass = _masses(model, a, v, x, measured)
@@ -95,7 +95,8 @@ def _columns(model: Model, y: Array) -> tuple[list[int], dict[str, int]]:
     forces = {c.place: k for k, c in enumerate(model.channels) if c.kind == "force"}
     shaken = {p: forces[p] for p in model.places if p in forces}
     for k in (*moving, *shaken.values()):
-        check_moves(model.channels[k].name, y[np.isfinite(y[:, k]), k])
+        finite = np.isfinite(y[:, k])
+        check_moves(model.channels[k].name, y[:, k] if finite.all() else y[finite, k])
     return moving, shaken
 
 
