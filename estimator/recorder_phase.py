@@ -71,11 +71,11 @@ def excess(point: WorkingPoint, psi: Callable[[Array], Array]) -> tuple[float, f
         here, moved = (sum((evaluate(use, at, i, point.lin)[0] for use in own), np.zeros(1)) for at in (data, there))
         return np.asarray((turned(moved, -SMALL) - here) / SMALL)
 
-    there = data.states(lambda z: np.array(each(lambda row: turned(row, SMALL).astype(z.dtype), z)))
     felt = [i for i in places if any(i in use.at for use in uses)]
-    series = dict(zip(felt, each(left, felt), strict=True))
-    if not series:
+    if not felt:
         return None
+    there = data.states(lambda z: np.array(each(lambda row: turned(row, SMALL).astype(z.dtype), z)))
+    series = dict(zip(felt, each(left, felt), strict=True))
     rms = float(np.sqrt(np.mean([np.mean(z**2) for z in series.values()])))
     P = len(places)
     term = orthogonal(Term("phase", "1", series, np.zeros((P, P, 2)), 1.0 / max(rms, 1e-300)), point.spans)
