@@ -83,12 +83,12 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     model, point = whole.model, whole.point
     say(0.4, "what can still be predicted")
     part = thinned(point, missing_force.SURVEY_SECONDS)
-    found, others, beside = missing_force.surveyed(
-        part, model, lambda: suspects(model, point, y), lambda: twin(fitted_model(model, point), point, y)
-    )
+    found, others, beside, nll = missing_force.surveyed(
+        part, model, lambda: suspects(model, point, y), lambda: twin(fitted_model(model, point), point, y),
+        lambda: heldout_nll(point),
+    )  # fmt: skip
     clipped = [sensor_faults.said(s) for s in others if s.effect == "sensor_clipping"]
     say(0.85, "held-out likelihood")
-    nll = heldout_nll(point)
     channel = {p: next(c.name for c in model.channels if c.place == p) for p in point.data.places}
     asked: list[Callable[[], Any]] = [
         lambda: curves(point, found, channel, missing_force.orders_of(model)),
