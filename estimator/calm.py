@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from .bandlimit import noise_shape
 from .linear_memory import filtered
+from .side_by_side import each
 
 Array = NDArray[np.float64]
 LITTLE = 5e-4  # of the displacement, in power: noise under it bends no law by more than twice as much
@@ -40,13 +41,13 @@ class Calm:
     reach: int
 
     def of(self, x: NDArray[np.floating], rate_hz: float) -> Array:
-        """(places, n) what laws see beside x (places, n), sound but for `reach` rows at either end."""
+        """(places, n) what laws see beside x (places, n), sound but for `reach` rows at either end; as precise as x."""
         w = 2 * np.pi * self.f_hz
 
         def one(i: int) -> Array:
-            return filtered(lambda at: np.interp(at, w, self.less[i]), x[i], rate_hz)
+            return filtered(lambda at: np.interp(at, w, self.less[i]).astype(x.dtype), x[i], rate_hz)
 
-        return np.array([one(i) for i in range(len(x))])
+        return np.array(each(one, range(len(x))))
 
 
 def as_displacement(kinds: Sequence[str], f_hz: Array, noise: Array) -> Array:
