@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from . import linear_memory, shaft_law
 from .calm import as_seen
 from .effect import Effect
 from .errors import NotFiniteError
-from .features import FINER, MARGIN, Series, State, decimated, depends, folds, jumps, law_force
+from .features import FINER, MARGIN, State, decimated, depends, folds, jumps, law_force
 from .hidden_states import along
 from .motion_blocks import FOLDS, MotionBlocks
 
@@ -96,15 +97,14 @@ def _along(
     o, n, size = data.other(i), data.x.shape[1], data.sizes(i)
     reads = depends(effect, p, np.maximum(size, 1e-300))
     sharp = tangents is None and sharp_at(effect, p, data, i)
-    zero = np.zeros(n)
-    own: Series = data.calmed(i)
-    xo, vo = (zero, zero) if o is None else (data.calmed(o), data.v[o])
+    zero, states = np.zeros(n), product((i, o), (data.calmed, data.v.__getitem__))
+    seen = [of(j) if read and j is not None else zero for (j, of), read in zip(states, reads.tolist(), strict=True)]
     out, sums = np.empty(n), np.zeros((FOLDS, 4))
     for f, a, b in _pieces(data):
         rows = np.clip(np.arange(a - MARGIN, b + MARGIN), 0, n - 1) if sharp else slice(a, b)
-        x, v, xs, vs, t, phase = (z[rows] for z in (own, data.v[i], xo, vo, data.t, data.phase))
+        x, v, xo, vo, t, phase = (z[rows] for z in (*seen, data.t, data.phase))
         valid = np.ones(x.size, bool)
-        state = State(x, v, xs, vs, t, phase, data.sign(i), data.smoothing(i), valid)
+        state = State(x, v, xo, vo, t, phase, data.sign(i), data.smoothing(i), valid)
         if sharp:
             force, part = law_force(effect, p, state.finer(reads), reads)
             out[a:b], part = decimated(force), part / FINER
@@ -112,7 +112,7 @@ def _along(
             series = None if tangents is None else (tangents[0, a:b], tangents[1, a:b])
             out[a:b], part = law_force(effect, p, state, reads, series)
         sums[f] += part
-    if not (np.isfinite(sums).all() and np.abs(out).max() < LARGEST):
+    if not (np.isfinite(sums).all() and max(out.max(), -out.min()) < LARGEST):
         raise NotFiniteError(effect.name, data.places[i])
     sums /= np.maximum(data.fold_rows, 1)[:, None]
     if data.calm is not None:
