@@ -19,6 +19,7 @@ from estimator.model_fit import fit_model
 from estimator.model_uses import placed_of
 from estimator.placed import Placed
 from estimator.preparation import prepare
+from estimator.terms import Units
 from estimator.working_point import WorkingPoint
 
 CLEARANCE = CATALOGUE["clearance"]
@@ -114,3 +115,15 @@ def test_the_whole_record_is_for_what_it_could_bring_forward(weak: tuple[Model, 
     assert screen.contenders(alone) == [True, True, False]
     faint = [at("clearance", 20.0), at("stop", 1.0), at("hertz", 0.1)]
     assert screen.contenders(faint) == [True, True, False]
+
+
+def test_what_is_known_of_a_law_is_that_of_its_numbers(weak: tuple[Model, WorkingPoint, float]) -> None:
+    """A trial asked for again, at other numbers, and at the first again is what it is on a record asked for nothing."""
+    rig, point, gap = weak
+    placed = Placed(CLEARANCE, "bearing1.x.clearance", (0,), np.array([1.0, gap]), (True, True))
+    asked = [screen.assess(point, placed.with_values(np.array([1.0, by * gap]))) for by in (1.0, 1.0, 1.3, 1.0)]
+    gains = [one.gain for one in asked if one is not None]
+    fresh = screen.assess(replace(point, units=Units()), placed)
+    assert fresh is not None
+    assert gains[0] == gains[1] == gains[3] == fresh.gain
+    assert gains[2] != gains[0]
