@@ -30,7 +30,7 @@ from .tables import ladder_table, number, parameters_table
 
 BROKEN = 1e-4  # of the samples missing: it may be that which leaves too few stretches
 _OUTSIDE = "the catalogue does not hold; type a law of your own into the rig file"
-_NO_LAW = "is no law of a bearing: see the note on the shaft, and mend the rig file or the sensor first"
+_NO_LAW = "is no law of a bearing: see the notes, and mend what they name first"
 NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is missing"
 
 
@@ -198,7 +198,7 @@ def step(rig: Rig, comparison: Mapping[str, Any]) -> dict[str, Any]:
 
 def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     """A diagnosis for people."""
-    from estimator.diagnose import about_the_shaft
+    from estimator.diagnose import no_law
     from estimator.missing_force import UNJUDGED
 
     table = Table(box=None, header_style="bold", pad_edge=False)
@@ -225,7 +225,7 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     known = f"rotorscope effects {name} says what to look at" if name in CATALOGUE else "rotorscope add puts it in"
     verdict = {
         "complete": "the model is complete: nothing in the catalogue earns its place",
-        "unknown": f"something is missing that {_NO_LAW if about_the_shaft(value['messages']) else _OUTSIDE}",
+        "unknown": f"something is missing that {_NO_LAW if no_law(value['messages']) else _OUTSIDE}",
     }.get(name, f"missing: {name}; {known}")
     verdict = UNJUDGED if UNJUDGED in value["messages"] else verdict
     return [*people, f"verdict: {name}", verdict]
@@ -263,7 +263,7 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
 
 def ending(last: Mapping[str, Any]) -> str:
     """Why an improvement stops, from its last diagnosis."""
-    from estimator.diagnose import about_the_shaft
+    from estimator.diagnose import no_law
     from estimator.missing_force import UNJUDGED
 
     verdict = last["verdict"]
@@ -272,8 +272,8 @@ def ending(last: Mapping[str, Any]) -> str:
     if UNJUDGED in last["messages"]:
         return UNJUDGED
     if verdict == "unknown":
-        shaft = about_the_shaft(last["messages"])
-        return f"something is left: {shaft}" if shaft else f"something is left that {_OUTSIDE}"
+        laid = no_law(last["messages"])
+        return f"something is left: {laid}" if laid else f"something is left that {_OUTSIDE}"
     return f"the last diagnosis names {verdict}, which was not added"
 
 

@@ -75,13 +75,13 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
     if verdict == "complete":
         return ["Diagnosis: complete. No effect of the catalogue improves the prediction by more than chance would."]
     if verdict == "unknown":
-        from estimator.diagnose import about_the_shaft
+        from estimator.diagnose import no_law
         from estimator.missing_force import UNJUDGED
 
         if UNJUDGED in diagnosis.get("messages", ()):
             return [f"Diagnosis: unknown. {UNJUDGED[0].upper()}{UNJUDGED[1:]}."]
-        if shaft := about_the_shaft(diagnosis.get("messages", ())):
-            return [f"Diagnosis: unknown. A force is missing that is no law of a bearing: {shaft}."]
+        if laid := no_law(diagnosis.get("messages", ())):
+            return [f"Diagnosis: unknown. A force is missing that is no law of a bearing: {laid}."]
         near = f" The nearest are {listed([r['effect'] for r in rows[:3]])}." if rows else ""
         return [
             "Diagnosis: unknown. A force is missing, but no effect of the catalogue explains it; its shape is drawn "

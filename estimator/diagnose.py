@@ -28,6 +28,10 @@ OTHERWISE = (
     "the caps answer each other otherwise than the shaft of the rig file lets them: its spring or the disc's mass is "
     "another, or a sensor has a wrong gain or is late"
 )
+SPECTRUM = (
+    "the unknown force has a spectrum that no cause of the catalogue makes, and depends on no state: look at what "
+    "excites the rotor there, and at the sensor"
+)
 SHAFT = "the shaft is "  # softer or stiffer than the rig file says
 
 
@@ -200,8 +204,11 @@ def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[E
             "the residual force can be predicted, but no effect of the catalogue does it significantly",
             *dict.fromkeys(s.region for s in before.shares),
         ]
-        if any(f.group == "other_bearing" for r in before.residuals for f in r.found):
+        groups = {f.group for r in before.residuals for f in r.found}
+        if "other_bearing" in groups:
             said.append(OTHERWISE)
+        if not groups and before.shares:
+            said.append(SPECTRUM)
         return Diagnosis("unknown", entries, shape_of(point, before), messages=tuple(said))
     if not before.looked_anywhere():
         return Diagnosis("unknown", entries, messages=(*shaft, missing_force.UNJUDGED))
@@ -209,9 +216,11 @@ def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[E
     return Diagnosis("complete", entries, messages=(*shaft, *forces))
 
 
-def about_the_shaft(messages: Sequence[str]) -> str:
-    """The message by which a diagnosis lays what is left to the rig file's shaft, or to a sensor, and to no law."""
-    return next((text for text in messages if text == OTHERWISE or text.startswith(SHAFT)), "")
+def no_law(messages: Sequence[str]) -> str:
+    """The message by which a diagnosis lays what is left to the rig file's shaft, a sensor or what excites the rotor,
+    and to no law of a bearing."""
+    laid = (text for text in messages if text in (OTHERWISE, SPECTRUM) or text.startswith(SHAFT))
+    return next(laid, "")
 
 
 def _beside_forces(point: WorkingPoint) -> str:

@@ -64,7 +64,7 @@ def test_what_ends_at_the_shaft_does_not_ask_for_a_law() -> None:
     for text in (OTHERWISE, stiffer):
         unknown = {"verdict": "unknown", "ranking": [], "messages": ["the first", text]}
         assert ending(unknown) == f"something is left: {text}"
-        assert "see the note on the shaft" in diagnosis_text(unknown)[-1]
+        assert "is no law of a bearing: see the notes" in diagnosis_text(unknown)[-1]
     unknown = {"verdict": "unknown", "ranking": [], "messages": ["the first"]}
     assert "type a law of your own" in ending(unknown)
     assert "type a law of your own" in diagnosis_text(unknown)[-1]

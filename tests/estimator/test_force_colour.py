@@ -10,7 +10,7 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import butter, iirpeak, lfilter
 
 from estimator import force_cells, force_colour, force_shapes
-from estimator.diagnose import diagnose
+from estimator.diagnose import diagnose, no_law
 from estimator.improve import improve
 from estimator.missing_force import survey
 from estimator.model import Channel, EffectUse, Model, Setting
@@ -42,6 +42,7 @@ def test_a_force_with_a_peak_is_unknown_and_no_pedestal() -> None:
     found = diagnose(rig, np.stack([peaked, y[:, 1]], axis=1), RATE)
     assert found.verdict == "unknown"
     assert any(m.startswith("bearing1.x: force spectrum") for m in found.messages)
+    assert no_law(found.messages).startswith("the unknown force has a spectrum")
 
 
 def test_the_force_inferred_by_a_wrong_stiffness_beside_caps_that_answer() -> None:
