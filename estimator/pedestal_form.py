@@ -23,8 +23,7 @@ def values(z: Array, cap_mass: float) -> Array:
 
 def at_end(z: Array) -> bool:
     """Whether a search ended at an end of what a pedestal may be, but for one that is too heavy or stiff to be told."""
-    ends = [z[0] <= LOW[0], z[1] <= LOW[1], z[2] >= HIGH[2]]
-    return any(ends)
+    return bool(z[0] <= LOW[0] or z[1] <= LOW[1] or z[2] >= HIGH[2])
 
 
 def free(p: Array, cap_mass: float) -> Array:
