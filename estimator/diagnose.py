@@ -207,7 +207,7 @@ def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[E
         groups = {f.group for r in before.residuals for f in r.found}
         if "other_bearing" in groups:
             said.append(OTHERWISE)
-        if not groups and before.shares:
+        if not groups and before.shares and not point.data.measured_force:  # beside one it is the path that is bent
             said.append(SPECTRUM)
         return Diagnosis("unknown", entries, shape_of(point, before), messages=tuple(said))
     if not before.looked_anywhere():
