@@ -88,7 +88,7 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         lambda: heldout_nll(point),
     )  # fmt: skip
     clipped = [sensor_faults.said(s) for s in others if s.effect == "sensor_clipping"]
-    say(0.85, "held-out likelihood")
+    say(0.85, "where the model fails")
     channel = {p: next(c.name for c in model.channels if c.place == p) for p in point.data.places}
     asked: list[Callable[[], Any]] = [
         lambda: curves(point, found, channel, missing_force.orders_of(model)),
