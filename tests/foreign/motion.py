@@ -158,11 +158,8 @@ def steps(state, memory, half, drive, rate, inverse, forces, kinds, dofs, beside
                 law[far] -= 0.5 * f
                 continue
             x, v = state[d], state[n + d]
-            if kinds[i] == 9:
-                z = memory[i]
-                memory[i] = z + dt * (v - (abs(v) * z + v * abs(z)) / (2 * numbers[i, 1]))
-            if kinds[i] == FULL_LOOP:  # beta and gamma of its own: it unloads steeper than it loads
-                z, beta = memory[i], numbers[i, 2]
+            if kinds[i] == 9 or kinds[i] == FULL_LOOP:  # the latter unloads steeper than it loads, by a beta of its own
+                z, beta = memory[i], 0.5 if kinds[i] == 9 else numbers[i, 2]
                 memory[i] = z + dt * (v - (beta * abs(v) * z + (1 - beta) * v * abs(z)) / numbers[i, 1])
             law[d] += push(kinds[i], numbers[i], x, v, state[o], t, turn, memory[i])
         kick[:] = dt * (inverse @ law)

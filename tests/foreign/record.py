@@ -75,7 +75,7 @@ def _draw(case: Case) -> dict[str, Any]:
 
 
 # kind of sensor -> units and their SI values
-UNITS = {"acceleration": {"m/s^2": 1.0, "g": 9.80665}, "velocity": {"mm/s": 1e-3}, "displacement": {"um": 1e-6}}
+UNITS = {"acceleration": {"m/s^2": 1.0, "g": 9.80665}, "velocity": {"mm/s": 1e-3}}
 
 
 def _varied(rig: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
@@ -271,7 +271,7 @@ def _recorded(bench: Bench) -> tuple[Array, Array]:
 
     caps = [AT[f"bearing{c[1]}.{c[2]}"] for c in rig["channels"]]
     chunks = motion(bench.rotor(), force, rate, case.seconds, case.rng(4))
-    which = {"displacement": 1, "velocity": 2, "acceleration": 3}[rig["kind"]]
+    which = {"velocity": 2, "acceleration": 3}[rig["kind"]]
     unit = UNITS[rig["kind"]][rig["unit"]]
     kept = [np.stack([out[which][:, caps] / unit, out[0][:, caps]]).astype(np.float32) for out in chunks]
     motions, forces = np.concatenate(kept, axis=1)
