@@ -1,7 +1,7 @@
 """Two effects hidden together, drawn by number: what `improve` adds to the model without both, and what is left.
 
 Pair n is drawn from n alone: two different effects, each at bearing1 or at both. A longer list begins as a shorter one.
-Imbalance and a bow are not drawn together: at one speed they are one line, as the catalogue says of them.
+Imbalance and a bow are not drawn together: they load the caps alike at every speed, as the catalogue says of them.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ measured, A(f) a(f) less that force is looked at instead: a line that it has its
 
 Which cause: a rotating force on the disc (imbalance, bow: order 1, forward, in the proportion that the shaft passes
 to both caps), a cap force at order 2 (misalignment), a train of harmonics of a bearing order (local_defect), or a
-line at a frequency of its own. At one constant speed imbalance and bow are the same; the usual one is named.
+line at a frequency of its own. An imbalance and a bow load the caps alike at every speed; the usual one is named.
 """
 
 from __future__ import annotations
@@ -167,7 +167,8 @@ def _one_line(
             return Suspect(
                 "imbalance", ("disc",), explained, 2, p, power, "shaft_angle",
                 f"1 x shaft speed ({hz:.2f} Hz), forward", {"disc": settings},
-                "a bow of the shaft gives the same line at one speed: change the speed to tell them", (5 * sd, "N"),
+                "a bow of the shaft loads the caps in the same way at every speed: its run-out at slow roll tells them",
+                (5 * sd, "N"),
             )  # fmt: skip
     name = "misalignment" if near == [2] else "line"
     chosen = [i for i in range(P) if Z[i] > 9]

@@ -26,16 +26,21 @@ BOW = Effect(
     ),
     equation=(
         "force on the disc (a cos phi - b sin phi, a sin phi + b cos phi), minus half of it on each cap; "
-        "hypot(a, b) = shaft stiffness times bow"
+        "hypot(a, b) = k r of a bow r, k the stiffness that holds the disc while the caps stand still"
     ),
-    signature="a line at 1X, forward, that stays when the speed goes to zero",
+    signature=(
+        "a line at 1X, forward; as the speed goes to zero the run-out of the disc stays, the load on the caps vanishes"
+    ),
     confused_with=("imbalance", "misalignment"),
     distinguish=(
-        "does not grow as speed squared, and pushes the caps against the disc: at one speed alone it cannot be "
-        "told from imbalance"
+        "loads the caps as an imbalance m r Omega^2 of the disc does, at every speed: only the run-out of the shaft "
+        "itself, at slow roll, tells them apart"
     ),
     reference="Nicholas, Gunter and Allaire, J. Eng. Power 98, 1976, 171-181 (residual shaft bow)",
-    check="the forces on disc and caps sum to zero; as the speed goes to zero the response stays",
+    check=(
+        "the forces on disc and caps sum to zero; the caps move as by an imbalance of eccentricity r at every speed, "
+        "the disc by r more"
+    ),
     on_machine="run-out of the shaft at slow roll; heat soak on one side, a rub that has bent it, careless storage",
     scope="node",
     force=force,

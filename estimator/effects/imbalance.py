@@ -39,8 +39,8 @@ IMBALANCE = Effect(
     signature="a line at 1X, forward, the same at both bearings of a symmetric rotor, growing as speed squared",
     confused_with=("bow", "misalignment", "line"),
     distinguish=(
-        "a bow is the same line at one speed and does not grow as speed squared: only records at two speeds tell "
-        "them apart; a line at fixed Hz does not follow speed"
+        "a bow as large as the eccentricity loads the caps in the same way at every speed: the run-out of the shaft at "
+        "slow roll tells them apart; a line at fixed Hz does not follow speed"
     ),
     reference="Jeffcott, Phil. Mag. 37, 1919, 304-314",
     check=(

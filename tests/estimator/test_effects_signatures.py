@@ -82,6 +82,23 @@ def test_1x_is_forward_and_of_the_size_of_the_linear_response(name: str) -> None
     assert abs(lines(z, 2 * SHAFT)) < 0.01 * abs(forward)
 
 
+@pytest.mark.parametrize("shaft", ["chain", "beam"])
+@pytest.mark.parametrize("hz", [3.0, 80.0, 400.0])
+def test_a_bow_loads_the_caps_as_an_imbalance_of_its_eccentricity_at_every_speed(shaft: str, hz: float) -> None:
+    """Newton's law for the disc: what the caps feel of a bent shaft is the mass that it carries round. At the disc the
+    two differ by the bow itself, which is what is left of it at slow roll."""
+    model = replace(rig(nodes=2), shaft=shaft, shaft_damping=0.0)
+    assembled, keep, w = assemble(model), [0, 1, 2], 2 * np.pi * hz
+    M, C, K = (A[np.ix_(keep, keep)] for A in (assembled.M, assembled.C, assembled.K))
+    bow = 1e-5  # m, of the disc against the line of the caps
+    pull = K[2, 2] * bow  # N on the disc whose caps are held
+    D = dynamic_stiffness(M, C, K, np.array([w]))[0]
+    bent = np.linalg.solve(D, pull * np.array([-0.5, -0.5, 1.0]))
+    heavy = np.linalg.solve(D, M[2, 2] * bow * w**2 * np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(bent[:2], heavy[:2], rtol=1e-9)
+    assert bent[2] - heavy[2] == pytest.approx(bow, rel=1e-9)
+
+
 def test_misalignment_is_at_2x_alone() -> None:
     y = simulate(rig(use("misalignment", "bearing1.x", a=1.0, b=0.0), S=1e-9), RATE, 1.0, seed=2)
     at = {order: abs(lines(y[:, 0], order * SHAFT)) for order in (1, 2, 3, 4)}
