@@ -90,12 +90,13 @@ def truth_text(rig: Rig) -> str:
 
 
 def _acquire(output: Output, rig: Rig, truth: Rig, log: Path, recording: Path) -> None:
-    from drivers.links import VirtualConfig, make_driver
+    from drivers.link_config import VirtualConfig
+    from drivers.links import make_driver
 
     from .acquire import acquire
-    from .live import Operator
     from .log_writer import LogWriter
     from .rerun_sink import RerunSink
+    from .session import Operator
     from .simulation import machine
 
     device = machine(rig, truth=truth, seed=SEED, seconds=SECONDS).device

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from drivers.device_info import Expected
 from drivers.errors import LinkError
-from drivers.links import CaptureConfig, ReplayConfig, VirtualConfig, make_driver, parse_link
+from drivers.link_config import CaptureConfig, ReplayConfig, VirtualConfig
+from drivers.links import make_driver, parse_link
 from drivers.reading import Driver
 
 from .errors import ConfigError

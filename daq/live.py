@@ -2,47 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from drivers.reading import Notice
+from typing import Any
 
 from .acquire import RunSummary, acquire
 from .errors import CheckFailed, ConfigError, LogError
 from .links import open_driver
 from .output import Output
 from .rig import Rig, load_rig
-from .sink import Sink
+from .session import Operator, in_words, log_of, make_sinks, naming, serve_metrics, what_is_wrong
 from .stop import Stop
-from .tables import gap_lines, gap_reasons, parameters_table
-
-if TYPE_CHECKING:
-    from .metrics import MetricsServer
-
-OVER = ("link_back", "bus_restarted", "error_active", "log_recovered", "viewer_back")  # the end of what was told
-LOG_LOST = ("log_incomplete", "log_failed", "log_cut")
-
-
-class Operator:
-    """Says notices as they come, behind the name of one of several devices; remembers what makes the log worthless."""
-
-    def __init__(self, output: Output, device: str = "") -> None:
-        self._output = output
-        self._device = f"{device}: " if device else ""
-        self.lost_log = ""
-
-    def __call__(self, notice: Notice) -> None:
-        if notice.code in LOG_LOST:
-            self.lost_log = notice.text
-        if notice.level == "info" and notice.code not in OVER:
-            self._output.detail(f"{self._device}{notice.text}")
-        else:
-            level = "note" if notice.level == "info" else notice.level
-            self._output.note(f"{self._device}{level}: {notice.text}")
 
 
 def run(
@@ -100,28 +71,6 @@ def run_rig(
         raise wrong
 
 
-def what_is_wrong(summary: RunSummary, operator: Operator, strict: bool, link: str) -> Exception | None:
-    """Why a session that came to its end failed nevertheless."""
-    if operator.lost_log:
-        return LogError(operator.lost_log)
-    if strict and summary.lost_samples:
-        return CheckFailed(f"{summary.lost_samples} samples were lost; --strict asks for none")
-    return None if summary.samples else _nothing(summary, link)
-
-
-def _nothing(summary: RunSummary, link: str) -> Exception:
-    from drivers.errors import LinkOpenError
-
-    if summary.stats.frames:
-        what = "frames came, but none of the rig's channels; check the device, and [link] of the rig file"
-    elif summary.stats.bytes:
-        came = f"{summary.stats.bytes} bytes came, but no samples"
-        what = f"{came}; check the kind of link (slcan: or serial:), the bit rate, and the device"
-    else:
-        what = "nothing came; check the device, its bit rate, and [link] of the rig file"
-    return LinkOpenError(f"{link}: {what}")
-
-
 def simulate(
     output: Output, rig_path: Path, out: Path | None, serve: str | None, seconds: float | None, seed: int,
     truth_path: Path | None, speed: str | None, device: Mapping[str, object], faults: Sequence[str],
@@ -159,7 +108,8 @@ def simulate(
         if pace is None:
             driver = at_full_speed(simulated.device)
         else:
-            from drivers.links import VirtualConfig, make_driver
+            from drivers.link_config import VirtualConfig
+            from drivers.links import make_driver
 
             driver = make_driver(VirtualConfig(pace), device=simulated.device)  # type: ignore[assignment]
         sinks = make_sinks(output, out, None, live=pace is not None)
@@ -223,57 +173,6 @@ def _speed(text: str) -> float | None:
     return value
 
 
-def make_sinks(
-    output: Output, out: Path | None, rerun: str | None, live: bool, wall_offset_ns: int | None = None,
-    table: bool = True, wanted: Callable[[], bool] | None = None,
-) -> list[Sink]:  # fmt: skip
-    """wall_offset_ns : Unix time minus the monotonic time of the readings, where they are not of now.
-
-    wanted : asked when the log is complete whether it is to be kept.
-    """
-    sinks: list[Sink] = []
-    if out is not None:
-        from .log_writer import LogWriter
-
-        sinks.append(LogWriter(out, live=live, wanted=wanted or (lambda: True)))
-    if rerun is not None:
-        from .rerun_sink import RerunSink
-
-        sinks.append(RerunSink(rerun, live=live, wall_offset_ns=wall_offset_ns))
-    if table and sys.stderr.isatty() and not output.quiet:
-        from .live_table import LiveTable
-
-        sinks.append(LiveTable(output.to_stderr))
-    return sinks
-
-
-def log_of(sinks: Sequence[Sink], out: Path | None) -> Path | None:
-    """Where the log is by now: elsewhere than asked for if it was removed and could not be put back there."""
-    if out is None:
-        return None
-    from .log_writer import LogWriter
-
-    path = next((sink.path for sink in sinks if isinstance(sink, LogWriter)), out)
-    with contextlib.suppress(OSError):  # the folder that we were started in is gone
-        return out if os.path.realpath(path) == os.path.realpath(out) else path
-    return path
-
-
-def naming(rig: Rig, live: bool) -> list[Sink]:
-    """What names a force that begins to be missing, if the rolling estimate looks for one."""
-    from .naming import Naming
-
-    return [Naming(rig, live)] if rig.estimator.method == "spectral" else []
-
-
-def serve_metrics(output: Output, port: int) -> MetricsServer:
-    from .metrics import MetricsServer
-
-    server = MetricsServer(port)
-    output.note(f"metrics at {server.url}")
-    return server
-
-
 def _serving(output: Output, url: str) -> None:
     """Where the device is: on standard output at once, for whoever waits for it."""
     if not output.quiet and output.json != "-":
@@ -292,20 +191,3 @@ def _write_truth(rig: Rig, assumed: Any, path: Path) -> None:
 def _report(output: Output, summary: RunSummary, out: Path | None, more: dict[str, Any]) -> None:
     out = out if summary.samples or summary.lost_samples else None  # else the log was not left behind
     output.result(summary.to_json() | more | ({"log": str(out)} if out else {}), *in_words(summary, out))
-
-
-def in_words(summary: RunSummary, out: Path | None) -> list[Any]:
-    """What came of a session, for people."""
-    people: list[Any] = []
-    estimate = summary.last_estimate
-    if estimate is not None and estimate.parameters:
-        people += [parameters_table(estimate.parameters), ""]
-    elif estimate is not None:
-        people.append(f"no estimate: {estimate.status}")
-    people += gap_lines(summary.gaps)
-    lost = f", {summary.lost_samples} lost in {gap_reasons(summary.gaps)}" if summary.lost_samples else ", none lost"
-    unlogged = f"; up to {summary.not_logged} of them are not in the log" if summary.not_logged else ""
-    people.append(f"{summary.seconds:.3f} s, {summary.samples} samples of each channel{lost}{unlogged}")
-    if out is not None:
-        people.append(f"log: {out}")
-    return people

@@ -15,11 +15,11 @@ from drivers.reading import Notice
 from .acquire import FINITE, Device, RunSummary, acquire_all
 from .errors import ConfigError, RotorscopeError, exit_status
 from .links import open_driver
-from .live import Operator, in_words, log_of, make_sinks, naming, serve_metrics, what_is_wrong
 from .log_codec import text as as_text
 from .output import Output
 from .rerun_process import VIEWER_PORT
 from .rig import load_rig
+from .session import Operator, in_words, log_of, make_sinks, naming, serve_metrics, what_is_wrong
 from .stop import Stop
 
 if TYPE_CHECKING:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.theory import Theory, taylor
 
-if TYPE_CHECKING:
-    from .reproduce import Case, Row
+from .reproduce_cases import KNL, METHODS, RATE_HZ, STIFFNESS, Case, Row
 
 Array = NDArray[np.float64]
 COLOURS = ("#1f5fa8", "#c2571a")
@@ -93,8 +92,6 @@ def joint(out: Path, number: int, x: Array) -> None:
 
 def restoring(out: Path, number: int, case: Case, rows: Sequence[Row], direction: str) -> None:
     """Stiffness k(x) = kL + 3 kNL x^2 in and out, with the 95 % band of eq. (36), masses given."""
-    from .reproduce import KNL, METHODS, STIFFNESS
-
     figure, axes = _panels(2)
     x = case.x[direction]
     for i, ax in enumerate(axes):
@@ -149,8 +146,6 @@ def bearing_theory(out: Path, number: int, hertz: Theory, secant: bool) -> None:
 
 def draw_all(out: Path, cases: Sequence[Case], rows: Sequence[Row], hertz: Theory) -> dict[int, str]:
     """Draw figures 4-19 into `out`; returns number -> caption."""
-    from .reproduce import RATE_HZ
-
     rig = cases[0]
     captions: dict[int, str] = {}
     for base, direction, word in ((4, "x", "vertical (x)"), (10, "y", "horizontal (y)")):

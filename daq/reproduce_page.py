@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .reproduce import Case
+    from .reproduce_cases import Case
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1d1d1d; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }

@@ -44,7 +44,8 @@ def rerun(folder: Path) -> Path:
     from daq.rig import Rig, load_rig
     from daq.simulation import machine
     from drivers.faults import Fault
-    from drivers.links import VirtualConfig, make_driver
+    from drivers.link_config import VirtualConfig
+    from drivers.links import make_driver
 
     rig = load_rig(RIG)
     lost = Fault("drop", at=round(0.7 * SECONDS * 25600 / 7), count=900)  # frames of seven samples: a quarter second

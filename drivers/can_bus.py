@@ -14,7 +14,7 @@ from drivers.can_errors import describe_error
 from drivers.can_frames import ERROR, EXTENDED, REMOTE, CanFrames
 from drivers.errors import LinkOpenError, LinkUnavailable
 from drivers.link import Event, LinkLost
-from drivers.links import CanConfig
+from drivers.link_config import CanConfig
 from drivers.socketcan import BulkReceiver, KernelQueue, check_up
 
 MAX_BATCH = 1024

@@ -8,9 +8,10 @@ from collections.abc import Mapping
 
 from drivers.can_decoder import CanDecoder
 from drivers.can_frames import CanFrames
-from drivers.capture_files import Batch, Batches, open_capture
+from drivers.capture_batches import Batch, Batches
+from drivers.capture_files import open_capture
 from drivers.device_info import Expected
-from drivers.links import CaptureConfig
+from drivers.link_config import CaptureConfig
 from drivers.mapped import MappedDecoder
 from drivers.reading import LinkStats, Reading
 

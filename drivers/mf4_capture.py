@@ -21,7 +21,7 @@ from typing import Any, BinaryIO, TypeVar
 import numpy as np
 
 from drivers.can_frames import CanFrames
-from drivers.capture_files import Batch, batches_of
+from drivers.capture_batches import Batch, batches_of
 from drivers.errors import LinkOpenError, LinkUnavailable
 
 OPENED, UNAVAILABLE, REFUSED, BATCH, END = (bytes((letter,)) for letter in b"OURBZ")

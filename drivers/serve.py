@@ -16,7 +16,8 @@ import numpy as np
 
 from drivers import cobs
 from drivers.errors import LinkError, LinkOpenError
-from drivers.links import CanConfig, SerialConfig, SlcanConfig, parse_link
+from drivers.link_config import CanConfig, SerialConfig, SlcanConfig
+from drivers.links import parse_link
 from drivers.pacing import pump
 from drivers.simulated import SimulatedDevice, WireFrame
 from drivers.slcan_codec import encode_line

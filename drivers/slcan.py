@@ -8,7 +8,7 @@ from drivers.byte_port import PortSource
 from drivers.can_frames import CanFrames
 from drivers.errors import LinkOpenError
 from drivers.link import Decoder
-from drivers.links import SlcanConfig
+from drivers.link_config import SlcanConfig
 from drivers.reading import Reading
 from drivers.slcan_codec import SlcanCodec
 

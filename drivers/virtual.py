@@ -10,7 +10,7 @@ from typing import Any
 from drivers.can_bus import BusSource, open_bus
 from drivers.can_frames import CanFrames
 from drivers.link import Event
-from drivers.links import CanConfig
+from drivers.link_config import CanConfig
 from drivers.pacing import pump
 from drivers.simulated import SimulatedDevice, WireFrame
 

@@ -25,7 +25,8 @@ from ramp_device import ramp_device
 from drivers import cobs, protocol
 from drivers.can_decoder import CanDecoder
 from drivers.can_frames import CanFrames
-from drivers.links import SerialConfig, SlcanConfig, make_driver
+from drivers.link_config import SerialConfig, SlcanConfig
+from drivers.links import make_driver
 from drivers.protocol_dbc import dbc_text
 from drivers.reading import Block, Gap, LinkStats
 from drivers.slcan_codec import encode_line

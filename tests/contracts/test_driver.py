@@ -23,7 +23,8 @@ from sessions import make_block, write_log
 from daq.log_reader import read_log
 from daq.replay import ReplayDriver
 from drivers import links
-from drivers.links import CanConfig, CaptureConfig, SerialConfig, SlcanConfig, VirtualConfig, make_driver, parse_link
+from drivers.link_config import CanConfig, CaptureConfig, SerialConfig, SlcanConfig, VirtualConfig
+from drivers.links import make_driver, parse_link
 from drivers.reading import Driver, LinkStats
 from drivers.slcan_codec import encode_line
 

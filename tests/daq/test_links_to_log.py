@@ -17,7 +17,8 @@ from daq.acquire import RunSummary, acquire
 from daq.log_reader import Recording, read_log
 from daq.log_writer import LogWriter
 from daq.replay import replay
-from drivers.links import VirtualConfig, make_driver, parse_link
+from drivers.link_config import VirtualConfig
+from drivers.links import make_driver, parse_link
 from drivers.reading import Block, Driver
 from drivers.simulated import SimulatedDevice
 

@@ -17,8 +17,8 @@ from promises import PATIENCE_S
 from sessions import make_session, make_stream, write_log
 
 from daq.cli import main
-from daq.live import Operator
 from daq.output import Output
+from daq.session import Operator
 from drivers.reading import Notice
 
 RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from daq.reproduce import DISC, METHODS, paper_model, reproduce
+from daq.reproduce import reproduce
+from daq.reproduce_cases import DISC, METHODS, paper_model
 from estimator.rotor import stationarity
 
 

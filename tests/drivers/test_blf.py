@@ -12,7 +12,8 @@ import psutil
 import pytest
 
 from drivers.blf import LARGEST_CONTAINER
-from drivers.capture_files import Batch, open_capture
+from drivers.capture_batches import Batch
+from drivers.capture_files import open_capture
 
 REAL = Path(__file__).parents[1] / "data" / "canedge_imu" / "canedge_imu.blf"
 Row = Callable[[str, object], None]

@@ -25,7 +25,8 @@ from drivers.can_errors import describe_error
 from drivers.can_frames import EXTENDED, CanFrames
 from drivers.errors import LinkError, LinkOpenError
 from drivers.link import LinkLost
-from drivers.links import CanConfig, VirtualConfig, make_driver, parse_link
+from drivers.link_config import CanConfig, VirtualConfig
+from drivers.links import make_driver, parse_link
 from drivers.reading import Driver
 from drivers.simulated import WireFrame
 from drivers.slcan_codec import encode_line

@@ -17,7 +17,8 @@ from ramp_device import Record, read_all
 
 from drivers.capture_files import open_capture
 from drivers.errors import LinkError, LinkOpenError
-from drivers.links import CaptureConfig, make_driver
+from drivers.link_config import CaptureConfig
+from drivers.links import make_driver
 from drivers.reading import Info
 
 DATA = Path(__file__).parents[1] / "data" / "canedge_imu"

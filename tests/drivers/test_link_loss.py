@@ -20,7 +20,8 @@ from ramp_device import Record, Served, ramp_device, read_for, read_until
 
 from drivers import cobs
 from drivers.errors import LinkOpenError
-from drivers.links import SerialConfig, SlcanConfig, make_driver, parse_link
+from drivers.link_config import SerialConfig, SlcanConfig
+from drivers.links import make_driver, parse_link
 from drivers.reading import Driver
 from drivers.simulated import SimulatedDevice
 from drivers.slcan_codec import encode_line

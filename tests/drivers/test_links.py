@@ -14,17 +14,8 @@ from ramp_device import Record, ramp_device
 from drivers import cobs
 from drivers.device_info import Expected
 from drivers.errors import LinkError
-from drivers.links import (
-    FORMS,
-    CanConfig,
-    CaptureConfig,
-    ReplayConfig,
-    SerialConfig,
-    SlcanConfig,
-    VirtualConfig,
-    make_driver,
-    parse_link,
-)
+from drivers.link_config import CanConfig, CaptureConfig, ReplayConfig, SerialConfig, SlcanConfig, VirtualConfig
+from drivers.links import FORMS, make_driver, parse_link
 from drivers.reading import LinkStats
 from drivers.serial_decoder import SerialDecoder
 

@@ -15,7 +15,8 @@ from ramp_device import Record, read_until
 from drivers.can_frames import EXTENDED, CanFrames
 from drivers.device_info import Expected
 from drivers.errors import LinkError
-from drivers.links import CanConfig, make_driver
+from drivers.link_config import CanConfig
+from drivers.links import make_driver
 from drivers.mapped import MappedDecoder
 from drivers.reading import Block, LinkStats
 from drivers.signal_plan import Bits, compile_plan
