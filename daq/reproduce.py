@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from estimator.fit_result import Fit
-from estimator.rotor import stationarity
-from estimator.stationary import plane_diagnostics
+from estimator.stationary import plane_diagnostics, stationarity
 from estimator.theory import Theory, theory
 
 from .reproduce_cases import (

@@ -13,12 +13,13 @@ from . import pedestal_form
 from .effects import CATALOGUE
 from .effects.places import at, written
 from .estimate import Parameter
-from .folded_force import images
+from .folded_force import images, of_late_sensor
 from .force_shapes import resonance_hz
 from .model import Model
+from .path_spectra import Response
 from .periodic import known_lines
 from .sensor_response import LINEAR, forced, response
-from .transfer import Peak, Response, highest, linear, noises, plain, response_of
+from .transfer import Peak, highest, linear, noises, plain, response_of
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -154,7 +155,7 @@ def refined(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Paramet
             (cause,) = (c for c in causes(point, i, {use.name: now}) if c.effect == use.name)
             starts = [cause.free(np.array([now[n] for n in cause.names])), *map(np.array, cause.starts)]
             r = response_of(point, i, lines)
-            late = r.late(point.data.rate_hz) if use.name == "sensor_skew" else None
+            late = of_late_sensor(r, point.data.rate_hz) if use.name == "sensor_skew" else None
             peaks = [bent(point, i, z, cause, *plain(point, i, z), starts) for z in (r, late) if z]
             best = numbers(cause, max(peaks, key=lambda peak: peak.nats))
             new.pop(key.split(".")[0], None)

@@ -16,13 +16,15 @@ from scipy.special import chdtrc
 
 from .bends import OWN, Cause, bent, causes, numbers
 from .effects import CATALOGUE
+from .folded_force import of_late_sensor
 from .missing_force import NEGLIGIBLE
 from .model import Model
 from .noise_floor import noisy_beside_forces
+from .path_spectra import Response
 from .periodic import known_lines
 from .sensor_response import forced
 from .suspect import UNKNOWN, Suspect
-from .transfer import Peak, Response, exp, expected, left, plain, response_of
+from .transfer import Peak, exp, expected, left, plain, response_of
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -61,7 +63,7 @@ def find(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> li
         if r.n.size < FEWEST:
             continue
         tried = _likeliest(model, point, i, r)
-        if late := r.late(point.data.rate_hz):
+        if late := of_late_sensor(r, point.data.rate_hz):
             delayed = _likeliest(model, point, i, late)
             tried = delayed if delayed.late and delayed.nats > tried.nats else tried
         found = _found(model, point, i, tried)

@@ -25,13 +25,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from .transfer import Response
+from .path_spectra import Folded, Response
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -51,35 +49,6 @@ def alike(hz: Array, rate_hz: float, mass: float, k: float, c: float) -> Complex
 def images(w: Array, rate_hz: float) -> Array:
     """(2, cells) rad/s of what is folded to w (cells,), from below and from beyond the rate."""
     return np.asarray(2 * np.pi * rate_hz + np.stack([-w, w]))
-
-
-@dataclass(frozen=True, slots=True)
-class Folded:
-    """density : (2, cells) PSD in the record from below and from beyond the rate, 0 where none is seen. passed : (2,
-    cells) of these by the sensor; undone : the same by what is undone. back : (cells,) as `alike` gives it. likely :
-    whether it is seen, or less sure than is asked for and likelier than noise of the sensor."""
-
-    density: Array
-    passed: Complexes
-    undone: Complexes
-    back: Complexes
-    likely: bool
-
-    @property
-    def seen(self) -> Array:
-        """(cells,) PSD in the record."""
-        return np.asarray(np.sum(self.density, axis=0))
-
-    @property
-    def force(self) -> Complexes:
-        """(cells,) per acceleration in the record."""
-        with np.errstate(invalid="ignore"):
-            force = self.back * np.sum(self.density / self.passed, axis=0) / self.seen
-        return np.where(self.seen > 0.0, force, self.back)
-
-    def through(self, further: Complexes) -> Folded:
-        """The same of a sensor with a further response, (2, cells) at the images."""
-        return replace(self, passed=self.undone * np.stack([further[0].conj(), further[1]]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,3 +139,12 @@ def folded(r: Response, back: Complexes, passed: Complexes, rate_hz: float, late
     left, turned = c.by_fold(by, then)
     more = after - c.by_fold(by, now)[0] >= WORTH
     return turned if more and told(c.by(by, then)[0], c.by_sensor(by, then), left) else nothing
+
+
+def of_late_sensor(r: Response, rate_hz: float) -> Response | None:
+    """The same of a sensor that is late by more than is undone; None where that explains no more."""
+    if r.fold is None:
+        return None
+    bare = r.bare or r
+    fold = folded(bare, r.fold.back, r.fold.undone, rate_hz, late=True)
+    return bare.less(fold) if fold.density.any() else None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from . import pedestal_form
 from .estimate import Parameter
 from .force_cells import Cells, cells_of, finite_exp
-from .noise_paths import LEAST_NOISE
+from .noise_level import LEAST_NOISE
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from .errors import DataError
 from .gram import spectra, valid_blocks
 from .model import EffectUse, Model, Setting
 from .record import Record
-from .spectral import Solution
+from .solution import Solution
 
 Floats = NDArray[np.float64]
 OVERSAMPLE = 8

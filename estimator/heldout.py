@@ -30,7 +30,7 @@ def heldout_rmse(model: Model, y: Array, rate_hz: float) -> dict[str, float]:
     forced = {c.place for c in model.channels if c.kind == "force"}
     if not model.places or not forced.issuperset(model.places):
         return {}
-    from . import spectral, whole
+    from . import likely_path, spectral, whole
     from .free_run import beside_record, simulation_rmse
     from .record import prepare
 
@@ -39,7 +39,7 @@ def heldout_rmse(model: Model, y: Array, rate_hz: float) -> dict[str, float]:
         if any(whole.beside_the_laws(u) or effect_of(u).kind == "memory" for u in model.effects):
             found = whole.fit_whole(model, part, rate_hz)
         else:
-            solution = spectral.analyse(model, part, rate_hz)
+            solution = likely_path.analyse(model, part, rate_hz)
             beside = spectral.pushed(solution, part)
             if beside is None:
                 return simulation_rmse(replace(solution, record=prepare(model, y, rate_hz)), FITTED)

@@ -11,15 +11,10 @@ no force. Laws act along the most likely path (likely_path.py), which is indepen
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from .balance import Balance
-
-if TYPE_CHECKING:
-    from .likelihood import Local
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -51,10 +46,6 @@ def taken_back(
     return g, np.where(row[:, None] == row, h, 0.0)
 
 
-def worse(here: Local, trial: Local, shape: Floats, count: Floats) -> bool:
-    """Whether a step leaves more, judged by the noise of before. shape : (cells, P) of S; count : (cells,) bins."""
-    spread = here.point.S * shape + trial.floor @ here.point.noise
-    before, after = (
-        float(count @ (z.power / spread_).sum(axis=1)) for z, spread_ in ((here, here.spread), (trial, spread))
-    )
-    return not after <= before * (1.0 + 1e-9)
+def left(power: Floats, spread: Floats, count: Floats) -> float:
+    """What is left of the force over noise of this PSD, which judges a step; (cells, P) and count : (cells,) bins."""
+    return float(count @ (power / spread).sum(axis=1))

@@ -20,7 +20,7 @@ from .bandlimit import noise_shape
 from .contour import modes_of, past
 from .gram import Layout, Nodes
 from .jacobian import levels, log_determinant, noise_slope
-from .known_force import is_known, seen_through, taken_back, worse
+from .known_force import is_known, left, seen_through, taken_back
 
 MARGIN = 2.0  # spacings of the nodes from a mode to the line of the determinant: the slopes are good to exp(-4 pi)
 
@@ -270,7 +270,8 @@ class Likelihood:
         """Whether a step has not made the model less likely."""
         if self.known:
             count: Floats = np.asarray(self.evidence.blocks * self.evidence.grid.per_cell, dtype=np.float64)
-            return not worse(here, trial, self.colour[1], count)
+            spread = here.point.S * self.colour[1] + trial.floor @ here.point.noise  # noise as it was before the step
+            return left(trial.power, spread, count) <= left(here.power, here.spread, count) * (1.0 + 1e-9)
         return trial.nll <= here.nll + 1e-9 * abs(here.nll)
 
     def _nuisance(self, point: Point, gain: Floats) -> Floats:

@@ -9,23 +9,26 @@ displacement is smaller while the cap vibrates more.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .balance import force_channels, motion_channels
 from .bandlimit import noise_shape, passband, to_acceleration
+from .checks import check_record
 from .columns import Columns
 from .gram import taper
+from .known_force import is_known
 from .likelihood import responses
-from .record import Record
+from .lines import begin, swept
+from .maximum import SETTLED
+from .model import Model
+from .record import Record, prepare
 from .side_by_side import each
+from .solution import Solution, solve
 from .start import Start
-
-if TYPE_CHECKING:
-    from .spectral import Solution
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -34,6 +37,27 @@ DRIFT = 0.02  # of the lower band edge: below it an offset or drift of a force s
 NEAREST = 1e-4  # least smoothing, in standard deviations of the displacement
 ROUNDS = 3  # each leaves a tangent over the stiffness of the error
 PIECE = 1 << 16  # rows
+PATHS = 4  # that a law is fitted along, each from the last fit
+
+
+def analyse(
+    model: Model, y: Floats, rate_hz: float, phase: Floats | None = None, values: Mapping[str, float] | None = None
+) -> Solution:
+    """Fit a model to (n, channels) rows in SI, with a force measured at every place again along the most likely path.
+
+    values : to begin from, by name. Raises DataError.
+    """
+    y = check_record(model, y, rate_hz)
+    record, start = swept(*begin(prepare(model, y, rate_hz, phase)))
+    solution = solve(record, start, model, values)
+    if not (is_known(solution.balance) and solution.balance.laws):
+        return solution
+    for _ in range(PATHS):
+        before, sd = solution.point.beta, np.sqrt(np.diag(solution.covariance))
+        solution = solve(*along_likely_path(solution, y), model, solution.values)
+        if np.nanmax(np.abs(solution.point.beta - before) / sd[: before.size]) < SETTLED:
+            break
+    return solution
 
 
 def along_likely_path(solution: Solution, y: Floats) -> tuple[Record, Start]:

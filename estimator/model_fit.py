@@ -14,7 +14,7 @@ from .effects.strength import search_range
 from .force_level import alike, level_of
 from .model_uses import size, stiffness
 from .motion_blocks import MotionBlocks, part_of, spectrum
-from .noise_paths import LEAST_NOISE, noise_of
+from .noise_level import LEAST_NOISE, noise_of
 from .placed import Placed, evaluate, remembers
 from .probe import Probe
 from .shaft_law import without_comb

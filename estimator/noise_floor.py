@@ -11,8 +11,9 @@ from scipy.special import chdtrc
 
 from .estimate import Parameter
 from .model import MOTION, Model
+from .path_spectra import Response
 from .suspect import Suspect
-from .transfer import Peak, Response, exp, expected, highest, linear
+from .transfer import Peak, exp, expected, highest, linear
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]

@@ -30,7 +30,7 @@ from .periodic import known_lines
 from .record import Record, as_record, notches
 from .rolling_fit import WARM_UP_S, RollingFit
 from .shaft_speed import ShaftAngle
-from .spectral import judged
+from .solution import judged
 from .watch import CANDIDATES
 
 Floats = NDArray[np.float64]

@@ -28,7 +28,7 @@ from .rolling_level import Level, Moves
 from .rolling_memory import FlutterSums, Memory
 from .rolling_slow import SlowMotion
 from .rolling_states import HiddenStates, linear_of
-from .spectral import OVERLAP
+from .solution import OVERLAP
 from .start import Start, renewed
 from .watch import look, with_candidates
 

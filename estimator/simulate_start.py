@@ -2,7 +2,7 @@
 
 The disc mode of a chain relaxes only through the dampers of the caps, in 14 s to hours, so a start from rest would
 show a transient for the whole record. The start is the exact Gaussian of the linear part. Where exp(-H/T) is exactly
-stationary (rotor.stationarity) the effects are then let in with strong damping on every mass and the noise that goes
+stationary the effects are then let in with strong damping on every mass and the noise that goes
 with it: the same density, reached in a few periods. Otherwise a short run with the true damping lets them in.
 """
 
@@ -16,8 +16,9 @@ import numpy as np
 from .effects.law_loop import force_array
 from .errors import ModelError
 from .model import Model
-from .rotor import Array, linear_covariance, stationarity
+from .rotor import Array, linear_covariance
 from .simulate_plan import Plan
+from .stationary import stationarity
 
 if TYPE_CHECKING:
     from .simulate_step import Stepper

@@ -2,183 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
-from . import force_level, one_end
-from .balance import Balance, force_channels
+from . import bent_path, force_level, one_end, unknown_mass, whole
+from .balance import force_channels
 from .checks import check_record
 from .contour import modes_of
 from .effects.ball_pass import BALL_PASS
 from .effects.custom import effect_of
 from .errors import DataError
-from .estimate import Parameter, untold_at
 from .fit_result import Fit
-from .fold_tangents import excess
-from .gram import spectra, taper, valid_blocks
 from .known_force import is_known
-from .likelihood import Likelihood, Local, Point, active, responses
-from .likely_path import along_likely_path
-from .lines import begin, describe, swept
-from .maximum import SETTLED, inverse, maximum
-from .model import UNITS, Model
+from .likelihood import responses
+from .likely_path import analyse
+from .lines import describe
+from .model import Model
 from .model_uses import searched
 from .periodic import PERIODIC
-from .record import Bank, Record, prepare, stretches
+from .preparation import prepare
 from .roll_off import devices, suspected
+from .search_start import fit_record
 from .sensor_response import forced
 from .slow_motion import lopsided, own_sizes, usual
-from .start import Start
-
-if TYPE_CHECKING:
-    from .whole import Whole
+from .solution import Solution, ratios_only, report
+from .whole import Whole
 
 Floats = NDArray[np.float64]
-SCALELESS = "the data leave it free: nothing in the model sets its scale"
 START_SECONDS = 20.0  # of a record, for where a gap is begun
 UNMEASURED = 1e-3  # of the measured force, in power, from which on it matters whether the rest is noise or a force
 SHARED = 0.03  # of the PSD of an inferred force in a cell: with 0.17, kL was one standard deviation high, with 0.9 five
-PATHS = 4  # that a law is fitted along where the force is known, each from the last fit
-OVERLAP = 0.106  # correlation of the energies of neighbouring blocks (sums of w^2 w'^2 over w^4, gram.taper)
-
-
-@dataclass(frozen=True, slots=True)
-class Solution:
-    """A fitted model: the record, the balance and its Gram matrices, the point and its uncertainty.
-
-    covariance : (p + 2 P, p + 2 P) of beta, log S, noise (see likelihood.Local); inf where the data leave it free.
-    """
-
-    record: Record
-    start: Start
-    balance: Balance
-    bank: Bank
-    local: Local
-    covariance: Floats
-    converged: bool
-
-    @property
-    def point(self) -> Point:
-        return self.local.point
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Free parameters by name; searched ones at their current value."""
-        return {
-            f.name: (f.start + b if f.searched else b)
-            for f, b in zip(self.balance.free, self.local.point.beta.tolist(), strict=True)
-        }
-
-
-def analyse(
-    model: Model, y: Floats, rate_hz: float, phase: Floats | None = None, values: Mapping[str, float] | None = None
-) -> Solution:
-    """Fit a model to (n, channels) rows in SI. values : to begin from, by name. Raises DataError."""
-    y = check_record(model, y, rate_hz)
-    record, start = swept(*begin(prepare(model, y, rate_hz, phase)))
-    solution = solve(record, start, model, values)
-    if not (is_known(solution.balance) and solution.balance.laws):
-        return solution
-    for _ in range(PATHS):
-        before, sd = solution.point.beta, np.sqrt(np.diag(solution.covariance))
-        solution = solve(*along_likely_path(solution, y), model, solution.values)
-        if np.nanmax(np.abs(solution.point.beta - before) / sd[: before.size]) < SETTLED:
-            break
-    return solution
-
-
-def solve(record: Record, start: Start, model: Model, values: Mapping[str, float] | None = None) -> Solution:
-    """Fit a model to a prepared record from a linear start. values : known ones by name, before the model's own."""
-    best = maximum(record, start, model, values)
-    covariance = sandwich(best.likelihood, best.local, best.bank)
-    return Solution(record, start, best.balance, best.bank, best.local, covariance, best.converged)
-
-
-def sandwich(likelihood: Likelihood, local: Local, bank: Bank) -> Floats:
-    """Covariance H^-1 J H^-1 with J from the scores of the folds of time; H^-1 alone if they are too few."""
-    bread, used, folds = inverse(local), active(local.point), bank.blocks.size
-    if folds < 3 * used.size:
-        return bread
-    g = likelihood.scores(local, bank.grams, bank.blocks)
-    if not likelihood.known:
-        g[:, : local.point.beta.size] -= excess(likelihood, local, bank)
-    g = g[:, used]
-    m = float(bank.blocks.mean())
-    lost = (1 + 2 * OVERLAP) / (1 + 2 * OVERLAP * (m - 1) / m)  # neighbouring folds share half a block
-    J = (g.T @ g) * lost * folds / (folds - used.size)
-    H = bread[np.ix_(used, used)]
-    loose = ~np.isfinite(np.diag(H))
-    H = np.where(np.isfinite(H), H, 0.0)
-    covariance = H @ J @ H
-    covariance[loose, loose] = np.inf
-    bread[np.ix_(used, used)] = covariance
-    return bread
-
-
-def inferred_force(solution: Solution) -> Floats:
-    """(places, n) N: the force that the model does not explain, in the band, NaN where nothing is known.
-
-    Synthesised from the same blocks as the likelihood: window, bins of the band, window, overlap and add.
-    """
-    record, grid, balance = solution.record, solution.record.grid, solution.balance
-    columns = record.columns(balance, solution.start.widths, solution.start.linear)
-    B = balance.coefficients(solution.point.beta)
-    out, weight = np.zeros((len(balance.places), record.motion.rows)), np.zeros(record.motion.rows)
-    w = taper(grid.size)
-    for group in stretches(valid_blocks(record.motion.valid, grid), 8):
-        at = int(group[0]) * grid.hop
-        z, _ = columns.evaluate(record.stretch(at, int(group[-1]) * grid.hop + grid.size))
-        Z = spectra(B @ z, group - group[0], grid) * (w[grid.hop] / grid.window[grid.hop])
-        full = np.zeros((*Z.shape[:2], grid.size // 2 + 1), complex)
-        full[:, :, grid.bins] = Z
-        series = np.fft.irfft(full, grid.size, axis=2)
-        for b in range(group.size):
-            rows = slice(at + b * grid.hop, at + b * grid.hop + grid.size)
-            out[:, rows] += series[:, b] * w
-            weight[rows] += w * w
-    out[:, weight < 0.999] = np.nan
-    return out
-
-
-def report(solution: Solution) -> dict[str, Parameter]:
-    """Every parameter by full name, judged."""
-    return judged(solution.balance, solution.point, solution.covariance, solution.record.model)
-
-
-def judged(balance: Balance, point: Point, covariance: Floats, model: Model) -> dict[str, Parameter]:
-    """Parameters by full name: kL, c, m and S of each place, then those of the effects."""
-    sd = np.sqrt(np.diag(covariance))
-    free = {
-        f.name: (f, (f.start + b if f.searched else b), sd[j])
-        for j, (f, b) in enumerate(zip(balance.free, point.beta.tolist(), strict=True))
-    }
-    out: dict[str, Parameter] = {}
-    for i, place in enumerate(balance.places):
-        for key in ("kL", "c", "m"):
-            name = f"{place}.{key}"
-            setting = model.linear.get(place, {}).get(key)
-            given = model.cap_mass(place) if key == "m" else None if setting is None else setting.value
-            if name in free:
-                out[name] = _judged(free[name][1], free[name][2], UNITS[key])
-            elif given is not None:
-                out[name] = Parameter(given, 0.0, UNITS[key], True, "given")
-        out[f"{place}.S"] = _judged(point.S[i], point.S[i] * sd[point.beta.size + i], UNITS["S"])
-    out |= {name: _judged(value, s, f.unit) for name, (f, value, s) in free.items() if name not in out}
-    adrift = [p for p in balance.places if f"{p}.m" in free and not np.isfinite(free[f"{p}.m"][2])]
-    return untold_at(adrift, SCALELESS, out, "N")
-
-
-def _judged(value: float, sd: float, unit: str) -> Parameter:
-    judged = Parameter.judged(value, sd, unit)
-    if judged.identifiable:
-        return judged
-    if not np.isfinite(sd):
-        return Parameter(None, None, unit, False, SCALELESS)
-    return Parameter(None, None, unit, False, f"{value:.3g} +- {sd:.2g}: not told from zero by this record")
 
 
 def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) -> Fit:
@@ -189,22 +42,16 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
     a force beside those measured, noise of a sensor that comes through the shaft into the force at another, and a law
     with searched numbers whose likelihood is not brought to its maximum here.
     """
-    from . import unknown_mass
-
     known = not unknown_mass.unknown(model) or bool(unknown_mass.of_shaft(model))
     solution: Solution | None = None
     if not (known and _more_than_laws(model)):
         solution = analyse(model, y, rate_hz, phase, _begun(model, y, rate_hz) if known else None)
     lost = solution is not None and known and (astray(solution) or _whirls(solution) or _shared(solution))
     if solution is None or lost or (known and _falls(solution)):
-        from . import whole
-
         found = whole.fit_whole(model, check_record(model, y, rate_hz), rate_hz)
         if solution is None or lost or found.model.roll_off:
             return whole.as_fit(found)
     if (beside := pushed(solution, y)) is not None:
-        from . import whole
-
         return whole.as_fit(beside)
     samples = int(solution.record.motion.valid.sum())
     return Fit(report(solution), -solution.local.nll, samples, "spectral", messages(solution))
@@ -220,8 +67,6 @@ def pushed(solution: Solution, y: Floats) -> Whole | None:
     shares = solution.point.S / forces
     if (shares < UNMEASURED).all():
         return None
-    from . import bent_path, whole
-
     found = whole.fit_whole(model, check_record(model, y, rate_hz), rate_hz)
     return found if bent_path.pushed(found.model, found.point) else None
 
@@ -231,11 +76,9 @@ def _begun(model: Model, y: Floats, rate_hz: float) -> dict[str, float] | None:
     gap of another size Gauss-Newton ends at a maximum of its own. None without such a law."""
     if not any(searched(effect_of(use), model) for use in model.effects):
         return None
-    from . import preparation, search_start  # 0.1 s to import
-
     part = y[: int(START_SECONDS * rate_hz)]
     try:
-        point = search_start.fit_record(model, preparation.prepare(model, part, rate_hz))
+        point = fit_record(model, prepare(model, part, rate_hz))
     except DataError:
         return None  # the fit itself says what is wrong
     return {use.name(k): float(v) for use in point.placed for k, v in enumerate(use.p)}
@@ -288,15 +131,6 @@ def _falls(solution: Solution) -> bool:
     peaks = [solution.start.sizes[place]["hz_peak"] for place in solution.balance.places]
     ratio, f_hz, places = local.power / local.spread, grid.mean_by_cell(grid.f_hz), solution.balance.places
     return any(suspected(ratio[:, own], f_hz, count, max(peaks)) for own in ([*range(len(places))], *devices(places)))
-
-
-def ratios_only(place: str, kL: float, c: float, m: float) -> str:
-    """What to tell of a place whose mass is not known."""
-    hz, zeta = np.sqrt(kL / m) / (2 * np.pi), c / (2 * np.sqrt(kL * m))
-    return (
-        f"{place}: no mass is known, so only ratios are: resonance {hz:.1f} Hz, damping {100 * zeta:.2f} % of "
-        "critical; give [rig.mass] to have stiffness in N/m"
-    )
 
 
 def messages(solution: Solution) -> tuple[str, ...]:

@@ -26,7 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .bandlimit import noise_shape
-from .folded_force import Folded, alike, folded
+from .folded_force import alike, folded
+from .path_spectra import Response
 
 if TYPE_CHECKING:
     from .working_point import WorkingPoint
@@ -37,64 +38,6 @@ CELLS = 900
 OVERLAPPED = 0.439  # independent numbers for each bin of a block: Hann windows every half block, 1.944 (1 + 2 / 11.7)
 BESIDE = 2.5  # bins on either side of a line that are left out
 STEPS, SETTLED = 60, 1e-4
-
-
-@dataclass(frozen=True, slots=True)
-class Response:
-    """Residual R and acceleration a of one place by cells of the band. w : (cells,) rad/s; n : independent numbers.
-
-    rr, ra, aa, ff : mean |R|^2, R a*, |a|^2 and |A a - R|^2, one-sided PSD; A : tangent; noise : PSD of acceleration of
-    white noise of the sensor. unmeasured : share of Q that is a force beside the measured one, not noise of its sensor.
-    """
-
-    w: Array
-    n: Array
-    rr: Array
-    ra: Complexes
-    aa: Array
-    ff: Array
-    A: Complexes
-    noise: Array
-    hz: Array  # width of each cell
-    unmeasured: float = 0.0
-    alike: Complexes | float = 0.0  # (cells,) force per acceleration of what is folded
-    folded: Array | float = 0.0  # (cells,) M
-    across: Array | float = 0.0  # (cells,) of Q, what is folded into the motion of the other caps, through the shaft
-    fold: Folded | None = None  # of an acceleration, seen or not
-    bare: Response | None = None  # the same with it, where it was taken out
-
-    def share(self, Q: float) -> Array:
-        """(cells,) p: what of the measured force is noise where the density Q is left."""
-        return np.minimum((1.0 - self.unmeasured) * (Q + self.across) / self.ff, 0.5)
-
-    def through(self, further: Complexes) -> Response:
-        """The same where the sensor has a response that is not undone, (2, cells) at the images of what is folded."""
-        if self.fold is None or self.bare is None:
-            return self
-        return replace(self.bare, unmeasured=self.unmeasured).less(self.fold.through(further))
-
-    def late(self, rate_hz: float) -> Response | None:
-        """The same of a sensor that is late by more than is undone; None where that explains no more."""
-        if self.fold is None:
-            return None
-        bare = self.bare or self
-        fold = folded(bare, self.fold.back, self.fold.undone, rate_hz, late=True)
-        return bare.less(fold) if fold.density.any() else None
-
-    def less(self, fold: Folded) -> Response:
-        """Without what the measured force tells of the fold; the rest of that is noise."""
-        alike = fold.force
-        folded = np.minimum(fold.seen, 0.5 * self.ff / np.abs(alike) ** 2)
-        told = alike.conj() * folded / self.ff
-        B, rest = told * (self.A - alike), 1 - (told * alike).real
-        af, rf = self.A.conj() * self.aa - self.ra.conj(), self.A.conj() * self.ra - self.rr
-        return replace(
-            self,
-            rr=self.rr - 2 * np.real(B.conj() * rf) + np.abs(B) ** 2 * self.ff,
-            ra=self.ra - told.conj() * rf - B * af.conj() + B * told.conj() * self.ff,
-            aa=self.aa - 2 * np.real(told.conj() * af) + np.abs(told) ** 2 * self.ff,
-            ff=rest**2 * self.ff, alike=alike, folded=rest * folded, fold=fold, bare=self,
-        )  # fmt: skip
 
 
 def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), every: int = 1) -> Response:

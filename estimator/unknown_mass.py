@@ -12,14 +12,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import spectral
 from .effects.custom import effect_of
 from .errors import DataError
 from .estimate import Parameter, belongs
+from .likely_path import analyse
 from .model import Model
 from .periodic import PERIODIC
 from .rotor import shaft_matrix
 from .sensor_response import forced, undone
+from .solution import ratios_only, report
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
@@ -33,7 +34,7 @@ def weighed(model: Model, y: Array, rate_hz: float) -> tuple[Model, dict[str, Pa
         return model, {}
     laws = tuple(u for u in model.effects if effect_of(u).kind == "force" and u.name not in PERIODIC)
     try:
-        fitted = spectral.report(spectral.analyse(replace(model, effects=laws), undone(model, y, rate_hz), rate_hz))
+        fitted = report(analyse(replace(model, effects=laws), undone(model, y, rate_hz), rate_hz))
     except DataError:  # the fit that follows says what is wrong
         return model, {}
     told = {f"{p}.m": fitted[f"{p}.m"] for p in left_out}
@@ -56,7 +57,7 @@ def ratios(model: Model, point: WorkingPoint) -> tuple[str, ...]:
     """What to tell the user of places whose mass nothing tells."""
     at = [point.data.places.index(p) for p in unknown(model)]
     return tuple(
-        spectral.ratios_only(point.data.places[i], point.kL[i], point.c[i], point.data.mass[i])
+        ratios_only(point.data.places[i], point.kL[i], point.c[i], point.data.mass[i])
         for i in at if point.kL[i] > 0.0
     )  # fmt: skip
 

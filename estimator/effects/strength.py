@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..effect import Effect, EffectParameter
 from ..model import EffectUse, Model, Setting
+from ..rotor import assemble, linear_covariance
 from .compiled import memory_array
 from .law_loop import force_array
 from .places import kinematic, places
@@ -65,8 +66,6 @@ class Size:
 
 def size(model: Model, place: str, rate_hz: float = 25600.0) -> Size:
     """Natural sizes at a place ("bearing1.x"; "bearing1" and "disc" mean their x) from the linear model alone."""
-    from ..rotor import assemble, linear_covariance
-
     rig = assemble(model)
     P = linear_covariance(rig.M, rig.C, rig.K, np.diag(rig.S / 2.0))
     direction = place.split(".")[1] if "." in place else "x"

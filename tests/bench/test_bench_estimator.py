@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from kept_records import KNL, kept
 from reference_rig import MASS, PLACES, RATE, TRUTH, rig_model
 
-from estimator import spectral
+from estimator.likely_path import analyse
 
 SEEDS = int(os.environ.get("ROTORSCOPE_SEEDS", "4"))
 SECONDS = float(os.environ.get("ROTORSCOPE_SECONDS", "60"))
@@ -83,7 +83,7 @@ def errors_of(case: str, seed: int) -> tuple[Errors, float]:
     """Errors of the fit of one record, and the seconds that it took."""
     y = kept(case, seed, SECONDS)
     begin = time.perf_counter()
-    solution = spectral.analyse(rig_model(*CASES[case]), y, RATE)
+    solution = analyse(rig_model(*CASES[case]), y, RATE)
     took = time.perf_counter() - begin
     truth = {"kNL": KNL, "fc": HIDDEN.get(case, 0.0), "cq": HIDDEN.get(case, 0.0)}
     sd, names, out = np.sqrt(np.diag(solution.covariance)), solution.balance.names, Errors()

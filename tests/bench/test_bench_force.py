@@ -31,8 +31,8 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.signal import upfirdn
 
-from estimator import spectral
 from estimator.free_run import beside_record, simulation_rmse
+from estimator.likely_path import analyse
 from estimator.model import Channel, EffectUse, Model, Setting
 from estimator.record import prepare
 
@@ -110,7 +110,7 @@ Result = dict[str, list[float]]
 def result_of(y: np.ndarray, run: bool) -> Result:
     """Relative errors and sd given; with `run` the rms errors of fitted and true model run on the held-out part."""
     begin = time.process_time()
-    solution = spectral.analyse(model(), y, RATE)
+    solution = analyse(model(), y, RATE)
     took = time.process_time() - begin
     names, sd, true = solution.balance.names, np.sqrt(np.diag(solution.covariance)), rig.truth()
     at = [names.index(f"{p}.{k}") for p in PLACES for k in ("kL", "c", "cubic.kNL")]
@@ -118,7 +118,7 @@ def result_of(y: np.ndarray, run: bool) -> Result:
     if not run:
         return out
     record = prepare(model(), y, RATE)
-    first = spectral.analyse(model(), y[: int((1 - HELD_OUT) * len(y))], RATE)
+    first = analyse(model(), y[: int((1 - HELD_OUT) * len(y))], RATE)
     fitted = simulation_rmse(replace(first, record=record), 1 - HELD_OUT)
     ideal = beside_record(true_model(), record, float(np.max(2 * MASS / true[1::3])), 1 - HELD_OUT)
     runs = {"fitted": list(fitted.values()), "true model": list(ideal.values())}

@@ -11,12 +11,13 @@ from reference_samples import langevin
 from estimator.cut_record import cut
 from estimator.estimate import Parameter
 from estimator.features import MARGIN
+from estimator.likely_path import analyse
 from estimator.lines import begin
 from estimator.model import Channel, Model
 from estimator.model_fit import fit_model
 from estimator.record import prepare
 from estimator.rolling import RollingSpectral
-from estimator.spectral import analyse, report
+from estimator.solution import report
 from estimator.whole import fit_whole
 
 RATE = 1000.0

@@ -19,6 +19,7 @@ from estimator.effects.custom import custom_effect
 from estimator.effects.expression import FUNCTIONS, ExpressionError, compile_law
 from estimator.effects.law_loop import force_array
 from estimator.errors import DataError, ModelError
+from estimator.likely_path import analyse
 from estimator.model import CustomLaw, EffectUse, Setting
 from estimator.model_fit import fit_model
 from estimator.model_uses import placed_of
@@ -171,8 +172,8 @@ def test_a_module_object_that_cannot_work_is_refused() -> None:
 
 def test_a_user_law_has_the_standing_of_a_built_in_one_in_simulation() -> None:
     from estimator.model import Channel, Model
-    from estimator.rotor import stationarity
     from estimator.simulate import simulate
+    from estimator.stationary import stationarity
 
     linear = {"bearing1.x": {"kL": Setting(1e7), "c": Setting(60.0), "S": Setting(9e-5)}}
     model = Model((Channel("a", "bearing1", "x"),), (150.0, 8000.0), mass={"bearing1": 0.2}, linear=linear)
@@ -268,14 +269,14 @@ def test_a_search_that_has_left_for_where_its_numbers_do_nothing_is_not_believed
     rig = one_bearing()
     hidden = EffectUse("clearance", {"bearing1.x": {"k": Setting(3e6), "gap": Setting(1.9e-7)}})
     y = simulate(rig, RATE, 3.0, seed=1, noise=0.02)
-    found = spectral.analyse(replace(rig, effects=(hidden,)), y, RATE)
+    found = analyse(replace(rig, effects=(hidden,)), y, RATE)
     (searched,) = [k for k, f in enumerate(found.balance.free) if f.searched]
     far = found.covariance.copy()
     far[searched, searched] = np.inf
     assert spectral.astray(replace(found, covariance=far))
     assert spectral.astray(replace(found, converged=False))
     assert not spectral.astray(replace(found, converged=True, covariance=np.eye(len(far))))
-    assert not spectral.astray(replace(spectral.analyse(rig, y, RATE), converged=False))
+    assert not spectral.astray(replace(analyse(rig, y, RATE), converged=False))
 
 
 def test_a_law_that_grows_beyond_all_measure_at_a_value_on_trial_is_passed_over() -> None:

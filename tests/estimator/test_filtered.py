@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from reference_rig import PLACES, RATE, rig_model, rig_record
 
-from estimator import filtered, spectral
+from estimator import filtered
 from estimator.bandlimit import band_limit
 from estimator.filtered import Filtered
+from estimator.likely_path import analyse
+from estimator.solution import inferred_force
 
 KINDS, BAND = ["acceleration", "displacement"], (150.0, 8000.0)
 
@@ -36,11 +38,11 @@ def test_every_piece_has_the_bits_of_the_stream(extra: object) -> None:
 @pytest.mark.slow
 def test_a_large_record_is_fitted_without_its_motion_held(monkeypatch: pytest.MonkeyPatch) -> None:
     y = rig_record(8.0, seed=1)
-    small = spectral.analyse(rig_model("cubic"), y, RATE)
+    small = analyse(rig_model("cubic"), y, RATE)
     monkeypatch.setattr(filtered, "LARGE", 1e6)
-    large = spectral.analyse(rig_model("cubic"), y, RATE)
+    large = analyse(rig_model("cubic"), y, RATE)
     assert isinstance(large.record.motion, Filtered)
     for place in PLACES:
         for name in (f"{place}.kL", f"{place}.c", f"{place}.cubic.kNL"):
             assert large.values[name] == pytest.approx(small.values[name], rel=1e-9)
-    assert np.allclose(spectral.inferred_force(large), spectral.inferred_force(small), rtol=1e-6, equal_nan=True)
+    assert np.allclose(inferred_force(large), inferred_force(small), rtol=1e-6, equal_nan=True)

@@ -11,12 +11,13 @@ from estimator.balance import build
 from estimator.columns import Columns
 from estimator.dressing import flutter
 from estimator.features import MARGIN
+from estimator.likely_path import analyse
 from estimator.maximum import Tangents, without_flutter
 from estimator.model import Channel, EffectUse, Model
 from estimator.record import gather, prepare
 from estimator.rolling import RollingSpectral
 from estimator.rolling_memory import FlutterSums
-from estimator.spectral import analyse, report
+from estimator.solution import report
 
 RATE, SIGMA = 1000.0, 0.3
 

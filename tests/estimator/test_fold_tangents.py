@@ -11,8 +11,9 @@ from reference_rig import COULOMB, RATE, rig_model, rig_record
 from estimator.columns import Columns
 from estimator.fold_tangents import excess
 from estimator.likelihood import Likelihood
+from estimator.likely_path import analyse
 from estimator.maximum import inverse
-from estimator.spectral import Solution, analyse
+from estimator.solution import Solution
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,11 @@ import pytest
 
 from estimator import spectral
 from estimator.free_run import fitted_model, resampled, simulation_rmse
+from estimator.likely_path import analyse
 from estimator.model import Channel, EffectUse, Model, Setting
 from estimator.record import prepare
 from estimator.simulate import simulate
+from estimator.solution import report
 from estimator.whole import fit_whole
 
 RATE, PLACES = 25600.0, ("bearing1.x", "bearing2.x")
@@ -29,8 +31,8 @@ def truth() -> Model:
 def test_a_measured_force_brings_the_parameters_to_its_own_bound(truth: Model) -> None:
     y = simulate(truth, RATE, 8.0, seed=1)
     blank = replace(truth, linear={}, effects=(EffectUse("cubic", {p: {} for p in PLACES}),))
-    solution = spectral.analyse(blank, y[: int(6 * RATE)], RATE)
-    parameters = spectral.report(solution)
+    solution = analyse(blank, y[: int(6 * RATE)], RATE)
+    parameters = report(solution)
     for place in PLACES:
         assert parameters[f"{place}.kL"].value == pytest.approx(1e7, rel=5e-4)
         assert parameters[f"{place}.c"].value == pytest.approx(60.0, rel=5e-3)
@@ -40,7 +42,7 @@ def test_a_measured_force_brings_the_parameters_to_its_own_bound(truth: Model) -
     held = replace(solution, record=prepare(blank, y, RATE))
     complete = simulation_rmse(held, first=0.75)
     linear = replace(truth, linear={}, effects=())
-    lacking = replace(spectral.analyse(linear, y[: int(6 * RATE)], RATE), record=prepare(linear, y, RATE))
+    lacking = replace(analyse(linear, y[: int(6 * RATE)], RATE), record=prepare(linear, y, RATE))
     missing = simulation_rmse(lacking, first=0.75)
     for name, rms in zip(("a0", "a1"), held.record.rms("a"), strict=True):
         assert complete[name] < 0.005 * rms

@@ -13,10 +13,12 @@ from estimator.balance import build
 from estimator.bandlimit import band_limit
 from estimator.likelihood import Likelihood, Point
 from estimator.likely_path import along_likely_path
+from estimator.lines import begin
 from estimator.maximum import initial
 from estimator.model import Channel, EffectUse, Model, Setting
 from estimator.record import gather, prepare
 from estimator.simulate import simulate
+from estimator.solution import solve
 from estimator.start import linear_start
 
 Floats = NDArray[np.float64]
@@ -120,7 +122,7 @@ def test_the_most_likely_path_is_that_of_the_cap(noisy: Floats) -> None:
     blank = rig(*MOTION, *FORCE)
     seen = tuple(replace(c, kind="displacement") for c in MOTION)
     true = simulate(rig(*seen, known=True), RATE, SECONDS, seed=5).T
-    solution = spectral.solve(*spectral.begin(prepare(blank, noisy, RATE)), blank)
+    solution = solve(*begin(prepare(blank, noisy, RATE)), blank)
     record, start = along_likely_path(solution, noisy)
     assert record.slow is not None
     valid = record.motion.valid.copy()

@@ -21,8 +21,8 @@ from estimator.rotor import (
     propagator,
     shaft_at_caps,
     shaft_matrix,
-    stationarity,
 )
+from estimator.stationary import stationarity
 
 PAPER_MASS = np.diag([0.245, 0.22, 0.515])
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing
 
-from estimator import bandlimit, model_fit, noise_paths, working_point
+from estimator import bandlimit, model_fit, noise_level, working_point
 from estimator.fitted import parameters
 from estimator.model import EffectUse, Setting
 from estimator.model_uses import placed_of
-from estimator.noise_paths import _least
+from estimator.noise_level import _least
 from estimator.preparation import prepare
 from estimator.simulate import simulate
 
@@ -26,7 +26,7 @@ def test_the_noise_is_that_of_the_values_after_a_step() -> None:
     true = 0.1**2 / (RATE / 2) / S
     np.testing.assert_allclose(point.nu, true, rtol=0.4)
     off = working_point.point_at(point.data, 0.9 * point.kL, 1.2 * point.c, point.nu, point.S, list(point.placed))
-    np.testing.assert_allclose(noise_paths.noise_of(off)[0], true, rtol=0.4)
+    np.testing.assert_allclose(noise_level.noise_of(off)[0], true, rtol=0.4)
 
 
 def test_a_law_that_was_still_zero_can_be_looked_at_on_part_of_the_record() -> None:

@@ -1,0 +1,93 @@
+"""What is measured of the path from a force to a motion, by cells of the band, and what sampling folds into both.
+
+How they are found: transfer.py and folded_force.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True)
+class Folded:
+    """density : (2, cells) PSD in the record from below and from beyond the rate, 0 where none is seen. passed : (2,
+    cells) of these by the sensor; undone : the same by what is undone. back : (cells,) as `alike` gives it. likely :
+    whether it is seen, or less sure than is asked for and likelier than noise of the sensor."""
+
+    density: Array
+    passed: Complexes
+    undone: Complexes
+    back: Complexes
+    likely: bool
+
+    @property
+    def seen(self) -> Array:
+        """(cells,) PSD in the record."""
+        return np.asarray(np.sum(self.density, axis=0))
+
+    @property
+    def force(self) -> Complexes:
+        """(cells,) per acceleration in the record."""
+        with np.errstate(invalid="ignore"):
+            force = self.back * np.sum(self.density / self.passed, axis=0) / self.seen
+        return np.where(self.seen > 0.0, force, self.back)
+
+    def through(self, further: Complexes) -> Folded:
+        """The same of a sensor with a further response, (2, cells) at the images."""
+        return replace(self, passed=self.undone * np.stack([further[0].conj(), further[1]]))
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """Residual R and acceleration a of one place by cells of the band. w : (cells,) rad/s; n : independent numbers.
+
+    rr, ra, aa, ff : mean |R|^2, R a*, |a|^2 and |A a - R|^2, one-sided PSD; A : tangent; noise : PSD of acceleration of
+    white noise of the sensor. unmeasured : share of Q that is a force beside the measured one, not noise of its sensor.
+    """
+
+    w: Array
+    n: Array
+    rr: Array
+    ra: Complexes
+    aa: Array
+    ff: Array
+    A: Complexes
+    noise: Array
+    hz: Array  # width of each cell
+    unmeasured: float = 0.0
+    alike: Complexes | float = 0.0  # (cells,) force per acceleration of what is folded
+    folded: Array | float = 0.0  # (cells,) M
+    across: Array | float = 0.0  # (cells,) of Q, what is folded into the motion of the other caps, through the shaft
+    fold: Folded | None = None  # of an acceleration, seen or not
+    bare: Response | None = None  # the same with it, where it was taken out
+
+    def share(self, Q: float) -> Array:
+        """(cells,) p: what of the measured force is noise where the density Q is left."""
+        return np.minimum((1.0 - self.unmeasured) * (Q + self.across) / self.ff, 0.5)
+
+    def through(self, further: Complexes) -> Response:
+        """The same where the sensor has a response that is not undone, (2, cells) at the images of what is folded."""
+        if self.fold is None or self.bare is None:
+            return self
+        return replace(self.bare, unmeasured=self.unmeasured).less(self.fold.through(further))
+
+    def less(self, fold: Folded) -> Response:
+        """Without what the measured force tells of the fold; the rest of that is noise."""
+        alike = fold.force
+        folded = np.minimum(fold.seen, 0.5 * self.ff / np.abs(alike) ** 2)
+        told = alike.conj() * folded / self.ff
+        B, rest = told * (self.A - alike), 1 - (told * alike).real
+        af, rf = self.A.conj() * self.aa - self.ra.conj(), self.A.conj() * self.ra - self.rr
+        return replace(
+            self,
+            rr=self.rr - 2 * np.real(B.conj() * rf) + np.abs(B) ** 2 * self.ff,
+            ra=self.ra - told.conj() * rf - B * af.conj() + B * told.conj() * self.ff,
+            aa=self.aa - 2 * np.real(told.conj() * af) + np.abs(told) ** 2 * self.ff,
+            ff=rest**2 * self.ff, alike=alike, folded=rest * folded, fold=fold, bare=self,
+        )  # fmt: skip
