@@ -31,6 +31,10 @@ from .tables import ladder_table, number, parameters_table
 BROKEN = 1e-4  # of the samples missing: it may be that which leaves too few stretches
 _OUTSIDE = "the catalogue does not hold; type a law of your own into the rig file"
 _NO_LAW = "is no law of a bearing: see the notes, and mend what they name first"
+BELOW_DETECTION = (
+    'weaker than "detectable from", an effect cannot be told in a record of this length and level; one four times as '
+    "long halves the limit"
+)
 NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is missing"
 
 
@@ -216,6 +220,8 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
         table.add_row(*(Text(c) for c in cells))
     people: list[Any] = [table, ""] if value["ranking"] else []
     people += [f"note: {message}" for message in value.get("messages", ())]
+    if value["verdict"] == "complete" and any("detectable_from" in row for row in value["ranking"]):
+        people.append(BELOW_DETECTION)
     if value["verdict"] == "unknown" and value.get("shape"):
         shape = value["shape"]
         peak = max(map(abs, shape["force"]), default=0.0)

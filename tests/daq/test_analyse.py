@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.analyse import diagnosis_text, ending, fitted, with_lines, with_verdict
+from daq.analyse import BELOW_DETECTION, diagnosis_text, ending, fitted, with_lines, with_verdict
 from daq.cli import main
 from daq.edit import with_effect, with_values
 from daq.measurement import Measurement
@@ -143,3 +143,15 @@ def test_a_record_in_pieces_says_so(tmp_path: Path) -> None:
     broken = pytest.raises(LogError, match=r"too short \(5 % of it is missing or at full scale")
     with broken, about(Path("a.mcap"), Measurement(y, 1e3, {})):
         raise DataError("too short")
+
+
+def test_of_a_complete_model_it_is_said_what_the_record_could_not_have_shown() -> None:
+    row = {
+        "effect": "coulomb", "at": ["bearing1"], "heldout_gain": 0.0, "p_value": 1.0, "parameters": {},
+        "missing_force_before_percent": 0.0, "missing_force_after_percent": 0.0,
+    }  # fmt: skip
+    limit = {"detectable_from": {"value": 0.008, "unit": "N"}}
+    told = {"verdict": "complete", "ranking": [row | limit], "messages": ()}
+    assert BELOW_DETECTION in diagnosis_text(told)
+    assert BELOW_DETECTION not in diagnosis_text(told | {"ranking": [row]})
+    assert BELOW_DETECTION not in diagnosis_text(told | {"verdict": "coulomb"})
