@@ -101,13 +101,17 @@ def _renewed(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionBlock
 
 
 def glanced(data: MotionBlocks, uses: list[Placed]) -> WorkingPoint:
-    """The same with one step on the whole record where a part of it is enough to begin from: to look at its force."""
+    """The same with one step on the whole record where a part of it is enough to begin from: to look at its force.
+    Laws are dressed as on that part."""
     data = without_comb(data, [use.effect for use in uses])
     start = _approached(data, uses)
     if start is None:
         return fit_model(data, uses)
-    point = fit_model(data, list(start.placed), start, rounds=0)
-    return replace(point, nu=noise_of(point)[0])
+    uses = list(start.placed)
+    data, kL, c, nu, S = _begun(data, uses, start)
+    point = point_at(with_slow(data, kL, c, uses), kL, c, nu, S, uses, start)
+    kL, c, uses = _moved(point, kL, c)
+    return replace(point, kL=kL, c=c, placed=tuple(uses), nu=noise_of(point)[0])
 
 
 def _approached(data: MotionBlocks, uses: list[Placed], rounds: int = ROUNDS) -> WorkingPoint | None:
