@@ -19,7 +19,6 @@ from .balance import shaft_notch
 from .effects import CATALOGUE
 from .effects.places import at, written
 from .estimate import Parameter
-from .linear_memory import filtered
 from .model import EffectUse, Model, Setting
 from .rotor import between_caps
 from .sensor_response import BLIND, LINEAR
@@ -184,6 +183,8 @@ def _told(model: Model, point: WorkingPoint, i: int, j: int) -> list[str]:
 
 def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
     """The likeliest changes of B, beside everything else of the model."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
     data, P = point.data, len(point.data.places)
     low, high = shaft_notch(model) or (0.0, 0.0)
 
@@ -192,19 +193,28 @@ def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
         out = between_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, model.mass["disc"], w)
         return np.where(np.abs(w / (2 * np.pi) - 0.5 * (low + high)) < high - low, 0.0, out)
 
-    def term(k: int) -> Term:
-        row, sign = k % 2, (1.0, 1.0, -1j, 1j)[k]
+    n = data.x.shape[1]
+    size = next_fast_len(n, real=True)
+    w: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(size, 1 / data.rate_hz), dtype=np.float64)
+    whole, delayed = both_ways(w).astype(np.complex64), (-1j * w).astype(np.complex64)  # as precise as the motion
 
-        def unit(w: Array) -> Complexes:
-            return np.asarray(both_ways(w) * sign * (w if k > 1 else 1.0))
+    def terms_of(row: int) -> list[Term]:
+        """Of the size and of the delay of B in the force on the first cap, or the second, whose delay is an advance."""
+        (here, there), sign = ((i, j), (j, i))[row], (1.0, -1.0)[row]
+        pulled = rfft(data.x[there], size) * whole
+        f = 2 * np.pi * data.f_hz
+        out = []
+        for k, series, own in (
+            (row, irfft(pulled, size)[:n], both_ways(f)),
+            (row + 2, sign * irfft(pulled * delayed, size)[:n], both_ways(f) * -1j * sign * f),
+        ):
+            memory = np.zeros((P, data.bins.size), complex)
+            memory[there] = own
+            scale = 1.0 / max(float(np.std(series)), 1e-300)
+            out.append(Term(str(k), "1", {here: series}, np.zeros((P, P, 2)), scale, {here: memory}))
+        return out
 
-        here, there = ((i, j), (j, i))[row]
-        z = filtered(unit, data.x[there], data.rate_hz)
-        memory = np.zeros((P, data.bins.size), complex)
-        memory[there] = unit(2 * np.pi * data.f_hz)
-        return Term(str(k), "1", {here: z}, np.zeros((P, P, 2)), 1.0 / max(float(np.std(z)), 1e-300), {here: memory})
-
-    terms = each(term, range(4))
+    terms = [term for pair in zip(*each(terms_of, range(2)), strict=True) for term in pair]
     fitted = subproblem(point, (i, j), point.weighing.columns(terms)).fit(steps=12)
     at_end = [fitted.names.index(str(k)) for k in range(4)]
     scale = fitted.scales[at_end]

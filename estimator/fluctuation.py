@@ -28,7 +28,8 @@ class Fluctuation:
     """Of one place. data : the part of the record it was taken from. total : (2, n) whole tangent of the laws there,
     about its mean, and K its spectra.
 
-    g : (2, lags) dressed impulse response of x and v. whole : (bins,) N/m, Sigma of all laws together.
+    g : (2, lags) dressed impulse response of x and v. whole : (bins,) N/m, Sigma of all laws together. only : the law
+    there, if it is one.
     """
 
     data: MotionBlocks
@@ -37,6 +38,13 @@ class Fluctuation:
     K: Spectra
     g: Array
     whole: Complexes
+    only: Placed | None = None
+
+    def per_unit(self, placed: Placed, k: int) -> Complexes | None:
+        """What `of` gives for the force per unit of parameter k, where it is known: it is all that the law there has,
+        and the only law. None elsewhere."""
+        amplitudes = [j for j, q in enumerate(placed.effect.parameters) if q.linear]
+        return self.whole / placed.p[k] if placed is self.only and amplitudes == [k] and placed.p[k] else None
 
     def of_memory(self, placed: Placed, p: Array) -> Complexes | float:
         """Of a law that remembers nothing: it is dressed beside its like only."""
@@ -67,7 +75,7 @@ class Fluctuation:
         data = coarser(self.data, by)
         g = np.ascontiguousarray(self.g[:, ::by])
         total = np.ascontiguousarray(self.total[:, ::by])
-        return Fluctuation(data, self.place, total, _spectra(total, data, g.shape[1]), g, self.whole)
+        return Fluctuation(data, self.place, total, _spectra(total, data, g.shape[1]), g, self.whole, self.only)
 
 
 def _spectra(tangents: NDArray[np.floating], data: MotionBlocks, lags: int) -> Spectra:
@@ -99,12 +107,15 @@ def fluctuations(
             return probed(path, data.f_hz, i, [u for u in uses if i in u.at], mean[i], lin[i])
         if i not in used:
             return None
-        total = np.sum([tangent_series(u, part, i, u.p) for u in own[i]], axis=0)
+        total = tangent_series(own[i][0], part, i, own[i][0].p)
+        for u in own[i][1:]:
+            total += tangent_series(u, part, i, u.p)
         total -= total.mean(axis=1, keepdims=True)
         lags = mean[i].lags(dt, part.block)
         K = _spectra(total, part, lags)
         C = covariance(K, K, lags)
         g = dressed_response(C, dt, mean[i])
-        return None if g is None else Fluctuation(part, i, total, K, g, self_energy(C, g, dt, data.f_hz))
+        only = own[i][0] if len(own[i]) == 1 else None
+        return None if g is None else Fluctuation(part, i, total, K, g, self_energy(C, g, dt, data.f_hz), only)
 
     return tuple(each(at, range(len(mean))))

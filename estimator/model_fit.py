@@ -16,7 +16,6 @@ from .model_uses import size, stiffness
 from .motion_blocks import MotionBlocks, part_of, spectrum
 from .noise_level import LEAST_NOISE, noise_of
 from .placed import Placed, evaluate, remembers
-from .probe import Probe
 from .shaft_law import without_comb
 from .side_by_side import each
 from .slow_motion import with_slow
@@ -29,9 +28,8 @@ LEAP = 3.0  # from a part of a record to the next
 ROUNDS, LAST_ROUNDS = 6, 3  # at most, and on the whole of it
 NOISE_STEP = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
 LEAST_LEFT = 0.3  # of a stiffness, after a step, where the force is measured
-SETTLED = 0.1  # standard deviations by which the last step of a fit moves
+SETTLED = 0.3  # standard deviations by which the last step of a fit moves: it leaves a tenth of that, or less
 NEARLY = 0.5  # the same on a part of a record, which is not where the fit ends
-SHAKEN = 0.3  # the same where laws are dressed by a probe, which moves with them
 LOOKED_AT = 80  # blocks, for the spectrum of the motion
 BESIDE = 0.05  # of what laws do not see outside of the band, or of what is folded into it, that it moves by
 STILL = 1.0  # the same below which the slow displacement is left as it is
@@ -62,8 +60,7 @@ def fit_model(
         settled = np.allclose(nu * weight, nu_old * weight, rtol=NOISE_STEP, atol=NOISE_STEP * LEAST_NOISE)
         settled &= not data.folded.any() or np.allclose(S, S_old, rtol=BESIDE)
         data, settled = _renewed(point, nu, settled)
-        shaken = any(isinstance(f, Probe) for f in point.fluctuations)
-        if rounds == 0 or (moved.max(initial=0.0) < (max(SHAKEN, moving) if shaken else moving) and settled):
+        if rounds == 0 or (moved.max(initial=0.0) < moving and settled):
             return replace(point, kL=kL, c=c, placed=tuple(uses))
         rounds -= 1
         del point  # its columns are large: let go before the next are made
@@ -104,13 +101,17 @@ def _renewed(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionBlock
 
 
 def glanced(data: MotionBlocks, uses: list[Placed]) -> WorkingPoint:
-    """The same with one step on the whole record where a part of it is enough to begin from: to look at its force."""
+    """The same with one step on the whole record where a part of it is enough to begin from: to look at its force.
+    Laws are dressed as on that part."""
     data = without_comb(data, [use.effect for use in uses])
     start = _approached(data, uses)
     if start is None:
         return fit_model(data, uses)
-    point = fit_model(data, list(start.placed), start, rounds=0)
-    return replace(point, nu=noise_of(point)[0])
+    uses = list(start.placed)
+    data, kL, c, nu, S = _begun(data, uses, start)
+    point = point_at(with_slow(data, kL, c, uses), kL, c, nu, S, uses, start)
+    kL, c, uses = _moved(point, kL, c)
+    return replace(point, kL=kL, c=c, placed=tuple(uses), nu=noise_of(point)[0])
 
 
 def _approached(data: MotionBlocks, uses: list[Placed], rounds: int = ROUNDS) -> WorkingPoint | None:

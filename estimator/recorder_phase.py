@@ -20,7 +20,7 @@ from .model import Model
 from .placed import evaluate
 from .roll_off import LATE, POWERS, Filter, RollOff
 from .side_by_side import each
-from .subproblem import gain, subproblem
+from .subproblem import subproblem
 from .terms import orthogonal
 from .weighing import Term
 from .working_point import WorkingPoint, thinned
@@ -81,5 +81,4 @@ def excess(point: WorkingPoint, psi: Callable[[Array], Array]) -> tuple[float, f
     term = orthogonal(Term("phase", "1", series, np.zeros((P, P, 2)), 1.0 / max(rms, 1e-300)), point.spans)
     if term is None:
         return None
-    _, found = gain(subproblem(point, places, point.weighing.columns([term])), steps=6)
-    return found.value("phase")
+    return subproblem(point, places, point.weighing.columns([term])).fit(steps=6).value("phase")

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from .motion_blocks import MotionBlocks
 
 Array = NDArray[np.float64]
-TOGETHER = 64  # blocks at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,11 +26,9 @@ class Ringing:
     kept: Array
 
     def take_out(self, i: int, Z: NDArray[np.float32]) -> None:
-        """From spectra at place i, (blocks, 2 bins), in place."""
+        """From spectra at place i, (blocks, 2 bins), in place; a few blocks, as what is taken out is as large."""
         own = self.shapes[i]
-        for a in range(0, len(Z), TOGETHER):
-            part = Z[a : a + TOGETHER]
-            part -= (part @ own) @ own.T
+        Z -= (Z @ own) @ own.T
 
 
 def ringing(data: MotionBlocks, weights: NDArray[np.floating]) -> Ringing | None:

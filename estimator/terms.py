@@ -89,12 +89,14 @@ def dressed(made: list[Term], placed: Placed, fluctuations: Sequence[Fluctuation
     at = _once(remembering)
     out = []
     for term in made:
-        memory = dict(term.memory)
+        memory, k = dict(term.memory), numbers[term.name]
         for i in placed.at:
             if (here := fluctuations[i]) is not None:
-                ends = _ends(placed, numbers[term.name], here.data)
+                ends = _ends(placed, k, here.data)
                 if placed.effect.kind == "memory":
                     own = _summed([w * at(i, p) for p, w in ends])
+                elif isinstance(here, Fluctuation) and (known := here.per_unit(placed, k)) is not None:
+                    own = known
                 else:
                     own = here.of(_summed([w * tangent_series(placed, here.data, i, p) for p, w in ends]))
                 memory[i] = memory.get(i, 0.0) - at_home(own, i, here.data)

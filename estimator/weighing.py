@@ -77,7 +77,7 @@ class Weighing:
     paths: NoisePaths
     s: Complexes
     measured: Complexes | None = None
-    _root: Array = field(init=False)
+    _root: NDArray[np.float32] = field(init=False)  # (places, 2 bins), of real and imaginary parts
     _bins: slice | NDArray[np.int64] = field(init=False)
     _even: list[Spectrum] | None = field(init=False)
     rings: Ringing | None = field(init=False)
@@ -90,6 +90,7 @@ class Weighing:
             (1.0 / np.sqrt(self.rise(i, own))).astype(np.float32) for i, own in enumerate(self.data.level)
         ]  # fmt: skip
         self.rings = ringing(self.data, self._root)
+        self._root = np.repeat(self._root, 2, axis=1)
         unbroken = bins[-1] - bins[0] == bins.size - 1  # a slice is read four times faster
         self._bins = slice(int(bins[0]), int(bins[-1]) + 1) if unbroken else bins
 
@@ -109,18 +110,22 @@ class Weighing:
 
         z, root = series.reshape(-1, self.data.block), self._root[i]
         if out is None:
-            out = np.empty((len(z), 2 * root.size), np.float32)
+            out = np.empty((len(z), root.size), np.float32)
         single = z.dtype == np.float32
         root = root * np.float32(scale) if single else root
         for a in range(0, len(z), TOGETHER):
-            part = z[a : a + TOGETHER]
+            part, made = z[a : a + TOGETHER], out[a : a + TOGETHER]
             part = part if single else (scale * part).astype(np.float32)  # it may be too small for that before
-            np.multiply(rfft(part, axis=1)[:, self._bins], root, out=out[a : a + TOGETHER].view(np.complex64))
-        if self.rings is not None:
-            self.rings.take_out(i, out)
-        if self._even is not None:
-            out.view(np.complex64)[...] *= self._even[i][first : first + len(z)]
+            np.multiply(self._in_band(np.asarray(rfft(part, axis=1))).view(np.float32), root, out=made)
+            if self.rings is not None:
+                self.rings.take_out(i, made)
+            if self._even is not None:
+                made.view(np.complex64)[...] *= self._even[i][first + a : first + a + len(made)]
         return out
+
+    def _in_band(self, Z: NDArray[Any]) -> NDArray[Any]:
+        """The bins of the band, (blocks, bins), of all: a view of them, if nothing is left out between."""
+        return Z[:, self._bins] if isinstance(self._bins, slice) else np.take(Z, self._bins, axis=1)
 
     def rise(self, i: int, level: Array) -> Array:
         """(blocks, bins) PSD of the inferred force at place i in blocks of a level (blocks,), over that of the record:
