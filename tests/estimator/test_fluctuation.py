@@ -69,6 +69,30 @@ def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
 
 
 @pytest.mark.parametrize("strong", ["quadratic_damping"], indirect=True)
+def test_a_law_alone_is_dressed_per_unit_by_what_all_of_it_does(strong: Case) -> None:
+    """Both tangents of a law beside itself have its amplitude; of two laws at a place neither is all there is."""
+    point = strong[3]
+    mean = mean_response.mean_responses(point.data.mass, point.slopes, point.data.places, point.data.disc)
+    law = next(u for u in point.placed if 0 in u.at and u.effect.name == "quadratic_damping")
+    here = fluctuations(point.data, [law], mean, point.lin)[0]
+    assert isinstance(here, Fluctuation)
+    unit, known = here.of(tangent_series(law, here.data, 0, np.ones(1))), here.per_unit(law, 0)
+    assert known is not None
+    assert np.abs(known - unit).max() < 1e-4 * np.abs(unit).max()
+    assert here.per_unit(law.with_values(2.0 * law.p), 0) is None  # another law than the one that it was made with
+    twice = fluctuations(point.data, [law, replace(law, key="again")], mean, point.lin)[0]
+    assert isinstance(twice, Fluctuation)
+    assert twice.per_unit(law, 0) is None
+
+
+@pytest.mark.parametrize("strong", ["quadratic_damping"], indirect=True)
+def test_the_last_step_of_a_fit_leaves_little_to_the_next(strong: Case) -> None:
+    point = strong[3]
+    again = fit_model(point.data, list(point.placed), point, rounds=0)
+    assert np.all(np.abs(again.fit.delta) < 0.1 * np.sqrt(np.diag(again.fit.covariance)))
+
+
+@pytest.mark.parametrize("strong", ["quadratic_damping"], indirect=True)
 def test_a_part_of_the_record_dresses_a_column_nearly_as_all_of_it(strong: Case) -> None:
     _, _, _, point = strong
     whole = point.fluctuations[0]
