@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .calm import as_displacement
+from .calm import as_displacement, is_little
 from .linear_memory import filtered
 from .side_by_side import each
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-LITTLE = 5e-5  # of the displacement, in power: beside a known force numbers are told to some ten thousandths
 SETTLED = 1e-3  # of the displacement, in power of what laws see beside it, that moves no number
 
 
@@ -34,7 +33,7 @@ def calm_of(point: WorkingPoint, nu: Array) -> tuple[NDArray[np.float32] | None,
     f_hz, w = data.f_hz, 2 * np.pi * data.f_hz
     N = data.noise_shape * (nu * point.S)[:, None]
     df = np.gradient(f_hz)
-    if np.all(as_displacement(data.kinds, f_hz, nu * point.S) @ df <= LITTLE * data.rms[0] ** 2):
+    if is_little(f_hz, as_displacement(data.kinds, f_hz, nu * point.S), data.rms[0] ** 2):
         return None, 0.0
     through = N.T[:, :, None] * A.conj().transpose(0, 2, 1)  # N A^H
     known = through @ np.linalg.inv(A @ through + np.diag(point.S))
