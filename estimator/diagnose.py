@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import adequacy, evidence, explains, missing_force
+from . import adequacy, evidence, explains, force_colour, missing_force
 from .errors import DataError
 from .evidence import Entry
 from .model import Model
@@ -76,6 +76,10 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
 def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:
     """The same from a model already fitted."""
     before, entries = ranked(model, point, y, say)
+    if before.shares and (seen := force_colour.as_it_is(model, point)) is not None:
+        point, shares = seen, before.shares
+        before, entries = ranked(model, point, y, say)
+        before = replace(before, shares=shares)
     found = _verdict(model, point, before, entries, say)
     return _restored(model, point, y, before, found) if found.verdict == "sensor_clipping" else found
 

@@ -19,6 +19,7 @@ from .estimate import Parameter
 from .force_cells import Cells, cells_of, finite_exp, mean_power
 from .force_shapes import base_model, causes, peakless, plain, with_shape
 from .model import Model
+from .model_fit import fit_model
 from .noise_floor import noisy
 from .noise_paths import together
 from .suspect import UNKNOWN, Suspect
@@ -28,6 +29,8 @@ Array = NDArray[np.float64]
 LEVEL = 1e-3
 LEAST_DEPTH = 0.015  # rms of ln(power / model): less is within what filters and integrators leave behind
 EXPLAINED = 0.5  # of the misfit beyond chance: a cause that leaves more is not the cause
+ROUNDS = 2  # of a spectrum as it is seen, beside what is fitted with it
+BEYOND = 3.0  # standard deviations, below nothing, of a stiffness or damping that no bearing has
 PLAIN = 0.1  # depth from which a shape that no cause explains is told: laws that a model lacks bend spectra by less
 
 
@@ -60,6 +63,22 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
     out += _alike(point, out, white, taken, shaped)
     out += [s for s in noisy(model, point, noise) if data.places.index(s.at[0]) not in shaped]
     return out + _shared(model, point)
+
+
+def as_it_is(model: Model, point: WorkingPoint) -> WorkingPoint | None:
+    """The point refitted with the spectra that are seen, where nothing of the catalogue makes them; None where there is
+    no such place. Taken for white, a force has about a resonance more or less of the motion with it than the
+    likelihood knows: on a stiff shaft that passes for a law, and for what follows the other cap."""
+    places = {point.data.places.index(s.at[0]) for s in find(model, point) if s.effect == UNKNOWN}
+    for _ in range(ROUNDS if places else 0):
+        colour = point.data.colour.copy()
+        for i in places:
+            c = cells_of(point, i)
+            more = c.power / base_model(c, plain(point, i, c)[1])
+            colour[i] *= np.interp(point.data.f_hz, c.w / (2 * np.pi), more)
+            colour[i] /= colour[i].mean()
+        point = fit_model(replace(point.data, colour=colour), list(point.placed), start=point)
+    return point if places else None
 
 
 def _alike(
@@ -100,7 +119,7 @@ def _shapes(
         gain = found - level
         if gain < EXPLAINED * (-level - 0.5 * (c.n.size - 4)):
             continue
-        if shape.effect == "pedestal" and pedestal_form.at_end(z[4:]):
+        if shape.effect == "pedestal" and (pedestal_form.at_end(z[4:]) or _drives(point, i, z, sd)):
             continue
         q = len(shape.names)
         values = shape.values(z[4:])
@@ -117,6 +136,13 @@ def _shapes(
             )
         )  # fmt: skip
     return out
+
+
+def _drives(point: WorkingPoint, i: int, z: Array, sd: Array) -> bool:
+    """Whether the bearing beside a cause, z as force_shapes.base_model has it, would push the rotor on: what looks like
+    a pedestal by that is a peak in the spectrum of the force."""
+    k, c = point.kL[i] + z[2], point.c[i] + z[3]
+    return bool(k < -BEYOND * sd[2] or c < -BEYOND * sd[3])
 
 
 def _unknown(point: WorkingPoint, i: int, c: Cells, u: Array, level: float) -> Suspect:

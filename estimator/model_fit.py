@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from . import calm_by_force
 from .bandlimit import left_out
 from .calm import as_displacement, calm_of, is_little
 from .effects.strength import search_range
@@ -90,7 +91,12 @@ def _renewed(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionBlock
     folded, force = _folded_beside(point)
     if not np.allclose(folded, data.folded_beside, rtol=BESIDE, atol=0.0):
         data, settled = replace(data, folded_beside=folded, alike_beside=force), False
-    data = data if settled else _calmed(data, nu, point.S)
+    if data.measured_force and not data.folded_beside.any():
+        calm, doubt = calm_by_force.calm_of(point, nu)
+        settled &= calm_by_force.settled(point, calm)
+        data = replace(data, calm=calm, doubt=doubt)
+    else:
+        data = data if settled else _calmed(data, nu, point.S)
     beside = _left_out(point)
     if not np.allclose(beside, data.left_out, rtol=BESIDE, atol=0.0):
         data, settled = replace(data, left_out=beside), False

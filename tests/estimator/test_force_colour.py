@@ -45,6 +45,20 @@ def test_a_force_with_a_peak_is_unknown_and_no_pedestal() -> None:
     assert no_law(found.messages).startswith("the unknown force has a spectrum")
 
 
+def test_a_force_with_a_peak_on_a_stiff_shaft_is_unknown_and_no_law() -> None:
+    """A pedestal whose bearing has a negative damping explained most of it; weighed as white it passed for what follows
+    the other cap. Filtered is the motion by one force alone, as the rotor is linear."""
+    rig = replace(coupled_on_a_stiff_shaft(), effects=())
+    alone = {p: own if p == "bearing1.x" else own | {"S": Setting(1e-14)} for p, own in rig.linear.items()}
+    one = simulate(replace(rig, linear=alone), RATE, 12.0, seed=1, noise=0.0)
+    y = simulate(rig, RATE, 12.0, seed=0, noise=0.0) + 1.7 * lfilter(*iirpeak(2400.0, 2.0, fs=RATE), one, axis=0)
+    found = diagnose(replace(rig, linear={}), y, RATE)
+    assert found.verdict == "unknown"
+    assert found.shape is None
+    assert any(m.startswith("bearing1.x: force spectrum") for m in found.messages)
+    assert no_law(found.messages).startswith("the unknown force has a spectrum")
+
+
 def test_the_force_inferred_by_a_wrong_stiffness_beside_caps_that_answer() -> None:
     """Against the whole of the rotor's matrices: one place has another stiffness than is thought, all are coupled."""
     rng = np.random.default_rng(1)

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from .hidden import CATALOGUE, FORMS, OF_FORCE, OF_SENSOR, OUTSIDE
+from .hidden import CATALOGUE, FORMS, OF_FORCE, OF_SENSOR, OUTSIDE, SPECTRA
 from .record import Case, made, rig_file
 
 WHOLE_KINDS: dict[str, tuple[str, ...]] = {
-    "catalogue": CATALOGUE, "outside": OUTSIDE, "forms": tuple(FORMS), "pairs": ("",),
+    "catalogue": CATALOGUE, "outside": (*OUTSIDE, *SPECTRA), "forms": tuple(FORMS), "pairs": ("",),
 }  # fmt: skip
 ONE_PLACE = (*OF_SENSOR, *OF_FORCE, "crack", "imbalance", "bow")
 

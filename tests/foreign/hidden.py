@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 # Of the rms bearing force; of a stiffness what no straight line in x explains of it.
 SHARE = {"weak": 0.02, "strong": 0.06}
 OUTSIDE = ("saturating", "rippled", "smooth")  # laws that the catalogue does not have
+SPECTRA = ("peaked_excitation",)  # spectra of the unknown force that it does not have
 # What another author may write for an effect of the catalogue: its name there.
 FORMS = {
     "smooth_friction": "coulomb", "smooth_clearance": "clearance", "stribeck": "coulomb", "other_loop": "bouc_wen",
@@ -32,10 +33,10 @@ WHOLE = (
     "stribeck", "other_loop", "half_sine_strikes", "two_orders",
 )  # fmt: skip
 OF_TIME = ("imbalance", "misalignment", "bow", "line")
-OF_FORCE = ("correlated_force", "coloured_excitation")
+OF_FORCE = ("correlated_force", "coloured_excitation", *SPECTRA)
 OF_SENSOR = ("sensor_gain", "sensor_clipping", "sensor_skew", "sensor_resonance", "sensor_noise")
 OF_CATALOGUE = OF_CAP[: -len(OUTSIDE) - len(FORMS)]
-CATALOGUE = (*OF_CATALOGUE, *OF_BOTH_DIRECTIONS, "pedestal", "crack", *OF_TIME, *OF_FORCE, *OF_SENSOR)
+CATALOGUE = (*OF_CATALOGUE, *OF_BOTH_DIRECTIONS, "pedestal", "crack", *OF_TIME, *OF_FORCE[:2], *OF_SENSOR)
 PARAMETERS = {  # in the order that `numbers` gives them
     "cubic": "kNL", "quintic": "k5", "quadratic": "kq", "clearance": "k gap", "stop": "k gap", "coulomb": "fc",
     "quadratic_damping": "cq", "displacement_damping": "cx", "bouc_wen": "k slip", "ball_pass": "k_cos k_sin order",
@@ -82,6 +83,7 @@ def numbers(name: str, share: float, at: Size, rng: np.random.Generator) -> tupl
     other = {
         "correlated_force": (spread(0.3, 0.6) if strong else 0.15,),
         "coloured_excitation": (4.0 if strong else 1.0, spread(400.0, 2500.0)),
+        "peaked_excitation": (3.0 if strong else 1.0, spread(1500.0, 4000.0), 2.0),
         "sensor_gain": (spread(0.1, 0.3) if strong else 0.05,),
         "sensor_clipping": ((2.3 if strong else 3.0) * at.a,),
         "sensor_skew": (spread(0.8, 1.6) if strong else 0.3,),

@@ -251,8 +251,8 @@ def _recorded(bench: Bench) -> tuple[Array, Array]:
     case, rig, S = bench.case, bench.rig, bench.S
     rate, rng = rig["rate"] * rig["oversample"], case.rng(3)
     first, second = AT["bearing1.x"], AT["bearing2.x"]
-    gain, corner = bench.shape.get("coloured_excitation", (0.0, 1.0))
-    low_pass, state = signal.bilinear([2 * np.pi * corner], [1.0, 2 * np.pi * corner], rate), np.zeros(1)
+    gain, colour = _colour(bench.shape, rate)
+    state = np.zeros(len(colour[1]) - 1)
 
     def force(t: Array, out: Array) -> Array:
         nonlocal state
@@ -262,7 +262,7 @@ def _recorded(bench: Bench) -> tuple[Array, Array]:
             out[:, second] += rho * out[:, first] * np.sqrt(S[second] / S[first])
         if gain:
             extra = rng.standard_normal(t.size) * np.sqrt(gain * S[first] * rate / 2)
-            extra, state = signal.lfilter(*low_pass, extra, zi=state)
+            extra, state = signal.lfilter(*colour, extra, zi=state)
             out[:, first] += extra
         out *= (1.0 + (case.growth - 1.0) * t / case.seconds)[:, None]
         for dof, w, amplitude in bench.known:
@@ -278,6 +278,15 @@ def _recorded(bench: Bench) -> tuple[Array, Array]:
     sensors = [_sampled(motions, rig, rate, bench.sensor, rng)]
     sensors += [_sampled(forces, rig, rate, {}, rng)] if rig["forced"] else []
     return np.concatenate([np.full(y.shape[1], scale) for scale, y in sensors]), np.hstack([y for _, y in sensors])
+
+
+def _colour(shape: dict[str, tuple[float, ...]], rate: float) -> tuple[float, tuple[Array, Array]]:
+    """Power over S, at its strongest, of a force beside the white one, and the filter that makes it of white noise."""
+    if "peaked_excitation" in shape:
+        gain, hz, quality = shape["peaked_excitation"]
+        return gain, signal.iirpeak(hz, quality, fs=rate)
+    gain, corner = shape.get("coloured_excitation", (0.0, 1.0))
+    return gain, signal.bilinear([2 * np.pi * corner], [1.0, 2 * np.pi * corner], rate)
 
 
 def _sampled(
