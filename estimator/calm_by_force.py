@@ -9,7 +9,6 @@ the motion then has is independent of r, so a law along it is not bent by it (li
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +16,7 @@ from numpy.typing import NDArray
 from .calm import as_displacement, is_little
 from .linear_memory import filtered
 from .side_by_side import each
-
-if TYPE_CHECKING:
-    from .working_point import WorkingPoint
+from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
