@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -79,9 +80,8 @@ def run(case: Case, folder: Path) -> dict[str, Any]:
 
 
 def _rotorscope(*words: object) -> dict[str, Any]:
-    done = subprocess.run(
-        ["rotorscope", *map(str, words), "--json", "-"], capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-m", "daq", *map(str, words), "--json", "-"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     try:
         out: dict[str, Any] = json.loads(done.stdout)
     except ValueError:
