@@ -71,7 +71,8 @@ def run(case: Case, folder: Path) -> dict[str, Any]:
         name: (p["value"] - truth[name]) / p["sd"]
         for name, p in found["parameters"].items()
         if name in truth and p["value"] is not None and p["sd"]
-    }
+        and not (rig["forced"] and name.endswith(".S"))  # there it is what is left beside the measured force
+    }  # fmt: skip
     return said | {
         "hidden": list(case.hidden), "added": added, "verdict": found["verdict"],
         "percent": [round(r["missing_force_percent"]["value"], 2) for r in found["ladder"]],
