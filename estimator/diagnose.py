@@ -76,7 +76,8 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
 def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:
     """The same from a model already fitted."""
     before, entries = ranked(model, point, y, say)
-    if before.shares and (seen := force_colour.as_it_is(model, point)) is not None:
+    law = max((entry.gain for entry in entries), default=0.0)
+    if before.shares and (seen := force_colour.as_it_is(model, point, law)) is not None:
         point, shares = seen, before.shares
         before, entries = ranked(model, point, y, say)
         before = replace(before, shares=shares)

@@ -65,12 +65,19 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
     return out + _shared(model, point)
 
 
-def as_it_is(model: Model, point: WorkingPoint) -> WorkingPoint | None:
+def as_it_is(model: Model, point: WorkingPoint, law: float) -> WorkingPoint | None:
     """The point refitted with the spectra that are seen, where nothing of the catalogue makes them; None where there is
-    no such place. Taken for white, a force has about a resonance more or less of the motion with it than the
-    likelihood knows: on a stiff shaft that passes for a law, and for what follows the other cap."""
-    places = {point.data.places.index(s.at[0]) for s in find(model, point) if s.effect == UNKNOWN}
-    for _ in range(ROUNDS if places else 0):
+    no such place, or what it is worth is less than `law`, nats of the best effect on trial: a law that is missing bends
+    spectra, too, by more than they show of it.
+
+    Taken for white, a force has about a resonance more or less of the motion with it than the likelihood knows: on a
+    stiff shaft that passes for a law, and for what follows the other cap.
+    """
+    bent = [s for s in find(model, point) if s.effect == UNKNOWN]
+    if sum(s.gain for s in bent) <= law:
+        return None
+    places = {point.data.places.index(s.at[0]) for s in bent}
+    for _ in range(ROUNDS):
         colour = point.data.colour.copy()
         for i in places:
             c = cells_of(point, i)
@@ -78,7 +85,7 @@ def as_it_is(model: Model, point: WorkingPoint) -> WorkingPoint | None:
             colour[i] *= np.interp(point.data.f_hz, c.w / (2 * np.pi), more)
             colour[i] /= colour[i].mean()
         point = fit_model(replace(point.data, colour=colour), list(point.placed), start=point)
-    return point if places else None
+    return point
 
 
 def _alike(
