@@ -8,47 +8,43 @@ the motion then has is independent of r, so a law along it is not bent by it (li
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 from numpy.typing import NDArray
 
 from .calm import as_displacement, is_little
-from .linear_memory import filtered
 from .side_by_side import each
 from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 SETTLED = 1e-3  # of the displacement, in power of what laws see beside it, that moves no number
 
 
 def calm_of(point: WorkingPoint, nu: Array) -> tuple[NDArray[np.float32] | None, Array | float]:
     """(places, n) m, what laws see beside the displacement, and (places, 2) sd of the displacement and velocity that
     are then in doubt; None and 0 where the noise is little. nu : (places,) noise of the sensors over S."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
     data, A = point.data, point.A
     f_hz, w = data.f_hz, 2 * np.pi * data.f_hz
     N = data.noise_shape * (nu * point.S)[:, None]
-    df = np.gradient(f_hz)
     if is_little(f_hz, as_displacement(data.kinds, f_hz, nu * point.S), data.rms[0] ** 2):
         return None, 0.0
+    df = np.gradient(f_hz)
     through = N.T[:, :, None] * A.conj().transpose(0, 2, 1)  # N A^H
     known = through @ np.linalg.inv(A @ through + np.diag(point.S))
     left = N - np.einsum("kij,kji->ik", known, A * N.T[:, None, :]).real
     doubt = np.sqrt(np.stack([(left / w**4) @ df, (left / w**2) @ df], axis=1))
 
-    def at(i: int) -> Array:
-        def told(j: int) -> Array:
-            gain: Complexes = np.asarray(known[:, i, j] / w**2)
-            return filtered(partial(_between, w, gain), point.force[j], data.rate_hz)
+    n = point.force.shape[1]
+    size = next_fast_len(n, real=True)
+    there: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(size, 1 / data.rate_hz), dtype=np.float64)
+    forces = each(lambda force: rfft(force, size), point.force)
 
-        return np.asarray(np.sum([told(j) for j in range(len(N))], axis=0))
+    def at(i: int) -> Array:
+        heard = np.sum([np.interp(there, w, known[:, i, j] / w**2) * F for j, F in enumerate(forces)], axis=0)
+        return np.asarray(irfft(heard, size)[:n])
 
     return np.array(each(at, range(len(N))), np.float32), doubt
-
-
-def _between(w: Array, gain: Complexes, there: Array) -> Complexes:
-    return np.asarray(np.interp(there, w, gain), np.complex128)
 
 
 def settled(point: WorkingPoint, calm: NDArray[np.float32] | None) -> bool:

@@ -22,7 +22,7 @@ from .record import Case, made, rig_file
 WHOLE_KINDS: dict[str, tuple[str, ...]] = {
     "catalogue": CATALOGUE, "outside": (*OUTSIDE, *SPECTRA), "forms": tuple(FORMS), "pairs": ("",),
 }  # fmt: skip
-ONE_PLACE = (*OF_SENSOR, *OF_FORCE, "crack", "imbalance", "bow")
+ONE_PLACE = (*OF_SENSOR, *OF_FORCE, *SPECTRA, "crack", "imbalance", "bow")
 
 
 def cases(

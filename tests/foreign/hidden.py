@@ -33,10 +33,10 @@ WHOLE = (
     "stribeck", "other_loop", "half_sine_strikes", "two_orders",
 )  # fmt: skip
 OF_TIME = ("imbalance", "misalignment", "bow", "line")
-OF_FORCE = ("correlated_force", "coloured_excitation", *SPECTRA)
+OF_FORCE = ("correlated_force", "coloured_excitation")
 OF_SENSOR = ("sensor_gain", "sensor_clipping", "sensor_skew", "sensor_resonance", "sensor_noise")
 OF_CATALOGUE = OF_CAP[: -len(OUTSIDE) - len(FORMS)]
-CATALOGUE = (*OF_CATALOGUE, *OF_BOTH_DIRECTIONS, "pedestal", "crack", *OF_TIME, *OF_FORCE[:2], *OF_SENSOR)
+CATALOGUE = (*OF_CATALOGUE, *OF_BOTH_DIRECTIONS, "pedestal", "crack", *OF_TIME, *OF_FORCE, *OF_SENSOR)
 PARAMETERS = {  # in the order that `numbers` gives them
     "cubic": "kNL", "quintic": "k5", "quadratic": "kq", "clearance": "k gap", "stop": "k gap", "coulomb": "fc",
     "quadratic_damping": "cq", "displacement_damping": "cx", "bouc_wen": "k slip", "ball_pass": "k_cos k_sin order",

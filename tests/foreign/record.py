@@ -207,7 +207,7 @@ class Bench:
                 if name == "bow":
                     self.known += [(AT[f"bearing{e}.{d}"], self.turn, -force / 2) for e in (1, 2)]
         else:
-            (self.shape if name in hidden.OF_FORCE else self.sensor)[name] = own
+            (self.shape if name in (*hidden.OF_FORCE, *hidden.SPECTRA) else self.sensor)[name] = own
 
     def _add_at(self, name: str, place: str, own: tuple[float, ...]) -> None:
         """What has numbers of its own in every direction."""
