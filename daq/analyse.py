@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +20,7 @@ from estimator.shared_value import shared
 if TYPE_CHECKING:
     from estimator.improve import Ladder
 
+from .ahead import loaded
 from .edit import with_effect, with_values
 from .errors import ConfigError, LogError
 from .measurement import Measurement, measure
@@ -29,6 +30,7 @@ from .rig import Rig, load_rig
 from .tables import ladder_table, number, parameters_table
 
 BROKEN = 1e-4  # of the samples missing: it may be that which leaves too few stretches
+IN_USE = ("scipy.optimize", "scipy.ndimage")  # of every comparison
 _OUTSIDE = "the catalogue does not hold; type a law of your own into the rig file"
 _NO_LAW = "is no law of a bearing: see the notes, and mend what they name first"
 BELOW_DETECTION = (
@@ -65,13 +67,14 @@ def with_lines(rig: Rig, parameters: Mapping[str, Parameter]) -> Rig:
     return rig
 
 
-def given(output: Output, log: Path, rig_path: Path) -> tuple[Rig, Measurement]:
-    """Model and measurement of a command, checked."""
+def given(output: Output, log: Path, rig_path: Path, needed: Sequence[str] = ()) -> tuple[Rig, Measurement]:
+    """Model and measurement of a command, checked. needed : modules to load while the log is read."""
     from .check import check_laws
 
     keep_freed()
     rig = load_rig(rig_path)
     check_laws(rig, rig_path)
+    loaded(needed)
     return rig, measure(log, rig, output.note)
 
 
@@ -111,7 +114,7 @@ def _likelihood(result: Fit) -> str:
 
 def compare(output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None) -> None:
     pages = Pages(html, rerun)
-    rig, data = given(output, log, rig_path)
+    rig, data = given(output, log, rig_path, ("estimator.compare", *IN_USE))
     with about(log, data):
         value = _compared(output, rig, data)
     pages.write(rig, data, comparison=value)
@@ -155,10 +158,10 @@ def comparison_text(value: Mapping[str, Any]) -> list[Any]:
 
 
 def diagnose(output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None) -> None:
+    pages = Pages(html, rerun)
+    rig, data = given(output, log, rig_path, ("estimator.diagnose", *IN_USE))
     from estimator.diagnose import diagnose as diagnose_model
 
-    pages = Pages(html, rerun)
-    rig, data = given(output, log, rig_path)
     with output.progress("diagnosing") as progress, about(log, data):
         value = diagnose_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
     if pages:
@@ -243,11 +246,11 @@ def _p(value: float) -> str:
 
 
 def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | None, rerun: str | None) -> None:
-    from estimator.improve import improve as improve_model
-
     pages = Pages(html, rerun)
     spare(out)
-    rig, data = given(output, log, rig_path)
+    rig, data = given(output, log, rig_path, ("estimator.improve", *IN_USE))
+    from estimator.improve import improve as improve_model
+
     with output.progress("improving") as progress, about(log, data):
         ladder = improve_model(rig.model, data.y, data.rate_hz, progress=progress)
     value = ladder.to_json()

@@ -287,15 +287,19 @@ class BandLimit:
         slow = None if motion.slow is None else motion.slow[:, :count]
         return Motion(motion.start, a, v, x, u, motion.valid[:count], slow)
 
-    def _block(self, y: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """(outputs, channels, hop) and (hop,) validity from (channels, size) samples."""
+    def _block(
+        self, y: Floats, dtype: type[np.floating[Any]] = np.float64
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:  # fmt: skip
+        """(outputs, channels, hop) and (hop,) validity from (channels, size) samples. dtype : of the outputs, as
+        precise as what is asked of each."""
         finite = np.isfinite(y)
         whole = bool(finite.all())
         spectra = np.fft.rfft(y if whole else np.where(finite, y, 0.0), axis=1)
-        out = np.zeros((len(self.outputs), len(self.kinds), self._hop))
+        out = np.zeros((len(self.outputs), len(self.kinds), self._hop), dtype)
         for k, kind in enumerate(self.kinds):
             filters = self._filters[kind]
-            series = np.fft.irfft(filters * spectra[k], self._size, axis=1)
+            product = np.multiply(filters, spectra[k], dtype=np.result_type(dtype, np.complex64), casting="same_kind")
+            series = np.fft.irfft(product, self._size, axis=1)
             out[: len(filters), k] = series[:, 2 * self.half :]
         if whole:
             return out, np.ones(self._hop, bool)

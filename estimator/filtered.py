@@ -1,4 +1,5 @@
-"""The band limit of a whole record, block by block where it is asked for: the same bits as a stream of its pieces."""
+"""The band limit of a whole record, block by block where it is asked for: the same bits as a stream of its pieces,
+where it is not asked for with less."""
 
 from __future__ import annotations
 
@@ -48,14 +49,14 @@ class Filtered(BandLimit):
     def large(self) -> bool:
         return len(self.outputs) * self._y.nbytes > LARGE
 
-    def _filtered(self, b: int) -> Floats:
+    def _filtered(self, b: int, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
         """(outputs, channels, hop) of the rows b hop ... of the grid that a stream has."""
         first = b * self._hop - self.half
         lo, hi = max(first, 0), min(first + self._size, self.rows)
         y = self._y[lo:hi].T
         if y.shape[1] < self._size:
             y = np.pad(y, [(0, 0), (lo - first, first + self._size - hi)], constant_values=np.nan)
-        return self._block(np.ascontiguousarray(y))[0]
+        return self._block(np.ascontiguousarray(y), dtype)[0]
 
     def cut(self, lo: int, hi: int) -> Floats:
         """(outputs, channels, hi - lo) of rows lo ... hi - 1, in the order of `outputs`."""
@@ -74,7 +75,7 @@ class Filtered(BandLimit):
         out: list[NDArray[Any]] = [np.empty((len(self.kinds), self.rows), dtype) for _ in self.outputs]
 
         def fill(b: int) -> None:
-            first, z = b * self._hop, self._filtered(b)
+            first, z = b * self._hop, self._filtered(b, dtype)
             for whole, part in zip(out, z[:, :, : self.rows - first], strict=True):
                 whole[:, first : first + self._hop] = part
 

@@ -8,6 +8,7 @@ among the products as in a periodogram (frequency to sqrt(6 / nats) / (2 pi T), 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,12 +97,16 @@ def turning(point: WorkingPoint) -> Turning | None:
     usable = (f > max(LOW * rotation, 10.0 / seconds)) & (f < HIGH * rotation)
     for k in (1.0, 2.0):
         usable &= np.abs(f - k * rotation) > 3.0 / seconds
+    if not usable.any():
+        return None
+    looked = int(np.flatnonzero(usable)[-1]) + 2 * NEIGHBOURS  # bins
+    usable = usable[:looked]
 
     def clearest(i: int) -> tuple[float, float]:
         """Nats and Hz of the highest line at a place."""
         force = _without_lines(point.force[i]) if data.driven[i] > 0.0 else point.force[i]
-        product = np.bincount(rows, force * data.x[i])
-        line = rfft(product, size)
+        product = np.bincount(rows, force * data.x[i]).astype(np.float32)
+        line = np.asarray(rfft(product, size))[:looked]
         power = line.real**2 + line.imag**2
         nats = power / surroundings(power, NEIGHBOURS)
         k = int(np.argmax(np.where(usable, nats, 0.0)))
@@ -133,7 +138,7 @@ def _without_lines(force: Array) -> Array:
     return np.asarray(irfft(Z, force.size))
 
 
-def _between(three: Array) -> float:
+def _between(three: NDArray[np.floating[Any]]) -> float:
     """Where between its neighbours a peak lies, bins, by the parabola through their logarithms."""
     if three.size < 3 or three.min() <= 0.0:
         return 0.0

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,18 +65,23 @@ def excess(point: WorkingPoint, psi: Callable[[Array], Array]) -> tuple[float, f
     data, places = point.data, tuple(range(len(point.data.places)))
     uses = [use for use in point.placed if use.effect.kind == "force"]
 
-    def turned(z: Array, by: float) -> Array:
-        return filtered(lambda w: np.exp(1j * by * psi(w / (2 * np.pi))), z, data.rate_hz)
+    @cache
+    def ahead(bins: int, top: float) -> Any:
+        """Factors of evenly spaced frequencies to `top` rad/s, single as the motion is."""
+        return np.exp(1j * SMALL * psi(np.linspace(0.0, top, bins) / (2 * np.pi))).astype(np.complex64)
+
+    def turned(z: Any, back: bool = False) -> Any:
+        return filtered(lambda w: ahead(w.size, w[-1]).conj() if back else ahead(w.size, w[-1]), z, data.rate_hz)
 
     def left(i: int) -> Array:
         own = [use for use in uses if i in use.at]
         here, moved = (sum((evaluate(use, at, i, point.lin)[0] for use in own), np.zeros(1)) for at in (data, there))
-        return np.asarray((turned(moved, -SMALL) - here) / SMALL)
+        return np.asarray((turned(moved, back=True) - here) / SMALL)
 
     felt = [i for i in places if any(i in use.at for use in uses)]
     if not felt:
         return None
-    there = data.states(lambda z: np.array(each(lambda row: turned(row, SMALL).astype(z.dtype), z)))
+    there = data.states(lambda z: np.array(each(turned, z)))
     series = dict(zip(felt, each(left, felt), strict=True))
     rms = float(np.sqrt(np.mean([np.mean(z**2) for z in series.values()])))
     P = len(places)

@@ -56,6 +56,11 @@ def machine_code(law: Callable[..., Any], signature: Any, function: Callable[...
     return int(compiled.address)
 
 
+def ready() -> None:
+    """Have numba load what it needs for the first of its functions (0.3 s), compiled as they all are."""
+    rise(1.0, 1.0, 1.0, True)
+
+
 _KEEP: list[Any] = []  # the code lives as long as its object
 
 
