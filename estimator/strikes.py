@@ -32,6 +32,7 @@ SURE, LEVEL = 1.3, 1e-4  # the local noise is known to about a tenth; chance of 
 LEAST_ORDER, MOST_ORDER = 0.3, 30.0  # of the shaft, as the effect's own limits
 VISIBLE, PLAIN = 8.0, 25.0  # power over noise of a harmonic that is seen, and of one that cannot be overlooked
 BESIDE = np.arange(4, 16)  # bins on either side of a line that tell what is beside it
+SAME = 1e-3  # of the ratio of two fundamentals, that it may be off a whole number by
 GAP, GAPS = 0.25, 0.2  # of the power of its neighbours, under which a harmonic is left out; share that may be
 
 
@@ -46,7 +47,7 @@ def find(
     for hz in known:
         Zs[:, np.abs(s.f_hz - hz) <= s.width(hz)] = 0.0
     best: Suspect | None = None
-    fundamental = 0.0
+    fundamental = won = 0.0
     for order in dict.fromkeys(round(o, 4) for o in _orders(model, s, Zs, lines, rotation)):
         hz = order * rotation
         if abs(order - round(order)) < 0.02 and order < 2.5:
@@ -56,17 +57,29 @@ def find(
         Z: Array = np.asarray(np.max([Zs[:, bins + d] for d in (-1, 0, 1)], axis=0))
         # a Hann line fills three bins; the largest of three is about 1.8 by chance
         gains = np.maximum(Z - 3.0, 0.0).sum(axis=1) - 0.15 * harmonics.size
+        clear = float(np.sum(np.clip(Z - 3.0, 0.0, MOST))) - 0.15 * Z.size  # one of them may be a resonance
         enough = 40 + 5 * np.sqrt(harmonics.size)
         i = int(np.argmax(gains))
         visible = int((Z[i] > VISIBLE).sum())
-        if visible < 4 or gains[i] <= enough or (best is not None and gains.sum() <= best.gain):
+        if visible < 4 or gains[i] <= enough or (best is not None and clear <= won * _more(hz, fundamental)):
             continue
         F, unit = _forces(point, s, bins + np.argmax([Zs[i, bins + d] for d in (-1, 0, 1)], axis=0) - 1, i)
         if not _full(F, unit) or _made_by_laws(point, order, hz, F, unit, i):
             continue
         places = [point.data.places[j] for j in range(len(gains)) if gains[j] > enough]
-        best, fundamental = _defect(point, s, order, rotation, places, float(np.sum(gains))), hz
+        best, fundamental, won = _defect(point, s, order, rotation, places, float(np.sum(gains))), hz, clear
     return best, fundamental
+
+
+def _more(hz: float, other: float) -> float:
+    """How many times as clear as a train another must be, fundamentals in Hz. One of a q-th of the other's has all that
+    the other has and q - 1 times as many harmonics between: if strikes are there they are as clear each. By chance and
+    a resonance on one of them half of the weak trains of 20 s at order 2.1 went by 0.7."""
+    q = max(hz / other, other / hz)
+    if q < 1.5 or abs(q - round(q)) > SAME * q:
+        return 1.0
+    share = 0.5 * (1.0 + round(q))  # half of what they would win
+    return share if hz < other else 1.0 / share
 
 
 def _orders(model: Model, s: Spectrum, Zs: Array, lines: list[float], rotation: float) -> list[float]:

@@ -55,6 +55,15 @@ def test_a_train_with_a_harmonic_on_the_discs_resonance_is_one() -> None:
     assert suspects["local_defect"].settings["bearing1.x"]["order"].value == pytest.approx(order, abs=2e-4)
 
 
+@pytest.mark.parametrize(("order", "strike"), [(2.1, 0.9), (0.7, 1.2)])
+def test_a_weak_train_is_not_one_of_a_third_of_its_order(rig: Model, order: float, strike: float) -> None:
+    """Two thirds of its harmonics are noise, and the resonance of the caps: 0.7 for 2.1 in every second record."""
+    values = {"strike": Setting(strike), "order": Setting(order), "angle": Setting(1.0), "width": Setting(0.06)}
+    hidden = EffectUse("local_defect", dict.fromkeys(rig.places, values))
+    y = simulate(replace(rig, effects=(*rig.effects, hidden)), RATE, 20.0, seed=3, noise=0.02, full_scale=490.5)
+    assert found(rig, y)["local_defect"].settings["bearing1.x"]["order"].value == pytest.approx(order, rel=1e-3)
+
+
 def test_odd_harmonics_of_the_mains_are_lines_and_no_train(rig: Model) -> None:
     y = simulate(rig, RATE, SECONDS, seed=5, noise=0.02, full_scale=490.5)
     t = np.arange(len(y)) / RATE
