@@ -165,8 +165,8 @@ def _send(step, force, tangents, poles, residues, flight, dt, lags, first, modes
         x = y.sum().real
         for j in range(S):
             z[j] = states[s, j]
-        phase = (first - s * lags // series) % lags
         begun = s * lags // series
+        phase = (first - begun - 1) % lags + 1  # rows since the last impulse: `lags` where one is due
         for r in range(len(force)):
             i = first + r
             if i < begun:
@@ -255,7 +255,7 @@ def _remembered(step, force, motion, lags, first, states, sums):  # type: ignore
         end = begun + (n - begun) // lags * lags
         for j in range(S):
             z[j] = states[s, j]
-        phase = (first - begun) % lags
+        phase = (first - begun - 1) % lags + 1
         for r in range(len(force)):
             i = first + r
             if i < begun or i >= end:
