@@ -10,9 +10,10 @@ from threading import Thread
 def loaded(modules: Sequence[str]) -> None:
     """Begin to import modules, and what numba needs to run what it has compiled: 0.7 s of interpreter for compare.
 
-    Whoever imports one meanwhile waits for it, and whatever fails here fails again there, where it is told.
+    Whoever imports one meanwhile waits for it, and whatever fails here fails again there, where it is told. A command
+    that ends at once waits too: a thread that is cut off in the middle of a library may take the process down.
     """
-    Thread(target=_load, args=(tuple(modules),), daemon=True).start()
+    Thread(target=_load, args=(tuple(modules),)).start()
 
 
 def _load(modules: Sequence[str]) -> None:
