@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from threading import Thread
 
@@ -17,9 +18,7 @@ def loaded(modules: Sequence[str]) -> None:
 
 
 def _load(modules: Sequence[str]) -> None:
-    try:
+    with suppress(Exception):
         for name in modules:
             import_module(name)
         import_module("estimator.effects.compiled").ready()
-    except Exception:
-        return

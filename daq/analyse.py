@@ -68,7 +68,8 @@ def with_lines(rig: Rig, parameters: Mapping[str, Parameter]) -> Rig:
 
 
 def given(output: Output, log: Path, rig_path: Path, needed: Sequence[str] = ()) -> tuple[Rig, Measurement]:
-    """Model and measurement of a command, checked. needed : modules to load while the log is read."""
+    """Model and measurement of a command, checked. needed : modules to load while the log is read; to be
+    imported after it."""
     from .check import check_laws
 
     keep_freed()

@@ -290,8 +290,8 @@ class BandLimit:
     def _block(
         self, y: Floats, dtype: type[np.floating[Any]] = np.float64
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:  # fmt: skip
-        """(outputs, channels, hop) and (hop,) validity from (channels, size) samples. dtype : of the outputs, as
-        precise as what is asked of each."""
+        """(outputs, channels, hop) and (hop,) validity from (channels, size) samples. dtype : of the outputs, and
+        the precision that they are transformed in."""
         finite = np.isfinite(y)
         whole = bool(finite.all())
         spectra = np.fft.rfft(y if whole else np.where(finite, y, 0.0), axis=1)

@@ -1,5 +1,5 @@
-"""The band limit of a whole record, block by block where it is asked for: the same bits as a stream of its pieces,
-where it is not asked for with less."""
+"""The band limit of a whole record, block by block where it is asked for: the same bits as a stream of its pieces
+in double precision."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ GROUPS = ("displacement", "velocity", "level", "other_direction", "other_bearing
 X_STEP, V_STEP, SPAN = 0.35, 0.5, 3.7
 KNOWN = 1e-3  # of a column's power: with less beside the model's own columns it says nothing of its own
 VISITED = 30  # samples beyond the last knot but one, on each side, that the last is there for
-DRESSED_S = 5.0  # of the record, for what the columns fluctuate by: a gain is within 0.04 nats of that of 60 s
+DRESSED_S = 5.0  # of the record, for what the columns fluctuate by: a gain is within 0.04 nats of that of 33 s
 KICKED = 2.5  # widths of a hat of velocity, at least, over what the force moves the velocity by within the band's tau
 
 

@@ -76,7 +76,7 @@ def _more(hz: float, other: float) -> float:
     the other has and q - 1 times as many harmonics between: if strikes are there they are as clear each. By chance and
     a resonance on one of them half of the weak trains of 20 s at order 2.1 went by 0.7."""
     q = max(hz / other, other / hz)
-    if q < 1.5 or abs(q - round(q)) > SAME * q:
+    if abs(q - round(q)) > SAME * q:
         return 1.0
     share = 0.5 * (1.0 + round(q))  # half of what they would win
     return share if hz < other else 1.0 / share
