@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .bandlimit import noise_shape
 from .disc import Disc
-from .features import NEAREST, Series
+from .features import HALF, NEAREST, Series, interpolated
 from .periodic import Push, Wave
 
 Array = NDArray[np.float64]
@@ -124,6 +124,12 @@ class MotionBlocks:
         return np.asarray(np.tensordot(self.fold_rows / self.fold_rows.sum(), means, 1))
 
     @property
+    def stretches(self) -> list[slice]:
+        """Rows that follow one another in the record."""
+        cuts = np.flatnonzero(np.diff(self.t) * self.rate_hz > 1.5) + 1
+        return [slice(a, b) for a, b in zip([0, *cuts.tolist()], [*cuts.tolist(), self.t.size], strict=True)]
+
+    @property
     def f_hz(self) -> Array:
         """Frequencies of the bins, (bins,)."""
         return np.asarray(np.fft.rfftfreq(self.block, 1 / self.rate_hz)[self.bins], dtype=np.float64)
@@ -226,20 +232,25 @@ def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:
 
 
 def finer(data: MotionBlocks, by: int = 4) -> MotionBlocks:
-    """Displacement, velocity, time and phase of the blocks at `by` times the rate; the rest as it was."""
-    from scipy.fft import irfft, rfft
+    """Displacement, velocity, time and phase of the blocks at `by` times the rate; the rest as it was.
 
-    def fine(z: Series) -> Series:
-        Z = rfft(z.reshape(len(z), data.blocks, -1), axis=2)
-        Z[..., -1] *= 0.5  # the Nyquist frequency is two lines there
-        return np.asarray(by * irfft(Z, by * data.block, axis=2)).reshape(len(z), -1)
+    Blocks that follow one another are interpolated as one: a law that remembers takes a leap between them for motion.
+    """
+    stretches = data.stretches
+
+    def joined(of: Callable[[Array], Array], z: NDArray[Any]) -> Array:
+        return np.concatenate([of(z[rows]) for rows in stretches])
+
+    def smooth(z: Array) -> Array:
+        return interpolated(z[np.clip(np.arange(-HALF, z.size + HALF), 0, z.size - 1)], by)
 
     def straight(z: Array) -> Array:
         step = np.diff(z, append=2 * z[-1] - z[-2])
         return np.asarray((z[:, None] + step[:, None] * np.arange(by) / by).ravel())
 
-    return data.states(fine, rate_hz=by * data.rate_hz, block=by * data.block, t=straight(data.t),
-                       phase=straight(data.phase))  # fmt: skip
+    t, phase = joined(straight, data.t), joined(straight, data.phase)
+    return data.states(lambda z: np.stack([joined(smooth, row) for row in z]), rate_hz=by * data.rate_hz,
+                       block=by * data.block, t=t, phase=phase)  # fmt: skip
 
 
 def coarser(data: MotionBlocks, by: int) -> MotionBlocks:

@@ -119,19 +119,23 @@ def probed(
 def _pieces(
     laws: Sequence[tuple[Placed, Array]], data: MotionBlocks, i: int, lin: Array
 ) -> Iterator[tuple[int, Linearised]]:  # fmt: skip
-    """First row and laws that remember, at parameters, linearised along the motion of place i, piece by piece."""
-    n, dt = data.x.shape[1], 1.0 / data.rate_hz
+    """First row and laws that remember, at parameters, linearised along the motion of place i, piece by piece.
+
+    Where the path has a break they keep what they have come to: it is no motion.
+    """
+    dt = 1.0 / data.rate_hz
     starts, seen = [np.zeros(u.effect.states) for u, _ in laws], data.seen(i)
-    for a in range(0, n, PIECE):
-        rows = slice(a, min(a + PIECE, n) + 1)  # one more: where the next piece begins
-        found = []
-        for q, (u, p) in enumerate(laws):
-            _, states, about = passed(u.effect, p, lin, seen[rows], data.v[i, rows], dt, starts[q])
-            starts[q] = states[-1]
-            found.append(about)
-        law = together([q for q in found if q is not None])
-        size = min(PIECE, n - a)
-        yield a, Linearised(law.step[:size], law.force[:size])
+    for stretch in data.stretches:
+        for a in range(stretch.start, stretch.stop, PIECE):
+            size = min(PIECE, stretch.stop - a)
+            rows = np.minimum(np.arange(a, a + size + 1), stretch.stop - 1)  # one more: where the next piece begins
+            found = []
+            for q, (u, p) in enumerate(laws):
+                _, states, about = passed(u.effect, p, lin, seen[rows], data.v[i, rows], dt, starts[q])
+                starts[q] = states[-1]
+                found.append(about)
+            law = together([q for q in found if q is not None])
+            yield a, Linearised(law.step[:size], law.force[:size])
 
 
 def _transform(answer: Array, rate_hz: float, f_hz: Array) -> Complexes:

@@ -111,9 +111,22 @@ def test_the_finer_grid_keeps_the_motion() -> None:
     data = prepare(rig, record(rig, "coulomb", 0.06, seconds=5.0), RATE)
     data = data.states(lambda z: z.astype(np.float64))
     fine = finer(data)
-    assert np.abs(fine.x[:, ::4] - data.x).max() < 1e-9 * np.abs(data.x).max()
+    assert np.abs(fine.x[:, ::4] - data.x).max() < 1e-4 * np.abs(data.x).max()
     assert fine.t[::4] == pytest.approx(data.t)
     assert fine.f_hz == pytest.approx(data.f_hz)
+
+
+def test_the_finer_grid_does_not_leap_from_block_to_block() -> None:
+    """Each block interpolated by itself, as if it went round, its last samples led back to its first."""
+    rig = one_bearing()
+    data = prepare(rig, record(rig, "coulomb", 0.06, seconds=5.0), RATE)
+    rows = np.concatenate([np.arange(3 * data.block), np.arange(5 * data.block, 8 * data.block)])
+    data = data.at(np.isin(np.arange(data.t.size), rows))
+    fine = finer(data)
+    assert [s.stop // fine.block for s in fine.stretches] == [3, 6]
+    for rows in fine.stretches:
+        x, v = fine.x[:, rows], fine.v[:, rows]
+        assert np.abs(np.diff(x)).max() < 1.1 * np.abs(v).max() / fine.rate_hz
 
 
 def test_a_law_that_stands_at_zero_fluctuates_nowhere() -> None:
