@@ -18,6 +18,7 @@ from .effects import CATALOGUE
 from .estimate import Parameter
 from .force_cells import Cells, cells_of, finite_exp, mean_power
 from .force_shapes import base_model, causes, peakless, plain, with_shape
+from .known_spectra import OF_FORCE, colours
 from .model import Model
 from .model_fit import fit_model
 from .noise_floor import noisy
@@ -30,6 +31,7 @@ LEVEL = 1e-3
 LEAST_DEPTH = 0.015  # rms of ln(power / model): less is within what filters and integrators leave behind
 EXPLAINED = 0.5  # of the misfit beyond chance: a cause that leaves more is not the cause
 ROUNDS = 2  # of a spectrum as it is seen, beside what is fitted with it
+UNLIKE = 1e-6  # of a colour of the model: more is none
 BEYOND = 3.0  # standard deviations, below nothing, of a stiffness or damping that no bearing has
 PLAIN = 0.1  # depth from which a shape that no cause explains is told: laws that a model lacks bend spectra by less
 
@@ -40,7 +42,8 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
     taken = {(u.name, place) for u in model.effects for place in u.parameters}
     out: list[Suspect] = []
     noise = np.zeros(len(data.places))
-    shaped: set[int] = set()
+    seen = data.colour / colours(model, data.places, data.f_hz, OF_FORCE)  # of a spectrum as it is: see below
+    shaped = set(np.flatnonzero(np.ptp(seen, axis=1) > UNLIKE * seen.mean(axis=1)).tolist())
     white: list[tuple[int, Cells, float, Array, Array]] = []
     for i, place in enumerate(data.places):
         if data.driven[i] > 0.0:  # what is left of a known force is noise: bent_path.py
@@ -61,7 +64,7 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
         own = _shapes(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
         out += own or ([_unknown(point, i, c, u, level)] if depth > PLAIN else [])
     out += _alike(point, out, white, taken, shaped)
-    out += [s for s in noisy(model, point, noise) if data.places.index(s.at[0]) not in shaped]
+    out += noisy(model, point, noise, shaped)
     return out + _shared(model, point)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import partial
 
 import numpy as np
@@ -21,14 +21,19 @@ FOLDED = 0.01  # of what sampling folds back, that noise of a sensor has to be N
 NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
 
 
-def noisy(model: Model, point: WorkingPoint, noise: Array) -> list[Suspect]:
-    """A sensor whose noise floor stands out of its neighbours' of the same kind: others have another unit."""
+def noisy(model: Model, point: WorkingPoint, noise: Array, shaped: Collection[int]) -> list[Suspect]:
+    """A sensor whose noise floor stands out of its neighbours' of the same kind: others have another unit.
+
+    shaped : places with another spectrum than white force and white noise make. Their noise is not known: beside a peak
+    it came out as nothing, and that of a sound neighbour stood out.
+    """
     data = point.data
     out, heard = [], data.heard(point.A)
     have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
-    for i, place in enumerate(data.places):
-        alike = [k for k, kind in enumerate(data.kinds) if k != i and kind == data.kinds[i] and data.driven[k] == 0.0]
-        others = noise[alike]
+    known = [k for k in range(len(data.places)) if k not in shaped]
+    for i in known:
+        place, kind = data.places[i], data.kinds[i]
+        others = noise[[k for k in known if k != i and data.kinds[k] == kind]]
         if others.size == 0 or place in have:
             continue
         # noise counts where it is loudest: that of an accelerometer low in the band, that of displacement at its top

@@ -46,6 +46,20 @@ def test_a_force_with_a_peak_is_unknown_and_no_pedestal() -> None:
     assert no_law(found.messages).startswith("the unknown force has a spectrum")
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_noise_stands_out_only_of_neighbours_whose_own_is_known(noise: float) -> None:
+    """Beside a peak that nothing makes a neighbour's noise came out as nothing, and every other sensor as faulty."""
+    rig = replace(one_bearing(), effects=())
+    y = simulate(rig, RATE, 6.0, seed=0, noise=0.0)
+    y += noise * np.array([0.2, 1.0]) * y.std(axis=0) * np.random.default_rng(1).standard_normal(y.shape)
+    peaked = np.stack([y[:, 0] + 2.0 * lfilter(*iirpeak(2800.0, 2.0, fs=RATE), y[:, 0]), y[:, 1]], axis=1)
+    whole, other = (fit_whole(rig, seen, RATE) for seen in (y, peaked))
+    seen = force_colour.as_it_is(rig, other.point, 0.0)
+    assert seen is not None
+    named = [{s.effect for s in force_colour.find(rig, point)} for point in (whole.point, other.point, seen)]
+    assert named == [{"sensor_noise"} if noise else set(), {"unknown"}, set()]
+
+
 def test_a_force_with_a_peak_on_a_stiff_shaft_is_unknown_and_no_law() -> None:
     """A pedestal whose bearing has a negative damping explained most of it; weighed as white it passed for what follows
     the other cap. Filtered is the motion by one force alone, as the rotor is linear."""

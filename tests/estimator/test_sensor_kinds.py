@@ -59,4 +59,4 @@ def test_sensors_of_two_kinds_are_not_each_others_measure() -> None:
     rig = replace(rig, channels=tuple(replace(c, kind=kinds[c.node]) for c in rig.channels))
     point = fit_whole(rig, simulate(rig, RATE, 6.0, seed=5), RATE).point
     quiet = np.array([0.02, 0.02, 1e-10, 1e-10]) ** 2 / (RATE / 2)
-    assert not noise_floor.noisy(rig, point, quiet)
+    assert not noise_floor.noisy(rig, point, quiet, ())
