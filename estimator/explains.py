@@ -6,26 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from . import adequacy, evidence, missing_force, screen
+from . import adequacy, evidence, missing_force, two_laws
 from .evidence import Entry
 from .fitted import parameters, untold
 from .heldout import heldout_nll
 from .model import Model
 from .model_fit import fit_model
-from .model_uses import acting, on_trial
-from .ranking import SEARCH_SECONDS, Progress
-from .working_point import WorkingPoint, plain, thinned
+from .ranking import Progress
+from .working_point import WorkingPoint, thinned
 
 SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same state means another law
-EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
 EARNED = 5.0  # nats held out, of a law where no force is missing: ln of what a search tries
 IDLE = "refused: no force is missing there, and fitted with the model it is not told from zero or predicts no better"
+BESIDE = "beside it leaves nothing of that"
 ROUND = "its step is not sharp, or more than friction acts against velocity"
-FAMILY = {
-    "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
-    "quadratic": "even in x", "stop": "even in x",
-    "coulomb": "damping", "quadratic_damping": "damping", "displacement_damping": "damping", "bouc_wen": "damping",
-}  # fmt: skip
 
 
 def fits(
@@ -53,9 +47,14 @@ def fits(
     values = {k: joint.get(k, p) for k, p in entry.parameters.items()}
     entry = replace(entry, after_percent=after.percent(after_part), parameters=values)
     left = _same_state_left(before, after, entry) if smooth is None else smooth
-    wrong = left > adequacy.most_left(entry.effect, SAME_SHAPE) and not another_explains(
-        model, after_part, after, entry, say
-    )
+    wrong = left > adequacy.most_left(entry.effect, SAME_SHAPE)
+    if wrong:
+        say(0.93, "one effect or two?")
+        if two_laws.another_explains(model, after_part, after, entry):
+            wrong = False
+        elif (second := two_laws.of_its_family(model, point, after_part, entry)) is not None:
+            wrong = False
+            entry = replace(entry, notes=(*entry.notes, f"by itself it leaves {100 * left:.0f} %; {second} {BESIDE}"))
     if not wrong and left > adequacy.MOST and entry.effect == "coulomb":
         entry = replace(entry, notes=(*entry.notes, f"{100 * left:.0f} % of what velocity explains is left: {ROUND}"))
     return entry, left if wrong else 0.0
@@ -98,36 +97,3 @@ def _by_state(found: missing_force.Survey, places: set[int]) -> dict[str, float]
         for f in r.found if r.place in places else ():
             out[f.group] = out.get(f.group, 0.0) + f.power
     return out
-
-
-def another_explains(
-    model: Model, point: WorkingPoint, left: missing_force.Survey, best: Entry, say: Progress
-) -> bool:
-    """Whether a second effect, of another family, explains what the first leaves: two missing, not one unknown.
-
-    At all its spots together it is to earn what smooth terms in the state of the first do: a one-sided stop has an odd
-    half, which takes a part of what an odd law of the wrong shape leaves. Where the first has no single state, as
-    hysteresis, it is its own state: beside an odd curve any odd law takes a part.
-    """
-    say(0.93, "one effect or two?")
-    small = plain(point, SEARCH_SECONDS)
-    family = FAMILY.get(best.effect, best.effect)
-    found = {r.place: sum(f.gain for f in r.found) for r in left.residuals if r.found}
-    smooth = adequacy.worth(point, best.effect, {i for p in best.placed for i in p.at})
-    for effect in on_trial(model):
-        if FAMILY.get(effect.name, effect.name) == family:
-            continue
-        earned, asked, seen = 0.0, sum(smooth.values()), False
-        for spot in screen.spots(effect, model, point):
-            on = acting(effect, spot, point.data)
-            if not {*found, *smooth}.intersection(on):
-                continue
-            trial = screen.tried(small, point, model, effect, spot)
-            if trial is not None:
-                earned += max(trial.gain - trial.df, 0.0)
-                asked += 0.0 if smooth else sum(adequacy.worth(point, effect.name, {*on}).values())
-                here = sum(found.get(i, 0.0) for i in on)
-                seen |= here > 0.0 and trial.gain > EXPLAINS * here
-        if seen and earned >= asked:
-            return True
-    return False

@@ -16,12 +16,12 @@ from estimator.diagnose import Diagnosis, _law, _verdict, diagnose, quiet
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
 from estimator.errors import DataError
-from estimator.explains import another_explains
 from estimator.improve import improve
 from estimator.model import Model
 from estimator.placed import Placed
 from estimator.ranking import _promising, ranked
 from estimator.simulate import simulate
+from estimator.two_laws import another_explains
 from estimator.whole import fit_whole
 
 UNTOLD = ("bow", "crack")  # on a soft shaft: docs/diagnosis.md, what one record cannot tell
@@ -151,7 +151,7 @@ def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model, monk
     def explained(gain: float) -> bool:
         monkeypatch.setattr("estimator.model_uses.CATALOGUE", {"stop": CATALOGUE["stop"]})
         monkeypatch.setattr("estimator.screen.tried", lambda *_: SimpleNamespace(gain=gain, df=2))
-        return another_explains(bare, point, left, best, quiet)  # type: ignore[arg-type]
+        return another_explains(bare, point, left, best)  # type: ignore[arg-type]
 
     assert not explained(8.0)
     assert explained(1000.0)

@@ -8,7 +8,7 @@ import pytest
 from hidden_effects import RATE, ROOT, one_bearing
 
 from daq.rig import Rig
-from estimator import explains
+from estimator import two_laws
 from estimator.diagnose import diagnose
 from estimator.effects import CATALOGUE
 from estimator.model import Setting
@@ -25,10 +25,10 @@ parameters = { L = { value = 1.34e-7, unit = "m" } }
 
 @pytest.mark.slow
 @pytest.mark.parametrize("first", ["hertz", "bouc_wen"])
-def test_nothing_beside_any_odd_law_explains_an_odd_curve(monkeypatch: pytest.MonkeyPatch, first: str) -> None:
+def test_nothing_beside_any_odd_law_two_laws_an_odd_curve(monkeypatch: pytest.MonkeyPatch, first: str) -> None:
     """Hysteresis earned 490 of 6500 nats and left 96 % of the missing force, and was named as a quintic earned a third
     of the rest: of what an odd curve leaves any odd law takes some."""
-    monkeypatch.setattr(explains, "EXPLAINS", 0.01)  # that part depends on the curve
+    monkeypatch.setattr(two_laws, "EXPLAINS", 0.01)  # that part depends on the curve
     if first != "hertz":  # which comes nearer, but not near
         monkeypatch.delitem(CATALOGUE, "hertz")
     rig = one_bearing()
