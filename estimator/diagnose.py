@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import adequacy, evidence, explains, force_colour, missing_force
+from . import adequacy, evidence, explains, force_colour, missing_force, two_laws
 from .errors import DataError
 from .evidence import Entry
 from .model import Model
@@ -174,17 +174,19 @@ def _clipped(entries: list[Entry]) -> tuple[str, ...]:
 
 def _close(entries: list[Entry]) -> list[int]:
     """Numbers of the first of the ranking and of force laws so close behind that a law of the wrong shape may have
-    passed them by its number of parameters."""
+    passed them by its number of parameters; and of the first law behind a stop that is odd or even: a stop is both, and
+    passes by two laws that are one of each."""
     least = entries[0].score - CLOSE
-    return [
-        k for k, e in enumerate(entries[:FOREMOST]) if e.placed and e.p_value < SIGNIFICANT and e.score > least
-    ]  # fmt: skip
+    sure = [k for k, e in enumerate(entries) if e.placed and e.p_value < SIGNIFICANT]
+    near = [k for k in sure if k < FOREMOST and entries[k].score > least]
+    halves = [k for k in sure if k not in near and two_laws.FAMILY.get(entries[k].effect) in two_laws.OF_X]
+    return near + halves[:1] if entries[0].effect == "stop" else near
 
 
 def _passed_over(left: dict[str, float]) -> tuple[str, ...]:
     """What was ahead, and why it is not the answer. left : of each effect judged, the last one named."""
     return tuple(
-        f"{effect} was ahead by a few nats but leaves {100 * rest:.0f} % of what a state explains"
+        f"{effect} was ahead but leaves {100 * rest:.0f} % of what a state explains"
         for effect, rest in [*left.items()][:-1]
     )
 

@@ -52,7 +52,7 @@ def fits(
         say(0.93, "one effect or two?")
         if two_laws.another_explains(model, after_part, after, entry):
             wrong = False
-        elif (second := two_laws.of_its_family(model, point, after_part, entry)) is not None:
+        elif (second := two_laws.of_its_state(model, point, after_part, entry)) is not None:
             wrong = False
             entry = replace(entry, notes=(*entry.notes, f"by itself it leaves {100 * left:.0f} %; {second} {BESIDE}"))
     if not wrong and left > adequacy.MOST and entry.effect == "coulomb":

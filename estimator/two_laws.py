@@ -12,12 +12,13 @@ from .working_point import WorkingPoint, plain, thinned
 
 EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
 TOGETHER = 0.04  # rms left beside two laws of one family: a smooth odd curve that is none left 0.23 and more
-ROUNDS = 6  # of a fit of both
+ROUNDS, TRIED = 6, 2  # of a fit of both; seconds that are fitted, as a coarse grid may put the wrong one first
 FAMILY = {
     "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
     "quadratic": "even in x", "stop": "even in x",
     "coulomb": "damping", "quadratic_damping": "damping", "displacement_damping": "damping", "bouc_wen": "damping",
 }  # fmt: skip
+OF_X = ("odd in x", "even in x")
 
 
 def another_explains(model: Model, point: WorkingPoint, left: missing_force.Survey, best: Entry) -> bool:
@@ -50,17 +51,20 @@ def another_explains(model: Model, point: WorkingPoint, left: missing_force.Surv
     return False
 
 
-def of_its_family(model: Model, before: WorkingPoint, after: WorkingPoint, best: Entry) -> str | None:
-    """The law of the family of the first that leaves nothing of its state beside it, all numbers fitted together.
+def of_its_state(model: Model, before: WorkingPoint, after: WorkingPoint, best: Entry) -> str | None:
+    """The law of the family of the first that leaves nothing of its state beside it, all numbers fitted together; any
+    law of x beside one that is not odd in it, whose state is all of x.
 
-    before : fit of the whole record without the first; after : with it, of a part. The likeliest by itself is tried: of
-    a curve that is no law any two laws of one state take a large part, but not all.
+    before : fit of the whole record without the first; after : with it, of a part. Of a curve that is no law any two of
+    one state take a large part, but not all.
     """
+    own = FAMILY.get(best.effect, "")
+    alike = OF_X if own == "even in x" else (own,)
     places = {i for p in best.placed for i in p.at}
     found: dict[str, list[screen.Trial]] = {}
     small = plain(after, SEARCH_SECONDS)
     for effect in on_trial(model):
-        if effect.name == best.effect or FAMILY.get(effect.name) != FAMILY.get(best.effect, ""):
+        if effect.name == best.effect or FAMILY.get(effect.name) not in alike:
             continue
         for spot in screen.spots(effect, model, after):
             if not places.issuperset(acting(effect, spot, after.data)):
@@ -68,15 +72,17 @@ def of_its_family(model: Model, before: WorkingPoint, after: WorkingPoint, best:
             trial = screen.tried(small, after, model, effect, spot)
             if trial is not None and trial.p_value < adequacy.LEVEL:
                 found.setdefault(effect.name, []).append(trial)
-    if not found:
-        return None
-    second = max(found, key=lambda name: sum(t.gain for t in found[name]))
-    laws = [u for u in after.placed if u.key in {p.key for p in best.placed}] + [t.placed for t in found[second]]
+    gains = {name: sum(t.gain for t in own) for name, own in found.items()}
+    firsts = [u for u in after.placed if u.key in {p.key for p in best.placed}]
     part = thinned(before, missing_force.SURVEY_SECONDS)
-    for point in (part,) if part is before else (part, before):
-        both = fit_model(point.data, [*point.placed, *laws], start=point, rounds=ROUNDS)
-        left = adequacy.left(point, both, best.effect, places)
-        if left is None or left > TOGETHER:
-            return None
-        laws = [u for u in both.placed if u.key in {p.key for p in laws}]
-    return second
+    for second in sorted(gains, key=lambda name: -gains[name])[:TRIED]:
+        laws = [*firsts, *(t.placed for t in found[second])]
+        for point in (part,) if part is before else (part, before):
+            both = fit_model(point.data, [*point.placed, *laws], start=point, rounds=ROUNDS)
+            left = adequacy.left(point, both, best.effect, places)
+            if left is None or left > TOGETHER:
+                break
+            laws = [u for u in both.placed if u.key in {p.key for p in laws}]
+        else:
+            return second
+    return None

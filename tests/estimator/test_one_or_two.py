@@ -11,6 +11,8 @@ from daq.rig import Rig
 from estimator import two_laws
 from estimator.diagnose import diagnose
 from estimator.effects import CATALOGUE
+from estimator.effects.strength import size, strengths, with_effect
+from estimator.improve import improve
 from estimator.model import Setting
 from estimator.simulate import simulate
 
@@ -25,7 +27,7 @@ parameters = { L = { value = 1.34e-7, unit = "m" } }
 
 @pytest.mark.slow
 @pytest.mark.parametrize("first", ["hertz", "bouc_wen"])
-def test_nothing_beside_any_odd_law_two_laws_an_odd_curve(monkeypatch: pytest.MonkeyPatch, first: str) -> None:
+def test_nothing_beside_any_odd_law_explains_an_odd_curve(monkeypatch: pytest.MonkeyPatch, first: str) -> None:
     """Hysteresis earned 490 of 6500 nats and left 96 % of the missing force, and was named as a quintic earned a third
     of the rest: of what an odd curve leaves any odd law takes some."""
     monkeypatch.setattr(two_laws, "EXPLAINS", 0.01)  # that part depends on the curve
@@ -43,3 +45,18 @@ def test_nothing_beside_any_odd_law_two_laws_an_odd_curve(monkeypatch: pytest.Mo
     assert found.verdict == "unknown"
     assert found.shape is not None
     assert found.shape.to_json()["against"] == "displacement"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pair", [("clearance", "cubic"), ("quadratic", "clearance")])
+def test_two_laws_of_one_state_are_two_effects(pair: tuple[str, str]) -> None:
+    """No law alone has the shape of both, and any two laws of x come near a curve that is none: above, "unknown"."""
+    rig = replace(one_bearing(), effects=())
+    truth = rig
+    for name in pair:
+        law = CATALOGUE[name]
+        values = strengths(law, size(rig, "bearing1.x", RATE), 0.06, rig, 20.0)
+        truth = with_effect(truth, law, values, "bearing1.x", "bearing1.y")
+    ladder = improve(rig, simulate(truth, RATE, 20.0, seed=3, noise=0.02, full_scale=490.5), RATE)
+    assert ladder.last.verdict == "complete"
+    assert set(ladder.rungs[-1].effects) == set(pair)
