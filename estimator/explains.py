@@ -16,6 +16,7 @@ from .ranking import Progress
 from .working_point import WorkingPoint, thinned
 
 SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same state means another law
+NOTHING = 0.9  # the same, of a law of no single state: it is not the first of two that leaves nearly all
 EARNED = 5.0  # nats held out, of a law where no force is missing: ln of what a search tries
 IDLE = "refused: no force is missing there, and fitted with the model it is not told from zero or predicts no better"
 BESIDE = "beside it leaves nothing of that"
@@ -48,7 +49,7 @@ def fits(
     entry = replace(entry, after_percent=after.percent(after_part), parameters=values)
     left = _same_state_left(before, after, entry) if smooth is None else smooth
     wrong = left > adequacy.most_left(entry.effect, SAME_SHAPE)
-    if wrong:
+    if wrong and not (smooth is None and left > NOTHING):
         say(0.93, "one effect or two?")
         if two_laws.another_explains(model, after_part, after, entry):
             wrong = False
