@@ -11,7 +11,6 @@ from .ranking import SEARCH_SECONDS
 from .working_point import WorkingPoint, plain, thinned
 
 EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
-TOGETHER = 0.04  # rms left beside two laws of one family: a smooth odd curve that is none left 0.23 and more
 ROUNDS, TRIED = 6, 2  # of a fit of both; seconds that are fitted, as a coarse grid may put the wrong one first
 FAMILY = {
     "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
@@ -80,7 +79,7 @@ def of_its_state(model: Model, before: WorkingPoint, after: WorkingPoint, best: 
         for point in (part,) if part is before else (part, before):
             both = fit_model(point.data, [*point.placed, *laws], start=point, rounds=ROUNDS)
             left = adequacy.left(point, both, best.effect, places)
-            if left is None or left > TOGETHER:
+            if left != 0.0:  # not even significantly: hertz and cubic left 4 % of a saturating spring
                 break
             laws = [u for u in both.placed if u.key in {p.key for p in laws}]
         else:
