@@ -85,7 +85,7 @@ def _prototype(finer: int) -> tuple[Floats, Floats]:
     h = low_pass.kaiser(2 * HALF * finer + 1, 1.0 / finer, 8.0)
     # value at i + u / U from samples i - half + 1 ... i + half
     offset = (HALF - 1 - np.arange(2 * HALF))[None, :] * finer + np.arange(finer)[:, None]
-    return np.ascontiguousarray(finer * h[offset + HALF * finer]), h
+    return np.ascontiguousarray(h[offset + HALF * finer] / h[HALF * finer]), h  # through the samples
 
 
 @dataclass(frozen=True, slots=True)

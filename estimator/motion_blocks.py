@@ -242,7 +242,7 @@ def finer(data: MotionBlocks, by: int = 4) -> MotionBlocks:
         return np.concatenate([of(z[rows]) for rows in stretches])
 
     def smooth(z: Array) -> Array:
-        return interpolated(z[np.clip(np.arange(-HALF, z.size + HALF), 0, z.size - 1)], by)
+        return interpolated(np.pad(z, HALF, mode="edge"), by)
 
     def straight(z: Array) -> Array:
         step = np.diff(z, append=2 * z[-1] - z[-2])

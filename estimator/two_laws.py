@@ -57,7 +57,9 @@ def of_its_state(model: Model, before: WorkingPoint, after: WorkingPoint, best: 
     before : fit of the whole record without the first; after : with it, of a part. Of a curve that is no law any two of
     one state take a large part, but not all.
     """
-    own = FAMILY.get(best.effect, "")
+    if best.effect not in adequacy.STATES:
+        return None
+    own = FAMILY[best.effect]
     alike = OF_X if own == "even in x" else (own,)
     places = {i for p in best.placed for i in p.at}
     found: dict[str, list[screen.Trial]] = {}
@@ -71,17 +73,16 @@ def of_its_state(model: Model, before: WorkingPoint, after: WorkingPoint, best: 
             trial = screen.tried(small, after, model, effect, spot)
             if trial is not None and trial.p_value < adequacy.LEVEL:
                 found.setdefault(effect.name, []).append(trial)
-    gains = {name: sum(t.gain for t in own) for name, own in found.items()}
-    firsts = [u for u in after.placed if u.key in {p.key for p in best.placed}]
+    base = {u.key for u in before.placed}
+    firsts = [u for u in after.placed if u.key not in base]
     part = thinned(before, missing_force.SURVEY_SECONDS)
-    for second in sorted(gains, key=lambda name: -gains[name])[:TRIED]:
+    for second in sorted(found, key=lambda name: -sum(t.gain for t in found[name]))[:TRIED]:
         laws = [*firsts, *(t.placed for t in found[second])]
         for point in (part,) if part is before else (part, before):
             both = fit_model(point.data, [*point.placed, *laws], start=point, rounds=ROUNDS)
-            left = adequacy.left(point, both, best.effect, places)
-            if left != 0.0:  # not even significantly: hertz and cubic left 4 % of a saturating spring
+            if adequacy.left(point, both, best.effect, places) != 0.0:  # a saturating spring, 4 %
                 break
-            laws = [u for u in both.placed if u.key in {p.key for p in laws}]
+            laws = [u for u in both.placed if u.key not in base]
         else:
             return second
     return None

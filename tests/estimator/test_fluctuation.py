@@ -111,7 +111,7 @@ def test_the_finer_grid_keeps_the_motion() -> None:
     data = prepare(rig, record(rig, "coulomb", 0.06, seconds=5.0), RATE)
     data = data.states(lambda z: z.astype(np.float64))
     fine = finer(data)
-    assert np.abs(fine.x[:, ::4] - data.x).max() < 1e-4 * np.abs(data.x).max()
+    assert np.abs(fine.x[:, ::4] - data.x).max() < 1e-9 * np.abs(data.x).max()
     assert fine.t[::4] == pytest.approx(data.t)
     assert fine.f_hz == pytest.approx(data.f_hz)
 
