@@ -79,7 +79,7 @@ def as_seen(force: NDArray[np.floating], mean: Array, calm: NDArray[np.floating]
     mean : (4,) tangents along x, v and those of the other direction. calm : (places, n). other : -1 where none is.
     """
     force -= mean[0] * calm[own]
-    if other >= 0:
+    if other >= 0 and mean[2] != 0.0:
         force -= mean[2] * calm[other]
 
 

@@ -114,7 +114,7 @@ class Columns:
             terms = ((up, 0.5 / d), (down, -0.5 / d))
         if law.effect.kind == "memory":
             return _Law(terms, np.zeros(4, bool), False)
-        ready(law.effect)
+        ready(law.effect, law.p)
         reads = np.any([depends(law.effect, p, scale) for p, _ in terms], axis=0)
         p = terms[0][0]
         finer = rough(law.effect, p, scale) or folds(law.effect, p, scale, self._folding_hz)

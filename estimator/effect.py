@@ -53,6 +53,8 @@ class Effect:
     stationary_density : whether exp(-H/T) survives (physics.md section 6, column FDT).
     states, rates, memory_force : for kind memory: number of states z;
         rates(z, x, v, p, lin, dz) -> None fills dz; memory_force(z, x, v, p, lin) -> float; lin = (m, kL, c).
+    for_given : for a law that is far faster made for its given parameters: for_given(p) -> the same law, which reads
+        those of this p whatever it is handed.
     apply : for kind sensor: apply(y (n,), rate_hz, p, rng) -> (n,).
     shape : for kind excitation: shape(f_hz (n,), p) -> (n,) multiplier of S.
     """
@@ -71,6 +73,7 @@ class Effect:
     one_direction: bool = False
     stationary_density: bool = False
     force: Callable[..., float] | None = None
+    for_given: Callable[[Any], Callable[..., float]] | None = None
     states: int = 0
     rates: Callable[..., None] | None = None
     memory_force: Callable[..., float] | None = None

@@ -229,7 +229,7 @@ def law_force(
 
     reads : of x, v, xo, vo, as `depends` has it. series : arrays to fill with the tangents along x and v.
     """
-    law, p, sums = law_of(effect), np.ascontiguousarray(p), np.zeros(4)
+    law, p, sums = law_of(effect, p), np.ascontiguousarray(p), np.zeros(4)
     signals = state.signals(reads)
     out, spare = np.empty(state.x.size), np.empty(state.x.size)
     widths = [(k, h) for k, h in enumerate((reads * state.h).tolist()) if h > 0.0]
@@ -244,9 +244,9 @@ def _signal(z: Series) -> Floats:
     return np.ascontiguousarray(z, dtype=np.float64)
 
 
-def ready(effect: Effect) -> None:
+def ready(effect: Effect, p: Floats) -> None:
     """Compile the law of an effect, before several threads ask for it. Raises ValueError if the effect has none."""
-    compiled(law_of(effect))
+    compiled(law_of(effect, p))
 
 
 def interpolated(z: Series, finer: int = FINER) -> Floats:

@@ -64,7 +64,7 @@ def _trials(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress
     pairs = [(e, s) for e in on_trial(model) for s in screen.spots(e, model, point)]
     for effect, _ in pairs:
         if effect.force is not None:
-            ready(effect)
+            ready(effect, screen.grid(effect, model, point, 0, [])[0])
 
     def said(done: int) -> None:
         effect, spot = pairs[done - 1]

@@ -34,7 +34,9 @@ TYPE = ctypes.CFUNCTYPE(NUMBER, *[ADDRESS] * 6, *[NUMBER] * 5, ADDRESS, ADDRESS,
 def compiled(law: Callable[..., float]) -> Callable[..., float]:
     """The loop of a law. Raises ModelError for one that numba cannot compile."""
     version = _version(law)  # belongs to what is kept on disk: a changed law is compiled anew
-    strict = {"error_model": "numpy", "fastmath": False}  # the bits are those of the law called for one sample
+    # the bits are those of the law called for one sample; a long law called as a function would keep all from being
+    # vectorised
+    strict = {"error_model": "numpy", "fastmath": False, "forceinline": True}
     overload(law, strict=False, jit_options=strict)(lambda x, v, xo, vo, t, phase, s, p: law)
 
     def loop(  # type: ignore[no-untyped-def]
@@ -57,17 +59,18 @@ def _version(law: Callable[..., float]) -> int:
     """Of the source of a law; -1 of one that no module holds, as of an expression."""
     module = sys.modules.get(law.__module__)
     try:
-        source = inspect.getsource(module) if module and getattr(module, law.__name__, None) is law else ""
+        held = module is not None and (getattr(module, law.__name__, None) is law or law.__closure__ is not None)
+        source = inspect.getsource(module) if held and module is not None else ""
     except (OSError, TypeError):
         source = ""
     return crc32(source.encode()) if source else -1
 
 
-def law_of(effect: Effect) -> Callable[..., float]:
+def law_of(effect: Effect, p: Sequence[float] | Floats) -> Callable[..., float]:
     """Raises ValueError if it has none."""
     if effect.force is None:
         raise ValueError(f"{effect.name}: no force law (kind {effect.kind})")
-    return effect.force
+    return effect.force if effect.for_given is None else effect.for_given(p)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +110,7 @@ def force_array(
     t: Floats | float = 0.0, phase: Floats | float = 0.0, s: float = 1.0,
 ) -> Floats:  # fmt: skip
     """(n,) N, the restoring force of an effect's law along signals; scalars are held. p : parameters in their order."""
-    law, p = law_of(effect), np.ascontiguousarray(p, dtype=np.float64)
+    law, p = law_of(effect, p), np.ascontiguousarray(p, dtype=np.float64)
     x = np.ascontiguousarray(x, dtype=np.float64)
     held = (np.broadcast_to(np.asarray(a, np.float64), x.shape) for a in (v, xo, vo, t, phase))
     signals = Signals.of([x, *map(np.ascontiguousarray, held)], np.zeros(x.size, bool))

@@ -92,6 +92,18 @@ def test_hertz_is_the_same_for_both_directions_of_an_isotropic_ring() -> None:
     np.testing.assert_allclose(radial, radial[0], rtol=1e-9)  # six-fold symmetry
 
 
+@pytest.mark.parametrize("balls", [3, 7, 8, 40, 41])
+def test_hertz_made_for_its_balls_is_the_law(balls: int) -> None:
+    """What loops are made of does not read how many there are: of the wrong number it would go unnoticed."""
+    hertz, p = CATALOGUE["hertz"], [8.9e9, 0.1e-6, float(balls)]
+    assert hertz.force is not None
+    assert hertz.for_given is not None
+    own = hertz.for_given(p)
+    for s in (1.0, -1.0):
+        state = (0.3e-6, 0.0, -0.2e-6, 0.0, 0.0, 0.0, s)
+        assert own(*state, p) == hertz.force(*state, p) == own(*state, [*p[:2], 5.0])
+
+
 def test_friction_and_nonlinear_damping() -> None:
     assert damping(law("coulomb", 0.05, v=V)) == pytest.approx(4 * 0.05 / (np.pi * W * A), rel=1e-6)
     assert damping(law("quadratic_damping", 2e3, v=V)) == pytest.approx(8 * 2e3 * W * A / (3 * np.pi), rel=1e-6)
