@@ -17,6 +17,7 @@ from .working_point import WorkingPoint, thinned
 
 SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same state means another law
 NOTHING = 0.9  # the same, of a law of no single state: it is not the first of two that leaves nearly all
+FAR = 2.0  # times what may be left, on part of the record, from which the whole is not asked
 EARNED = 5.0  # nats held out, of a law where no force is missing: ln of what a search tries
 IDLE = "refused: no force is missing there, and fitted with the model it is not told from zero or predicts no better"
 BESIDE = "beside it leaves nothing of that"
@@ -30,30 +31,33 @@ def fits(
     that is no more than a law of the right shape may leave. None where it is nothing, as laws that see noise as strong
     as the motion may seem to be something: no force is missing at its places, and it is not told from zero at any or
     predicts no better."""
-    missing = bool({i for p in entry.placed for i in p.at}.intersection(before.places_found()))
-    samples = point.data.blocks * point.data.block
-    rounds = 2 if missing else 6
-    after_point = fit_model(point.data, [*point.placed, *entry.placed], start=point, rounds=rounds)
-    if not missing and (
-        {use.key for use in entry.placed}.issubset(untold(after_point))
-        or heldout_nll(after_point) > heldout_nll(point) - EARNED / samples
-    ):
-        return replace(entry, notes=(*entry.notes, IDLE)), None
-    entry, after_point = _where_told(point, entry, after_point, rounds)
+    missing = bool(_places(entry).intersection(before.places_found()))
+    part = thinned(point, missing_force.SURVEY_SECONDS)
+    after_point = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=2 if missing else 6)
+    most = adequacy.most_left(entry.effect, SAME_SHAPE)
+    smooth = adequacy.left(part, after_point, entry.effect, _places(entry))
+    if not (missing and smooth is not None and smooth > FAR * most):  # that the whole record would not mend
+        if part is not point:
+            after_point = fit_model(point.data, list(after_point.placed), start=after_point, rounds=2)
+        found = _told(point, entry, after_point, missing)
+        if found is None:
+            return replace(entry, notes=(*entry.notes, IDLE)), None
+        entry, after_point = found
+        smooth = adequacy.left(point, after_point, entry.effect, _places(entry))
     joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
-    smooth = adequacy.left(point, after_point, entry.effect, {i for p in entry.placed for i in p.at})
     after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
     del after_point
     after = missing_force.survey(after_part, model, only=before.places_found())
     values = {k: joint.get(k, p) for k, p in entry.parameters.items()}
     entry = replace(entry, after_percent=after.percent(after_part), parameters=values)
     left = _same_state_left(before, after, entry) if smooth is None else smooth
-    wrong = left > adequacy.most_left(entry.effect, SAME_SHAPE)
+    wrong = left > most
     if wrong and not (smooth is None and left > NOTHING):
         say(0.93, "one effect or two?")
-        if two_laws.another_explains(model, after_part, after, entry):
+        trials = two_laws.beside(model, after_part, after, entry)
+        if two_laws.another_explains(after_part, trials, after, entry):
             wrong = False
-        elif (second := two_laws.of_its_state(model, point, after_part, entry)) is not None:
+        elif (second := two_laws.of_its_state((part, point), after_part, trials, entry)) is not None:
             wrong = False
             entry = replace(entry, notes=(*entry.notes, f"by itself it leaves {100 * left:.0f} %; {second} {BESIDE}"))
     if not wrong and left > adequacy.MOST and entry.effect == "coulomb":
@@ -61,9 +65,20 @@ def fits(
     return entry, left if wrong else 0.0
 
 
-def _where_told(
-    point: WorkingPoint, entry: Entry, after_point: WorkingPoint, rounds: int
-) -> tuple[Entry, WorkingPoint]:
+def _told(
+    point: WorkingPoint, entry: Entry, after_point: WorkingPoint, missing: bool
+) -> tuple[Entry, WorkingPoint] | None:  # fmt: skip
+    """The entry and its fit where it is told; None where it is nothing."""
+    samples = point.data.blocks * point.data.block
+    if not missing and (
+        {use.key for use in entry.placed}.issubset(untold(after_point))
+        or heldout_nll(after_point) > heldout_nll(point) - EARNED / samples
+    ):
+        return None
+    return _where_told(point, entry, after_point)
+
+
+def _where_told(point: WorkingPoint, entry: Entry, after_point: WorkingPoint) -> tuple[Entry, WorkingPoint]:
     """The entry and its fit without bearings where the law, fitted at all of them together, is not told from zero and
     predicts no better: on trial by themselves they win by what they share with the one that has it, as where the
     forces at the two are coherent."""
@@ -72,7 +87,7 @@ def _where_told(
     if not idle or len(idle) == len(entry.at):
         return entry, after_point
     fewer = evidence.without(entry, idle)
-    less = fit_model(point.data, [*point.placed, *fewer.placed], start=point, rounds=rounds)
+    less = fit_model(point.data, [*point.placed, *fewer.placed], start=point, rounds=6)
     samples = point.data.blocks * point.data.block
     if heldout_nll(less) > heldout_nll(after_point) + EARNED / samples:
         return entry, after_point
@@ -84,8 +99,7 @@ def _same_state_left(before: missing_force.Survey, after: missing_force.Survey, 
 
     States that it does not touch belong to something else that is missing too.
     """
-    places = {i for p in best.placed for i in p.at}
-    was, rest = _by_state(before, places), _by_state(after, places)
+    was, rest = _by_state(before, _places(best)), _by_state(after, _places(best))
     if not was:
         return 0.0
     state = max(was, key=lambda g: was[g] - rest.get(g, 0.0))
@@ -98,3 +112,7 @@ def _by_state(found: missing_force.Survey, places: set[int]) -> dict[str, float]
         for f in r.found if r.place in places else ():
             out[f.group] = out.get(f.group, 0.0) + f.power
     return out
+
+
+def _places(entry: Entry) -> set[int]:
+    return {i for p in entry.placed for i in p.at}

@@ -140,7 +140,7 @@ def test_a_law_that_is_nothing_once_it_is_fitted_with_the_model_is_not_named(
     assert found.ranking[-1].notes[-1].startswith("refused")
 
 
-def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model) -> None:
     """The odd half of a one-sided stop takes a part of what an odd law of the wrong shape leaves (|x|^1.5, another
     simulator): that made a cubic and a stop of one law that is neither."""
     bare = replace(rig, effects=())
@@ -149,9 +149,8 @@ def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model, monk
     best = SimpleNamespace(effect="quintic", placed=[SimpleNamespace(at=(0, 1))])
 
     def explained(gain: float) -> bool:
-        monkeypatch.setattr("estimator.model_uses.CATALOGUE", {"stop": CATALOGUE["stop"]})
-        monkeypatch.setattr("estimator.screen.tried", lambda *_: SimpleNamespace(gain=gain, df=2))
-        return another_explains(bare, point, left, best)  # type: ignore[arg-type]
+        stops = [SimpleNamespace(gain=gain, df=2, placed=SimpleNamespace(at=(i,))) for i in (0, 1)]
+        return another_explains(point, {"stop": stops}, left, best)  # type: ignore[arg-type]
 
     assert not explained(8.0)
     assert explained(1000.0)
