@@ -142,18 +142,24 @@ def _law(
     for k in _close(entries):
         name = entries[k].effect
         say(0.85, f"does {name} explain it?")
-        entries[k], rest = explains.fits(model, point, before, entries[k], say)
-        if rest is None:
+        found = explains.fits(model, point, before, entries[k], say)
+        entries[k] = found.entry
+        if found.left is None:
             idle.append(k)
             continue
-        left[name] = rest
-        if not rest:
-            ranking = (entries[k], *entries[:k], *entries[k + 1 :])
-            said = (*_passed_over(left), *_clipped(entries))
-            return Diagnosis(name, ranking, separates=evidence.separates(ranking), messages=said)
+        if not left and found.left > two_laws.NOTHING:
+            part = thinned(point, missing_force.SURVEY_SECONDS)
+            pair = two_laws.of_one_state(model, part, point, entries[k:])
+            if pair is not None:
+                left[name] = found.left
+                return _of_two(model, point, before, entries, pair, left, say)
+        left[name] = found.left
+        if found.whole:
+            return _named(entries, k, left)
     if idle:
-        found = _verdict(model, point, before, [e for k, e in enumerate(entries) if k not in idle], say)
-        return replace(found, ranking=(*found.ranking, *(entries[k] for k in idle)))
+        rest = [e for k, e in enumerate(entries) if k not in idle]
+        said = _verdict(model, point, before, rest, say)
+        return replace(said, ranking=(*said.ranking, *(entries[k] for k in idle)))
     best = entries[0]
     return Diagnosis(
         "unknown",
@@ -165,6 +171,28 @@ def _law(
             *_clipped(entries),
         ),
     )
+
+
+def _named(entries: list[Entry], k: int, left: dict[str, float]) -> Diagnosis:
+    """The finding of the k-th of the ranking. left : what it leaves, and all that were judged before it."""
+    ranking = (entries[k], *entries[:k], *entries[k + 1 :])
+    said = (*_passed_over(left), *_clipped(entries))
+    return Diagnosis(entries[k].effect, ranking, separates=evidence.separates(ranking), messages=said)
+
+
+def _of_two(
+    model: Model, point: WorkingPoint, before: missing_force.Survey, entries: list[Entry], pair: tuple[str, str],
+    left: dict[str, float], say: Progress,
+) -> Diagnosis:  # fmt: skip
+    """The finding of the first of two laws of one state that together leave nothing of it."""
+    name, other = pair
+    k = next(j for j, e in enumerate(entries) if e.effect == name)
+    if name not in left:
+        found = explains.fits(model, point, before, entries[k], say)
+        entries[k], left[name] = found.entry, found.left or 0.0
+    note = f"by itself it leaves {100 * left[name]:.0f} %; {other} beside it leaves nothing of that"
+    entries[k] = replace(entries[k], notes=(*entries[k].notes, note))
+    return _named(entries, k, left)
 
 
 def _clipped(entries: list[Entry]) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,17 +20,25 @@ NOTHING = 0.9  # the same, of a law of no single state: it is not the first of t
 FAR = 2.0  # times what may be left, on part of the record, from which the whole is not asked
 EARNED = 5.0  # nats held out, of a law where no force is missing: ln of what a search tries
 IDLE = "refused: no force is missing there, and fitted with the model it is not told from zero or predicts no better"
-BESIDE = "beside it leaves nothing of that"
 ROUND = "its step is not sharp, or more than friction acts against velocity"
+
+
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """entry : fitted together with the model. left : of the missing force in its own state (rms); None where the entry
+    is nothing. whole : whether that is no more than a law of the right shape may leave, or is another's, of another
+    state."""
+
+    entry: Entry
+    left: float | None
+    whole: bool = False
 
 
 def fits(
     model: Model, point: WorkingPoint, before: missing_force.Survey, entry: Entry, say: Progress
-) -> tuple[Entry, float | None]:  # fmt: skip
-    """The entry fitted together with the model, and what it leaves of the missing force in its own state (rms): 0 if
-    that is no more than a law of the right shape may leave. None where it is nothing, as laws that see noise as strong
-    as the motion may seem to be something: no force is missing at its places, and it is not told from zero at any or
-    predicts no better."""
+) -> Explained:  # fmt: skip
+    """What an entry explains. It is nothing, as laws that see noise as strong as the motion may seem to be something,
+    where no force is missing at its places and it is not told from zero at any or predicts no better."""
     missing = bool(_places(entry).intersection(before.places_found()))
     part = thinned(point, missing_force.SURVEY_SECONDS)
     after_point = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=2 if missing else 6)
@@ -41,9 +49,10 @@ def fits(
             after_point = fit_model(point.data, list(after_point.placed), start=after_point, rounds=2)
         found = _told(point, entry, after_point, missing)
         if found is None:
-            return replace(entry, notes=(*entry.notes, IDLE)), None
+            return Explained(replace(entry, notes=(*entry.notes, IDLE)), None)
         entry, after_point = found
         smooth = adequacy.left(point, after_point, entry.effect, _places(entry))
+    del part
     joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
     after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
     del after_point
@@ -51,18 +60,13 @@ def fits(
     values = {k: joint.get(k, p) for k, p in entry.parameters.items()}
     entry = replace(entry, after_percent=after.percent(after_part), parameters=values)
     left = _same_state_left(before, after, entry) if smooth is None else smooth
-    wrong = left > most
-    if wrong and not (smooth is None and left > NOTHING):
+    whole = left <= most
+    if not whole and not (smooth is None and left > NOTHING):
         say(0.93, "one effect or two?")
-        trials = two_laws.beside(model, after_part, after, entry)
-        if two_laws.another_explains(after_part, trials, after, entry):
-            wrong = False
-        elif (second := two_laws.of_its_state((part, point), after_part, trials, entry)) is not None:
-            wrong = False
-            entry = replace(entry, notes=(*entry.notes, f"by itself it leaves {100 * left:.0f} %; {second} {BESIDE}"))
-    if not wrong and left > adequacy.MOST and entry.effect == "coulomb":
+        whole = two_laws.another_explains(after_part, two_laws.others(model, after_part, after, entry), after, entry)
+    if whole and left > adequacy.MOST and entry.effect == "coulomb":
         entry = replace(entry, notes=(*entry.notes, f"{100 * left:.0f} % of what velocity explains is left: {ROUND}"))
-    return entry, left if wrong else 0.0
+    return Explained(entry, left, whole)
 
 
 def _told(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -157,23 +157,50 @@ def _first_linear(
 
 def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list[Placed]]:
     """Values after the increments of the fit, searched parameters kept inside their limits."""
-    step = dict(zip(point.fit.names, point.fit.delta * point.fit.scales, strict=True))
+    bounds = [_bounds(point, use, kL) for use in point.placed]
+    limits = {use.name(k): own for use, each in zip(point.placed, bounds, strict=True) for k, own in each.items()}
+    step = dict(zip(point.fit.names, _within(point, limits) * point.fit.scales, strict=True))
     places = point.data.places
     least = np.where(point.data.driven > 0.0, LEAST_LEFT * kL, -np.inf)  # a known force forgives no step too far
     kL = np.maximum(kL + np.array([step[f"{p}.kL"] for p in places]), least)
     c = c + np.array([step[f"{p}.c"] for p in places])
     uses = []
-    for use in point.placed:
-        p, i = use.p.copy(), use.at[0]
-        natural = size(point.data, i, kL[i] if kL[i] > 0.0 else stiffness(point.data, i))  # of a step too far
-        for k, q in enumerate(use.effect.parameters):
-            new = p[k] + step.get(use.name(k), 0.0)
-            if not q.linear:
-                low, high = search_range(q, natural)
-                new = float(np.clip(new, min(low, p[k]), max(high, p[k])))
-            p[k] = new
+    for use, own in zip(point.placed, bounds, strict=True):
+        p = use.p + np.array([step.get(use.name(k), 0.0) for k in range(use.p.size)])
+        for k, (low, high) in own.items():
+            p[k] = np.clip(p[k], use.p[k] + low, use.p[k] + high)
         uses.append(use.with_values(p))
     return kL, c, uses
+
+
+def _bounds(point: WorkingPoint, use: Placed, kL: Array) -> dict[int, tuple[float, float]]:
+    """How far each searched parameter of a law may move, down and up."""
+    i = use.at[0]
+    natural = size(point.data, i, kL[i] if kL[i] > 0.0 else stiffness(point.data, i))  # of a step too far
+    out = {}
+    for k, q in enumerate(use.effect.parameters):
+        if not q.linear:
+            low, high = search_range(q, natural)
+            out[k] = min(low - use.p[k], 0.0), max(high - use.p[k], 0.0)
+    return out
+
+
+def _within(point: WorkingPoint, limits: Mapping[str, tuple[float, float]]) -> Array:
+    """The increments of the fit, scaled, where those at their limit are held there and the others follow: what a law
+    of much preload has in k it must not keep where the preload stops."""
+    fit = point.fit
+    delta, covariance = fit.delta.copy(), fit.covariance.copy()
+    loose = {k: np.divide(limits[name], fit.scales[k]) for k, name in enumerate(fit.names) if name in limits}
+    while loose:
+        beyond = {k: float(np.clip(delta[k], *own) - delta[k]) for k, own in loose.items()}
+        worst = max(beyond, key=lambda k: abs(beyond[k]) / np.sqrt(covariance[k, k]))
+        if beyond[worst] == 0.0:
+            break
+        gain = covariance[:, worst] / covariance[worst, worst]
+        delta += gain * beyond[worst]
+        covariance -= np.outer(gain, covariance[worst])
+        del loose[worst]
+    return delta
 
 
 def _level(point: WorkingPoint) -> Array | None:

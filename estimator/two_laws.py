@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
+
+import numpy as np
 
 from . import adequacy, missing_force, screen
 from .evidence import Entry
 from .model import Model
 from .model_fit import FIRST_SECONDS, fit_model
 from .model_uses import acting, on_trial
+from .placed import Placed
 from .ranking import SEARCH_SECONDS
 from .screen import Trial
 from .side_by_side import answers
@@ -16,7 +21,9 @@ from .working_point import WorkingPoint, plain, thinned
 
 Trials = dict[str, list[Trial]]
 EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
-ROUNDS, TRIED = 6, 2  # of a fit of both; seconds that are fitted, as a coarse grid may put the wrong one first
+ROUNDS = 6  # of a fit of both
+LAWS, TRIED = 3, 2  # of a state, the likeliest, which others are tried beside; pairs of them that are fitted
+NOTHING = 0.02  # of what is missing in the state of both (rms); of a saturating or rippled spring the best leave 0.04
 FAMILY = {
     "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
     "quadratic": "even in x", "stop": "even in x",
@@ -25,14 +32,15 @@ FAMILY = {
 OF_X = ("odd in x", "even in x")
 
 
-def beside(model: Model, after: WorkingPoint, left: missing_force.Survey, best: Entry) -> Trials:
-    """Every other effect on trial where the first, fitted, acts or leaves something; by name, those that are any."""
-    small = plain(after, SEARCH_SECONDS)
+def others(model: Model, after: WorkingPoint, left: missing_force.Survey, best: Entry) -> Trials:
+    """Every effect of another family on trial where the first, fitted, acts or leaves something; by name, those that
+    are any."""
+    small, family = plain(after, SEARCH_SECONDS), FAMILY.get(best.effect, best.effect)
     places = _places(best).union(r.place for r in left.residuals if r.found)
     pairs = [
         (effect, spot)
         for effect in on_trial(model)
-        if effect.name != best.effect
+        if FAMILY.get(effect.name, effect.name) != family
         for spot in screen.spots(effect, model, after)
         if places.intersection(acting(effect, spot, after.data))
     ]
@@ -45,18 +53,15 @@ def beside(model: Model, after: WorkingPoint, left: missing_force.Survey, best: 
 
 
 def another_explains(point: WorkingPoint, trials: Trials, left: missing_force.Survey, best: Entry) -> bool:
-    """Whether a second effect, of another family, explains what the first leaves.
+    """Whether a second effect, of the trials `others`, explains what the first leaves.
 
     At all its spots together it is to earn what smooth terms in the state of the first do: a one-sided stop has an odd
     half, which takes a part of what an odd law of the wrong shape leaves. Where the first has no single state, as
     hysteresis, it is its own state: beside an odd curve any odd law takes a part.
     """
-    family = FAMILY.get(best.effect, best.effect)
     found = {r.place: sum(f.gain for f in r.found) for r in left.residuals if r.found}
     smooth = adequacy.worth(point, best.effect, _places(best))
     for name, own in trials.items():
-        if FAMILY.get(name, name) == family:
-            continue
         earned, asked, seen = 0.0, sum(smooth.values()), False
         for trial in own:
             on = trial.placed.at
@@ -71,41 +76,78 @@ def another_explains(point: WorkingPoint, trials: Trials, left: missing_force.Su
     return False
 
 
-def of_its_state(
-    before: tuple[WorkingPoint, WorkingPoint], after: WorkingPoint, trials: Trials, best: Entry
-) -> str | None:  # fmt: skip
-    """The law of the family of the first that leaves nothing of its state beside it, all numbers fitted together; any
-    law of x beside one that is not odd in it, whose state is all of x.
+def of_one_state(
+    model: Model, part: WorkingPoint, whole: WorkingPoint, ranking: Sequence[Entry]
+) -> tuple[str, str] | None:  # fmt: skip
+    """The two laws of the state of the first of a ranking that leave nothing of it, all numbers fitted together, the
+    one that is ahead first: any of its family, or of x beside one that is even in it. Of a curve that is no law any two
+    of one state take a large part, but not all.
 
-    before : fits of a part and of the whole record without the first; after : with it, of the part. Of a curve that is
-    no law any two of one state take a large part, but not all.
+    part, whole : the model fitted to a part of the record and to all of it.
     """
-    if best.effect not in adequacy.STATES:
+    first = ranking[0]
+    if first.effect not in adequacy.STATES:
         return None
-    own = FAMILY[best.effect]
+    own = FAMILY[first.effect]
     alike = OF_X if own == "even in x" else (own,)
-    places = _places(best)
-    found = {
-        name: [t for t in tried if places.issuperset(t.placed.at) and t.p_value < adequacy.LEVEL]
-        for name, tried in trials.items()
-        if FAMILY.get(name) in alike
-    }
-    part, whole = before
-    base = {u.key for u in whole.placed}
-    firsts = [u for u in after.placed if u.key not in base]
-    gains = {name: sum(t.gain for t in tried) for name, tried in found.items() if tried}
-    short = thinned(part, FIRST_SECONDS)
-    stages = [point for point, longer in ((short, part), (part, whole)) if point is not longer]
-    for second in sorted(gains, key=lambda name: -gains[name])[:TRIED]:
-        laws, near = [*firsts, *(t.placed for t in found[second])], None
-        for point in (*stages, whole):  # as long as nothing is left
-            both = fit_model(point.data, [*point.placed, *laws], start=near or point, rounds=ROUNDS)
-            if adequacy.left(point, both, best.effect, places) != 0.0:  # a saturating spring, 4 %
-                break
-            near, laws = both, [u for u in both.placed if u.key not in base]
-        else:
-            return second
+    sure = [e for e in ranking if FAMILY.get(e.effect) in alike and e.p_value < adequacy.LEVEL][:LAWS]
+    places = {i for entry in sure for law in entry.placed for i in law.at}
+    short, kept = thinned(part, FIRST_SECONDS), on_trial(model)
+    begun: dict[frozenset[str], Begun] = {}
+    for starts in answers([partial(_begun, model, short, entry, alike) for entry in sure], kept):
+        for start in starts:
+            if own in (FAMILY[name] for name in start.names) and start.nats > begun.get(start.names, NONE).nats:
+                begun[start.names] = start
+    likeliest = sorted(begun.values(), key=lambda one: -one.nats)[:TRIED]
+
+    def by(point: WorkingPoint, start: Begun) -> Begun:
+        both = fit_model(point.data, [*point.placed, *start.laws], start=point, rounds=ROUNDS)
+        base = {u.key for u in point.placed}
+        state = next((n for n in start.names if FAMILY[n] == "even in x"), first.effect)
+        left = adequacy.left(point, both, state, places) or 0.0
+        return Begun(start.names, both.fit.log_likelihood, [u for u in both.placed if u.key not in base], left)
+
+    fitted = answers([partial(by, short, start) for start in likeliest], kept)
+    for both in sorted(fitted, key=lambda one: one.left):
+        for point in (part,) if part is whole else (part, whole):
+            both = by(point, both) if both.left <= NOTHING else both
+        if both.left <= NOTHING:
+            ahead = [e.effect for e in ranking if e.effect in both.names]
+            behind = sorted(both.names.difference(ahead[:1]))
+            return ahead[0], behind[0]
     return None
+
+
+class Begun(NamedTuple):
+    """Two laws and the nats of a fit with both. left : of what is missing in their state (rms)."""
+
+    names: frozenset[str]
+    nats: float
+    laws: list[Placed]
+    left: float = 1.0
+
+
+NONE = Begun(frozenset(), -np.inf, [])
+
+
+def _begun(model: Model, point: WorkingPoint, entry: Entry, alike: Sequence[str]) -> list[Begun]:
+    """Every other law of some families at the places of one, beside it fitted by itself: with the numbers that either
+    has without the other a fit of both may end far off."""
+    after = fit_model(point.data, [*point.placed, *entry.placed], start=point, rounds=2)
+    small, places = plain(after, SEARCH_SECONDS), _places(entry)
+    own = {u.key for u in entry.placed}
+    firsts = [u for u in after.placed if u.key in own]
+    out = []
+    for effect in on_trial(model):
+        if effect.name == entry.effect or FAMILY.get(effect.name) not in alike:
+            continue
+        spots = [s for s in screen.spots(effect, model, after) if places.issuperset(acting(effect, s, after.data))]
+        tried = [screen.tried(small, after, model, effect, spot) for spot in spots]
+        found = [trial for trial in tried if trial is not None and trial.gain > 0.0]
+        nats = after.fit.log_likelihood + sum(trial.gain for trial in found)
+        if found:
+            out.append(Begun(frozenset({entry.effect, effect.name}), nats, [*firsts, *(t.placed for t in found)]))
+    return out
 
 
 def _places(entry: Entry) -> set[int]:
