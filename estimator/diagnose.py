@@ -138,16 +138,17 @@ def _law(
 ) -> Diagnosis:  # fmt: skip
     """The first of the ranking, if its law has the shape of what is missing, or one close behind that has."""
     left: dict[str, float] = {}
-    idle: list[int] = []
     for k in _close(entries):
         name = entries[k].effect
         say(0.85, f"does {name} explain it?")
         found = explains.fits(model, point, before, entries[k], say)
         entries[k] = found.entry
-        if found.left is None:
-            idle.append(k)
+        if found.left is None and left:
             continue
-        if not left and found.left > two_laws.NOTHING:
+        if found.left is None:
+            said = _verdict(model, point, before, entries[:k] + entries[k + 1 :], say)
+            return replace(said, ranking=(*said.ranking, entries[k]))
+        if (not left or "stop" in left) and found.left > two_laws.NOTHING:
             part = thinned(point, missing_force.SURVEY_SECONDS)
             pair = two_laws.of_one_state(model, part, point, entries[k:])
             if pair is not None:
@@ -156,10 +157,6 @@ def _law(
         left[name] = found.left
         if found.whole:
             return _named(entries, k, left)
-    if idle:
-        rest = [e for k, e in enumerate(entries) if k not in idle]
-        said = _verdict(model, point, before, rest, say)
-        return replace(said, ranking=(*said.ranking, *(entries[k] for k in idle)))
     best = entries[0]
     return Diagnosis(
         "unknown",

@@ -17,9 +17,12 @@ from .working_point import WorkingPoint, thinned
 
 SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same state means another law
 NOTHING = 0.9  # the same, of a law of no single state: it is not the first of two that leaves nearly all
+SMALL = 0.5  # of a part of the force in a spectrum (rms)
+MORE = 1.5  # times what is missing: no law of no single state explains anything that leaves more than that
 FAR = 2.0  # times what may be left, on part of the record, from which the whole is not asked
 EARNED = 5.0  # nats held out, of a law where no force is missing: ln of what a search tries
 IDLE = "refused: no force is missing there, and fitted with the model it is not told from zero or predicts no better"
+BENT = "refused: no state predicts anything there, and it is small beside a spectrum that nothing explains"
 ROUND = "its step is not sharp, or more than friction acts against velocity"
 
 
@@ -39,6 +42,8 @@ def fits(
 ) -> Explained:  # fmt: skip
     """What an entry explains. It is nothing, as laws that see noise as strong as the motion may seem to be something,
     where no force is missing at its places and it is not told from zero at any or predicts no better."""
+    if _bends_a_spectrum(point, before, entry):
+        return Explained(replace(entry, notes=(*entry.notes, BENT)), None)
     missing = bool(_places(entry).intersection(before.places_found()))
     part = thinned(point, missing_force.SURVEY_SECONDS)
     after_point = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=2 if missing else 6)
@@ -59,7 +64,10 @@ def fits(
     after = missing_force.survey(after_part, model, only=before.places_found())
     values = {k: joint.get(k, p) for k, p in entry.parameters.items()}
     entry = replace(entry, after_percent=after.percent(after_part), parameters=values)
-    left = _same_state_left(before, after, entry) if smooth is None else smooth
+    left = smooth
+    if left is None:  # other numbers of the model may go far with such a law
+        more = 0.0 < MORE * entry.before_percent < entry.after_percent
+        left = 1.0 if more else _same_state_left(before, after, entry)
     whole = left <= most
     if not whole and not (smooth is None and left > NOTHING):
         say(0.93, "one effect or two?")
@@ -67,6 +75,16 @@ def fits(
     if whole and left > adequacy.MOST and entry.effect == "coulomb":
         entry = replace(entry, notes=(*entry.notes, f"{100 * left:.0f} % of what velocity explains is left: {ROUND}"))
     return Explained(entry, left, whole)
+
+
+def _bends_a_spectrum(point: WorkingPoint, before: missing_force.Survey, entry: Entry) -> bool:
+    """Whether a law with a memory, where no state predicts anything, is small beside a spectrum that nothing explains:
+    it answers in the mean as a resonance does, and takes some of that."""
+    places = _places(entry)
+    if all(law.effect.kind != "memory" for law in entry.placed) or _by_state(before, places):
+        return False
+    own = (entry.explained_percent / 100) ** 2 * sum(float(point.bearing_force[i]) ** 2 for i in places)
+    return own < SMALL**2 * sum(share.power for share in before.shares if share.place in places)
 
 
 def _told(

@@ -24,6 +24,7 @@ EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to b
 ROUNDS = 6  # of a fit of both
 LAWS, TRIED = 3, 2  # of a state, the likeliest, which others are tried beside; pairs of them that are fitted
 NOTHING = 0.02  # of what is missing in the state of both (rms); of a saturating or rippled spring the best leave 0.04
+DOUBT = 0.05  # p-value of what they leave, from which it is nothing: a smooth odd curve left 0.03, p 0.02
 FAMILY = {
     "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
     "quadratic": "even in x", "stop": "even in x",
@@ -104,7 +105,7 @@ def of_one_state(
         both = fit_model(point.data, [*point.placed, *start.laws], start=point, rounds=ROUNDS)
         base = {u.key for u in point.placed}
         state = next((n for n in start.names if FAMILY[n] == "even in x"), first.effect)
-        left = adequacy.left(point, both, state, places) or 0.0
+        left = adequacy.left(point, both, state, places, DOUBT) or 0.0
         return Begun(start.names, both.fit.log_likelihood, [u for u in both.placed if u.key not in base], left)
 
     fitted = answers([partial(by, short, start) for start in likeliest], kept)

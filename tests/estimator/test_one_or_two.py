@@ -48,7 +48,7 @@ def test_nothing_beside_any_odd_law_explains_an_odd_curve(monkeypatch: pytest.Mo
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pair", [("clearance", "cubic"), ("quadratic", "clearance")])
+@pytest.mark.parametrize("pair", [("clearance", "cubic"), ("quadratic", "clearance"), ("cubic", "quintic")])
 def test_two_laws_of_one_state_are_two_effects(pair: tuple[str, str]) -> None:
     """No law alone has the shape of both, and any two laws of x come near a curve that is none: above, "unknown"."""
     rig = replace(one_bearing(), effects=())
