@@ -148,7 +148,9 @@ def _law(
         if found.left is None:
             said = _verdict(model, point, before, entries[:k] + entries[k + 1 :], say)
             return replace(said, ranking=(*said.ranking, entries[k]))
-        if (not left or "stop" in left) and found.left > two_laws.NOTHING:
+        # friction may leave a third, as its step is rounded; what another state explains is no second law of its own
+        two = not found.whole or (found.left <= adequacy.MOST and two_laws.FAMILY.get(name) in two_laws.OF_X)
+        if two and found.left > two_laws.NOTHING and (not left or "stop" in left):
             part = thinned(point, missing_force.SURVEY_SECONDS)
             pair = two_laws.of_one_state(model, part, point, entries[k:])
             if pair is not None:
@@ -186,7 +188,8 @@ def _of_two(
     k = next(j for j, e in enumerate(entries) if e.effect == name)
     if name not in left:
         found = explains.fits(model, point, before, entries[k], say)
-        entries[k], left[name] = found.entry, found.left or 0.0
+        left[name] = 1.0 if found.left is None else found.left
+        entries[k] = entries[k] if found.left is None else found.entry
     note = f"by itself it leaves {100 * left[name]:.0f} %; {other} beside it leaves nothing of that"
     entries[k] = replace(entries[k], notes=(*entries[k].notes, note))
     return _named(entries, k, left)
