@@ -143,14 +143,14 @@ def _law(
         say(0.85, f"does {name} explain it?")
         found = explains.fits(model, point, before, entries[k], say)
         entries[k] = found.entry
-        if found.left is None and left:
-            continue
         if found.left is None:
+            if left:
+                continue
             said = _verdict(model, point, before, entries[:k] + entries[k + 1 :], say)
             return replace(said, ranking=(*said.ranking, entries[k]))
         # friction may leave a third, as its step is rounded; what another state explains is no second law of its own
         two = not found.whole or (found.left <= adequacy.MOST and two_laws.FAMILY.get(name) in two_laws.OF_X)
-        if two and found.left > two_laws.NOTHING and (not left or "stop" in left):
+        if two and found.left > two_laws.NEGLIGIBLE and (not left or "stop" in left):
             part = thinned(point, missing_force.SURVEY_SECONDS)
             pair = two_laws.of_one_state(model, part, point, entries[k:])
             if pair is not None:
@@ -221,7 +221,7 @@ def _passed_over(left: dict[str, float]) -> tuple[str, ...]:
 
 def _negligible(point: WorkingPoint, best: Entry) -> bool:
     """Whether a force law, however certain, explains less than any simulation, filter or ceiling leaves behind."""
-    least = max((missing_force.negligible(point, i) for use in best.placed for i in use.at), default=0.0)
+    least = max((missing_force.negligible(point, i) for i in best.places), default=0.0)
     return best.explained_percent < 100 * least
 
 

@@ -52,6 +52,11 @@ class Entry:
     amplitude_gain: float | None = None  # nats on the largest amplitudes by parameters fitted to the smaller
     by_node: dict[str, tuple[float, float]] = field(default_factory=dict)  # gain and heldout_gain of a law's nodes
 
+    @property
+    def places(self) -> set[int]:
+        """Indices of those that a law acts at."""
+        return {i for law in self.placed for i in law.at}
+
     def to_json(self) -> dict[str, Any]:
         out: dict[str, Any] = {
             "effect": self.effect,

@@ -44,11 +44,11 @@ def fits(
     where no force is missing at its places and it is not told from zero at any or predicts no better."""
     if _bends_a_spectrum(point, before, entry):
         return Explained(replace(entry, notes=(*entry.notes, BENT)), None)
-    missing = bool(_places(entry).intersection(before.places_found()))
+    missing = bool(entry.places.intersection(before.places_found()))
     part = thinned(point, missing_force.SURVEY_SECONDS)
     after_point = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=2 if missing else 6)
     most = adequacy.most_left(entry.effect, SAME_SHAPE)
-    smooth = adequacy.left(part, after_point, entry.effect, _places(entry))
+    smooth = adequacy.left(part, after_point, entry.effect, entry.places)
     if not (missing and smooth is not None and smooth > FAR * most):  # that the whole record would not mend
         if part is not point:
             after_point = fit_model(point.data, list(after_point.placed), start=after_point, rounds=2)
@@ -56,7 +56,7 @@ def fits(
         if found is None:
             return Explained(replace(entry, notes=(*entry.notes, IDLE)), None)
         entry, after_point = found
-        smooth = adequacy.left(point, after_point, entry.effect, _places(entry))
+        smooth = adequacy.left(point, after_point, entry.effect, entry.places)
     del part
     joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
     after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
@@ -80,7 +80,7 @@ def fits(
 def _bends_a_spectrum(point: WorkingPoint, before: missing_force.Survey, entry: Entry) -> bool:
     """Whether a law with a memory, where no state predicts anything, is small beside a spectrum that nothing explains:
     it answers in the mean as a resonance does, and takes some of that."""
-    places = _places(entry)
+    places = entry.places
     if all(law.effect.kind != "memory" for law in entry.placed) or _by_state(before, places):
         return False
     own = (entry.explained_percent / 100) ** 2 * sum(float(point.bearing_force[i]) ** 2 for i in places)
@@ -121,7 +121,7 @@ def _same_state_left(before: missing_force.Survey, after: missing_force.Survey, 
 
     States that it does not touch belong to something else that is missing too.
     """
-    was, rest = _by_state(before, _places(best)), _by_state(after, _places(best))
+    was, rest = _by_state(before, best.places), _by_state(after, best.places)
     if not was:
         return 0.0
     state = max(was, key=lambda g: was[g] - rest.get(g, 0.0))
@@ -134,7 +134,3 @@ def _by_state(found: missing_force.Survey, places: set[int]) -> dict[str, float]
         for f in r.found if r.place in places else ():
             out[f.group] = out.get(f.group, 0.0) + f.power
     return out
-
-
-def _places(entry: Entry) -> set[int]:
-    return {i for p in entry.placed for i in p.at}

@@ -23,7 +23,7 @@ Trials = dict[str, list[Trial]]
 EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
 ROUNDS = 6  # of a fit of both
 LAWS, TRIED = 3, 2  # of a state, the likeliest, which others are tried beside; pairs of them that are fitted
-NOTHING = 0.02  # of what is missing in the state of both (rms); of a saturating or rippled spring the best leave 0.04
+NEGLIGIBLE = 0.02  # of what is missing in the state of both (rms); beside a saturating spring the best leave 0.04
 DOUBT = 0.05  # p-value of what they leave, from which it is nothing: a smooth odd curve left 0.03, p 0.02
 FAMILY = {
     "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
@@ -37,7 +37,7 @@ def others(model: Model, after: WorkingPoint, left: missing_force.Survey, best: 
     """Every effect of another family on trial where the first, fitted, acts or leaves something; by name, those that
     are any."""
     small, family = plain(after, SEARCH_SECONDS), FAMILY.get(best.effect, best.effect)
-    places = _places(best).union(r.place for r in left.residuals if r.found)
+    places = best.places.union(r.place for r in left.residuals if r.found)
     pairs = [
         (effect, spot)
         for effect in on_trial(model)
@@ -61,7 +61,7 @@ def another_explains(point: WorkingPoint, trials: Trials, left: missing_force.Su
     hysteresis, it is its own state: beside an odd curve any odd law takes a part.
     """
     found = {r.place: sum(f.gain for f in r.found) for r in left.residuals if r.found}
-    smooth = adequacy.worth(point, best.effect, _places(best))
+    smooth = adequacy.worth(point, best.effect, best.places)
     for name, own in trials.items():
         earned, asked, seen = 0.0, sum(smooth.values()), False
         for trial in own:
@@ -92,7 +92,7 @@ def of_one_state(
     own = FAMILY[first.effect]
     alike = OF_X if own == "even in x" else (own,)
     sure = [e for e in ranking if FAMILY.get(e.effect) in alike and e.p_value < adequacy.LEVEL][:LAWS]
-    places = {i for entry in sure for law in entry.placed for i in law.at}
+    places = set().union(*(entry.places for entry in sure))
     short, kept = thinned(part, FIRST_SECONDS), on_trial(model)
     begun: dict[frozenset[str], Begun] = {}
     for starts in answers([partial(_begun, model, short, entry, alike) for entry in sure], kept):
@@ -111,8 +111,8 @@ def of_one_state(
     fitted = answers([partial(by, short, start) for start in likeliest], kept)
     for both in sorted(fitted, key=lambda one: one.left):
         for point in (part,) if part is whole else (part, whole):
-            both = by(point, both) if both.left <= NOTHING else both
-        if both.left <= NOTHING:
+            both = by(point, both) if both.left <= NEGLIGIBLE else both
+        if both.left <= NEGLIGIBLE:
             ahead = [e.effect for e in ranking if e.effect in both.names]
             behind = sorted(both.names.difference(ahead[:1]))
             return ahead[0], behind[0]
@@ -135,7 +135,7 @@ def _begun(model: Model, point: WorkingPoint, entry: Entry, alike: Sequence[str]
     """Every other law of some families at the places of one, beside it fitted by itself: with the numbers that either
     has without the other a fit of both may end far off."""
     after = fit_model(point.data, [*point.placed, *entry.placed], start=point, rounds=2)
-    small, places = plain(after, SEARCH_SECONDS), _places(entry)
+    small, places = plain(after, SEARCH_SECONDS), entry.places
     own = {u.key for u in entry.placed}
     firsts = [u for u in after.placed if u.key in own]
     out = []
@@ -149,7 +149,3 @@ def _begun(model: Model, point: WorkingPoint, entry: Entry, alike: Sequence[str]
         if found:
             out.append(Begun(frozenset({entry.effect, effect.name}), nats, [*firsts, *(t.placed for t in found)]))
     return out
-
-
-def _places(entry: Entry) -> set[int]:
-    return {i for p in entry.placed for i in p.at}

@@ -59,8 +59,8 @@ def _version(law: Callable[..., float]) -> int:
     """Of the source of a law; -1 of one that no module holds, as of an expression."""
     module = sys.modules.get(law.__module__)
     try:
-        held = module is not None and (getattr(module, law.__name__, None) is law or law.__closure__ is not None)
-        source = inspect.getsource(module) if held and module is not None else ""
+        held = law.__closure__ is not None or getattr(module, law.__name__, None) is law
+        source = inspect.getsource(module) if module and held else ""
     except (OSError, TypeError):
         source = ""
     return crc32(source.encode()) if source else -1
