@@ -16,7 +16,7 @@ from .model import Model
 from .numbered import with_found
 from .periodic import PERIODIC
 from .periodic_fit import found_beside
-from .ranking import FOREMOST, SIGNIFICANT, Progress, ranked
+from .ranking import FOREMOST, SIGNIFICANT, Progress, extrapolating, on_whole, ranked
 from .shape import Shape, shape_of
 from .whole import fit_whole
 from .working_point import WorkingPoint, thinned
@@ -75,21 +75,37 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
 
 def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:
     """The same from a model already fitted."""
-    before, entries = ranked(model, point, y, say)
+    before, entries, known = _ranked(model, point, y, say)
     law = max((entry.gain for entry in entries), default=0.0)
-    if before.shares and (seen := force_colour.as_it_is(model, point, law)) is not None:
-        point, shares = seen, before.shares
-        before, entries = ranked(model, point, y, say)
+    if before.shares and (as_it_is := force_colour.as_it_is(model, point, law)) is not None:
+        point, shares = as_it_is, before.shares
+        before, entries, known = _ranked(model, point, y, say)
         before = replace(before, shares=shares)
-    found = _verdict(model, point, before, entries, say)
+    found = _verdict(model, point, before, entries, say, known)
     return _restored(model, point, y, before, found) if found.verdict == "sensor_clipping" else found
 
 
+def _ranked(
+    model: Model, point: WorkingPoint, y: Array, say: Progress
+) -> tuple[missing_force.Survey, list[Entry], explains.Seen | None]:  # fmt: skip
+    """What is missing, what could be it, and what part of the record shows of the likeliest law. The rest of it is
+    asked where the law may have the shape of what is missing, or a spectrum is to be told from it."""
+    found = ranked(model, point, y, say)
+    entries, known = extrapolating(found), None
+    if _is_claimed(entries) and entries[0].effect in adequacy.STATES:
+        say(0.6, f"does {entries[0].effect} explain it?")
+        known = explains.seen(found.part, found.before, entries[0])
+    if found.part is not point and (known is None or not known.far or found.before.shares):
+        entries = extrapolating(on_whole(model, point, found, say))
+    return found.before, entries, known
+
+
 def _verdict(
-    model: Model, point: WorkingPoint, before: missing_force.Survey, entries: list[Entry], say: Progress
+    model: Model, point: WorkingPoint, before: missing_force.Survey, entries: list[Entry], say: Progress,
+    known: explains.Seen | None = None,
 ) -> Diagnosis:  # fmt: skip
     """What the ranking comes to."""
-    if not entries or entries[0].p_value > SIGNIFICANT or _negligible(point, entries[0]):
+    if not _is_claimed(entries) or _negligible(point, entries[0]):
         return _nothing(point, before, tuple(entries))
     best = entries[0]
     if best.placed and best.effect != "crack" and _loss(entries)[1] > best.gain:
@@ -99,7 +115,7 @@ def _verdict(
             say(0.85, f"{best.effect} and the model fitted together")
             entries[0] = _beside(model, point, before, best)
         return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries), messages=best.notes)
-    return _law(model, point, before, entries, say)
+    return _law(model, point, before, entries, say, known)
 
 
 def _restored(model: Model, point: WorkingPoint, y: Array, before: missing_force.Survey, found: Diagnosis) -> Diagnosis:
@@ -134,14 +150,15 @@ def _beside(model: Model, point: WorkingPoint, before: missing_force.Survey, ent
 
 
 def _law(
-    model: Model, point: WorkingPoint, before: missing_force.Survey, entries: list[Entry], say: Progress
+    model: Model, point: WorkingPoint, before: missing_force.Survey, entries: list[Entry], say: Progress,
+    known: explains.Seen | None = None,
 ) -> Diagnosis:  # fmt: skip
     """The first of the ranking, if its law has the shape of what is missing, or one close behind that has."""
     left: dict[str, float] = {}
     for k in _close(entries):
         name = entries[k].effect
         say(0.85, f"does {name} explain it?")
-        found = explains.fits(model, point, before, entries[k], say)
+        found = explains.fits(model, point, before, entries[k], say, known)
         entries[k] = found.entry
         if found.left is None:
             if left:
@@ -217,6 +234,10 @@ def _passed_over(left: dict[str, float]) -> tuple[str, ...]:
         f"{effect} was ahead but leaves {100 * rest:.0f} % of what a state explains"
         for effect, rest in [*left.items()][:-1]
     )
+
+
+def _is_claimed(entries: Sequence[Entry]) -> bool:
+    return bool(entries) and entries[0].p_value <= SIGNIFICANT
 
 
 def _negligible(point: WorkingPoint, best: Entry) -> bool:

@@ -37,27 +37,57 @@ class Explained:
     whole: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A law fitted together with the model to part of a record.
+
+    missing : whether a force is, at its places. left : of it in the law's own state (rms); None for one of no single
+    state.
+    """
+
+    entry: Entry
+    part: WorkingPoint
+    after: WorkingPoint
+    missing: bool
+    left: float | None
+
+    @property
+    def far(self) -> bool:
+        """Whether it leaves what the whole record would not mend."""
+        most = adequacy.most_left(self.entry.effect, SAME_SHAPE)
+        return self.missing and self.left is not None and self.left > FAR * most
+
+
+def seen(part: WorkingPoint, before: missing_force.Survey, entry: Entry) -> Seen:
+    """An entry on part of the record."""
+    missing = bool(entry.places.intersection(before.places_found()))
+    after = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=2 if missing else 6)
+    return Seen(entry, part, after, missing, adequacy.left(part, after, entry.effect, entry.places))
+
+
 def fits(
-    model: Model, point: WorkingPoint, before: missing_force.Survey, entry: Entry, say: Progress
+    model: Model, point: WorkingPoint, before: missing_force.Survey, entry: Entry, say: Progress,
+    known: Seen | None = None,
 ) -> Explained:  # fmt: skip
     """What an entry explains. It is nothing, as laws that see noise as strong as the motion may seem to be something,
-    where no force is missing at its places and it is not told from zero at any or predicts no better."""
+    where no force is missing at its places and it is not told from zero at any or predicts no better.
+
+    known : what part of the record has shown, if of this law at these places.
+    """
     if _bends_a_spectrum(point, before, entry):
         return Explained(replace(entry, notes=(*entry.notes, BENT)), None)
-    missing = bool(entry.places.intersection(before.places_found()))
-    part = thinned(point, missing_force.SURVEY_SECONDS)
-    after_point = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=2 if missing else 6)
-    most = adequacy.most_left(entry.effect, SAME_SHAPE)
-    smooth = adequacy.left(part, after_point, entry.effect, entry.places)
-    if not (missing and smooth is not None and smooth > FAR * most):  # that the whole record would not mend
-        if part is not point:
+    if known is None or {u.key for u in known.entry.placed} != {u.key for u in entry.placed}:
+        known = seen(thinned(point, missing_force.SURVEY_SECONDS), before, entry)
+    after_point, smooth = known.after, known.left
+    if not known.far:
+        if known.part is not point:
             after_point = fit_model(point.data, list(after_point.placed), start=after_point, rounds=2)
-        found = _told(point, entry, after_point, missing)
+        found = _told(point, entry, after_point, known.missing)
         if found is None:
             return Explained(replace(entry, notes=(*entry.notes, IDLE)), None)
         entry, after_point = found
         smooth = adequacy.left(point, after_point, entry.effect, entry.places)
-    del part
+    del known
     joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
     after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
     del after_point
@@ -68,7 +98,7 @@ def fits(
     if left is None:  # other numbers of the model may go far with such a law
         more = 0.0 < MORE * entry.before_percent < entry.after_percent
         left = 1.0 if more else _same_state_left(before, after, entry)
-    whole = left <= most
+    whole = left <= adequacy.most_left(entry.effect, SAME_SHAPE)
     if not whole and not (smooth is None and left > NOTHING):
         say(0.93, "one effect or two?")
         whole = two_laws.another_explains(after_part, two_laws.others(model, after_part, after, entry), after, entry)

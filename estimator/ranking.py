@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -15,6 +15,7 @@ from .features import ready
 from .model import Model
 from .model_uses import on_trial, searched
 from .side_by_side import answers
+from .suspect import Suspect
 from .suspects import suspects
 from .working_point import WorkingPoint, plain, thinned
 
@@ -27,48 +28,71 @@ REFINED, NEAR = 12, 0.3  # trials refined at most; share of the best gain at a b
 FAR = 0.2  # share of the best effect's gain under which it is not asked what searched numbers of another spot would do
 
 
-def ranked(
-    model: Model, point: WorkingPoint, y: Array, say: Progress
-) -> tuple[missing_force.Survey, list[Entry]]:  # fmt: skip
-    """What is missing, and what could be it, the likeliest first."""
+@dataclass(frozen=True, slots=True)
+class Ranking:
+    """part : of the record, which the trials were judged on first. before : what is missing there. entries : what could
+    be it, the likeliest first."""
+
+    part: WorkingPoint
+    before: missing_force.Survey
+    suspects: list[Suspect]
+    trials: list[screen.Trial]
+    entries: list[Entry]
+
+
+def ranked(model: Model, point: WorkingPoint, y: Array, say: Progress) -> Ranking:
+    """What is missing, and what could be it, as part of the record has it."""
     say(0.15, "what can still be predicted")
     part = thinned(point, missing_force.SURVEY_SECONDS)
     before, others = missing_force.surveyed(part, model, lambda: suspects(model, point, y))
-    trials = _trials(model, point, part, say)
-    entries = evidence.entries(model, point, trials, before, others)
-    say(0.8, "largest amplitudes")
-    return before, _extrapolating(part, entries)
+    trials = _trials(model, part, say)
+    return Ranking(part, before, others, trials, evidence.entries(model, point, trials, before, others))
 
 
-def _extrapolating(point: WorkingPoint, entries: list[Entry]) -> list[Entry]:
+def on_whole(model: Model, point: WorkingPoint, found: Ranking, say: Progress) -> Ranking:
+    """The same as all of the record has it, where that can tell more."""
+    say(0.65, "the whole record")
+
+    def whole(trial: screen.Trial, worth: bool, promising: bool) -> screen.Trial:
+        again = screen.again(point, model, trial) if worth else None
+        return trial if again is None else _judged(point, model, again, promising)
+
+    worth = zip(screen.contenders(found.trials), _with_promise(model, found.trials), strict=True)
+    asked = [partial(whole, trial, more, promising) for more, (trial, promising) in worth]
+    trials = answers(asked, [t.effect for t in found.trials])
+    entries = evidence.entries(model, point, trials, found.before, found.suspects)
+    return replace(found, trials=trials, entries=entries)
+
+
+def extrapolating(found: Ranking) -> list[Entry]:
     """The ranking with a law in front that is not refused on the largest amplitudes; those refused go to its end."""
     passed: list[Entry] = []
     refused: list[Entry] = []
-    for number, entry in enumerate(entries):
+    for number, entry in enumerate(found.entries):
         asked = not passed and number < FOREMOST and entry.p_value < SIGNIFICANT and amplitude.judged(entry.effect)
-        found = amplitude.extrapolated(point, entry.placed) if asked and entry.placed else None
-        if found is None:
+        told = amplitude.extrapolated(found.part, entry.placed) if asked and entry.placed else None
+        if told is None:
             passed.append(entry)
-        elif found.refused:
-            note = f"refused: fitted to the smaller motion it makes the largest worse by {-found.gain:.0f} nats"
-            refused.append(replace(entry, amplitude_gain=found.gain, notes=(*entry.notes, note)))
+        elif told.refused:
+            note = f"refused: fitted to the smaller motion it makes the largest worse by {-told.gain:.0f} nats"
+            refused.append(replace(entry, amplitude_gain=told.gain, notes=(*entry.notes, note)))
         else:
-            passed.append(replace(entry, amplitude_gain=found.gain))
+            passed.append(replace(entry, amplitude_gain=told.gain))
     return passed + refused
 
 
-def _trials(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress) -> list[screen.Trial]:
-    """The best trial of every force effect at every spot on part of the record, on the whole of it where that can tell
-    more; searched parameters refined for the promising ones."""
+def _trials(model: Model, part: WorkingPoint, say: Progress) -> list[screen.Trial]:
+    """The best trial of every force effect at every spot, the most likely first; searched parameters refined for the
+    promising ones."""
     small = plain(part, SEARCH_SECONDS)
-    pairs = [(e, s) for e in on_trial(model) for s in screen.spots(e, model, point)]
+    pairs = [(e, s) for e in on_trial(model) for s in screen.spots(e, model, part)]
     for effect, _ in pairs:
         if effect.force is not None:
-            ready(effect, screen.grid(effect, model, point, 0, [])[0])
+            ready(effect, screen.grid(effect, model, part, 0, [])[0])
 
     def said(done: int) -> None:
         effect, spot = pairs[done - 1]
-        say(0.25 + 0.35 * done / len(pairs), f"{effect.name} at {spot}")
+        say(0.25 + 0.3 * done / len(pairs), f"{effect.name} at {spot}")
 
     effects = [e for e, _ in pairs]
     tried = answers([partial(screen.tried, small, part, model, *pair) for pair in pairs], effects, said)
@@ -84,21 +108,19 @@ def _trials(model: Model, point: WorkingPoint, part: WorkingPoint, say: Progress
             return by_effect[name]
         return screen.borrowed(part, model, by_effect[name], [s for e, s in pairs if e.name == name])
 
-    say(0.6, "the whole record")
     trials = [t for own in answers([partial(lent, name) for name in by_effect], effects) for t in own]
     trials.sort(key=lambda t: -t.gain)
+    return answers([partial(_judged, part, model, *pair) for pair in _with_promise(model, trials)], effects)
+
+
+def _judged(point: WorkingPoint, model: Model, trial: screen.Trial, promising: bool) -> screen.Trial:
+    return screen.judged(screen.refined(point, model, trial) if promising else trial)
+
+
+def _with_promise(model: Model, trials: list[screen.Trial]) -> list[tuple[screen.Trial, bool]]:
+    """Every trial, and whether its searched parameters are worth to be refined."""
     promising = [t for t in _promising(trials) if searched(t.effect, model)][:REFINED]
-
-    def whole(trial: screen.Trial, worth: bool) -> screen.Trial:
-        near = any(trial is t for t in promising)
-        found = screen.refined(part, model, trial) if near else trial
-        if worth and part is not point:
-            again = screen.again(point, model, found)
-            found = found if again is None else screen.refined(point, model, again) if near else again
-        return screen.judged(found)
-
-    worth = zip(trials, screen.contenders(trials), strict=True)
-    return answers([partial(whole, *pair) for pair in worth], effects)
+    return [(trial, any(trial is t for t in promising)) for trial in trials]
 
 
 def _promising(trials: list[screen.Trial]) -> list[screen.Trial]:

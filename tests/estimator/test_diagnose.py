@@ -19,7 +19,7 @@ from estimator.errors import DataError
 from estimator.improve import improve
 from estimator.model import Model
 from estimator.placed import Placed
-from estimator.ranking import _promising, ranked
+from estimator.ranking import _promising, extrapolating, ranked
 from estimator.simulate import simulate
 from estimator.two_laws import another_explains
 from estimator.whole import fit_whole
@@ -108,7 +108,8 @@ def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
     monkeypatch.setattr("estimator.model_uses.CATALOGUE", {name: CATALOGUE[name] for name in ("quadratic", "stop")})
     y = record(rig, "quadratic", 0.06)
     fitted = fit_whole(rig, y, RATE)
-    before, entries = ranked(fitted.model, fitted.point, y, quiet)
+    found = ranked(fitted.model, fitted.point, y, quiet)
+    before, entries = found.before, extrapolating(found)
     right, wrong = (next(e for e in entries if e.effect == name) for name in ("quadratic", "stop"))
 
     def verdict(ahead: float) -> Diagnosis:
@@ -130,7 +131,8 @@ def test_a_law_that_is_nothing_once_it_is_fitted_with_the_model_is_not_named(
     monkeypatch.setattr("estimator.model_uses.CATALOGUE", {name: CATALOGUE[name] for name in ("quadratic", "coulomb")})
     y = simulate(rig, RATE, 3.0, seed=6, noise=0.02)
     fitted = fit_whole(rig, y, RATE)
-    before, entries = ranked(fitted.model, fitted.point, y, quiet)
+    found = ranked(fitted.model, fitted.point, y, quiet)
+    before, entries = found.before, extrapolating(found)
     assert not before.places_found()
     seeming = next(replace(e, p_value=1e-8, explained_percent=0.5) for e in entries if e.effect == "quadratic")
     others = [e for e in entries if e.effect != "quadratic"]

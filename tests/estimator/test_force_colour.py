@@ -81,7 +81,7 @@ def test_a_spectrum_that_a_missing_law_bends_is_not_taken_as_it_is() -> None:
     k = 6.0e5  # N/m; c times the resonance is 4.2e5, and the cubic holds what grows
     truth = replace(rig, effects=(*rig.effects, EffectUse("cross_coupling", {"bearing1": {"k": Setting(k)}}),))
     whole = fit_whole(rig, y := simulate(truth, RATE, 10.0, seed=3, noise=0.0), RATE)
-    _, entries = ranked(whole.model, whole.point, y, quiet)
+    entries = ranked(whole.model, whole.point, y, quiet).entries
     assert entries[0].effect == "cross_coupling"
     assert force_colour.as_it_is(rig, whole.point, 0.0) is not None, "no cause of the catalogue makes this spectrum"
     assert force_colour.as_it_is(rig, whole.point, entries[0].gain) is None
