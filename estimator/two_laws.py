@@ -80,8 +80,8 @@ def another_explains(point: WorkingPoint, trials: Trials, left: missing_force.Su
 def of_one_state(
     model: Model, part: WorkingPoint, whole: WorkingPoint, ranking: Sequence[Entry]
 ) -> tuple[str, str] | None:  # fmt: skip
-    """The two laws of the state of the first of a ranking that leave nothing of it, all numbers fitted together, the
-    one that is ahead first: any of its family, or of x beside one that is even in it. Of a curve that is no law any two
+    """The two laws of the state of the first of a ranking that leave nothing of it, all numbers fitted together, where
+    neither does so by itself; the one that is ahead first: any of its family, or of x beside one that is even in it. Of a curve that is no law any two
     of one state take a large part, but not all.
 
     part, whole : the model fitted to a part of the record and to all of it.
@@ -112,7 +112,8 @@ def of_one_state(
     for both in sorted(fitted, key=lambda one: one.left):
         for point in (part,) if part is whole else (part, whole):
             both = by(point, both) if both.left <= NEGLIGIBLE else both
-        if both.left <= NEGLIGIBLE:
+        alone = [both._replace(laws=[u for u in both.laws if u.effect.name == name]) for name in both.names]
+        if both.left <= NEGLIGIBLE and all(by(part, one).left > NEGLIGIBLE for one in alone):
             ahead = [e.effect for e in ranking if e.effect in both.names]
             behind = sorted(both.names.difference(ahead[:1]))
             return ahead[0], behind[0]

@@ -104,23 +104,23 @@ def test_catalogue(effect: str, strength: float) -> None:
 def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
     rig: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As Bouc-Wen is at times some nats ahead of a quadratic damping that is there."""
-    monkeypatch.setattr("estimator.model_uses.CATALOGUE", {name: CATALOGUE[name] for name in ("quadratic", "stop")})
-    y = record(rig, "quadratic", 0.06)
+    """As Bouc-Wen is at times some nats ahead of a quadratic damping that is there; and it is no second law of a pair."""
+    monkeypatch.setattr("estimator.model_uses.CATALOGUE", {name: CATALOGUE[name] for name in ("clearance", "quintic")})
+    y = record(rig, "clearance", 0.06)
     fitted = fit_whole(rig, y, RATE)
     found = ranked(fitted.model, fitted.point, y, quiet)
     before, entries = found.before, extrapolating(found)
-    right, wrong = (next(e for e in entries if e.effect == name) for name in ("quadratic", "stop"))
+    right, wrong = (next(e for e in entries if e.effect == name) for name in ("clearance", "quintic"))
 
     def verdict(ahead: float) -> Diagnosis:
         order = [replace(wrong, score=right.score + ahead), right]
         return _law(fitted.model, fitted.point, before, order, quiet)
 
     near, far = verdict(5.0), verdict(50.0)
-    assert near.verdict == near.ranking[0].effect == "quadratic"
-    assert near.messages[0].startswith("stop was ahead")
+    assert near.verdict == near.ranking[0].effect == "clearance"
+    assert near.messages[0].startswith("quintic was ahead")
     assert far.verdict == "unknown"
-    assert far.ranking[0].effect == "stop"
+    assert far.ranking[0].effect == "quintic"
 
 
 def test_a_law_that_is_nothing_once_it_is_fitted_with_the_model_is_not_named(
