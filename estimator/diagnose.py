@@ -12,17 +12,20 @@ from numpy.typing import NDArray
 from . import adequacy, evidence, explains, force_colour, missing_force, two_laws
 from .errors import DataError
 from .evidence import Entry
+from .known_spectra import COLOURS
 from .model import Model
 from .numbered import with_found
 from .periodic import PERIODIC
 from .periodic_fit import found_beside
 from .ranking import FOREMOST, SIGNIFICANT, Progress, extrapolating, on_whole, ranked
 from .shape import Shape, shape_of
+from .suspects import suspects
 from .whole import fit_whole
 from .working_point import WorkingPoint, thinned
 
 Array = NDArray[np.float64]
 CLOSE = 10.0  # nats behind the first of the ranking, where the shape of what is left decides
+LEAVES = 1 / 3  # of a force in a spectrum (rms): a shape that leaves more is none of the catalogue
 SURE = 30.0  # nats, from which a shaft that is not the rig file's is told
 OTHERWISE = (
     "the caps answer each other otherwise than the shaft of the rig file lets them: its spring or the disc's mass is "
@@ -82,6 +85,9 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
         before, entries, known = _ranked(model, point, y, say)
         before = replace(before, shares=shares)
     found = _verdict(model, point, before, entries, say, known)
+    if found.verdict in COLOURS:
+        say(0.9, f"does {found.verdict} explain it?")
+        return _coloured(model, point, y, before, found)
     return _restored(model, point, y, before, found) if found.verdict == "sensor_clipping" else found
 
 
@@ -128,6 +134,30 @@ def _restored(model: Model, point: WorkingPoint, y: Array, before: missing_force
         return found
     after = missing_force.survey(whole.point, whole.model, only=before.places_found())
     return replace(found, ranking=(replace(best, after_percent=after.percent(whole.point)), *others))
+
+
+def _coloured(model: Model, point: WorkingPoint, y: Array, before: missing_force.Survey, found: Diagnosis) -> Diagnosis:
+    """The finding of a shape of the spectrum, fitted together with the model to part of the record: in what a model
+    without it leaves another shape may pass for it, with another stiffness and damping."""
+    best, *others = found.ranking
+    rate_hz = point.data.rate_hz
+    part = y[: int(missing_force.SURVEY_SECONDS * rate_hz)]
+    try:
+        whole = fit_whole(with_found(model, best.settings), part, rate_hz)
+    except DataError:  # too little of the record is whole
+        return found
+    beside = suspects(whole.model, whole.point, part)
+    after = missing_force.survey(whole.point, whole.model, only=before.places_found(), others=beside)
+    places = tuple(sorted(whole.point.data.places.index(p) for own in best.settings.values() for p in own))
+    best = replace(best, after_percent=after.interval(places)[0])
+    # what goes with a state is another effect's
+    was, rest = (sum(s.power for s in it.shares if s.place in places) for it in (before, after))
+    if rest <= LEAVES**2 * was:
+        return replace(found, ranking=(best, *others))
+    how_much = f"{100 * np.sqrt(rest / was):.0f} %" if rest < was else "all"
+    said = f"{best.effect} comes nearest but leaves {how_much} of what the spectrum shows"
+    regions = dict.fromkeys(s.region for s in before.shares)
+    return Diagnosis("unknown", (best, *others), shape_of(point, before), messages=(said, *regions, SPECTRUM))
 
 
 def _loss(entries: Sequence[Entry]) -> tuple[float, float]:
@@ -177,6 +207,8 @@ def _law(
         if found.whole:
             return _named(entries, k, left)
     best = entries[0]
+    if _little(point, before):
+        return _nothing(point, before, tuple(entries))
     return Diagnosis(
         "unknown",
         tuple(entries),
@@ -246,6 +278,11 @@ def _negligible(point: WorkingPoint, best: Entry) -> bool:
     return best.explained_percent < 100 * least
 
 
+def _little(point: WorkingPoint, before: missing_force.Survey) -> bool:
+    """Whether so little is missing that nothing is claimed."""
+    return before.percent(point) < 100 * missing_force.NEGLIGIBLE
+
+
 def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[Entry, ...]) -> Diagnosis:
     loss, nats = _loss(entries)
     shaft = []
@@ -254,7 +291,7 @@ def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[E
         percent = 100 * abs(loss) / point.data.disc.K
         by = f"{percent:.2g} +- {percent / np.sqrt(2 * nats):.1g} %"
         shaft = [f"{SHAFT}{how} than the rig file says, by {by}: give its true stiffness there"]
-    if before.any_found() and before.percent(point) >= 100 * missing_force.NEGLIGIBLE:
+    if before.any_found() and not _little(point, before):
         said = [
             *shaft,
             "the residual force can be predicted, but no effect of the catalogue does it significantly",

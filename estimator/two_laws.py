@@ -81,8 +81,8 @@ def of_one_state(
     model: Model, part: WorkingPoint, whole: WorkingPoint, ranking: Sequence[Entry]
 ) -> tuple[str, str] | None:  # fmt: skip
     """The two laws of the state of the first of a ranking that leave nothing of it, all numbers fitted together, where
-    neither does so by itself; the one that is ahead first: any of its family, or of x beside one that is even in it. Of a curve that is no law any two
-    of one state take a large part, but not all.
+    neither does so by itself; the one that is ahead first: any of its family, or of x beside one that is even in it. Of
+    a curve that is no law any two of one state take a large part, but not all.
 
     part, whole : the model fitted to a part of the record and to all of it.
     """

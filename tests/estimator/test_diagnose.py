@@ -104,7 +104,7 @@ def test_catalogue(effect: str, strength: float) -> None:
 def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
     rig: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As Bouc-Wen is at times some nats ahead of a quadratic damping that is there; and it is no second law of a pair."""
+    """As Bouc-Wen is at times some nats ahead of a drag that is there; and it is no second law of a pair."""
     monkeypatch.setattr("estimator.model_uses.CATALOGUE", {name: CATALOGUE[name] for name in ("clearance", "quintic")})
     y = record(rig, "clearance", 0.06)
     fitted = fit_whole(rig, y, RATE)
@@ -112,15 +112,16 @@ def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
     before, entries = found.before, extrapolating(found)
     right, wrong = (next(e for e in entries if e.effect == name) for name in ("clearance", "quintic"))
 
-    def verdict(ahead: float) -> Diagnosis:
+    def verdict(ahead: float, force: float = 1.0) -> Diagnosis:
         order = [replace(wrong, score=right.score + ahead), right]
-        return _law(fitted.model, fitted.point, before, order, quiet)
+        return _law(fitted.model, fitted.point, replace(before, bearing=force * before.bearing), order, quiet)
 
-    near, far = verdict(5.0), verdict(50.0)
+    near, far, little = verdict(5.0), verdict(50.0), verdict(50.0, force=1e3)
     assert near.verdict == near.ranking[0].effect == "clearance"
     assert near.messages[0].startswith("quintic was ahead")
     assert far.verdict == "unknown"
     assert far.ranking[0].effect == "quintic"
+    assert little.verdict == "complete", "of so little nothing is claimed"
 
 
 def test_a_law_that_is_nothing_once_it_is_fitted_with_the_model_is_not_named(

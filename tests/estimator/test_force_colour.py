@@ -46,6 +46,20 @@ def test_a_force_with_a_peak_is_unknown_and_no_pedestal() -> None:
     assert no_law(found.messages).startswith("the unknown force has a spectrum")
 
 
+@pytest.mark.parametrize(("hz", "quality"), [(1200.0, 2.0), (2000.0, 0.5)])
+def test_a_colour_that_leaves_much_once_it_is_fitted_is_not_named(hz: float, quality: float) -> None:
+    """In what a model without it leaves, with another stiffness and damping, it had the shape of this peak: nothing
+    was to be left of it, and half was."""
+    rig = replace(one_bearing(), effects=())
+    y = simulate(rig, RATE, 6.0, seed=0, noise=0.0)
+    peaked = y[:, 0] + lfilter(*iirpeak(hz, quality, fs=RATE), y[:, 0])
+    found = diagnose(rig, np.stack([peaked, y[:, 1]], axis=1), RATE)
+    assert found.verdict == "unknown"
+    assert found.ranking[0].after_percent > 0.4 * found.ranking[0].before_percent
+    assert f"{found.ranking[0].effect} comes nearest" in found.messages[0]
+    assert no_law(found.messages).startswith("the unknown force has a spectrum")
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_noise_stands_out_only_of_neighbours_whose_own_is_known(noise: float) -> None:
     """Beside a peak that nothing makes a neighbour's noise came out as nothing, and every other sensor as faulty."""
