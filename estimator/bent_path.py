@@ -221,9 +221,9 @@ def _both(
 def _odd(r: Response, peak: Peak) -> tuple[Array, Array]:
     """(cells,) of the power that is left what is coherent with the motion beyond the noise in both, and what is not."""
     P, rest, s = expected(r, peak.A, peak.u)
-    N, Q = exp(peak.u[1]) * r.noise, exp(peak.u[0])
-    own = r.unmeasured * Q / np.abs(peak.A) ** 2 + r.share(Q) * (r.aa - N)  # motion that Q makes, or stands for
-    odd = rest - peak.A * (N + own) - np.abs(peak.A - r.alike) ** 2 * r.folded / peak.A.conj()
+    N, Q, H = exp(peak.u[1]) * r.noise, exp(peak.u[0]), r.answer(peak.A).conj()
+    odd = rest - peak.A * N - r.share(Q) * r.af.conj() - r.unmeasured * Q * H  # what Q is of the force, or moves
+    odd -= (peak.A - r.alike) * (1 - H * np.conj(r.alike)) * r.folded
     return np.asarray(np.abs(odd) ** 2 / r.aa), np.maximum(s, P - np.abs(rest) ** 2 / r.aa)
 
 

@@ -47,8 +47,10 @@ class Folded:
 class Response:
     """Residual R and acceleration a of one place by cells of the band. w : (cells,) rad/s; n : independent numbers.
 
-    rr, ra, aa, ff : mean |R|^2, R a*, |a|^2 and |A a - R|^2, one-sided PSD; A : tangent; noise : PSD of acceleration of
-    white noise of the sensor. unmeasured : share of Q that is a force beside the measured one, not noise of its sensor.
+    rr, ra, aa, rf, af, ff : mean |R|^2, R a*, |a|^2, R f*, a f* and |f|^2, f the measured force, one-sided PSD; A :
+    tangent; H : acceleration per force, the other places free, 1 / A of one that is not coupled; noise : PSD of
+    acceleration of white noise of the sensor. unmeasured : share of Q that is a force beside the measured one, not
+    noise of its sensor.
     """
 
     w: Array
@@ -56,20 +58,27 @@ class Response:
     rr: Array
     ra: Complexes
     aa: Array
+    rf: Complexes
+    af: Complexes
     ff: Array
     A: Complexes
+    H: Complexes
     noise: Array
     hz: Array  # width of each cell
     unmeasured: float = 0.0
     alike: Complexes | float = 0.0  # (cells,) force per acceleration of what is folded
     folded: Array | float = 0.0  # (cells,) M
-    across: Array | float = 0.0  # (cells,) of Q, what is folded into the motion of the other caps, through the shaft
+    across: Array | float = 0.0  # (cells,) of R, what is folded into the motion of the other caps, through the shaft
     fold: Folded | None = None  # of an acceleration, seen or not
     bare: Response | None = None  # the same with it, where it was taken out
 
     def share(self, Q: float) -> Array:
         """(cells,) p: what of the measured force is noise where the density Q is left."""
-        return np.minimum((1.0 - self.unmeasured) * (Q + self.across) / self.ff, 0.5)
+        return np.minimum((1.0 - self.unmeasured) * Q / self.ff, 0.5)
+
+    def answer(self, A: Complexes) -> Complexes:
+        """(cells,) H where the tangent is another."""
+        return np.asarray(self.H / (1 + (A - self.A) * self.H))
 
     def through(self, further: Complexes) -> Response:
         """The same where the sensor has a response that is not undone, (2, cells) at the images of what is folded."""
@@ -83,11 +92,10 @@ class Response:
         folded = np.minimum(fold.seen, 0.5 * self.ff / np.abs(alike) ** 2)
         told = alike.conj() * folded / self.ff
         B, rest = told * (self.A - alike), 1 - (told * alike).real
-        af, rf = self.A.conj() * self.aa - self.ra.conj(), self.A.conj() * self.ra - self.rr
         return replace(
             self,
-            rr=self.rr - 2 * np.real(B.conj() * rf) + np.abs(B) ** 2 * self.ff,
-            ra=self.ra - told.conj() * rf - B * af.conj() + B * told.conj() * self.ff,
-            aa=self.aa - 2 * np.real(told.conj() * af) + np.abs(told) ** 2 * self.ff,
-            ff=rest**2 * self.ff, alike=alike, folded=rest * folded, fold=fold, bare=self,
+            rr=self.rr - 2 * np.real(B.conj() * self.rf) + np.abs(B) ** 2 * self.ff,
+            ra=self.ra - told.conj() * self.rf - B * self.af.conj() + B * told.conj() * self.ff,
+            aa=self.aa - 2 * np.real(told.conj() * self.af) + np.abs(told) ** 2 * self.ff,
+            rf=rest * (self.rf - B * self.ff), af=rest * (self.af - told * self.ff), ff=rest**2 * self.ff, alike=alike, folded=rest * folded, fold=fold, bare=self,
         )  # fmt: skip

@@ -7,7 +7,8 @@ Both noises white, of densities N and Q, the likelihood of the motion given the 
     -sum n [P / s + ln s - ln |A'|^2],   P = mean |A' a - (1 - p) f|^2,   s = |A'|^2 N + (1 - p) Q,   p = Q / mean |f|^2
 
 (1 - p) f being what the measured force says of the true one. The last term is the Jacobian: it keeps the noise in a
-from pulling A' towards zero, as p keeps that in f from pushing it up. Q may be a force that acts unmeasured beside f
+from pulling A' towards zero, as p keeps that in f from pushing it up. Where a shaft couples the places, A' a stands for
+the sum over all, and the Jacobian is that of their matrix: |1 + (A' - A) H|^2, H = (A^-1)_ii, for a change at one. Q may be a force that acts unmeasured beside f
 instead, the machine's own beside a shaker's: then f is what it is, and p = 0; or some of both. Amplitude and phase of
 every bin count: a thousandth of the force is seen that no power spectrum shows. What may bend A: bends.py.
 
@@ -44,17 +45,23 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), ever
     """Of place i; bins beside `lines` (Hz) are left out. every : so manyth block is looked at, all if it is in doubt
     what is folded back."""
     data = point.data
-    blocks = (z.reshape(-1, data.block)[::every] for z in (point.force[i], data.v[i]))
-    R, v = (_spectra(z, data.block, data.start[::every])[:, data.bins] for z in blocks)
     w = 2 * np.pi * data.f_hz
-    a = 1j * w * v
+
+    def blocks(z: NDArray[np.floating]) -> NDArray[np.complex64]:
+        return _spectra(z.reshape(-1, data.block)[::every], data.block, data.start[::every])[:, data.bins]
+
+    R, a = blocks(point.force[i]), 1j * w * blocks(data.v[i])
+    f = point.A[:, i, i] * a - R
+    others = np.arange(len(data.places)) != i
+    for j in np.flatnonzero(others & point.A[:, i].any(axis=0)):
+        f += point.A[:, i, j] * (1j * w) * blocks(data.v[j])
     spacing = data.rate_hz / data.block
     keep = np.ones(w.size, bool)
     for hz in lines:
         keep &= np.abs(data.f_hz - hz) > BESIDE * spacing
     scale = 2.0 / (data.rate_hz * 0.375 * data.block)
-    f = point.A[:, i, i] * a - R
-    power = [scale * np.mean(z, axis=0) for z in (np.abs(R) ** 2, R * a.conj(), np.abs(a) ** 2, np.abs(f) ** 2)]
+    pairs = ((R, R), (R, a), (a, a), (R, f), (a, f), (f, f))
+    power = [scale * np.mean(one * other.conj(), axis=0) for one, other in pairs]
     edges = np.unique(np.round(np.geomspace(20, keep.sum(), CELLS)).astype(int))
     first = np.concatenate([np.arange(min(20, edges[0])), edges[:-1]])
     width = np.diff(np.append(first, keep.sum())).astype(np.float64)
@@ -62,11 +69,12 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), ever
     def mean(z: NDArray[np.generic]) -> Complexes:
         return np.asarray(np.add.reduceat(z[keep], first) / width)
 
-    rr, ra, aa, ff, A, ww = (mean(z) for z in (*power, point.A[:, i, i], w))
+    rr, ra, aa, rf, af, ff, A, H, ww = (mean(z) for z in (*power, point.A[:, i, i], np.linalg.inv(point.A)[:, i, i], w))
     shape = noise_shape(data.kinds[i : i + 1], w)[0] * data.sharpened[i]
     found = Response(
-        ww.real, OVERLAPPED * width * len(R), rr.real, ra, aa.real, ff.real, A, mean(shape).real, spacing * width
-    )
+        ww.real, OVERLAPPED * width * len(R), rr.real, ra, aa.real, rf, af, ff.real, A, H, mean(shape).real,
+        spacing * width,
+    )  # fmt: skip
     if data.kinds[i] != "acceleration":
         return found
     k, c = point.slopes[i, i]
@@ -74,7 +82,6 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), ever
     seen = folded(found, back, np.stack([mean(z) for z in data.passed[:, i]]), data.rate_hz)
     if every > 1 and seen.likely and not seen.density.any():
         return response_of(point, i, lines)
-    others = np.arange(len(data.places)) != i
     across = np.sum(np.abs(point.A[:, i]) ** 2 * data.folded_beside.T, axis=1, where=others)
     found = replace(found, across=mean(across).real) if across.any() else found
     return found.less(seen) if seen.density.any() else replace(found, fold=seen)
@@ -114,7 +121,7 @@ def highest(
     def at(u: Array) -> tuple[float, Complexes, Complexes, Array]:
         A = bend(u[2:])
         P, rest, s = expected(r, A, u)
-        return float(r.n @ (P / s + np.log(s) - 2 * np.log(np.abs(A)))), A, rest, s
+        return float(r.n @ (P / s + np.log(s) - 2 * np.log(np.abs(1 + (A - r.A) * r.H)))), A, rest, s
 
     def slopes(u: Array, A: Complexes, rest: Complexes, s: Array) -> tuple[Array, Array]:
         P = left(r, A, exp(u[0]))
@@ -127,7 +134,7 @@ def highest(
             dA[j] = (bend(up) - bend(down)) / 2e-4
         ds = 2 * np.real((A * own + back).conj() * dA)
         ds[0], ds[1] = exp(u[0]) * scale[0], np.abs(A) ** 2 * own * scale[1]
-        g = (2 * np.real(dA.conj() * rest) / s + ds * (1 / s - P / s**2) - 2 * np.real(dA / A)) @ r.n
+        g = (2 * np.real(dA.conj() * rest) / s + ds * (1 / s - P / s**2) - 2 * np.real(dA * r.answer(A))) @ r.n
         H = 2 * np.real((dA.conj() * (r.n * r.aa / s)) @ dA.T) + (ds * (r.n / s**2)) @ ds.T
         return g, H
 
@@ -186,9 +193,8 @@ def linear(r: Response, d: Array) -> Complexes:
 
 def left(r: Response, A: Complexes, Q: float = 0.0) -> Array:
     """(cells,) mean |A a - (1 - p) f|^2, with p what noise of the density Q is of the measured force."""
-    p = r.share(Q)
-    G = A - (1 - p) * r.A
-    P = (1 - p) ** 2 * r.rr + 2 * (1 - p) * np.real(G.conj() * r.ra) + np.abs(G) ** 2 * r.aa
+    p, d = r.share(Q), A - r.A
+    P = r.rr + np.abs(d) ** 2 * r.aa + p**2 * r.ff + 2 * np.real(d.conj() * r.ra + p * (r.rf + d * r.af))
     return np.asarray(np.maximum(P, 1e-300))
 
 
@@ -196,7 +202,7 @@ def expected(r: Response, A: Complexes, u: Array) -> tuple[Array, Complexes, Arr
     """(cells,) each: mean |A a - (1 - p) f|^2, the same times a*, and what the first is to be by the noise of u."""
     Q = exp(u[0])
     p = r.share(Q)
-    rest = (1 - p) * r.ra + (A - (1 - p) * r.A) * r.aa
+    rest = r.ra + (A - r.A) * r.aa + p * r.af.conj()
     own = r.unmeasured + (1 - r.unmeasured) * (1 - p)
-    s = np.abs(A) ** 2 * exp(u[1]) * r.noise + np.abs(A - r.alike) ** 2 * r.folded + own * (Q + r.across)
+    s = np.abs(A) ** 2 * exp(u[1]) * r.noise + np.abs(A - r.alike) ** 2 * r.folded + own * Q + r.across
     return left(r, A, Q), rest, s
