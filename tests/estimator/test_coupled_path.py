@@ -52,7 +52,7 @@ def test_noise_and_what_is_folded_leave_nothing_odd(coupled: float, unmeasured: 
     odd, noise = _odd(r, peak)
     assert np.max(odd / noise) < 1e-20
     P, _, s = expected(r, peak.A, peak.u)
-    assert P == pytest.approx(s, rel=1e-12)
+    assert pytest.approx(s, rel=1e-12) == P
     d = 0.1 * (rng.normal(size=CELLS) + 1j * rng.normal(size=CELLS))
     changed = A.copy()
     changed[:, I, I] += d
