@@ -97,5 +97,7 @@ class Response:
             rr=self.rr - 2 * np.real(B.conj() * self.rf) + np.abs(B) ** 2 * self.ff,
             ra=self.ra - told.conj() * self.rf - B * self.af.conj() + B * told.conj() * self.ff,
             aa=self.aa - 2 * np.real(told.conj() * self.af) + np.abs(told) ** 2 * self.ff,
-            rf=rest * (self.rf - B * self.ff), af=rest * (self.af - told * self.ff), ff=rest**2 * self.ff, alike=alike, folded=rest * folded, fold=fold, bare=self,
+            rf=rest * (self.rf - B * self.ff),
+            af=rest * (self.af - told * self.ff),
+            ff=rest**2 * self.ff, alike=alike, folded=rest * folded, fold=fold, bare=self,
         )  # fmt: skip

@@ -8,9 +8,10 @@ Both noises white, of densities N and Q, the likelihood of the motion given the 
 
 (1 - p) f being what the measured force says of the true one. The last term is the Jacobian: it keeps the noise in a
 from pulling A' towards zero, as p keeps that in f from pushing it up. Where a shaft couples the places, A' a stands for
-the sum over all, and the Jacobian is that of their matrix: |1 + (A' - A) H|^2, H = (A^-1)_ii, for a change at one. Q may be a force that acts unmeasured beside f
-instead, the machine's own beside a shaker's: then f is what it is, and p = 0; or some of both. Amplitude and phase of
-every bin count: a thousandth of the force is seen that no power spectrum shows. What may bend A: bends.py.
+the sum over all, and the Jacobian is that of their matrix: |1 + (A' - A) H|^2, H = (A^-1)_ii, for a change at one.
+Q may be a force that acts unmeasured beside f instead, the machine's own beside a shaker's: then f is what it is, and
+p = 0; or some of both. Amplitude and phase of every bin count: a thousandth of the force is seen that no power spectrum
+shows. What may bend A: bends.py.
 
 What sampling folds back, of density M, is n in the motion and m n in the force: (A' - m) n is left (folded_force.py).
 The measured force tells m M / |f|^2 f of it, which is taken out of both; the rest, independent of f, adds |A' - m|^2 M.
@@ -21,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +48,7 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), ever
     data = point.data
     w = 2 * np.pi * data.f_hz
 
-    def blocks(z: NDArray[np.floating]) -> NDArray[np.complex64]:
+    def blocks(z: NDArray[Any]) -> NDArray[np.complex64]:
         return _spectra(z.reshape(-1, data.block)[::every], data.block, data.start[::every])[:, data.bins]
 
     R, a = blocks(point.force[i]), 1j * w * blocks(data.v[i])

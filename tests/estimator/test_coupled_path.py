@@ -12,7 +12,7 @@ from estimator.path_spectra import Folded, Response
 from estimator.transfer import Peak, expected
 
 Complexes = NDArray[np.complex128]
-CELLS, PLACES, I = 40, 3, 1
+CELLS, PLACES, HERE = 40, 3, 1
 
 
 def mean(one: Complexes, other: Complexes, power: NDArray[np.float64]) -> Complexes:
@@ -28,26 +28,26 @@ def test_noise_and_what_is_folded_leave_nothing_odd(coupled: float, unmeasured: 
     rng = np.random.default_rng(3)
     A = rng.normal(size=(CELLS, PLACES, PLACES)) + 1j * rng.normal(size=(CELLS, PLACES, PLACES))
     A *= np.where(np.eye(PLACES) > 0.0, 1.0, coupled)
-    A[::4, I, I] *= 1e-2
+    A[::4, HERE, HERE] *= 1e-2
     H, m = np.linalg.inv(A), 0.3 - 0.1j
-    # of the sensor at I, beside the force at I or of its sensor, folded at all
+    # of the sensor at HERE, beside the force there or of its sensor, folded at all
     N, Q, M = 2e-3, 5e-2, np.array([0.02, 0.05 * unmeasured, 0.03])  # noise of the force tells of the fold, too
     power = np.concatenate([[1.0, 2.0, 0.5], M, [Q, N]])  # true forces, what is folded, Q, N
     own, zero = np.tile(np.eye(PLACES), (CELLS, 1, 1)), np.zeros((CELLS, PLACES, 1))
-    here = zero + np.eye(PLACES)[:, I : I + 1]
-    motion = np.concatenate([H, own, unmeasured * H @ here, here], axis=2)
-    force = np.concatenate([own, m * own, (1 - unmeasured) * here, zero], axis=2)
-    R = (A @ motion - force)[:, I]
-    a, f = motion[:, I], force[:, I]
-    across = sum(np.abs(A[:, I, j]) ** 2 * M[j] for j in range(PLACES) if j != I)
+    alone = zero + np.eye(PLACES)[:, HERE : HERE + 1]
+    motion = np.concatenate([H, own, unmeasured * H @ alone, alone], axis=2)
+    force = np.concatenate([own, m * own, (1 - unmeasured) * alone, zero], axis=2)
+    R = (A @ motion - force)[:, HERE]
+    a, f = motion[:, HERE], force[:, HERE]
+    across = sum(np.abs(A[:, HERE, j]) ** 2 * M[j] for j in range(PLACES) if j != HERE)
     one = np.ones(CELLS)
     r = Response(
         w=one, n=one, rr=mean(R, R, power).real, ra=mean(R, a, power), aa=mean(a, a, power).real,
-        rf=mean(R, f, power), af=mean(a, f, power), ff=mean(f, f, power).real, A=A[:, I, I], H=H[:, I, I], noise=one,
-        hz=one, unmeasured=unmeasured, across=across + 0.0 * one,
+        rf=mean(R, f, power), af=mean(a, f, power), ff=mean(f, f, power).real, A=A[:, HERE, HERE], H=H[:, HERE, HERE],
+        noise=one, hz=one, unmeasured=unmeasured, across=across + 0.0 * one,
     )  # fmt: skip
     unit = np.ones((2, CELLS), complex)
-    r = r.less(Folded(M[I] / 2 * np.ones((2, CELLS)), unit, unit, m * one, True))
+    r = r.less(Folded(M[HERE] / 2 * np.ones((2, CELLS)), unit, unit, m * one, True))
     peak = Peak(0.0, np.array([np.log(Q), np.log(N)]), np.eye(2), r.A)
     odd, noise = _odd(r, peak)
     assert np.max(odd / noise) < 1e-20
@@ -55,5 +55,5 @@ def test_noise_and_what_is_folded_leave_nothing_odd(coupled: float, unmeasured: 
     assert pytest.approx(s, rel=1e-12) == P
     d = 0.1 * (rng.normal(size=CELLS) + 1j * rng.normal(size=CELLS))
     changed = A.copy()
-    changed[:, I, I] += d
-    assert r.answer(r.A + d) == pytest.approx(np.linalg.inv(changed)[:, I, I], rel=1e-9)
+    changed[:, HERE, HERE] += d
+    assert r.answer(r.A + d) == pytest.approx(np.linalg.inv(changed)[:, HERE, HERE], rel=1e-9)
