@@ -68,7 +68,7 @@ class Response:
     unmeasured: float = 0.0
     alike: Complexes | float = 0.0  # (cells,) force per acceleration of what is folded
     folded: Array | float = 0.0  # (cells,) M
-    across: Array | float = 0.0  # (cells,) of R, what is folded into the motion of the other caps, through the shaft
+    across: Array | float = 0.0  # (cells,) of R, noise of the other caps' sensors and what is folded there
     fold: Folded | None = None  # of an acceleration, seen or not
     bare: Response | None = None  # the same with it, where it was taken out
 

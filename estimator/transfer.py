@@ -72,9 +72,11 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), ever
 
     rr, ra, aa, rf, af, ff, A, H, ww = (mean(z) for z in (*power, point.A[:, i, i], np.linalg.inv(point.A)[:, i, i], w))
     shape = noise_shape(data.kinds[i : i + 1], w)[0] * data.sharpened[i]
+    beside = data.noise_shape * (point.nu * point.S)[:, None] + data.folded_beside
+    across = np.sum(np.abs(point.A[:, i]) ** 2 * beside.T, axis=1, where=others)
     found = Response(
         ww.real, OVERLAPPED * width * len(R), rr.real, ra, aa.real, rf, af, ff.real, A, H, mean(shape).real,
-        spacing * width,
+        spacing * width, across=mean(across).real,
     )  # fmt: skip
     if data.kinds[i] != "acceleration":
         return found
@@ -83,8 +85,6 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), ever
     seen = folded(found, back, np.stack([mean(z) for z in data.passed[:, i]]), data.rate_hz)
     if every > 1 and seen.likely and not seen.density.any():
         return response_of(point, i, lines)
-    across = np.sum(np.abs(point.A[:, i]) ** 2 * data.folded_beside.T, axis=1, where=others)
-    found = replace(found, across=mean(across).real) if across.any() else found
     return found.less(seen) if seen.density.any() else replace(found, fold=seen)
 
 
