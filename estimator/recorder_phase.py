@@ -39,7 +39,7 @@ def found(model: Model, point: WorkingPoint) -> RollOff | None:
     """The model's filters with the phase that the record shows; None where it shows none but theirs, or where columns
     of the states explain more: harmonics of damping are a quarter of a turn beside those of a spring."""
     data, part = point.data, point
-    if data.measured_force or point.kL.min() <= 0.0:
+    if point.kL.min() <= 0.0:
         return None
     flat = Filter(data.rate_hz, data.band[1], nepers=(0.0,) * POWERS.size)
     known = {place: (model.roll_off or {}).get(place, flat) for place in data.places}

@@ -52,8 +52,9 @@ def of_place(model: Model, place: str, w: Array) -> Complexes:
 
 
 def recorder(model: Model, place: str) -> Filter | None:
-    """The recorder's filter that is undone at a place: not beside a measured force, which went through it too."""
-    return None if place in forced(model) else (model.roll_off or {}).get(place)
+    """The recorder's filter that is undone at a place, in the channel of a measured force, too, which went through it:
+    the path between the two is as it was, and laws have the motion as it is."""
+    return (model.roll_off or {}).get(place)
 
 
 def echoes(model: Model, place: str, kind: str, f_hz: Array) -> Array:
@@ -102,14 +103,15 @@ def undone(model: Model, y: Array, rate_hz: float) -> Array:
     if not model.roll_off and not any(use.name in LINEAR for use in model.effects):
         return y
     f: Array = np.asarray(np.fft.rfftfreq(len(y), 1 / rate_hz), dtype=np.float64)
-    moving = [k for k, channel in enumerate(model.channels) if channel.kind in MOTION]
-    filters = {own for k in moving if (own := recorder(model, model.channels[k].place)) is not None}
+    heard = [k for k, channel in enumerate(model.channels) if channel.kind in (*MOTION, "force")]
+    filters = {own for k in heard if (own := recorder(model, model.channels[k].place)) is not None}
     grid = np.linspace(0.0, model.band[1], GRID)
     known = {own: np.interp(f, grid, own.response(grid)) for own in filters}
 
     def column(k: int) -> Array:
         place, z = model.channels[k].place, y[:, k]
-        H = _faults(model, place, 2 * np.pi * f)
+        faulty = model.channels[k].kind in MOTION
+        H = _faults(model, place, 2 * np.pi * f) if faulty else np.ones(f.size, complex)
         if (own := recorder(model, place)) is not None:
             H *= known[own]
         if np.ptp(H) == 0.0:
@@ -118,6 +120,6 @@ def undone(model: Model, y: Array, rate_hz: float) -> Array:
         return np.where(gap, np.nan, np.fft.irfft(np.fft.rfft(np.where(gap, 0.0, z)) / H, len(z)))
 
     out = y.copy()
-    for k, z in zip(moving, each(column, moving), strict=True):
+    for k, z in zip(heard, each(column, heard), strict=True):
         out[:, k] = z
     return out

@@ -47,6 +47,22 @@ def test_the_delay_of_the_end_of_the_band_is_found() -> None:
         assert seen[1] < 0.25
 
 
+def test_beside_a_measured_force_it_is_undone_in_both() -> None:
+    """The path from force to motion is as it was; left in, the delay bent a law that the path cannot tell it from."""
+    rig = bent()
+    forces = [replace(c, name=c.name.replace("b", "f"), kind="force") for c in rig.channels]
+    rig = replace(rig, channels=(*rig.channels, *forces))
+    top = rig.band[1]
+    y = simulate(rig, RATE, 6.0, seed=3, noise=1e-3)
+    whole = fit_whole(rig, late(y, LATE, top), RATE)
+    assert whole.model.roll_off is not None
+    for place in rig.places:
+        assert whole.model.roll_off[place].late == pytest.approx(LATE, abs=0.05)
+        true = rig.effects[0].parameters[place]["kNL"].value
+        assert whole.parameters[f"{place}.cubic.kNL"].value == pytest.approx(true, rel=2e-3)
+    assert fit_whole(rig, y, RATE).model.roll_off is None
+
+
 def test_no_recorder_is_ahead_of_the_motion() -> None:
     """The third harmonic of x^2 v is a quarter of a turn beside that of x^3: behind a mean over a sample a missing one
     was undone as a phase of -18 rad, after which the law was of the wrong sign."""
