@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 EXPLAINED = 0.5  # of what a free response explains, for a cause to be the cause
 LEVEL = 1e-2  # p-value above which nothing is said
+PAIRS = 1  # of causes, the likeliest begun where each is by itself, that are sought everywhere
 HALVED = 0.5  # of what the best cause leaves, in power, that two together leave at most
 BEYOND_CHANCE = 8.0  # standard deviations of what a free response gains, for the path to be bent by who knows what
 FEWEST = 100  # cells that are to be left
@@ -106,12 +107,14 @@ def _likeliest(model: Model, point: WorkingPoint, i: int, r: Response) -> Tried:
     noise = _tried(model, point, i, r)
     if float(np.average(r.share(exp(noise.base.u[0])), weights=r.n)) < MATTERS:
         return noise
-    either = noise, _tried(model, point, i, replace(r, unmeasured=1.0))
+    beside = _tried(model, point, i, replace(r, unmeasured=1.0), noise.causes)
+    either = noise, beside
     share = _share(point, i, r)
     both = plain(point, i, replace(r, unmeasured=share))[0].nats
     if both < max(tried.base.nats for tried in either) + ALIKE:
         return max(either, key=lambda tried: tried.likely)
-    return max(*either, _tried(model, point, i, replace(r, unmeasured=share)), key=lambda tried: tried.likely)
+    mixed = _tried(model, point, i, replace(r, unmeasured=share), noise.causes)
+    return max(*either, mixed, key=lambda tried: tried.likely)
 
 
 def _share(point: WorkingPoint, i: int, r: Response) -> float:
@@ -138,8 +141,11 @@ def pushed(model: Model, point: WorkingPoint) -> bool:
     return False
 
 
-def _tried(model: Model, point: WorkingPoint, i: int, r: Response) -> Tried:
-    """Every cause that the model does not have at a place."""
+def _tried(
+    model: Model, point: WorkingPoint, i: int, r: Response, about: Mapping[Cause, Peak] | None = None
+) -> Tried:  # fmt: skip
+    """Every cause that the model does not have at a place. about : where they are by another reading of what is left,
+    which moves them little."""
     place = point.data.places[i]
     base, scale = plain(point, i, r)
     taken = {u.name for u in model.effects if place in u.parameters or place.split(".")[0] in u.parameters}
@@ -148,7 +154,9 @@ def _tried(model: Model, point: WorkingPoint, i: int, r: Response) -> Tried:
         cause: bent(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts])
         for cause in causes(point, i, {})
         if cause.effect not in taken
-    }
+    } if about is None else {
+        cause: bent(point, i, r, cause, base, scale, [peak.u[OWN]]) for cause, peak in about.items()
+    }  # fmt: skip
     return Tried(r, base, scale, tried)
 
 
@@ -183,8 +191,10 @@ def _found(model: Model, point: WorkingPoint, i: int, at_place: Tried) -> list[S
         slight = any(c.effect == "sensor_gain" and abs(peak.u[4]) < CALIBRATED and not _bent_still(r, peak, least)
                      for c, peak in tried.items())  # fmt: skip
         return [] if slight else out
-    pairs = [(a, b, _both(point, i, r, a, b, tried, scale)) for a, b in combinations(tried, 2)]
-    if pairs:
+    near = {(a, b): _both(point, i, r, a, b, tried, scale).nats for a, b in combinations(tried, 2)}
+    if near:
+        likeliest = sorted(near, key=lambda pair: -near[pair])[:PAIRS]
+        pairs = [(a, b, _both(point, i, r, a, b, tried, scale, everywhere=True)) for a, b in likeliest]
         a, b, peak = max(pairs, key=lambda pair: pair[2].nats)
         k = 4 + len(a.names)
         two = suspect(a, slice(4, k), peak, tried[b]) + suspect(b, slice(k, None), peak, tried[a])
@@ -198,9 +208,11 @@ def _found(model: Model, point: WorkingPoint, i: int, at_place: Tried) -> list[S
 
 
 def _both(
-    point: WorkingPoint, i: int, r: Response, a: Cause, b: Cause, alone: Mapping[Cause, Peak], scale: Array
+    point: WorkingPoint, i: int, r: Response, a: Cause, b: Cause, alone: Mapping[Cause, Peak], scale: Array,
+    everywhere: bool = False,
 ) -> Peak:  # fmt: skip
-    """The likeliest numbers of two causes together, each begun where it is by itself and the other at its starts."""
+    """The likeliest numbers of two causes together, begun where each is by itself; everywhere : or where the one is and
+    the other at its starts."""
     k = len(a.names)
 
     def apart(of_a: Callable[[Array], Array], of_b: Callable[[Array], Array]) -> Callable[[Array], Array]:
@@ -210,6 +222,8 @@ def _both(
         return b.bend(r, a.bend(r, A, kL, c, p[:k]), kL, c, p[k:])
 
     pair = Cause(a.effect, (), apart(a.values, b.values), apart(a.free, b.free), bend)
+    if not everywhere:
+        return bent(point, i, r, pair, alone[a], scale, [np.concatenate([alone[a].u[OWN], alone[b].u[OWN]])])
     after = [np.concatenate([alone[a].u[4:], z]) for z in b.starts]
     return max(
         bent(point, i, r, pair, alone[a], scale, after),
