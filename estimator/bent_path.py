@@ -238,7 +238,8 @@ def _odd(r: Response, peak: Peak) -> tuple[Array, Array]:
     N, Q, H = exp(peak.u[1]) * r.noise, exp(peak.u[0]), r.answer(peak.A).conj()
     odd = rest - peak.A * N - r.share(Q) * r.af.conj() - r.unmeasured * Q * H  # what Q is of the force, or moves
     odd -= (peak.A - r.alike) * (1 - H * np.conj(r.alike)) * r.folded
-    return np.asarray(np.abs(odd) ** 2 / r.aa), np.maximum(s, P - np.abs(rest) ** 2 / r.aa)
+    # no more than is left: what is taken for a force beside the measured one may be none, and move nothing
+    return np.minimum(np.abs(odd) ** 2 / r.aa, P), np.maximum(s, P - np.abs(rest) ** 2 / r.aa)
 
 
 def _rest(r: Response, peak: Peak) -> tuple[float, float]:

@@ -3,6 +3,8 @@ matrix, by cells, in place of a record."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -53,6 +55,8 @@ def test_noise_and_what_is_folded_leave_nothing_odd(coupled: float, unmeasured: 
     assert np.max(odd / noise) < 1e-20
     P, _, s = expected(r, peak.A, peak.u)
     assert pytest.approx(s, rel=1e-12) == P
+    far = replace(peak, u=np.array([np.log(1e3 * Q), np.log(N)]))
+    assert np.all(_odd(r, far)[0] <= expected(r, far.A, far.u)[0]), "no more than is left, whatever is taken for Q"
     d = 0.1 * (rng.normal(size=CELLS) + 1j * rng.normal(size=CELLS))
     changed = A.copy()
     changed[:, HERE, HERE] += d
