@@ -31,7 +31,6 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 EXPLAINED = 0.5  # of what a free response explains, for a cause to be the cause
 LEVEL = 1e-2  # p-value above which nothing is said
-PAIRS = 1  # of causes, the likeliest begun where each is by itself, that are sought everywhere
 HALVED = 0.5  # of what the best cause leaves, in power, that two together leave at most
 BEYOND_CHANCE = 8.0  # standard deviations of what a free response gains, for the path to be bent by who knows what
 FEWEST = 100  # cells that are to be left
@@ -150,13 +149,11 @@ def _tried(
     base, scale = plain(point, i, r)
     taken = {u.name for u in model.effects if place in u.parameters or place.split(".")[0] in u.parameters}
     taken |= {"sensor_gain"} if model.cap_mass(place) is None else set()
-    tried = {
-        cause: bent(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts])
-        for cause in causes(point, i, {})
-        if cause.effect not in taken
-    } if about is None else {
-        cause: bent(point, i, r, cause, base, scale, [peak.u[OWN]]) for cause, peak in about.items()
-    }  # fmt: skip
+    if about is None:
+        starts = {c: [np.array(z) for z in c.starts] for c in causes(point, i, {}) if c.effect not in taken}
+    else:
+        starts = {cause: [peak.u[OWN]] for cause, peak in about.items()}
+    tried = {cause: bent(point, i, r, cause, base, scale, own) for cause, own in starts.items()}
     return Tried(r, base, scale, tried)
 
 
@@ -193,9 +190,8 @@ def _found(model: Model, point: WorkingPoint, i: int, at_place: Tried) -> list[S
         return [] if slight else out
     near = {(a, b): _both(point, i, r, a, b, tried, scale).nats for a, b in combinations(tried, 2)}
     if near:
-        likeliest = sorted(near, key=lambda pair: -near[pair])[:PAIRS]
-        pairs = [(a, b, _both(point, i, r, a, b, tried, scale, everywhere=True)) for a, b in likeliest]
-        a, b, peak = max(pairs, key=lambda pair: pair[2].nats)
+        a, b = max(near, key=lambda pair: near[pair])
+        peak = _both(point, i, r, a, b, tried, scale, everywhere=True)
         k = 4 + len(a.names)
         two = suspect(a, slice(4, k), peak, tried[b]) + suspect(b, slice(k, None), peak, tried[a])
         if two and float(left(r, peak.A) @ r.hz) < HALVED * float(left(r, best.A) @ r.hz):

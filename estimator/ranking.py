@@ -30,8 +30,8 @@ FAR = 0.2  # share of the best effect's gain under which it is not asked what se
 
 @dataclass(frozen=True, slots=True)
 class Ranking:
-    """part : of the record, which the trials were judged on first. before : what is missing there. entries : what could
-    be it, the likeliest first."""
+    """part : of the record, which the trials are judged on first. before : what is missing there. suspects, trials :
+    what is no law of a state, and every law at every spot. entries : what they come to, the likeliest first."""
 
     part: WorkingPoint
     before: missing_force.Survey
