@@ -218,14 +218,16 @@ def _both(
         return b.bend(r, a.bend(r, A, kL, c, p[:k]), kL, c, p[k:])
 
     pair = Cause(a.effect, (), apart(a.values, b.values), apart(a.free, b.free), bend)
+
+    def begun(first: Peak, *starts: tuple[Array, Array]) -> Peak:
+        return bent(point, i, r, pair, first, scale, [np.concatenate(start) for start in starts])
+
+    at_a, at_b = alone[a].u[OWN], alone[b].u[OWN]
     if not everywhere:
-        return bent(point, i, r, pair, alone[a], scale, [np.concatenate([alone[a].u[OWN], alone[b].u[OWN]])])
-    after = [np.concatenate([alone[a].u[4:], z]) for z in b.starts]
-    return max(
-        bent(point, i, r, pair, alone[a], scale, after),
-        bent(point, i, r, pair, alone[b], scale, [np.concatenate([z, alone[b].u[4:]]) for z in a.starts]),
-        key=lambda peak: peak.nats,
-    )
+        return begun(alone[a], (at_a, at_b))
+    beside_a = begun(alone[a], *((at_a, np.array(z)) for z in b.starts))
+    beside_b = begun(alone[b], *((np.array(z), at_b) for z in a.starts))
+    return max(beside_a, beside_b, key=lambda peak: peak.nats)
 
 
 def _odd(r: Response, peak: Peak) -> tuple[Array, Array]:

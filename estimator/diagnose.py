@@ -20,7 +20,7 @@ from .periodic_fit import found_beside
 from .ranking import FOREMOST, SIGNIFICANT, Progress, extrapolating, on_whole, ranked
 from .shape import Shape, shape_of
 from .suspects import suspects
-from .whole import fit_whole
+from .whole import Whole, fit_whole
 from .working_point import WorkingPoint, thinned
 
 Array = NDArray[np.float64]
@@ -97,6 +97,7 @@ def _ranked(
     """What is missing, what could be it, and what part of the record shows of the likeliest law. The rest of it is
     asked where the law may have the shape of what is missing, or a spectrum is to be told from it."""
     found = ranked(model, point, y, say)
+    say(0.58, "largest amplitudes")
     entries, known = extrapolating(found), None
     if _is_claimed(entries) and entries[0].effect in adequacy.STATES:
         say(0.6, f"does {entries[0].effect} explain it?")
@@ -124,14 +125,22 @@ def _verdict(
     return _law(model, point, before, entries, say, known)
 
 
+def _added(model: Model, y: Array, rate_hz: float, best: Entry) -> tuple[Whole, Array] | None:
+    """The model with what was found, fitted to the first part of the record, and that; None where too little of it is
+    whole."""
+    part = y[: int(missing_force.SURVEY_SECONDS * rate_hz)]
+    try:
+        return fit_whole(with_found(model, best.settings), part, rate_hz), part
+    except DataError:
+        return None
+
+
 def _restored(model: Model, point: WorkingPoint, y: Array, before: missing_force.Survey, found: Diagnosis) -> Diagnosis:
     """The finding of clipped channels with what is missing once what lies beyond their level is drawn."""
     best, *others = found.ranking
-    rate_hz = point.data.rate_hz
-    try:
-        whole = fit_whole(with_found(model, best.settings), y[: int(missing_force.SURVEY_SECONDS * rate_hz)], rate_hz)
-    except DataError:  # too little of the record is whole
+    if (added := _added(model, y, point.data.rate_hz, best)) is None:
         return found
+    whole, _ = added
     after = missing_force.survey(whole.point, whole.model, only=before.places_found())
     return replace(found, ranking=(replace(best, after_percent=after.percent(whole.point)), *others))
 
@@ -140,12 +149,9 @@ def _coloured(model: Model, point: WorkingPoint, y: Array, before: missing_force
     """The finding of a shape of the spectrum, fitted together with the model to part of the record: in what a model
     without it leaves another shape may pass for it, with another stiffness and damping."""
     best, *others = found.ranking
-    rate_hz = point.data.rate_hz
-    part = y[: int(missing_force.SURVEY_SECONDS * rate_hz)]
-    try:
-        whole = fit_whole(with_found(model, best.settings), part, rate_hz)
-    except DataError:  # too little of the record is whole
+    if (added := _added(model, y, point.data.rate_hz, best)) is None:
         return found
+    whole, part = added
     beside = suspects(whole.model, whole.point, part)
     after = missing_force.survey(whole.point, whole.model, only=before.places_found(), others=beside)
     places = tuple(sorted(whole.point.data.places.index(p) for own in best.settings.values() for p in own))

@@ -60,7 +60,7 @@ def recorder(model: Model, place: str) -> Filter | None:
 def echoes(model: Model, place: str, kind: str, f_hz: Array) -> Array:
     """(images, f) PSD of the acceleration that the recorder at a place folds back from each image, over that of a free
     mass, once the responses are undone: the sensor had its own at the image."""
-    own = (model.roll_off or {}).get(place)
+    own = recorder(model, place)
     if own is None or own.nepers:
         return np.zeros((0, f_hz.size))
     heard = np.abs(_faults(model, place, 2 * np.pi * images(own.rate_hz, f_hz))) ** 2

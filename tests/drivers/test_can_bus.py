@@ -143,6 +143,9 @@ def test_virtual_queue_full_never_blocks_the_device() -> None:
     record = read_until(driver, Record(), lambda r: r.samples > 0)
     started = device.samples_made
     until(lambda: device.samples_made > started + 120_000)  # the reader stalls; 4096 frames are 28,000 samples
+    started = device.samples_made
+    time.sleep(0.2)
+    assert device.samples_made > started
     read_until(driver, record, lambda r: r.lost("device_lost") > 0)
     driver.close()
     assert {gap.reason for gap in record.gaps} <= {"device_lost", "sequence"}
