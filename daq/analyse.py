@@ -268,11 +268,11 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
     said = f"added: {', '.join(added)}" if added else "nothing more is earned: the model stays as it is"
     notes = [f"note: {message}" for message in ladder.messages]
     files = [f"{out}: the improved rig file", *pages.said()]
-    output.result(value, ladder_table(value["ladder"]), "", *notes, said, ending(ladder.last.to_json()), *files)
+    output.result(value, ladder_table(value["ladder"]), "", *notes, said, ending(ladder.last.to_json(), added), *files)
 
 
-def ending(last: Mapping[str, Any]) -> str:
-    """Why an improvement stops, from its last diagnosis."""
+def ending(last: Mapping[str, Any], added: Sequence[str] = ()) -> str:
+    """Why an improvement stops, from its last diagnosis and what was added."""
     from estimator.diagnose import no_law
     from estimator.missing_force import UNJUDGED
 
@@ -284,6 +284,8 @@ def ending(last: Mapping[str, Any]) -> str:
     if verdict == "unknown":
         laid = no_law(last["messages"])
         return f"something is left: {laid}" if laid else f"something is left that {_OUTSIDE}"
+    if verdict in added:  # the last that one run adds
+        return "what is missing now was not asked"
     return f"the last diagnosis names {verdict}, which was not added"
 
 

@@ -17,7 +17,7 @@ from .evidence import Settings
 from .explains import EARNED
 from .fitted import fitted_model, untold
 from .heldout import heldout_nll, heldout_rmse
-from .missing_force import survey
+from .missing_force import NEGLIGIBLE, survey
 from .model import Model
 from .model_fit import fit_model
 from .numbered import with_found
@@ -147,6 +147,10 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             break
         whole, model, point, shift = new_whole, new_whole.model, new_whole.point, moved
         rungs.append(new)
+    else:
+        messages.append(f"{MOST} effects were added, the most of one run: run it again on the rig file that it wrote")
+    if found.verdict not in ENDED and len(diagnoses) == len(rungs) and rungs[-1].missing[0] < 100 * NEGLIGIBLE:
+        found = replace(found, verdict="complete", messages=())  # what it named was not upheld, and nothing is missing
     messages = [*whole.messages, *messages, *idle(point), *(found.messages if found.verdict in ENDED else ())]
     say(1.0, "done")
     return Ladder(tuple(rungs), fitted_model(model, point), whole.parameters, found, tuple(messages), tuple(diagnoses))

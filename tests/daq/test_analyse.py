@@ -70,6 +70,12 @@ def test_what_ends_at_the_shaft_does_not_ask_for_a_law() -> None:
     assert "type a law of your own" in diagnosis_text(unknown)[-1]
 
 
+def test_an_end_that_names_an_effect_says_what_became_of_it() -> None:
+    named = {"verdict": "cubic", "messages": []}
+    assert ending(named) == "the last diagnosis names cubic, which was not added"
+    assert "not asked" in ending(named, ["cubic"])
+
+
 def test_the_model_with_the_verdict_has_what_was_found() -> None:
     rig = load_rig(PAPER)
     k = {"value": 1.4e6, "sd": 1e5, "unit": "N/m", "identifiable": True}

@@ -62,6 +62,7 @@ def test_what_is_named_and_not_told_from_zero_is_not_added(rig: Model, monkeypat
     ladder = improve(rig, simulate(rig, RATE, 4.0, seed=4, noise=NOISE), RATE)
     assert len(ladder.rungs) == 1
     assert f"{ahead.effect} was named but is not told from zero when fitted: not added" in ladder.messages
+    assert (ladder.rungs[-1].missing[0], ladder.last.verdict) == (0.0, "complete")
 
 
 def test_where_a_faulty_sensor_led_the_fit_astray_it_begins_from_what_was_given(
