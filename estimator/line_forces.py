@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from . import strikes, unexplained
 from .balance import shaft_notch
+from .bandlimit import noise_shape
 from .estimate import Parameter
 from .known_spectra import shaft_response
 from .line_spectrum import Spectrum, by_angle, residual_spectrum, spectrum_of
@@ -133,8 +134,30 @@ def forces(point: WorkingPoint, s: Spectrum, hz: float, order: int = 0) -> tuple
     Y, noise = s.at_order(order, hz / order) if order else s.at(hz)
     if set(s.kinds) == {"force"}:
         return Y, noise
-    A = tangent_at(point, np.array([hz]), shaft_response(s.model, point.data.places, np.array([hz])))[0]
-    return A @ Y, (np.abs(A) ** 2) @ noise
+    A = _tangents(point, s, np.array([hz]))[0]
+    low, high = s.model.band
+    return A @ Y, _noise_about(point, s, hz) if low <= hz <= high else (np.abs(A) ** 2) @ noise
+
+
+def _tangents(point: WorkingPoint, s: Spectrum, f_hz: Array) -> Complexes:
+    return tangent_at(point, f_hz, shaft_response(s.model, point.data.places, f_hz))
+
+
+def _noise_about(point: WorkingPoint, s: Spectrum, hz: float) -> Array:
+    """(places,) E|.|^2 of the forces about a line in the band.
+
+    What a shaft brings over from the other caps is in step with what it meets: apart, the caps would make 20 000 times
+    that where a disc resonates. The noise of sensors, in A y, is loudest there, within less than these surroundings.
+    Outside of the band it rises too steeply to be told so.
+    """
+    near, a = s.about(hz)
+    f_hz = np.append(near, hz)
+    A = _tangents(point, s, f_hz)
+    heard = (point.nu * point.S)[:, None] * noise_shape(s.kinds, 2 * np.pi * f_hz)
+    expected = point.S[:, None] + np.einsum("fij,jf->if", np.abs(A) ** 2, heard)
+    F = np.einsum("fij,jf->if", A[:-1], a)
+    level: Array = np.median((F.real**2 + F.imag**2) / expected[:, :-1], axis=1) / np.log(2)
+    return level * expected[:, -1]
 
 
 def _one_line(
@@ -209,7 +232,7 @@ def _whose(point: WorkingPoint, s: Spectrum, hz: float) -> str:
     alike = np.abs(Y - mean) < ALIKE * abs(mean) + 3.0 * np.sqrt(noise)
     if not alike.all() or np.sqrt(noise.max()) > 5.0 * ALIKE * abs(mean):
         return ""
-    A = tangent_at(point, np.array([hz]), shaft_response(s.model, point.data.places, np.array([hz])))[0]
+    A = _tangents(point, s, np.array([hz]))[0]
     moved = np.linalg.solve(A, np.ones(Y.size))
     if np.abs(moved / moved.mean() - 1.0).max() < 2.0 * ALIKE:
         return "the same acceleration in every channel: one force on all caps, or hum that the sensors pick up"

@@ -76,6 +76,14 @@ class Spectrum:
         amplitude = 2 * total / (0.5 * (self.windowed.shape[1] - 1))
         return derived * amplitude, np.abs(derived) ** 2 * self.noise[:, k]
 
+    def about(self, hz: float) -> tuple[Array, Complexes]:
+        """(bins,) Hz and (places, bins) amplitudes of acceleration of those that a frequency's noise is told by."""
+        k = round(hz * self.seconds)
+        first = max(k - NEIGHBOURS, int(LEAST_HZ * self.seconds), 1)
+        bins = slice(first, max(k + NEIGHBOURS, first + NEIGHBOURS) + 1, THIN)
+        w = 2 * np.pi * self.f_hz[bins]
+        return self.f_hz[bins], np.stack([_derived(kind, w) for kind in self.kinds]) * self.Y[:, bins]
+
     def steady(self, hz: float) -> bool:
         """Whether what stands out at a frequency has the shape of a line, where it is largest, in phase as in power: a
         sharp resonance under random forces (of a disc, say, whose mass is not quite known) wanders over its width."""

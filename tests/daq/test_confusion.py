@@ -143,7 +143,7 @@ def test_what_improve_adds_of_a_pair_is_told(seconds: float, stands_in: bool, mo
     assert found["verdict"] == "complete"
     assert found["added_at"] == found["hidden_at"]
     assert len(found["added_at"]["clearance"]) == 4
-    assert found["before_percent"] > 3.0
+    assert found["before_percent"] > 1.2  # least squares on x, v and x^3 leave 1.5 of the 5 that is hidden
     assert found["after_percent"] < 0.2
 
 

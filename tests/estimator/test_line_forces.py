@@ -104,6 +104,27 @@ def test_a_disc_that_rings_for_as_long_as_the_record_is_no_line() -> None:
     assert "bearing1.x" in line.at
 
 
+def test_a_line_where_the_disc_resonates_is_judged_by_the_force_about_it() -> None:
+    """There the caps answer to what the disc brings over: the sum of what each would make by itself is some thousand
+    times the noise of the force, and a record with a line 36 dB above its surroundings was complete."""
+    rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    rig = replace(rig, effects=(), shaft_stiffness=10e6, channels=tuple(c for c in rig.channels if c.direction == "x"))
+    resonance = np.sqrt(2 * 10e6 / rig.mass["disc"]) / (2 * np.pi)
+    values = {"a": 0.05, "b": 0.02, "frequency": resonance + 0.7}
+    y = simulate(with_effect(rig, CATALOGUE["line"], values, "bearing1.x"), RATE, 10.0, seed=3, noise=0.02)
+    point = fit_whole(rig, y, RATE).point
+    spectrum = spectrum_of(rig, y, RATE)
+    for hz in (400.0, resonance - 5.0, resonance + 5.0, 1700.0):
+        _, noise = line_forces.forces(point, spectrum, hz)
+        for own, place in zip(noise, rig.places, strict=True):  # 1.5 bins of a Hann window are 2 |F|^2 / 2
+            assert own == pytest.approx(3 * rig.linear[place]["S"].value / 10.0, rel=0.4)
+    (line,) = line_forces.find(rig, point, y, RATE)
+    assert (line.effect, line.at) == ("line", ("bearing1.x",))
+    for name, value in values.items():
+        got = line.settings["bearing1.x"][name]
+        assert got.value == pytest.approx(value, abs=4 * got.sd)
+
+
 def test_a_weak_line_is_steady_and_a_narrow_resonance_is_not() -> None:
     """The noise in the bins beside it is no wandering: an imbalance of 7 standard deviations was once dropped."""
     rig, n, hz = one_bearing(), int(8 * RATE), 500.013
