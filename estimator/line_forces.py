@@ -156,8 +156,8 @@ def _noise_about(point: WorkingPoint, s: Spectrum, hz: float) -> Array:
     heard = (point.nu * point.S)[:, None] * noise_shape(s.kinds, 2 * np.pi * f_hz)
     expected = point.S[:, None] + np.einsum("fij,jf->if", np.abs(A) ** 2, heard)
     F = np.einsum("fij,jf->if", A[:-1], a)
-    level: Array = np.median((F.real**2 + F.imag**2) / expected[:, :-1], axis=1) / np.log(2)
-    return level * expected[:, -1]
+    level = np.median((F.real**2 + F.imag**2) / expected[:, :-1], axis=1) / np.log(2)
+    return np.asarray(level * expected[:, -1])
 
 
 def _one_line(
