@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import adequacy, evidence, explains, force_colour, missing_force, two_laws
-from .errors import DataError
+from .errors import DataError, NotFiniteError
 from .evidence import Entry
 from .known_spectra import COLOURS
 from .model import Model
@@ -101,7 +102,8 @@ def _ranked(
     entries, known = extrapolating(found), None
     if _is_claimed(entries) and entries[0].effect in adequacy.STATES:
         say(0.6, f"does {entries[0].effect} explain it?")
-        known = explains.seen(found.part, found.before, entries[0])
+        with suppress(NotFiniteError):  # where it goes far from the rotor: said once it is asked of the whole
+            known = explains.seen(found.part, found.before, entries[0])
     if found.part is not point and (known is None or not known.far or found.before.shares):
         entries = extrapolating(on_whole(model, point, found, say))
     return found.before, entries, known

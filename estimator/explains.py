@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from . import adequacy, evidence, missing_force, two_laws
+from .errors import NotFiniteError
 from .evidence import Entry
 from .fitted import parameters, untold
 from .heldout import heldout_nll
@@ -23,6 +24,7 @@ FAR = 2.0  # times what may be left, on part of the record, from which the whole
 EARNED = 5.0  # nats held out, of a law where no force is missing: ln of what a search tries
 IDLE = "refused: no force is missing there, and fitted with the model it is not told from zero or predicts no better"
 BENT = "refused: no state predicts anything there, and it is small beside a spectrum that nothing explains"
+ASTRAY = "refused: fitted with the model it goes far from the rotor"
 ROUND = "its step is not sharp, or more than friction acts against velocity"
 
 
@@ -73,6 +75,16 @@ def fits(
 
     known : what part of the record has shown, if of this law at these places.
     """
+    try:
+        return _fitted(model, point, before, entry, say, known)
+    except NotFiniteError:
+        return Explained(replace(entry, notes=(*entry.notes, ASTRAY)), None)
+
+
+def _fitted(
+    model: Model, point: WorkingPoint, before: missing_force.Survey, entry: Entry, say: Progress, known: Seen | None
+) -> Explained:  # fmt: skip
+    """What an entry explains. Raises NotFiniteError where the fit with it goes far from the rotor."""
     if _bends_a_spectrum(point, before, entry):
         return Explained(replace(entry, notes=(*entry.notes, BENT)), None)
     if known is None or {u.key for u in known.entry.placed} != {u.key for u in entry.placed}:

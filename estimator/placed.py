@@ -19,7 +19,7 @@ from .motion_blocks import FOLDS, MotionBlocks
 
 Array = NDArray[np.float64]
 PIECE = 1 << 15  # rows of a record at a time: what a law needs of them stays in the cache
-LARGEST = 1e100  # N: its square is no number in a sum
+LARGEST = 1e12  # N: no bearing bears it, and what a step makes of more has no square in single precision
 Evaluated = tuple[Array, Array, NDArray[np.complex128] | None]
 
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from . import adequacy, missing_force, screen
+from .errors import NotFiniteError
 from .evidence import Entry
 from .model import Model
 from .model_fit import FIRST_SECONDS, fit_model
@@ -102,7 +103,10 @@ def of_one_state(
     likeliest = sorted(begun.values(), key=lambda one: -one.nats)[:TRIED]
 
     def by(point: WorkingPoint, start: Begun) -> Begun:
-        both = fit_model(point.data, [*point.placed, *start.laws], start=point, rounds=ROUNDS)
+        try:
+            both = fit_model(point.data, [*point.placed, *start.laws], start=point, rounds=ROUNDS)
+        except NotFiniteError:  # far from the rotor
+            return start._replace(left=1.0)
         base = {u.key for u in point.placed}
         state = next((n for n in start.names if FAMILY[n] == "even in x"), first.effect)
         left = adequacy.left(point, both, state, places, DOUBT) or 0.0
@@ -135,7 +139,10 @@ NONE = Begun(frozenset(), -np.inf, [])
 def _begun(model: Model, point: WorkingPoint, entry: Entry, alike: Sequence[str]) -> list[Begun]:
     """Every other law of some families at the places of one, beside it fitted by itself: with the numbers that either
     has without the other a fit of both may end far off."""
-    after = fit_model(point.data, [*point.placed, *entry.placed], start=point, rounds=2)
+    try:
+        after = fit_model(point.data, [*point.placed, *entry.placed], start=point, rounds=2)
+    except NotFiniteError:
+        return []
     small, places = plain(after, SEARCH_SECONDS), entry.places
     own = {u.key for u in entry.placed}
     firsts = [u for u in after.placed if u.key in own]

@@ -1,0 +1,34 @@
+"""What a fit with a law that goes far from the rotor says: nothing, and no error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden_effects import RATE, one_bearing
+
+from estimator import explains, missing_force, two_laws
+from estimator.diagnose import quiet
+from estimator.effects import CATALOGUE
+from estimator.errors import NotFiniteError
+from estimator.evidence import Entry
+from estimator.placed import Placed
+from estimator.simulate import simulate
+from estimator.whole import fit_whole
+
+QUINTIC = Placed(CATALOGUE["quintic"], "bearing1.x.quintic", (0,), np.array([1e60]), (True,))  # some 1e25 N
+
+
+def test_a_law_whose_fit_goes_astray_is_nothing() -> None:
+    """A pair of laws once went to a stiffness of 4e16 N/m: numpy's warnings came through to the user."""
+    rig = replace(one_bearing(), effects=())
+    point = fit_whole(rig, simulate(rig, RATE, 5.0, seed=2), RATE).point
+    entry = Entry("quintic", ("bearing1",), 9.0, 9.0, 1e-9, 3.0, 0.0, {}, 9.0, placed=(QUINTIC,))
+    before = missing_force.survey(point, rig)
+    with pytest.raises(NotFiniteError, match=r"quintic at bearing1\.x"):
+        explains.seen(point, before, entry)
+    found = explains.fits(rig, point, before, entry, quiet)
+    assert found.left is None
+    assert found.entry.notes == (explains.ASTRAY,)
+    assert two_laws.of_one_state(rig, point, point, [entry]) is None
