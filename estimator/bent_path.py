@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -23,6 +24,7 @@ from .noise_floor import noisy_beside_forces
 from .path_spectra import Response
 from .periodic import known_lines
 from .sensor_response import forced
+from .side_by_side import answers
 from .suspect import UNKNOWN, Suspect
 from .transfer import Peak, exp, expected, left, plain, response_of
 from .working_point import WorkingPoint
@@ -54,23 +56,25 @@ def find(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> li
 
     lines : Hz of what is periodic in the residual, which is left out.
     """
-    out: list[Suspect] = []
-    heard: dict[int, tuple[Response, Peak, Array]] = {}
-    for i, place in enumerate(point.data.places):
-        if place not in forced(model) or point.kL[i] <= 0.0:
-            continue
-        r = response_of(point, i, lines)
-        if r.n.size < FEWEST:
-            continue
-        tried = _likeliest(model, point, i, r)
-        if late := of_late_sensor(r, point.data.rate_hz):
-            delayed = _likeliest(model, point, i, late)
-            tried = delayed if delayed.late and delayed.nats > tried.nats else tried
-        found = _found(model, point, i, tried)
-        if not found:
-            heard[i] = tried.response, tried.base, tried.scale
-        out += found
-    return out + noisy_beside_forces(model, point, heard)
+    at = [i for i, place in enumerate(point.data.places) if place in forced(model) and point.kL[i] > 0.0]
+    seen = answers([partial(_at_place, model, point, i, lines) for i in at])
+    heard = {i: own for i, (_, own) in zip(at, seen, strict=True) if own is not None}
+    return [s for found, _ in seen for s in found] + noisy_beside_forces(model, point, heard)
+
+
+def _at_place(
+    model: Model, point: WorkingPoint, i: int, lines: Collection[float]
+) -> tuple[list[Suspect], tuple[Response, Peak, Array] | None]:  # fmt: skip
+    """What bends the path at a place; the response as it is without, where nothing does."""
+    r = response_of(point, i, lines)
+    if r.n.size < FEWEST:
+        return [], None
+    tried = _likeliest(model, point, i, r)
+    if late := of_late_sensor(r, point.data.rate_hz):
+        delayed = _likeliest(model, point, i, late)
+        tried = delayed if delayed.late and delayed.nats > tried.nats else tried
+    found = _found(model, point, i, tried)
+    return found, None if found else (tried.response, tried.base, tried.scale)
 
 
 @dataclass(frozen=True, slots=True)

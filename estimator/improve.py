@@ -17,14 +17,14 @@ from .evidence import Settings
 from .explains import EARNED
 from .fitted import fitted_model, untold
 from .heldout import heldout_nll, heldout_rmse
-from .missing_force import NEGLIGIBLE, survey
+from .missing_force import NEGLIGIBLE, SURVEY_SECONDS, surveyed
 from .model import Model
 from .model_fit import fit_model
 from .numbered import with_found
 from .periodic import PERIODIC
 from .suspects import suspects
 from .whole import SHAPING, Whole, fit_whole
-from .working_point import WorkingPoint
+from .working_point import WorkingPoint, thinned
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -177,9 +177,11 @@ def _refitted(model: Model, y: Array, rate_hz: float) -> Whole:
 
 def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:
     """A model's place on the ladder."""
-    missing = survey(point, model, others=suspects(model, point, y)).interval()
-    rmse = heldout_rmse(model, y, point.data.rate_hz)
-    return Rung(tuple(u.name for u in model.effects), heldout_nll(point), missing, rmse)
+    found, _, nll, rmse = surveyed(
+        thinned(point, SURVEY_SECONDS), model, lambda: suspects(model, point, y), lambda: heldout_nll(point),
+        lambda: heldout_rmse(model, y, point.data.rate_hz),
+    )  # fmt: skip
+    return Rung(tuple(u.name for u in model.effects), nll, found.interval(), rmse)
 
 
 def idle(point: WorkingPoint) -> list[str]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .bandlimit import noise_shape, to_acceleration
 from .model import MOTION, Model
 from .shaft_angle import measured_phase
+from .side_by_side import each
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -134,7 +135,7 @@ def residual_spectrum(
     from scipy.fft import irfft, rfft
 
     P, n = s.windowed.shape
-    Y = np.asarray(rfft(s.windowed.astype(np.float64), axis=1, workers=2))
+    Y = np.stack(each(lambda z: rfft(z.astype(np.float64)), s.windowed))
     R = np.zeros_like(Y)
     for a in range(max(1, int(LEAST_HZ * s.seconds)), Y.shape[1], CHUNK):
         here = slice(a, a + CHUNK)
@@ -144,7 +145,7 @@ def residual_spectrum(
     uneasy = np.ones(R.shape)
     window = np.hanning(n)
     for i, column in forces.items():
-        F = np.asarray(rfft(np.nan_to_num(y[:n, column]) * window, workers=2))
+        F = np.asarray(rfft(np.nan_to_num(y[:n, column]) * window))
         R[i] -= F
         R[i, F.size - 1] = 0.0
         PR, PF = (np.maximum(surroundings(z.real**2 + z.imag**2, NEIGHBOURS), 1e-300) for z in (R[i], F))
@@ -184,7 +185,7 @@ def _spectrum(
 
     n = windowed.shape[1]
     f: Array = np.asarray(np.fft.rfftfreq(n, 1 / rate_hz), dtype=np.float64)
-    Y = np.asarray(rfft(windowed, axis=1, workers=2))
+    Y = np.stack(each(rfft, windowed))  # scipy's own workers would stay, and no second process could be had: answers
     Y *= 2 / (0.5 * (n - 1))
     noise = np.stack([surroundings(z.real**2 + z.imag**2, NEIGHBOURS) for z in Y])
     return Spectrum(f, Y, noise, n / rate_hz, windowed, kinds, rate_hz, model, phase)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -123,6 +124,19 @@ def test_a_line_where_the_disc_resonates_is_judged_by_the_force_about_it() -> No
     for name, value in values.items():
         got = line.settings["bearing1.x"][name]
         assert got.value == pytest.approx(value, abs=4 * got.sd)
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self/task"), reason="threads are counted as Linux does")
+def test_the_search_for_lines_leaves_no_thread_behind() -> None:
+    """Threads that the transform kept let no second process be had: beside forces all that followed took one core."""
+    rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
+    forced = tuple(replace(c, name=f"f{c.name}", kind="force") for c in rig.channels)
+    rig = replace(rig, channels=(*rig.channels, *forced), effects=())
+    y = simulate(rig, RATE, 5.0, seed=1)
+    point = fit_whole(rig, y, RATE).point
+    before = len(os.listdir("/proc/self/task"))
+    line_forces.find(rig, point, y, RATE)
+    assert len(os.listdir("/proc/self/task")) == before
 
 
 def test_a_weak_line_is_steady_and_a_narrow_resonance_is_not() -> None:
