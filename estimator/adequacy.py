@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from .missing_force import power_of
-from .placed import at_home
+from .placed import Placed, at_home, evaluate
 from .side_by_side import each
 from .subproblem import gain, subproblem
 from .terms import light, orthogonal
@@ -70,8 +70,24 @@ def _left(
     if sum(counts) == 0 or chdtrc(sum(counts), 2 * max(sum(nats), 0.0)) > level:
         return 0.0
     rest = sum(max(power, 0.0) for power in powers)
-    was = sum(_smooth(before, i, state, orders)[0] for i in places)
+    was = sum(_smooth(before, i, state, orders)[0] + _damped(before, i, state) for i in places)
     return float(np.sqrt(min(rest / was, 1.0))) if was > 0.0 else 0.0
+
+
+def _damped(point: WorkingPoint, i: int, state: str) -> float:
+    """N^2 of the laws of velocity that the model has at a place, less what is linear in it: where two of them make much
+    of the damping, the second order of what they do together (self_energy.py) leaves a part of both, 0.5 % of the
+    bearing force beside friction and a drag of 6 % each."""
+    laws = damping(point, {i}) if state == "v" else []
+    if not laws:
+        return 0.0
+    force, v = np.sum([evaluate(u, point.data, i, point.lin)[0] for u in laws], axis=0), point.data.v[i]
+    return float(np.mean((force - (np.dot(force, v) / np.dot(v, v)) * v) ** 2))
+
+
+def damping(point: WorkingPoint, places: set[int]) -> list[Placed]:
+    """The laws of velocity that a model has at places."""
+    return [u for u in point.placed if places.intersection(u.at) and STATES.get(u.effect.name, X) is V]
 
 
 def worth(point: WorkingPoint, effect: str, places: set[int]) -> dict[int, float]:

@@ -56,7 +56,7 @@ class Seen:
     @property
     def far(self) -> bool:
         """Whether it leaves what the whole record would not mend."""
-        return self.missing and self.left is not None and self.left > FAR * _most_left(self.entry)
+        return self.missing and self.left is not None and self.left > FAR * _most_left(self.part, self.entry)
 
 
 def seen(part: WorkingPoint, before: missing_force.Survey, entry: Entry) -> Seen:
@@ -109,7 +109,7 @@ def _fitted(
     if left is None:  # other numbers of the model may go far with such a law
         more = 0.0 < MORE * entry.before_percent < entry.after_percent
         left = 1.0 if more else _same_state_left(before, after, entry)
-    whole = left <= _most_left(entry)
+    whole = left <= _most_left(point, entry)
     if not whole and not (smooth is None and left > NOTHING):
         say(0.93, "one effect or two?")
         whole = two_laws.another_explains(after_part, two_laws.others(model, after_part, after, entry), after, entry)
@@ -118,11 +118,13 @@ def _fitted(
     return Explained(entry, left, whole)
 
 
-def _most_left(entry: Entry) -> float:
-    """What a law of the right shape may leave; one that joins two directions is smeared by a motion across that is not
-    measured, and is judged as one of no single state."""
+def _most_left(point: WorkingPoint, entry: Entry) -> float:
+    """What a law of the right shape may leave. One that joins two directions is smeared by a motion across that is not
+    measured, and one of velocity leaves what friction may beside it: they are judged as those of no single state."""
     smeared = any(law.effect.one_direction and len(law.at) == 1 for law in entry.placed)
-    return SAME_SHAPE if smeared else adequacy.most_left(entry.effect, SAME_SHAPE)
+    beside = adequacy.STATES.get(entry.effect) is adequacy.V and adequacy.damping(point, entry.places)
+    most = adequacy.most_left(entry.effect, SAME_SHAPE)
+    return max(most, SAME_SHAPE) if smeared or beside else most
 
 
 def _bends_a_spectrum(point: WorkingPoint, before: missing_force.Survey, entry: Entry) -> bool:

@@ -133,6 +133,7 @@ def test_two_effects_hidden_together_are_found_in_two_steps(rig: Model) -> None:
         ("clearance", "cross_coupling"),  # beyond whirl
         ("quintic", "displacement_damping"),
         ("stop", "anisotropy"),
+        ("coulomb", "quadratic_damping"),  # the second order of both leaves a part of what velocity explains
     ],
 )
 def test_other_pairs(rig: Model, first: str, second: str) -> None:
