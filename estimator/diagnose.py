@@ -215,7 +215,7 @@ def _law(
         if found.whole:
             return _named(entries, k, left)
     best = entries[0]
-    if _little(point, before):
+    if _little(before):
         return _nothing(point, before, tuple(entries))
     return Diagnosis(
         "unknown",
@@ -286,9 +286,10 @@ def _negligible(point: WorkingPoint, best: Entry) -> bool:
     return best.explained_percent < 100 * least
 
 
-def _little(point: WorkingPoint, before: missing_force.Survey) -> bool:
-    """Whether so little is missing that nothing is claimed."""
-    return before.percent(point) < 100 * missing_force.NEGLIGIBLE
+def _little(before: missing_force.Survey) -> bool:
+    """Whether so little is missing, or so little known of it that it may be nothing, that nothing is claimed."""
+    value, low, _ = before.interval()
+    return value < 100 * missing_force.NEGLIGIBLE or low <= 0.0
 
 
 def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[Entry, ...]) -> Diagnosis:
@@ -299,7 +300,7 @@ def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[E
         percent = 100 * abs(loss) / point.data.disc.K
         by = f"{percent:.2g} +- {percent / np.sqrt(2 * nats):.1g} %"
         shaft = [f"{SHAFT}{how} than the rig file says, by {by}: give its true stiffness there"]
-    if before.any_found() and not _little(point, before):
+    if before.any_found() and not _little(before):
         said = [
             *shaft,
             "the residual force can be predicted, but no effect of the catalogue does it significantly",

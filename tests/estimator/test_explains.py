@@ -9,8 +9,9 @@ import pytest
 from hidden_effects import RATE, one_bearing
 
 from estimator import explains, missing_force, two_laws
-from estimator.diagnose import quiet
+from estimator.diagnose import _nothing, quiet
 from estimator.effects import CATALOGUE
+from estimator.effects.strength import with_effect
 from estimator.errors import NotFiniteError
 from estimator.evidence import Entry
 from estimator.placed import Placed
@@ -32,3 +33,16 @@ def test_a_law_whose_fit_goes_astray_is_nothing() -> None:
     assert found.left is None
     assert found.entry.notes == (explains.ASTRAY,)
     assert two_laws.of_one_state(rig, point, point, [entry]) is None
+
+
+def test_what_may_be_nothing_by_its_interval_makes_no_model_unknown() -> None:
+    """A quintic that was found left 0.12 (0.00 to 0.33) % and the verdict unknown."""
+    rig = replace(one_bearing(), effects=())
+    truth = with_effect(rig, CATALOGUE["cubic"], {"kNL": 2e19}, "bearing1.x")
+    point = fit_whole(rig, simulate(truth, RATE, 5.0, seed=2), RATE).point
+    found = missing_force.survey(point, rig)
+    assert found.interval()[1] > 0.0
+    assert _nothing(point, found, ()).verdict == "unknown"
+    unsure = replace(found, residuals=tuple(replace(r, sd=r.P) for r in found.residuals))
+    assert unsure.interval()[:2] == (found.interval()[0], 0.0)
+    assert _nothing(point, unsure, ()).verdict == "complete"
