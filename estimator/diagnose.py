@@ -103,7 +103,7 @@ def _ranked(
     if _is_claimed(entries) and entries[0].effect in adequacy.STATES:
         say(0.6, f"does {entries[0].effect} explain it?")
         with suppress(NotFiniteError):  # where it goes far from the rotor: said once it is asked of the whole
-            known = explains.seen(found.part, found.before, entries[0])
+            known = explains.seen(found.part, point, found.before, entries[0])
     if found.part is not point and (known is None or not known.far or found.before.shares):
         entries = extrapolating(on_whole(model, point, found, say))
     return found.before, entries, known

@@ -44,26 +44,26 @@ class Seen:
     """A law fitted together with the model to part of a record.
 
     missing : whether a force is, at its places. left : of it in the law's own state (rms); None for one of no single
-    state.
+    state. far : whether that is what the whole record would not mend. after : the fit, without rows unless it is far or
+    the part is all of the record (`all`).
     """
 
     entry: Entry
-    part: WorkingPoint
     after: WorkingPoint
     missing: bool
     left: float | None
-
-    @property
-    def far(self) -> bool:
-        """Whether it leaves what the whole record would not mend."""
-        return self.missing and self.left is not None and self.left > FAR * _most_left(self.part, self.entry)
+    far: bool
+    all: bool
 
 
-def seen(part: WorkingPoint, before: missing_force.Survey, entry: Entry) -> Seen:
-    """An entry on part of the record."""
+def seen(part: WorkingPoint, point: WorkingPoint, before: missing_force.Survey, entry: Entry) -> Seen:
+    """An entry on part of the record of a point. Raises NotFiniteError where the fit goes far from the rotor."""
     missing = bool(entry.places.intersection(before.places_found()))
     after = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=2 if missing else 6)
-    return Seen(entry, part, after, missing, adequacy.left(part, after, entry.effect, entry.places))
+    left = adequacy.left(part, after, entry.effect, entry.places)
+    far = missing and left is not None and left > FAR * _most_left(part, entry)
+    needed = far or part is point
+    return Seen(entry, after if needed else after.rowless(), missing, left, far, part is point)
 
 
 def fits(
@@ -88,10 +88,10 @@ def _fitted(
     if _bends_a_spectrum(point, before, entry):
         return Explained(replace(entry, notes=(*entry.notes, BENT)), None)
     if known is None or {u.key for u in known.entry.placed} != {u.key for u in entry.placed}:
-        known = seen(thinned(point, missing_force.SURVEY_SECONDS), before, entry)
+        known = seen(thinned(point, missing_force.SURVEY_SECONDS), point, before, entry)
     after_point, smooth = known.after, known.left
     if not known.far:
-        if known.part is not point:
+        if not known.all:
             after_point = fit_model(point.data, list(after_point.placed), start=after_point, rounds=2)
         found = _told(point, entry, after_point, known.missing)
         if found is None:

@@ -34,7 +34,7 @@ class Fluctuation:
 
     data: MotionBlocks
     place: int
-    total: Array
+    total: NDArray[np.float32]
     K: Spectra
     g: Array
     whole: Complexes
@@ -96,7 +96,7 @@ def fluctuations(
     remembering = [[u for u in uses if i in u.at and remembers(u, lin[i])] for i in range(len(mean))]
     used = [i for i, laws in enumerate(own) if laws and mean[i].sound and not remembering[i]]
     probing = [i for i, laws in enumerate(remembering) if laws and mean[i].sound]
-    part = part_of(data, max(mean[i].seconds(SECONDS, DECAYS) for i in used)) if used else data
+    part = part_of(data, max(mean[i].seconds(SECONDS, DECAYS) for i in used)).in_one() if used else data
     if any(sharp_at(u.effect, u.p, data, i) for i in used for u in own[i]):
         part = finer(part)
     path = finer(part_of(data, max(LEAST, SHARE * data.seconds)), FINER) if probing else data
@@ -116,6 +116,9 @@ def fluctuations(
         C = covariance(K, K, lags)
         g = dressed_response(C, dt, mean[i])
         only = own[i][0] if len(own[i]) == 1 else None
-        return None if g is None else Fluctuation(part, i, total, K, g, self_energy(C, g, dt, data.f_hz), only)
+        if g is None:
+            return None
+        single = total.astype(np.float32)  # as its spectra are
+        return Fluctuation(part, i, single, K, g, self_energy(C, g, dt, data.f_hz), only)
 
     return tuple(each(at, range(len(mean))))

@@ -20,6 +20,7 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 TAKES_PART = 0.01  # of the variance that white force makes by the largest mode: less is not waited for
 OVER = 1000  # times, to look for the end of an answer at
+SLOWLY = 0.1  # as many decays of the slowest mode as of all by their power: beside a stiff shaft 240 s were asked for
 FELT = 1e-6  # of the largest residue: modes with less are those of other caps
 
 
@@ -86,8 +87,9 @@ class Mean:
         return np.stack([free.sum(axis=1).real, (free @ self.poles).real])
 
     def seconds(self, least: float, decays: float) -> float:
-        """Of the record that covariances of its motion need."""
-        return max(least, decays * self.decay)
+        """Of the record that covariances of its motion need: so many times as its power forgets, and of a mode that
+        rings on with a smaller part of it a tenth as many."""
+        return max(least, decays * self.quick, SLOWLY * decays * self.decay)
 
     def lags(self, dt: float, most: int) -> int:
         """Number of lags after which free motion has died out, a power of two unless `most`; a step of a fit may try a

@@ -188,6 +188,11 @@ class MotionBlocks:
         measured, slow, calm = (None if z is None else of(z) for z in (self.measured, self.slow, self.calm))
         return replace(self, v=of(self.v), x=of(self.x), measured=measured, slow=slow, calm=calm, **rest)
 
+    def in_one(self) -> MotionBlocks:
+        """With the displacement that laws see, less the noise of sensors, as one: all that their tangents need."""
+        x = np.stack([self.calmed(i) for i in range(len(self.places))])
+        return replace(self, x=x, measured=None, slow=None, calm=None)
+
     def of_blocks(self, some: NDArray[np.int64]) -> dict[str, Any]:
         """The fields that have a value for every block, of some of them."""
         level = None if self.level is None else self.level[:, some]

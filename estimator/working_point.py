@@ -72,8 +72,9 @@ class WorkingPoint:
     def rowless(self) -> WorkingPoint:
         """Itself without rows, which are large: for a fit of another record to begin from."""
         none = np.zeros(self.data.x.shape[1], bool)
-        data = self.data.at(none)
-        return replace(self, data=data, force=self.force[:, none], weighing=replace(self.weighing, data=data))
+        data, still = self.data.at(none), (None,) * len(self.fluctuations)
+        return replace(self, data=data, force=self.force[:, none], weighing=replace(self.weighing, data=data),
+                       fluctuations=still)  # fmt: skip
 
 
 def thinned(point: WorkingPoint, seconds: float) -> WorkingPoint:

@@ -1,4 +1,4 @@
-"""What a fit with a law that goes far from the rotor says: nothing, and no error."""
+"""What is claimed of a law whose fit goes far from the rotor, and of what may be nothing: no more than is known."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_a_law_whose_fit_goes_astray_is_nothing() -> None:
     entry = Entry("quintic", ("bearing1",), 9.0, 9.0, 1e-9, 3.0, 0.0, {}, 9.0, placed=(QUINTIC,))
     before = missing_force.survey(point, rig)
     with pytest.raises(NotFiniteError, match=r"quintic at bearing1\.x"):
-        explains.seen(point, before, entry)
+        explains.seen(point, point, before, entry)
     found = explains.fits(rig, point, before, entry, quiet)
     assert found.left is None
     assert found.entry.notes == (explains.ASTRAY,)
