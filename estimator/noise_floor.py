@@ -37,8 +37,7 @@ def noisy(model: Model, point: WorkingPoint, noise: Array, shaped: Collection[in
         if others.size == 0 or place in have:
             continue
         # noise counts where it is loudest: that of an accelerometer low in the band, that of displacement at its top
-        white = data.noise_shape[i]
-        folded = point.S[i] * float(np.sum(data.folded[i]) / np.sum(white))
+        folded = point.S[i] * float(heard[i] @ data.folded[i] / (heard[i] @ data.noise_shape[i]))
         floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i].max()), FOLDED * folded)
         if noise[i] < NOISE_RATIO * floor:
             continue
@@ -50,7 +49,7 @@ def noisy(model: Model, point: WorkingPoint, noise: Array, shaped: Collection[in
             Suspect(
                 "sensor_noise", (place,), gain, 1, float(np.exp(-min(gain, 700.0))),
                 {i: float(noise[i] * np.mean(heard[i]) * (data.band[1] - data.band[0]))}, "frequency",
-                f"noise floor of {name}: {rms:.2g} {unit} rms, {np.sqrt(noise[i] / floor):.1f} times its neighbours'",
+                f"noise of {name}: {rms:.2g} {unit} rms, over {np.sqrt(noise[i] / floor):.1f} times its neighbours'",
                 {place: {"rms": Parameter(rms, float(sd), unit)}},
             )
         )  # fmt: skip
@@ -103,7 +102,7 @@ def noisy_beside_forces(
         out.append(
             Suspect(
                 "sensor_noise", (place,), gain, 1, float(chdtrc(1, 2 * gain)) * len(heard), {i: power}, "frequency",
-                f"noise floor of {name}: {rms:.2g} {unit} rms, {np.sqrt(density / floor):.1f} times its neighbours'",
+                f"noise of {name}: {rms:.2g} {unit} rms, {np.sqrt(density / floor):.1f} times its neighbours'",
                 {place: {"rms": Parameter(rms, 0.5 * rms * float(np.sqrt(base.covariance[1, 1])), unit)}},
                 "the model is not wrong: a simulation cannot follow what the sensor adds",
             )
