@@ -136,7 +136,7 @@ def test_the_search_for_lines_leaves_no_thread_behind() -> None:
     point = fit_whole(rig, y, RATE).point
     before = len(os.listdir("/proc/self/task"))
     line_forces.find(rig, point, y, RATE)
-    assert len(os.listdir("/proc/self/task")) == before
+    assert len(os.listdir("/proc/self/task")) <= before  # one of another test may end meanwhile
 
 
 def test_a_weak_line_is_steady_and_a_narrow_resonance_is_not() -> None:
