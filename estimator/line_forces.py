@@ -21,7 +21,6 @@ from . import strikes, unexplained
 from .balance import shaft_notch
 from .bandlimit import noise_shape
 from .estimate import Parameter
-from .known_spectra import shaft_response
 from .line_spectrum import Spectrum, by_angle, residual_spectrum, spectrum_of
 from .missing_force import NEGLIGIBLE
 from .model import Model
@@ -95,7 +94,7 @@ def _searched(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> Sp
     rows = {places.index(c.place): k for k, c in enumerate(model.channels) if c.kind == "force" and c.place in places}
     s = residual_spectrum(
         spectrum_of(model, undone(model, y, rate_hz), rate_hz), y, rows,
-        lambda f_hz: tangent_at(point, f_hz, shaft_response(model, places, f_hz)),
+        lambda f_hz: tangent_at(point, model, f_hz),
     )  # fmt: skip
     if (notch := shaft_notch(model)) is not None:  # whatever is wrong rings there like a line
         s.noise[:, np.abs(s.f_hz / (0.5 * sum(notch)) - 1.0) < NEAR_DISC] = np.inf
@@ -134,13 +133,9 @@ def forces(point: WorkingPoint, s: Spectrum, hz: float, order: int = 0) -> tuple
     Y, noise = s.at_order(order, hz / order) if order else s.at(hz)
     if set(s.kinds) == {"force"}:
         return Y, noise
-    A = _tangents(point, s, np.array([hz]))[0]
+    A = tangent_at(point, s.model, np.array([hz]))[0]
     low, high = s.model.band
     return A @ Y, _noise_about(point, s, hz) if low <= hz <= high else (np.abs(A) ** 2) @ noise
-
-
-def _tangents(point: WorkingPoint, s: Spectrum, f_hz: Array) -> Complexes:
-    return tangent_at(point, f_hz, shaft_response(s.model, point.data.places, f_hz))
 
 
 def _noise_about(point: WorkingPoint, s: Spectrum, hz: float) -> Array:
@@ -150,12 +145,12 @@ def _noise_about(point: WorkingPoint, s: Spectrum, hz: float) -> Array:
     that where a disc resonates. The noise of sensors, in A y, is loudest there, within less than these surroundings.
     Outside of the band it rises too steeply to be told so.
     """
-    near, a = s.about(hz)
-    f_hz = np.append(near, hz)
-    A = _tangents(point, s, f_hz)
+    near = s.about(hz)
+    f_hz = np.append(s.f_hz[near], hz)
+    A = tangent_at(point, s.model, f_hz)
     heard = (point.nu * point.S)[:, None] * noise_shape(s.kinds, 2 * np.pi * f_hz)
     expected = point.S[:, None] + np.einsum("fij,jf->if", np.abs(A) ** 2, heard)
-    F = np.einsum("fij,jf->if", A[:-1], a)
+    F = np.einsum("fij,jf->if", A[:-1], s.accelerations(near))
     level = np.median((F.real**2 + F.imag**2) / expected[:, :-1], axis=1) / np.log(2)
     return np.asarray(level * expected[:, -1])
 
@@ -232,7 +227,7 @@ def _whose(point: WorkingPoint, s: Spectrum, hz: float) -> str:
     alike = np.abs(Y - mean) < ALIKE * abs(mean) + 3.0 * np.sqrt(noise)
     if not alike.all() or np.sqrt(noise.max()) > 5.0 * ALIKE * abs(mean):
         return ""
-    A = _tangents(point, s, np.array([hz]))[0]
+    A = tangent_at(point, s.model, np.array([hz]))[0]
     moved = np.linalg.solve(A, np.ones(Y.size))
     if np.abs(moved / moved.mean() - 1.0).max() < 2.0 * ALIKE:
         return "the same acceleration in every channel: one force on all caps, or hum that the sensors pick up"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .bandlimit import noise_shape, to_acceleration
+from .bandlimit import to_acceleration
 from .model import MOTION, Model
 from .shaft_angle import measured_phase
 from .side_by_side import each
@@ -77,13 +77,15 @@ class Spectrum:
         amplitude = 2 * total / (0.5 * (self.windowed.shape[1] - 1))
         return derived * amplitude, np.abs(derived) ** 2 * self.noise[:, k]
 
-    def about(self, hz: float) -> tuple[Array, Complexes]:
-        """(bins,) Hz and (places, bins) amplitudes of acceleration of those that a frequency's noise is told by."""
+    def accelerations(self, bins: slice | NDArray[np.intp]) -> Complexes:
+        """(places, bins) amplitudes of acceleration of some bins."""
+        return np.asarray(to_acceleration(self.kinds, 2 * np.pi * self.f_hz[bins]).T * self.Y[:, bins])
+
+    def about(self, hz: float) -> slice:
+        """The bins that the noise at a frequency is told by."""
         k = round(hz * self.seconds)
         first = max(k - NEIGHBOURS, int(LEAST_HZ * self.seconds), 1)
-        bins = slice(first, max(k + NEIGHBOURS, first + NEIGHBOURS) + 1, THIN)
-        w = 2 * np.pi * self.f_hz[bins]
-        return self.f_hz[bins], np.stack([_derived(kind, w) for kind in self.kinds]) * self.Y[:, bins]
+        return slice(first, max(k + NEIGHBOURS, first + NEIGHBOURS) + 1, THIN)
 
     def steady(self, hz: float) -> bool:
         """Whether what stands out at a frequency has the shape of a line, where it is largest, in phase as in power: a
@@ -140,7 +142,7 @@ def residual_spectrum(
     for a in range(max(1, int(LEAST_HZ * s.seconds)), Y.shape[1], CHUNK):
         here = slice(a, a + CHUNK)
         w = 2 * np.pi * s.f_hz[here]
-        derived = np.stack([_derived(kind, w) for kind in s.kinds])
+        derived = to_acceleration(s.kinds, w).T
         R[:, here] = np.einsum("fij,jf->if", stiffness(s.f_hz[here]), derived * Y[:, here])
     uneasy = np.ones(R.shape)
     window = np.hanning(n)
@@ -155,11 +157,6 @@ def residual_spectrum(
         uneasy[i] += np.abs(F) ** 2 / PF / (2 * NEIGHBOURS)
     out = _spectrum(np.asarray(irfft(R, n, axis=1), dtype=np.float32), ("force",) * P, s.model, s.rate_hz, s.phase)
     return replace(out, noise=out.noise * uneasy)
-
-
-def _derived(kind: str, w: Array) -> Complexes:
-    """(f,) acceleration per unit of a sensor."""
-    return np.asarray(to_acceleration((kind,), 1.0) * np.sqrt(noise_shape((kind,), w)[0]))
 
 
 def _smooth(z: NDArray[Any]) -> NDArray[Any]:

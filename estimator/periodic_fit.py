@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from .effects.places import written
 from .estimate import Parameter
 from .features import Series
-from .known_spectra import shaft_response
 from .model import Model, Setting
 from .model_fit import fit_model
 from .motion_blocks import MotionBlocks
@@ -200,7 +199,7 @@ def _through_the_model(model: Model, one: Periodic, point: WorkingPoint, orders:
     f = np.asarray(one.hz * orders, dtype=np.float64)
     places, w = point.data.places, 2 * np.pi * f
     F = np.stack([one.harmonics(model, p, orders[-1])[orders - 1] * acts(one, p) for p in places], axis=1)
-    A = tangent_at(point, f, shaft_response(model, places, f))
+    A = tangent_at(point, model, f)
     x = -np.linalg.solve(A, F[..., None])[..., 0] / w[:, None] ** 2
     tangents = np.stack([t.tangent * t.scale for t in point.terms])
     return np.asarray(np.einsum("tilc,cf,fl->tif", tangents, np.stack([np.ones_like(w), 1j * w]), x))

@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc
 
 from . import unexplained
-from .bandlimit import to_acceleration
 from .effects import CATALOGUE
 from .effects.places import kinematic, orders
 from .estimate import Parameter
-from .known_spectra import shaft_response
 from .line_spectrum import Spectrum
 from .model import Model
 from .suspect import Suspect
@@ -134,12 +132,11 @@ def _centred(s: Spectrum, Zs: Array, hz: float, high: float) -> float:
 def _forces(point: WorkingPoint, s: Spectrum, bins: NDArray[np.intp], i: int) -> tuple[Array, Array]:
     """(lines,) N at place i of lines at some bins by a linear reading of the motion, and of what is beside them."""
     near = np.clip(bins[:, None] + np.concatenate([[0], -BESIDE, BESIDE]), 1, s.f_hz.size - 1)
-    Y, f_hz = s.Y[:, near.ravel()], s.f_hz[near.ravel()]
+    bins = near.ravel()
     if set(s.kinds) == {"force"}:
-        F = np.abs(Y[i])
+        F = np.abs(s.Y[i, bins])
     else:
-        A = tangent_at(point, f_hz, shaft_response(s.model, point.data.places, f_hz))[:, i]
-        F = np.abs(np.sum(A * to_acceleration(s.kinds, 2 * np.pi * f_hz) * Y.T, axis=1))
+        F = np.abs(np.einsum("fj,jf->f", tangent_at(point, s.model, s.f_hz[bins])[:, i], s.accelerations(bins)))
     F = F.reshape(near.shape)
     return np.asarray(F[:, 0]), np.sqrt(np.median(F[:, 1:] ** 2, axis=1) / np.log(2.0))
 

@@ -12,7 +12,9 @@ from .contour import along, contour
 from .determinant import Jacobian
 from .features import Series
 from .fluctuation import Fluctuation, fluctuations
+from .known_spectra import shaft_response
 from .mean_response import Mean, mean_responses
+from .model import Model
 from .motion_blocks import FOLDS, MotionBlocks, part_of
 from .noise_paths import noise_paths, together
 from .path_fit import Gram, PathFit, fit, gram
@@ -137,12 +139,12 @@ def _forces(
     return F, np.diag(data.mass)[None] - (data.shaft + M + D[..., 0]) / w**2 + D[..., 1] / (1j * w), D
 
 
-def tangent_at(point: WorkingPoint, f_hz: Array, shaft: NDArray[np.complex128] | None = None) -> NDArray[np.complex128]:
-    """(f, places, places) force per acceleration at any frequency, memory effects left out."""
+def tangent_at(point: WorkingPoint, model: Model, f_hz: Array) -> NDArray[np.complex128]:
+    """(f, places, places) force per acceleration at any frequency, memory effects left out. model : of the point."""
     w = 2 * np.pi * f_hz[:, None, None]
     D = point.slopes
-    reaction = 0.0 if shaft is None else shaft
-    return np.asarray(np.diag(point.data.mass)[None] - (reaction + D[..., 0]) / w**2 + D[..., 1] / (1j * w))
+    shaft = shaft_response(model, point.data.places, f_hz)
+    return np.asarray(np.diag(point.data.mass)[None] - (shaft + D[..., 0]) / w**2 + D[..., 1] / (1j * w))
 
 
 def point_at(
