@@ -112,7 +112,7 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
     memory: dict[int, dict[int, Complexes]] = {}
     if here is not None:
         for order, _, below in _hermite((here.data.v[i] if which else here.data.calmed(i)) / rms, orders):
-            tangents = np.zeros((2, below.size))
+            tangents = np.zeros((2, below.size), np.float32)
             tangents[which] = order * below / rms
             memory[order] = {i: at_home(-here.of(tangents), i, data)}
 

@@ -223,7 +223,7 @@ def law_force(
     p: Floats,
     state: State,
     reads: NDArray[np.bool_],
-    series: tuple[Floats, Floats] | None = None,
+    series: tuple[Series, Series] | None = None,
 ) -> tuple[Floats, Floats]:
     """(n,) smoothed force in N on the grid of `state`, and (4,) sums of its tangents over the valid rows.
 
@@ -231,11 +231,12 @@ def law_force(
     """
     law, p, sums = law_of(effect, p), np.ascontiguousarray(p), np.zeros(4)
     signals = state.signals(reads)
-    out, spare = np.empty(state.x.size), np.empty(state.x.size)
+    out, tangent = np.empty(state.x.size), np.empty(state.x.size)
     widths = [(k, h) for k, h in enumerate((reads * state.h).tolist()) if h > 0.0]
     for number, (k, h) in enumerate(widths or [(0, 0.0)]):
-        tangent = spare if series is None or k > 1 else series[k]
         sums[k] = smoothed(law, p, signals, k, h, state.s, out, tangent, number > 0)
+        if series is not None and k < 2:
+            series[k][...] = tangent
     return out, sums
 
 

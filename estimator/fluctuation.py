@@ -118,7 +118,6 @@ def fluctuations(
         only = own[i][0] if len(own[i]) == 1 else None
         if g is None:
             return None
-        single = total.astype(np.float32)  # as its spectra are
-        return Fluctuation(part, i, single, K, g, self_energy(C, g, dt, data.f_hz), only)
+        return Fluctuation(part, i, total, K, g, self_energy(C, g, dt, data.f_hz), only)
 
     return tuple(each(at, range(len(mean))))

@@ -49,6 +49,7 @@ def fit_model(
         start = _approached(data, uses, rounds)
         uses, rounds = (uses, rounds) if start is None else (list(start.placed), LAST_ROUNDS)
     data, kL, c, nu, S = _begun(data, uses, start)
+    del start  # as the points below
     moved = np.full(1, np.inf)
     while True:
         data = data if moved.max(initial=0.0) < STILL else with_slow(data, kL, c, uses)

@@ -243,8 +243,8 @@ def finer(data: MotionBlocks, by: int = 4) -> MotionBlocks:
     """
     stretches = data.stretches
 
-    def joined(of: Callable[[Array], Array], z: NDArray[Any]) -> Array:
-        return np.concatenate([of(z[rows]) for rows in stretches])
+    def joined(of: Callable[[Array], Array], z: NDArray[Any]) -> NDArray[Any]:
+        return np.concatenate([of(z[rows]).astype(z.dtype, copy=False) for rows in stretches])
 
     def smooth(z: Array) -> Array:
         return interpolated(np.pad(z, HALF, mode="edge"), by)

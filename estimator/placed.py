@@ -13,7 +13,7 @@ from . import linear_memory, shaft_law
 from .calm import as_seen
 from .effect import Effect
 from .errors import NotFiniteError
-from .features import FINER, MARGIN, State, decimated, depends, folds, jumps, law_force
+from .features import FINER, MARGIN, Series, State, decimated, depends, folds, jumps, law_force
 from .hidden_states import along
 from .motion_blocks import FOLDS, MotionBlocks
 
@@ -87,7 +87,7 @@ def sharp_at(effect: Effect, p: Array, data: MotionBlocks, i: int) -> bool:
 
 
 def _along(
-    effect: Effect, p: Array, data: MotionBlocks, i: int, tangents: Array | None = None
+    effect: Effect, p: Array, data: MotionBlocks, i: int, tangents: Series | None = None
 ) -> tuple[Array, Array]:  # fmt: skip
     """(n,) N of a law along the motion of place i, and (folds, 4) its mean tangents: features.py, as the fit has them.
 
@@ -128,8 +128,8 @@ def _pieces(data: MotionBlocks) -> Iterator[tuple[int, int, int]]:
             yield f, a, min(a + PIECE, end)
 
 
-def tangent_series(placed: Placed, data: MotionBlocks, i: int, p: Array) -> Array:
+def tangent_series(placed: Placed, data: MotionBlocks, i: int, p: Array) -> Series:
     """(2, n) tangents of a law along x and v at place i, those whose means `evaluate` gives."""
-    tangents = np.zeros((2, data.x.shape[1]))
+    tangents = np.zeros((2, data.x.shape[1]), np.float32)
     _along(placed.effect, np.ascontiguousarray(p, dtype=np.float64), data, i, tangents)
     return tangents

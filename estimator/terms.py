@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -64,10 +64,10 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
         ends = _ends(placed, k, data)
         for i in placed.at:
             made = [at(shaft_law.first(data, i) if placed.effect.kind == "shaft" else i, p) for p, _ in ends]
-            series[i] = _summed([f if w == 1.0 else w * f for (_, w), (f, _, _) in zip(ends, made, strict=True)])
-            slopes[:, i] = _summed([w * s for (_, w), (_, s, _) in zip(ends, made, strict=True)])
+            series[i] = _summed(f if w == 1.0 else w * f for (_, w), (f, _, _) in zip(ends, made, strict=True))
+            slopes[:, i] = _summed(w * s for (_, w), (_, s, _) in zip(ends, made, strict=True))
             if responding:
-                memory[i] = _summed([w * m for (_, w), (_, _, m) in zip(ends, made, strict=True) if m is not None])
+                memory[i] = _summed(w * m for (_, w), (_, _, m) in zip(ends, made, strict=True) if m is not None)
         rms = float(np.sqrt(np.mean([np.dot(z, z) / z.size for z in series.values()])))
         if rms == 0.0:
             continue  # of a law that is still zero, or that the motion does not reach
@@ -94,11 +94,11 @@ def dressed(made: list[Term], placed: Placed, fluctuations: Sequence[Fluctuation
             if (here := fluctuations[i]) is not None:
                 ends = _ends(placed, k, here.data)
                 if placed.effect.kind == "memory":
-                    own = _summed([w * at(i, p) for p, w in ends])
+                    own = _summed(w * at(i, p) for p, w in ends)
                 elif isinstance(here, Fluctuation) and (known := here.per_unit(placed, k)) is not None:
                     own = known
                 else:
-                    own = here.of(_summed([w * tangent_series(placed, here.data, i, p) for p, w in ends]))
+                    own = here.of(_summed(w * tangent_series(placed, here.data, i, p) for p, w in ends))
                 memory[i] = memory.get(i, 0.0) - at_home(own, i, here.data)
         out.append(replace(term, memory=memory))
     return out
@@ -151,8 +151,12 @@ def reach(placed: Placed, k: int, data: MotionBlocks) -> float:
     return float(abs(placed.p[k]))
 
 
-def _summed(parts: list[Any]) -> Any:
-    return parts[0] if len(parts) == 1 else parts[0] + parts[1]
+def _summed(parts: Iterator[Any]) -> Any:
+    """Their sum, in the memory of the first."""
+    total = next(parts)
+    for part in parts:
+        total += part
+    return total
 
 
 def light(term: Term) -> Term:
