@@ -149,8 +149,11 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         rungs.append(new)
     else:
         messages.append(f"{MOST} effects were added, the most of one run: run it again on the rig file that it wrote")
-    if found.verdict not in ENDED and len(diagnoses) == len(rungs) and rungs[-1].missing[0] < 100 * NEGLIGIBLE:
-        found = replace(found, verdict="complete", messages=())  # what it named was not upheld, and nothing is missing
+    if found.verdict not in ENDED and len(diagnoses) == len(rungs):  # what it named was not upheld
+        if rungs[-1].missing[0] < 100 * NEGLIGIBLE:
+            found = replace(found, verdict="complete", messages=())
+        elif best is not None and best.placed:  # a law of another shape than what is missing
+            found = replace(found, verdict="unknown", messages=())
     messages = [*whole.messages, *messages, *idle(point), *(found.messages if found.verdict in ENDED else ())]
     say(1.0, "done")
     return Ladder(tuple(rungs), fitted_model(model, point), whole.parameters, found, tuple(messages), tuple(diagnoses))

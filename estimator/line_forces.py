@@ -13,6 +13,7 @@ line at a frequency of its own. An imbalance and a bow load the caps alike at ev
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +68,16 @@ def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Su
         suspect = _one_line(model, point, s, hz, rotation, threshold)
         if suspect is not None:
             out.append(suspect)
-    return out
+    return out if rotation > 0.0 else _of_one_cause(out, s)
+
+
+def _of_one_cause(lines: list[Suspect], s: Spectrum) -> list[Suspect]:
+    """Lines of a shaft of no known speed, the first with what they are multiples of: strikes have no angle there."""
+    hz = strikes.fundamental([next(iter(one.settings.values()))["frequency"].value or 0.0 for one in lines], s.seconds)
+    if hz == 0.0:
+        return lines
+    said = f"multiples of {hz:.3f} Hz, as strikes make, or the mains: with speed_rpm given, strikes are looked for"
+    return [replace(lines[0], note="; ".join(filter(None, (lines[0].note, said)))), *lines[1:]]
 
 
 def _about_disc(model: Model, hz: float) -> bool:

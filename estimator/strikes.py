@@ -31,6 +31,7 @@ LEAST_ORDER, MOST_ORDER = 0.3, 30.0  # of the shaft, as the effect's own limits
 VISIBLE, PLAIN = 8.0, 25.0  # power over noise of a harmonic that is seen, and of one that cannot be overlooked
 BESIDE = np.arange(4, 16)  # bins on either side of a line that tell what is beside it
 SAME = 1e-3  # of the ratio of two fundamentals, that it may be off a whole number by
+COMB, APART = 5, 20.0  # lines, and bins between them, that make multiples of one frequency no chance
 GAP, GAPS = 0.25, 0.2  # of the power of its neighbours, under which a harmonic is left out; share that may be
 
 
@@ -67,6 +68,21 @@ def find(
         places = [point.data.places[j] for j in range(len(gains)) if gains[j] > enough]
         best, fundamental, won = _defect(point, s, order, rotation, places, float(np.sum(gains))), hz, clear
     return best, fundamental
+
+
+def fundamental(lines: Sequence[float], seconds: float) -> float:
+    """Hz that all but a fifth of at least `COMB` lines are multiples of, to a bin; 0 if there is none. lines : Hz."""
+    best, most = 0.0, max(COMB, (1.0 - GAPS) * len(lines))
+    rising = sorted(lines)
+    for candidate in {round(hz / q, 3) for hz in rising[:4] for q in (1, 2, 3, 4)}:
+        hz, count = candidate, 0
+        for line in rising if candidate * seconds > APART else ():
+            k = round(line / hz)
+            if k and abs(line - k * hz) < 1.0 / seconds:
+                hz, count = line / k, count + 1  # the k-th tells it k times as well
+        if count >= most and (count > most or hz > best):
+            best, most = hz, count
+    return best
 
 
 def _more(hz: float, other: float) -> float:

@@ -65,6 +65,23 @@ def test_what_is_named_and_not_told_from_zero_is_not_added(rig: Model, monkeypat
     assert (ladder.rungs[-1].missing[0], ladder.last.verdict) == (0.0, "complete")
 
 
+def test_a_law_that_is_not_upheld_where_something_is_missing_is_no_name_for_it(
+    rig: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a cross-coupling of which one direction is measured: a quintic was named, and refused, and still the last
+    word."""
+    rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
+    cubic = CATALOGUE["cubic"]
+    hidden = with_effect(rig, cubic, strengths(cubic, size(rig, "bearing1.x", RATE), 0.3, rig), "bearing1.x")
+    law = Placed(CATALOGUE["quadratic"], "bearing1.x.quadratic", (0,), np.zeros(1), (True,))
+    wrong = Entry("quadratic", ("bearing1",), 9.0, 8.0, 1e-4, 0.3, 0.0, {}, 7.0, placed=(law,))
+    monkeypatch.setattr("estimator.improve.diagnose_point", lambda *_: Diagnosis("quadratic", (wrong,)))
+    ladder = improve(rig, simulate(hidden, RATE, 4.0, seed=4, noise=NOISE), RATE)
+    assert len(ladder.rungs) == 1
+    assert ladder.rungs[-1].missing[0] > 5.0
+    assert (ladder.last.verdict, ladder.diagnoses[-1].verdict) == ("unknown", "quadratic")
+
+
 def test_where_a_faulty_sensor_led_the_fit_astray_it_begins_from_what_was_given(
     rig: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
