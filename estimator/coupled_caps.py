@@ -23,7 +23,7 @@ from .model import EffectUse, Model, Setting
 from .rotor import between_caps
 from .sensor_response import BLIND, LINEAR
 from .side_by_side import each
-from .subproblem import subproblem
+from .subproblem import Subproblem, subproblem
 from .suspect import Suspect
 from .weighing import Term
 from .working_point import WorkingPoint
@@ -37,6 +37,8 @@ OTHERWISE = ((1.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, -1.0), (1.0, 0.0, 0.0, 0.0), 
 LOOKED = {GAIN: 0.05, SKEW: 0.3}  # standard deviation, of 1 and of a sample, beyond which nothing is said
 CALIBRATED = {GAIN: 2e-3, SKEW: 0.01}  # that no calibration would show
 FEWEST = 10.0  # nats, for a cause, and for another one beside it
+STEPS = 30  # of Newton's method at most
+DAMPED = 0.03  # of the root of stiffness and mass
 LEVEL = 1e-3  # p-value above which nothing is said
 NOTE = (
     "told by what the caps answer each other through the shaft: the sensor of the other cap, wrong by the inverse, is "
@@ -152,6 +154,17 @@ def _apart(use: EffectUse, model: Model) -> dict[str, dict[str, Setting]]:
     return {key: dict(written(CATALOGUE[use.name], use, model, key)) for key in at(CATALOGUE[use.name], use, model)}
 
 
+def _damped(point: WorkingPoint, problem: Subproblem) -> Array:
+    """(terms,) scaled steps to where both caps are damped, as all caps are: late by a sample they can seem to drive the
+    shaft, at a maximum that ends at the line which no mode crosses, and no step leads away from there."""
+    out = np.zeros(len(problem.gram.names))
+    for i in problem.places:
+        least = DAMPED * np.sqrt(max(point.kL[i], 0.0) * point.data.mass[i])
+        k = problem.gram.names.index(f"{point.data.places[i]}.c")
+        out[k] = max(least - point.c[i], 0.0) / problem.gram.scales[k]
+    return out
+
+
 def _now(name: str, value: float) -> float:
     """The change of B that a number is."""
     return value if name == SKEW else float(np.log1p(value))
@@ -215,7 +228,9 @@ def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
         return out
 
     terms = [term for pair in zip(*each(terms_of, range(2)), strict=True) for term in pair]
-    fitted = subproblem(point, (i, j), point.weighing.columns(terms)).fit(steps=12)
+    problem = subproblem(point, (i, j), point.weighing.columns(terms))
+    begun = (problem.fit(steps=STEPS, start=start) for start in (None, _damped(point, problem)))
+    fitted = max(begun, key=lambda fit: fit.log_likelihood)
     at_end = [fitted.names.index(str(k)) for k in range(4)]
     scale = fitted.scales[at_end]
     mean, C = fitted.delta[at_end] * scale, fitted.covariance[np.ix_(at_end, at_end)] * np.outer(scale, scale)

@@ -43,11 +43,13 @@ class Subproblem:
         names = tuple(f"sum.{k}" for k in range(len(weights)))
         return replace(self, gram=self.gram.combined(names, weights), extra=names)
 
-    def fit(self, folds: NDArray[np.int64] | None = None, ridge: float = 0.0, steps: int = 30) -> PathFit:
-        """Maximum likelihood; `ridge` is a prior information on the scaled extra terms."""
+    def fit(
+        self, folds: NDArray[np.int64] | None = None, ridge: float = 0.0, steps: int = 30, start: Array | None = None
+    ) -> PathFit:
+        """Maximum likelihood; `ridge` is a prior information on the scaled extra terms. start : (terms,) scaled."""
         penalty = np.concatenate([self.caution, np.full(len(self.extra), ridge)])
         folds = np.arange(FOLDS) if folds is None else folds
-        return fit(self.gram, self.jacobian, folds, self.blocks, None, penalty, steps, TOLD)
+        return fit(self.gram, self.jacobian, folds, self.blocks, start, penalty, steps, TOLD)
 
     def likelihood(self, found: PathFit, folds: NDArray[np.int64]) -> float:
         return log_likelihood(self.gram, self.jacobian, found.delta, found.S, folds, self.blocks)

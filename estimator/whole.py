@@ -51,6 +51,7 @@ from .working_point import WorkingPoint
 Array = NDArray[np.float64]
 SHAPING = (*COLOURS, "correlated_force", "sensor_clipping", "sensor_noise")
 ROUNDS = 2  # of the numbers of periodic forces and colours, which the rest of the fit depends on
+MOST_ROUNDS = 6  # while the answers of two caps to each other still move
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,14 +180,17 @@ def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None =
             break
         model, found = renewed, found | again
         point = fit_record(model, prepared(model))
-    for _ in range(ROUNDS if any(u.name in (*periodic.PERIODIC, *LINEAR) for u in uses) else 0):
+    for done in range(MOST_ROUNDS if any(u.name in (*periodic.PERIODIC, *LINEAR) for u in uses) else 0):
         model, bent = bends.refined(model, point)
         model, mutual = coupled_caps.refined(model, point)
         model, stepped = periodic_fit.settled(model, point)
         stepped |= bent | mutual
+        last = done + 1 >= ROUNDS and not moved(found, mutual)  # a late cap far from its number is not linear
         found |= stepped
         if stepped:
             point = fit_record(model, prepared(model))
+        if last:
+            break
     told = [f"{place}: {RESTORED if error < np.inf else LOST}" for place, error in sorted(off.items())]
     told += [f"{place}: nothing is told of it: {SPOILED}" for place in sorted(point.data.lost.difference(off))]
     messages = (*_several(model, further), *told)

@@ -109,3 +109,13 @@ def test_no_law_is_named_for_a_faulty_sensor(effect: str, values: dict[str, floa
     ladder = improve(rig, y, RATE)
     assert [use.name for use in ladder.model.effects] == ["cubic", effect]
     assert ladder.rungs[-1].missing[0] == 0.0
+
+
+def test_a_delay_beyond_the_next_sample_is_fitted(rig: Model) -> None:
+    """By which the caps seem to drive the shaft: a fit that begins there ended at 2.74 samples."""
+    stiff = replace(rig, shaft_stiffness=3 * STIFF)
+    late = 3.0 / RATE
+    y = record(stiff, late_s=late)
+    with_delay = replace(stiff, effects=(EffectUse("sensor_skew", {"bearing1.x": {"delay": Setting()}}),))
+    number = fit_whole(with_delay, y, RATE).beside["bearing1.x.sensor_skew.delay"]
+    assert number.value == pytest.approx(late, abs=4 * (number.sd or 0.0))
