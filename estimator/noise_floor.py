@@ -12,6 +12,7 @@ from scipy.special import chdtrc
 from .estimate import Parameter
 from .model import MOTION, Model
 from .path_spectra import Response
+from .sensor_response import SHAPES, shape
 from .suspect import Suspect
 from .transfer import Peak, exp, expected, highest, linear
 from .working_point import WorkingPoint
@@ -25,15 +26,17 @@ def noisy(model: Model, point: WorkingPoint, noise: Array, shaped: Collection[in
     """A sensor whose noise floor stands out of its neighbours' of the same kind: others have another unit.
 
     shaped : places with another spectrum than white force and white noise make. Their noise is not known: beside a peak
-    it came out as nothing, and that of a sound neighbour stood out.
+    it came out as nothing, and that of a sound neighbour stood out. Nor is one the measure of others whose shape is
+    known: its two numbers take in what noise would be.
     """
     data = point.data
     out, heard = [], data.heard(point.A)
     have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
     known = [k for k in range(len(data.places)) if k not in shaped]
+    plain = [k for k in known if not any(shape(model, data.places[k], name) for name in SHAPES)]
     for i in known:
         place, kind = data.places[i], data.kinds[i]
-        others = noise[[k for k in known if k != i and data.kinds[k] == kind]]
+        others = noise[[k for k in plain if k != i and data.kinds[k] == kind]]
         if others.size == 0 or place in have:
             continue
         # noise counts where it is loudest: that of an accelerometer low in the band, that of displacement at its top

@@ -11,6 +11,7 @@ from hidden_effects import RATE, ROOT, one_bearing
 from daq.rig import load_rig
 from estimator import force_colour, noise_floor
 from estimator.compare import compare
+from estimator.model import EffectUse, Setting
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
@@ -60,3 +61,13 @@ def test_sensors_of_two_kinds_are_not_each_others_measure() -> None:
     point = fit_whole(rig, simulate(rig, RATE, 6.0, seed=5), RATE).point
     quiet = np.array([0.02, 0.02, 1e-10, 1e-10]) ** 2 / (RATE / 2)
     assert not noise_floor.noisy(rig, point, quiet, ())
+
+
+def test_a_sensor_of_a_known_shape_is_no_measure_of_its_neighbours_noise() -> None:
+    """Beside a resonance that was fitted the noise of that sensor was 0, and a sound one was 31 times as noisy."""
+    rig = one_bearing()
+    point = fit_whole(rig, simulate(rig, RATE, 6.0, seed=5), RATE).point
+    noise = np.array([0.0, 0.5]) ** 2 / (RATE / 2)
+    resonant = EffectUse("sensor_resonance", {"bearing1.x": {"frequency": Setting(7e3), "quality": Setting(8.0)}})
+    assert [s.at for s in noise_floor.noisy(rig, point, noise, ())] == [("bearing1.y",)]
+    assert not noise_floor.noisy(replace(rig, effects=(*rig.effects, resonant)), point, noise, ())
