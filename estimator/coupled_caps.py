@@ -201,10 +201,10 @@ def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
     data, P = point.data, len(point.data.places)
     low, high = shaft_notch(model) or (0.0, 0.0)
 
-    def both_ways(w: Array) -> Complexes:
+    def both_ways(w: Array | Complexes) -> Complexes:
         """Without its resonance, where a block is too short for what the disc does."""
         out = between_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, model.mass["disc"], w)
-        return np.where(np.abs(w / (2 * np.pi) - 0.5 * (low + high)) < high - low, 0.0, out)
+        return np.where(np.abs(w.real / (2 * np.pi) - 0.5 * (low + high)) < high - low, 0.0, out)
 
     n = data.x.shape[1]
     size = next_fast_len(n, real=True)
@@ -215,11 +215,11 @@ def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
         """Of the size and of the delay of B in the force on the first cap, or the second, whose delay is an advance."""
         (here, there), sign = ((i, j), (j, i))[row], (1.0, -1.0)[row]
         pulled = rfft(data.x[there], size) * whole
-        f = 2 * np.pi * data.f_hz
+        s = point.weighing.s
         out = []
         for k, series, own in (
-            (row, irfft(pulled, size)[:n], both_ways(f)),
-            (row + 2, sign * irfft(pulled * delayed, size)[:n], both_ways(f) * -1j * sign * f),
+            (row, irfft(pulled, size)[:n], both_ways(s / 1j)),
+            (row + 2, sign * irfft(pulled * delayed, size)[:n], both_ways(s / 1j) * -sign * s),
         ):
             memory = np.zeros((P, data.bins.size), complex)
             memory[there] = own

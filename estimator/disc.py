@@ -47,6 +47,33 @@ class Disc:
         """Where a model whose shaft breathes is not judged."""
         return NEAR[0] * self.w0 / (2 * np.pi), NEAR[1] * self.w0 / (2 * np.pi)
 
+    def at_caps(self, places: tuple[str, ...], w: Array | Complexes) -> Complexes:
+        """(f, places, places) N/m: what shaft and disc add to the dynamic stiffness at the measured caps."""
+        D = np.zeros((w.size, len(places), len(places)), complex)
+        caps, _ = shaft_at_caps(self.shaft, self.ks, self.cs, self.m, w)
+        for i, p in enumerate(places):
+            for j, q in enumerate(places):
+                if p.split(".")[1] == q.split(".")[1]:
+                    D[:, i, j] = caps[:, int(p[7]) - 1, int(q[7]) - 1]
+        return D
+
+    def joined(self, places: tuple[str, ...]) -> tuple[Array, Array, Array]:
+        """(discs,) kg, one of each direction, and damping and stiffness (n, n) of the shaft that the measured caps and
+        then these are joined by: as they are, C and K are of a first look."""
+        between = [at for d in "xy" if (at := [i for i, p in enumerate(places) if p.endswith(d)])]
+        n = len(places) + len(between)
+        unit = np.zeros((n, n))
+        for k, at in enumerate(between, len(places)):
+            own = [int(places[i][7]) - 1 for i in at]
+            unit[np.ix_([*at, k], [*at, k])] += shaft_matrix(self.shaft, 1.0)[np.ix_([*own, 2], [*own, 2])]
+        return np.full(len(between), self.m), self.cs * unit, self.ks * unit
+
+    def poles(self, places: tuple[str, ...]) -> Complexes:
+        """rad/s of the discs while the caps stand still."""
+        m, C, K = self.joined(places)
+        k, c = (np.diag(z)[len(places) :] for z in (K, C))
+        return np.asarray(-c / (2 * m) + 1j * np.sqrt(k / m - (c / (2 * m)) ** 2 + 0j))
+
     def blurred(self) -> Disc:
         """With a damping that hides where exactly its resonance is."""
         return replace(self, C=max(self.C, 2.0 * BLURRED * float(np.sqrt(self.K * self.m))))

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .balance import shaft_notch
+from .disc import disc_of
 from .effects import CATALOGUE
 from .model import Model
-from .rotor import shaft_at_caps
 from .sensor_response import echoes, forced, of_place
 
 Array = NDArray[np.float64]
@@ -18,16 +18,10 @@ COLOURS = (*OF_FORCE, "sensor_resonance")  # and those that look like one where 
 
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
     """(f, places, places) N/m: what shaft and disc add to the dynamic stiffness at the measured caps."""
-    D = np.zeros((f_hz.size, len(places), len(places)), complex)
-    disc = model.mass.get("disc", 0.0)
-    if model.shaft == "none" or disc <= 0.0:
-        return D
-    caps, _ = shaft_at_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, disc, 2 * np.pi * f_hz)
-    for i, p in enumerate(places):
-        for j, q in enumerate(places):
-            if p.split(".")[1] == q.split(".")[1]:
-                D[:, i, j] = caps[:, int(p[7]) - 1, int(q[7]) - 1]
-    return D
+    disc = disc_of(model)
+    if disc is None:
+        return np.zeros((f_hz.size, len(places), len(places)), complex)
+    return disc.at_caps(places, 2 * np.pi * f_hz)
 
 
 def bins_of(model: Model, rate_hz: float, block: int) -> NDArray[np.int64]:

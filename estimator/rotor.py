@@ -72,9 +72,9 @@ def lumped_rotor(
     return M, C, K
 
 
-def dynamic_stiffness(M: Array, C: Array, K: Array, omega: Array) -> Complex:
-    """(len(omega), n, n) of K + i w C - w^2 M, N/m; omega in rad/s."""
-    w = np.asarray(omega, dtype=float)[:, None, None]
+def dynamic_stiffness(M: Array, C: Array, K: Array, omega: Array | Complex) -> Complex:
+    """(len(omega), n, n) of K + i w C - w^2 M, N/m; omega in rad/s, complex beside the axis of frequencies."""
+    w = np.asarray(omega)[:, None, None]
     return np.asarray(K + 1j * w * C - w**2 * M)
 
 
@@ -89,23 +89,25 @@ def eliminate(D: Complex, keep: list[int]) -> tuple[Complex, Complex]:
     return np.asarray(D[:, keep][:, :, keep] + D[:, keep][:, :, rest] @ follow), np.asarray(follow)
 
 
-def shaft_at_caps(shaft: Shaft, stiffness: float, damping: float, disc: float, omega: Array) -> tuple[Complex, Complex]:
+def shaft_at_caps(
+    shaft: Shaft, stiffness: float, damping: float, disc: float, omega: Array | Complex
+) -> tuple[Complex, Complex]:  # fmt: skip
     """What shaft and disc add to the dynamic stiffness of the two caps, and the disc's displacement.
 
     disc : kg. Returns ((f, 2, 2) N/m, (f, 2) disc displacement per cap displacement). With kc = ks + i w cs:
     D33 = 2 kc - m3 w^2 and -kc^2 / D33 between the caps for `chain`; 4 kc - m3 w^2 for `beam`.
     """
-    w = np.asarray(omega, dtype=float)
     if shaft == "none":
-        return np.zeros((w.size, 2, 2), dtype=complex), np.zeros((w.size, 2), dtype=complex)
-    D = dynamic_stiffness(np.diag([0.0, 0.0, disc]), shaft_matrix(shaft, damping), shaft_matrix(shaft, stiffness), w)
+        return np.zeros((omega.size, 2, 2), dtype=complex), np.zeros((omega.size, 2), dtype=complex)
+    C, K = shaft_matrix(shaft, damping), shaft_matrix(shaft, stiffness)
+    D = dynamic_stiffness(np.diag([0.0, 0.0, disc]), C, K, omega)
     caps, follow = eliminate(D, [0, 1])
     return caps, follow[:, 0, :]
 
 
-def between_caps(shaft: Shaft, stiffness: float, damping: float, disc: float, omega: Array) -> Complex:
+def between_caps(shaft: Shaft, stiffness: float, damping: float, disc: float, omega: Array | Complex) -> Complex:
     """(f,) what `shaft_at_caps` has between the two caps, N/m, without its matrices."""
-    iw = 1j * np.asarray(omega, dtype=float)
+    iw = 1j * np.asarray(omega)
     k, c = shaft_matrix(shaft, stiffness), shaft_matrix(shaft, damping)
     first, second, own = k[0, 2] + iw * c[0, 2], k[2, 1] + iw * c[2, 1], k[2, 2] + iw * c[2, 2] + iw**2 * disc
     return np.asarray(k[0, 1] + iw * c[0, 1] - first * second / own)

@@ -14,11 +14,13 @@ from reference_rig import CROSS, PLACES, RATE, TRUTH, rig_model, rig_record
 from estimator.balance import build
 from estimator.contour import MARGIN, along, contour
 from estimator.determinant import Jacobian
+from estimator.disc import disc_of
 from estimator.likelihood import Likelihood, Local, Point
 from estimator.lines import begin
-from estimator.model import EffectUse
+from estimator.model import EffectUse, Model
 from estimator.record import gather, prepare
 from estimator.rolling import RollingSpectral
+from estimator.rotor import shaft_matrix
 from estimator.spectral import fit
 from estimator.start import LEAST_DAMPING, linear_start
 from estimator.weighing import response
@@ -61,6 +63,38 @@ def test_the_sum_is_linear_in_the_damping_whether_the_mode_decays_or_grows(f0: f
     by_chance = np.exp(-2 * np.pi * MARGIN) * BLOCK_S * 2 * np.pi * f0 / k  # where the mode lies between two bins
     assert slopes[0] == pytest.approx(slopes_there[0], rel=0.03, abs=2 * by_chance)
     assert here - broad == pytest.approx(BLOCK_S * (decay - 300.0), abs=0.05 * BLOCK_S * abs(300.0 - decay) + 0.3)
+
+
+@settings(deadline=None, max_examples=20)
+@given(c=st.floats(10.0, 60.0), f_disc=st.floats(350.0, 420.0))
+def test_a_disc_moves_with_the_caps_as_a_mode_that_nothing_damps(c: float, f_disc: float) -> None:
+    """-T times Re p of all modes of the rotor, 1 Hz wide at some 300 Hz, but for bins about where the disc rings."""
+    ks, masses, k = 3.9e6, np.array([0.21, 0.22]), np.array([8.9e6, 6.3e6])
+    shaft = Model((), (150.0, 8000.0), "chain", {"disc": 2 * ks / (2 * np.pi * f_disc) ** 2}, ks, 0.9)
+    disc, places = disc_of(shaft), ("bearing1.x", "bearing2.x")
+    assert disc is not None
+    f = F_HZ[np.abs(F_HZ - f_disc) > 30.0]
+
+    def value(c: float) -> float:
+        D = np.zeros((2, 2, 2))
+        D[[0, 1], [0, 1]] = np.stack([k, [c, c]], axis=1)
+        iw = 2j * np.pi * f[:, None, None]
+        A = np.diag(masses) + D[..., 0] / iw**2 + D[..., 1] / iw + disc.at_caps(places, 2 * np.pi * f) / iw**2
+        line = contour(A, masses, D, f, disc, places)
+        return Jacobian(along(line.s, A, masses, D, disc, places), line.offset).value(
+            np.zeros((0, 2, 2, f.size)), np.zeros(0)
+        )
+
+    def decay(c: float) -> float:
+        M = np.diag([*masses, disc.m])
+        C, K = (shaft_matrix("chain", own) for own in (disc.cs, ks))
+        C[[0, 1], [0, 1]] += c
+        K[[0, 1], [0, 1]] += k
+        flow = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
+        return float(-np.linalg.eigvals(flow).real.sum() / 2)
+
+    moved = BLOCK_S * (decay(c + 1.0) - decay(c - 1.0))
+    assert value(c + 1.0) - value(c - 1.0) == pytest.approx(moved, rel=0.03)
 
 
 def test_the_likelihood_of_gram_matrices_takes_the_same_line() -> None:
