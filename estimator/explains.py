@@ -17,6 +17,7 @@ from .ranking import Progress
 from .working_point import WorkingPoint, thinned
 
 SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same state means another law
+SMEARED = 0.12  # the same of a law of two directions of which one is measured: Hertz contacts leave 0.00 to 0.14 so
 NOTHING = 0.9  # the same, of a law of no single state: it is not the first of two that leaves nearly all
 SMALL = 0.5  # of a part of the force in a spectrum (rms)
 MORE = 1.5  # times what is missing: no law of no single state explains anything that leaves more than that
@@ -120,11 +121,12 @@ def _fitted(
 
 def _most_left(point: WorkingPoint, entry: Entry) -> float:
     """What a law of the right shape may leave. One that joins two directions is smeared by a motion across that is not
-    measured, and one of velocity leaves what friction may beside it: they are judged as those of no single state."""
-    smeared = any(law.effect.one_direction and len(law.at) == 1 for law in entry.placed)
-    beside = adequacy.STATES.get(entry.effect) is adequacy.V and adequacy.damping(point, entry.places)
+    measured, and one of velocity leaves what friction may beside it: that is judged as those of no single state."""
     most = adequacy.most_left(entry.effect, SAME_SHAPE)
-    return max(most, SAME_SHAPE) if smeared or beside else most
+    if any(law.effect.one_direction and len(law.at) == 1 for law in entry.placed):
+        return max(most, SMEARED)
+    beside = adequacy.STATES.get(entry.effect) is adequacy.V and adequacy.damping(point, entry.places)
+    return max(most, SAME_SHAPE) if beside else most
 
 
 def _bends_a_spectrum(point: WorkingPoint, before: missing_force.Survey, entry: Entry) -> bool:

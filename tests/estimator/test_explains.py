@@ -9,11 +9,12 @@ import pytest
 from hidden_effects import RATE, one_bearing
 
 from estimator import explains, missing_force, two_laws
-from estimator.diagnose import _nothing, quiet
+from estimator.diagnose import _nothing, diagnose, quiet
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import with_effect
+from estimator.effects.strength import size, strengths, with_effect
 from estimator.errors import NotFiniteError
 from estimator.evidence import Entry
+from estimator.model import CustomLaw, EffectUse, Setting
 from estimator.placed import Placed
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
@@ -46,3 +47,21 @@ def test_what_may_be_nothing_by_its_interval_makes_no_model_unknown() -> None:
     unsure = replace(found, residuals=tuple(replace(r, sd=r.P) for r in found.residuals))
     assert unsure.interval()[:2] == (found.interval()[0], 0.0)
     assert _nothing(point, unsure, ()).verdict == "complete"
+
+
+@pytest.mark.parametrize("hidden", ["hertz", "saturating"])
+def test_a_spring_that_gives_way_is_no_contact_seen_along_one_direction(hidden: str) -> None:
+    """Hertz contacts that nothing tells of across left 0.14 to 0.19 of its force, within the 0.2 they had."""
+    rig = replace(one_bearing(), effects=())
+    there = size(rig, "bearing1.x", RATE)
+    if hidden == "hertz":
+        truth = with_effect(rig, CATALOGUE["hertz"], strengths(CATALOGUE["hertz"], there, 0.06, rig, 20.0), "bearing1")
+    else:
+        law = CustomLaw("k*g*tanh(x/g)", None, {"k": "N/m", "g": "m"})
+        values = {"k": Setting(0.8 * there.kL), "g": Setting(there.x)}
+        soft = {p: {**rig.linear[p], "kL": Setting(0.4 * there.kL)} for p in rig.places}
+        truth = replace(rig, linear=soft, effects=(EffectUse("soft", {p: dict(values) for p in rig.places}, law),))
+    y = simulate(truth, RATE, 20.0, seed=2, noise=0.02)
+    rig = replace(rig, channels=rig.channels[:1])
+    found = diagnose(rig, y[:, :1], RATE)
+    assert found.verdict == ("hertz" if hidden == "hertz" else "unknown")
