@@ -12,9 +12,10 @@ even in f: two numbers are enough, behind any filter.
 
 Of a sensor of motion whose response H is undone, what is folded went through it at the image: n = H(w')* / H(w) a(w')*
 and, from beyond the rate, H(w'') / H(w) a(w''). A delay of 0.8 samples turns the two by +-293 degrees, so that they
-answer the force no more as the mass does, and apart: two numbers more, for the two to differ as behind a filter that
+answer the force no more as the mass does, and apart: four numbers, for the two to differ as behind a filter that
 falls, M(rate + u) = u^p (1 - 2 u)^k, positive on either side. Taken for what a sensor in time folds it left 22 % of a
-force.
+force. H of a velocity is 1 / iw: the two have other signs, and what of the force is in neither (Folded.apart) is noise
+of its sensor.
 
 A delay that nobody knows of turns them as well, by 18 degrees for 0.05 samples, and the path to the motion by 6 at the
 end of the band: a = e^-iws a' + n, E[r a*] = A (1 - e^iws) |a|^2 + e^iws A M - E[f n*]. Where one in time does not
@@ -37,7 +38,7 @@ WORTH = 40.0  # of chi square, that a fold is to explain, or a delay of it
 LEFT = 0.1  # of chi square beyond chance, that it may leave
 LATEST, STEP, NEAR = 3.0, 0.25, 1e-3  # samples by which a sensor is sought to be late, either way, and how near
 IN_TIME = ((0, 0), (2, 0))  # p, k of the density: from both sides of the rate alike; and not
-APART = (*IN_TIME, (0, 4), (2, 3))
+APART = ((0, 2), (0, 4), (0, 6), (2, 3))
 
 
 def alike(hz: Array, rate_hz: float, mass: float, k: float, c: float) -> Complexes:

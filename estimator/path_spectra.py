@@ -38,6 +38,15 @@ class Folded:
             force = self.back * np.sum(self.density / self.passed, axis=0) / self.seen
         return np.where(self.seen > 0.0, force, self.back)
 
+    @property
+    def apart(self) -> Array:
+        """(cells,) PSD of the force that is folded with no motion: where what comes from both sides of the rate is as
+        strong and a sensor of velocity, which has it with two signs, sees none of it."""
+        D = self.density / np.abs(self.passed) ** 2
+        with np.errstate(invalid="ignore", divide="ignore"):
+            seen = np.abs(np.sum(self.passed.conj() * D, axis=0)) ** 2 / self.seen
+        return np.where(self.seen > 0.0, np.abs(self.back) ** 2 * np.maximum(np.sum(D, axis=0) - seen, 0.0), 0.0)
+
     def through(self, further: Complexes) -> Folded:
         """The same of a sensor with a further response, (2, cells) at the images."""
         return replace(self, passed=self.undone * np.stack([further[0].conj(), further[1]]))
@@ -68,13 +77,14 @@ class Response:
     unmeasured: float = 0.0
     alike: Complexes | float = 0.0  # (cells,) force per acceleration of what is folded
     folded: Array | float = 0.0  # (cells,) M
+    apart: Array | float = 0.0  # (cells,) Folded.apart, noise of the sensor of the force
     across: Array | float = 0.0  # (cells,) of R, noise of the other caps' sensors and what is folded there
     fold: Folded | None = None  # of an acceleration, seen or not
     bare: Response | None = None  # the same with it, where it was taken out
 
     def share(self, Q: float) -> Array:
         """(cells,) p: what of the measured force is noise where the density Q is left."""
-        return np.minimum((1.0 - self.unmeasured) * Q / self.ff, 0.5)
+        return np.minimum(((1.0 - self.unmeasured) * Q + self.apart) / self.ff, 0.5)
 
     def answer(self, A: Complexes) -> Complexes:
         """(cells,) H where the tangent is another."""
@@ -99,5 +109,5 @@ class Response:
             aa=self.aa - 2 * np.real(told.conj() * self.af) + np.abs(told) ** 2 * self.ff,
             rf=rest * (self.rf - B * self.ff),
             af=rest * (self.af - told * self.ff),
-            ff=rest**2 * self.ff, alike=alike, folded=rest * folded, fold=fold, bare=self,
+            ff=rest**2 * self.ff, alike=alike, folded=rest * folded, apart=rest**2 * fold.apart, fold=fold, bare=self,
         )  # fmt: skip

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from .bandlimit import to_acceleration
 from .model import MOTION, EffectUse, Model
 from .roll_off import Filter, images
 from .side_by_side import each
@@ -68,10 +69,16 @@ def echoes(model: Model, place: str, kind: str, f_hz: Array) -> Array:
 
 
 def passed_of_images(model: Model, place: str, rate_hz: float, f_hz: Array) -> Complexes:
-    """(2, f) what the sensor at a place lets through of what is folded to f from below and from beyond the rate, the
-    first backwards, once its response is undone."""
-    below, beyond = (_faults(model, place, 2 * np.pi * (rate_hz + side * f_hz)) for side in (-1, 1))
-    return np.asarray(np.stack([below.conj(), beyond]) / _faults(model, place, 2 * np.pi * f_hz))
+    """(2, f) what the sensor at a place lets through of the acceleration that is folded to f from below and from beyond
+    the rate, the first backwards, once its response is undone: -w / w' and w / w'' of a sensor of velocity."""
+    kind = next(c.kind for c in model.channels if c.place == place and c.kind in MOTION)
+
+    def through(f_hz: Array) -> Complexes:
+        w = 2 * np.pi * f_hz
+        return _faults(model, place, w) / to_acceleration([kind], w)[:, 0]
+
+    below, beyond = (through(rate_hz + side * f_hz) for side in (-1, 1))
+    return np.asarray(np.stack([below.conj(), beyond]) / through(f_hz))
 
 
 def shape(model: Model, place: str, effect: str) -> tuple[float, float] | None:

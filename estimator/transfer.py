@@ -78,8 +78,6 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), ever
         ww.real, OVERLAPPED * width * len(R), rr.real, ra, aa.real, rf, af, ff.real, A, H, mean(shape).real,
         spacing * width, across=mean(across).real,
     )  # fmt: skip
-    if data.kinds[i] != "acceleration":
-        return found
     k, c = point.slopes[i, i]
     back = alike(found.w / (2 * np.pi), data.rate_hz, float(data.mass[i]), float(k), float(c))
     seen = folded(found, back, np.stack([mean(z) for z in data.passed[:, i]]), data.rate_hz)
@@ -204,6 +202,6 @@ def expected(r: Response, A: Complexes, u: Array) -> tuple[Array, Complexes, Arr
     Q = exp(u[0])
     p = r.share(Q)
     rest = r.ra + (A - r.A) * r.aa + p * r.af.conj()
-    own = r.unmeasured + (1 - r.unmeasured) * (1 - p)
-    s = np.abs(A) ** 2 * exp(u[1]) * r.noise + np.abs(A - r.alike) ** 2 * r.folded + own * Q + r.across
+    own = r.unmeasured * Q + (1 - p) * ((1 - r.unmeasured) * Q + r.apart)
+    s = np.abs(A) ** 2 * exp(u[1]) * r.noise + np.abs(A - r.alike) ** 2 * r.folded + own + r.across
     return left(r, A, Q), rest, s
