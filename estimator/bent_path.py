@@ -70,11 +70,25 @@ def _at_place(
     if r.n.size < FEWEST:
         return [], None
     tried = _likeliest(model, point, i, r)
-    if late := of_late_sensor(r, point.data.rate_hz):
+    if (beside := _folded(model, point, i, tried)) is not None:
+        tried = beside
+    elif late := of_late_sensor(r, point.data.rate_hz):
         delayed = _likeliest(model, point, i, late)
         tried = delayed if delayed.late and delayed.nats > tried.nats else tried
     found = _found(model, point, i, tried)
     return found, None if found else (tried.response, tried.base, tried.scale)
+
+
+def _folded(model: Model, point: WorkingPoint, i: int, tried: Tried) -> Tried | None:
+    """The same beside what is folded back, where that and noise of the sensor are as likely by their coherence with the
+    motion: where no cause explains what bends the path, it is the one beside which nothing does."""
+    r, least = tried.response, (NEGLIGIBLE * point.bearing_force[i]) ** 2
+    if r.fold is None or r.fold.rival is None:
+        return None
+    if not all(_bent_still(r, peak, least) for peak in (tried.base, tried.best)):
+        return None
+    beside = _likeliest(model, point, i, r.less(replace(r.fold, density=r.fold.rival)))
+    return None if _bent_still(beside.response, beside.base, least) else replace(beside, causes={})
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,9 +101,13 @@ class Tried:
     causes: dict[Cause, Peak]
 
     @property
+    def best(self) -> Peak:
+        """With the likeliest cause."""
+        return max(self.causes.values(), key=lambda peak: peak.nats, default=self.base)
+
+    @property
     def nats(self) -> float:
-        """Of the best."""
-        return max(self.base.nats, *(peak.nats for peak in self.causes.values()), -np.inf)
+        return max(self.base.nats, self.best.nats)
 
     @property
     def late(self) -> bool:
@@ -99,8 +117,7 @@ class Tried:
 
     @property
     def likely(self) -> float:
-        best = max(self.base.nats, *(peak.nats - WORTH for peak in self.causes.values()), -np.inf)
-        return best - ALIKE * (self.response.unmeasured > 0.0)
+        return max(self.base.nats, self.best.nats - WORTH) - ALIKE * (self.response.unmeasured > 0.0)
 
 
 def _likeliest(model: Model, point: WorkingPoint, i: int, r: Response) -> Tried:
@@ -187,7 +204,7 @@ def _found(model: Model, point: WorkingPoint, i: int, at_place: Tried) -> list[S
     late = next((peak for cause, peak in tried.items() if cause.effect == "sensor_skew"), base)
     if at_place.late and not _bent_still(r, late, least):
         out = [s for s in out if s.effect != "sensor_resonance"]
-    best = max(tried.values(), key=lambda peak: peak.nats, default=base)
+    best = at_place.best
     if not _bent_still(r, best, least):
         slight = any(c.effect == "sensor_gain" and abs(peak.u[4]) < CALIBRATED and not _bent_still(r, peak, least)
                      for c, peak in tried.items())  # fmt: skip

@@ -12,10 +12,10 @@ even in f: two numbers are enough, behind any filter.
 
 Of a sensor of motion whose response H is undone, what is folded went through it at the image: n = H(w')* / H(w) a(w')*
 and, from beyond the rate, H(w'') / H(w) a(w''). A delay of 0.8 samples turns the two by +-293 degrees, so that they
-answer the force no more as the mass does, and apart: four numbers, for the two to differ as behind a filter that
-falls, M(rate + u) = u^p (1 - 2 u)^k, positive on either side. Taken for what a sensor in time folds it left 22 % of a
-force. H of a velocity is 1 / iw: the two have other signs, and what of the force is in neither (Folded.apart) is noise
-of its sensor.
+answer the force no more as the mass does, and apart: three numbers, for the two to differ as behind a filter that
+falls, sums of M(rate + u) = u^p (1 - 2 u)^k, positive on either side. Taken for what a sensor in time folds it left
+22 % of a force. H of a velocity is 1 / iw: the two have other signs, and what of the force is in neither (Folded.apart)
+is noise of its sensor.
 
 A delay that nobody knows of turns them as well, by 18 degrees for 0.05 samples, and the path to the motion by 6 at the
 end of the band: a = e^-iws a' + n, E[r a*] = A (1 - e^iws) |a|^2 + e^iws A M - E[f n*]. Where one in time does not
@@ -35,10 +35,11 @@ from .path_spectra import Folded, Response
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 WORTH = 40.0  # of chi square, that a fold is to explain, or a delay of it
+LIKELIER = 10.0  # of chi square
 LEFT = 0.1  # of chi square beyond chance, that it may leave
 LATEST, STEP, NEAR = 3.0, 0.25, 1e-3  # samples by which a sensor is sought to be late, either way, and how near
-IN_TIME = ((0, 0), (2, 0))  # p, k of the density: from both sides of the rate alike; and not
-APART = ((0, 2), (0, 4), (0, 6), (2, 3))
+IN_TIME = (((0, 0), (2, 0)),)  # p, k of the density, one set of several: from both sides of the rate alike; and not,
+APART = (((0, 2), (0, 4), (0, 6)), ((2, 0), (2, 1), (2, 3)))  # behind poles, and behind a mean over a sample
 
 
 def alike(hz: Array, rate_hz: float, mass: float, k: float, c: float) -> Complexes:
@@ -92,9 +93,14 @@ class Coherence:
         return self.by(late, weight, self.r.A * np.exp(1j * self.r.w * late) * self.r.noise)[0]
 
     def by_fold(
-        self, late: float, weight: Array, shapes: Sequence[tuple[int, int]] = APART
+        self, late: float, weight: Array, sets: Sequence[Sequence[tuple[int, int]]] = APART
     ) -> tuple[float, Folded]:  # fmt: skip
-        """Chi square that what is folded back leaves, and that."""
+        """Chi square that what is folded back leaves, and that: of the first set, unless another is much likelier."""
+        first, *others = (self._by_fold(late, weight, shapes) for shapes in sets)
+        other = min(others, key=lambda found: found[0], default=first)
+        return other if other[0] < first[0] - LIKELIER else first
+
+    def _by_fold(self, late: float, weight: Array, shapes: Sequence[tuple[int, int]]) -> tuple[float, Folded]:
         r, x, back = self.r, self.x, self.back
         through = self.passed * np.exp(1j * late * self.beyond) if late else self.passed
         sides = np.array([(x**p * (1 + 2 * x) ** k, x**p * (1 - 2 * x) ** k) for p, k in shapes])
@@ -128,7 +134,10 @@ def folded(r: Response, back: Complexes, passed: Complexes, rate_hz: float, late
     now = c.weight(0.0)
     before, sensor = c.by(0.0, now)[0], c.by_sensor(0.0, now)
     after, fold = c.by_fold(0.0, now, IN_TIME if np.allclose(passed, 1.0) else APART)
-    nothing = replace(fold, density=np.zeros_like(fold.density), likely=sensor > after and before - after > WORTH)
+    likely, rival = sensor > after and before - after > WORTH, None
+    if abs(sensor - after) < WORTH and before - after > LIKELIER and after - 2 * r.n.size <= LEFT * before:
+        rival = fold.density
+    nothing = replace(fold, density=np.zeros_like(fold.density), likely=likely, rival=rival)
     if not late:
         return fold if told(before, sensor, after) else nothing
     if before - min(sensor, after) < WORTH:

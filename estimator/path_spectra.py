@@ -18,13 +18,15 @@ Complexes = NDArray[np.complex128]
 class Folded:
     """density : (2, cells) PSD in the record from below and from beyond the rate, 0 where none is seen. passed : (2,
     cells) of these by the sensor; undone : the same by what is undone. back : (cells,) as `alike` gives it. likely :
-    whether it is seen, or less sure than is asked for and likelier than noise of the sensor."""
+    whether it is seen, or less sure than is asked for and likelier than noise of the sensor. rival : density of what is
+    not seen, as noise of the sensor is about as likely by its coherence with the motion."""
 
     density: Array
     passed: Complexes
     undone: Complexes
     back: Complexes
     likely: bool
+    rival: Array | None = None
 
     @property
     def seen(self) -> Array:
