@@ -17,6 +17,7 @@ from .side_by_side import each
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 NEIGHBOURS, THIN = 240, 4  # bins either side for the local noise, of which every fourth is looked at
+FEWEST = 30  # the same near 0, where all are
 BESIDE = 20  # bins on either side that a line is to be the main thing in
 LEAST_HZ, CHUNK = 2.0, 1 << 16  # Hz below which no force is inferred; bins at a time
 UNUSUAL = 6.0  # over its surroundings, in power, from where a bin counts for less in them
@@ -189,8 +190,16 @@ def _spectrum(
 
 
 def surroundings(power: NDArray[np.floating], reach: int) -> Array:
-    """(bins,) mean of the bins up to `reach` away, by the median of every fourth of them: a line is not in it."""
+    """(bins,) mean of the bins up to `reach` away, by the median of every fourth of them: a line is not in it.
+
+    Near 0 of those up to half the way there: what is heard as a force rises as f^-4 to LEAST_HZ, and is 0 below."""
     from scipy.ndimage import median_filter
 
-    local = median_filter(power[::THIN], 2 * reach // THIN + 1, mode="reflect") / np.log(2)
-    return np.asarray(np.maximum(np.repeat(local, THIN)[: power.size], 1e-300))
+    def local(power: NDArray[np.floating], reach: int, thin: int) -> Array:
+        median = median_filter(power[::thin], 2 * reach // thin + 1, mode="reflect") / np.log(2)
+        return np.asarray(np.repeat(median, thin)[: power.size], dtype=np.float64)
+
+    out = local(power, reach, THIN)
+    while (reach := reach // 2) >= FEWEST:
+        out[: 4 * reach] = local(power[: 6 * reach], reach, 1)[: 4 * reach]
+    return np.maximum(out, 1e-300)
