@@ -51,8 +51,8 @@ PARAMETERS = {  # in the order that `numbers` gives them
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Of a cap, of the linear rotor: m kg, kL N/m, x and v rms in SI, a of the sensor's channel; seconds, turn (rad/s)
-    and ball order of the record."""
+    """Of a cap, of the linear rotor: m kg, kL N/m, x and v rms in SI, a of what the sensor's channel measures;
+    seconds, turn (rad/s) and ball order of the record."""
 
     m: float
     kL: float

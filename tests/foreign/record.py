@@ -149,8 +149,9 @@ class Bench:
         self.size = {
             d: hidden.Size(
                 self.M[i, i], rig["kL"][d], np.sqrt(P[i, i]), np.sqrt(P[n + i, n + i]),
-                np.sqrt(self.S[i] * (rig["high"] - rig["low"])) / self.M[i, i], self.case.seconds, self.turn, ORDER,
-                rig["ks"],
+                np.sqrt(P[n + i, n + i]) if rig["kind"] == "velocity"
+                else np.sqrt(self.S[i] * (rig["high"] - rig["low"])) / self.M[i, i],
+                self.case.seconds, self.turn, ORDER, rig["ks"],
             )
             for i, d in enumerate(DOFS) if d in rig["kL"]
         }  # fmt: skip
@@ -183,6 +184,8 @@ class Bench:
 
     def _tell(self, place: str, name: str, numbers: tuple[float, ...]) -> None:
         names = hidden.PARAMETERS.get(name, "").split()
+        if name == "sensor_skew":
+            numbers = (numbers[0] / self.rig["rate"],)
         self.truth |= {f"{place}.{name}.{q}": v for q, v in zip(names, numbers, strict=False)}
 
     def _add_whole(self, name: str, end: str, own: tuple[float, ...]) -> None:
@@ -296,7 +299,7 @@ def _sampled(
     """Sensors, the recorder's filter and its counts."""
     keep = rig["oversample"]
     columns = []
-    rms = float(np.std(a))
+    rms, unit = float(np.std(a)), UNITS[rig["kind"]][rig["unit"]]
     for k in range(a.shape[1]):
         y = a[:, k].astype(np.float64)
         faulty = sensor if k == 0 else {}
@@ -316,12 +319,12 @@ def _sampled(
         loud = rig["noise"] * rms
         y += rng.standard_normal(y.size) * loud
         if "sensor_noise" in faulty:
-            y += rng.standard_normal(y.size) * faulty["sensor_noise"][0]
+            y += rng.standard_normal(y.size) * faulty["sensor_noise"][0] / unit
         columns.append(y)
     out = np.stack(columns, axis=1)
     scale = 1.05 * float(np.abs(out).max()) / 32767
     if "sensor_clipping" in sensor:
-        level = sensor["sensor_clipping"][0]
+        level = sensor["sensor_clipping"][0] / unit
         out[:, 0] = np.clip(out[:, 0], -level, level)
     return scale, out
 
