@@ -37,7 +37,7 @@ LEVEL = 1e-3  # of a group at a place, after counting the groups and places trie
 SURVEY_SECONDS = 24.0  # of a long record: enough to see a thousandth of the bearing force
 NEGLIGIBLE = 1.2e-3  # of the rms bearing force: below it lie the band limit and the integrators of any simulation
 UNJUDGED = "nothing can be said of the model: the sensors of all channels are clipped, take larger ranges"
-LEANS = 0.4  # of what drawn motion is off by, that may look like a law: 0.18 and 0.24 of it where 1 and 3 % are drawn
+LEANS = 0.6  # of what drawn motion is off by, that may look like a law: 0.18 to 0.49 of it where 1 to 3 % are drawn
 DEGREE = 9  # of the smooth curves
 RIDGE = 1e-3  # of a column's own information: keeps hat functions that nothing visits at zero
 

@@ -150,7 +150,7 @@ class Bench:
             d: hidden.Size(
                 self.M[i, i], rig["kL"][d], np.sqrt(P[i, i]), np.sqrt(P[n + i, n + i]),
                 np.sqrt(P[n + i, n + i]) if rig["kind"] == "velocity"
-                else np.sqrt(self.S[i] * (rig["high"] - rig["low"])) / self.M[i, i],
+                else np.hypot(rig["kL"][d] * np.sqrt(P[i, i]), np.sqrt(self.S[i] * rig["high"])) / self.M[i, i],
                 self.case.seconds, self.turn, ORDER, rig["ks"],
             )
             for i, d in enumerate(DOFS) if d in rig["kL"]
