@@ -146,11 +146,12 @@ class Bench:
         self.S = np.array([rig["S"].get(d, 0.0) for d in DOFS])
         self.truth = {f"{place}.{q}": rig[q][place] for place in rig["kL"] for q in ("kL", "c", "S")}
         P = self.rotor().covariance()
+        R = np.linalg.solve(self.M, np.hstack([self.K, self.C]))
+        a = np.sqrt(np.maximum(np.diag(R @ P @ R.T), 0.0) + self.S / np.diag(self.M) ** 2 * rig["rate"] / 2)
         self.size = {
             d: hidden.Size(
                 self.M[i, i], rig["kL"][d], np.sqrt(P[i, i]), np.sqrt(P[n + i, n + i]),
-                np.sqrt(P[n + i, n + i]) if rig["kind"] == "velocity"
-                else np.hypot(rig["kL"][d] * np.sqrt(P[i, i]), np.sqrt(self.S[i] * rig["high"])) / self.M[i, i],
+                np.sqrt(P[n + i, n + i]) if rig["kind"] == "velocity" else a[i],
                 self.case.seconds, self.turn, ORDER, rig["ks"],
             )
             for i, d in enumerate(DOFS) if d in rig["kL"]
