@@ -9,7 +9,8 @@ Along the imaginary axis the sum gives T sum |Re p| (Jensen's formula) and canno
 decays as fast: the likelihood had a second maximum at the mirror image, k of a cross-coupling near whirl came out 50 %
 high and c as much too low. And a mode narrower than the spacing of the bins is summed by chance. Along s = shift + iw
 every mode lies to the left, shift - Re p away, and the sum is linear in Re p. A mode that a step takes across the line
-shows in the phase of det A, which then turns the other way about it (`turns`).
+shows in the phase of det A, which then turns the other way about it (`turns`). Of a rotor past whirl a law on trial is
+to take it far: with the line at a bin from the slowest mode of a model without the cross-coupling, that was in its way.
 
 A disc that resonates in the band moves with the caps as a mode of the rotor, sharp as nothing damps it there, and what
 it answers at s is not what it answers at iw: with its stiffness taken to be the same, kL was 4 to 7 standard deviations
@@ -20,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +31,7 @@ from .disc import Disc
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 MARGIN = 1.0  # of the spacing of the bins, at least, from any mode to the line: a sum is then good to exp(-2 pi)
+FED = 4.0  # of the same, where the line is needed
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +53,8 @@ def contour(
     near = int(np.argmin(np.abs(iw.imag - resonance)))
     modes = modes_at(A[near], mass, iw[near], disc, places)
     poles = np.zeros(0, complex) if disc is None else disc.poles(places)
-    shift, turned = past(modes, MARGIN / length, stretches(f_hz), poles)
+    line = partial(past, modes, band=stretches(f_hz), poles=poles)
+    shift, turned = line(FED / length) if line(MARGIN / length)[0] > 0.0 else (0.0, 0.0)
     return Contour(shift + iw, length * shift * turned / np.pi)
 
 
