@@ -50,27 +50,29 @@ def most_left(effect: str, otherwise: float) -> float:
 
 
 def left(
-    before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int], level: float = LEVEL
+    before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int], level: float = LEVEL, least: float = 0.0
 ) -> float | None:  # fmt: skip
     """rms of the force that smooth terms still explain beside the law, over what they explained without it.
 
-    0 if it is not significant, by level (p-value). None for effects of no single state.
+    0 if it is not significant, by level (p-value). None for effects of no single state. least : N^2 of what the law
+    explains, where that is more: one that joins two directions does what no terms of one of them do.
     """
     if effect not in STATES:
         return None
-    own, *others = (_left(before, after, places, *terms, level) for terms in STATES[effect])
+    own, *others = (_left(before, after, places, *terms, level, least) for terms in STATES[effect])
     return max([own, *(rest for rest in others if rest > OTHER)])
 
 
 def _left(
-    before: WorkingPoint, after: WorkingPoint, places: set[int], state: str, orders: tuple[int, ...], level: float
+    before: WorkingPoint, after: WorkingPoint, places: set[int], state: str, orders: tuple[int, ...], level: float,
+    least: float,
 ) -> float:  # fmt: skip
     """The same of the terms of one state."""
     powers, nats, counts = zip(*(_smooth(after, i, state, orders) for i in sorted(places)), strict=True)
     if sum(counts) == 0 or chdtrc(sum(counts), 2 * max(sum(nats), 0.0)) > level:
         return 0.0
     rest = sum(max(power, 0.0) for power in powers)
-    was = sum(_smooth(before, i, state, orders)[0] + _damped(before, i, state) for i in places)
+    was = max(sum(_smooth(before, i, state, orders)[0] + _damped(before, i, state) for i in places), least)
     return float(np.sqrt(min(rest / was, 1.0))) if was > 0.0 else 0.0
 
 

@@ -61,7 +61,7 @@ def seen(part: WorkingPoint, point: WorkingPoint, before: missing_force.Survey, 
     """An entry on part of the record of a point. Raises NotFiniteError where the fit goes far from the rotor."""
     missing = bool(entry.places.intersection(before.places_found()))
     after = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=2 if missing else 6)
-    left = adequacy.left(part, after, entry.effect, entry.places)
+    left = adequacy.left(part, after, entry.effect, entry.places, least=_across(part, entry))
     far = missing and left is not None and left > FAR * _most_left(part, entry)
     needed = far or part is point
     return Seen(entry, after if needed else after.rowless(), missing, left, far, part is point)
@@ -98,7 +98,7 @@ def _fitted(
         if found is None:
             return Explained(replace(entry, notes=(*entry.notes, IDLE)), None)
         entry, after_point = found
-        smooth = adequacy.left(point, after_point, entry.effect, entry.places)
+        smooth = adequacy.left(point, after_point, entry.effect, entry.places, least=_across(point, entry))
     del known
     joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
     after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
@@ -135,8 +135,17 @@ def _bends_a_spectrum(point: WorkingPoint, before: missing_force.Survey, entry: 
     places = entry.places
     if all(law.effect.kind != "memory" for law in entry.placed) or _by_state(before, places):
         return False
-    own = (entry.explained_percent / 100) ** 2 * sum(float(point.bearing_force[i]) ** 2 for i in places)
-    return own < SMALL**2 * sum(share.power for share in before.shares if share.place in places)
+    return _power(point, entry) < SMALL**2 * sum(share.power for share in before.shares if share.place in places)
+
+
+def _power(point: WorkingPoint, entry: Entry) -> float:
+    """N^2 of the entry's own part of the force."""
+    return float((entry.explained_percent / 100) ** 2 * np.sum(point.bearing_force[list(entry.places)] ** 2))
+
+
+def _across(point: WorkingPoint, entry: Entry) -> float:
+    """The same of a law that joins two directions, 0 of any other."""
+    return _power(point, entry) if all(len(law.at) > 1 for law in entry.placed) else 0.0
 
 
 def _told(
