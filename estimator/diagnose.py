@@ -20,6 +20,7 @@ from .periodic import PERIODIC
 from .periodic_fit import found_beside
 from .ranking import FOREMOST, SIGNIFICANT, Progress, extrapolating, on_whole, ranked
 from .shape import Shape, shape_of
+from .suspect import Suspect
 from .suspects import suspects
 from .whole import Whole, fit_whole
 from .working_point import WorkingPoint, thinned
@@ -149,23 +150,41 @@ def _restored(model: Model, point: WorkingPoint, y: Array, before: missing_force
 
 def _coloured(model: Model, point: WorkingPoint, y: Array, before: missing_force.Survey, found: Diagnosis) -> Diagnosis:
     """The finding of a shape of the spectrum, fitted together with the model to part of the record: in what a model
-    without it leaves another shape may pass for it, with another stiffness and damping."""
+    without it leaves another shape may pass for it, with another stiffness and damping. Noise of its sensor may be
+    beside it, and is then the next to be found."""
     best, *others = found.ranking
-    if (added := _added(model, y, point.data.rate_hz, best)) is None:
+    if (seen := _spectrum_left(model, point, y, before, best)) is None:
         return found
-    whole, part = added
-    beside = suspects(whole.model, whole.point, part)
-    after = missing_force.survey(whole.point, whole.model, only=before.places_found(), others=beside)
-    places = tuple(sorted(whole.point.data.places.index(p) for own in best.settings.values() for p in own))
-    best = replace(best, after_percent=after.interval(places)[0])
-    # what goes with a state is another effect's
-    was, rest = (sum(s.power for s in it.shares if s.place in places) for it in (before, after))
-    if rest <= LEAVES**2 * was:
+    best, share, beside = seen
+    noise = {p: own for s in beside if s.effect == "sensor_noise" for p, own in s.settings.items()}
+    if share > LEAVES**2 and noise:
+        both = replace(best, settings={**best.settings, "sensor_noise": noise})
+        again = _spectrum_left(model, point, y, before, both)
+        if again is not None and again[1] <= LEAVES**2:
+            note = f"noise of the sensor of {', '.join(noise)} beside it leaves nothing of the spectrum"
+            best, share = replace(best, notes=(*best.notes, note)), again[1]
+    if share <= LEAVES**2:
         return replace(found, ranking=(best, *others))
-    how_much = f"{100 * np.sqrt(rest / was):.0f} %" if rest < was else "all"
+    how_much = f"{100 * np.sqrt(share):.0f} %" if share < 1.0 else "all"
     said = f"{best.effect} comes nearest but leaves {how_much} of what the spectrum shows"
     regions = dict.fromkeys(s.region for s in before.shares)
     return Diagnosis("unknown", (best, *others), shape_of(point, before), messages=(said, *regions, SPECTRUM))
+
+
+def _spectrum_left(
+    model: Model, point: WorkingPoint, y: Array, before: missing_force.Survey, best: Entry
+) -> tuple[Entry, float, list[Suspect]] | None:  # fmt: skip
+    """A shape of the spectrum fitted together with the model to part of the record; the share of the power that the
+    spectrum lacked, which it leaves; and what is suspected beside it. None where too little of the record is whole."""
+    if (added := _added(model, y, point.data.rate_hz, best)) is None:
+        return None
+    whole, part = added
+    beside = suspects(whole.model, whole.point, part)
+    after = missing_force.survey(whole.point, whole.model, only=before.places_found(), others=beside)
+    places = tuple(sorted({whole.point.data.places.index(p) for own in best.settings.values() for p in own}))
+    # what goes with a state is another effect's
+    was, rest = (sum(s.power for s in it.shares if s.place in places) for it in (before, after))
+    return replace(best, after_percent=after.interval(places)[0]), rest / max(was, 1e-300), beside
 
 
 def _loss(entries: Sequence[Entry]) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
-from scipy.signal import butter, iirpeak, lfilter
+from scipy.signal import bilinear, butter, iirpeak, lfilter
 
 from estimator import force_cells, force_colour, force_shapes
 from estimator.diagnose import diagnose, no_law, quiet
@@ -58,6 +58,20 @@ def test_a_colour_that_leaves_much_once_it_is_fitted_is_not_named(hz: float, qua
     assert found.ranking[0].after_percent > 0.4 * found.ranking[0].before_percent
     assert f"{found.ranking[0].effect} comes nearest" in found.messages[0]
     assert no_law(found.messages).startswith("the unknown force has a spectrum")
+
+
+def test_a_colour_beside_noise_of_its_sensor_is_named_and_then_the_noise() -> None:
+    """What noise of that sensor left of the spectrum was held against the colour: "unknown"."""
+    rig = replace(one_bearing(), effects=())
+    y = simulate(rig, RATE, 8.0, seed=0, noise=0.0)
+    w = 2 * np.pi * 2500.0  # force of gain 4 beside the white one: a power of (5 + u^2) / (1 + u^2)
+    coloured = lfilter(*bilinear([1.0, w * np.sqrt(5.0)], [1.0, w], RATE), y[:, 0])
+    y = np.stack([coloured, y[:, 1]], axis=1)
+    y += y.std(axis=0) * np.array([0.05, 0.001]) * np.random.default_rng(2).standard_normal(y.shape)
+    found = diagnose(rig, y, RATE)
+    assert found.verdict == "coloured_excitation"
+    assert "noise of the sensor of bearing1.x beside it leaves nothing of the spectrum" in found.ranking[0].notes
+    assert improve(rig, y, RATE).rungs[-1].effects == ("coloured_excitation", "sensor_noise")
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
