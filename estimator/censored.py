@@ -61,15 +61,12 @@ def sweep(
                 pull[i] += precision[lag] * z[row + i + lag]
             pull[i] *= side
         for j in range(size):  # the mean is -A A' pull, and u - mean is A e
-            e[j] = 0.0
+            pulled, squared, along = 0.0, 0.0, 0.0
             for i in range(size):
-                e[j] += A[i, j] * pull[i]
-        for j in range(size):
-            squared, along = 0.0, 0.0
-            for i in range(size):
+                pulled += A[i, j] * pull[i]
                 squared += A[i, j] ** 2
                 along += A[i, j] * u[i]
-            e[j] += along / squared
+            e[j] = pulled + along / squared
         for _ in range(TURNS):
             for j in range(size):
                 far = np.sqrt(e[j] ** 2 + 2.0 * rng.standard_exponential())

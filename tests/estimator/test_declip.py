@@ -25,15 +25,15 @@ LOST = {"bearing1.x": np.inf}
 def damped(turn: float, radius: float, noise: float) -> NDArray[np.float64]:
     """A resonance at `turn` rad a sample under white force, and white noise of a sensor."""
     rng = np.random.default_rng(1)
-    x = lfilter([1.0], [1.0, -2 * radius * np.cos(turn), radius**2], rng.standard_normal(300_000))
+    x = lfilter([1.0], [1.0, -2 * radius * np.cos(turn), radius**2], rng.standard_normal(3_000_000))
     return np.asarray(x + noise * x.std() * rng.standard_normal(x.size))
 
 
 @pytest.mark.parametrize(("turn", "radius", "noise"), [(1.0, 0.0, 0.0), (0.3, 0.98, 0.02), (0.1, 0.99, 0.003)])
 def test_what_lies_beyond_is_as_far_as_it_was(turn: float, radius: float, noise: float) -> None:
     """A sample at a time, what lies beyond a smooth crest (the last, of 60 samples a period) was a quarter of it, and
-    said to be known 15 times better than it was. Of the last there are some 300 crests, and another BLAS draws others:
-    both sides of what is compared are known to 5 %."""
+    said to be known 15 times better than it was. Another BLAS draws others: of 3 million samples what is
+    said scatters by 3 % there, of 300 000 by 6."""
     rig, y = one_bearing(), np.stack([damped(turn, radius, noise)] * 2, axis=1)
     top = float(np.quantile(np.abs(y[:, 0]), 0.99))
     z = y.copy()
@@ -47,12 +47,12 @@ def test_what_lies_beyond_is_as_far_as_it_was(turn: float, radius: float, noise:
     assert (np.abs(made[at, 0]) >= top).all()
     assert (np.sign(made[at, 0]) == np.sign(z[at, 0])).all()
     beyond, was = (np.abs(w[at, 0]) - top for w in (made, y))
-    assert beyond.mean() == pytest.approx(was.mean(), rel=0.12)
-    assert np.sqrt(np.mean(beyond**2)) == pytest.approx(np.sqrt(np.mean(was**2)), rel=0.12)
+    assert beyond.mean() == pytest.approx(was.mean(), rel=0.06)
+    assert np.sqrt(np.mean(beyond**2)) == pytest.approx(np.sqrt(np.mean(was**2)), rel=0.06)
     assert np.array_equal(restored(rig, z, HERE)[0], made, equal_nan=True)
     there = at & np.isfinite(y[:, 0])
     error = np.sqrt(0.5 * np.sum((made[there, 0] - y[there, 0]) ** 2) / len(y)) / np.nanstd(y[:, 0])
-    assert off["bearing1.x"] == pytest.approx(error, rel=0.25)
+    assert off["bearing1.x"] == pytest.approx(error, rel=0.1)
 
 
 def test_a_channel_without_a_ceiling_is_left_alone() -> None:
