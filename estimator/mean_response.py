@@ -57,6 +57,10 @@ class Mean:
         """The same in the mean over its modes, by their power."""
         return float(self._power.sum() / (self._power @ np.abs(self.poles.real)))
 
+    def unfinished(self, seconds: float) -> float:
+        """Share of the power of the answer to an impulse that is to come this long after it."""
+        return float(self._power @ np.exp(2.0 * seconds * self.poles.real) / self._power.sum())
+
     def over(self, left: float) -> float:
         """s after an impulse from which on only so much of the power of the answer is to come, of modes that have more,
         apart."""

@@ -31,7 +31,7 @@ STRONG = 1.0  # rms of the tangent stiffness over its mean, above which the seco
 # scatter was 1.7 to 2.8 times what the intervals say, undressed 0.8; at 18 (one degree at rms 1, 30 records) kNL is
 # 0.55 % small and its 95 % interval covers 87 %, undressed 0.85 and 57 %
 WIDE = 19.0
-LONG = 0.5  # of the lags, in which free motion must fall by e
+UNFINISHED = 0.02  # of the power of free motion, at most, after the lags
 
 
 def spectra(tangents: NDArray[np.floating], lags: int) -> Spectra:
@@ -72,7 +72,7 @@ def dressed_response(total: Floats, dt: float, mean: Mean) -> Floats | None:
     pushed does not come to rest within the lags.
     """
     lags = total.shape[2]
-    if not mean.sound or mean.decay > LONG * lags * dt:
+    if not mean.sound or mean.unfinished(lags * dt) > UNFINISHED:
         return None
     if total[0, 0, 0] > min(STRONG * mean.stiffness, WIDE * mean.width) ** 2:
         return None

@@ -73,6 +73,7 @@ def test_a_cap_by_itself(c: float) -> None:
         assert mean.hz == pytest.approx(np.sqrt(k / m) / (2 * np.pi))
         assert mean.decay == pytest.approx(2 * m / c)
         assert mean.quick == pytest.approx(mean.decay)
+        assert mean.unfinished(2.0 * mean.decay) == pytest.approx(np.exp(-4.0))
         assert mean.over(np.exp(-10.0)) == pytest.approx(5.0 * mean.decay, rel=0.01)
         assert mean.width == pytest.approx(c * np.sqrt(k / m), rel=1e-3)
 
