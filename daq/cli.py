@@ -17,6 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from . import cli_analyse, cli_demo, cli_files, cli_live, cli_model  # noqa: E402
 from .errors import exit_status  # noqa: E402
 from .output import tell, to_nowhere  # noqa: E402
+from .stop import asked  # noqa: E402
 
 INTERRUPTED = 130
 ABOUT = "Acquire bearing vibration, identify the rotor's stiffness from it, and learn which physics the model lacks."
@@ -104,7 +105,7 @@ def _interrupted(error: BaseException | None) -> bool:
     """Python and libraries wrap what they were interrupted with (3.11, in `__set_name__`: RuntimeError)."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
-    return error is not None
+    return error is not None or asked()
 
 
 def _failed(text: str, status: int, verbose: bool) -> int:

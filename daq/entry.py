@@ -27,9 +27,11 @@ def main() -> NoReturn:
     cache_place.choose()
     cache_place.clean()
     from .cli import main as run
+    from .stop import interrupt
 
+    sys.unraisablehook = _unless_interrupted
     try:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, interrupt if before is signal.default_int_handler else before)
         status = run()
         _drop_unsaid()
         if before is signal.default_int_handler:
@@ -37,6 +39,12 @@ def main() -> NoReturn:
         _end(status)
     except KeyboardInterrupt:
         _leave()
+
+
+def _unless_interrupted(what: sys.UnraisableHookArgs) -> None:
+    """An interrupt that Python could not raise, in a callback, is remembered and said in a line as any other."""
+    if what.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(what)
 
 
 def _say_anything() -> None:

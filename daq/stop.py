@@ -29,6 +29,7 @@ class Stop:
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Stop:
+        go_on()
         self._setter = threading.Thread(target=self._set, name="stop", daemon=True)
         self._setter.start()
         for number in SIGNALS:
@@ -55,7 +56,21 @@ class Stop:
                 raise KeyboardInterrupt
 
 
-_asked = False  # of a command that is all or nothing, to end
+_asked = False  # to end, whatever became of the KeyboardInterrupt
+
+
+def interrupt(_number: int, _frame: FrameType | None) -> None:
+    """SIGINT's handler until a command has one of its own: Python's, and remembered. Python swallows what it raises in
+    a callback (importlib's), pydantic while it builds a class, or makes an error of another type of it.
+    """
+    global _asked
+    _asked = True
+    raise KeyboardInterrupt
+
+
+def asked() -> bool:
+    """Whether this program was interrupted, also where what that raised was swallowed."""
+    return _asked
 
 
 @contextmanager
@@ -64,20 +79,22 @@ def all_or_nothing() -> Iterator[None]:
     global _asked
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        usual = (signal.SIG_DFL, signal.default_int_handler)
+        usual = (signal.SIG_DFL, signal.default_int_handler, interrupt)
         before = {n: handler for n in SIGNALS if (handler := signal.getsignal(n)) in usual}
 
-    def interrupt(number: int, _frame: FrameType | None) -> None:
-        global _asked
-        _asked = True
+    def once(number: int, frame: FrameType | None) -> None:
         signal.signal(number, before[number])
-        raise KeyboardInterrupt
+        interrupt(number, frame)
 
     try:
-        _asked = False
+        go_on()
         for number in before:
-            signal.signal(number, interrupt)
+            signal.signal(number, once)
         yield
+    except Exception as error:
+        if _asked:
+            raise KeyboardInterrupt from error
+        raise
     finally:
         _asked = False
         for number, handler in before.items():
@@ -85,7 +102,7 @@ def all_or_nothing() -> Iterator[None]:
 
 
 def go_on() -> None:
-    """Before a file is begun. Raises the KeyboardInterrupt that a library has swallowed (pydantic does, in C)."""
+    """Before a file or an acquisition is begun. Raises the KeyboardInterrupt that was swallowed."""
     if _asked and threading.current_thread() is threading.main_thread():
         raise KeyboardInterrupt
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import subprocess
@@ -15,6 +16,7 @@ from promises import PATIENCE_S
 
 from daq.cli import main
 from daq.log_reader import read_log
+from daq.stop import Stop, interrupt
 
 RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 BEGIN = """
@@ -58,6 +60,60 @@ def test_an_interrupt_while_python_imports_ends_quietly(
     assert len(said.splitlines()) <= 1
     row = f"stop while Python imports | SIGINT {after_s:g} s after the program's start | one line, status 130"
     record_property("reliability", f"{row} | status {process.returncode}, {len(said.splitlines())} lines")
+
+
+UNRAISABLE = """
+import signal, weakref
+from daq.entry import main
+from daq import cli
+class Lock: pass
+def command(*_):
+    def callback(_):
+        signal.raise_signal(signal.SIGINT)
+    lock = Lock()
+    reference = weakref.ref(lock, callback)
+    del lock
+    from daq.stop import Stop
+    with Stop():
+        raise AssertionError("begun")
+cli.application = command
+main()
+"""
+
+
+def test_an_interrupt_in_a_callback_of_pythons_is_a_line() -> None:
+    done = subprocess.run([sys.executable, "-c", UNRAISABLE], capture_output=True, timeout=PATIENCE_S, check=False)
+    assert (done.returncode, done.stderr) == (130, b"rotorscope: interrupted\n")
+
+
+def _failing() -> None:
+    raise ValueError("SchemaError: KeyboardInterrupt")  # as pydantic makes of it
+
+
+def _acquiring() -> None:
+    with Stop():
+        raise AssertionError("begun")
+
+
+@pytest.mark.parametrize("then", [_failing, _acquiring])
+def test_an_interrupt_that_is_swallowed_while_a_command_imports_ends_it(
+    then: Callable[[], None], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By importlib's callbacks and by pydantic, 1 of 200: an acquisition went on for as long as it was asked to."""
+
+    def command(*_: object) -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        then()
+
+    monkeypatch.setattr("daq.stop._asked", False)
+    monkeypatch.setattr("daq.cli.application", command)
+    before = signal.signal(signal.SIGINT, interrupt)
+    try:
+        assert main(["effects"]) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err == "rotorscope: interrupted\n"
 
 
 STUCK = """
