@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from . import force_shapes
-from .filter_search import Seen, likeliest
+from .filter_search import Seen, Standing, likeliest
 from .force_cells import Cells, cells_of
 from .model import Model
 from .roll_off import POWERS, Filter, RollOff, devices, images
@@ -22,7 +22,8 @@ from .working_point import WorkingPoint
 
 Array = NDArray[np.float64]
 Plain = tuple[float, Array, Array]  # likelihood, numbers and their scales: force_shapes.plain
-Shaped = tuple[tuple[float, float] | None, ...]  # numbers of SHAPES that a place has in the model
+Two = tuple[float, float] | None
+Shaped = tuple[Two, Two, Standing | None]  # the numbers of the sensor's resonance, of the colour and of the pedestal
 Place = tuple[int, Cells, Plain]  # its index, its cells and the model fitted to them
 LEVEL = 1e-6
 LEAST = 0.002  # rms of ln(power) over the band, from where it matters to S
@@ -37,13 +38,13 @@ BEHIND = 12.0  # in deviance and a place, that causes of other kinds, two number
 
 def find(model: Model, point: WorkingPoint) -> RollOff | None:
     """None where nothing falls, or something else fits better. A place whose force has a colour in the model takes the
-    filter that the others show, and so does one whose sensor's resonance is undone: what falls there is within that.
-    Where the others show none, it is sought with these shapes: filter_search.py. Places that cannot be judged, as
-    behind a clipped channel, take it too."""
+    filter that the others show, and so does one on a pedestal, or whose sensor's resonance is undone: what falls there
+    is within that. Where the others show none, it is sought with these shapes: filter_search.py. Places that cannot be
+    judged, as behind a clipped channel, take it too."""
     data, whole = point.data, [*point.data.judged]
     if data.measured_force or not whole or point.kL[whole].min() <= 0.0:
         return None
-    shapes = [tuple(shape(model, place, name) for name in SHAPES) for place in data.places]
+    shapes = [_shapes(model, point, i) for i in range(len(data.places))]
     shaped = {i: shapes[i] for i in whole if any(shapes[i])}
     plain = [i for i in whole if i not in shaped]
     found = _of(point, plain) if plain else None
@@ -52,7 +53,19 @@ def find(model: Model, point: WorkingPoint) -> RollOff | None:
     own = _measured(point, whole)
     stands_out = any(chdtrc(c.n.size - 4.0, -2 * fit[0]) < LOOK for i, c, fit in own if i in shaped)
     off = _fall(point, own, EXPLAINED, shaped)[1] if stands_out or _in_common(own) else None
-    return None if off is None else dict.fromkeys(data.places, off)
+    if off is not None:
+        return dict.fromkeys(data.places, off)
+    standing = [i for i in whole if not any(shapes[i][:2])]  # what is too little to be told from pedestals, beside them
+    return _of(point, standing) if len(standing) > len(plain) else None
+
+
+def _shapes(model: Model, point: WorkingPoint, i: int) -> Shaped:
+    resonance, colour = (shape(model, point.data.places[i], name) for name in SHAPES)
+    for use in point.placed:
+        if use.effect.name == "pedestal" and i in use.at:
+            mass, frequency, damping = use.p.tolist()
+            return resonance, colour, Standing(point.kL[i], point.c[i], (mass, frequency, damping))
+    return resonance, colour, None
 
 
 def _of(point: WorkingPoint, places: list[int]) -> RollOff | None:
@@ -94,7 +107,7 @@ def _fall(
     after, found = likeliest(seen, Filter(point.data.rate_hz, point.data.band[1]))
     fall = -np.log(found.passed(hz))
     rms = float(np.sqrt(np.average((fall - np.average(fall, weights=count)) ** 2, weights=count)))
-    free = 2 * sum(one is not None for shapes in shaped.values() for one in shapes)
+    free = sum(one.shapes for one in seen)
     if chdtrc(POWERS.size + free, before - after) > LEVEL or rms < LEAST:
         return before, None
     if after - df > max((1 - explained) * (before - df), CHANCE * np.sqrt(2 * df)):

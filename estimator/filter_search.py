@@ -5,10 +5,11 @@ A mean over a sample leaves a white acceleration white: what it takes towards th
 there, and all that is seen of it low in the band may pass for noise. A sensor that resonates lets nothing through at
 the images: its channel alone falls, and it is taken for another resonance than it is (5567 Hz and 11.3 for 5600 and 12,
 c 9 % off). So what is undone of it is sought anew behind the filter. So is a colour of the force, which takes over most
-of a slow fall (behind a Bessel filter a gain of 12 was 14.6 and S 17 % low). With them designs differ by few nats, and
-a number costs as many as Schwarz asks: by Akaike's two, ripples of 1.5 dB were found behind a filter without any. So
-does the noise of each sensor where all of it may be folded back: behind a Bessel filter, what comes from about the rate
-passed for 4000 times the power of the noise that there was, and of a common force it was not in common then.
+of a slow fall (behind a Bessel filter a gain of 12 was 14.6 and S 17 % low); and a pedestal at every cap (its mass, of
+0.45 times the cap's, was 0.58). With them designs differ by few nats, and a number costs as many as Schwarz asks: by
+Akaike's two, ripples of 1.5 dB were found behind a filter without any. So does the noise of each sensor where all of it
+may be folded back: behind a Bessel filter, what comes from about the rate passed for 4000 times the power of the noise
+that there was, and of a common force it was not in common then.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from . import pedestal_form
 from .filter_designs import chebyshev, designs
 from .force_cells import Cells
 from .force_shapes import DARKEST, coloured, resonant
@@ -28,6 +30,7 @@ from .roll_off import POWERS, Filter, images
 from .side_by_side import answers
 
 Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 MOST_MEANS = 8.0
 FALLS_DB = (0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0, 16.0)  # at the end of the band, that searches for a design begin with
 ORDERS, RIPPLES_DB, EDGES = range(3, 9), (0.1, 0.7), np.linspace(0.55, 1.1, 12)  # of Chebyshev filters; top by cutoff
@@ -39,13 +42,32 @@ MOST_MOVED = 1.0  # of the logarithm of a number of a shape
 SMALL = 1e-5  # change of a filter's number, for its derivative
 STEPS, ENOUGH = 60, 0.01  # at most; in deviance, that a step is to bring
 OWN = 4  # numbers of a place: ln S, noise, k and c
+NONE: Array = np.zeros(0)
+
+
+class Standing(NamedTuple):
+    """A bearing on a pedestal, in the tangent: kL and c, and kg, Hz and damping of the pedestal."""
+
+    kL: float
+    c: float
+    pedestal: tuple[float, float, float]
+
+    def moved(self, w: Array, k: float, c: float, by: Array) -> tuple[Complexes, Complexes]:
+        """(cells,) N/m that changes of kL and c and factors of the pedestal's numbers take from the bearing's stiffness
+        beside these changes themselves, and the share of a change that is left of it."""
+        now = np.array(self.pedestal) * by
+        D = self.kL + k + 1j * w * (self.c + c)
+        lost = pedestal_form.lost(w, self.kL + k, self.c + c, now)
+        before = pedestal_form.lost(w, self.kL, self.c, np.array(self.pedestal))
+        return lost - before, np.asarray((1.0 - lost / D) ** 2)
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
     """Cells of a place, of the same frequencies at all, and (cells,) PSD over S of the force that white noise makes
     there, of its own sensor and of the others. undone : Hz and quality of a resonance of the sensor that has been taken
-    back; colour : gain and corner of that of the force. What these are behind the filter is found with it."""
+    back; colour : gain and corner of that of the force. What these and the pedestal are behind the filter is found with
+    it."""
 
     cells: Cells
     own: Array
@@ -53,6 +75,12 @@ class Seen:
     kind: str
     undone: tuple[float, float] | None = None
     colour: tuple[float, float] | None = None
+    standing: Standing | None = None
+
+    @property
+    def shapes(self) -> int:
+        """How many numbers these have."""
+        return 2 * (self.undone is not None) + 2 * (self.colour is not None) + 3 * (self.standing is not None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,9 +177,9 @@ def _squares(poles: tuple[float, ...]) -> Array:
 
 
 def _tried(seen: Sequence[Seen], way: Way) -> Tried:
-    shapes = sum((own.undone is not None) + (own.colour is not None) for own in seen)
+    shapes = sum(own.shapes for own in seen)
     price = _schwarz(seen) if shapes else 2.0
-    still = [0.0] * (2 * shapes)
+    still = [0.0] * shapes
     first = [np.array([*z, *still]) for z in way.first]
     begun = [_begun(seen, way, z) for z in first]
     k = min(range(len(begun)), key=lambda k: begun[k][0])
@@ -167,7 +195,7 @@ def _schwarz(seen: Sequence[Seen]) -> float:
 def _begun(seen: Sequence[Seen], way: Way, z: Array) -> tuple[float, Array]:
     """Deviance and numbers (places, OWN) at the model's own k and c."""
     deviance, out = 0.0, np.zeros((len(seen), OWN))
-    for own, at, (passed, back) in zip(seen, out, _effects(seen, way, z), strict=True):
+    for own, at, (passed, back, _) in zip(seen, out, _effects(seen, way, z), strict=True):
         c = own.cells
         X, m = np.stack([c.colour * passed + back, c.heard]), c.power
         S = N = 0.0
@@ -186,24 +214,26 @@ def _begun(seen: Sequence[Seen], way: Way, z: Array) -> tuple[float, Array]:
     return deviance, out
 
 
-def _effects(seen: Sequence[Seen], way: Way, z: Array) -> list[tuple[Array, Array]]:
-    """By place (cells,) of power that a filter lets through, and PSD over S of the force that it folds back."""
+def _effects(seen: Sequence[Seen], way: Way, z: Array) -> list[tuple[Array, Array, Array]]:
+    """By place (cells,) of power that a filter lets through, PSD over S of the force that it folds back, and factors of
+    the numbers of its pedestal."""
     count = len(way.least)
-    off, moved = way.made(z[:count]), iter(np.exp(z[count:]).reshape(-1, 2))
+    off, moved = way.made(z[:count]), iter(np.exp(z[count:]).tolist())
     hz = seen[0].cells.w / (2 * np.pi)
     passed, echoes = off.passed(hz), {kind: off.echoes(hz, kind) for kind in {own.kind for own in seen}}
     out = []
     for own in seen:
         through, beyond = passed, echoes[own.kind]
         if own.undone is not None:
-            now, was = np.array(own.undone) * next(moved), resonant(hz, *own.undone)
+            now, was = np.array(own.undone) * [next(moved), next(moved)], resonant(hz, *own.undone)
             through = through * resonant(hz, *now) / was
             beyond = beyond * resonant(images(off.rate_hz, hz)[: len(beyond)], *now) / was
         if own.colour is not None:
-            (gain, corner), (more, by) = own.colour, next(moved)
+            (gain, corner), more, by = own.colour, next(moved), next(moved)
             now = np.array([more * (gain + DARKEST) - DARKEST, corner * by])
             through = through * coloured(hz, *now) / coloured(hz, gain, corner)
-        out.append((through, beyond.sum(axis=0) * own.own + echoes[own.kind].sum(axis=0) * own.others))
+        factors = np.array([next(moved) for _ in range(3)] if own.standing is not None else ())
+        out.append((through, beyond.sum(axis=0) * own.own + echoes[own.kind].sum(axis=0) * own.others, factors))
     return out
 
 
@@ -212,19 +242,23 @@ def _deviance(c: Cells, m: Array) -> float:
     return float(2 * c.n @ (ratio - 1 - np.log(ratio)))
 
 
-def _spectrum(c: Cells, u: Array, passed: Array, back: Array) -> tuple[Array, Array]:
-    """(cells,) model, as Cells.spectrum, and (OWN, cells) its derivatives."""
-    S, (noise, k, d) = np.exp(u[0]), u[1:]
-    A = c.tangent(np.concatenate([u[:2], [k, d]]))
-    own, of = np.abs(c.A) ** 2, np.abs(A) ** 2
+def _spectrum(own: Seen, u: Array, passed: Array, back: Array, factors: Array = NONE) -> tuple[Array, Array]:
+    """(cells,) model, as Cells.spectrum, and (OWN, cells) its derivatives. factors : of the numbers of a pedestal."""
+    c, S, (noise, k, d) = own.cells, np.exp(u[0]), u[1:]
+    A, left = c.tangent(np.concatenate([u[:2], [k, d]])), np.ones(c.w.size, np.complex128)
+    if own.standing is not None:
+        lost, left = own.standing.moved(c.w, k, d, factors)
+        A = A + lost / c.w**2
+    inferred, of = np.abs(c.A) ** 2, np.abs(A) ** 2
     force = S * c.colour * passed + np.abs(A - c.A) ** 2 * c.others
-    white = S * (c.colour * passed * own / of + back)
-    slope = -force * own / of**2
-    return white + (force - S * c.colour * passed) * own / of + noise * c.heard, np.stack([
-        white, c.heard,
-        2 * k / c.w**4 * c.others * own / of - slope * 2 * A.real / c.w**2,
-        2 * d / c.w**2 * c.others * own / of - slope * 2 * A.imag / c.w,
-    ])  # fmt: skip
+    white = S * (c.colour * passed * inferred / of + back)
+
+    def slope(dA: Array | Complexes) -> Array:
+        off = c.others * np.real((A - c.A).conj() * dA) - force * np.real(A.conj() * dA) / of
+        return np.asarray(2 * off * inferred / of)
+
+    m = white + (force - S * c.colour * passed) * inferred / of + noise * c.heard
+    return m, np.stack([white, c.heard, slope(-left / c.w**2), slope(left / (1j * c.w))])
 
 
 def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, Array, Array]:
@@ -238,7 +272,7 @@ def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, 
     def of(x: Array) -> float:
         total = 0.0
         for own, at, there in zip(seen, x[q:].reshape(-1, OWN), _effects(seen, way, x[:q]), strict=True):
-            total += _deviance(own.cells, np.maximum(_spectrum(own.cells, at, *there)[0], 1e-300))
+            total += _deviance(own.cells, np.maximum(_spectrum(own, at, *there)[0], 1e-300))
         return total
 
     x, cautious = np.concatenate([z, u.ravel()]), 1e-3
@@ -248,11 +282,11 @@ def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, 
         here, *moved = (_effects(seen, way, x[:q] + SMALL * one) for one in np.eye(q + 1, q, -1))
         for i, own in enumerate(seen):
             c, at = own.cells, q + OWN * i + np.arange(OWN)
-            m, J = _spectrum(c, x[at], *here[i])
+            m, J = _spectrum(own, x[at], *here[i])
             whole = np.zeros((q + OWN, m.size))
             whole[q:] = J
             for row, other in zip(whole, moved, strict=False):
-                row[:] = (_spectrum(c, x[at], *other[i])[0] - m) / SMALL
+                row[:] = (_spectrum(own, x[at], *other[i])[0] - m) / SMALL
             index = np.concatenate([np.arange(q), at])
             whole /= np.maximum(m, 1e-300)
             H[index[:, None], index] += (whole * c.n) @ whole.T

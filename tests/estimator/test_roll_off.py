@@ -140,6 +140,27 @@ def test_behind_one_recorder_the_places_without_a_colour_show_its_filter() -> No
         np.testing.assert_allclose(own.passed(f), power("butterworth", f), rtol=0.03)
 
 
+def test_pedestals_at_every_cap_do_not_hide_the_filter() -> None:
+    """With their numbers of before it was found, it was one that takes a third of it at half the band, and folds
+    nothing back. As scipy's sosfiltfilt and one sample of eight keep it."""
+    rig = one_bearing()
+    m, hz = rig.mass["bearing1"], 1500.0
+
+    def on(mass: float, hz: float, damping: float) -> Model:
+        own = {"mass": Setting(mass), "frequency": Setting(hz), "damping": Setting(damping)}
+        return replace(rig, effects=(EffectUse("pedestal", dict.fromkeys(rig.places, own)),))
+
+    sos = signal.bessel(3, 0.45 * RATE, fs=8 * RATE, norm="mag", output="sos")
+    y = signal.sosfiltfilt(sos, simulate(on(0.5 * m, hz, 0.05), 8 * RATE, 4.0, seed=1), axis=0)[::8]
+    thought = on(0.6 * m, 0.95 * hz, 0.06)
+    found = common_fall.find(thought, fit_record(thought, prepare(thought, y, RATE)))
+    assert found is not None
+    f = np.linspace(150.0, TOP, 100)
+    wanted = abs(signal.sosfreqz(sos, f, fs=8 * RATE)[1]) ** 4
+    for own in found.values():
+        np.testing.assert_allclose(own.passed(f), wanted, rtol=0.03)
+
+
 @pytest.mark.parametrize("recorder", ["", "bessel"])
 def test_a_sensor_that_resonates_does_not_hide_the_filter_of_all(recorder: str) -> None:
     """Both sensors were called resonant; the other one alone, behind the filter, shows what the first has too."""
