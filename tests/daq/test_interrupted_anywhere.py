@@ -110,11 +110,12 @@ def test_all_of_the_file_or_none_of_it(
         at = np.unique(np.linspace(1, every, tries).astype(int)).tolist()
         for step in at:
             done = False
+            name = f"{what}-{number}-{tries}-{step}"  # its own: here, a thread that writes may outlive the interrupt
             with contextlib.suppress(KeyboardInterrupt), Interrupter(step, number):
-                command(f"o{step}")  # a name of its own: here, a thread that writes may outlive the interrupt
+                command(name)
                 done = True
             unfinished.remove_all()  # as at the program's end
-            whole = new.with_stem(f"o{step}")
+            whole = new.with_stem(name)
             left = {path.name for path in folder.iterdir()} - before
             assert left <= {whole.name}, step
             assert left or not done, step
