@@ -8,9 +8,11 @@ import io
 import os
 import signal
 import sys
+import threading
 from typing import NoReturn
 
 INTERRUPTED = 130
+AGAIN_S = 0.05
 OBJECTS = 100_000  # new ones between two searches for garbage: what is imported is none (0.2 s of every command)
 
 
@@ -42,9 +44,18 @@ def main() -> NoReturn:
 
 
 def _unless_interrupted(what: sys.UnraisableHookArgs) -> None:
-    """An interrupt that Python could not raise, in a callback, is remembered and said in a line as any other."""
-    if what.exc_type is not KeyboardInterrupt:
+    """An interrupt that Python could not raise, in a callback of its own, comes again once that has ended."""
+    if what.exc_type is KeyboardInterrupt:
+        threading.Timer(AGAIN_S, _again).start()
+    else:
         sys.__unraisablehook__(what)
+
+
+def _again() -> None:
+    from .stop import interrupt
+
+    if signal.getsignal(signal.SIGINT) is interrupt:  # else a command that has its own has seen it
+        os.kill(os.getpid(), signal.SIGINT)  # the main thread's, also where it waits
 
 
 def _say_anything() -> None:

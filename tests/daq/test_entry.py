@@ -63,9 +63,10 @@ def test_an_interrupt_while_python_imports_ends_quietly(
 
 
 UNRAISABLE = """
-import signal, weakref
+import signal, sys, time, weakref
 from daq.entry import main
 from daq import cli
+from daq.stop import Stop
 class Lock: pass
 def command(*_):
     def callback(_):
@@ -73,16 +74,19 @@ def command(*_):
     lock = Lock()
     reference = weakref.ref(lock, callback)
     del lock
-    from daq.stop import Stop
-    with Stop():
-        raise AssertionError("begun")
+    if sys.argv[-1] == "acquiring":
+        with Stop():
+            raise AssertionError("begun")
+    time.sleep(600)
 cli.application = command
 main()
 """
 
 
-def test_an_interrupt_in_a_callback_of_pythons_is_a_line() -> None:
-    done = subprocess.run([sys.executable, "-c", UNRAISABLE], capture_output=True, timeout=PATIENCE_S, check=False)
+@pytest.mark.parametrize("then", ["acquiring", "computing"])
+def test_an_interrupt_in_a_callback_of_pythons_is_a_line(then: str) -> None:
+    command = [sys.executable, "-c", UNRAISABLE, then]
+    done = subprocess.run(command, capture_output=True, timeout=PATIENCE_S, check=False)
     assert (done.returncode, done.stderr) == (130, b"rotorscope: interrupted\n")
 
 
