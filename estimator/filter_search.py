@@ -5,11 +5,11 @@ A mean over a sample leaves a white acceleration white: what it takes towards th
 there, and all that is seen of it low in the band may pass for noise. A sensor that resonates lets nothing through at
 the images: its channel alone falls, and it is taken for another resonance than it is (5567 Hz and 11.3 for 5600 and 12,
 c 9 % off). So what is undone of it is sought anew behind the filter. So is a colour of the force, which takes over most
-of a slow fall (behind a Bessel filter a gain of 12 was 14.6 and S 17 % low); and a pedestal at every cap (its mass, of
-0.45 times the cap's, was 0.58). With them designs differ by few nats, and a number costs as many as Schwarz asks: by
-Akaike's two, ripples of 1.5 dB were found behind a filter without any. So does the noise of each sensor where all of it
-may be folded back: behind a Bessel filter, what comes from about the rate passed for 4000 times the power of the noise
-that there was, and of a common force it was not in common then.
+of a slow fall (behind a Bessel filter a gain of 12 was 14.6 and S 17 % low); and pedestals at all caps (one of 0.45 kg
+had 0.58). With them designs differ by few nats, and a number costs as many as Schwarz asks: by Akaike's two, ripples of
+1.5 dB were found behind a filter without any. So does the noise of each sensor where all of it may be folded back:
+behind a Bessel filter, what comes from about the rate passed for 4000 times the power of the noise that there was, and
+of a common force it was not in common then.
 """
 
 from __future__ import annotations
