@@ -11,8 +11,10 @@ import sys
 import threading
 from typing import NoReturn
 
+from .stop import interrupt
+
 INTERRUPTED = 130
-AGAIN_S = 0.05
+AGAIN_S = 0.05  # by then a callback of Python's has ended
 OBJECTS = 100_000  # new ones between two searches for garbage: what is imported is none (0.2 s of every command)
 
 
@@ -20,8 +22,8 @@ def main() -> NoReturn:
     """Run the command line, and end with its status."""
     _fill_closed()
     _say_anything()
-    before = signal.getsignal(signal.SIGINT)
-    if before is signal.default_int_handler:  # not ignored, as it is for a shell's background jobs
+    heard = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # a background job's is ignored
+    if heard:
         signal.signal(signal.SIGINT, _leave)
     gc.set_threshold(OBJECTS)
     from . import cache_place
@@ -29,14 +31,14 @@ def main() -> NoReturn:
     cache_place.choose()
     cache_place.clean()
     from .cli import main as run
-    from .stop import interrupt
 
     sys.unraisablehook = _unless_interrupted
     try:
-        signal.signal(signal.SIGINT, interrupt if before is signal.default_int_handler else before)
+        if heard:
+            signal.signal(signal.SIGINT, interrupt)
         status = run()
         _drop_unsaid()
-        if before is signal.default_int_handler:
+        if heard:
             signal.signal(signal.SIGINT, _leave)
         _end(status)
     except KeyboardInterrupt:
@@ -52,8 +54,6 @@ def _unless_interrupted(what: sys.UnraisableHookArgs) -> None:
 
 
 def _again() -> None:
-    from .stop import interrupt
-
     if signal.getsignal(signal.SIGINT) is interrupt:  # else a command that has its own has seen it
         os.kill(os.getpid(), signal.SIGINT)  # the main thread's, also where it waits
 

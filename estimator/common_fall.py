@@ -47,7 +47,7 @@ def find(model: Model, point: WorkingPoint) -> RollOff | None:
     shapes = [_shapes(model, point, i) for i in range(len(data.places))]
     shaped = {i: shapes[i] for i in whole if any(shapes[i])}
     plain = [i for i in whole if i not in shaped]
-    found = _of(point, plain) if plain else None
+    found = _of(point, _measured(point, plain)) if plain else None
     if found is not None or not shaped:
         return found
     own = _measured(point, whole)
@@ -56,7 +56,9 @@ def find(model: Model, point: WorkingPoint) -> RollOff | None:
     if off is not None:
         return dict.fromkeys(data.places, off)
     standing = [i for i in whole if not any(shapes[i][:2])]  # what is too little to be told from pedestals, beside them
-    return _of(point, standing) if len(standing) > len(plain) else None
+    if len(standing) == len(plain):
+        return None
+    return _of(point, own if standing == whole else _measured(point, standing))
 
 
 def _shapes(model: Model, point: WorkingPoint, i: int) -> Shaped:
@@ -68,13 +70,13 @@ def _shapes(model: Model, point: WorkingPoint, i: int) -> Shaped:
     return resonance, colour, None
 
 
-def _of(point: WorkingPoint, places: list[int]) -> RollOff | None:
+def _of(point: WorkingPoint, own: list[Place]) -> RollOff | None:
     """The same by what some places show."""
-    data, own = point.data, _measured(point, places)
+    data = point.data
     together, found = _fall(point, own, EXPLAINED)
     if found is not None and together - (df := sum(c.n.size - 4 for _, c, _ in own)) < CHANCE * np.sqrt(2.0 * df):
         return dict.fromkeys(data.places, found)
-    names = tuple(data.places[i] for i in places)
+    names = tuple(data.places[i] for i, _, _ in own)
     nodes = [(at, *_fall(point, [own[k] for k in at], ALIKE)) for at in devices(names)]
     each_its_own = sum(after for _, after, _ in nodes) if nodes else together
     deviance, most = _all_but_one(point, own) if len(own) > 1 else (np.inf, None)

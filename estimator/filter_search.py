@@ -52,10 +52,9 @@ class Standing(NamedTuple):
     c: float
     pedestal: tuple[float, float, float]
 
-    def moved(self, w: Array, k: float, c: float, by: Array) -> tuple[Complexes, Complexes]:
-        """(cells,) N/m that changes of kL and c and factors of the pedestal's numbers take from the bearing's stiffness
+    def moved(self, w: Array, k: float, c: float, now: Array) -> tuple[Complexes, Complexes]:
+        """(cells,) N/m that changes of kL and c and other numbers of the pedestal take from the bearing's stiffness
         beside these changes themselves, and the share of a change that is left of it."""
-        now = np.array(self.pedestal) * by
         D = self.kL + k + 1j * w * (self.c + c)
         lost = pedestal_form.lost(w, self.kL + k, self.c + c, now)
         before = pedestal_form.lost(w, self.kL, self.c, np.array(self.pedestal))
@@ -215,25 +214,29 @@ def _begun(seen: Sequence[Seen], way: Way, z: Array) -> tuple[float, Array]:
 
 
 def _effects(seen: Sequence[Seen], way: Way, z: Array) -> list[tuple[Array, Array, Array]]:
-    """By place (cells,) of power that a filter lets through, PSD over S of the force that it folds back, and factors of
-    the numbers of its pedestal."""
+    """By place (cells,) of power that a filter lets through, PSD over S of the force that it folds back, and numbers of
+    its pedestal."""
     count = len(way.least)
-    off, moved = way.made(z[:count]), iter(np.exp(z[count:]).tolist())
+    off, factors = way.made(z[:count]), iter(np.exp(z[count:]).tolist())
     hz = seen[0].cells.w / (2 * np.pi)
     passed, echoes = off.passed(hz), {kind: off.echoes(hz, kind) for kind in {own.kind for own in seen}}
+
+    def moved(*numbers: float) -> Array:
+        return np.array([number * next(factors) for number in numbers])
+
     out = []
     for own in seen:
         through, beyond = passed, echoes[own.kind]
         if own.undone is not None:
-            now, was = np.array(own.undone) * [next(moved), next(moved)], resonant(hz, *own.undone)
+            now, was = moved(*own.undone), resonant(hz, *own.undone)
             through = through * resonant(hz, *now) / was
             beyond = beyond * resonant(images(off.rate_hz, hz)[: len(beyond)], *now) / was
         if own.colour is not None:
-            (gain, corner), more, by = own.colour, next(moved), next(moved)
-            now = np.array([more * (gain + DARKEST) - DARKEST, corner * by])
+            gain, corner = own.colour
+            now = moved(gain + DARKEST, corner) - [DARKEST, 0.0]
             through = through * coloured(hz, *now) / coloured(hz, gain, corner)
-        factors = np.array([next(moved) for _ in range(3)] if own.standing is not None else ())
-        out.append((through, beyond.sum(axis=0) * own.own + echoes[own.kind].sum(axis=0) * own.others, factors))
+        pedestal = NONE if own.standing is None else moved(*own.standing.pedestal)
+        out.append((through, beyond.sum(axis=0) * own.own + echoes[own.kind].sum(axis=0) * own.others, pedestal))
     return out
 
 
@@ -242,12 +245,12 @@ def _deviance(c: Cells, m: Array) -> float:
     return float(2 * c.n @ (ratio - 1 - np.log(ratio)))
 
 
-def _spectrum(own: Seen, u: Array, passed: Array, back: Array, factors: Array = NONE) -> tuple[Array, Array]:
-    """(cells,) model, as Cells.spectrum, and (OWN, cells) its derivatives. factors : of the numbers of a pedestal."""
+def _spectrum(own: Seen, u: Array, passed: Array, back: Array, pedestal: Array = NONE) -> tuple[Array, Array]:
+    """(cells,) model, as Cells.spectrum, and (OWN, cells) its derivatives. pedestal : its numbers, if there is one."""
     c, S, (noise, k, d) = own.cells, np.exp(u[0]), u[1:]
     A, left = c.tangent(np.concatenate([u[:2], [k, d]])), np.ones(c.w.size, np.complex128)
     if own.standing is not None:
-        lost, left = own.standing.moved(c.w, k, d, factors)
+        lost, left = own.standing.moved(c.w, k, d, pedestal)
         A = A + lost / c.w**2
     inferred, of = np.abs(c.A) ** 2, np.abs(A) ** 2
     force = S * c.colour * passed + np.abs(A - c.A) ** 2 * c.others

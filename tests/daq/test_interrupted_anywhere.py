@@ -186,6 +186,18 @@ def test_an_interrupt_that_a_library_swallowed_is_remembered(tmp_path: Path) -> 
 
 
 @pytest.mark.usefixtures("default_signals")
+def test_an_interrupt_that_a_library_made_another_error_of_is_one() -> None:
+    @all_or_nothing()
+    def command() -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        raise ValueError("SchemaError")  # pydantic's
+
+    with pytest.raises(KeyboardInterrupt):
+        command()
+
+
+@pytest.mark.usefixtures("default_signals")
 def test_a_small_file_is_the_old_or_the_new_one(tmp_path: Path) -> None:
     path = tmp_path / "r.html"
     every = steps(lambda: write_whole(path, "old"))

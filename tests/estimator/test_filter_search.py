@@ -27,12 +27,12 @@ def seen(
     off: Filter, resonance_hz: float, S: float, seed: int, noise: float = 0.0,
     true: tuple[float, float] | None = None, undone: tuple[float, float] | None = None,
     force: tuple[float, float] | None = None, thought: tuple[float, float] | None = None,
-    stands: tuple[float, float, float] | None = None, factors: Array = NONE,
+    stands: tuple[float, float, float] | None = None, pedestal: Array = NONE,
 ) -> Seen:  # fmt: skip
     """A cap's cells behind a filter, its model 2 % off in k and 10 % in c; nothing is at the other caps. true, undone :
     Hz and quality of a resonance of its sensor, as it is and as it has been taken back. force, thought : gain and
-    corner of the colour of the force, as it is and in the model. stands : kg, Hz and damping of the model's pedestal;
-    factors : these are as it is."""
+    corner of the colour of the force, as it is and in the model. pedestal, stands : kg, Hz and
+    damping of a pedestal, as it is and in the model."""
     f = np.linspace(200.0, TOP, BINS)
     edges = np.unique(np.round(np.geomspace(12, BINS, CELLS)).astype(int))
     n = np.diff(edges, prepend=0)
@@ -56,7 +56,7 @@ def seen(
         passed = passed * coloured(hz, *force) / cells.colour
     u = np.array([np.log(S), noise, 0.02 * k, -0.1 * c])
     own = Seen(cells, through, 0 * w, "acceleration", undone, thought, standing)
-    mean = _spectrum(own, u, passed, echoes.sum(axis=0) * through, factors)[0]
+    mean = _spectrum(own, u, passed, echoes.sum(axis=0) * through, pedestal)[0]
     power = mean * np.random.default_rng(seed).gamma(cells.n) / cells.n
     return replace(own, cells=replace(cells, power=power))
 
@@ -146,7 +146,7 @@ def test_a_filter_is_found_where_every_cap_is_on_a_pedestal() -> None:
     """With the numbers that they had without the filter, a colour of every force fitted better than any filter."""
     off = replace(BLANK, poles=designs()["Bessel filter of order 6"], cutoff_hz=0.45 * RATE)
     places = [
-        seen(off, hz, 0.01, k, stands=(0.1, 1.2 * hz, 0.05), factors=np.array([0.8, 1.1, 1.3]))
+        seen(off, hz, 0.01, k, stands=(0.1, 1.2 * hz, 0.05), pedestal=np.array([0.08, 1.32 * hz, 0.065]))
         for k, hz in enumerate((1100.0, 900.0))
     ]
     information, found = likeliest(places, BLANK)
@@ -163,16 +163,15 @@ def test_derivatives_are_those_of_the_spectrum(standing: Standing | None) -> Non
     own = replace(own, cells=c, standing=standing)
     hz = c.w / (2 * np.pi)
     passed, back = np.sinc(hz / RATE) ** 2, 0.1 * own.own
-    u, factors = np.array([-4.0, 1e-3, 1e5, 5.0]), np.array([1.2, 0.95, 0.7])
-    _, J = _spectrum(own, u, passed, back, factors)
+    u, pedestal = np.array([-4.0, 1e-3, 1e5, 5.0]), np.array([0.36, 1330.0, 0.035])
+    _, J = _spectrum(own, u, passed, back, pedestal)
     for row, one, small in zip(J, np.eye(4), (1e-6, 1e-9, 1.0, 1e-5), strict=True):
-        ends = [_spectrum(own, u + side * small * one, passed, back, factors)[0] for side in (1, -1)]
+        ends = [_spectrum(own, u + side * small * one, passed, back, pedestal)[0] for side in (1, -1)]
         assert row == pytest.approx((ends[0] - ends[1]) / (2 * small), rel=1e-4, abs=1e-11)
     A = c.tangent(u)
     if standing is not None:
-        was, now = np.array(standing.pedestal), factors * standing.pedestal
-        A += (lost(c.w, 8.1e6, 45.0, now) - lost(c.w, 8e6, 40.0, was)) / c.w**2
-    assert _spectrum(own, u, passed, back, factors)[0] == pytest.approx(
+        A += (lost(c.w, 8.1e6, 45.0, pedestal) - lost(c.w, 8e6, 40.0, np.array(standing.pedestal))) / c.w**2
+    assert _spectrum(own, u, passed, back, pedestal)[0] == pytest.approx(
         replace(c, back=back).spectrum(np.array([u[0], np.log(u[1]), *u[2:]]), A, passed)
     )
 
