@@ -152,13 +152,14 @@ def pushed(model: Model, point: WorkingPoint) -> bool:
     """Whether somewhere more of what is left acts beside the measured force than is noise of its sensor, as far as the
     known mass tells."""
     lines = known_lines(model)
-    for i, place in enumerate(point.data.places):
-        if place not in forced(model) or model.cap_mass(place) is None or point.kL[i] <= 0.0:
-            continue
+
+    def at(i: int) -> bool:
         r = response_of(point, i, lines)
-        if r.n.size >= FEWEST and _likeliest(model, point, i, r).response.unmeasured > 0.5:
-            return True
-    return False
+        return r.n.size >= FEWEST and _likeliest(model, point, i, r).response.unmeasured > 0.5
+
+    places = [i for i, place in enumerate(point.data.places)
+              if place in forced(model) and model.cap_mass(place) is not None and point.kL[i] > 0.0]  # fmt: skip
+    return any(answers([partial(at, i) for i in places]))
 
 
 def _tried(

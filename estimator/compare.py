@@ -83,9 +83,9 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     model, point = whole.model, whole.point
     say(0.4, "what can still be predicted")
     part = thinned(point, missing_force.SURVEY_SECONDS)
-    found, others, beside, nll = missing_force.surveyed(
-        part, model, lambda: suspects(model, point, y), lambda: twin(fitted_model(model, point), point, y),
-        lambda: heldout_nll(point),
+    found, others, rmse, beside, nll = missing_force.surveyed(
+        part, model, lambda: suspects(model, point, y), lambda: heldout_rmse(model, y, point.data.rate_hz),
+        lambda: twin(fitted_model(model, point), point, y), lambda: heldout_nll(point),
     )  # fmt: skip
     clipped = [sensor_faults.said(s) for s in others if s.effect == "sensor_clipping"]
     say(0.85, "where the model fails")
@@ -111,7 +111,7 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         densities=beside.densities,
         orbits=beside.orbits,
         parameters=whole.parameters,
-        simulation_rmse=heldout_rmse(model, y, point.data.rate_hz),
+        simulation_rmse=rmse,
         messages=(
             *whole.messages,
             *clipped,

@@ -13,44 +13,15 @@ from numpy.typing import NDArray
 
 from .balance import force_channels, motion_channels
 from .bandlimit import band_limit
-from .effects.custom import effect_of
-from .effects.places import at
 from .errors import DataError
-from .gram import spectra, valid_blocks
-from .model import EffectUse, Model, Setting
-from .record import Record
-from .solution import Solution
+from .gram import layout, spectra, valid_blocks
+from .model import Model
+from .record import CELLS_WITH_FORCE, notches
 
 Floats = NDArray[np.float64]
 OVERSAMPLE = 8
 SETTLE = 12.0  # decay times until the start from rest is forgotten
 CHUNK_S = 4.0
-
-
-def fitted_model(solution: Solution) -> Model:
-    """The model with every value of a solution filled in, ready for the simulator."""
-    model, balance, point, values = solution.record.model, solution.balance, solution.point, solution.values
-    linear, mass = {}, dict(model.mass)
-    for i, place in enumerate(balance.places):
-        given = dict(model.linear.get(place, {}))
-        new = {key: Setting(values[f"{place}.{key}"]) for key in ("kL", "c") if f"{place}.{key}" in values}
-        linear[place] = given | new | {"S": Setting(float(point.S[i]))}
-        if f"{place}.m" in values:
-            mass[place] = values[f"{place}.m"]
-    shapes = {law.name(j): float(p) for law in balance.laws for j, p in enumerate(law.p)}
-    uses = []
-    for use in model.effects:
-        effect = effect_of(use)
-        parameters = {
-            key: {
-                q.name: Setting(values.get(name, shapes.get(name)))
-                for q in effect.parameters
-                for name in (f"{key}.{effect.name}.{q.name}",)
-            }
-            for key in at(effect, use, model)
-        }
-        uses.append(EffectUse(use.name, parameters, use.custom))
-    return replace(model, linear=linear, mass=mass, effects=tuple(uses))
 
 
 def resampled(z: Floats, size: int, shift: float) -> Floats:
@@ -81,17 +52,16 @@ def free_run(model: Model, force: Floats, rate_hz: float, first: int = 0) -> Flo
     out = np.empty_like(force)
     pad, chunk = int(0.25 * rate_hz), int(CHUNK_S * rate_hz)
     n = force.shape[1]
-    stepped: list[Floats] = []
+    whole = np.empty((len(channels), n * OVERSAMPLE))
     for a in range(0, n, chunk):
-        lo, hi = max(a - pad, 0), min(a + chunk + pad, n)
+        lo, hi, end = max(a - pad, 0), min(a + chunk + pad, n), min(a + chunk, n)
         fine = resampled(force[:, lo:hi], (hi - lo) * OVERSAMPLE, 0.5)
-        part = fine[:, (a - lo) * OVERSAMPLE : (min(a + chunk, n) - lo) * OVERSAMPLE]
+        part = fine[:, (a - lo) * OVERSAMPLE : (end - lo) * OVERSAMPLE]
         F = np.zeros((part.shape[1], stepper.slots.count))
         F[:, slots] = part.T
         steps = np.empty((len(channels), part.shape[1]))
         stepper.step(F, steps)
-        stepped.append(steps)
-    whole = np.concatenate(stepped, axis=1)
+        whole[:, a * OVERSAMPLE : end * OVERSAMPLE] = steps
     for a in range(0, n, chunk):
         lo, hi = max(a - pad, 0), min(a + chunk + pad, n)
         part = resampled(whole[:, lo * OVERSAMPLE : hi * OVERSAMPLE], hi - lo, -0.5 / OVERSAMPLE)
@@ -99,40 +69,35 @@ def free_run(model: Model, force: Floats, rate_hz: float, first: int = 0) -> Flo
     return out
 
 
-def simulation_rmse(solution: Solution, first: float = 0.0) -> dict[str, float]:
+def simulation_rmse(model: Model, y: Floats, rate_hz: float, decay_s: float, first: float = 0.0) -> dict[str, float]:
     """Channel name -> rms in SI of measured minus simulated motion in the band, from the fraction `first` on.
 
-    The bins of the fit count: below the band the disc on its shaft rings on for minutes from where it happened to be.
-    Fit on the rows before, and simulate those after, for a held-out figure. Raises DataError without a measured force
-    at every place.
+    model : every value given. y : (n, channels), SI, the sensors' responses taken back. decay_s : until free motion is
+    down to 1 / e. The bins of the fit count: below the band the disc on its shaft rings on for minutes from where it
+    happened to be. Fit on the rows before, and simulate those after, for a held-out figure. Raises DataError without a
+    measured force at every place.
     """
-    start = solution.start
-    return beside_record(fitted_model(solution), solution.record, float(np.max(2 * start.m / start.c)), first)
-
-
-def beside_record(model: Model, record: Record, decay_s: float, first: float = 0.0) -> dict[str, float]:
-    """The same of a model whose every value is given. decay_s : until free motion is down to 1 / e."""
-    rate = record.rate_hz
-    P = len(model.places)
-    if len(force_channels(model)) < P:
+    motions, forces = motion_channels(model), force_channels(model)
+    P = len(motions)
+    if len(forces) < P:
         raise DataError("a free run needs a measured force at every place: add channels of kind force")
-    lead = int(SETTLE * decay_s * rate)
-    start = max(int(first * record.motion.rows) - lead, 0)
-    valid = record.motion.valid[start:]
-    force = np.where(valid, np.stack([record.force[i] for i in range(P)])[:, start:], 0.0)
-    y = free_run(model, force, rate, start)
-    kinds = [model.channels[c].kind for c in motion_channels(model)]
-    simulated = band_limit(y.T, kinds, rate, model.band)
+    lead = int(SETTLE * decay_s * rate_hz)
+    start = max(int(first * len(y)) - lead, 0)
+    used = [*motions, *(forces[i] for i in range(P))]
+    kinds = [model.channels[c].kind for c in used]
+    measured = band_limit(y[start:, used], kinds, rate_hz, model.band)
+    force = np.where(measured.valid, measured.a[P:], 0.0)
+    simulated = band_limit(free_run(model, force, rate_hz, start).T, kinds[:P], rate_hz, model.band)
+    good = measured.valid & simulated.valid
+    good[:lead] = False
+    grid = layout(rate_hz, model.band, notches(model), CELLS_WITH_FORCE)
+    blocks = valid_blocks(good, grid)
+    if not blocks.size:
+        raise DataError(f"the record is too short for a free run of {lead / rate_hz:.1f} s and what is compared after")
     out = {}
-    for i, c in enumerate(motion_channels(model)):
+    for i, c in enumerate(motions):
         name = {"acceleration": "a", "velocity": "v", "displacement": "x"}[kinds[i]]
-        measured = getattr(record.motion, name)[i, start:]
-        good = valid & simulated.valid
-        good[:lead] = False
-        error = getattr(simulated, name)[i] - measured
-        blocks = valid_blocks(good, record.grid)
-        if not blocks.size:
-            raise DataError(f"the record is too short for a free run of {lead / rate:.1f} s and what is compared after")
-        psd = np.mean(np.abs(spectra(error[None], blocks, record.grid)) ** 2, axis=(0, 1))
-        out[model.channels[c].name] = float(np.sqrt(psd.sum() * rate / record.grid.size))
+        error = getattr(simulated, name)[i] - getattr(measured, name)[i]
+        psd = np.mean(np.abs(spectra(error[None], blocks, grid)) ** 2, axis=(0, 1))
+        out[model.channels[c].name] = float(np.sqrt(psd.sum() * rate_hz / grid.size))
     return out

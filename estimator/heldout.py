@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .effects.custom import effect_of
 from .errors import DataError, ModelError
 from .fitted import fitted_model
 from .missing_force import Survey, ridge_of
@@ -30,24 +29,16 @@ def heldout_rmse(model: Model, y: Array, rate_hz: float) -> dict[str, float]:
     forced = {c.place for c in model.channels if c.kind == "force"}
     if not model.places or not forced.issuperset(model.places):
         return {}
-    from . import likely_path, spectral, whole
-    from .free_run import beside_record, simulation_rmse
-    from .record import prepare
+    from .free_run import simulation_rmse
+    from .whole import fit_whole
 
-    part = y[: int(FITTED * len(y))]
     try:
-        if any(whole.beside_the_laws(u) or effect_of(u).kind == "memory" for u in model.effects):
-            found = whole.fit_whole(model, part, rate_hz)
-        else:
-            solution = likely_path.analyse(model, part, rate_hz)
-            beside = spectral.pushed(solution, part)
-            if beside is None:
-                return simulation_rmse(replace(solution, record=prepare(model, y, rate_hz)), FITTED)
-            found = beside
+        found = fit_whole(model, y[: int(FITTED * len(y))], rate_hz)
         filled = _known(fitted_model(found.model, found.point))
-        record = prepare(filled, undone(filled, y, rate_hz), rate_hz)
         damping = np.einsum("iik->ik", found.point.slopes)[:, 1]
-        return beside_record(filled, record, float(np.max(2 * found.point.data.mass / damping)), FITTED)
+        decay_s = float(np.max(2 * found.point.data.mass / damping))
+        del found, damping  # the record cut into blocks is large
+        return simulation_rmse(filled, undone(filled, y, rate_hz), rate_hz, decay_s, FITTED)
     except (ModelError, DataError):
         return {}
 

@@ -94,10 +94,14 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
         begun = begun.rowless()
     whole = _turning(replace(model, roll_off=off) if off else model, y, rate_hz, begun)
     if not begun and not model.roll_off and (off := common_fall.find(whole.model, whole.point)):
-        whole = _turning(replace(model, roll_off=off), y, rate_hz, whole.point)
+        begun = whole.point.rowless()
+        del whole  # two at once would be much memory
+        whole = _turning(replace(model, roll_off=off), y, rate_hz, begun)
     _refuse(whole.point)
     if not model.roll_off and (late := recorder_phase.found(whole.model, whole.point)):
-        whole = _turning(replace(model, roll_off=late), y, rate_hz, whole.point)
+        begun = whole.point.rowless()
+        del whole
+        whole = _turning(replace(model, roll_off=late), y, rate_hz, begun)
     if whole.model.roll_off != model.roll_off and unknown_mass.of_shaft(given):
         return fit_whole(replace(given, roll_off=whole.model.roll_off), y, rate_hz)
     data = whole.point.data

@@ -31,10 +31,10 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.signal import upfirdn
 
-from estimator.free_run import beside_record, simulation_rmse
+from estimator.free_run import simulation_rmse
+from estimator.heldout import FITTED, heldout_rmse
 from estimator.likely_path import analyse
 from estimator.model import Channel, EffectUse, Model, Setting
-from estimator.record import prepare
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
 SEEDS = int(os.environ.get("ROTORSCOPE_SEEDS", "3"))
@@ -42,7 +42,7 @@ SECONDS = float(os.environ.get("ROTORSCOPE_SECONDS", "12"))
 RESULTS = os.environ.get("ROTORSCOPE_RESULTS")
 BAND = (150.0, 8000.0)
 LEVELS = (0.001, 0.05)  # N rms, of each force sensor; the force is 1 N rms
-HELD_OUT, RUNS = 0.3, 4  # of a record; records
+RUNS = 4  # records
 BOUND_S = 8.0  # of a record, that the bound is taken from
 
 
@@ -117,12 +117,10 @@ def result_of(y: np.ndarray, run: bool) -> Result:
     out = {"error": (solution.point.beta[at] / true - 1).tolist(), "sd": (sd[at] / true).tolist(), "seconds": [took]}
     if not run:
         return out
-    record = prepare(model(), y, RATE)
-    first = analyse(model(), y[: int((1 - HELD_OUT) * len(y))], RATE)
-    fitted = simulation_rmse(replace(first, record=record), 1 - HELD_OUT)
-    ideal = beside_record(true_model(), record, float(np.max(2 * MASS / true[1::3])), 1 - HELD_OUT)
+    fitted = heldout_rmse(model(), y, RATE)
+    ideal = simulation_rmse(true_model(), y, RATE, float(np.max(2 * MASS / true[1::3])), FITTED)
     runs = {"fitted": list(fitted.values()), "true model": list(ideal.values())}
-    return out | runs | {"motion": record.rms("a").tolist()}
+    return out | runs | {"motion": solution.record.rms("a").tolist()}
 
 
 def results() -> dict[float, list[Result]]:
