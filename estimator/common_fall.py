@@ -105,7 +105,7 @@ def _fall(
     before, df = -2 * sum(fit[0] for _, _, fit in own), float(sum(c.n.size - 4 for _, c, _ in own))
     if not shaped and not _in_common(own):
         return before, None
-    seen = [Seen(c, *_through(point, i, hz), point.data.kinds[i], *shaped.get(i, ())) for i, c, _ in own]
+    seen = [Seen(c, point.data.kinds[i], *shaped.get(i, ())) for i, c, _ in own]
     after, found = likeliest(seen, Filter(point.data.rate_hz, point.data.band[1]))
     fall = -np.log(found.passed(hz))
     rms = float(np.sqrt(np.average((fall - np.average(fall, weights=count)) ** 2, weights=count)))
@@ -143,7 +143,7 @@ def _explains(point: WorkingPoint, off: Filter, own: list[Place], before: float)
 def _behind(point: WorkingPoint, i: int, c: Cells, off: Filter) -> Cells:
     """The cells of a place behind a filter."""
     hz = c.w / (2 * np.pi)
-    here, others = _through(point, i, hz)
+    here, others = c.white
     echoes = here * off.echoes(hz, point.data.kinds[i])
     back = c.back + echoes.sum(axis=0) + others * off.folded(hz, point.data.kinds[i])
     beyond = images(off.rate_hz, hz)[: len(echoes)]
@@ -175,12 +175,3 @@ def _without_lines(point: WorkingPoint, cells: list[Cells]) -> tuple[list[Cells]
 def _ratio(c: Cells, fit: Plain) -> Array:
     """(cells,) measured power over the model's."""
     return c.power / force_shapes.base_model(c, fit[1])
-
-
-def _through(point: WorkingPoint, i: int, hz: Array) -> tuple[Array, Array]:
-    """(cells,) PSD over S of the inferred force at a place, of white noise that a free mass has from its S: there, and
-    at the others."""
-    data = point.data
-    share = np.abs(point.A[:, i]) ** 2 * (point.S / point.S[i] / data.mass**2)
-    own = share[:, i]
-    return np.interp(hz, data.f_hz, own), np.interp(hz, data.f_hz, share.sum(axis=1) - own)

@@ -63,14 +63,11 @@ class Standing(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Cells of a place, of the same frequencies at all, and (cells,) PSD over S of the force that white noise makes
-    there, of its own sensor and of the others. undone : Hz and quality of a resonance of the sensor that has been taken
-    back; colour : gain and corner of that of the force. What these and the pedestal are behind the filter is found with
-    it."""
+    """Cells of a place, of the same frequencies at all. undone : Hz and quality of a resonance of the sensor that has
+    been taken back; colour : gain and corner of that of the force. What these and the pedestal are behind the filter is
+    found with it."""
 
     cells: Cells
-    own: Array
-    others: Array
     kind: str
     undone: tuple[float, float] | None = None
     colour: tuple[float, float] | None = None
@@ -236,7 +233,8 @@ def _effects(seen: Sequence[Seen], way: Way, z: Array) -> list[tuple[Array, Arra
             now = moved(gain + DARKEST, corner) - [DARKEST, 0.0]
             through = through * coloured(hz, *now) / coloured(hz, gain, corner)
         pedestal = NONE if own.standing is None else moved(*own.standing.pedestal)
-        out.append((through, beyond.sum(axis=0) * own.own + echoes[own.kind].sum(axis=0) * own.others, pedestal))
+        here, others = own.cells.white
+        out.append((through, beyond.sum(axis=0) * here + echoes[own.kind].sum(axis=0) * others, pedestal))
     return out
 
 

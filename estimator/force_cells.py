@@ -28,6 +28,8 @@ class Cells:
     heard: Array  # (cells,) force that the noise of the sensors at all caps makes, over that of its own
     others: Array  # (cells,) (m/s^2)^2/Hz that the forces at the other caps move this one by
     back: Array  # (cells,) over S, the force that what sampling folds back at all caps makes
+    white: Array  # (2, cells) over S, the force that the accelerations of free masses under the S of each cap make:
+    # by the own sensor, by those at the other caps
     echoes: Array  # (images, cells) of that the own sensor's, by image
     images: Array  # (images, cells) Hz of these
 
@@ -70,10 +72,12 @@ def cells_of(point: WorkingPoint, i: int) -> Cells:
     w = 2 * np.pi * data.f_hz
     A, others = answered(point.A, point.S, i)
     echoes = np.abs(point.A[:, i, i]) ** 2 * data.echoes[:, i]
+    made = np.abs(point.A[:, i].T) ** 2 * (point.S / point.S[i] / data.mass**2)[:, None]
+    white = mean(np.stack([made[i], made.sum(axis=0) - made[i]]))
     return Cells(
         mean(power), width * data.blocks, mean(w), mean(A.real) + 1j * mean(A.imag), mean(data.colour[i]),
-        mean(_heard(point, i)), mean(others), mean(beyond(data, point.A, point.S)[i]), mean(echoes),
-        mean(images(data.rate_hz, data.f_hz)[: len(echoes)]),
+        mean(_heard(point, i)), mean(others), mean(beyond(data, point.A, point.S)[i]), white,
+        mean(echoes), mean(images(data.rate_hz, data.f_hz)[: len(echoes)]),
     )  # fmt: skip
 
 

@@ -43,8 +43,9 @@ def seen(
     if stands is not None:
         A += lost(w, k, c, np.array(stands)) / w**2
     none = np.zeros((0, w.size))
-    cells = Cells(one, n.astype(float) * BLOCKS, w, A, one, np.abs(A) ** 2, 0 * w, 0 * w, none, none)
     through = np.abs(A) ** 2 / MASS**2
+    white = np.stack([through, 0 * w])
+    cells = Cells(one, n.astype(float) * BLOCKS, w, A, one, np.abs(A) ** 2, 0 * w, 0 * w, white, none, none)
     hz = w / (2 * np.pi)
     passed, echoes = off.passed(hz), off.echoes(hz, "acceleration")
     if true is not None and undone is not None:
@@ -55,7 +56,7 @@ def seen(
         cells = replace(cells, colour=coloured(hz, *thought))
         passed = passed * coloured(hz, *force) / cells.colour
     u = np.array([np.log(S), noise, 0.02 * k, -0.1 * c])
-    own = Seen(cells, through, 0 * w, "acceleration", undone, thought, standing)
+    own = Seen(cells, "acceleration", undone, thought, standing)
     mean = _spectrum(own, u, passed, echoes.sum(axis=0) * through, pedestal)[0]
     power = mean * np.random.default_rng(seed).gamma(cells.n) / cells.n
     return replace(own, cells=replace(cells, power=power))
@@ -162,7 +163,7 @@ def test_derivatives_are_those_of_the_spectrum(standing: Standing | None) -> Non
     c = replace(own.cells, others=1e-3 / own.cells.w**0.5)
     own = replace(own, cells=c, standing=standing)
     hz = c.w / (2 * np.pi)
-    passed, back = np.sinc(hz / RATE) ** 2, 0.1 * own.own
+    passed, back = np.sinc(hz / RATE) ** 2, 0.1 * c.white[0]
     u, pedestal = np.array([-4.0, 1e-3, 1e5, 5.0]), np.array([0.36, 1330.0, 0.035])
     _, J = _spectrum(own, u, passed, back, pedestal)
     for row, one, small in zip(J, np.eye(4), (1e-6, 1e-9, 1.0, 1e-5), strict=True):

@@ -137,7 +137,7 @@ def test_the_force_inferred_by_a_wrong_stiffness_beside_caps_that_answer() -> No
     inferred = thought @ np.linalg.inv(true)
     A, others = force_cells.answered(thought, S, i)
     one = np.ones(f)
-    c = force_cells.Cells(one, one, one, A, one, 0.0 * one, others, 0.0 * one, *2 * [np.zeros((0, f))])
+    c = force_cells.Cells(one, one, one, A, one, 0.0 * one, others, 0.0 * one, *3 * [np.zeros((0, f))])
     found = c.spectrum(np.array([np.log(S[i]), 0.0, 0.0, 0.0]), A + delta)
     np.testing.assert_allclose(found, np.abs(inferred[:, i]) ** 2 @ S, rtol=1e-9)
 
@@ -151,6 +151,9 @@ def test_noise_of_the_sensors_comes_through_a_stiff_shaft_too() -> None:
         c = force_cells.cells_of(point, i)
         df = c.n.size - 4
         assert abs(-2 * force_shapes.plain(point, i, c)[0] - df) < 4.0 * np.sqrt(2 * df)
+        # amid a cell at a resonance |A|^2 is less than its mean: behind a Bessel filter a mean fitted better for that
+        made = np.abs(point.A[:, i]) ** 2 @ (point.S / point.data.mass**2) / point.S[i]
+        assert c.white.sum(axis=0) @ c.n == pytest.approx(point.data.blocks * made.sum())
 
 
 @pytest.mark.slow
