@@ -38,6 +38,9 @@ MOST_RIPPLE = 0.41  # 1.5 dB
 CUTOFFS = (0.1, 100.0)  # over the end of the band: what lies beyond is no recorder, or no filter
 MOST_ECHO = 2.0  # of what a design folds back
 MOST_FLAT = 1.0  # white, of what is folded back
+MOST_KEPT = 0.25  # of the samples that poles worked on: beside a colour, half of them are like means over a sample
+LEAST_WORTH = 1e-3  # of a filter, over that of the best, to count in what is in doubt
+DIGITAL = 4  # designs, the likeliest, that are also tried on more samples than are kept
 MOST_MOVED = 1.0  # of the logarithm of a number of a shape
 SMALL = 1e-5  # change of a filter's number, for its derivative
 STEPS, ENOUGH = 60, 0.01  # at most; in deviance, that a step is to bring
@@ -94,12 +97,19 @@ class Way:
 @dataclass(frozen=True, slots=True)
 class Tried:
     """A way at the numbers where it explains most, those of Seen's shapes after them: as logarithms, over what they are
-    thought to be. information : deviance, and what the way's own numbers cost. noisy : places with noise."""
+    thought to be. information : deviance, and what the way's own numbers cost. u : (places, OWN), those of the places.
+    variance : of ln S, mean over the places, that the numbers of the filter and the shapes add."""
 
     information: float
     way: Way
     z: Array
-    noisy: int
+    u: Array
+    variance: float
+
+    @property
+    def noisy(self) -> int:
+        """Places with noise."""
+        return int(np.count_nonzero(self.u[:, 1]))
 
     @property
     def numbers(self) -> Array:
@@ -119,22 +129,38 @@ class Tried:
 
 def likeliest(seen: Sequence[Seen], blank: Filter) -> tuple[float, Filter]:
     """Deviance, with what the numbers of the filter cost, behind the one that explains all best, and that filter: means
-    over a sample, the poles of a design, both, with what they fold back, more or less of it, also white, or a fall of
-    any form that folds nothing back."""
+    over a sample, the poles of a design, before the samples or on more of them, means and poles, with what they fold
+    back, more or less of it, also white, or a fall of any form that folds nothing back."""
     count = POWERS.size
     any_form = Way(
         lambda z: replace(blank, nepers=tuple(z.tolist())), ((0.01,) * count,), (0.0,) * count, (np.inf,) * count
     )
     ways = [any_form, *_ways(blank)]
-    best = min(answers([partial(_tried, seen, way) for way in ways], ways), key=lambda one: one.information)
-    for further in _further(best):
-        best = min(best, _tried(seen, further), key=lambda one: one.information)
+    tried = sorted(answers([partial(_tried, seen, way) for way in ways], ways), key=lambda one: one.information)
+    digital = [one.more("kept", 0.1, 0.0, MOST_KEPT) for one in tried if one.way.made(one.numbers).poles][:DIGITAL]
+    tried += answers([partial(_tried, seen, way) for way in digital], digital)
+    for further in _further(min(tried, key=lambda one: one.information)):
+        tried.append(_tried(seen, further))
+    best = min(tried, key=lambda one: one.information)
     off = best.way.made(best.numbers)
     if not off.nepers and best.noisy == len(seen):  # all that looks like noise may be folded back
         white = _tried(seen, best.more("flat", 0.01, 0.0, MOST_FLAT, quiet=True))
+        tried.append(white)
         if white.information < best.information + _schwarz(seen) * (best.noisy - 1):
             best, off = white, white.way.made(white.numbers)
-    return best.information, off
+    return best.information, replace(off, doubt=_doubt(best, tried))
+
+
+def _doubt(best: Tried, tried: Sequence[Tried]) -> float:
+    """Relative standard deviation that S has about that of the best filter, by what all are worth, and by its numbers.
+    """
+    total = doubt = 0.0
+    for one in tried:
+        worth = float(np.exp(0.5 * (best.information - one.information)))
+        if worth > LEAST_WORTH:
+            total += worth
+            doubt += worth * (float(np.mean(one.u[:, 0] - best.u[:, 0])) ** 2 + one.variance)
+    return float(np.sqrt(doubt / total))
 
 
 def _ways(blank: Filter) -> Iterator[Way]:
@@ -179,8 +205,8 @@ def _tried(seen: Sequence[Seen], way: Way) -> Tried:
     first = [np.array([*z, *still]) for z in way.first]
     begun = [_begun(seen, way, z) for z in first]
     k = min(range(len(begun)), key=lambda k: begun[k][0])
-    deviance, z, u = _scored(seen, way, first[k], begun[k][1])
-    return Tried(deviance + price * len(way.least), way, z, int(np.count_nonzero(u[:, 1])))
+    deviance, z, u, variance = _scored(seen, way, first[k], begun[k][1])
+    return Tried(deviance + price * len(way.least), way, z, u, variance)
 
 
 def _schwarz(seen: Sequence[Seen]) -> float:
@@ -262,9 +288,9 @@ def _spectrum(own: Seen, u: Array, passed: Array, back: Array, pedestal: Array =
     return m, np.stack([white, c.heard, slope(-left / c.w**2), slope(left / (1j * c.w))])
 
 
-def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, Array, Array]:
+def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, Array, Array, float]:
     """Least deviance and the numbers of the filter and of the places (places, OWN) there, from some start: Levenberg
-    and Marquardt's steps in Fisher's information."""
+    and Marquardt's steps in Fisher's information; and the variance of Tried."""
     q, size = len(z), len(z) + u.size
     far = np.full(q - len(way.least), MOST_MOVED)
     least = np.concatenate([way.least, -far, np.tile([-np.inf, 0.0, -np.inf, -np.inf], len(seen))])
@@ -309,4 +335,18 @@ def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, 
         x, now, cautious = new, now - gained, cautious / 10
         if gained < ENOUGH:
             break
-    return now, x[:q], x[q:].reshape(-1, OWN)
+    return now, x[:q], x[q:].reshape(-1, OWN), _variance(scaled, scale, free, q)
+
+
+def _variance(scaled: Array, scale: Array, free: NDArray[np.bool_], q: int) -> float:
+    """Mean of the variances of ln S less those beside q known numbers. scaled : information about numbers over scale.
+    """
+
+    def variances(known: NDArray[np.bool_]) -> Array:
+        told = np.flatnonzero(free & ~known)
+        out = np.zeros(free.size)
+        out[told] = np.diag(np.linalg.pinv(scaled[np.ix_(told, told)], rcond=1e-12, hermitian=True)) * scale[told] ** 2
+        return out[q::OWN]
+
+    filters = np.arange(free.size) < q
+    return float(np.mean(np.maximum(variances(np.zeros_like(filters)) - variances(filters), 0.0)))

@@ -14,11 +14,13 @@ noise of every sensor: noise_paths.py.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .estimate import Parameter
 
 Array = NDArray[np.float64]
 POWERS = np.array([2, 4, 8, 16, 32])  # of frequency, of a fall of any form: a mean of samples falls by the first
@@ -28,6 +30,7 @@ SAID = 0.1  # dB at the end of the band
 LATE = 3  # power of frequency of a phase: the first that is no delay
 LEAST_MEANS = 0.05  # that are spoken of
 HEARD = -40.0  # dB over that of a free mass, of what is folded back at the end of the band
+BEYOND = 1e6  # times the rate, where no filter lets anything through
 IMAGES = 16  # multiples of the rate about which something is folded back
 POWER_OF_W = {"acceleration": 0, "velocity": -1, "displacement": -2}  # from acceleration to what is measured
 
@@ -41,7 +44,9 @@ class Filter:
     echo : what is folded back, over what is by the design: recorders have more stages than one. late : rad at the end
     of the band, growing by LATE powers of frequency, that the phase is behind that of the poles: recorder_phase.py.
     flat : of what is folded back, what is white as acceleration: that about the rate, which means shut out, and others
-    do not (a Bessel filter of order 6 at 0.45 of the rate lets 0.013 of it through).
+    do not (a Bessel filter of order 6 at 0.45 of the rate lets 0.013 of it through). kept : of the samples that the
+    poles worked on, as in a recorder that oversamples, by the bilinear transform, after which nothing is above half of
+    their rate; 0 of poles before any sample. doubt : relative standard deviation of S by what filters fit as well.
     """
 
     rate_hz: float
@@ -54,6 +59,8 @@ class Filter:
     echo: float = 1.0
     late: float = 0.0
     flat: float = 0.0
+    kept: float = 0.0
+    doubt: float = 0.0
 
     def passed(self, f_hz: Array) -> Array:
         """(..., f) of power, 1 at zero."""
@@ -61,8 +68,15 @@ class Filter:
         if self.means:
             out = out * np.abs(np.sinc(f_hz / self.rate_hz)) ** (2.0 * self.means)
         if self.poles:
-            out = out / np.polyval([*self.poles[::-1], 1.0], (f_hz / self.cutoff_hz) ** 2)
+            out = out / np.polyval([*self.poles[::-1], 1.0], (self._warped(f_hz) / self.cutoff_hz) ** 2)
         return np.asarray(out)
+
+    def _warped(self, f_hz: Array) -> Array:
+        """Hz at which poles before the samples take what these take at f_hz; far off where there is nothing."""
+        if not self.kept:
+            return f_hz
+        x = np.pi * self.kept / self.rate_hz * f_hz
+        return np.where(x < np.pi / 2, np.tan(x) * (self.rate_hz / np.pi / self.kept), BEYOND * self.rate_hz)
 
     def response(self, f_hz: Array) -> NDArray[np.complex128]:
         """(f,) measured over true, its delay left out."""
@@ -75,7 +89,8 @@ class Filter:
             s = np.sqrt(-np.roots([*self.poles[::-1], 1.0]).astype(complex))  # of H(s) H(-s)
             s = np.where(s.real > 0.0, -s, s)
         x = f_hz[..., None] / self.cutoff_hz
-        own = np.sum(np.angle(1.0 - 1j * x / s) - x * np.imag(-1j / s), axis=-1)
+        y = self._warped(f_hz)[..., None] / self.cutoff_hz
+        own = np.sum(np.angle(1.0 - 1j * y / s) - x * np.imag(-1j / s), axis=-1)
         return np.asarray(own + self.late * (f_hz / self.top_hz) ** LATE)
 
     def folded(self, f_hz: Array, kind: str) -> Array:
@@ -98,7 +113,9 @@ class Filter:
         change = float(np.abs(10 * np.log10(self.passed(np.linspace(0.0, self.top_hz, 200)))).max())
         if 10 * np.log10(self.folded(end, "acceleration")[0] + 1e-30) > HEARD or self.poles:
             means = f"{self.means:.1f} means over a sample" if self.means > LEAST_MEANS else ""
-            poles = f"a {self.name} at {self.cutoff_hz:.0f} Hz" if self.poles else ""
+            turn = np.pi * self.kept / self.rate_hz
+            cutoff_hz = np.arctan(turn * self.cutoff_hz) / turn if self.kept else self.cutoff_hz
+            poles = f"a {self.name} at {cutoff_hz:.0f} Hz" if self.poles else ""
             behind = " and ".join(filter(None, (poles, means)))
             return (
                 f"the recorder's filter changes all channels alike, by {change:.1f} dB up to {self.top_hz:g} Hz, and "
@@ -121,6 +138,18 @@ class Filter:
 
 
 RollOff = Mapping[str, Filter]  # by place: one for all, or of some
+
+
+def doubted(known: RollOff | None, found: Mapping[str, Parameter]) -> dict[str, Parameter]:
+    """Numbers by full name with the standard deviations that the choice of a filter adds: of S, and of the gain of a
+    colour, whose force S (1 + gain) low in the band is what it is behind any filter."""
+    out = dict(found)
+    for place, own in (known or {}).items():
+        for name, more in ((f"{place}.S", 0.0), (f"{place}.coloured_excitation.gain", 1.0)):
+            p = out.get(name)
+            if p is not None and p.value is not None and p.sd is not None:
+                out[name] = replace(p, sd=float(np.hypot(p.sd, own.doubt * (p.value + more))))
+    return out
 
 
 def images(rate_hz: float, f_hz: Array) -> Array:

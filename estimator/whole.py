@@ -69,6 +69,7 @@ class Whole:
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
         found = untold_at(self.point.data.lost, SPOILED, parameters(self.point)) | self.beside
+        found = roll_off.doubted(self.model.roll_off, found)
         found = unknown_mass.widened(self.model, found, self.masses)
         return untold_at(unknown_mass.unknown(self.model), unknown_mass.FREE, found, "N") | self.masses
 

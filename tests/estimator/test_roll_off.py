@@ -16,6 +16,7 @@ from daq.rig import load_rig
 from estimator import common_fall, roll_off, spectral
 from estimator.compare import compare
 from estimator.diagnose import diagnose
+from estimator.estimate import Parameter
 from estimator.filter_designs import designs
 from estimator.improve import improve
 from estimator.model import EffectUse, Model, Setting
@@ -95,6 +96,18 @@ def test_the_poles_are_those_of_scipy(name: str) -> None:
     f = np.linspace(0.0, 4.0, 50)
     _, H = signal.freqs(*made(int(order), 1.0, analog=True, **more), f)
     assert roll_off.Filter(1.0, 1.0, poles=designs()[name]).passed(f) == pytest.approx(abs(H) ** 2, rel=1e-9)
+
+
+def test_the_choice_of_a_filter_widens_the_psd_and_the_gain_of_a_colour() -> None:
+    """S (1 + gain), the force low in the band, is what it is behind any filter."""
+    off = roll_off.Filter(RATE, TOP, means=1.0, doubt=0.003)
+    found = {"b.x.S": Parameter(2.0, 0.008, "N^2/Hz"), "b.x.coloured_excitation.gain": Parameter(3.0, 0.0, "1"),
+             "b.x.c": Parameter(1.0, 0.1, "N s/m"), "b.y.S": Parameter(2.0, 0.008, "N^2/Hz")}  # fmt: skip
+    out = roll_off.doubted({"b.x": off}, found)
+    assert out["b.x.S"].sd == pytest.approx(0.01)
+    assert out["b.x.coloured_excitation.gain"].sd == pytest.approx(0.012)
+    assert all(out[name] == found[name] for name in ("b.x.c", "b.y.S"))
+    assert roll_off.doubted(None, found) == found
 
 
 def test_a_fit_behind_a_filter_has_the_force_of_the_rotor() -> None:
