@@ -341,6 +341,8 @@ def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, 
 def _variance(scaled: Array, scale: Array, free: NDArray[np.bool_], q: int) -> float:
     """Mean of the variances of ln S less those beside q known numbers. scaled : information about numbers over scale.
     """
+    if not np.isfinite(scaled).all():
+        return np.inf
 
     def variances(known: NDArray[np.bool_]) -> Array:
         told = np.flatnonzero(free & ~known)
