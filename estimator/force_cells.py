@@ -71,9 +71,10 @@ def cells_of(point: WorkingPoint, i: int) -> Cells:
 
     w = 2 * np.pi * data.f_hz
     A, others = answered(point.A, point.S, i)
-    echoes = np.abs(point.A[:, i, i]) ** 2 * data.echoes[:, i]
-    made = np.abs(point.A[:, i].T) ** 2 * (point.S / point.S[i] / data.mass**2)[:, None]
+    through = np.abs(point.A[:, i].T) ** 2
+    made = through * (point.S / point.S[i] / data.mass**2)[:, None]
     white = mean(np.stack([made[i], made.sum(axis=0) - made[i]]))
+    echoes = through[i] * data.echoes[:, i]
     return Cells(
         mean(power), width * data.blocks, mean(w), mean(A.real) + 1j * mean(A.imag), mean(data.colour[i]),
         mean(_heard(point, i)), mean(others), mean(beyond(data, point.A, point.S)[i]), white,

@@ -63,9 +63,9 @@ def free_run(model: Model, force: Floats, rate_hz: float, first: int = 0) -> Flo
         stepper.step(F, steps)
         whole[:, a * OVERSAMPLE : end * OVERSAMPLE] = steps
     for a in range(0, n, chunk):
-        lo, hi = max(a - pad, 0), min(a + chunk + pad, n)
+        lo, hi, end = max(a - pad, 0), min(a + chunk + pad, n), min(a + chunk, n)
         part = resampled(whole[:, lo * OVERSAMPLE : hi * OVERSAMPLE], hi - lo, -0.5 / OVERSAMPLE)
-        out[:, a : min(a + chunk, n)] = part[:, a - lo : min(a + chunk, n) - lo]
+        out[:, a:end] = part[:, a - lo : end - lo]
     return out
 
 

@@ -51,13 +51,13 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
         found = whole.fit_whole(model, check_record(model, y, rate_hz), rate_hz)
         if solution is None or lost or found.model.roll_off:
             return whole.as_fit(found)
-    if (beside := pushed(solution, y)) is not None:
+    if (beside := _pushed(solution, y)) is not None:
         return whole.as_fit(beside)
     samples = int(solution.record.motion.valid.sum())
     return Fit(report(solution), -solution.local.nll, samples, "spectral", messages(solution))
 
 
-def pushed(solution: Solution, y: Floats) -> Whole | None:
+def _pushed(solution: Solution, y: Floats) -> Whole | None:
     """The model fitted as compare fits it, where the force is measured everywhere, yet not all of it: another acts
     beside it. Such a fit takes what is left for noise of the sensors, and c comes out too small by its share."""
     model, rate_hz = solution.record.model, solution.record.rate_hz
