@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from . import force_shapes
-from .filter_search import Seen, Standing, likeliest
+from .filter_search import Seen, Standing, likeliest, mean_or_none
 from .force_cells import Cells, cells_of
 from .model import Model
 from .roll_off import POWERS, Filter, RollOff, devices, images
@@ -41,8 +41,8 @@ def find(model: Model, point: WorkingPoint) -> RollOff | None:
     filter that the others show, and so does one on a pedestal, or whose sensor's resonance is undone: what falls there
     is within that. Where the others show none, it is sought with these shapes: filter_search.py. Places that cannot be
     judged, as behind a clipped channel, take it too."""
-    data, whole = point.data, [*point.data.judged]
-    if data.measured_force or not whole or point.kL[whole].min() <= 0.0:
+    data, whole = point.data, _judged(point)
+    if not whole:
         return None
     shapes = [_shapes(model, point, i) for i in range(len(data.places))]
     shaped = {i: shapes[i] for i in whole if any(shapes[i])}
@@ -59,6 +59,29 @@ def find(model: Model, point: WorkingPoint) -> RollOff | None:
     if len(standing) == len(plain):
         return None
     return _of(point, own if standing == whole else _measured(point, standing))
+
+
+def doubt(model: Model, point: WorkingPoint) -> float:
+    """Relative standard deviation of S, where no filter is found, by a mean over a sample that would be as likely."""
+    whole = _judged(point)
+    if not whole:
+        return 0.0
+    seen = _seen(point, _measured(point, whole), {i: _shapes(model, point, i) for i in whole})
+    return mean_or_none(seen, _blank(point))[1]
+
+
+def _judged(point: WorkingPoint) -> list[int]:
+    """Places of which a filter is told."""
+    whole = [*point.data.judged]
+    return [] if point.data.measured_force or not whole or point.kL[whole].min() <= 0.0 else whole
+
+
+def _blank(point: WorkingPoint) -> Filter:
+    return Filter(point.data.rate_hz, point.data.band[1])
+
+
+def _seen(point: WorkingPoint, own: list[Place], shaped: Mapping[int, Shaped]) -> list[Seen]:
+    return [Seen(c, point.data.kinds[i], *shaped.get(i, ())) for i, c, _ in own]
 
 
 def _shapes(model: Model, point: WorkingPoint, i: int) -> Shaped:
@@ -103,10 +126,10 @@ def _fall(
     else fits better. explained : of the misfit beyond chance, at least."""
     hz, count = own[0][1].w / (2 * np.pi), own[0][1].n
     before, df = -2 * sum(fit[0] for _, _, fit in own), float(sum(c.n.size - 4 for _, c, _ in own))
-    if not shaped and not _in_common(own):
+    seen, blank = _seen(point, own, shaped), _blank(point)
+    if not shaped and not _in_common(own) and chdtrc(1.0, max(mean_or_none(seen, blank)[0], 0.0)) > LEVEL:
         return before, None
-    seen = [Seen(c, point.data.kinds[i], *shaped.get(i, ())) for i, c, _ in own]
-    after, found = likeliest(seen, Filter(point.data.rate_hz, point.data.band[1]))
+    after, found = likeliest(seen, blank)
     fall = -np.log(found.passed(hz))
     rms = float(np.sqrt(np.average((fall - np.average(fall, weights=count)) ** 2, weights=count)))
     free = sum(one.shapes for one in seen)

@@ -151,15 +151,23 @@ def likeliest(seen: Sequence[Seen], blank: Filter) -> tuple[float, Filter]:
     return best.information, replace(off, doubt=_doubt(best, tried))
 
 
-def _doubt(best: Tried, tried: Sequence[Tried]) -> float:
-    """Relative standard deviation that S has about that of the best filter, by what all are worth, and by its numbers.
+def mean_or_none(seen: Sequence[Seen], blank: Filter) -> tuple[float, float]:
+    """Deviance that a mean over a sample explains of what is behind no filter, and the relative standard deviation that
+    S has about that behind none, by what both are worth: low in the band such a mean looks like noise of the sensors.
     """
-    total = doubt = 0.0
+    none = _tried(seen, Way(lambda z: replace(blank, nepers=(0.0,) * POWERS.size), ((),), (), ()))
+    mean = _tried(seen, next(_ways(blank)))
+    return none.information - mean.information, _doubt(none, (none, mean))
+
+
+def _doubt(taken: Tried, tried: Sequence[Tried]) -> float:
+    """Relative standard deviation that S has about that of one filter, by what all are worth, and by their numbers."""
+    total, doubt, least = 0.0, 0.0, min(one.information for one in tried)
     for one in tried:
-        worth = float(np.exp(0.5 * (best.information - one.information)))
+        worth = float(np.exp(0.5 * (least - one.information)))
         if worth > LEAST_WORTH:
             total += worth
-            doubt += worth * (float(np.mean(one.u[:, 0] - best.u[:, 0])) ** 2 + one.variance)
+            doubt += worth * (float(np.mean(one.u[:, 0] - taken.u[:, 0])) ** 2 + one.variance)
     return float(np.sqrt(doubt / total))
 
 

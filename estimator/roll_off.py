@@ -140,15 +140,16 @@ class Filter:
 RollOff = Mapping[str, Filter]  # by place: one for all, or of some
 
 
-def doubted(known: RollOff | None, found: Mapping[str, Parameter]) -> dict[str, Parameter]:
+def doubted(doubt: Mapping[str, float], found: Mapping[str, Parameter]) -> dict[str, Parameter]:
     """Numbers by full name with the standard deviations that the choice of a filter adds: of S, and of the gain of a
-    colour, whose force S (1 + gain) low in the band is what it is behind any filter."""
+    colour, whose force S (1 + gain) low in the band is what it is behind any filter. doubt : of S by place, relative.
+    """
     out = dict(found)
-    for place, own in (known or {}).items():
+    for place, own in doubt.items():
         for name, more in ((f"{place}.S", 0.0), (f"{place}.coloured_excitation.gain", 1.0)):
             p = out.get(name)
             if p is not None and p.value is not None and p.sd is not None:
-                out[name] = replace(p, sd=float(np.hypot(p.sd, own.doubt * (p.value + more))))
+                out[name] = replace(p, sd=float(np.hypot(p.sd, own * (p.value + more))))
     return out
 
 

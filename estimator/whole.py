@@ -57,19 +57,22 @@ MOST_ROUNDS = 6  # while the answers of two caps to each other still move
 @dataclass(frozen=True, slots=True)
 class Whole:
     """model : with the numbers found for what is no law of the states. beside : these, by full name.
-    messages : what was found on the way, for the user. masses : those that the rig file leaves out, by full name."""
+    messages : what was found on the way, for the user. masses : those that the rig file leaves out, by full name.
+    doubt : relative standard deviation of S by a filter that is not seen."""
 
     model: Model
     point: WorkingPoint
     beside: dict[str, Parameter]
     messages: tuple[str, ...] = ()
     masses: dict[str, Parameter] = field(default_factory=dict)
+    doubt: float = 0.0
 
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
         found = untold_at(self.point.data.lost, SPOILED, parameters(self.point)) | self.beside
-        found = roll_off.doubted(self.model.roll_off, found)
+        seen = {place: off.doubt for place, off in (self.model.roll_off or {}).items()}
+        found = roll_off.doubted(seen or dict.fromkeys(self.point.data.places, self.doubt), found)
         found = unknown_mass.widened(self.model, found, self.masses)
         return untold_at(unknown_mass.unknown(self.model), unknown_mass.FREE, found, "N") | self.masses
 
@@ -106,6 +109,7 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
     if whole.model.roll_off != model.roll_off and unknown_mass.of_shaft(given):
         return fit_whole(replace(given, roll_off=whole.model.roll_off), y, rate_hz)
     data = whole.point.data
+    doubt = 0.0 if whole.model.roll_off else common_fall.doubt(whole.model, whole.point)
     said = (
         *shortened(data, y),
         *unknown_mass.said(masses),
@@ -115,7 +119,7 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
         *one_end.said(whole.model, dict(zip(data.places, whole.point.kL.tolist(), strict=True))),
         *shaft_law.said(data, [use.effect for use in whole.point.placed]),
     )
-    return replace(whole, messages=(*said, *whole.messages), masses=masses)
+    return replace(whole, messages=(*said, *whole.messages), masses=masses, doubt=doubt)
 
 
 def _glanced(model: Model, y: Array, rate_hz: float) -> WorkingPoint | None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from estimator.filter_designs import chebyshev, designs
-from estimator.filter_search import NONE, Seen, Standing, _spectrum, likeliest
+from estimator.filter_search import NONE, Seen, Standing, _spectrum, likeliest, mean_or_none
 from estimator.force_cells import CELLS, Cells
 from estimator.force_shapes import coloured, resonant
 from estimator.pedestal_form import lost
@@ -138,6 +138,18 @@ def test_what_is_folded_from_about_the_rate_is_no_noise_of_the_sensors() -> None
     off = replace(BLANK, means=1.0, flat=0.02)
     places = [seen(off, hz, S, k) for k, (hz, S) in enumerate(((1500.0, 0.01), (900.0, 0.004)))]
     assert likeliest(places, BLANK)[1].flat == pytest.approx(0.02, rel=0.1)
+
+
+@pytest.mark.parametrize("resonance_hz", [700.0, 1100.0])
+def test_a_mean_is_told_from_none_the_better_the_higher_the_resonance(resonance_hz: float) -> None:
+    def asked(off: Filter) -> tuple[float, float]:
+        return mean_or_none([seen(off, resonance_hz, 0.01, 1), seen(off, 0.8 * resonance_hz, 0.004, 2, 1e-3)], BLANK)
+
+    gain, doubt = asked(replace(BLANK, means=1.0))
+    cost, little = asked(replace(BLANK, nepers=(0.0,) * 5))
+    assert gain > 0.0 > cost
+    assert doubt > 10 * little
+    assert (gain > 24.0) == (cost < -24.0) == (resonance_hz > 1000.0)
 
 
 @pytest.mark.parametrize("true", [(5600.0, 12.0), (4000.0, 5.0)])
