@@ -12,6 +12,11 @@ every mode lies to the left, shift - Re p away, and the sum is linear in Re p. A
 shows in the phase of det A, which then turns the other way about it (`turns`). Of a rotor past whirl a law on trial is
 to take it far: with the line at a bin from the slowest mode of a model without the cross-coupling, that was in its way.
 
+At its ends, and where bins are left out, the line comes back to the axis, as steep as it is far from it (`line`): it
+has the ends of the axis, and so its sum but for the modes. Straight, with the ways there taken as they are at one
+point, it left out what they add to the slopes: beside a disc that resonates in the band the delay of what one cap makes
+of the other was 3 us off, 4 standard deviations, and c 1.5.
+
 A disc that resonates in the band moves with the caps as a mode of the rotor, sharp as nothing damps it there, and what
 it answers at s is not what it answers at iw: with its stiffness taken to be the same, kL was 4 to 7 standard deviations
 off, its sum of a mode of 1 Hz at 305 Hz by chance (51.2 kHz, a disc of 1.4 kg, caps of 0.2).
@@ -20,8 +25,6 @@ off, its sum of a mode of 1 Hz at 305 Hz by chance (51.2 kHz, a disc of 1.4 kg, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,28 +37,27 @@ MARGIN = 1.0  # of the spacing of the bins, at least, from any mode to the line:
 FED = 4.0  # of the same, where the line is needed
 
 
-@dataclass(frozen=True, slots=True)
-class Contour:
-    """s : (bins,) rad/s. offset : what the way there adds to 2 sum log |det A| of a block of the record, nats."""
-
-    s: Complexes
-    offset: float
-
-
 def contour(
     A: Complexes, mass: Array, D: Array, f_hz: Array, disc: Disc | None = None, places: tuple[str, ...] = ()
-) -> Contour:  # fmt: skip
-    """The line for a mean response A (bins, places, places) kg at f_hz, evenly spaced but for gaps, and mean tangents
-    D (places, places, 2) of displacement and velocity, N/m and N s/m. disc : on the shaft between the places."""
-    iw: Complexes = np.asarray(2j * np.pi * f_hz, dtype=np.complex128)
+) -> Complexes:  # fmt: skip
+    """(bins,) rad/s: the line for a mean response A (bins, places, places) kg at f_hz, evenly spaced but for gaps, and
+    mean tangents D (places, places, 2) of displacement and velocity, N/m and N s/m. disc : on the shaft between the
+    places."""
+    w = 2 * np.pi * f_hz
     length = 1.0 / float(np.diff(f_hz).min())
     resonance = np.sqrt(np.median(np.maximum(np.diag(D[..., 0]) / mass, 0.0)))
-    near = int(np.argmin(np.abs(iw.imag - resonance)))
-    modes = modes_at(A[near], mass, iw[near], disc, places)
-    poles = np.zeros(0, complex) if disc is None else disc.poles(places)
-    line = partial(past, modes, band=stretches(f_hz), poles=poles)
-    shift, turned = line(FED / length) if line(MARGIN / length)[0] > 0.0 else (0.0, 0.0)
-    return Contour(shift + iw, length * shift * turned / np.pi)
+    near = int(np.argmin(np.abs(w - resonance)))
+    modes = modes_at(A[near], mass, 1j * w[near], disc, places)
+    band = stretches(f_hz)
+    needed = past(modes, MARGIN / length, band)[0] > 0.0
+    return line(w, past(modes, FED / length, band)[0] if needed else 0.0, band)
+
+
+def line(w: Array, shift: float, band: Sequence[tuple[float, float]]) -> Complexes:
+    """(w,) rad/s from the axis at the ends of all stretches to `shift` beside it."""
+    inside = np.max([np.minimum(w - low, high - w) for low, high in band], axis=0)
+    x = np.clip(inside / max(shift, 1e-300), 0.0, 1.0)
+    return np.asarray(shift * x**2 * (3.0 - 2.0 * x) + 1j * w, np.complex128)
 
 
 def stretches(f_hz: Array) -> list[tuple[float, float]]:
@@ -64,14 +66,12 @@ def stretches(f_hz: Array) -> list[tuple[float, float]]:
     return list(zip(w[[0, *(gaps + 1)]].tolist(), w[[*gaps, -1]].tolist(), strict=True))
 
 
-def past(
-    modes: Complexes, margin_hz: float | Array, band: Sequence[tuple[float, float]], poles: Complexes
-) -> tuple[float, float]:  # fmt: skip
+def past(modes: Complexes, margin_hz: float | Array, band: Sequence[tuple[float, float]]) -> tuple[float, float]:
     """The shift of the line past the slowest of the modes of the band, (0, 0) where none is near the axis; and rad by
     which det A turns along a line half-way, each mode taken as one to its left: a block of T seconds has T / pi of that
     for each rad/s of shift.
 
-    margin_hz : from each mode to the line, at least. band : rad/s, its stretches. poles : of det A, rad/s.
+    margin_hz : from each mode to the line, at least. band : rad/s, its stretches.
     """
     inside = (modes.imag > band[0][0]) & (modes.imag < band[-1][1])
     if not inside.any() or (shift := float((modes.real + 2 * np.pi * margin_hz)[inside].max())) <= 0.0:
@@ -82,7 +82,7 @@ def past(
         return float((np.arctan2(w - roots.imag, r) + np.arctan2(w + roots.imag, r)).sum())
 
     def of_det(w: float) -> float:  # A is over s^2
-        return angle(modes, w) - angle(poles, w) - 2 * (modes.size - poles.size) * float(np.arctan2(w, 0.5 * shift))
+        return angle(modes, w) - 2 * modes.size * float(np.arctan2(w, 0.5 * shift))
 
     return shift, sum(of_det(high) - of_det(low) for low, high in band)
 
@@ -131,6 +131,7 @@ def along(
     return np.asarray(out)
 
 
-def turns(determinant: Complexes) -> float:
-    """rad by which det A (bins,) turns along a line: pi for every mode that lies to the left, -pi to the right."""
-    return float(np.angle(determinant[1:] / determinant[:-1]).sum())
+def turns(determinant: Complexes) -> Array:
+    """(bins - 1,) rad by which det A (bins,) turns along a line, in all pi for every mode that lies to the left, -pi to
+    the right."""
+    return np.asarray(np.angle(determinant[1:] / determinant[:-1]), np.float64)

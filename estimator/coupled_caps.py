@@ -20,7 +20,7 @@ from .effects import CATALOGUE
 from .effects.places import at, written
 from .estimate import Parameter
 from .model import EffectUse, Model, Setting
-from .rotor import between_caps
+from .rotor import between_caps, shaft_matrix
 from .sensor_response import BLIND, LINEAR
 from .side_by_side import each
 from .subproblem import Subproblem, subproblem
@@ -200,11 +200,14 @@ def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
 
     data, P = point.data, len(point.data.places)
     low, high = shaft_notch(model) or (0.0, 0.0)
+    m, still = model.mass["disc"], 1j * np.pi * (high - low)
+    k, c = (shaft_matrix(model.shaft, z)[2, 2] for z in (model.shaft_stiffness, model.shaft_damping))
 
     def both_ways(w: Array | Complexes) -> Complexes:
-        """Without its resonance, where a block is too short for what the disc does."""
-        out = between_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, model.mass["disc"], w)
-        return np.where(np.abs(w.real / (2 * np.pi) - 0.5 * (low + high)) < high - low, 0.0, out)
+        """Of a disc damped to ring no longer than a block: the same along the axis and the line of the determinant."""
+        own = k + 1j * w * c - w**2 * m
+        between = between_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, m, w)
+        return np.asarray(between * own / (own + still * w * m))
 
     n = data.x.shape[1]
     size = next_fast_len(n, real=True)

@@ -20,26 +20,33 @@ CROSSED = 1.5 * np.pi  # a mode that crosses its line takes two pi off the turn 
 class Jacobian:
     """2 sum_f log |det A(f)| per block and its derivatives, about the working point's A0 (bins, places, places).
 
-    offset : to be taken from it for the line that A0 is given along: contour.py. kept : (bins,) share of each that the
-    likelihood has of its bin.
+    s : (bins,) rad/s that A0 is given at, the axis if None. On its way there and back the line also has the phase of
+    det A: of 2 log det A ds / i the real part is summed. kept : (bins,) share of each that the likelihood has of its
+    bin.
     dressing : (bins, places), what of A0 comes from fluctuating tangents (self_energy.py). It is quadratic in the
     amplitudes of the laws, and a column of one of them has the half of its derivative: the value whose derivatives
     the columns have is 2 log |det A| - Re tr(A^-1 dressing), stationary in A. Models are compared by it.
     """
 
     def __init__(
-        self, A0: Complexes, offset: float = 0.0, dressing: Complexes | None = None, kept: Array | None = None
+        self, A0: Complexes, s: Complexes | None = None, dressing: Complexes | None = None, kept: Array | None = None
     ) -> None:
-        self.A0, self.offset, self.kept = A0, offset, np.ones(len(A0)) if kept is None else kept
+        self.A0, self.offset, self.kept = A0, 0.0, np.ones(len(A0)) if kept is None else kept
         self.dressing = np.zeros(self.A0.shape[:2], complex) if dressing is None else dressing
+        self.phase = np.zeros(len(A0) - 1) if s is None else (s.real[1:] + s.real[:-1]) / np.diff(s.imag).min()
+        self.weight = 2.0 * self.kept - 1j * np.diff(self.phase, prepend=0.0, append=0.0)  # of log det A
         self._known: dict[bytes, tuple[Jacobian, Answer | None]] = {}  # of some places: every trial there asks for it
         self._begun()
 
     def _begun(self) -> None:
-        self.turned, self.half = turns(_determinants(self.A0)), 0.0
+        self.turned, self.half = turns(_determinants(self.A0)).sum(), 0.0
         if self.dressing.any():
             own = np.einsum("fii->fi", np.linalg.inv(self.A0)) * self.dressing
-            self.half = float(self.kept @ own.real.sum(axis=1))
+            self.half = float((0.5 * self.weight @ own.sum(axis=1)).real)
+
+    def _sum(self, determinant: Complexes, turned: Array) -> float:
+        """Of log det A along the line. turned : what `turns` says of it."""
+        return float(2 * self.kept @ np.log(np.abs(determinant)) - self.phase @ turned)
 
     def at(self, places: NDArray[np.int64]) -> Jacobian:
         """The same of some places, the others as they are: what they answer through the shaft stays in A0."""
@@ -62,7 +69,7 @@ class Jacobian:
         share = places.size / self.A0.shape[1]
         out.offset = self.offset * share
         if answer is not None:  # all places together have what the whole has
-            whole, own = (2 * float(self.kept @ np.log(np.abs(_determinants(A)))) for A in (self.A0, out.A0))
+            whole, own = (self._sum(det, turns(det)) for det in map(_determinants, (self.A0, out.A0)))
             out.offset += own - whole * share
         out._begun()
         return out
@@ -93,20 +100,21 @@ class Jacobian:
     def value(self, tangents: Complexes, delta: Array) -> float:
         """-inf where a mode has crossed the line: what the sum gives there is that of its mirror image."""
         determinant = _determinants(self.of(tangents, delta))
-        if turns(determinant) < self.turned - CROSSED:
+        turned = turns(determinant)
+        if turned.sum() < self.turned - CROSSED:
             return -np.inf
-        return float(2 * self.kept @ np.log(np.abs(determinant))) - self.offset - self.half
+        return self._sum(determinant, turned) - self.offset - self.half
 
     def derivatives(self, tangents: Complexes, delta: Array) -> tuple[Array, Array]:
         """Gradient (k,) and second derivative (k, k) to the increments."""
         term, row, passed = rows_times(tangents, _inverses(self.of(tangents, delta)))  # A_j A^-1
-        weighed, own = passed * self.kept, np.arange(term.size)
+        weighed, own = passed * self.weight, np.arange(term.size)
         traces = np.zeros((term.size, term.size))
         for i, j in np.ndindex(tangents.shape[1:3]):
             here, there = np.flatnonzero(row == i), np.flatnonzero(row == j)
             traces[here[:, None], there] = (weighed[here, j] @ passed[there, i].T).real
         terms = np.equal.outer(np.arange(len(tangents)), term).astype(float)
-        return 2 * terms @ weighed[own, row].real.sum(axis=1), -2 * terms @ traces @ terms.T
+        return terms @ weighed[own, row].real.sum(axis=1), -terms @ traces @ terms.T
 
 
 def _determinants(A: Complexes) -> Complexes:

@@ -68,12 +68,6 @@ class Disc:
             unit[np.ix_([*at, k], [*at, k])] += shaft_matrix(self.shaft, 1.0)[np.ix_([*own, 2], [*own, 2])]
         return np.full(len(between), self.m), self.cs * unit, self.ks * unit
 
-    def poles(self, places: tuple[str, ...]) -> Complexes:
-        """rad/s of the discs while the caps stand still."""
-        m, C, K = self.joined(places)
-        k, c = (np.diag(z)[len(places) :] for z in (K, C))
-        return np.asarray(-c / (2 * m) + 1j * np.sqrt(k / m - (c / (2 * m)) ** 2 + 0j))
-
     def blurred(self) -> Disc:
         """With a damping that hides where exactly its resonance is."""
         return replace(self, C=max(self.C, 2.0 * BLURRED * float(np.sqrt(self.K * self.m))))

@@ -144,7 +144,7 @@ class Likelihood:
             modes = modes_of(A, mass, f, size)
             after = np.clip(np.searchsorted(f, modes.imag / (2 * np.pi)), 1, f.size - 1)
             margin = MARGIN / length * np.maximum(nodes.weight[after - 1], nodes.weight[after])
-            shift, turned = past(modes, margin, [(2 * np.pi * f[0], 2 * np.pi * f[-1])], np.zeros(0, complex))
+            shift, turned = past(modes, margin, [(2 * np.pi * f[0], 2 * np.pi * f[-1])])
         if shift == 0.0:
             return Line(0.0, self.R, A, self._sum(size), self.R[:0], A[:0])
         R, ends = self._responses(shift), self._responses(0.5 * shift)[[0, -1]]

@@ -156,13 +156,13 @@ def point_at(
     lin = np.stack([data.mass, kL, c], axis=1)
     own = each(lambda use: terms(use, data, lin), uses)
     F, A, D = _forces(data, kL, c, uses, own)
-    line = contour(A, data.mass, D, data.f_hz, data.disc, data.places)
+    s = contour(A, data.mass, D, data.f_hz, data.disc, data.places)
 
     def along_line(A: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        return along(line.s, A, data.mass, D, data.disc, data.places)
+        return along(s, A, data.mass, D, data.disc, data.places)
 
     paths = noise_paths(data, A, nu, S)
-    weighing = Weighing(data, paths, line.s, paths.measured(along_line(A)))
+    weighing = Weighing(data, paths, s, paths.measured(along_line(A)))
     spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
     mean = _means(data, D, uses, own, lin)
     around = fluctuations(data, uses, mean, lin) if longer is None else longer.fluctuations
@@ -179,9 +179,9 @@ def point_at(
         if here is not None:
             dressing[:, i] = here.whole / (2 * np.pi * data.f_hz) ** 2
             A[:, i, i] += dressing[:, i]
-    there = (1j * line.s.imag / line.s) ** 2  # over -w^2 becomes over s^2
+    there = (1j * s.imag / s) ** 2  # over -w^2 becomes over s^2
     kept = None if weighing.rings is None else weighing.rings.kept.mean(axis=0)
-    jacobian = Jacobian(along_line(A), line.offset, dressing * there[:, None], kept)
+    jacobian = Jacobian(along_line(A), s, dressing * there[:, None], kept)
     caution = _caution(data, G, uses)
     result = _cautious(G, jacobian, data.fold_blocks, caution)
     own_terms = tuple(light(t) for t in made)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from reference_rig import CROSS, PLACES, RATE, TRUTH, rig_model, rig_record
 from estimator.balance import build
 from estimator.contour import FED, MARGIN, along, contour
 from estimator.determinant import Jacobian
-from estimator.disc import disc_of
+from estimator.disc import Disc, disc_of
 from estimator.likelihood import Likelihood, Local, Point
 from estimator.lines import begin
 from estimator.model import EffectUse, Model
@@ -40,10 +41,10 @@ def value(k: float, c: float) -> tuple[float, NDArray[np.float64], float]:
     D = tangents(k, c)
     iw = 2j * np.pi * F_HZ
     A = (MASS[0] + k / iw**2 + c / iw)[:, None, None]
-    line = contour(A, MASS, D, F_HZ)
-    J = Jacobian(along(line.s, A, MASS, D), line.offset)
-    units = response(np.array([[[[1.0, 0.0]]], [[[0.0, 1.0]]]]), line.s)
-    return J.value(units, np.zeros(2)), J.derivatives(units, np.zeros(2))[0], float(line.s[0].real)
+    s = contour(A, MASS, D, F_HZ)
+    J = Jacobian(along(s, A, MASS, D), s)
+    units = response(np.array([[[[1.0, 0.0]]], [[[0.0, 1.0]]]]), s)
+    return J.value(units, np.zeros(2)), J.derivatives(units, np.zeros(2))[0], float(s.real.max())
 
 
 def test_a_well_damped_mode_is_left_on_the_axis() -> None:
@@ -66,36 +67,64 @@ def test_the_sum_is_linear_in_the_damping_whether_the_mode_decays_or_grows(f0: f
     assert here - broad == pytest.approx(BLOCK_S * (decay - 300.0), abs=0.05 * BLOCK_S * abs(300.0 - decay) + 0.3)
 
 
+CAPS, SHAFT, BOTH = np.array([0.21, 0.22]), 3.9e6, ("bearing1.x", "bearing2.x")  # kg, N/m
+
+
+def rotor(c: float, f_disc: float, w: NDArray[Any]) -> tuple[NDArray[np.complex128], NDArray[np.float64], Disc]:
+    """A (w, 2, 2) of caps on either side of a disc that resonates at f_disc, their mean tangents, and the disc."""
+    model = Model((), (150.0, 8000.0), "chain", {"disc": 2 * SHAFT / (2 * np.pi * f_disc) ** 2}, SHAFT, 0.9)
+    disc, D = disc_of(model), np.zeros((2, 2, 2))
+    assert disc is not None
+    D[[0, 1], [0, 1]] = [[8.9e6, c], [6.3e6, c]]
+    s = 1j * w[:, None, None]
+    return np.diag(CAPS) + D[..., 0] / s**2 + D[..., 1] / s + disc.at_caps(BOTH, w) / s**2, D, disc
+
+
 @settings(deadline=None, max_examples=20)
 @given(c=st.floats(10.0, 60.0), f_disc=st.floats(350.0, 420.0))
 def test_a_disc_moves_with_the_caps_as_a_mode_that_nothing_damps(c: float, f_disc: float) -> None:
     """-T times Re p of all modes of the rotor, 1 Hz wide at some 300 Hz, but for bins about where the disc rings."""
-    ks, masses, k = 3.9e6, np.array([0.21, 0.22]), np.array([8.9e6, 6.3e6])
-    shaft = Model((), (150.0, 8000.0), "chain", {"disc": 2 * ks / (2 * np.pi * f_disc) ** 2}, ks, 0.9)
-    disc, places = disc_of(shaft), ("bearing1.x", "bearing2.x")
-    assert disc is not None
     f = F_HZ[np.abs(F_HZ - f_disc) > 30.0]
 
     def value(c: float) -> float:
-        D = np.zeros((2, 2, 2))
-        D[[0, 1], [0, 1]] = np.stack([k, [c, c]], axis=1)
-        iw = 2j * np.pi * f[:, None, None]
-        A = np.diag(masses) + D[..., 0] / iw**2 + D[..., 1] / iw + disc.at_caps(places, 2 * np.pi * f) / iw**2
-        line = contour(A, masses, D, f, disc, places)
-        return Jacobian(along(line.s, A, masses, D, disc, places), line.offset).value(
-            np.zeros((0, 2, 2, f.size)), np.zeros(0)
-        )
+        A, D, disc = rotor(c, f_disc, 2 * np.pi * f)
+        s = contour(A, CAPS, D, f, disc, BOTH)
+        return Jacobian(along(s, A, CAPS, D, disc, BOTH), s).value(np.zeros((0, 2, 2, f.size)), np.zeros(0))
 
     def decay(c: float) -> float:
-        M = np.diag([*masses, disc.m])
-        C, K = (shaft_matrix("chain", own) for own in (disc.cs, ks))
+        _, D, disc = rotor(c, f_disc, np.ones(1))
+        M = np.diag([*CAPS, disc.m])
+        C, K = (shaft_matrix("chain", own) for own in (disc.cs, SHAFT))
         C[[0, 1], [0, 1]] += c
-        K[[0, 1], [0, 1]] += k
+        K[[0, 1], [0, 1]] += np.diag(D[..., 0])
         flow = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
         return float(-np.linalg.eigvals(flow).real.sum() / 2)
 
     moved = BLOCK_S * (decay(c + 1.0) - decay(c - 1.0))
     assert value(c + 1.0) - value(c - 1.0) == pytest.approx(moved, rel=0.03)
+
+
+@pytest.mark.parametrize("f_disc", [590.0, 620.0])
+def test_the_slopes_are_those_of_the_axis_where_bins_are_left_out(f_disc: float) -> None:
+    """By what the caps make of each other through a disc, which is large there, and by its delay: 3 us off."""
+    f, fine = F_HZ[np.abs(F_HZ - f_disc) > 35.0], 64
+    spread = (f[:, None] + ((np.arange(fine) + 0.5) / fine - 0.5) / BLOCK_S).ravel()
+    A, D, disc = rotor(30.0, f_disc, 2 * np.pi * f)
+
+    def terms(s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """(5, 2, 2, s): size and delay of what is between the caps, in the force on the first, and c, k and c there."""
+        between = disc.at_caps(BOTH, s / 1j)[:, 0, 1] / s**2
+        out = np.zeros((5, 2, 2, s.size), complex)
+        out[:2, 0, 1] = between, -s * between
+        out[2, 1, 1], out[3, 0, 0], out[4, 0, 0] = 1 / s, 1 / s**2, 1 / s
+        return out
+
+    s = contour(A, CAPS, D, f, disc, BOTH)
+    assert s.real.max() > 50.0
+    found = Jacobian(along(s, A, CAPS, D, disc, BOTH), s).derivatives(terms(s), np.zeros(5))[0]
+    on_axis = rotor(30.0, f_disc, 2 * np.pi * spread)[0]
+    wanted = Jacobian(on_axis).derivatives(terms(2j * np.pi * spread), np.zeros(5))[0] / fine
+    assert found == pytest.approx(wanted, rel=0.02)
 
 
 @settings(deadline=None, max_examples=20)
@@ -105,9 +134,9 @@ def test_a_law_on_trial_may_make_the_mode_grow(f0: float, decay: float, step: fl
     k, c = MASS[0] * (2 * np.pi * f0) ** 2, 2 * MASS[0] * decay
     D, iw = tangents(k, c), 2j * np.pi * F_HZ
     A = (MASS[0] + k / iw**2 + c / iw)[:, None, None]
-    line = contour(A, MASS, D, F_HZ)
-    J = Jacobian(along(line.s, A, MASS, D), line.offset)
-    damping = response(np.array([[[[0.0, 1.0]]]]), line.s)
+    s = contour(A, MASS, D, F_HZ)
+    J = Jacobian(along(s, A, MASS, D), s)
+    damping = response(np.array([[[[0.0, 1.0]]]]), s)
     moved = J.value(damping, np.array([2 * MASS[0] * step])) - J.value(damping, np.zeros(1))
     assert moved == pytest.approx(BLOCK_S * step, abs=0.06 * BLOCK_S * abs(step) + 0.3)
 
@@ -140,7 +169,7 @@ def test_the_likelihood_of_gram_matrices_takes_the_same_line() -> None:
 def test_a_step_that_takes_a_mode_across_the_line_is_not_taken() -> None:
     D, iw = tangents(1e7, 60.0), 2j * np.pi * F_HZ
     A = (MASS[0] + 1e7 / iw**2 + 60.0 / iw)[:, None, None]
-    J, damping = Jacobian(A), response(np.array([[[[0.0, 1.0]]]]), contour(A, MASS, D, F_HZ).s)
+    J, damping = Jacobian(A), response(np.array([[[[0.0, 1.0]]]]), contour(A, MASS, D, F_HZ))
     assert J.value(damping, np.array([-40.0])) < J.value(damping, np.zeros(1))
     assert J.value(damping, np.array([-100.0])) == -np.inf
     stiffness = response(np.array([[[[1.0, 0.0]]]]), iw)
