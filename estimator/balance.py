@@ -78,7 +78,7 @@ class Balance:
     laws: tuple[Law, ...]
     free: tuple[Free, ...]
     fixed: Floats
-    common: Callable[[Floats], Complexes] | None
+    common: Callable[[Floats | Complexes], Complexes] | None
     disc: Disc | None
 
     @property
@@ -125,8 +125,9 @@ def shaft_notch(model: Model) -> tuple[float, float] | None:
     return resonance - width, resonance + width
 
 
-def shaft_reaction(model: Model) -> Callable[[Floats], Complexes] | None:
-    """Force on a cap per displacement of the cap at the other end, N/m at Hz, disc eliminated; None without a shaft.
+def shaft_reaction(model: Model) -> Callable[[Floats | Complexes], Complexes] | None:
+    """Force on a cap per displacement of the cap at the other end, N/m at Hz, complex of motion that grows or decays,
+    disc eliminated; None without a shaft.
 
     Exact: what a filter cannot hold of a sharp resonance is the filter's affair (bandlimit.py). Raises DataError.
     """

@@ -49,8 +49,8 @@ def contour(
     near = int(np.argmin(np.abs(w - resonance)))
     modes = modes_at(A[near], mass, 1j * w[near], disc, places)
     band = stretches(f_hz)
-    needed = past(modes, MARGIN / length, band)[0] > 0.0
-    return line(w, past(modes, FED / length, band)[0] if needed else 0.0, band)
+    needed = past(modes, MARGIN / length, band) > 0.0
+    return line(w, past(modes, FED / length, band) if needed else 0.0, band)
 
 
 def line(w: Array, shift: float, band: Sequence[tuple[float, float]]) -> Complexes:
@@ -66,25 +66,13 @@ def stretches(f_hz: Array) -> list[tuple[float, float]]:
     return list(zip(w[[0, *(gaps + 1)]].tolist(), w[[*gaps, -1]].tolist(), strict=True))
 
 
-def past(modes: Complexes, margin_hz: float | Array, band: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """The shift of the line past the slowest of the modes of the band, (0, 0) where none is near the axis; and rad by
-    which det A turns along a line half-way, each mode taken as one to its left: a block of T seconds has T / pi of that
-    for each rad/s of shift.
+def past(modes: Complexes, margin_hz: float | Array, band: Sequence[tuple[float, float]]) -> float:
+    """rad/s from the axis to the line past the slowest of the modes of the band, 0 where none is near the axis.
 
     margin_hz : from each mode to the line, at least. band : rad/s, its stretches.
     """
     inside = (modes.imag > band[0][0]) & (modes.imag < band[-1][1])
-    if not inside.any() or (shift := float((modes.real + 2 * np.pi * margin_hz)[inside].max())) <= 0.0:
-        return 0.0, 0.0
-
-    def angle(roots: Complexes, w: float) -> float:
-        r = 0.5 * shift - roots.real
-        return float((np.arctan2(w - roots.imag, r) + np.arctan2(w + roots.imag, r)).sum())
-
-    def of_det(w: float) -> float:  # A is over s^2
-        return angle(modes, w) - 2 * modes.size * float(np.arctan2(w, 0.5 * shift))
-
-    return shift, sum(of_det(high) - of_det(low) for low, high in band)
+    return max(float((modes.real + 2 * np.pi * margin_hz)[inside].max(initial=0.0)), 0.0)
 
 
 def modes_at(
@@ -108,10 +96,13 @@ def modes_at(
     return np.asarray(modes[modes.imag > 0.0], np.complex128)
 
 
-def modes_of(A: Complexes, mass: Array, f_hz: Array, size: Array | None = None) -> Complexes:
+def modes_of(
+    A: Complexes, mass: Array, f_hz: Array, size: Array | None = None, disc: Disc | None = None,
+    places: tuple[str, ...] = (),
+) -> Complexes:  # fmt: skip
     """The same of A (f, places, places), as it is where its determinant is least. size : (f,) |det A|, if known."""
     near = int(np.argmin(np.abs(np.linalg.det(A)) if size is None else size))
-    modes = modes_at(A[near], mass, 2j * np.pi * f_hz[near])
+    modes = modes_at(A[near], mass, 2j * np.pi * f_hz[near], disc, places)
     inside = (modes.imag > 2 * np.pi * f_hz[0]) & (modes.imag < 2 * np.pi * f_hz[-1])
     return np.asarray(modes[inside], np.complex128)
 

@@ -13,15 +13,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from .balance import Balance
 from .bandlimit import noise_shape
-from .contour import modes_of, past
+from .contour import modes_of, past, stretches, turns
 from .gram import Layout, Nodes
 from .jacobian import levels, log_determinant, noise_slope
 from .known_force import is_known, left, seen_through, taken_back
 
+WAYS, SHARES = 0.5 + 0.5 * leggauss(3)[0], 0.5 * leggauss(3)[1]  # between axis and line; a mode may be as near
 MARGIN = 2.0  # spacings of the nodes from a mode to the line of the determinant: the slopes are good to exp(-4 pi)
 
 Floats = NDArray[np.float64]
@@ -31,12 +33,12 @@ Complexes = NDArray[np.complex128]
 def responses(balance: Balance, tangents: Floats, f_hz: Floats, shift: float = 0.0) -> Complexes:
     """(f, columns, places) R: each column per acceleration of each place. tangents (columns, 4): x, v, xo, vo.
 
-    shift : rad/s, for R at s = shift + iw; the shaft's stiffness is taken to be the same there.
+    shift : rad/s, for R at s = shift + iw.
     """
     s: Complexes = np.asarray(shift + 2j * np.pi * f_hz, np.complex128)
     to = {"a": np.ones_like(s), "v": 1 / s, "x": 1 / s**2}
     if balance.common is not None:
-        to["u"] = balance.common(f_hz) * to["x"]
+        to["u"] = balance.common(f_hz if shift == 0.0 else s / (2j * np.pi)) * to["x"]
     R = np.zeros((s.size, len(balance.columns), len(balance.places)), complex)
     for k, column in enumerate(balance.columns):
         if column.kind in to:
@@ -92,7 +94,8 @@ class Local:
 @dataclass(frozen=True, slots=True)
 class Line:
     """R and A along s = shift + iw; total : sum of log |det A|^2 over the bins of a block, as it is on either side of
-    the axis (contour.py). ends : R half-way there at the ends of the band, inverses : of A there."""
+    the axis (contour.py). ends : (ways, 2 stretches, columns, places) R between axis and line, at both ends of every
+    stretch of bins; inverses : of A there."""
 
     shift: float
     R: Complexes
@@ -108,7 +111,10 @@ class Likelihood:
     def __init__(self, evidence: Evidence) -> None:
         self.evidence = evidence
         balance, nodes = evidence.balance, evidence.nodes
-        self.R = self._responses(0.0)
+        self.band, grid = stretches(evidence.grid.f_hz), evidence.grid
+        outwards = 0.5 * grid.rate_hz / grid.size * np.array([-1.0, 1.0])  # a bin is as wide as the next is far
+        self.ends = (np.array(self.band) / (2 * np.pi) + outwards).ravel()  # Hz
+        self.R = self._responses(0.0, nodes.f_hz)
         self.known = is_known(balance)
         self.seen = seen_through(balance, self.R) if self.known else self.R  # how the sensors' noise enters a column
         entries = [(p, i, k, x) for p, f in enumerate(balance.free) for i, k, x in f.entries]
@@ -123,13 +129,15 @@ class Likelihood:
         self.noise_shape = noise_shape(balance.kinds, w).T  # (f, P)
         self._last: tuple[Floats, tuple[Floats, Complexes, Floats, Floats]] | None = None
 
-    def _responses(self, shift: float) -> Complexes:
-        """(f, columns, places) of the columns, dressed, at s = shift + iw."""
-        ev, f_hz = self.evidence, self.evidence.nodes.f_hz
+    def _responses(self, shift: float, f_hz: Floats) -> Complexes:
+        """(f, columns, places) of the columns, dressed as the next node is, at s = shift + iw."""
+        ev = self.evidence
         R = responses(ev.balance, ev.tangents, f_hz, shift)
         if ev.dressing is not None:
-            iw = 2j * np.pi * f_hz
-            dressing = ev.dressing if shift == 0.0 else ev.dressing * ((iw / (shift + iw)) ** 2)[:, None]
+            iw, known = 2j * np.pi * f_hz, ev.nodes.f_hz
+            dressing = ev.dressing[np.minimum(np.searchsorted(known, f_hz), known.size - 1)]
+            if shift != 0.0:
+                dressing = dressing * ((iw / (shift + iw)) ** 2)[:, None]
             for k, column in enumerate(ev.balance.columns):
                 if column.kind == "law":
                     R[:, k, column.row] += dressing[:, k]
@@ -141,18 +149,26 @@ class Likelihood:
         f, length, shift = nodes.f_hz, grid.size / grid.rate_hz, 0.0
         size = np.abs(np.linalg.det(A))
         if mass.min() > 0.0:
-            modes = modes_of(A, mass, f, size)
+            modes = modes_of(A, mass, f, size, self.evidence.balance.disc, self.evidence.balance.places)
             after = np.clip(np.searchsorted(f, modes.imag / (2 * np.pi)), 1, f.size - 1)
             margin = MARGIN / length * np.maximum(nodes.weight[after - 1], nodes.weight[after])
-            shift, turned = past(modes, margin, [(2 * np.pi * f[0], 2 * np.pi * f[-1])])
+            shift = past(modes, margin, self.band)
         if shift == 0.0:
             return Line(0.0, self.R, A, self._sum(size), self.R[:0], A[:0])
-        R, ends = self._responses(shift), self._responses(0.5 * shift)[[0, -1]]
-        low, high = np.linalg.det(B @ ends)
-        turned += float(np.angle(high / low * np.exp(-1j * turned)))  # exactly
-        total = self._sum(np.abs(np.linalg.det(B @ R))) - length * shift * turned / np.pi
+        R, ends = self._responses(shift, f), np.stack([self._responses(x * shift, self.ends) for x in WAYS])
+        determinant, there = np.linalg.det(B @ R), np.linalg.det(B @ ends)
+        total = self._sum(np.abs(determinant)) - length * shift * self._turned(determinant, there) / np.pi
         inverses: Complexes = np.asarray(np.linalg.inv(B @ ends), np.complex128)
         return Line(shift, R, B @ R, total, ends, inverses)
+
+    def _turned(self, determinant: Complexes, ends: Complexes) -> float:
+        """rad by which det A turns along the stretches on the mean between axis and line: as often as on the line (f,),
+        between its `ends` (ways, 2 stretches)."""
+        f, turned = self.evidence.nodes.f_hz, 0.0
+        for k, (low, high) in enumerate(self.ends.reshape(-1, 2)):
+            here = float(turns(determinant[(f >= low) & (f <= high)]).sum())
+            turned += here + float(SHARES @ np.angle(ends[:, 2 * k + 1] / ends[:, 2 * k] * np.exp(-1j * here)))
+        return turned
 
     def _sum(self, size: Floats) -> float:
         """Of log |det A|^2 over the bins of a block. size : (f,) |det A|."""
@@ -304,12 +320,11 @@ class Likelihood:
         return (g - self._ways(line), h) if line.shift > 0.0 else (g, h)
 
     def _ways(self, line: Line) -> Floats:
-        """(E,) gradient of half of what the ways between axis and line add at the ends of the band: what det A turns
-        there, half-way."""
-        turned = np.einsum("seq,sqe->se", line.ends[:, self.column], line.inverses[:, :, self.row])
+        """(E,) gradient of half of what the ways between axis and line add at the ends of all stretches."""
+        turned = np.einsum("h,hseq,hsqe->se", SHARES, line.ends[:, :, self.column], line.inverses[..., self.row])
         grid = self.evidence.grid
         length = grid.size / grid.rate_hz
-        return np.asarray(length * line.shift / (2 * np.pi) * (turned[1] - turned[0]).imag)
+        return np.asarray(length * line.shift / (2 * np.pi) * (turned[1::2] - turned[::2]).sum(axis=0).imag)
 
 
 def active(point: Point) -> NDArray[np.intp]:
