@@ -317,14 +317,20 @@ class Likelihood:
         inside = point.S * self.colour[0] + (np.abs(A) ** 2 * self.noise_shape[:, None, :]) @ point.noise
         kappa = inside / spread[nodes.cell] * nodes.weight[:, None]  # 1 per bin where S is flat within the cell
         g, h = log_determinant(line.A, line.R, self.row, self.column, kappa, hessian)
-        return (g - self._ways(line), h) if line.shift > 0.0 else (g, h)
+        if line.shift == 0.0:
+            return g, h
+        slope, bend = self._ways(line)
+        return g - slope, h - bend if hessian else h
 
-    def _ways(self, line: Line) -> Floats:
-        """(E,) gradient of half of what the ways between axis and line add at the ends of all stretches."""
-        turned = np.einsum("h,hseq,hsqe->se", SHARES, line.ends[:, :, self.column], line.inverses[..., self.row])
-        grid = self.evidence.grid
-        length = grid.size / grid.rate_hz
-        return np.asarray(length * line.shift / (2 * np.pi) * (turned[1::2] - turned[::2]).sum(axis=0).imag)
+    def _ways(self, line: Line) -> tuple[Floats, Floats]:
+        """(E,) gradient and (E, E) Hessian of half of what the ways between axis and line add at the ends of all
+        stretches."""
+        passed = np.einsum("hseq,hsqf->hsef", line.ends[:, :, self.column], line.inverses[..., self.row])
+        grid, sign = self.evidence.grid, np.tile([-1.0, 1.0], len(self.band))
+        length = grid.size / grid.rate_hz * line.shift / (2 * np.pi)
+        slope = np.einsum("h,s,hsee->e", SHARES, sign, passed).imag
+        bend = -np.einsum("h,s,hsef,hsfe->ef", SHARES, sign, passed, passed).imag
+        return length * slope, length * bend
 
 
 def active(point: Point) -> NDArray[np.intp]:

@@ -16,7 +16,7 @@ from .features import MARGIN, NEAREST
 from .gram import Nodes, nodes, spectra, valid_blocks
 from .likelihood import Evidence, Likelihood, Local, Point, maximise, responses
 from .model import Model
-from .record import Record, gather
+from .record import Record, gather, notches
 
 Floats = NDArray[np.float64]
 SECONDS = 20.0  # of the record that the start is taken from
@@ -136,7 +136,9 @@ def _about(record: Record, evidence: Evidence, B: Floats, S: Floats) -> tuple[Fl
     m, c, kL = _diagonals(B)
     coupled = resonances(evidence, B)  # with a stiff shaft far from those of each place alone
     alone = np.sqrt(kL / m) / (2 * np.pi), c / m / (2 * np.pi)
-    at = nodes(record.grid, *(np.concatenate(pair) for pair in zip(coupled, alone, strict=True)))
+    middle = [0.5 * (low + high) for low, high in notches(record.model)]  # what the shaft answers is steep beside them
+    left_out_there = np.array(middle), np.zeros(len(middle))
+    at = nodes(record.grid, *(np.concatenate(z) for z in zip(coupled, alone, left_out_there, strict=True)))
     widths = left_out(m, c, kL, S + record.driven, record.model.band, record.rate_hz, evidence.balance.kinds)
     doubt = 0.0 if record.calm is None else record.calm.doubt
     return np.maximum(np.hypot(widths, doubt), NEAREST * record.scales), at
