@@ -15,7 +15,7 @@ to take it far: with the line at a bin from the slowest mode of a model without 
 At its ends, and where bins are left out, the line comes back to the axis, as steep as it is far from it (`line`): it
 has the ends of the axis, and so its sum but for the modes. Straight, with the ways there taken as they are at one
 point, it left out what they add to the slopes: beside a disc that resonates in the band the delay of what one cap makes
-of the other was 3 us off, 4 standard deviations, and c 1.5.
+of the other was 3 us off, 4 standard deviations, and c 0.4.
 
 A disc that resonates in the band moves with the caps as a mode of the rotor, sharp as nothing damps it there, and what
 it answers at s is not what it answers at iw: with its stiffness taken to be the same, kL was 4 to 7 standard deviations
