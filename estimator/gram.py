@@ -99,8 +99,8 @@ def nodes(grid: Layout, peaks_hz: Floats | None = None, widths_hz: Floats | None
     for a, n in zip(grid.starts, grid.per_cell, strict=True):
         step = int(np.clip(allowed[a : a + n].min(), 1, max(1, n // 3)))
         starts += range(int(a), int(a + n), step)
-    left_out = np.flatnonzero(np.diff(f) > 1.5 * grid.rate_hz / grid.size) + 1
-    at = np.union1d(starts, left_out)
+    after_gaps = np.flatnonzero(np.diff(grid.bins) > 1) + 1  # a node is on one side of what is left out
+    at = np.union1d(starts, after_gaps)
     weight = np.diff(np.append(at, f.size)).astype(float)
     return Nodes(np.add.reduceat(f, at) / weight, weight, cell[at])
 

@@ -156,10 +156,12 @@ class Likelihood:
         if shift == 0.0:
             return Line(0.0, self.R, A, self._sum(size), self.R[:0], A[:0])
         R, ends = self._responses(shift, f), np.stack([self._responses(x * shift, self.ends) for x in WAYS])
-        determinant, there = np.linalg.det(B @ R), np.linalg.det(B @ ends)
-        total = self._sum(np.abs(determinant)) - length * shift * self._turned(determinant, there) / np.pi
-        inverses: Complexes = np.asarray(np.linalg.inv(B @ ends), np.complex128)
-        return Line(shift, R, B @ R, total, ends, inverses)
+        beside, there = B @ R, B @ ends
+        determinant = np.linalg.det(beside)
+        turned = self._turned(determinant, np.linalg.det(there))
+        total = self._sum(np.abs(determinant)) - length * shift * turned / np.pi
+        inverses: Complexes = np.asarray(np.linalg.inv(there), np.complex128)
+        return Line(shift, R, beside, total, ends, inverses)
 
     def _turned(self, determinant: Complexes, ends: Complexes) -> float:
         """rad by which det A turns along the stretches on the mean between axis and line: as often as on the line (f,),
