@@ -27,6 +27,7 @@ from .errors import DataError
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 DRIFT = 0.05  # of the lower band edge: below lie offset and drift of a sensor; the filter is as long as the band's
+FORCE_DRIFT = 0.02  # the same of a sensor of force, whose whole record is filtered
 RINGS = 2  # times as long are filters beside one that holds a resonance
 ABOUT = 2001  # frequencies about the lower edge, at which a resonance is looked for
 FINE_HZ = 0.05  # resolves a resonance that rings for some seconds
@@ -349,14 +350,16 @@ def left_out(
     band: tuple[float, float],
     rate_hz: float,
     kinds: Sequence[str],
+    driven: Floats | float = 0.0,
 ) -> Floats:
     """(places, 2) sd of the displacement and velocity that laws do not see, from the linear response to S.
 
-    kinds : of the sensor at each place.
+    kinds : of the sensor at each place. driven : PSD of the measured force there, by which laws see what is slow.
     """
     f = np.concatenate([np.linspace(0.0, band[0], 200), np.geomspace(band[0], 1e3 * rate_hz, 4000)[1:]])
     lost = np.array([unseen(f, rate_hz, band, kind) for kind in kinds]) ** 2
     w = 2 * np.pi * f
-    response = S[:, None] / np.abs(kL[:, None] + 1j * w * c[:, None] - m[:, None] * w**2) ** 2
+    S = S[:, None] + np.multiply.outer(driven, (f < FORCE_DRIFT * band[0]) | (f >= band[0]))
+    response = S / np.abs(kL[:, None] + 1j * w * c[:, None] - m[:, None] * w**2) ** 2
     both = np.stack([np.trapezoid(response * lost, f), np.trapezoid(response * lost * w**2, f)], axis=1)
     return np.asarray(np.sqrt(both))

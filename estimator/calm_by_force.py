@@ -38,13 +38,20 @@ def calm_of(point: WorkingPoint, nu: Array) -> tuple[NDArray[np.float32] | None,
     n = point.force.shape[1]
     size = next_fast_len(n, real=True)
     there: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(size, 1 / data.rate_hz), dtype=np.float64)
-    forces = each(lambda force: rfft(force, size), point.force)
+    inferred = point.force if data.slow is None else point.force - _on_slow(point) @ data.slow
+    forces = each(lambda force: rfft(force, size), inferred)
+    inside = there > np.pi * data.band[0]  # below half of it nothing is measured
 
     def at(i: int) -> Array:
         heard = np.sum([np.interp(there, w, known[:, i, j] / w**2) * F for j, F in enumerate(forces)], axis=0)
-        return np.asarray(irfft(heard, size)[:n])
+        return np.asarray(irfft(heard * inside, size)[:n])
 
     return np.array(each(at, range(len(N))), np.float32), doubt
+
+
+def _on_slow(point: WorkingPoint) -> NDArray[np.float32]:
+    """(places, places) N/m by which laws answer to the slow displacement, of which nothing is measured."""
+    return np.asarray(point.slopes[..., 0] - np.diag(point.kL), np.float32)
 
 
 def settled(point: WorkingPoint, calm: NDArray[np.float32] | None) -> bool:

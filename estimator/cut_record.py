@@ -20,6 +20,7 @@ from .plausible import check_moves
 from .sensor_response import passed_of_images
 from .shaft_angle import measured_phase
 from .side_by_side import each
+from .slow_motion import below_band
 
 Array = NDArray[np.float64]
 
@@ -57,6 +58,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     a, v, x, u, (t,), (phase,) = map(valid, (motion.a, motion.v[:P], motion.x[:P], motion.u, t[None], angle[None]))
     below = None if motion.slow is None else valid(motion.slow[:P])
     measured = {places.index(p): a[P + k] for k, p in enumerate(shaken)}
+    slow = _below(model, valid(y.T[[*shaken.values()]]), list(shaken), rate_hz) if shaken else None
     mass = _masses(model, a, v, x, measured)
     known = _inertia_and_shaft(model, mass, a, v, x, u)
     driven = np.zeros(P)
@@ -77,7 +79,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
         sharpened(model, places, f), folded_back(model, places, kinds, mass, f), np.zeros((P, f.size)),
         np.zeros((P, f.size), complex), np.stack([passed_of_images(model, p, rate_hz, f) for p in places], axis=1),
         below, below, None, 0.0, _shared(model), pushes(model, places), waves(model, places, rate_hz),
-        disc=disc_of(model),
+        disc=disc_of(model), shaken=slow,
     )  # fmt: skip
 
 
@@ -136,6 +138,14 @@ def _inertia_and_shaft(model: Model, mass: Array, a: Series, v: Series, x: Serie
                 known[i] += model.shaft_stiffness * x[i]
                 known[i] += model.shaft_damping * v[i]
     return known
+
+
+def _below(model: Model, forces: Series, at: list[str], rate_hz: float) -> Series:
+    """(places, n) N of the forces measured `at` places (forces, n) what is below the band; 0 at the others."""
+    out = np.zeros((len(model.places), forces.shape[1]), np.float32)
+    for place, force in zip(at, forces, strict=True):
+        out[model.places.index(place)] = below_band(force, rate_hz, model.band)
+    return out
 
 
 def _shared(model: Model) -> tuple[tuple[int, int], ...]:

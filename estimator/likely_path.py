@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .balance import force_channels, motion_channels
-from .bandlimit import noise_shape, passband, to_acceleration
+from .bandlimit import FORCE_DRIFT, noise_shape, passband, to_acceleration
 from .checks import check_record
 from .columns import Columns
 from .gram import taper
@@ -33,7 +33,6 @@ from .start import Start
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 FRAME_S = 4.0  # at least
-DRIFT = 0.02  # of the lower band edge: below it an offset or drift of a force sensor is not told from the force
 NEAREST = 1e-4  # least smoothing, in standard deviations of the displacement
 ROUNDS = 3  # each leaves a tangent over the stiffness of the error
 PIECE = 1 << 16  # rows
@@ -88,7 +87,7 @@ def _filters(solution: Solution, size: int) -> tuple[Complexes, Floats]:
     record, balance, point = solution.record, solution.balance, solution.point
     rate, (low, high), P = record.rate_hz, record.model.band, len(balance.places)
     f: Floats = np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64)
-    path, known = np.zeros((f.size, P, 3 * P), complex), (f >= DRIFT * low) & (f <= high)
+    path, known = np.zeros((f.size, P, 3 * P), complex), (f >= FORCE_DRIFT * low) & (f <= high)
     f = f[known]
     w: Floats = np.asarray(2 * np.pi * f, dtype=np.float64)
     B = balance.coefficients(point.beta)
@@ -109,7 +108,7 @@ def _filters(solution: Solution, size: int) -> tuple[Complexes, Floats]:
     left = np.where(below, through @ S @ through.conj().transpose(0, 2, 1), N - gain @ A @ N) / s2**2
     variance = np.einsum("fii->i", left).real * rate / size
     drift = through[0] / s2[0]
-    variance += DRIFT * low * np.einsum("ij,j,ij->i", drift, record.driven, drift.conj()).real
+    variance += FORCE_DRIFT * low * np.einsum("ij,j,ij->i", drift, record.driven, drift.conj()).real
     return path, np.sqrt(variance)
 
 

@@ -75,7 +75,7 @@ def _begun(
     if start is None:
         kL, c, S = _first_linear(data)
         nu = np.zeros(len(data.places))
-        beside = left_out(data.mass, c, kL, S + data.driven, data.band, data.rate_hz, data.kinds)
+        beside = left_out(data.mass, c, kL, S, data.band, data.rate_hz, data.kinds, data.driven)
         return _calmed(replace(data, left_out=beside), nu, S), kL, c, nu, S
     kL, c, nu, S = start.kL.copy(), start.c.copy(), start.nu.copy(), start.S
     if start.data is not data:
@@ -223,7 +223,7 @@ def _left_out(point: WorkingPoint) -> Array:
     kL, c = np.einsum("iik->ki", point.slopes)
     if not (np.all(kL > 0.0) and np.all(c > 0.0)):
         return data.left_out
-    return left_out(data.mass, c, kL, point.S + data.driven, data.band, data.rate_hz, data.kinds)
+    return left_out(data.mass, c, kL, point.S, data.band, data.rate_hz, data.kinds, data.driven)
 
 
 def _calmed(data: MotionBlocks, nu: Array, S: Array) -> MotionBlocks:

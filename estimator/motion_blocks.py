@@ -66,6 +66,7 @@ class MotionBlocks:
     waves: tuple[Wave, ...] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
     level: Array | None = None  # (places, blocks) power of the unknown force over its mean: force_level.py
     disc: Disc | None = None  # on its shaft, where there is one: shaft_law.py
+    shaken: Series | None = None  # (places, n) N, measured forces below the band: slow_motion.py
     drawn: Array | None = None  # (places,) rms by which motion drawn beyond a ceiling is off, over its own: declip.py
 
     @property
@@ -191,7 +192,7 @@ class MotionBlocks:
     def in_one(self) -> MotionBlocks:
         """With the displacement that laws see, less the noise of sensors, as one: all that their tangents need."""
         x = np.stack([self.calmed(i) for i in range(len(self.places))])
-        return replace(self, x=x, measured=None, slow=None, calm=None)
+        return replace(self, x=x, measured=None, slow=None, calm=None, shaken=None)
 
     def of_blocks(self, some: NDArray[np.int64]) -> dict[str, Any]:
         """The fields that have a value for every block, of some of them."""
@@ -206,7 +207,9 @@ class MotionBlocks:
                 return np.concatenate([z[..., run] for run in rows], axis=-1)
             return z[..., rows] if isinstance(rows, slice) else np.ascontiguousarray(z[..., rows])
 
-        return self.states(taken, known=taken(self.known), t=taken(self.t), phase=taken(self.phase), **rest)
+        shaken = None if self.shaken is None else taken(self.shaken)
+        same = {"known": taken(self.known), "t": taken(self.t), "phase": taken(self.phase), "shaken": shaken}
+        return self.states(taken, **same, **rest)
 
 
 def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:

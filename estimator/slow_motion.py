@@ -7,6 +7,9 @@ the bearing force comes out 4 % too small, and the law works about the wrong cen
 such as an imbalance, turns the stiffness of a law that sees only the rest. Hysteresis pushes by loops that end off the
 centre, now on this side and now on that: less, but what it loses so near the edge of the band, and about twice the
 resonance, would be taken for stiffness.
+
+Where a force is measured, what it does below the band is known as well, and every law has it: beside a strong x^5 it
+is 8 % of the displacement, and its coefficient came out 1 % small, many times what its standard deviation said.
 """
 
 from __future__ import annotations
@@ -17,10 +20,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .bandlimit import unseen
+from .bandlimit import FORCE_DRIFT, unseen
 from .effect import Effect
 from .effects.compiled import memory_array
 from .effects.law_loop import force_array
+from .features import Series
 from .mean_response import yields
 from .motion_blocks import MotionBlocks
 from .placed import Placed, evaluate, remembers
@@ -30,6 +34,7 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 EVEN = 1e-3  # of a law's size: less of it is even in x by rounding alone
 STEPS = 40  # points from which that is seen
+ROUNDS = 3  # beside measured forces: each leaves the change of a law's tangent over the stiffness of the error
 
 
 def lopsided(effect: Effect, p: Array, sizes: Array) -> bool:
@@ -86,35 +91,72 @@ def moved(
 
 
 def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -> MotionBlocks:
-    """The record with the slow displacement of the laws as they stand, and of periodic forces, beside what sensors
-    measure of it. kL, c : (places,)."""
+    """The record with the slow displacement of the laws as they stand, of periodic forces and of measured ones, beside
+    what sensors measure of it. kL, c : (places,)."""
     lin = np.stack([data.mass, kL, c], axis=1)
-    own = [[u for u in uses if i in u.at and u.p.any() and (lopsided(u.effect, u.p, data.sizes(i)) or
-            remembers(u, lin[i]))] for i in range(len(data.places))]  # fmt: skip
-    if not any(own) and not data.pushes:
+    own = [[u for u in uses if i in u.at and u.p.any() and _pushes(u, data, i, lin)] for i in range(len(data.places))]
+    if not any(own) and not data.pushes and data.shaken is None:
         return data
-    D = np.stack([np.diag(kL), np.diag(c)], axis=-1)
-    response = below(
-        lambda w: yields(w, data.mass, D, data.places, data.disc), data.rate_hz, data.band, data.kinds
-    )  # fmt: skip
+    for _ in range(1 if data.shaken is None else ROUNDS):
+        push, tangents = _pushed(data, own, lin)
+        D = np.stack([np.diag(kL), np.diag(c)], axis=-1)
+        if data.shaken is not None:  # the caps then move much, and a strong law answers as its mean tangent
+            D[..., 0] += tangents
+            push = {i: push.get(i, 0.0) - tangents[i] @ _slow(data) - force for i, force in enumerate(data.shaken)}
+        response = _response(data, D)
+        slow = np.zeros(data.x.shape, np.float32)
+        if push:
+            for i, x in moved(push, response, data.rate_hz, data.band[0]).items():
+                slow[i] += x
+        for periodic in data.pushes:
+            for i, x in periodic.displacement(data.t, data.phase, response).items():
+                slow[i] += x
+        if data.measured is not None:
+            slow += data.measured
+        data = replace(data, slow=slow)
+    return data
 
-    def force(use: Placed, i: int) -> Array:
+
+def _response(data: MotionBlocks, D: Array) -> Callable[[Array], Complexes]:
+    return below(lambda w: yields(w, data.mass, D, data.places, data.disc), data.rate_hz, data.band, data.kinds)
+
+
+def _pushes(use: Placed, data: MotionBlocks, i: int, lin: Array) -> bool:
+    """Whether a law makes slow displacement, or takes of that of a measured force."""
+    if use.effect.kind == "force":
+        return data.shaken is not None or lopsided(use.effect, use.p, data.sizes(i))
+    return remembers(use, lin[i])
+
+
+def _pushed(data: MotionBlocks, own: Sequence[Sequence[Placed]], lin: Array) -> tuple[dict[int, Array], Array]:
+    """By place the force (n,) N of its laws, and (places, places) N/m their mean tangents to the displacements."""
+
+    def force(use: Placed, i: int) -> tuple[Array, Array]:
         if use.effect.kind == "force":
-            return evaluate(use, data, i, lin)[0]
-        return memory_array(use.effect, use.p, lin[i], data.seen(i), data.v[i], data.rate_hz)
+            f, slopes, _ = evaluate(use, data, i, lin)
+            return f, data.over_folds(slopes)[:, 0]
+        return memory_array(use.effect, use.p, lin[i], data.seen(i), data.v[i], data.rate_hz), np.zeros(len(own))
 
-    def at(i: int) -> Array:
-        return np.asarray(np.sum([force(u, i) for u in own[i]], axis=0))
+    def at(i: int) -> tuple[Array, Array]:
+        forces, slopes = zip(*(force(u, i) for u in own[i]), strict=True)
+        return np.asarray(np.sum(forces, axis=0)), np.asarray(np.sum(slopes, axis=0))
 
-    pushed = [i for i, laws in enumerate(own) if laws]
-    slow = np.zeros(data.x.shape, np.float32)
-    if pushed:
-        push = dict(zip(pushed, each(at, pushed), strict=True))
-        for i, x in moved(push, response, data.rate_hz, data.band[0]).items():
-            slow[i] += x
-    for periodic in data.pushes:
-        for i, x in periodic.displacement(data.t, data.phase, response).items():
-            slow[i] += x
-    if data.measured is not None:
-        slow += data.measured
-    return replace(data, slow=slow)
+    there = [i for i, laws in enumerate(own) if laws]
+    found = dict(zip(there, each(at, there), strict=True))
+    tangents = np.zeros((len(own), len(own)))
+    for i, (_, slopes) in found.items():
+        tangents[i] = slopes
+    return {i: f for i, (f, _) in found.items()}, tangents
+
+
+def _slow(data: MotionBlocks) -> Array:
+    return np.zeros(data.x.shape, np.float32) if data.slow is None else np.asarray(data.slow)
+
+
+def below_band(force: Series, rate_hz: float, band: tuple[float, float]) -> Array:
+    """(n,) N of a measured force what is below the band, without the offset and the drift of its sensor."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = next_fast_len(force.size, real=True)
+    F, f = rfft(force - force.mean(), size), np.fft.rfftfreq(size, 1 / rate_hz)
+    return np.asarray(irfft(np.where((f >= FORCE_DRIFT * band[0]) & (f < band[0]), F, 0.0), size)[: force.size])
