@@ -75,8 +75,7 @@ def _begun(
     if start is None:
         kL, c, S = _first_linear(data)
         nu = np.zeros(len(data.places))
-        beside = left_out(data.mass, c, kL, S, data.band, data.rate_hz, data.kinds, data.driven)
-        return _calmed(replace(data, left_out=beside), nu, S), kL, c, nu, S
+        return _calmed(replace(data, left_out=_unseen(data, c, kL, S)), nu, S), kL, c, nu, S
     kL, c, nu, S = start.kL.copy(), start.c.copy(), start.nu.copy(), start.S
     if start.data is not data:
         data = _calmed(replace(data, left_out=start.data.left_out), nu, start.S)
@@ -223,7 +222,13 @@ def _left_out(point: WorkingPoint) -> Array:
     kL, c = np.einsum("iik->ki", point.slopes)
     if not (np.all(kL > 0.0) and np.all(c > 0.0)):
         return data.left_out
-    return left_out(data.mass, c, kL, point.S, data.band, data.rate_hz, data.kinds, data.driven)
+    return _unseen(data, c, kL, point.S)
+
+
+def _unseen(data: MotionBlocks, c: Array, kL: Array, S: Array) -> Array:
+    """The same by kL, c and S; below the band a measured force may have told it."""
+    told = np.zeros_like(S) if data.shaken is None else data.driven
+    return left_out(data.mass, c, kL, S + data.driven - told, data.band, data.rate_hz, data.kinds, told)
 
 
 def _calmed(data: MotionBlocks, nu: Array, S: Array) -> MotionBlocks:

@@ -92,7 +92,11 @@ def moved(
 
 def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -> MotionBlocks:
     """The record with the slow displacement of the laws as they stand, of periodic forces and of measured ones, beside
-    what sensors measure of it. kL, c : (places,)."""
+    what sensors measure of it. kL, c : (places,).
+
+    Where a cap resonates below the band, measured forces make most of the motion there, by numbers that are fitted
+    above: they are let go.
+    """
     lin = np.stack([data.mass, kL, c], axis=1)
     own = [[u for u in uses if i in u.at and u.p.any() and _pushes(u, data, i, lin)] for i in range(len(data.places))]
     if not any(own) and not data.pushes and data.shaken is None:
@@ -102,6 +106,8 @@ def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -
         D = np.stack([np.diag(kL), np.diag(c)], axis=-1)
         if data.shaken is not None:  # the caps then move much, and a strong law answers as its mean tangent
             D[..., 0] += tangents
+            if not _above(data, np.diag(D[..., 0])):
+                return with_slow(replace(data, slow=data.measured, shaken=None), kL, c, uses)
             push = {i: push.get(i, 0.0) - tangents[i] @ _slow(data) - force for i, force in enumerate(data.shaken)}
         response = _response(data, D)
         slow = np.zeros(data.x.shape, np.float32)
@@ -119,6 +125,12 @@ def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -
 
 def _response(data: MotionBlocks, D: Array) -> Callable[[Array], Complexes]:
     return below(lambda w: yields(w, data.mass, D, data.places, data.disc), data.rate_hz, data.band, data.kinds)
+
+
+def _above(data: MotionBlocks, k: Array) -> bool:
+    """Whether every cap resonates above the lower edge of the band. k : (places,) N/m, in the bearing."""
+    held = 0.0 if data.disc is None else data.disc.held[0]
+    return bool(np.all(k + held > data.mass * (2 * np.pi * data.band[0]) ** 2))
 
 
 def _pushes(use: Placed, data: MotionBlocks, i: int, lin: Array) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -10,12 +11,12 @@ from numba import njit
 from scipy.signal import resample
 
 from estimator.bandlimit import left_out
+from estimator.compare import compare
 from estimator.effects import CATALOGUE
 from estimator.model import Channel, EffectUse, Model
 from estimator.placed import Placed
 from estimator.preparation import prepare
 from estimator.slow_motion import with_slow
-from estimator.whole import fit_whole
 
 RATE, SECONDS, BAND, FINER = 1000.0, 40.0, (10.0, 400.0), 20
 MASS, KL, C = 1.0, (100 * np.pi) ** 2, 6 * np.pi
@@ -80,8 +81,19 @@ def test_what_is_said_to_be_left_out_is() -> None:
     np.testing.assert_allclose(left_out(*one, data.driven)[0, 0], (x[rows] - seen).std(), rtol=0.5)
 
 
-def test_a_strong_law_beside_a_measured_force_has_its_number() -> None:
-    y = record(K5)[1] + np.random.default_rng(4).normal(size=(int(RATE * SECONDS), 2)) * (1e-4, 1e-5)
-    found = fit_whole(rig((EffectUse("quintic", {"bearing1.x": {}}),)), y, RATE).parameters
-    assert found["bearing1.x.quintic.k5"].value == pytest.approx(K5, rel=1.5e-3), "1.05 % small without"
-    assert found["bearing1.x.kL"].value == pytest.approx(KL, rel=5e-5)
+def test_a_resonance_below_the_band_is_none_of_its_business() -> None:
+    data = prepare(replace(rig(), band=(60.0, 400.0)), record(0.0)[1], RATE)
+    assert data.shaken is not None
+    let_go = with_slow(data, np.array([KL]), np.array([C]), [])
+    assert let_go.shaken is None
+    assert let_go.slow is None
+
+
+def test_a_strong_law_beside_a_measured_force_has_its_number_and_leaves_nothing() -> None:
+    y = record(K5)[1] + np.random.default_rng(4).normal(size=(int(RATE * SECONDS), 2)) * (1e-4, 5e-5)
+    model = replace(rig((EffectUse("quintic", {"bearing1.x": {}}),)), band=(20.0, 400.0))
+    found = compare(model, y, RATE)
+    assert found.missing[0] == 0.0, "0.2 % without"
+    parameters = found.parameters
+    assert parameters["bearing1.x.quintic.k5"].value == pytest.approx(K5, rel=1.5e-3), "1.2 % small without"
+    assert parameters["bearing1.x.kL"].value == pytest.approx(KL, rel=5e-5)
