@@ -240,7 +240,11 @@ def _calmed(data: MotionBlocks, nu: Array, S: Array) -> MotionBlocks:
         noise = data.folded_beside / (2 * np.pi * data.f_hz) ** 4
     if is_little(data.f_hz, noise, data.rms[0] ** 2):
         return replace(data, calm=None, doubt=0.0)
-    found = calm_of(data.f_hz, _spectrum(data), noise, 0)
+    bins = np.arange(data.bins[0], data.bins[-1] + 1)  # also those that are left out: a disc rings there by its noise
+    f_hz: Array = np.asarray(bins * (data.rate_hz / data.block), dtype=np.float64)
+    smooth = noise * data.f_hz**4
+    noise = np.array([np.interp(f_hz, data.f_hz, z) for z in smooth]) / f_hz**4
+    found = calm_of(f_hz, _spectrum(data, bins), noise, 0)
     return replace(data, calm=found.of(data.x, data.rate_hz).astype(np.float32), doubt=found.doubt)
 
 
@@ -258,7 +262,7 @@ def _folded_beside(point: WorkingPoint) -> tuple[Array, NDArray[np.complex128]]:
     return out, force
 
 
-def _spectrum(data: MotionBlocks) -> Array:
+def _spectrum(data: MotionBlocks, bins: NDArray[np.int64]) -> Array:
     """(places, bins) one-sided PSD of the displacement, m^2/Hz, of some of the blocks."""
     some = data.x.reshape(len(data.places), data.blocks, -1)[:, :: max(1, data.blocks // LOOKED_AT)]
-    return np.array([spectrum(x.ravel(), data.block, data.rate_hz)[1][data.bins] for x in some])
+    return np.array([spectrum(x.ravel(), data.block, data.rate_hz)[1][bins] for x in some])

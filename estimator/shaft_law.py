@@ -46,7 +46,8 @@ def along(effect: Effect, p: Array, data: MotionBlocks, i: int, lin: Array) -> t
     caps, g = sorted((i, o)), _taken(effect, p, data.t, data.phase)
     if max(-g.min(), g.max()) < FAINT * disc.K:
         disc = disc.blurred()
-    mean = 0.5 * data.x[caps].astype(np.float64).sum(axis=0)
+    calm = 0.0 if data.calm is None else data.calm[caps].astype(np.float64)
+    mean = 0.5 * (data.x[caps] + calm).sum(axis=0)
     steps = max(1, int(np.ceil(disc.w0 / (STEP * data.rate_hz))))
     force = _beside(
         filtered(disc.follows, mean, data.rate_hz, 2 * steps), g, disc.m, disc.C, disc.K, 1.0 / data.rate_hz, steps
@@ -54,7 +55,13 @@ def along(effect: Effect, p: Array, data: MotionBlocks, i: int, lin: Array) -> t
     angles = 2 * np.pi * np.arange(ANGLES) / ANGLES
     turn = np.fft.fft(_taken(effect, p, np.zeros(ANGLES), angles)) / ANGLES
     speed = float((data.phase[-1] - data.phase[0]) / (data.t[-1] - data.t[0]))
-    across[caps] = 0.5 * disc.changed(2 * np.pi * data.f_hz, float(turn[0].real), complex(turn[1]), speed, lin[caps])
+
+    def response(w: Array) -> Complexes:
+        return 0.5 * disc.changed(w, float(turn[0].real), complex(turn[1]), speed, lin[caps])
+
+    across[caps] = response(2 * np.pi * data.f_hz)
+    if data.calm is not None:  # its mean response is to the whole displacement, as of the laws at a cap: calm.py
+        force -= filtered(response, np.asarray(calm).sum(axis=0), data.rate_hz)
     return force, across
 
 
