@@ -55,13 +55,10 @@ def along(effect: Effect, p: Array, data: MotionBlocks, i: int, lin: Array) -> t
     angles = 2 * np.pi * np.arange(ANGLES) / ANGLES
     turn = np.fft.fft(_taken(effect, p, np.zeros(ANGLES), angles)) / ANGLES
     speed = float((data.phase[-1] - data.phase[0]) / (data.t[-1] - data.t[0]))
-
-    def response(w: Array) -> Complexes:
-        return 0.5 * disc.changed(w, float(turn[0].real), complex(turn[1]), speed, lin[caps])
-
-    across[caps] = response(2 * np.pi * data.f_hz)
+    bins = 2 * np.pi * data.f_hz
+    across[caps] = own = 0.5 * disc.changed(bins, float(turn[0].real), complex(turn[1]), speed, lin[caps])
     if data.calm is not None:  # its mean response is to the whole displacement, as of the laws at a cap: calm.py
-        force -= filtered(response, np.asarray(calm).sum(axis=0), data.rate_hz)
+        force -= filtered(lambda w: np.interp(w, bins, own), np.asarray(calm).sum(axis=0), data.rate_hz)
     return force, across
 
 
