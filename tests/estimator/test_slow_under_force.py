@@ -20,7 +20,7 @@ from estimator.slow_motion import with_slow
 
 RATE, SECONDS, BAND, FINER = 1000.0, 40.0, (10.0, 400.0), 20
 MASS, KL, C = 1.0, (100 * np.pi) ** 2, 6 * np.pi
-K5 = 3e26  # N/m^5: 5 % of the bearing force
+K5 = 3e26  # N/m^5: 6 % of the bearing force
 
 
 @njit(cache=True)
