@@ -15,6 +15,7 @@ from .fluctuation import Fluctuation
 from .motion_blocks import FOLDS, MotionBlocks
 from .placed import Evaluated, Placed, at_home, evaluate, tangent_series
 from .probe import Probe
+from .side_by_side import each
 from .weighing import Complexes, Term
 
 Array = NDArray[np.float64]
@@ -54,10 +55,13 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
 
     responding = placed.effect.kind in ("memory", "shaft")
     at = _once(law) if responding else law
+    free = [k for k, q in enumerate(placed.effect.parameters) if placed.free[k] and (q.linear or not linear_only)]
+    if placed.effect.kind == "shaft":  # integrated anew for every one of them
+        caps = {shaft_law.first(data, i) for i in placed.at}
+        each(lambda ask: at(*ask), [(i, p) for k in free for p, _ in _ends(placed, k, data) for i in caps])
     out = []
-    for k, q in enumerate(placed.effect.parameters):
-        if not placed.free[k] or (linear_only and not q.linear):
-            continue
+    for k in free:
+        q = placed.effect.parameters[k]
         series: dict[int, NDArray[Any]] = {}
         memory: dict[int, Complexes] = {}
         slopes = np.zeros((FOLDS, len(data.places), len(data.places), 2))
