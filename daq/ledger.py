@@ -20,7 +20,6 @@ class Ledger:
         self.first: int | None = None
         self.stop = 0
         self.lost = 0
-        self.repeated = 0
         self.gaps: list[Gap] = []
 
     def limit_to(self, more: int) -> None:
@@ -47,8 +46,6 @@ class Ledger:
     def _block(self, block: Block) -> list[Reading]:
         before = self._begin(block.index)
         known = self.stop - block.index
-        if known > 0:
-            self.repeated += min(known, len(block.counts))
         stop = self._end(block.index + len(block.counts))
         if stop <= self.stop:
             return before

@@ -52,7 +52,7 @@ def walk(path: Path, findings: Findings, everything: bool = False) -> Iterator[t
     Head and Info come when they are new. Blocks never overlap and never go back. Preview and repetitions are left out,
     or with `everything` come as (None, message).
     """
-    decoder = _Decoder(findings)
+    decoder = _Decoder()
     for messages in scan(path, findings):
         _check_topics(path, findings)
         for message in messages:
@@ -82,8 +82,7 @@ def _check_topics(path: Path, findings: Findings) -> None:
 
 
 class _Decoder:
-    def __init__(self, findings: Findings) -> None:
-        self._findings = findings
+    def __init__(self) -> None:
         self._head = self._info = b""
         self._wall_offset_ns = 0
         self._next: int | None = None  # the index that follows what was seen
