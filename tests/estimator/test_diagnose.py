@@ -165,6 +165,7 @@ def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model) -> N
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_false_alarms_are_rare() -> None:
     from daq.confusion import run
     from daq.hidden import COMPLETE, Case
