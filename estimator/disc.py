@@ -17,7 +17,9 @@ HARMONICS = 4  # of the shaft's turns to either side
 # the record or in a gap dies out, and what the filters leave of its resonance turns into no sidebands.
 DAMPED = 0.003  # of critical
 BLURRED = 0.03  # the same for a first look, which is linear in g: what is sought moves the resonance by more than that
-NEAR = 0.8, 1.1  # of the disc's resonance, between which a breathing shaft has too sharp a comb of lines to be judged
+# Of the disc's resonance, between which a breathing shaft has too sharp a comb of lines to be judged, the caps hardly
+# move, and noise that is folded there bends the likelihood (to 0.8 and 1.1 of it a crack came out a third too small).
+NEAR = 0.6, 1.4
 
 
 @dataclass(frozen=True, slots=True)
