@@ -118,15 +118,19 @@ def test_what_was_hidden_is_found_in_one_direction(name: str, tmp_path: Path) ->
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_a_crack_behind_a_filter_that_folds_is_found_and_measured(tmp_path: Path) -> None:
-    """Folded noise rang at the disc's resonance as motion would: the wave that turns was 264 of 450 kN/m, and 0.3 %
-    was left. The recorder's delay turns it by some degrees."""
-    bench, base, y = made(Case({"crack": "bearing1"}, "strong", 101, 20.0))
+@pytest.mark.parametrize(
+    "case", [Case({"crack": "bearing1"}, "strong", seed, 20.0, varied=seed == 93) for seed in (101, 93)],
+    ids=lambda case: case.key,
+)  # fmt: skip
+def test_a_crack_behind_a_filter_that_folds_is_found_and_measured(case: Case, tmp_path: Path) -> None:
+    """Folded noise rang at the disc's resonance as motion would, and bent the likelihood near it: the wave that turns
+    was 264 of 450 and 923 of 1389 kN/m. The recorder's delay turns it by some degrees."""
+    bench, base, y = made(case)
     assert bench.rig["recorder"] == "bessel"
     (tmp_path / "rig.toml").write_text(rig_file(bench.rig, base))
     ladder = improve(load_rig(tmp_path / "rig.toml").model, y, bench.rig["rate"])
     assert ladder.last.verdict == "complete"
-    assert [r.effects for r in ladder.rungs] == [(), ("crack",)]
+    assert [r.effects for r in ladder.rungs] == [tuple(base), (*base, "crack")]
     assert ladder.rungs[1].missing[0] < 0.3
     found, true = ([of[f"disc.crack.{k}"] for k in ("loss_cos", "loss_sin")] for of in (ladder.parameters, bench.truth))
     assert np.hypot(*(p.value for p in found)) == pytest.approx(np.hypot(*true), rel=0.1)
