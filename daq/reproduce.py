@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from estimator.fit_result import Fit
-from estimator.stationary import plane_diagnostics, stationarity
+from estimator.simulate_start import stationarity
+from estimator.stationary import plane_diagnostics
 from estimator.theory import Theory, theory
 
 from .reproduce_cases import (

@@ -9,19 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from .arrays import Complexes
 from .missing_force import power_of
 from .placed import Placed, at_home, evaluate
 from .side_by_side import each
 from .subproblem import gain, subproblem
-from .terms import light, orthogonal
-from .weighing import Complexes, Term
+from .terms import Term, light, orthogonal
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
-Series = NDArray[np.floating]
 ODD = (3, 5, 7, 9)
 EVEN = ("v", (2, 4, 6))  # no law is: what is passes for a drag, or for a law of x that is not odd either
 X, V, ONE_SIDED = (("x", ODD),), (("v", ODD[:3]), EVEN), (("x", tuple(range(2, 10))), EVEN)

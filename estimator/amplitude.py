@@ -20,16 +20,15 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from .adequacy import STATES
+from .arrays import Array
 from .determinant import Jacobian
 from .path_fit import Gram, PathFit, fit, log_likelihood
 from .placed import Placed
 from .side_by_side import answers
 from .subproblem import component
-from .terms import dressed, linear_terms, terms
-from .weighing import Term, term_response
+from .terms import Term, dressed, linear_terms, term_response, terms
 from .working_point import WorkingPoint, thinned
 
-Array = NDArray[np.float64]
 UPPER = 0.2  # of the samples
 WINDOW = 1024  # samples; blocks are a multiple of it
 SECONDS = 24.0

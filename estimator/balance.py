@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .disc import Disc, disc_of
 from .effect import Effect
 from .effects.custom import effect_of
@@ -20,8 +20,6 @@ from .effects.places import at, kinematic, written
 from .errors import DataError
 from .model import MOTION, UNITS, Model, Setting
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 UNKNOWN = Setting()
 
 
@@ -32,10 +30,10 @@ class Law:
     effect: Effect
     key: str  # canonical place of its parameters: "bearing1.x", or "bearing1" for both directions of a node
     row: int
-    p: Floats
+    p: Array
     linear: tuple[int, ...]
     searched: tuple[int, ...]
-    steps: Floats  # (k,) for the derivative by central differences
+    steps: Array  # (k,) for the derivative by central differences
 
     def name(self, j: int) -> str:
         return f"{self.key}.{self.effect.name}.{self.effect.parameters[j].name}"
@@ -77,15 +75,15 @@ class Balance:
     columns: tuple[Column, ...]
     laws: tuple[Law, ...]
     free: tuple[Free, ...]
-    fixed: Floats
-    common: Callable[[Floats | Complexes], Complexes] | None
+    fixed: Array
+    common: Callable[[Array | Complexes], Complexes] | None
     disc: Disc | None
 
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(f.name for f in self.free)
 
-    def by_itself(self, D: Floats) -> Floats:
+    def by_itself(self, D: Array) -> Array:
         """(places, places, 2) N/m and N s/m, D less what holds the caps of a chain while its disc stands still."""
         return D if self.disc is None else D - np.multiply.outer(np.eye(len(D)), self.disc.held)
 
@@ -95,7 +93,7 @@ class Balance:
         name = f"{node}.{'y' if direction == 'x' else 'x'}"
         return self.places.index(name) if name in self.places else -1
 
-    def coefficients(self, beta: Floats) -> Floats:
+    def coefficients(self, beta: Array) -> Array:
         """(rows, columns) B."""
         B = self.fixed.copy()
         for value, parameter in zip(beta, self.free, strict=True):
@@ -125,7 +123,7 @@ def shaft_notch(model: Model) -> tuple[float, float] | None:
     return resonance - width, resonance + width
 
 
-def shaft_reaction(model: Model) -> Callable[[Floats | Complexes], Complexes] | None:
+def shaft_reaction(model: Model) -> Callable[[Array | Complexes], Complexes] | None:
     """Force on a cap per displacement of the cap at the other end, N/m at Hz, complex of motion that grows or decays,
     disc eliminated; None without a shaft.
 

@@ -16,12 +16,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .bandlimit import passband
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Number = complex | Complexes
 
 

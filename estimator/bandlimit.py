@@ -22,10 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .errors import DataError
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 DRIFT = 0.05  # of the lower band edge: below lie offset and drift of a sensor; the filter is as long as the band's
 FORCE_DRIFT = 0.02  # the same of a sensor of force, whose whole record is filtered
 RINGS = 2  # times as long are filters beside one that holds a resonance
@@ -35,12 +34,12 @@ FINE_HZ = 0.05  # resolves a resonance that rings for some seconds
 _POWERS = {"acceleration": (0, -1, -2), "velocity": (1, 0, -1), "displacement": (2, 1, 0), "force": (0,)}
 
 
-def to_acceleration(kinds: Sequence[str], w: float | Floats) -> NDArray[np.complex128]:
+def to_acceleration(kinds: Sequence[str], w: float | Array) -> NDArray[np.complex128]:
     """(..., channels) acceleration at w (...) rad/s per unit of what sensors of these kinds measure there."""
     return np.stack([(1j * np.asarray(w)) ** _POWERS[kind][0] for kind in kinds], axis=-1)
 
 
-def noise_shape(kinds: Sequence[str], w: Floats) -> Floats:
+def noise_shape(kinds: Sequence[str], w: Array) -> Array:
     """(channels, f) PSD of acceleration over that of noise that is white in the unit of a sensor; w (f,) rad/s."""
     return np.array([w ** (2.0 * _POWERS[kind][0]) for kind in kinds])
 
@@ -57,12 +56,12 @@ class Motion:
     """
 
     start: int
-    a: Floats
-    v: Floats
-    x: Floats
-    u: Floats
+    a: Array
+    v: Array
+    x: Array
+    u: Array
     valid: NDArray[np.bool_]
-    slow: Floats | None = None
+    slow: Array | None = None
 
     @property
     def rows(self) -> int:
@@ -85,27 +84,27 @@ def edges(rate_hz: float, band: tuple[float, float]) -> tuple[float, float, floa
     return low / 2, low, high, min(1.25 * high, 0.5 * rate_hz)
 
 
-def _step(u: Floats) -> Floats:
+def _step(u: Array) -> Array:
     """Smooth step from 0 (1e-5) at u = 0 to 1 at u = 1: its transform decays like a Gaussian, so few taps do."""
     from scipy.special import erf
 
     return np.asarray(0.5 + 0.5 * erf(6.0 * (u - 0.5)), dtype=np.float64)
 
 
-def passband(f_hz: Floats, rate_hz: float, band: tuple[float, float]) -> Floats:
+def passband(f_hz: Array, rate_hz: float, band: tuple[float, float]) -> Array:
     """H(f), the real gain common to all outputs."""
     stop1, pass1, pass2, stop2 = edges(rate_hz, band)
     f = np.abs(f_hz)
     return _step((f - stop1) / (pass1 - stop1)) * _step((stop2 - f) / (stop2 - pass2))
 
 
-def slow_part(f_hz: Floats, rate_hz: float, band: tuple[float, float]) -> Floats:
+def slow_part(f_hz: Array, rate_hz: float, band: tuple[float, float]) -> Array:
     """The real gain from what a sensor of displacement measures to what laws see of it below the band."""
     steady = np.exp(-0.5 * (f_hz / (DRIFT * band[0])) ** 2)
     return np.where(np.abs(f_hz) < band[0], (1.0 - passband(f_hz, rate_hz, band)) * (1.0 - steady), 0.0)
 
 
-def unseen(f_hz: Floats, rate_hz: float, band: tuple[float, float], kind: str) -> Floats:
+def unseen(f_hz: Array, rate_hz: float, band: tuple[float, float], kind: str) -> Array:
     """The real gain from the displacement to what a sensor of this kind leaves out of it."""
     beside = slow_part(f_hz, rate_hz, band) if kind == "displacement" else 0.0
     return np.asarray(1.0 - passband(f_hz, rate_hz, band) - beside)
@@ -118,7 +117,7 @@ def half_length(rate_hz: float, band: tuple[float, float]) -> int:
     return int(np.ceil(6.0 * rate_hz / min(pass1 - stop1, stop2 - pass2)))
 
 
-def _taps(response: Callable[[Floats], Complexes], rate_hz: float, band: tuple[float, float], half: int) -> Floats:
+def _taps(response: Callable[[Array], Complexes], rate_hz: float, band: tuple[float, float], half: int) -> Array:
     """(2 half + 1,) taps of H(f) * response(f), middle tap at index half; within 3e-5 of it in the band."""
     f = _frequencies(half, rate_hz)
     gain = passband(f, rate_hz, band)
@@ -127,19 +126,19 @@ def _taps(response: Callable[[Floats], Complexes], rate_hz: float, band: tuple[f
     return _nearest(wanted, half)
 
 
-def _slow_taps(rate_hz: float, band: tuple[float, float], half: int) -> Floats:
+def _slow_taps(rate_hz: float, band: tuple[float, float], half: int) -> Array:
     """(2 half + 1,) taps of `slow_part`; an offset, which may be a thousand times the vibration, gives nothing."""
     h = _nearest(slow_part(_frequencies(half, rate_hz), rate_hz, band).astype(complex), half)
     window = np.kaiser(h.size, 3.0)
     return np.asarray(h - h.sum() * window / window.sum())
 
 
-def _frequencies(half: int, rate_hz: float) -> Floats:
+def _frequencies(half: int, rate_hz: float) -> Array:
     size = 1 << int(np.ceil(np.log2(16 * half)))
     return np.asarray(np.fft.rfftfreq(size, 1.0 / rate_hz), dtype=np.float64)
 
 
-def _nearest(wanted: Complexes, half: int) -> Floats:
+def _nearest(wanted: Complexes, half: int) -> Array:
     """(2 half + 1,) taps whose response, on half a grid of frequencies, is near to what is wanted."""
     size = 2 * (wanted.size - 1)
     target = wanted.copy()
@@ -152,13 +151,13 @@ def _nearest(wanted: Complexes, half: int) -> Floats:
     return np.asarray(h, dtype=np.float64)
 
 
-def _power(exponent: int) -> Callable[[Floats], Complexes]:
+def _power(exponent: int) -> Callable[[Array], Complexes]:
     return lambda f: np.asarray((2j * np.pi * f) ** float(exponent), dtype=np.complex128)
 
 
 def _held(
-    response: Callable[[Floats], Complexes], rate_hz: float, band: tuple[float, float], half: int
-) -> Callable[[Floats], Complexes]:
+    response: Callable[[Array], Complexes], rate_hz: float, band: tuple[float, float], half: int
+) -> Callable[[Array], Complexes]:
     """The response as filters of `half` samples to either side can hold it.
 
     A sharp resonance, that of a disc on its shaft, rings longer than the filter is; what is cut off would be spread
@@ -176,7 +175,7 @@ def _held(
         low = float(about[peak]) + width
     step = 1e-3 * low
 
-    def continued(f: Floats) -> Complexes:
+    def continued(f: Array) -> Complexes:
         out = np.array(response(np.clip(f, low, high)), dtype=np.complex128)
         for edge, inward in ((low, step), (high, -step)):
             at, near = response(np.array([edge, edge + inward]))
@@ -185,7 +184,7 @@ def _held(
         return out
 
     size = 1 << int(np.ceil(np.log2(rate_hz / FINE_HZ)))
-    f: Floats = np.asarray(np.fft.rfftfreq(size, 1.0 / rate_hz), dtype=np.float64)
+    f: Array = np.asarray(np.fft.rfftfreq(size, 1.0 / rate_hz), dtype=np.float64)
     fine = continued(f)
     inside = np.abs(fine[(f > low) & (f < high)])
     if np.argmax(inside) in (0, inside.size - 1):
@@ -221,7 +220,7 @@ class BandLimit:
         kinds: Sequence[str],
         rate_hz: float,
         band: tuple[float, float],
-        extra: Callable[[Floats], Complexes] | None = None,
+        extra: Callable[[Array], Complexes] | None = None,
         slow: bool = False,
     ) -> None:
         self.kinds, self.rate_hz, self.band = tuple(kinds), rate_hz, band
@@ -245,11 +244,11 @@ class BandLimit:
             self._filters[kind] = np.fft.rfft(taps, self._size, axis=1)
         # as if the record were preceded by missing samples
         self._held = np.full((len(self.kinds), self.half), np.nan)
-        self._fresh: list[Floats] = []  # (n, channels) rows behind those held, too few for a block yet
+        self._fresh: list[Array] = []  # (n, channels) rows behind those held, too few for a block yet
         self._count = self.half  # of both
         self._next = 0
 
-    def push(self, y: Floats) -> Motion:
+    def push(self, y: Array) -> Motion:
         """The rows that became available by these (n, channels) rows, perhaps none."""
         if y.ndim != 2 or y.shape[1] != len(self.kinds):
             raise ValueError(f"expected rows of {len(self.kinds)} channels, got an array of shape {y.shape}")
@@ -289,7 +288,7 @@ class BandLimit:
         return Motion(motion.start, a, v, x, u, motion.valid[:count], slow)
 
     def _block(
-        self, y: Floats, dtype: type[np.floating[Any]] = np.float64
+        self, y: Array, dtype: type[np.floating[Any]] = np.float64
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:  # fmt: skip
         """(outputs, channels, hop) and (hop,) validity from (channels, size) samples. dtype : of the outputs, and
         the precision that they are transformed in."""
@@ -308,7 +307,7 @@ class BandLimit:
         valid = missing[2 * self.half + 1 :] == missing[: -2 * self.half - 1]
         return out, valid
 
-    def _join(self, parts: list[tuple[Floats, NDArray[np.bool_]]]) -> Motion:
+    def _join(self, parts: list[tuple[Array, NDArray[np.bool_]]]) -> Motion:
         start = self._next
         if not parts:
             parts = [(np.empty((len(self.outputs), len(self.kinds), 0)), np.empty(0, bool))]
@@ -325,11 +324,11 @@ class BandLimit:
 
 
 def band_limit(
-    y: Floats,
+    y: Array,
     kinds: Sequence[str],
     rate_hz: float,
     band: tuple[float, float],
-    extra: Callable[[Floats], Complexes] | None = None,
+    extra: Callable[[Array], Complexes] | None = None,
 ) -> Motion:
     """The whole record (n, channels) at once; the same numbers as any stream of its pieces."""
     stream = BandLimit(kinds, rate_hz, band, extra)
@@ -343,15 +342,15 @@ def band_limit(
 
 
 def left_out(
-    m: Floats,
-    c: Floats,
-    kL: Floats,
-    S: Floats,
+    m: Array,
+    c: Array,
+    kL: Array,
+    S: Array,
     band: tuple[float, float],
     rate_hz: float,
     kinds: Sequence[str],
-    driven: Floats | float = 0.0,
-) -> Floats:
+    driven: Array | float = 0.0,
+) -> Array:
     """(places, 2) sd of the displacement and velocity that laws do not see, from the linear response to S.
 
     kinds : of the sensor at each place. driven : PSD of the measured force there, by which laws see what is slow.
@@ -363,3 +362,12 @@ def left_out(
     response = S / np.abs(kL[:, None] + 1j * w * c[:, None] - m[:, None] * w**2) ** 2
     both = np.stack([np.trapezoid(response * lost, f), np.trapezoid(response * lost * w**2, f)], axis=1)
     return np.asarray(np.sqrt(both))
+
+
+def below_band(force: Array, rate_hz: float, band: tuple[float, float]) -> Array:
+    """(n,) N of a measured force what is below the band, without the offset and the drift of its sensor."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = next_fast_len(force.size, real=True)
+    F, f = rfft(force - force.mean(), size), np.fft.rfftfreq(size, 1 / rate_hz)
+    return np.asarray(irfft(np.where((f >= FORCE_DRIFT * band[0]) & (f < band[0]), F, 0.0), size)[: force.size])

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import pedestal_form
+from .arrays import Array, Complexes
 from .effects import CATALOGUE
 from .effects.places import at, written
 from .estimate import Parameter
@@ -22,8 +22,6 @@ from .sensor_response import LINEAR, forced, response
 from .transfer import Peak, highest, linear, noises, plain, response_of
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 OWN = slice(4, None)  # of the numbers of a peak, those of a cause
 CARRIED, SETTLED = 8, 0.1  # times at most that what is folded goes through a sensor as found; standard deviations
 

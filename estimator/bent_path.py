@@ -12,9 +12,9 @@ from functools import partial
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from .arrays import Array, Complexes
 from .bends import OWN, Cause, bent, causes, numbers
 from .effects import CATALOGUE
 from .folded_force import of_late_sensor
@@ -29,8 +29,6 @@ from .suspect import UNKNOWN, Suspect
 from .transfer import Peak, exp, expected, left, plain, response_of
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 EXPLAINED = 0.5  # of what a free response explains, for a cause to be the cause
 LEVEL = 1e-2  # p-value above which nothing is said
 HALVED = 0.5  # of what the best cause leaves, in power, that two together leave at most

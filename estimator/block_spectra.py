@@ -14,12 +14,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .columns import Columns, Stretch
 from .features import MARGIN, State
 from .gram import Layout
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex64]
+Complex64s = NDArray[np.complex64]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
@@ -51,15 +51,15 @@ def _doubled(z, sizes, weights, out):  # type: ignore[no-untyped-def]
 class Spectra:
     """Of one block. z : (columns, bins) in units of `sizes` (columns,)."""
 
-    def __init__(self, z: Complexes, sizes: Floats) -> None:
+    def __init__(self, z: Complex64s, sizes: Array) -> None:
         self.z, self.sizes = z, sizes
 
-    def force(self, B: Floats, columns: NDArray[np.intp]) -> Complexes:
+    def force(self, B: Array, columns: NDArray[np.intp]) -> Complex64s:
         """(rows, bins) B Z, B (rows, len(columns)) the coefficients of these columns."""
         parts = self.z[columns].view(np.float32)
         return np.asarray(((B * self.sizes[columns]).astype(np.float32) @ parts).view(np.complex64))
 
-    def gram(self, grid: Layout, weights: Floats | None = None) -> Floats:
+    def gram(self, grid: Layout, weights: Array | None = None) -> Array:
         """(cells, k, k) real part of the sums of Z Z^H over the bins of each cell. weights : (bins,)."""
         k, bins = self.z.shape
         root = np.ones(bins) if weights is None else np.sqrt(weights)
@@ -85,7 +85,7 @@ class BlockSpectra:
             for k in own
             if (c := columns.balance.columns[k]).kind == "law" and laws[c.law].effect.kind != "memory"
         }
-        self._held: dict[int, tuple[Floats, Floats]] = {}  # force and tangents over the second half of the last block
+        self._held: dict[int, tuple[Array, Array]] = {}  # force and tangents over the second half of the last block
         self._frames = np.empty((self._all.size, grid.size), np.float32)
         self._window = np.ascontiguousarray(grid.window)
 
@@ -93,7 +93,7 @@ class BlockSpectra:
         """The next block does not follow on the last one."""
         self._held = {}
 
-    def take(self, stretch: Stretch, wide: bool) -> tuple[Spectra, Floats]:
+    def take(self, stretch: Stretch, wide: bool) -> tuple[Spectra, Array]:
         """Spectra of the next block, (k, bins), and sums of tangents, (k, 4), of all columns or of the own ones.
 
         Raises DataError if a force is not finite.
@@ -129,5 +129,5 @@ class BlockSpectra:
         return Spectra(np.ascontiguousarray(z), sizes), tangents
 
 
-def _split(z: Floats, hop: int) -> tuple[Floats, Floats]:
+def _split(z: Array, hop: int) -> tuple[Array, Array]:
     return z[MARGIN : MARGIN + hop], z[MARGIN + hop : MARGIN + 2 * hop]

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .bandlimit import noise_shape
 from .linear_memory import filtered
 from .side_by_side import each
 
-Array = NDArray[np.float64]
 LITTLE = 5e-4  # of the displacement, in power: noise under it bends no law by more than twice as much
 WIDTH = 7  # bins over which the spectrum of the motion is smooth
 

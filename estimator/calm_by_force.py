@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .calm import as_displacement, is_little
 from .side_by_side import each
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
 SETTLED = 1e-3  # of the displacement, in power of what laws see beside it, that moves no number
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from .arrays import Array
+
 LONGEST = 48  # samples drawn together
 TURNS = 2  # of the axes, each time
 

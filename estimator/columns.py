@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .balance import Balance
 from .calm import as_seen
 from .errors import NotFiniteError
 from .features import FINER, HALF, MARGIN, State, decimated, depends, folds, law_force, ready, rough
 from .hidden_states import along, remember
 from .linear_memory import filtered, response
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,27 +24,27 @@ class Stretch:
     they see beside x where sensors are noisy (calm.py).
     """
 
-    a: Floats
-    v: Floats
-    x: Floats
-    u: Floats
+    a: Array
+    v: Array
+    x: Array
+    u: Array
     valid: NDArray[np.bool_]
-    force: dict[int, Floats]
-    t: Floats
-    phase: Floats
+    force: dict[int, Array]
+    t: Array
+    phase: Array
     rate_hz: float
-    slow: Floats | None = None
-    calm: Floats | None = None
+    slow: Array | None = None
+    calm: Array | None = None
 
     @property
     def rows(self) -> int:
         return int(self.t.size - 2 * MARGIN)
 
-    def seen(self, row: int) -> Floats:
+    def seen(self, row: int) -> Array:
         """(n,) displacement at a place as its laws see it."""
         return self.x[row] if self.slow is None else np.asarray(self.x[row] + self.slow[row])
 
-    def calmed(self, row: int) -> Floats:
+    def calmed(self, row: int) -> Array:
         """(n,) the same without the noise of sensors."""
         return self.seen(row) if self.calm is None else np.asarray(self.seen(row) + self.calm[row])
 
@@ -62,7 +61,7 @@ class Stretch:
 class _Law:
     """A column's law: (parameters, weight) pairs whose weighted forces add up to it."""
 
-    terms: tuple[tuple[Floats, float], ...]
+    terms: tuple[tuple[Array, float], ...]
     reads: NDArray[np.bool_]
     fine: bool  # evaluated on the finer grid
 
@@ -78,9 +77,9 @@ class Columns:
     def __init__(
         self,
         balance: Balance,
-        rms: Floats,
-        widths: Floats,
-        linear: Floats | None = None,
+        rms: Array,
+        widths: Array,
+        linear: Array | None = None,
         fine: int | None = None,
         folding_hz: float = np.inf,
     ) -> None:
@@ -96,14 +95,14 @@ class Columns:
                 self._laws[k] = law = self._law(k, scale)
                 self._read[column.row] |= law.reads & law.fine
 
-    def _law(self, k: int, scale: Floats) -> _Law:
+    def _law(self, k: int, scale: Array) -> _Law:
         column = self.balance.columns[k]
         law = self.balance.laws[column.law]
         if column.part in law.linear:
             p = law.p.copy()
             p[list(law.linear)] = 0.0
             p[column.part] = 1.0
-            terms: tuple[tuple[Floats, float], ...] = ((p, 1.0),)
+            terms: tuple[tuple[Array, float], ...] = ((p, 1.0),)
         elif column.part < 0:
             terms = ((law.p, 1.0),)
         else:
@@ -128,12 +127,12 @@ class Columns:
         sign = 1.0 if self.balance.places[row].endswith(".x") else -1.0
         return State(stretch.calmed(row), stretch.v[row], xo, vo, stretch.t, stretch.phase, sign, h, stretch.valid)
 
-    def evaluate(self, stretch: Stretch) -> tuple[Floats, Floats]:
+    def evaluate(self, stretch: Stretch) -> tuple[Array, Array]:
         """(columns, rows) and (columns, 4) sums of tangents over the valid rows. Raises DataError if not finite."""
         out, tangents = self.along(stretch, stretch.rows)
         return out, tangents[0]
 
-    def along(self, stretch: Stretch, piece: int) -> tuple[Floats, Floats]:
+    def along(self, stretch: Stretch, piece: int) -> tuple[Array, Array]:
         """The same with the sums of tangents of every `piece` rows, (pieces, columns, 4)."""
         starts = range(0, stretch.rows, piece)
         inner = slice(MARGIN, MARGIN + stretch.rows)
@@ -158,7 +157,7 @@ class Columns:
                 raise self.not_finite(k)
         return out, tangents
 
-    def law(self, k: int, stretch: Stretch, states: dict[tuple[int, bool], State]) -> tuple[Floats, Floats]:
+    def law(self, k: int, stretch: Stretch, states: dict[tuple[int, bool], State]) -> tuple[Array, Array]:
         """(rows,) force of law column k and (4,) sums of its tangents over the valid rows.
 
         states : what the laws of this stretch have seen, by place and grid; filled here.
@@ -193,7 +192,7 @@ class Columns:
         column = self.balance.columns[k]
         return NotFiniteError(self.balance.laws[column.law].effect.name, self.balance.places[column.row])
 
-    def tangent_series(self, k: int, stretch: Stretch) -> tuple[Floats, Floats, int]:
+    def tangent_series(self, k: int, stretch: Stretch) -> tuple[Array, Array, int]:
         """Tangents of column k along x and v, and how many rows there are to a row of the stretch."""
         column, law = self.balance.columns[k], self._laws[k]
         wide = self.state(column.row, stretch)
@@ -209,7 +208,7 @@ class Columns:
             return kx[HALF * FINER : -HALF * FINER], kv[HALF * FINER : -HALF * FINER], FINER
         return kx, kv, 1
 
-    def mean_response(self, k: int, stretch: Stretch | None, f_hz: Floats) -> NDArray[np.complex128] | None:
+    def mean_response(self, k: int, stretch: Stretch | None, f_hz: Array) -> NDArray[np.complex128] | None:
         """(f,) N/m at f_hz: what column k, with memory, answers in the mean to the displacement of its place.
 
         Exact if its states obey linear equations; else an average over the stretch, None without one.
@@ -228,7 +227,7 @@ class Columns:
                 return None
         return out
 
-    def _memory(self, k: int, stretch: Stretch, inner: slice) -> tuple[Floats, Floats]:
+    def _memory(self, k: int, stretch: Stretch, inner: slice) -> tuple[Array, Array]:
         """Force of an effect with states, from rest at the start of the stretch, and its mean gain to x and v."""
         column, law = self.balance.columns[k], self._laws[k]
         effect = self.balance.laws[column.law].effect

@@ -8,10 +8,10 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from . import force_shapes
+from .arrays import Array
 from .filter_search import Seen, Standing, likeliest, mean_or_none
 from .force_cells import Cells, cells_of
 from .model import Model
@@ -20,7 +20,6 @@ from .sensor_response import SHAPES, shape
 from .side_by_side import answers
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
 Plain = tuple[float, Array, Array]  # likelihood, numbers and their scales: force_shapes.plain
 Two = tuple[float, float] | None
 Shaped = tuple[Two, Two, Standing | None]  # the numbers of the sensor's resonance, of the colour and of the pedestal

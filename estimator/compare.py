@@ -6,10 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from . import missing_force, sensor_faults
+from .arrays import Array
 from .curves import Law, curves
 from .estimate import Parameter
 from .fitted import fitted_model
@@ -23,7 +21,6 @@ from .where import Where, where_of
 from .whole import fit_whole
 from .working_point import thinned
 
-Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 

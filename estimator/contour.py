@@ -27,12 +27,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .disc import Disc
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 MARGIN = 1.0  # of the spacing of the bins, at least, from any mode to the line: a sum is then good to exp(-2 pi)
 FED = 4.0  # of the same, where the line is needed
 

@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from .arrays import Array, Complexes
 from .balance import shaft_notch
 from .effects import CATALOGUE
 from .effects.places import at, written
@@ -25,11 +25,9 @@ from .sensor_response import BLIND, LINEAR
 from .side_by_side import each
 from .subproblem import Subproblem, subproblem
 from .suspect import Suspect
-from .weighing import Term
+from .terms import Term
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 GAIN, SKEW = BLIND
 # Changes of B: ln of its size in the first cap's force and in the second's, its delay (s) and, in the second's, advance
 FAULTS = {GAIN: (1.0, -1.0, 0.0, 0.0), SKEW: (0.0, 0.0, 1.0, 1.0)}

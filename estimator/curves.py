@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import reference
+from .arrays import Array
 from .missing_force import Residual, Survey, ridged
 from .motion_blocks import part_of
 from .path_fit import PathFit
@@ -21,7 +22,6 @@ from .shape import Shape
 from .side_by_side import each
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
 SECONDS = 5.0  # of the record that conditional means are taken over
 STATES = ("displacement", "velocity", "shaft_angle", "other_direction")
 INNER = 0.75  # rms of displacement that the straight line of small motion is drawn through

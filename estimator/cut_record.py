@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Series
 from .balance import shaft_reaction
+from .bandlimit import below_band
 from .disc import disc_of
 from .effects.custom import effect_of
 from .effects.places import at
 from .errors import DataError
-from .features import Series
 from .filtered import Filtered
 from .known_spectra import OF_FORCE, bins_of, colours, folded_back, shaft_response, sharpened
 from .model import MOTION, Model
@@ -20,9 +21,6 @@ from .plausible import check_moves
 from .sensor_response import passed_of_images
 from .shaft_angle import measured_phase
 from .side_by_side import each
-from .slow_motion import below_band
-
-Array = NDArray[np.float64]
 
 
 def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBlocks:

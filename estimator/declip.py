@@ -14,11 +14,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .censored import axes, runs, sweep
 from .model import MOTION, Model
 from .sensor_faults import clipping_level, ends
 
-Array = NDArray[np.float64]
 ORDER = 64  # of the autoregression, and how far a sample depends on others
 ROUNDS, SWEEPS = 3, 8  # spectra in turn with the samples; draws of every sample with one spectrum
 LEARNT_FROM = 1 << 19  # samples, for the spectrum

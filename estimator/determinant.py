@@ -8,11 +8,10 @@ from copy import copy
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .contour import turns
 from .tangent_rows import rows_times, times
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Answer = tuple[NDArray[np.int64], Complexes]
 CROSSED = 1.5 * np.pi  # a mode that crosses its line takes two pi off the turn of det A, one that leaves the band one
 

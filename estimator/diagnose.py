@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import adequacy, evidence, explains, force_colour, missing_force, two_laws
+from .arrays import Array
 from .errors import DataError, NotFiniteError
 from .evidence import Entry
 from .known_spectra import COLOURS
@@ -25,7 +25,6 @@ from .suspects import suspects
 from .whole import Whole, fit_whole
 from .working_point import WorkingPoint, thinned
 
-Array = NDArray[np.float64]
 CLOSE = 10.0  # nats behind the first of the ranking, where the shape of what is left decides
 LEAVES = 1 / 3  # of a force in a spectrum (rms): a shape that leaves more is none of the catalogue
 SURE = 30.0  # nats, from which a shaft that is not the rig file's is told

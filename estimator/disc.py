@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .model import Model, Shaft
 from .rotor import shaft_at_caps, shaft_matrix
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 HARMONICS = 4  # of the shaft's turns to either side
 # A disc rings for seconds on its shaft. Along the path it is damped by as much as this at least: what happened before
 # the record or in a gap dies out, and what the filters leave of its resonance turns into no sidebands.

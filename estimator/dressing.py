@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .balance import Balance
 from .columns import Columns
 from .gram import valid_blocks
@@ -14,12 +15,9 @@ from .mean_response import Mean, mean_responses
 from .record import Record, stretches
 from .self_energy import DECAYS, SECONDS, covariance, dressed_response, self_energy, spectra
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-
 
 def self_energies(
-    record: Record, columns: Columns, B: Floats, tangents: Floats, f_hz: Floats, seconds: float = SECONDS
+    record: Record, columns: Columns, B: Array, tangents: Array, f_hz: Array, seconds: float = SECONDS
 ) -> Complexes | None:
     """(f, columns, columns) N/m, at f_hz, per pair of law columns at one place: Sigma_j is its sum over k times B_k.
 
@@ -53,8 +51,8 @@ class Flutter:
     the curvature of the tangent, from its regression on x^2; both 0 for other columns and sensors.
     """
 
-    covariance: Floats
-    bend: Floats
+    covariance: Array
+    bend: Array
 
 
 def flutter(record: Record, columns: Columns, seconds: float = SECONDS) -> Flutter | None:
@@ -86,7 +84,7 @@ def flutter(record: Record, columns: Columns, seconds: float = SECONDS) -> Flutt
     return Flutter(covariance, bend) if covariance.any() else None
 
 
-def _covariances(record: Record, columns: Columns, laws: list[int], mean: Mean, seconds: float) -> tuple[Floats, float]:
+def _covariances(record: Record, columns: Columns, laws: list[int], mean: Mean, seconds: float) -> tuple[Array, float]:
     """(laws, laws, 2, 2, lags) <kappa_ja(t + lag) kappa_kb(t)>, a and b: along x and v; and the time step."""
     usable = valid_blocks(record.motion.valid, record.grid)[::2]  # each row once
     usable = usable[: max(2, int(mean.seconds(seconds, DECAYS) * record.rate_hz / record.grid.size))]
@@ -98,7 +96,7 @@ def _covariances(record: Record, columns: Columns, laws: list[int], mean: Mean, 
     return np.array([[covariance(a, b, lags) for b in Z] for a in Z]), dt
 
 
-def pair_energies(C: Floats, dt: float, B: Floats, mean: Mean, f_hz: Floats) -> Complexes:
+def pair_energies(C: Array, dt: float, B: Array, mean: Mean, f_hz: Array) -> Complexes:
     """(f, laws, laws) self-energies of each law by each, from their covariances (laws, laws, 2, 2, lags)."""
     g = dressed_response(np.einsum("j,k,jkabt->abt", B, B, C), dt, mean)
     out = np.zeros((f_hz.size, B.size, B.size), complex)
@@ -108,7 +106,7 @@ def pair_energies(C: Floats, dt: float, B: Floats, mean: Mean, f_hz: Floats) -> 
     return out
 
 
-def _series(record: Record, columns: Columns, laws: list[int], usable: NDArray[np.intp]) -> tuple[Floats, int]:
+def _series(record: Record, columns: Columns, laws: list[int], usable: NDArray[np.intp]) -> tuple[Array, int]:
     """(laws, 2, blocks, n) tangents along x and v, all on the finest grid that one of the laws needs."""
     grid = record.grid
     parts = []
@@ -125,7 +123,7 @@ def _series(record: Record, columns: Columns, laws: list[int], usable: NDArray[n
     return out, factor
 
 
-def mean_tangents(balance: Balance, B: Floats, tangents: Floats) -> Floats:
+def mean_tangents(balance: Balance, B: Array, tangents: Array) -> Array:
     """(places, places, 2) mean tangents of displacement and velocity, N/m and N s/m, from the coefficients and the
     tangents of the columns (columns, 4); what B has of a chain's springs included."""
     P = len(balance.places)
@@ -140,12 +138,12 @@ def mean_tangents(balance: Balance, B: Floats, tangents: Floats) -> Floats:
     return D
 
 
-def of_caps(balance: Balance, B: Floats, D: Floats) -> tuple[Mean, ...]:
+def of_caps(balance: Balance, B: Array, D: Array) -> tuple[Mean, ...]:
     """Mean response of each place, D as `mean_tangents` gives it."""
     return mean_responses(np.diag(B), balance.by_itself(D), balance.places, balance.disc)
 
 
-def dressed(pairs: Complexes, balance: Balance, B: Floats, f_hz: Floats) -> Complexes:
+def dressed(pairs: Complexes, balance: Balance, B: Array, f_hz: Array) -> Complexes:
     """(f, columns) change of each column's response to the acceleration of its own place, 1/(m/s^2) of its unit."""
     w = 2 * np.pi * f_hz
     out = np.zeros((f_hz.size, len(balance.columns)), complex)

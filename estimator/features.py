@@ -14,18 +14,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from . import low_pass
+from .arrays import Array, Series
 from .effect import Effect
 from .effects.law_loop import Signals, compiled, force_array, law_of, smoothed
 
-Floats = NDArray[np.float64]
-Series = NDArray[np.floating[Any]]
 NEAREST = 0.02  # least smoothing, in standard deviations of the state: a step needs some width to have a derivative
 FINER = 4
 FASTEST = 9  # harmonic of a smooth law that is looked at
@@ -80,7 +78,7 @@ def _decimate(z, taps, finer, out):  # type: ignore[no-untyped-def]
 
 
 @cache
-def _prototype(finer: int) -> tuple[Floats, Floats]:
+def _prototype(finer: int) -> tuple[Array, Array]:
     """(U, 2 half) taps of the interpolation and (2 half U + 1,) of the decimation: one Kaiser low-pass, -80 dB."""
     h = low_pass.kaiser(2 * HALF * finer + 1, 1.0 / finer, 8.0)
     # value at i + u / U from samples i - half + 1 ... i + half
@@ -103,7 +101,7 @@ class State:
     t: Series
     phase: Series
     s: float
-    h: Floats
+    h: Array
     valid: NDArray[np.bool_]
     made: dict[bytes, Signals] = field(default_factory=dict)
 
@@ -133,7 +131,7 @@ class State:
         n = (self.x.size - 2 * HALF) * FINER
         zero = np.zeros(n)
 
-        def linear(z: Series) -> Floats:
+        def linear(z: Series) -> Array:
             out = np.empty(n)
             _between(z[HALF : n // FINER + HALF + 1], out)
             return out
@@ -146,7 +144,7 @@ class State:
         return State(x, v, xo, vo, linear(self.t), linear(self.phase), self.s, self.h, valid)
 
 
-def depends(effect: Effect, p: Floats, scale: Floats) -> NDArray[np.bool_]:
+def depends(effect: Effect, p: Array, scale: Array) -> NDArray[np.bool_]:
     """(4,) whether the law reads x, v, xo, vo, by trying 64 states of rms `scale` (4,)."""
     z, t, phase = _tried_states()
     x, v, xo, vo = scale[:, None] * z
@@ -155,7 +153,7 @@ def depends(effect: Effect, p: Floats, scale: Floats) -> NDArray[np.bool_]:
 
 
 @cache
-def _tried_states() -> tuple[Floats, Floats, Floats]:
+def _tried_states() -> tuple[Array, Array, Array]:
     """(4, 320) x, v, xo, vo of rms 2, five times the same 64, from the second time on one of the four anew; (320,) t
     and phase."""
     rng = np.random.default_rng(0)
@@ -166,17 +164,17 @@ def _tried_states() -> tuple[Floats, Floats, Floats]:
     return z, np.tile(t, 5), np.tile(phase, 5)
 
 
-def rough(effect: Effect, p: Floats, scale: Floats) -> bool:
+def rough(effect: Effect, p: Array, scale: Array) -> bool:
     """Whether the law has a jump or a kink along orbits of up to four standard deviations."""
     return _shrinking(effect, p, scale, 4096) < 9.0  # it falls by 16 if the law is smooth, by 4 at a kink
 
 
-def jumps(effect: Effect, p: Floats, scale: Floats) -> bool:
+def jumps(effect: Effect, p: Array, scale: Array) -> bool:
     """Whether the law has a jump along such orbits."""
     return _shrinking(effect, p, scale, 512) < 2.0  # by 1 at a jump
 
 
-def folds(effect: Effect, p: Floats, scale: Floats, folding_hz: float) -> bool:
+def folds(effect: Effect, p: Array, scale: Array, folding_hz: float) -> bool:
     """Whether a harmonic of the law lies where sampling folds it into the band: above `folding_hz`, the sampling rate
     less the upper band edge. scale : (4,) rms of x, v, xo, vo."""
     x, v = scale[::2], scale[1::2]
@@ -185,14 +183,14 @@ def folds(effect: Effect, p: Floats, scale: Floats, folding_hz: float) -> bool:
     return FASTEST * hz > folding_hz and highest(effect, p, scale) * hz > folding_hz
 
 
-def highest(effect: Effect, p: Floats, scale: Floats) -> int:
+def highest(effect: Effect, p: Array, scale: Array) -> int:
     """The highest harmonic that the law makes of an orbit of 2.6 standard deviations, none above `FASTEST`."""
     x, v, xo, vo = 2.6 * scale[:, None] * _orbit(np.linspace(0.0, 2 * np.pi, 63, endpoint=False))
     size = np.abs(np.fft.rfft(force_array(effect, p, x, v, xo, vo)))[1 : FASTEST + 1]
     return 1 + int(np.flatnonzero(size > HEARD * size.max(initial=0.0)).max(initial=0))
 
 
-def _shrinking(effect: Effect, p: Floats, scale: Floats, points: int) -> float:
+def _shrinking(effect: Effect, p: Array, scale: Array, points: int) -> float:
     """By how much the largest second difference of the force falls from orbits of `points` to those of four times."""
     largest = []
     for n in (points, 4 * points):
@@ -206,25 +204,25 @@ def _shrinking(effect: Effect, p: Floats, scale: Floats, points: int) -> float:
 
 
 @cache
-def _orbits(n: int) -> tuple[Floats, Floats]:
+def _orbits(n: int) -> tuple[Array, Array]:
     """Angles of a turn in n steps, and (4, ...) x, v, xo, vo there in units of their rms, one of `ORBITS` after the
     other."""
     at = np.linspace(0.0, 2 * np.pi, n)
     return np.tile(at, len(ORBITS)), np.concatenate([size * _orbit(at) for size in ORBITS], axis=1)
 
 
-def _orbit(at: Floats) -> Floats:
+def _orbit(at: Array) -> Array:
     """(4, n) x, v, xo, vo of size 1 at these angles."""
     return np.asarray(np.sin(at + np.array([[0.1], [1.67], [2.3], [3.9]])))
 
 
 def law_force(
     effect: Effect,
-    p: Floats,
+    p: Array,
     state: State,
     reads: NDArray[np.bool_],
     series: tuple[Series, Series] | None = None,
-) -> tuple[Floats, Floats]:
+) -> tuple[Array, Array]:
     """(n,) smoothed force in N on the grid of `state`, and (4,) sums of its tangents over the valid rows.
 
     reads : of x, v, xo, vo, as `depends` has it. series : arrays to fill with the tangents along x and v.
@@ -240,24 +238,24 @@ def law_force(
     return out, sums
 
 
-def _signal(z: Series) -> Floats:
+def _signal(z: Series) -> Array:
     """What the compiled loops are made for."""
     return np.ascontiguousarray(z, dtype=np.float64)
 
 
-def ready(effect: Effect, p: Floats) -> None:
+def ready(effect: Effect, p: Array) -> None:
     """Compile the law of an effect, before several threads ask for it. Raises ValueError if the effect has none."""
     compiled(law_of(effect, p))
 
 
-def interpolated(z: Series, finer: int = FINER) -> Floats:
+def interpolated(z: Series, finer: int = FINER) -> Array:
     """A signal on the finer grid, without HALF (coarse) rows on either side."""
     out = np.empty((z.size - 2 * HALF) * finer)
     _interpolate(np.asarray(z, np.float64), _prototype(finer)[0], out)
     return out
 
 
-def decimated(force: Floats, finer: int = FINER) -> Floats:
+def decimated(force: Array, finer: int = FINER) -> Array:
     """The inner rows of a force on the finer grid of `State.finer`, without what does not fit under Nyquist."""
     out = np.empty(force.size // finer - 2 * HALF)
     _decimate(force, _prototype(finer)[1], finer, out)

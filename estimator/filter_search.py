@@ -23,14 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import pedestal_form
+from .arrays import Array, Complexes
 from .filter_designs import chebyshev, designs
 from .force_cells import Cells
 from .force_shapes import DARKEST, coloured, resonant
 from .roll_off import POWERS, Filter, images
 from .side_by_side import answers
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 MOST_MEANS = 8.0
 FALLS_DB = (0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0, 16.0)  # at the end of the band, that searches for a design begin with
 ORDERS, RIPPLES_DB, EDGES = range(3, 9), (0.1, 0.7), np.linspace(0.55, 1.1, 12)  # of Chebyshev filters; top by cutoff
@@ -347,8 +346,7 @@ def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, 
 
 
 def _variance(scaled: Array, scale: Array, free: NDArray[np.bool_], q: int) -> float:
-    """Mean of the variances of ln S less those beside q known numbers. scaled : information about numbers over scale.
-    """
+    """Mean variance of ln S less that of q known numbers. scaled : information about numbers over scale."""
     if not np.isfinite(scaled).all():
         return np.inf
 

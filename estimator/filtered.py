@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .bandlimit import BandLimit, Motion
 from .side_by_side import each
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 LARGE = 3e8  # bytes of motion above which it is computed where it is asked for, every time
 
 
@@ -25,11 +24,11 @@ class Filtered(BandLimit):
 
     def __init__(
         self,
-        y: Floats,
+        y: Array,
         kinds: Sequence[str],
         rate_hz: float,
         band: tuple[float, float],
-        extra: Callable[[Floats], Complexes] | None = None,
+        extra: Callable[[Array], Complexes] | None = None,
         slow: bool = False,
     ) -> None:
         super().__init__(kinds, rate_hz, band, extra, slow)
@@ -39,7 +38,7 @@ class Filtered(BandLimit):
         if len(y) > 2 * self.half:
             inner = missing[2 * self.half + 1 :] == missing[: -2 * self.half - 1]
             self.valid[self.half : self.half + inner.size] = inner
-        self._recent: dict[int, Floats] = {}
+        self._recent: dict[int, Array] = {}
 
     @property
     def rows(self) -> int:
@@ -58,7 +57,7 @@ class Filtered(BandLimit):
             y = np.pad(y, [(0, 0), (lo - first, first + self._size - hi)], constant_values=np.nan)
         return self._block(np.ascontiguousarray(y), dtype)[0]
 
-    def cut(self, lo: int, hi: int) -> Floats:
+    def cut(self, lo: int, hi: int) -> Array:
         """(outputs, channels, hi - lo) of rows lo ... hi - 1, in the order of `outputs`."""
         blocks = range(lo // self._hop, (hi - 1) // self._hop + 1)
         known = self._recent
@@ -83,10 +82,10 @@ class Filtered(BandLimit):
         return self.motion(0, out, self.valid)
 
     @cached_property
-    def rms(self) -> Floats:
+    def rms(self) -> Array:
         """(outputs, channels) of the valid rows."""
 
-        def squares(b: int) -> Floats:
+        def squares(b: int) -> Array:
             valid = self.valid[b * self._hop : (b + 1) * self._hop]
             z = self._filtered(b)[:, :, : valid.size] * valid
             return np.asarray(np.einsum("ocn,ocn->oc", z, z))
@@ -95,13 +94,13 @@ class Filtered(BandLimit):
         return np.asarray(np.sqrt(total / max(int(self.valid.sum()), 1)))
 
     @property
-    def a(self) -> Floats:
+    def a(self) -> Array:
         return np.asarray(self.cut(0, self.rows)[0])
 
     @property
-    def v(self) -> Floats:
+    def v(self) -> Array:
         return np.asarray(self.cut(0, self.rows)[1])
 
     @property
-    def x(self) -> Floats:
+    def x(self) -> Array:
         return np.asarray(self.cut(0, self.rows)[2])

@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .hidden_states import FINER
 from .mean_response import Mean
 from .motion_blocks import MotionBlocks, coarser, finer, part_of
 from .placed import Placed, remembers, sharp_at, tangent_series
 from .probe import LEAST, SHARE, Probe, probed
-from .self_energy import DECAYS, SECONDS, Complexes, Spectra, covariance, dressed_response, self_energy, spectra
+from .self_energy import DECAYS, SECONDS, Spectra, covariance, dressed_response, self_energy, spectra
 from .side_by_side import each
 
-Array = NDArray[np.float64]
 PER_CYCLE = 40.0  # samples of a cycle: covariances with a jump fall within few, and the error with their square
 
 

@@ -25,6 +25,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .errors import DataError
 from .estimate import Parameter
 from .fit_result import Fit
@@ -34,7 +35,6 @@ from .score_matching import motion_of, place_columns
 from .stationary import messages, softening_message
 from .synchronous import synchronous_message
 
-Array = NDArray[np.float64]
 Form = Literal["literal", "midpoint", "response"]
 BLOCKS = 64
 FEWEST_COUNTS = 30

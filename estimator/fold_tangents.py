@@ -9,15 +9,13 @@ out 1.4 times and that of c beside friction 1.5 times too wide.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .likelihood import Likelihood, Local
 from .record import Bank
 
-Floats = NDArray[np.float64]
 
-
-def excess(likelihood: Likelihood, local: Local, bank: Bank) -> Floats:
+def excess(likelihood: Likelihood, local: Local, bank: Bank) -> Array:
     """(folds, p) what is to be taken off the scores of folds, by beta.
 
     Of a fold with another level of the force it is that of its tangents at its level: the rest is what S of the fold

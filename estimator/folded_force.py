@@ -28,12 +28,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .path_spectra import Folded, Response
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 WORTH = 40.0  # of chi square, that a fold is to explain, or a delay of it
 LIKELIER = 10.0  # of chi square
 LEFT = 0.1  # of chi square beyond chance, that it may leave

@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from . import pedestal_form
+from .arrays import Array
 from .effects import CATALOGUE
 from .estimate import Parameter
 from .force_cells import Cells, cells_of, finite_exp, mean_power
@@ -26,7 +26,6 @@ from .noise_paths import together
 from .suspect import UNKNOWN, Suspect
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
 LEVEL = 1e-3
 LEAST_DEPTH = 0.015  # rms of ln(power / model): less is within what filters and integrators leave behind
 EXPLAINED = 0.5  # of the misfit beyond chance: a cause that leaves more is not the cause

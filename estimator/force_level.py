@@ -8,9 +8,9 @@ that grew by 2.5). With every block over its own level the balance holds again, 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from .arrays import Array
+
 UNEVEN = 1.15  # of the lowest rms of a sixth of the record, from where a force counts as uneven
 SURE = 8.0  # standard deviations of that ratio
 SECONDS = 1.0  # that a level is the mean of

@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import pedestal_form
+from .arrays import Array
 from .estimate import Parameter
 from .force_cells import Cells, cells_of, finite_exp
 from .noise_level import LEAST_NOISE
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
 DARKEST = 0.985  # of S, that the gain of a colour may take away at low frequencies
 BROADENED = 0.75  # of a damping: what one resonance has too much in place of two, of a rotor and a strong pedestal
 PEAKED = 1.0  # quality of a sensor's resonance: below it filters look alike

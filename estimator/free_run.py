@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .balance import force_channels, motion_channels
 from .bandlimit import band_limit
 from .errors import DataError
@@ -18,13 +18,12 @@ from .gram import layout, spectra, valid_blocks
 from .model import Model
 from .record import CELLS_WITH_FORCE, notches
 
-Floats = NDArray[np.float64]
 OVERSAMPLE = 8
 SETTLE = 12.0  # decay times until the start from rest is forgotten
 CHUNK_S = 4.0
 
 
-def resampled(z: Floats, size: int, shift: float) -> Floats:
+def resampled(z: Array, size: int, shift: float) -> Array:
     """(..., size) band-limited rows of z (..., n), each taken `shift` of an output step later."""
     Z = np.fft.rfft(z, axis=-1)
     n = min(z.shape[-1], size) // 2 + 1
@@ -33,7 +32,7 @@ def resampled(z: Floats, size: int, shift: float) -> Floats:
     return np.asarray(np.fft.irfft(out, size, axis=-1) * (size / z.shape[-1]))
 
 
-def free_run(model: Model, force: Floats, rate_hz: float, first: int = 0) -> Floats:
+def free_run(model: Model, force: Array, rate_hz: float, first: int = 0) -> Array:
     """(places, n) motion in the kind that each place's channel measures, from rest, under (places, n) N.
 
     model : every value given. first : rows of the record before these, for what turns with the time.
@@ -69,7 +68,7 @@ def free_run(model: Model, force: Floats, rate_hz: float, first: int = 0) -> Flo
     return out
 
 
-def simulation_rmse(model: Model, y: Floats, rate_hz: float, decay_s: float, first: float = 0.0) -> dict[str, float]:
+def simulation_rmse(model: Model, y: Array, rate_hz: float, decay_s: float, first: float = 0.0) -> dict[str, float]:
     """Channel name -> rms in SI of measured minus simulated motion in the band, from the fraction `first` on.
 
     model : every value given. y : (n, channels), SI, the sensors' responses taken back. decay_s : until free motion is

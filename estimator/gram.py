@@ -15,14 +15,14 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .errors import DataError
 
-Floats = NDArray[np.float64]
 CELLS = 24
 
 
 @cache
-def taper(size: int) -> Floats:
+def taper(size: int) -> Array:
     """Kaiser-Bessel-derived window (alpha 3) whose squares, half a block apart, add up to 1.
 
     A tone is 40 dB down three bins away and 50 to 60 dB at four (a sine window: 32 and 37 dB).
@@ -47,11 +47,11 @@ class Layout:
         return self.size // 2
 
     @property
-    def f_hz(self) -> Floats:
+    def f_hz(self) -> Array:
         return np.asarray(self.bins * (self.rate_hz / self.size))
 
     @property
-    def window(self) -> Floats:
+    def window(self) -> Array:
         """The window in units that make |Z|^2 a one-sided PSD."""
         return np.asarray(taper(self.size) * np.sqrt(2.0 / (self.rate_hz * self.hop)))
 
@@ -64,7 +64,7 @@ class Layout:
     def cell_of_bin(self) -> NDArray[np.intp]:
         return np.repeat(np.arange(self.starts.size), self.per_cell)
 
-    def mean_by_cell(self, z: Floats) -> Floats:
+    def mean_by_cell(self, z: Array) -> Array:
         """(cells, ...) mean over the bins of each cell of z (bins, ...)."""
         return np.asarray((np.add.reduceat(z, self.starts, axis=0).T / self.per_cell).T)
 
@@ -73,18 +73,18 @@ class Layout:
 class Nodes:
     """Frequencies at which the Jacobian is evaluated: each stands for `weight` neighbouring bins of one cell."""
 
-    f_hz: Floats
-    weight: Floats
+    f_hz: Array
+    weight: Array
     cell: NDArray[np.intp]
 
-    def mean_by_cell(self, z: Floats, per_cell: NDArray[np.intp]) -> Floats:
+    def mean_by_cell(self, z: Array, per_cell: NDArray[np.intp]) -> Array:
         """(cells, ...) mean over the bins of each cell of z (nodes, ...)."""
         shape = (-1, *(1 for _ in z.shape[1:]))
         first = np.searchsorted(self.cell, np.arange(per_cell.size))
         return np.asarray(np.add.reduceat(z * self.weight.reshape(shape), first, axis=0) / per_cell.reshape(shape))
 
 
-def nodes(grid: Layout, peaks_hz: Floats | None = None, widths_hz: Floats | None = None) -> Nodes:
+def nodes(grid: Layout, peaks_hz: Array | None = None, widths_hz: Array | None = None) -> Nodes:
     """Every bin; or, with the resonances and their half-power widths, few where the response is smooth.
 
     Nodes are no farther apart than a sixth of the width at a resonance and a fifteenth of the distance from it: the
@@ -146,7 +146,7 @@ def valid_blocks(valid: NDArray[np.bool_], grid: Layout) -> NDArray[np.intp]:
     return np.flatnonzero(np.searchsorted(bad, begin + grid.size) == np.searchsorted(bad, begin))
 
 
-def spectra(columns: Floats, blocks: NDArray[np.intp], grid: Layout) -> NDArray[np.complex128]:
+def spectra(columns: Array, blocks: NDArray[np.intp], grid: Layout) -> NDArray[np.complex128]:
     """(columns, blocks, bins) windowed spectra; columns (k, n) rows from the first block's row 0 on."""
     frames = np.lib.stride_tricks.sliding_window_view(columns, grid.size, axis=1)[:, :: grid.hop]
     neighbours = blocks.size > 0 and blocks[-1] - blocks[0] == blocks.size - 1
@@ -158,7 +158,7 @@ def spectra(columns: Floats, blocks: NDArray[np.intp], grid: Layout) -> NDArray[
     return np.asarray(z[:, :, grid.bins])
 
 
-def gram(z: NDArray[np.complex128], grid: Layout, weights: Floats | None = None) -> Floats:
+def gram(z: NDArray[np.complex128], grid: Layout, weights: Array | None = None) -> Array:
     """(cells, k, k) real part of the sums of Z Z^H over blocks and bins of each cell. weights : (blocks,)."""
     k = z.shape[0]
     if weights is not None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .errors import DataError, ModelError
 from .fitted import fitted_model
 from .missing_force import Survey, ridge_of
@@ -16,7 +17,6 @@ from .sensor_response import undone
 from .subproblem import component, heldout_gain, subproblem
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
 CELLS = 40
 FITTED = 0.7  # of a record with a measured force; the rest is simulated
 

@@ -15,14 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes, Series
 from .effect import Effect
-from .features import MARGIN, Series, decimated, interpolated
+from .features import MARGIN, decimated, interpolated
 from .linearised import Linearised, passed, reads
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 FINER = 2  # of the grid that states are integrated on
 PIECE = 1 << 13  # rows at a time: what is linearised about them stays in the cache
 STRIDE, ENOUGH = 3, 40  # at most, of pieces of which one has steps; how many do, before others are left out

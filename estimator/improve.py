@@ -6,10 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from . import common_fall, recorder_phase
+from .arrays import Array
 from .diagnose import Diagnosis, diagnose_point
 from .errors import DataError
 from .estimate import Parameter
@@ -26,7 +24,6 @@ from .suspects import suspects
 from .whole import SHAPING, Whole, fit_whole
 from .working_point import WorkingPoint, thinned
 
-Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 MOST = 5  # effects added at most
 ENDED = ("complete", "unknown")  # verdicts that name nothing

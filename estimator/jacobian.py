@@ -6,8 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from .arrays import Array, Complexes
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -37,8 +36,8 @@ def _log_determinant(inverse, R, row, column, kappa, hessian, g, h):  # type: ig
 
 
 def log_determinant(
-    A: Complexes, R: Complexes, row: NDArray[np.intp], column: NDArray[np.intp], kappa: Floats, hessian: bool = True
-) -> tuple[Floats, Floats]:
+    A: Complexes, R: Complexes, row: NDArray[np.intp], column: NDArray[np.intp], kappa: Array, hessian: bool = True
+) -> tuple[Array, Array]:
     """Gradient (E,) and Hessian (E, E) of 1/2 sum over f of kappa log |det A|^2 by the entries of B, A = B R.
 
     A : (f, P, P); R : (f, columns, P); row, column : (E,) of each entry; kappa : (f, P) weight of each place's force.
@@ -65,11 +64,11 @@ def noise_slope(
     R: Complexes,
     row: NDArray[np.intp],
     column: NDArray[np.intp],
-    psd: Floats,
-    weight: Floats,
+    psd: Array,
+    weight: Array,
     cell: NDArray[np.intp],
     per_cell: NDArray[np.intp],
-) -> Floats:
+) -> Array:
     """(cells, E) derivative by each entry of the mean over a cell of |A|^2 psd; psd (f, P) of the sensors."""
     out = np.zeros((per_cell.size, row.size))
     _noise_slope(A, R, row, column, psd, weight, cell, out)
@@ -123,7 +122,7 @@ def _levels(power, floor, count, S, noise):  # type: ignore[no-untyped-def]
         noise[i] = S[i] * ratio
 
 
-def levels(power: Floats, floor: Floats, count: Floats, S: Floats, noise: Floats) -> tuple[Floats, Floats]:
+def levels(power: Array, floor: Array, count: Array, S: Array, noise: Array) -> tuple[Array, Array]:
     """(S, noise), each (places,), >= 0, that explain the cell powers best given the gain of the noise.
 
     The gamma likelihood of mean |F|^2 in each cell, S in closed form for every ratio noise / S, the ratio sought on a

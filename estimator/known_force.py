@@ -14,10 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .balance import Balance
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 
 def is_known(balance: Balance) -> bool:
@@ -33,8 +31,8 @@ def seen_through(balance: Balance, R: Complexes) -> Complexes:
 
 
 def taken_back(
-    A: Complexes, R: Complexes, row: NDArray[np.intp], column: NDArray[np.intp], share: Floats
-) -> tuple[Floats, Floats]:
+    A: Complexes, R: Complexes, row: NDArray[np.intp], column: NDArray[np.intp], share: Array
+) -> tuple[Array, Array]:
     """Gradient (E,) and Hessian (E, E) by the entries of B of half of sum(|A|^2 N / S_r), S_r held; A = B R.
 
     A : (f, P, P); R : (f, columns, P) as the noise sees them; share : (f, P, P), N of each place over S_r of each row.
@@ -46,6 +44,6 @@ def taken_back(
     return g, np.where(row[:, None] == row, h, 0.0)
 
 
-def left(power: Floats, spread: Floats, count: Floats) -> float:
+def left(power: Array, spread: Array, count: Array) -> float:
     """What is left of the force over noise of this PSD, which judges a step; (cells, P) and count : (cells,) bins."""
     return float(count @ (power / spread).sum(axis=1))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .balance import shaft_notch
 from .disc import disc_of
 from .effects import CATALOGUE
 from .model import Model
 from .sensor_response import echoes, forced, of_place
 
-Array = NDArray[np.float64]
 OF_FORCE = ("coloured_excitation",)  # effects that are a shape of the spectrum of the force itself
 COLOURS = (*OF_FORCE, "sensor_resonance")  # and those that look like one where they are not undone in the record
 

@@ -16,21 +16,20 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .balance import Balance
 from .bandlimit import noise_shape
 from .contour import modes_of, past, stretches, turns
-from .gram import Layout, Nodes
+from .gram import Layout, Nodes, nodes
 from .jacobian import levels, log_determinant, noise_slope
 from .known_force import is_known, left, seen_through, taken_back
+from .record import Bank
 
 WAYS, SHARES = 0.5 + 0.5 * leggauss(3)[0], 0.5 * leggauss(3)[1]  # between axis and line; a mode may be as near
 MARGIN = 2.0  # spacings of the nodes from a mode to the line of the determinant: the slopes are good to exp(-4 pi)
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
-
-def responses(balance: Balance, tangents: Floats, f_hz: Floats, shift: float = 0.0) -> Complexes:
+def responses(balance: Balance, tangents: Array, f_hz: Array, shift: float = 0.0) -> Complexes:
     """(f, columns, places) R: each column per acceleration of each place. tangents (columns, 4): x, v, xo, vo.
 
     shift : rad/s, for R at s = shift + iw.
@@ -57,21 +56,28 @@ class Evidence:
 
     balance: Balance
     grid: Layout
-    gram: Floats
+    gram: Array
     blocks: float
-    tangents: Floats
+    tangents: Array
     nodes: Nodes
     dressing: Complexes | None = None  # (nodes, columns), see dressing.py
-    colour: Floats | None = None  # (nodes, places) shape of S
+    colour: Array | None = None  # (nodes, places) shape of S
+
+
+def evidence_of(bank: Bank, at: Nodes | None = None, folds: NDArray[np.bool_] | None = None) -> Evidence:
+    """The sum of a bank over its time folds (all, or those marked). at : where the Jacobian is evaluated (every bin)."""
+    keep = np.ones(bank.blocks.size, bool) if folds is None else folds
+    gram, blocks = bank.grams[keep].sum(axis=0), float(bank.blocks[keep].sum())
+    return Evidence(bank.balance, bank.grid, gram, blocks, bank.tangents, nodes(bank.grid) if at is None else at)
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
     """A point in parameter space. beta (p,); S : (places,) N^2/Hz; noise : (places,) one-sided PSD of the sensor."""
 
-    beta: Floats
-    S: Floats
-    noise: Floats
+    beta: Array
+    S: Array
+    noise: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +90,11 @@ class Local:
 
     point: Point
     nll: float
-    gradient: Floats
-    hessian: Floats
-    power: Floats
-    floor: Floats
-    spread: Floats
+    gradient: Array
+    hessian: Array
+    power: Array
+    floor: Array
+    spread: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,9 +133,9 @@ class Likelihood:
         flat, colour = np.ones((1, len(balance.places))), evidence.colour
         self.colour = (flat, flat) if colour is None else (colour, nodes.mean_by_cell(colour, evidence.grid.per_cell))
         self.noise_shape = noise_shape(balance.kinds, w).T  # (f, P)
-        self._last: tuple[Floats, tuple[Floats, Complexes, Floats, Floats]] | None = None
+        self._last: tuple[Array, tuple[Array, Complexes, Array, Array]] | None = None
 
-    def _responses(self, shift: float, f_hz: Floats) -> Complexes:
+    def _responses(self, shift: float, f_hz: Array) -> Complexes:
         """(f, columns, places) of the columns, dressed as the next node is, at s = shift + iw."""
         ev = self.evidence
         R = responses(ev.balance, ev.tangents, f_hz, shift)
@@ -143,7 +149,7 @@ class Likelihood:
                     R[:, k, column.row] += dressing[:, k]
         return R
 
-    def line(self, B: Floats, A: Complexes) -> Line:
+    def line(self, B: Array, A: Complexes) -> Line:
         """Where the determinant is summed: beside the axis that A is given along if a mode is too near to it."""
         nodes, mass, grid = self.evidence.nodes, np.diag(B), self.evidence.grid
         f, length, shift = nodes.f_hz, grid.size / grid.rate_hz, 0.0
@@ -172,20 +178,20 @@ class Likelihood:
             turned += here + float(SHARES @ np.angle(ends[:, 2 * k + 1] / ends[:, 2 * k] * np.exp(-1j * here)))
         return turned
 
-    def _sum(self, size: Floats) -> float:
+    def _sum(self, size: Array) -> float:
         """Of log |det A|^2 over the bins of a block. size : (f,) |det A|."""
         return 2 * float(np.log(size) @ self.evidence.nodes.weight)
 
-    def force_power(self, B: Floats, gram: Floats | None = None) -> Floats:
+    def force_power(self, B: Array, gram: Array | None = None) -> Array:
         """(cells, P, P) sums of F F^H."""
         return np.asarray(B @ (self.evidence.gram if gram is None else gram) @ B.T)
 
-    def noise_gain(self, A: Complexes) -> Floats:
+    def noise_gain(self, A: Complexes) -> Array:
         """(cells, P, P) mean |A_ij|^2 of each cell: the force PSD at i per sensor noise at j."""
         gain = np.abs(A) ** 2 * self.noise_shape[:, None, :]
         return self.evidence.nodes.mean_by_cell(gain, self.evidence.grid.per_cell)
 
-    def damping(self, beta: Floats) -> Floats:
+    def damping(self, beta: Array) -> Array:
         """(places,) N s/m, mean damping of each place, that of the effects included.
 
         Only its sign matters here: the likelihood has a mirror image, as good as itself, at negative damping.
@@ -193,14 +199,14 @@ class Likelihood:
         B, P = self.evidence.balance.coefficients(beta), len(self.evidence.balance.places)
         return np.array([B[i, P + i] + B[i] @ self.evidence.tangents[:, 1] for i in range(P)])
 
-    def power(self, beta: Floats) -> tuple[Floats, Floats]:
+    def power(self, beta: Array) -> tuple[Array, Array]:
         """(cells, P) mean |F|^2 and (cells, P, P) gain of the sensor noise, both over the shape of S."""
         _, _, gain, total = self._about(beta)
         shape, count = self.colour[1], self.evidence.blocks * self.evidence.grid.per_cell
         power = np.einsum("cii->ci", total) / count[:, None]
         return power / shape, gain / shape[:, :, None]
 
-    def _about(self, beta: Floats) -> tuple[Floats, Complexes, Floats, Floats]:
+    def _about(self, beta: Array) -> tuple[Array, Complexes, Array, Array]:
         """B, A, gain of the sensor noise and sums of F F^H: of the last point, which is asked for twice, remembered."""
         last = self._last  # once: it may be asked from two threads
         if last is None or not np.array_equal(last[0], beta):
@@ -244,7 +250,7 @@ class Likelihood:
         hessian[p:, :p] = hessian[:p, p:].T
         return Local(point, nll, np.concatenate([g_beta, g_psi]), hessian, diagonal / count[:, None], gain, spread)
 
-    def scores(self, local: Local, grams: Floats, blocks: Floats) -> Floats:
+    def scores(self, local: Local, grams: Array, blocks: Array) -> Array:
         """(folds, p + 2 P) gradient of each fold; grams (folds, cells, k, k), blocks (folds,)."""
         point, ev = local.point, self.evidence
         B = ev.balance.coefficients(point.beta)
@@ -262,7 +268,7 @@ class Likelihood:
             out.append(np.concatenate([g_beta, 0.5 * np.einsum("cqi,ci->q", D, excess)]))
         return np.array(out)
 
-    def _spread_slope(self, A: Complexes, point: Point) -> Floats:
+    def _spread_slope(self, A: Complexes, point: Point) -> Array:
         """(cells, E) derivative of the spread of its row by each entry."""
         nodes, per_cell = self.evidence.nodes, self.evidence.grid.per_cell
         psd = self.noise_shape * point.noise
@@ -287,19 +293,19 @@ class Likelihood:
     def better(self, trial: Local, here: Local) -> bool:
         """Whether a step has not made the model less likely."""
         if self.known:
-            count: Floats = np.asarray(self.evidence.blocks * self.evidence.grid.per_cell, dtype=np.float64)
+            count: Array = np.asarray(self.evidence.blocks * self.evidence.grid.per_cell, dtype=np.float64)
             spread = here.point.S * self.colour[1] + trial.floor @ here.point.noise  # noise as it was before the step
             return left(trial.power, spread, count) <= left(here.power, here.spread, count) * (1.0 + 1e-9)
         return trial.nll <= here.nll + 1e-9 * abs(here.nll)
 
-    def _nuisance(self, point: Point, gain: Floats) -> Floats:
+    def _nuisance(self, point: Point, gain: Array) -> Array:
         P = point.S.size
         D = np.zeros((gain.shape[0], 2 * P, P))
         D[:, range(P), range(P)] = point.S * self.colour[1]
         D[:, P:] = gain.transpose(0, 2, 1)
         return D
 
-    def _quadratic(self, B: Floats, rows: Floats, hessian: bool = True) -> tuple[Floats, Floats]:
+    def _quadratic(self, B: Array, rows: Array, hessian: bool = True) -> tuple[Array, Array]:
         """Gradient (E,) and Hessian (E, E) of 1/2 sum F^H S^-1 F by entry."""
         r, k = self.row, self.column
         g = np.einsum("el,el->e", rows[r, k], B[r])
@@ -308,8 +314,8 @@ class Likelihood:
         return g, np.where(r[:, None] == r, rows[r[:, None], k[:, None], k], 0.0)
 
     def _jacobian(
-        self, A: Complexes, line: Line, point: Point, spread: Floats, hessian: bool = True
-    ) -> tuple[Floats, Floats]:
+        self, A: Complexes, line: Line, point: Point, spread: Array, hessian: bool = True
+    ) -> tuple[Array, Array]:
         """Gradient (E,) and Hessian (E, E) of 1/2 sum over bins of log |det A|^2 along the line."""
         nodes = self.evidence.nodes
         if self.known:
@@ -324,7 +330,7 @@ class Likelihood:
         slope, bend = self._ways(line)
         return g - slope, h - bend if hessian else h
 
-    def _ways(self, line: Line) -> tuple[Floats, Floats]:
+    def _ways(self, line: Line) -> tuple[Array, Array]:
         """(E,) gradient and (E, E) Hessian of half of what the ways between axis and line add at the ends of all
         stretches."""
         passed = np.einsum("hseq,hsqf->hsef", line.ends[:, :, self.column], line.inverses[..., self.row])
@@ -341,7 +347,7 @@ def active(point: Point) -> NDArray[np.intp]:
     return np.array([*range(p + P), *(p + P + i for i in range(P) if point.noise[i] > 0)], dtype=np.intp)
 
 
-def _step(local: Local, damping: float) -> tuple[Floats, float]:
+def _step(local: Local, damping: float) -> tuple[Array, float]:
     """Newton step in beta with S and noise profiled out, and its decrement in nats.
 
     Along flat or negative curvature it goes downhill by what the absolute curvature allows.
@@ -362,9 +368,9 @@ def maximise(likelihood: Likelihood, start: Point, iterations: int = 40, toleran
 
     tolerance : of the Newton decrement in nats: 1e-4 is a hundredth of a standard deviation.
     """
-    count: Floats = np.asarray(0.5 * likelihood.evidence.blocks * likelihood.evidence.grid.per_cell, dtype=np.float64)
+    count: Array = np.asarray(0.5 * likelihood.evidence.blocks * likelihood.evidence.grid.per_cell, dtype=np.float64)
 
-    def profiled(beta: Floats, point: Point) -> Local:
+    def profiled(beta: Array, point: Point) -> Local:
         S, noise = levels(*likelihood.power(beta), count, point.S, point.noise)
         return likelihood.at(Point(beta, S, noise))
 

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .balance import force_channels, motion_channels
 from .bandlimit import FORCE_DRIFT, noise_shape, passband, to_acceleration
 from .checks import check_record
@@ -30,8 +30,6 @@ from .side_by_side import each
 from .solution import Solution, solve
 from .start import Start
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 FRAME_S = 4.0  # at least
 NEAREST = 1e-4  # least smoothing, in standard deviations of the displacement
 ROUNDS = 3  # each leaves a tangent over the stiffness of the error
@@ -40,7 +38,7 @@ PATHS = 4  # that a law is fitted along, each from the last fit
 
 
 def analyse(
-    model: Model, y: Floats, rate_hz: float, phase: Floats | None = None, values: Mapping[str, float] | None = None
+    model: Model, y: Array, rate_hz: float, phase: Array | None = None, values: Mapping[str, float] | None = None
 ) -> Solution:
     """Fit a model to (n, channels) rows in SI, with a force measured at every place again along the most likely path.
 
@@ -59,7 +57,7 @@ def analyse(
     return solution
 
 
-def along_likely_path(solution: Solution, y: Floats) -> tuple[Record, Start]:
+def along_likely_path(solution: Solution, y: Array) -> tuple[Record, Start]:
     """The record, and the start, with the displacement that the laws see beside the measured one.
 
     y : (n, channels) rows in SI, as measured. The force must be measured at every place.
@@ -81,15 +79,15 @@ def along_likely_path(solution: Solution, y: Floats) -> tuple[Record, Start]:
     return record, start
 
 
-def _filters(solution: Solution, size: int) -> tuple[Complexes, Floats]:
+def _filters(solution: Solution, size: int) -> tuple[Complexes, Array]:
     """(f, P, 3 P) from what is measured of the motion, the force, and minus that of the laws, to the displacement that
     is to be added; (P,) m, sd of what is not known of it."""
     record, balance, point = solution.record, solution.balance, solution.point
     rate, (low, high), P = record.rate_hz, record.model.band, len(balance.places)
-    f: Floats = np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64)
+    f: Array = np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64)
     path, known = np.zeros((f.size, P, 3 * P), complex), (f >= FORCE_DRIFT * low) & (f <= high)
     f = f[known]
-    w: Floats = np.asarray(2 * np.pi * f, dtype=np.float64)
+    w: Array = np.asarray(2 * np.pi * f, dtype=np.float64)
     B = balance.coefficients(point.beta)
     R, laws = responses(balance, solution.bank.tangents, f), [c.kind == "law" for c in balance.columns]
     A = B @ R
@@ -112,7 +110,7 @@ def _filters(solution: Solution, size: int) -> tuple[Complexes, Floats]:
     return path, np.sqrt(variance)
 
 
-def _laws(record: Record, columns: Columns, B: Floats) -> Floats:
+def _laws(record: Record, columns: Columns, B: Array) -> Array:
     """(places, n) N, force of the laws along the path as it stands; none where samples lack, or before the first.
 
     There the filter of an offset is a stroke: of 200 m/s^2, before the band at 170 Hz, ninety times the motion.
@@ -130,7 +128,7 @@ def _laws(record: Record, columns: Columns, B: Floats) -> Floats:
     return np.where(record.motion.valid, out, 0.0)
 
 
-def _filtered(z: Floats, into: Complexes, size: int) -> Floats:
+def _filtered(z: Array, into: Complexes, size: int) -> Array:
     """(P, n) from z (k, n) through `into` (size / 2 + 1, P, k): frames under a window whose squares add up to 1."""
     n, hop, w = z.shape[1], size // 2, taper(size)
     out = np.zeros((into.shape[1], n + 2 * size))

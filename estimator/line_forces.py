@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import strikes, unexplained
+from .arrays import Array, Complexes
 from .balance import shaft_notch
 from .bandlimit import noise_shape
 from .estimate import Parameter
@@ -30,8 +31,6 @@ from .sensor_response import undone
 from .suspect import Suspect
 from .working_point import WorkingPoint, tangent_at
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 SURE = 1.3  # the local noise is known to about a tenth: so much more is asked of a line
 LEVEL = 1e-4  # chance of one false line in a record, in a blind search
 NEAR_DISC = 0.04  # of the disc's resonance on its shaft, on either side

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .bandlimit import to_acceleration
 from .model import MOTION, Model
 from .shaft_angle import measured_phase
 from .side_by_side import each
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 NEIGHBOURS, THIN = 240, 4  # bins either side for the local noise, of which every fourth is looked at
 FEWEST = 30  # the same near 0, where all are
 BESIDE = 20  # bins on either side that a line is to be the main thing in

@@ -6,12 +6,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .effect import Effect
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 SLOWEST = 1e-3  # rad/s: a state that only integrates has no response at rest
 DISTINCT = 1e6  # condition of the modes of its states, below which they are taken one by one
 BESIDE = 1e-3  # of a stiffness or damping, by which the derivative of a response is taken

@@ -17,13 +17,11 @@ from zlib import crc32
 import numpy as np
 from numba import njit
 from numba.extending import overload
-from numpy.typing import NDArray
 
+from .arrays import Array, Series
 from .effect import Effect
 from .effects.compiled import rise
-from .features import Series
 
-Array = NDArray[np.float64]
 SMALL = 1e-7  # change of a state or of the motion over its largest value, for derivatives
 
 

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .balance import build
 from .errors import DataError
 from .features import MARGIN
@@ -23,7 +24,6 @@ from .record import CELLS_WITH_FORCE, Record, notches, stretches
 from .side_by_side import each
 from .start import Start, calmed, fed, linear_start
 
-Floats = NDArray[np.float64]
 FALSE_ALARM = 1e-5  # of a record
 LONGER, FEWEST = 4, 60  # blocks as much longer as leave this many, to resolve lines
 STRONG = 8.0  # over its surroundings, of a tone that is taken out before anything is known of the rotor
@@ -31,7 +31,7 @@ CONSTANT = 3e-3  # of the speed, by which it changes where its lines stand still
 STEADY = 1.5  # mean square over squared mean of a bin's powers, block by block: 1 of a tone, 2 of random motion
 
 
-def spectrum_by_bin(record: Record, B: Floats | None, start: Start | None) -> tuple[Floats, Floats, float]:
+def spectrum_by_bin(record: Record, B: Array | None, start: Start | None) -> tuple[Array, Array, float]:
     """(bins, places) mean |F|^2 and |F|^4 of the force of the linear balance B, and the number of blocks; without B: of
     a."""
     columns = None
@@ -39,11 +39,11 @@ def spectrum_by_bin(record: Record, B: Floats | None, start: Start | None) -> tu
         columns = record.columns(build(replace(record.model, effects=())), start.widths)
     blocks = valid_blocks(record.motion.valid, record.grid)
 
-    def part(group: NDArray[np.intp]) -> Floats:
+    def part(group: NDArray[np.intp]) -> Array:
         first, last = int(group[0]) * record.grid.hop, int(group[-1]) * record.grid.hop + record.grid.size
         stretch = record.stretch(first, last)
         if B is None or columns is None:
-            force: Floats = stretch.a[:, MARGIN:-MARGIN]
+            force: Array = stretch.a[:, MARGIN:-MARGIN]
         else:
             force = B @ columns.evaluate(stretch)[0]
         F = spectra(force, group - group[0], record.grid)
@@ -54,7 +54,7 @@ def spectrum_by_bin(record: Record, B: Floats | None, start: Start | None) -> tu
     return power.T / blocks.size, fourth.T / blocks.size, float(blocks.size)
 
 
-def linear_balance(record: Record, start: Start) -> Floats:
+def linear_balance(record: Record, start: Start) -> Array:
     """(places, columns) coefficients of the linear start."""
     balance = build(replace(record.model, effects=()))
     return balance.coefficients(initial(balance, start, {}).beta)
@@ -68,7 +68,7 @@ def strong_lines(record: Record) -> tuple[tuple[float, float], ...]:
 
 
 def find_lines(
-    power: Floats, blocks: float, f_hz: Floats, least: float = 1.0, steady: NDArray[np.bool_] | None = None
+    power: Array, blocks: float, f_hz: Array, least: float = 1.0, steady: NDArray[np.bool_] | None = None
 ) -> tuple[tuple[float, float], ...]:
     """Stretches (f1, f2) in Hz to leave out. power : (bins, places); f_hz : (bins,) evenly spaced but for notches.
 

@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .balance import Balance, build
 from .bandlimit import passband
 from .dressing import Flutter, dressed, flutter, mean_tangents, self_energies
 from .errors import DataError
 from .force_level import level_of
 from .known_force import is_known
-from .likelihood import Likelihood, Local, Point, active, maximise
+from .likelihood import Likelihood, Local, Point, active, evidence_of, maximise
 from .model import Model
 from .record import Bank, Record, gather
 from .start import Start
 
-Floats = NDArray[np.float64]
 SECONDS = 12.0  # of the record that shapes are sought on before all of it is used
 ROUGH_ROUNDS, ROUNDS = 8, 5
 DRESSINGS = 10
@@ -91,7 +91,7 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
 
 def highest(bank: Bank, start: Start, point: Point) -> tuple[Bank, Local, bool]:
     """The maximum at held shapes and tangents, and the bank with the level of the unknown force (force_level.py)."""
-    local, converged = maximise(Likelihood(bank.evidence(start.nodes)), point)
+    local, converged = maximise(Likelihood(evidence_of(bank, start.nodes)), point)
     if not bank.balance.laws or is_known(bank.balance):
         return bank, local, converged
     B = bank.balance.coefficients(local.point.beta)
@@ -100,7 +100,7 @@ def highest(bank: Bank, start: Start, point: Point) -> tuple[Bank, Local, bool]:
     if level is None:
         return bank, local, converged
     bank = bank.levelled(level)
-    return bank, *maximise(Likelihood(bank.evidence(start.nodes)), local.point)
+    return bank, *maximise(Likelihood(evidence_of(bank, start.nodes)), local.point)
 
 
 def _refuse_unstable(balance: Balance, bank: Bank, point: Point) -> None:
@@ -173,8 +173,8 @@ def without_flutter(record: Record, bank: Bank, local: Local, tangents: Tangents
 
 
 def without_noise(
-    flutter: Flutter, noise: Floats, rate_hz: float, band: tuple[float, float]
-) -> Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]:
+    flutter: Flutter, noise: Array, rate_hz: float, band: tuple[float, float]
+) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
     """What takes it out of Gram matrices (..., k, k) of `count` bins and of mean tangents (k, 4): (gram, count, mean).
 
     noise : (places,) one-sided PSD of the sensors.
@@ -186,7 +186,7 @@ def without_noise(
     straight[:, 2 * P : 3 * P] -= (variance[:, None] * flutter.bend).T
     per_bin = np.einsum("i,ikl->kl", noise, flutter.covariance)
 
-    def still(gram: Floats, count: Floats, mean: Floats) -> tuple[Floats, Floats]:
+    def still(gram: Array, count: Array, mean: Array) -> tuple[Array, Array]:
         slope = mean.copy()
         slope[:, 0] -= variance @ flutter.bend
         return straight @ (gram - count * per_bin) @ straight.T, slope
@@ -201,7 +201,7 @@ def dress(
 
     Where the nonlinearity is so strong that the second order does not settle, the mean tangents are kept.
     """
-    evidence = bank.evidence(start.nodes)
+    evidence = evidence_of(bank, start.nodes)
     bare = Likelihood(evidence), local, converged
     if tangents is None:
         return bare
@@ -225,7 +225,7 @@ def dress(
     return likelihood, likelihood.with_slope_of_dressing(local, pairs), converged
 
 
-def inverse(local: Local) -> Floats:
+def inverse(local: Local) -> Array:
     """(p + 2 P, p + 2 P) inverse of the Hessian: inf for what the data leave free, nan for what is not estimated."""
     used = active(local.point)
     H = local.hessian[np.ix_(used, used)]

@@ -11,13 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .disc import Disc
 from .rotor import shaft_at_caps, shaft_matrix
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 TAKES_PART = 0.01  # of the variance that white force makes by the largest mode: less is not waited for
 OVER = 1000  # times, to look for the end of an answer at
 SLOWLY = 0.1  # as many decays of the slowest mode as of all by their power: beside a stiff shaft 240 s were asked for
@@ -37,7 +35,7 @@ class Mean:
         return bool(self.poles.real.max() < 0.0)
 
     @property
-    def _power(self) -> Floats:
+    def _power(self) -> Array:
         """(modes,) variance of the displacement that white force makes, by modes apart."""
         return np.asarray(np.abs(self.residues) ** 2 / np.maximum(np.abs(self.poles.real), 1e-9))
 
@@ -79,13 +77,13 @@ class Mean:
         """N/m, the least dynamic stiffness: that of a resonance, c w0 of a cap by itself."""
         return float(1.0 / np.abs(self.at(np.abs(self.poles.imag))).max())
 
-    def at(self, w: Floats) -> Complexes:
+    def at(self, w: Array) -> Complexes:
         """(f,) m/N at w rad/s."""
         iw = 1j * w[:, None]
         pairs = self.residues / (iw - self.poles) + self.residues.conj() / (iw - self.poles.conj())
         return np.asarray(0.5 * pairs.sum(axis=1))
 
-    def after(self, tau: Floats) -> Floats:
+    def after(self, tau: Array) -> Array:
         """(2, lags) x and v after an impulse of 1 N s."""
         free = self.residues * np.exp(np.multiply.outer(tau, self.poles))
         return np.stack([free.sum(axis=1).real, (free @ self.poles).real])
@@ -101,7 +99,7 @@ class Mean:
         return min(most, 1 << max(3, int(np.ceil(np.log2(7.0 * self.decay / dt)))))
 
 
-def yields(w: Floats, mass: Floats, D: Floats, places: Sequence[str], disc: Disc | None) -> Complexes:
+def yields(w: Array, mass: Array, D: Array, places: Sequence[str], disc: Disc | None) -> Complexes:
     """(f, places, places) m/N at w (f,) rad/s, displacement of each cap per force on each; see `mean_responses`."""
     iw = 1j * w[:, None, None]
     dynamic = D[..., 0] + iw * D[..., 1] + iw**2 * np.diag(mass)
@@ -124,7 +122,7 @@ def alone(m: float, c: float, k: float) -> Mean:
 
 
 def mean_responses(
-    mass: Floats, D: Floats, places: Sequence[str], disc: Disc | None, memories: Sequence[tuple[int, Floats]] = ()
+    mass: Array, D: Array, places: Sequence[str], disc: Disc | None, memories: Sequence[tuple[int, Array]] = ()
 ) -> tuple[Mean, ...]:
     """Of each cap of a rotor. mass : (places,) kg; D : (places, places, 2) mean tangents of displacement and velocity,
     N/m and N s/m, the shaft's left out. disc : None without a shaft. memories : at a place, as linear_memory.states."""

@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermeval
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
 from . import reference
+from .arrays import Array
 from .effects.places import kinematic
 from .model import Model
 from .path_fit import PathFit
@@ -32,7 +32,6 @@ from .subproblem import Subproblem
 from .suspect import SHAPES, Share, Suspect, shares
 from .working_point import WorkingPoint, thinned
 
-Array = NDArray[np.float64]
 LEVEL = 1e-3  # of a group at a place, after counting the groups and places tried
 SURVEY_SECONDS = 24.0  # of a long record: enough to see a thousandth of the bearing force
 NEGLIGIBLE = 1.2e-3  # of the rms bearing force: below it lie the band limit and the integrators of any simulation

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import calm_by_force
+from .arrays import Array
 from .bandlimit import left_out
 from .calm import as_displacement, calm_of, is_little
 from .effects.strength import search_range
@@ -23,7 +24,6 @@ from .slow_motion import with_slow
 from .transfer import response_of
 from .working_point import WorkingPoint, point_at
 
-Array = NDArray[np.float64]
 FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
 LEAP = 3.0  # from a part of a record to the next
 ROUNDS, LAST_ROUNDS = 6, 3  # at most, and on the whole of it

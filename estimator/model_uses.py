@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .effect import Effect, EffectParameter
 from .effects import CATALOGUE
@@ -15,7 +14,6 @@ from .motion_blocks import MotionBlocks
 from .periodic import PERIODIC
 from .placed import Placed
 
-Array = NDArray[np.float64]
 FORCES = ("force", "memory", "shaft")  # kinds that act through the motion of the caps
 
 

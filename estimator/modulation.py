@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .effects.ball_pass import BALL_PASS
 from .effects.places import at, kinematic, written
 from .line_forces import LEVEL, SURE
@@ -21,7 +22,6 @@ from .model import EffectUse, Model, Setting
 from .side_by_side import each
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
 LOW, HIGH = 0.3, 30.0  # orders looked at
 NEIGHBOURS = 200  # bins of the padded spectrum on either side that the floor is the median of
 FINER = 4  # bins of the zero-padded spectrum for one of the record, at least

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes, Series
 from .bandlimit import noise_shape
 from .disc import Disc
-from .features import HALF, NEAREST, Series, interpolated
+from .features import HALF, NEAREST, interpolated
 from .periodic import Push, Wave
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 FOLDS = 6
 _OTHER = {"x": "y", "y": "x"}
 SPOILS = 0.1  # of the motion of a cap: off by more, nothing is told of it

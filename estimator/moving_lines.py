@@ -15,8 +15,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128] | NDArray[np.complex64]
+from .arrays import Array
+
+AnyComplexes = NDArray[np.complex128] | NDArray[np.complex64]
 FALSE_ALARM = 1e-4  # of a block
 NEAR, FAR = 4, 10  # bins away, where the surroundings are
 AVERAGED = 5.0  # blocks
@@ -47,14 +48,14 @@ def _stand_out(power, limit, out):  # type: ignore[no-untyped-def]
         out[i] = ratio if ratio > limit else 0.0
 
 
-def stand_out(power: Floats, places: int, blocks: float) -> Floats:
+def stand_out(power: Array, places: int, blocks: float) -> Array:
     """(bins,) ratio of each bin to its surroundings where that is a line's, else 0. power : mean over `blocks`."""
     out = np.empty(power.size)
     _stand_out(power, _limit(power.size, places, round(blocks, 1)), out)
     return out
 
 
-def left_out(ratio: Floats) -> NDArray[np.bool_]:
+def left_out(ratio: Array) -> NDArray[np.bool_]:
     """(bins,) the bins to leave out about those that stand out: as far as the window carries such a line."""
     out = np.zeros(ratio.size, bool)
     for k in np.flatnonzero(ratio):
@@ -63,7 +64,7 @@ def left_out(ratio: Floats) -> NDArray[np.bool_]:
     return out
 
 
-def weights(out: NDArray[np.bool_]) -> Floats:
+def weights(out: NDArray[np.bool_]) -> Array:
     """(bins,) 0 for what is left out; what lies beside it on both sides counts for it, the sum stays."""
     w = np.ones(out.size)
     w[out] = 0.0
@@ -81,7 +82,7 @@ def weights(out: NDArray[np.bool_]) -> Floats:
 class MovingLines:
     """What to leave out of the next block. orders : the average is by order of the shaft, not by frequency."""
 
-    def __init__(self, f_hz: Floats, orders: bool = False) -> None:
+    def __init__(self, f_hz: Array, orders: bool = False) -> None:
         self._f_hz, self._orders = f_hz, orders
         self._mean = np.zeros(f_hz.size)
         self._blocks = 0.0
@@ -92,7 +93,7 @@ class MovingLines:
         self._mean[:] = 0.0
         self._blocks = 0.0
 
-    def __call__(self, force: Complexes, speed_hz: float | None = None) -> Floats | None:
+    def __call__(self, force: AnyComplexes, speed_hz: float | None = None) -> Array | None:
         """(bins,) weights for the block with this force spectrum (places, bins); None if nothing is left out.
 
         speed_hz : of the shaft during the block, where a tacho gives it.

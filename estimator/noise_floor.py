@@ -6,9 +6,9 @@ from collections.abc import Collection, Mapping
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from .arrays import Array
 from .estimate import Parameter
 from .model import MOTION, Model
 from .path_spectra import Response
@@ -17,7 +17,6 @@ from .suspect import Suspect
 from .transfer import Peak, exp, expected, highest, linear
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
 FOLDED = 0.01  # of what sampling folds back, that noise of a sensor has to be NOISE_RATIO times as strong as
 NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
 
@@ -68,6 +67,8 @@ def sensor_noise(point: WorkingPoint, i: int) -> Parameter:
     sd = 1.0 / np.sqrt(max(data.blocks * float(np.sum(share**2)), 1e-300))  # of ln(density), by the Whittle likelihood
     rms = float(np.sqrt(density * data.rate_hz / 2))
     return Parameter.judged(rms, 0.5 * rms * sd, MOTION[data.kinds[i]])
+
+
 UNEVEN = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
 
 

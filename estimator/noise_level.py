@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .noise_paths import beyond, heard_of_all
 from .side_by_side import each
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
 LEAST_NOISE = 1e-4  # of a sensor, over the force noise, that is looked for
 
 

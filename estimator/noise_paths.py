@@ -19,12 +19,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .motion_blocks import MotionBlocks
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 LITTLE = 1e-4  # correlation of two rows, anywhere in the band, that moves nothing
 
 

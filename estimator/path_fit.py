@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from .arrays import Array, Complexes
 from .determinant import Jacobian
 from .motion_blocks import FOLDS
 from .side_by_side import each
-from .weighing import Columns, Spectrum, Weighing, response
+from .terms import response
+from .weighing import Columns, Spectrum, Weighing
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 # Mean tangents are known to about a part in a hundred. Where columns of a law of many parameters cancel to a part in
 # ten thousand of their power, what is left of the tangents is that error, and the determinant follows it anywhere.
 TOLD = 1e-5

@@ -8,10 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from .arrays import Array, Complexes
 
 
 @dataclass(frozen=True, slots=True)

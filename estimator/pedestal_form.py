@@ -4,10 +4,9 @@ search may go anywhere, and what the bearing's stiffness loses by it."""
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from .arrays import Array, Complexes
+
 LOW, HIGH = np.array([-2.3, 2.0, -6.0]), np.array([3.0, 11.0, -0.36])  # ln mass over the cap's, ln Hz, ln damping
 
 

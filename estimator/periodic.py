@@ -18,18 +18,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes, Series
 from .bandlimit import passband
 from .effect import Effect
 from .effects import MORE_LINES, NAMED
 from .effects.law_loop import force_array
 from .effects.places import at, kinematic, values, written
 from .errors import ModelError
-from .features import Series
 from .model import Model, Setting
 from .rotor import shaft_at_caps
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 LINE_NAMES = ("line", *MORE_LINES)
 PERIODIC = ("imbalance", "bow", "misalignment", "local_defect", *LINE_NAMES)
 TURN = 1 << 14  # points of one period

@@ -14,9 +14,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes, Series
 from .effects.places import written
 from .estimate import Parameter
-from .features import Series
 from .model import Model, Setting
 from .model_fit import fit_model
 from .motion_blocks import MotionBlocks
@@ -37,8 +37,6 @@ from .periodic import (
 from .suspect import as_use
 from .working_point import WorkingPoint, tangent_at
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Settings = Mapping[str, Mapping[str, Parameter]]  # by canonical place, by name
 PIECES = 16  # of the record, to see a phase that turns
 STEPS, SETTLED = 8, 0.1  # of the numbers about a model, at most; standard deviations of the last

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import linear_memory, shaft_law
+from .arrays import Array, Series
 from .calm import as_seen
 from .effect import Effect
 from .errors import NotFiniteError
-from .features import FINER, MARGIN, Series, State, decimated, depends, folds, jumps, law_force
+from .features import FINER, MARGIN, State, decimated, depends, folds, jumps, law_force
 from .hidden_states import along
 from .motion_blocks import FOLDS, MotionBlocks
 
-Array = NDArray[np.float64]
 PIECE = 1 << 15  # rows of a record at a time: what a law needs of them stays in the cache
 LARGEST = 1e12  # N: no bearing bears it, and what a step makes of more has no square in single precision
 Evaluated = tuple[Array, Array, NDArray[np.complex128] | None]

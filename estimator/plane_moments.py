@@ -20,15 +20,13 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .band_edge import BandEdge
 from .estimate import Parameter
 from .moments import BlockMoments, propagate
 from .planes import Cap, Plane
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Form = Literal["velocity", "density"]
 
 

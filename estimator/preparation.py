@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from .arrays import Array
 from .cut_record import cut
 from .model import Model
 from .motion_blocks import MotionBlocks, part_of
 from .sensor_response import undone
 
-Array = NDArray[np.float64]
 SHORTEST = 2**16  # samples, 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
 LONGEST = 240.0  # s of a record that is kept in memory, about 10 MB each; six stretches of it, spread over the whole
 

@@ -23,13 +23,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .linearised import Linearised, passed, together
 from .mean_response import Mean
 from .motion_blocks import MotionBlocks, coarser
 from .placed import Placed, remembers, tangent_series
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 SHARE, LEAST = 0.08, 2.0  # of a record that impulses go along, and s of it at least: their scatter beside the record's
 APART, SERIES = 0.375, (16, 48)  # decays between two impulses; series of them, launched one after the other
 TO_COME = np.exp(-10.0)  # of the power of an answer, to where it is followed: five decays

@@ -6,10 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
 from . import amplitude, evidence, missing_force, screen
+from .arrays import Array
 from .evidence import Entry
 from .features import ready
 from .model import Model
@@ -19,7 +17,6 @@ from .suspect import Suspect
 from .suspects import suspects
 from .working_point import WorkingPoint, plain, thinned
 
-Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 SIGNIFICANT = 1e-3  # p-value, after counting all that was tried, below which an effect is claimed
 SEARCH_SECONDS = 6.0

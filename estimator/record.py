@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .balance import Balance, force_channels, motion_channels, shaft_notch, shaft_reaction
 from .bandlimit import Motion
 from .calm import Calm
@@ -15,12 +16,10 @@ from .columns import Columns, Stretch
 from .errors import DataError
 from .features import MARGIN
 from .filtered import Filtered
-from .gram import CELLS, Layout, Nodes, gram, layout, nodes, spectra, valid_blocks
-from .likelihood import Evidence
+from .gram import CELLS, Layout, gram, layout, spectra, valid_blocks
 from .model import Model
 from .side_by_side import each
 
-Floats = NDArray[np.float64]
 BLOCKS_PER_FOLD = 3
 CELLS_WITH_FORCE = 300  # what is left is sensor noise seen through A, which varies within a resonance
 _MEMORY = 4e7  # complex bins held at a time, about
@@ -36,21 +35,21 @@ class Record:
     model: Model
     rate_hz: float
     motion: Motion | Filtered
-    force: dict[int, Floats]
-    phase: Floats
+    force: dict[int, Array]
+    phase: Array
     grid: Layout
     lines: tuple[tuple[float, float], ...] = ()  # Hz, stretches left out of the grid (lines.py)
-    slow: Floats | None = None  # (places, n) displacement below the band that laws see instead of what sensors measure
+    slow: Array | None = None  # (places, n) displacement below the band that laws see instead of what sensors measure
     calm: Calm | None = None  # what laws see of the displacement where sensors are noisy
-    weights: Floats | None = None  # (blocks, bins) what each bin of each block counts for (moving_lines.py); None: 1
-    _rms: dict[str, Floats] = field(default_factory=dict, init=False, repr=False, compare=False)
+    weights: Array | None = None  # (blocks, bins) what each bin of each block counts for (moving_lines.py); None: 1
+    _rms: dict[str, Array] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def seconds(self) -> float:
         """Length of what is valid."""
         return float(self.motion.valid.sum() / self.rate_hz)
 
-    def rms(self, name: str) -> Floats:
+    def rms(self, name: str) -> Array:
         """(places,) rms of a, v or x."""
         if isinstance(self.motion, Filtered):
             return np.asarray(self.motion.rms["avx".index(name)])
@@ -60,7 +59,7 @@ class Record:
         return self._rms[name].copy()
 
     @property
-    def counted(self) -> Floats:
+    def counted(self) -> Array:
         """(cells,) what a bin of each cell counts for in the mean, 1 where no line moves."""
         grid = self.grid
         if self.weights is None:
@@ -69,7 +68,7 @@ class Record:
         return np.maximum(grid.mean_by_cell(mean), 1e-3)
 
     @property
-    def driven(self) -> Floats:
+    def driven(self) -> Array:
         """(places,) one-sided PSD of the measured forces, N^2/Hz, over the band; 0 where none is measured."""
         out = np.zeros(len(self.model.places))
         for row, force in self.force.items():
@@ -77,13 +76,11 @@ class Record:
         return out
 
     @property
-    def scales(self) -> Floats:
+    def scales(self) -> Array:
         """(places, 2) rms of x and v."""
         return np.stack([self.rms("x"), self.rms("v")], axis=1)
 
-    def columns(
-        self, balance: Balance, widths: Floats, linear: Floats | None = None, fine: int | None = None
-    ) -> Columns:
+    def columns(self, balance: Balance, widths: Array, linear: Array | None = None, fine: int | None = None) -> Columns:
         """What evaluates the columns of a balance along the record: columns.Columns."""
         folding_hz = self.rate_hz - self.model.band[1]
         return Columns(balance, self.scales, widths, linear, fine, folding_hz)
@@ -99,7 +96,7 @@ class Record:
         lo, hi = max(start - MARGIN, 0), min(stop + MARGIN, n)
         pad = (lo - start + MARGIN, stop + MARGIN - hi)
 
-        def padded(z: Floats) -> Floats:
+        def padded(z: Array) -> Array:
             return np.pad(z, [(0, 0)] * (z.ndim - 1) + [pad]) if any(pad) else z
 
         t = (m.start + np.arange(start - MARGIN, stop + MARGIN)) / self.rate_hz
@@ -122,7 +119,7 @@ def notches(model: Model) -> tuple[tuple[float, float], ...]:
     return () if shaft is None else (shaft,)
 
 
-def prepare(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) -> Record:
+def prepare(model: Model, y: Array, rate_hz: float, phase: Array | None = None) -> Record:
     """The record of (n, channels) rows in SI, NaN where a sample is missing.
 
     phase : (n,) rad, shaft angle where it was measured; otherwise from the model's speed. Raises DataError.
@@ -191,15 +188,15 @@ class Bank:
 
     balance: Balance
     grid: Layout
-    grams: Floats
-    blocks: Floats
-    start: Floats
-    tangents: Floats
-    fold_tangents: Floats
-    level: Floats | None = None
-    rest: Floats | None = None
+    grams: Array
+    blocks: Array
+    start: Array
+    tangents: Array
+    fold_tangents: Array
+    level: Array | None = None
+    rest: Array | None = None
 
-    def levelled(self, level: Floats | None) -> Bank:
+    def levelled(self, level: Array | None) -> Bank:
         """With a force of this level, (places, folds): what all places have in common of it is taken out of the folds.
         Of the rest, E[F phi] goes with the tangent and with the level of each fold, so what balances it is the mean of
         their product."""
@@ -211,12 +208,6 @@ class Bank:
         own = rest[[c.row for c in self.balance.columns]] * self.blocks
         tangents = np.einsum("kf,fkt->kt", own / own.sum(axis=1, keepdims=True), self.fold_tangents)
         return replace(self, grams=self.grams / common[:, None, None, None], tangents=tangents, level=level, rest=rest)
-
-    def evidence(self, at: Nodes | None = None, folds: NDArray[np.bool_] | None = None) -> Evidence:
-        """The sum over the folds (all, or those marked). at : where the Jacobian is evaluated (every bin)."""
-        keep = np.ones(self.blocks.size, bool) if folds is None else folds
-        gram, blocks = self.grams[keep].sum(axis=0), float(self.blocks[keep].sum())
-        return Evidence(self.balance, self.grid, gram, blocks, self.tangents, nodes(self.grid) if at is None else at)
 
     def restrict(self, laws: set[int]) -> Bank:
         """The bank of the model that has only these laws (indices into balance.laws)."""
@@ -238,8 +229,8 @@ def stretches(blocks: NDArray[np.intp], most: int) -> Iterator[NDArray[np.intp]]
 def gather(
     record: Record,
     balance: Balance,
-    widths: Floats,
-    linear: Floats | None = None,
+    widths: Array,
+    linear: Array | None = None,
     per_fold: int = BLOCKS_PER_FOLD,
     seconds: float = np.inf,
     fine: int | None = None,
@@ -253,7 +244,7 @@ def gather(
     usable = valid_blocks(record.motion.valid, grid)
     usable = usable[: max(8, int(min(usable.size, seconds * record.rate_hz / grid.hop)))]
 
-    def part(group: NDArray[np.intp]) -> tuple[list[tuple[Floats, int, float, Floats]], Floats, int]:
+    def part(group: NDArray[np.intp]) -> tuple[list[tuple[Array, int, float, Array]], Array, int]:
         """Gram matrix, number of blocks, start and tangents of each fold; sums of tangents, the rows they are over."""
         first, last = int(group[0]) * grid.hop, int(group[-1]) * grid.hop + grid.size
         z, sums = columns.along(record.stretch(first, last), grid.hop)

@@ -14,20 +14,18 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import missing_force
+from .arrays import Array
 from .linear_memory import filtered
 from .model import Model
 from .placed import evaluate
 from .roll_off import LATE, POWERS, Filter, RollOff
 from .side_by_side import each
 from .subproblem import subproblem
-from .terms import orthogonal
-from .weighing import Term
+from .terms import Term, orthogonal
 from .working_point import WorkingPoint, thinned
 
-Array = NDArray[np.float64]
 SMALL = 0.05  # rad at psi = 1, of the difference that the derivative is taken from
 ELSE = 2.0  # times the nats of a phase, that columns of the states win where a law is missing: 4 and more; 1 if none is
 AHEAD = 1.5  # times the lag that is known, that it may be less: no recorder is ahead of the motion, one may have none

@@ -14,17 +14,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .calm import as_seen
 from .fluctuation import Fluctuation
 from .motion_blocks import FOLDS, MotionBlocks, fold_of
 from .probe import Probe
 from .reference_tangents import dressings, lapse, waves
 from .subproblem import Subproblem, base_of, extended, fold_span, products, subproblem
-from .weighing import Complexes, response
+from .terms import response
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
-Series = NDArray[np.float32]
+Singles = NDArray[np.float32]
 GROUPS = ("displacement", "velocity", "level", "other_direction", "other_bearing", "time", "shaft_angle")
 X_STEP, V_STEP, SPAN = 0.35, 0.5, 3.7
 KNOWN = 1e-3  # of a column's power: with less beside the model's own columns it says nothing of its own
@@ -38,7 +38,7 @@ class Group:
     """Columns of one place (k, n) float32 N-free, their tangents (k, places, 2) and, for hats, their knots (SI)."""
 
     name: str
-    series: list[Series]
+    series: list[Singles]
     tangents: list[Array]
     knots: Array | None = None
 
@@ -114,8 +114,8 @@ def _beside(u, uo, wo, out, slopes):  # type: ignore[no-untyped-def]
 LEVELS, BESIDE = 5, 11  # columns of these
 
 
-def _filled(law: Callable[..., None], columns: int, *states: Series) -> tuple[list[Series], Array]:
-    """Series of the columns, and the means of their slopes."""
+def _filled(law: Callable[..., None], columns: int, *states: Singles) -> tuple[list[Singles], Array]:
+    """Singles of the columns, and the means of their slopes."""
     out, slopes = np.empty((columns, states[0].size), np.float32), np.zeros((columns, 4))
     law(*states, out, slopes)
     return list(out), slopes / states[0].size
@@ -158,7 +158,7 @@ def velocity_step(point: WorkingPoint, i: int) -> float:
     return max(V_STEP, KICKED * float(np.sqrt(2.0 * c * tau)), float(np.sqrt(k)) * tau)
 
 
-def _group(data: MotionBlocks, i: int, name: str, series: list[Series], slopes: Array) -> Group:
+def _group(data: MotionBlocks, i: int, name: str, series: list[Singles], slopes: Array) -> Group:
     """slopes : (columns, 4) mean d/du, d/dw, d/duo, d/dwo."""
     o = data.other(i)
     tangents = np.zeros((len(series), len(data.places), 2))
@@ -209,7 +209,7 @@ def groups(
     yield hat_group("displacement", data.seen(i), knots[0], i, 0, P)
     yield hat_group("velocity", data.v[i], knots[1], i, 1, P)
 
-    def m(z: Series) -> float:
+    def m(z: Singles) -> float:
         return float(np.mean(z, dtype=np.float64))
 
     yield _as_laws(_group(data, i, "level", *_filled(_level, LEVELS, u, w)), data, i)
@@ -253,7 +253,7 @@ def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subpro
     for f in range(FOLDS):
         part, first = fold_of(data, f), fold_span(point, f).start
         found = []
-        spectra: list[Series] = []
+        spectra: list[Singles] = []
         for g in groups(part, i, orders, ends, times):
             spectra += [point.weighing.spectrum(i, z, first=first) for z in g.series]
             found.append(Group(g.name, [], g.tangents, g.knots))

@@ -7,11 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .fluctuation import Fluctuation
 from .probe import Probe
-from .self_energy import Complexes
-
-Array = NDArray[np.float64]
 
 
 def lapse(t: Array, first: float, last: float) -> tuple[Array, Array]:

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .motion_blocks import MotionBlocks
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

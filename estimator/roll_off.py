@@ -20,9 +20,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .estimate import Parameter
 
-Array = NDArray[np.float64]
 POWERS = np.array([2, 4, 8, 16, 32])  # of frequency, of a fall of any form: a mean of samples falls by the first
 FROM = 2.0  # times the highest resonance, from where laws and damping shape the inferred force no more
 SURE, STEEP = 4.0, 0.004  # standard deviations, and nepers of power to the top, of a fall worth a look

@@ -16,8 +16,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .balance import force_channels, motion_channels, shaft_reaction
 from .bandlimit import BandLimit, Motion
 from .errors import DataError
@@ -33,7 +33,6 @@ from .shaft_speed import ShaftAngle
 from .solution import judged
 from .watch import CANDIDATES
 
-Floats = NDArray[np.float64]
 SHOW_EVERY_S = 0.45
 FEWEST_BLOCKS = 6
 CATCH_UP = 2  # times as many blocks in a call until the first ones have been taken
@@ -81,7 +80,7 @@ class RollingSpectral:
         if self._nothing:
             self._estimate = Estimate(0, {}, 0.0, status=reasons[0])
 
-    def update(self, block: Floats) -> None:
+    def update(self, block: Array) -> None:
         """Take the next rows, (n, channels); NaN where a sample is missing or clipped."""
         self._seen += len(block)
         if self._nothing:
@@ -151,7 +150,7 @@ class RollingSpectral:
             if self._since_solved >= SHOW_EVERY_S * self.rate_hz * 0.6:
                 self._solve()
 
-    def _standing(self, a: Floats) -> str:
+    def _standing(self, a: Array) -> str:
         """What to tell about a place whose acceleration (places, n) is none, if any is known."""
         if not a.size:
             return ""
@@ -226,7 +225,7 @@ def _lines(model: Model, grid: Layout) -> tuple[tuple[float, float], ...]:
     return tuple((hz - half, hz + half) for hz in sorted(lines))
 
 
-def _gains(model: Model) -> Floats:
+def _gains(model: Model) -> Array:
     """(channels,) by which each reads too much, as far as the model gives it."""
     out = np.ones(len(model.channels))
     for use in model.effects:

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from .arrays import Array
 from .likelihood import Local
 from .record import Record
 from .roll_off import POWERS, gain, suspected
 from .start import Start
 
-Floats = NDArray[np.float64]
-
 
 class Fall:
     """colour : (nodes, places) shape of S that the model gives, times the roll-off once one is seen; None: flat."""
 
-    def __init__(self, record: Record, start: Start, colour: Floats | None) -> None:
+    def __init__(self, record: Record, start: Start, colour: Array | None) -> None:
         self.colour = self._own = colour
         grid, top_hz, self._forced = record.grid, record.model.band[1], bool(record.force)
         self._top, self._nodes, self._per_cell = top_hz, start.nodes.f_hz, grid.per_cell

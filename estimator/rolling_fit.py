@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .balance import Balance, build, restrict
 from .block_spectra import BlockSpectra
 from .columns import Columns
@@ -32,7 +33,6 @@ from .solution import OVERLAP
 from .start import Start, renewed
 from .watch import look, with_candidates
 
-Floats = NDArray[np.float64]
 WARM_UP_S = 4.0
 FAST = 0.25  # time constant of the watching memory over that of the long one
 CHANGE = 5.0  # standard deviations
@@ -199,7 +199,7 @@ class RollingFit:
         self.fast.add(G, tangents, motion, rows, square, level)
         self.shared += square
 
-    def _likelihood(self, memory: Memory, beta: Floats | None) -> Likelihood:
+    def _likelihood(self, memory: Memory, beta: Array | None) -> Likelihood:
         """Of the balance's own columns. beta : where the responses are dressed; None: they are not."""
         gram, mean = self._still(memory)
         if memory is self.seen:
@@ -207,7 +207,7 @@ class RollingFit:
         nodes, dressing = self.start.nodes, self._dressing(memory, beta)
         return Likelihood(Evidence(self.balance, self.grid, gram, memory.n, mean, nodes, dressing, self.fall.colour))
 
-    def _still(self, memory: Memory) -> tuple[Floats, Floats]:
+    def _still(self, memory: Memory) -> tuple[Array, Array]:
         """Gram matrices and mean tangents without what the noise of displacement sensors does in the laws."""
         gram, mean = memory.gram, memory.tangents / memory.rows
         noise = self.local.point.noise
@@ -217,7 +217,7 @@ class RollingFit:
         still = without_noise(sums.flutter(memory.motion), noise, self.rate_hz, self.band)
         return still(gram, np.asarray(memory.n * self.grid.per_cell[:, None, None], np.float64), mean)
 
-    def _dressing(self, memory: Memory, beta: Floats | None) -> NDArray[np.complex128] | None:
+    def _dressing(self, memory: Memory, beta: Array | None) -> NDArray[np.complex128] | None:
         remembered = self.states.dressing
         if memory.pairs is None or beta is None:
             return remembered
@@ -300,14 +300,14 @@ class RollingFit:
         sure = {f"missing_force_percent_{name}": percent for name, percent in found.sure.items()}
         return {"missing_force_percent": found.total} | sure
 
-    def shown(self) -> tuple[Point, Floats]:
+    def shown(self) -> tuple[Point, Array]:
         """The point and its covariance, H^-1 for weights that forget: the score varies by n2 / n of what the Hessian
         says."""
         covariance = inverse(self.local) * (self.slow.n2 / self.slow.n)
         return self.level.shown(self.local.point, covariance, self.slow, self.fast)
 
 
-def _colour(record: Record, start: Start) -> Floats | None:
+def _colour(record: Record, start: Start) -> Array | None:
     """(nodes, places) shape of S that the model gives, each the mean of the bins that a node stands for; None: flat."""
     by_bin, weight = colours(record.model, record.model.places, record.grid.f_hz).T, start.nodes.weight
     if (by_bin == 1.0).all():
@@ -326,7 +326,7 @@ def _held(best: Maximum) -> dict[str, Parameter]:
     }
 
 
-def _newton(local: Local) -> tuple[Floats, Floats, float]:
+def _newton(local: Local) -> tuple[Array, Array, float]:
     """Newton step and variances (p + 2 P,) as in `Local`, zero for what the data leave free; decrement in nats."""
     V, used = inverse(local), active(local.point)
     used = used[np.isfinite(np.diag(V)[used])]

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .likelihood import Point
 from .rolling_memory import Memory
 
-Floats = NDArray[np.float64]
 MOVED = 1.1  # of the power of the force, from which it has moved: a twentieth in rms
 
 
@@ -25,23 +25,23 @@ class Level:
     """usual : (places,) sum over the bins of a block of |F|^2, N^2/Hz, that counts as level 1. bins : that are summed.
     known : the force is measured, and what is left of it is noise, not weighed."""
 
-    usual: Floats
+    usual: Array
     bins: int
     known: bool
 
     @classmethod
-    def of_first(cls, power: Floats, per_cell: NDArray[np.intp], known: bool) -> Level:
+    def of_first(cls, power: Array, per_cell: NDArray[np.intp], known: bool) -> Level:
         """power : (cells, places) mean |F|^2 of the first seconds."""
         return cls(np.asarray(per_cell @ power), int(per_cell.sum()), known)
 
-    def of(self, B: Floats, gram: Floats) -> float:
+    def of(self, B: Array, gram: Array) -> float:
         """Of a block. B (places, k): coefficients of the columns; gram (cells, k, k): of the block."""
         if self.known:
             return 1.0
         power = np.sum((B @ gram.sum(axis=0)) * B, axis=1)
         return max(float(np.mean(power / self.usual)), 1e-12)
 
-    def shown(self, point: Point, covariance: Floats, long: Memory, recent: Memory) -> tuple[Point, Floats]:
+    def shown(self, point: Point, covariance: Array, long: Memory, recent: Memory) -> tuple[Point, Array]:
         """The point and its covariance, of the long memory, with the S that the force has of late: what all places have
         in common of the scatter of S is not that of the long memory, where it is divided out, but of the recent one."""
         if self.known:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .columns import Columns, Stretch
 from .dressing import Flutter
 from .features import MARGIN
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 SETTLED = 1e-2  # share of other self-energies that is let go
 
 
@@ -25,9 +23,9 @@ class Memory:
     """
 
     keep: float  # what is left after one block
-    gram: Floats
-    tangents: Floats
-    motion: Floats = field(default_factory=lambda: np.zeros(0))
+    gram: Array
+    tangents: Array
+    motion: Array = field(default_factory=lambda: np.zeros(0))
     n: float = 0.0
     n2: float = 0.0
     rows: float = 0.0
@@ -47,7 +45,7 @@ class Memory:
         self.level *= factor
         self.fresh *= factor
 
-    def add(self, gram: Floats, tangents: Floats, motion: Floats, rows: int, square: float, level: float) -> None:
+    def add(self, gram: Array, tangents: Array, motion: Array, rows: int, square: float, level: float) -> None:
         """square : mean square of the weights of the bins, whose mean is 1. level : that `gram` was divided by."""
         self.gram += gram
         self.level += level
@@ -98,7 +96,7 @@ class FlutterSums:
         self._laws = {row: laws for row, laws in self._laws.items() if laws}
         self.size = sum((2 + len(laws)) ** 2 for laws in self._laws.values())
 
-    def of(self, stretch: Stretch) -> Floats:
+    def of(self, stretch: Stretch) -> Array:
         """(size,) of one block: the products of 1, x^2 and the tangents, summed over its rows."""
         out = []
         for row, laws in self._laws.items():
@@ -111,7 +109,7 @@ class FlutterSums:
             out.append((z @ z.T).ravel())
         return np.concatenate(out) if out else np.zeros(0)
 
-    def flutter(self, sums: Floats) -> Flutter:
+    def flutter(self, sums: Array) -> Flutter:
         """From the sums over all blocks."""
         P, K = len(self._columns.balance.places), len(self._columns.balance.columns)
         covariance, bend, at = np.zeros((P, K, K)), np.zeros((P, K)), 0

@@ -6,8 +6,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .bandlimit import half_length
 from .columns import Columns, Stretch
 from .features import MARGIN, State
@@ -15,7 +15,6 @@ from .mean_response import yields
 from .record import Record
 from .slow_motion import below, lopsided, moved, usual
 
-Floats = NDArray[np.float64]
 ROUNDS = 2  # the law is evaluated about the centre, then about the one that it makes: off by its slope squared
 
 
@@ -37,14 +36,14 @@ class SlowMotion:
                 self._laws.setdefault(column.row, []).append(k)
         self.reach = half_length(self._rate_hz, self._band) if self._laws else 0
 
-    def whole(self, record: Record, B: Floats) -> Record:
+    def whole(self, record: Record, B: Array) -> Record:
         """The record with it. B : (places, columns) coefficients of the balance."""
         if not self._laws:
             return record
         wide = replace(record, slow=None).stretch(-self.reach, record.motion.rows + self.reach)
         return replace(record, slow=self._along(wide, B)[:, self.reach : -self.reach])
 
-    def stretch(self, record: Record, start: int, stop: int, B: Floats) -> Stretch:
+    def stretch(self, record: Record, start: int, stop: int, B: Array) -> Stretch:
         """Rows start ... stop - 1 of a record with it."""
         if not self._laws:
             return record.stretch(start, stop)
@@ -52,7 +51,7 @@ class SlowMotion:
         slow = self._along(record.stretch(start - more, stop + more), B)[:, self.reach : -self.reach]
         return replace(record.stretch(start, stop), slow=slow)
 
-    def _along(self, stretch: Stretch, B: Floats) -> Floats:
+    def _along(self, stretch: Stretch, B: Array) -> Array:
         """(places, rows), sound but for `reach` rows at either end; a missing sample has the mean of the force."""
         balance, P, inner = self._columns.balance, len(B), slice(MARGIN, MARGIN + stretch.rows)
         measured = np.zeros((P, stretch.t.size)) if stretch.slow is None else stretch.slow

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .balance import Balance
 from .columns import Columns
 from .record import Record
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
-
-def linear_of(balance: Balance, B: Floats) -> Floats:
+def linear_of(balance: Balance, B: Array) -> Array:
     """(places, 3) m, kL, c of coefficients B, without what the shaft adds."""
     P = len(B)
     i = np.arange(P)
@@ -26,13 +23,13 @@ class HiddenStates:
     response to the acceleration of their place, beside which their mean tangents count for nothing; None without any.
     """
 
-    def __init__(self, columns: Columns, f_hz: Floats) -> None:
+    def __init__(self, columns: Columns, f_hz: Array) -> None:
         balance, self._columns, self._f_hz = columns.balance, columns, f_hz
         laws = {k: balance.laws[c.law] for k, c in enumerate(balance.columns) if c.kind == "law"}
         self.columns = np.array([k for k, law in laws.items() if law.effect.kind == "memory"], np.intp)
         self.dressing: Complexes | None = None
 
-    def follow(self, B: Floats, record: Record | None = None) -> None:
+    def follow(self, B: Array, record: Record | None = None) -> None:
         """To the point with coefficients B (places, columns).
 
         record : of whose motion a response is an average; without one only exact responses are renewed.

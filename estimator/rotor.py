@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh, expm, solve_continuous_lyapunov
 
+from .arrays import Array
 from .errors import ModelError
 from .model import DIRECTIONS, NODES, Model, Shaft
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 CHAIN: Array = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0], [-1.0, -1.0, 2.0]])

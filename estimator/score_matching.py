@@ -12,6 +12,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .band_edge import BandEdge
 from .bandlimit import BandLimit, band_limit
 from .effects.custom import effect_of
@@ -25,7 +26,6 @@ from .planes import density_band, ignored_effects, planes
 from .stationary import check_resonance, messages, softening_message
 from .synchronous import lines, synchronous_message, synchronous_orders
 
-Array = NDArray[np.float64]
 LEFT_OUT = "score matching leaves it out: use the spectral method"
 FEWEST_ROWS = 4096
 CHECKED_S = 0.5  # of motion, for a resonance

@@ -13,9 +13,9 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from . import bends, force_shapes, screen
+from . import bends, force_shapes, law_gain
+from .arrays import Array
 from .model import Model, Setting
 from .model_fit import fit_model, glanced
 from .model_uses import placed_of
@@ -26,7 +26,6 @@ from .side_by_side import each
 from .subproblem import Subproblem
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
 SECONDS = 6.0
 SHAPE_SECONDS = 20.0  # for the spectrum of the force
 FACTORS = {1: np.geomspace(0.1, 10.0, 13), 2: np.geomspace(0.1, 10.0, 5)}
@@ -131,17 +130,17 @@ def _started(point: WorkingPoint, uses: list[Placed]) -> list[Placed]:
 
 def _best(point: WorkingPoint, uses: list[Placed], factors: Array, turned: bool = False) -> list[Placed]:
     """The same of the grid of these factors. Places are alike unless the record says otherwise: one has a node of its
-    own where that is worth screen.DIFFERENT nats."""
+    own where that is worth law_gain.DIFFERENT nats."""
     nodes = [_grid(use, factors, turned) for use in uses]
     pairs = [use for own in nodes for use in own]
-    found = each(lambda use: screen.assess(point, use), pairs)
+    found = each(lambda use: law_gain.assess(point, use), pairs)
     tried = [found[k : k + len(nodes[0])] for k in range(0, len(pairs), len(nodes[0]))]
     gains = np.array([[0.0 if got is None else max(got.gain, 0.0) for got in own] for own in tried])
     shared = int(np.argmax(gains.sum(axis=0)))
     out = []
     for use, own, results, gained in zip(uses, nodes, tried, gains, strict=True):
         best = int(np.argmax(gained))
-        best = best if gained[best] > gained[shared] + screen.DIFFERENT else shared
+        best = best if gained[best] > gained[shared] + law_gain.DIFFERENT else shared
         got = results[best]
         out.append(use if got is None or got.gain <= 0.0 else _amplitudes(own[best], got.problem, got.fit))
     return out

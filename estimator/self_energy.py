@@ -19,10 +19,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .mean_response import Mean
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Spectra = tuple[NDArray[np.complex64] | None, ...]
 SECONDS, DECAYS = 8.0, 1000.0  # of the record that the covariances are taken from: the longer of the two
 ROUNDS = 10  # of the self-consistent response
@@ -56,7 +55,7 @@ def _cross(Z, K):  # type: ignore[no-untyped-def]
     return out
 
 
-def covariance(Z: Spectra, K: Spectra, lags: int) -> Floats:
+def covariance(Z: Spectra, K: Spectra, lags: int) -> Array:
     """(2, 2, lags) <kappa_a(t + lag) K_b(t)>, a and b: along x and v; from their spectra by as many lags."""
     C = np.zeros((2, 2, lags))
     for a, b in np.ndindex(2, 2):
@@ -65,7 +64,7 @@ def covariance(Z: Spectra, K: Spectra, lags: int) -> Floats:
     return C
 
 
-def dressed_response(total: Floats, dt: float, mean: Mean) -> Floats | None:
+def dressed_response(total: Array, dt: float, mean: Mean) -> Array | None:
     """(2, lags) impulse response of x and v, dressed by its own self-energy (causal at any strength of K).
 
     total : (2, 2, lags) covariance of K. None where K is so strong that the second order means nothing, or what was
@@ -76,7 +75,7 @@ def dressed_response(total: Floats, dt: float, mean: Mean) -> Floats | None:
         return None
     if total[0, 0, 0] > min(STRONG * mean.stiffness, WIDE * mean.width) ** 2:
         return None
-    w: Floats = np.asarray(2 * np.pi * np.fft.rfftfreq(2 * lags, dt), np.float64)
+    w: Array = np.asarray(2 * np.pi * np.fft.rfftfreq(2 * lags, dt), np.float64)
     G, bare, iw = mean.at(w), mean.after(np.arange(lags, dtype=np.float64) * dt), 1j * w
     sigma, g = np.zeros(iw.size, complex), bare
     for _ in range(ROUNDS):
@@ -86,7 +85,7 @@ def dressed_response(total: Floats, dt: float, mean: Mean) -> Floats | None:
     return g
 
 
-def _transform(C: Floats, g: Floats, dt: float) -> Complexes:
+def _transform(C: Array, g: Array, dt: float) -> Complexes:
     """(lags + 1,) FT of C g, x and v together, on its own grid of frequencies."""
     lags = C.shape[2]
     tau, iw = np.arange(lags) * dt, 2j * np.pi * np.fft.rfftfreq(2 * lags, dt)
@@ -96,7 +95,7 @@ def _transform(C: Floats, g: Floats, dt: float) -> Complexes:
     return np.asarray(both[0] + iw * both[1])
 
 
-def self_energy(C: Floats, g: Floats, dt: float, f_hz: Floats) -> Complexes:
+def self_energy(C: Array, g: Array, dt: float, f_hz: Array) -> Complexes:
     """(f,) N/m per unit of the law: Sigma_j at f_hz from C = C_jK (2, 2, lags) and the dressed response g."""
     f = np.fft.rfftfreq(2 * C.shape[2], dt)
     z = _transform(C, g, dt)

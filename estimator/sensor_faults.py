@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betainc
 
+from .arrays import Array
 from .estimate import Parameter
 from .model import Model
 from .suspect import Suspect
 
-Array = NDArray[np.float64]
 FAR = 0.3  # of the extremes: less far in are a few samples of any vibration
 PILE = 20  # samples of one and the same extreme value, beside three times as many as have the next
 

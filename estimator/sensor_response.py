@@ -11,15 +11,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .bandlimit import to_acceleration
 from .model import MOTION, EffectUse, Model
 from .roll_off import Filter, images
 from .side_by_side import each
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 BLIND = ("sensor_gain", "sensor_skew")  # caps that are not coupled say nothing of them: diagnosis.md
 LINEAR = (*BLIND, "sensor_resonance")  # faults that are a response
 SHAPES = {"sensor_resonance": ("frequency", "quality"), "coloured_excitation": ("gain", "corner")}

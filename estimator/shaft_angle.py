@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .errors import DataError
 from .model import Model
 
-Array = NDArray[np.float64]
 FEWEST_PULSES = 4
 HYSTERESIS = 0.1  # of the pulse height: a pulse counts once the signal has been so far below its middle
 LONG = 1.5  # of the turns around it: such a distance between pulses holds several turns (missing samples, a weak pulse)

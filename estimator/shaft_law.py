@@ -17,15 +17,13 @@ from collections.abc import Iterable
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .effect import Effect
 from .effects.law_loop import force_array
 from .linear_memory import filtered
 from .motion_blocks import MotionBlocks, without_hz
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 STEP = 0.3  # rad of the disc's resonance to a step, at most
 FAINT = 1e-3  # of the shaft's stiffness, below which a law is on trial
 ANGLES = 64  # that the law's mean and first harmonic are taken from

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .errors import DataError
 from .model import Model
 from .shaft_angle import shaft_angle
-
-Floats = NDArray[np.float64]
 
 
 class ShaftAngle:
@@ -20,7 +18,7 @@ class ShaftAngle:
         self._rate_hz = rate_hz
         self._given = 2.0 * np.pi * (model.speed_rpm or 0.0) / 60.0 / rate_hz  # rad a row
         self._first = 0
-        self._pulses: list[Floats] = []
+        self._pulses: list[Array] = []
         self._known = (0, 0.0)  # a row and its angle: the next window goes on from there
 
     @property
@@ -28,7 +26,7 @@ class ShaftAngle:
         """Whether there is a tacho channel."""
         return self._column is not None
 
-    def push(self, block: Floats) -> None:
+    def push(self, block: Array) -> None:
         """The next rows (n, channels of the model), NaN where missing."""
         if self._column is not None:
             self._pulses.append(block[:, self._column].copy())
@@ -38,7 +36,7 @@ class ShaftAngle:
         while self._pulses and self._first + len(self._pulses[0]) <= before:
             self._first += len(self._pulses.pop(0))
 
-    def angle(self, start: int, stop: int) -> Floats | None:
+    def angle(self, start: int, stop: int) -> Array | None:
         """(stop - start,) rad along rows that were pushed and not dropped; None while the tacho tells no speed."""
         if self._column is None:
             return np.asarray(self._given * np.arange(start, stop), dtype=np.float64)

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .missing_force import Residual, Survey, ridged
 from .working_point import WorkingPoint
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

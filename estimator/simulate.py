@@ -14,10 +14,10 @@ import numpy as np
 
 from . import low_pass
 from . import simulate_kernel as kernel
+from .arrays import Array
 from .effect import Effect
 from .errors import ModelError
 from .model import Model
-from .rotor import Array
 from .simulate_plan import Plan, build
 from .simulate_speed import Speed
 from .simulate_start import start_state

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import simulate_kernel as kernel
+from .arrays import Array
 from .effect import Effect
 from .effects.custom import effect_of
 from .effects.places import at, values
 from .errors import ModelError
 from .model import DIRECTIONS, NODES, Model
-from .rotor import Array, Assembly, assemble
+from .rotor import Assembly, assemble
 
 KINDS = {
     "acceleration": kernel.ACCELERATION,

@@ -8,17 +8,18 @@ with it: the same density, reached in a few periods. Otherwise a short run with 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from .arrays import Array
+from .effects.custom import effect_of
 from .effects.law_loop import force_array
 from .errors import ModelError
 from .model import Model
-from .rotor import Array, linear_covariance
+from .rotor import assemble, linear_covariance
 from .simulate_plan import Plan
-from .stationary import stationarity
 
 if TYPE_CHECKING:
     from .simulate_step import Stepper
@@ -93,3 +94,37 @@ def refuse_escape(plan: Plan, sigma: Array, temperature: Array) -> None:
                     f"{dof}: {names} softens without end and has no stationary density (barrier "
                     f"{V.max() / temperature[i]:.1f} T, at least {BARRIER:g} T is needed): weaken it, or use hertz"
                 )
+
+
+@dataclass(frozen=True, slots=True)
+class Stationarity:
+    """Whether exp(-H/T) is the stationary density: force intensity Q = 2 T C_sym (physics.md section 2).
+
+    temperature : J, the T of the best match; by_dof : J, Q_ii / (2 C_ii) of each damped or driven degree of freedom;
+    mismatch : |Q - 2 T C| / |Q| (0: exact). blocking : effects that break it whatever the noise.
+    """
+
+    temperature: float
+    by_dof: dict[str, float]
+    mismatch: float
+    blocking: tuple[str, ...]
+
+    @property
+    def exact(self) -> bool:
+        return self.mismatch < 1e-9 and not self.blocking
+
+
+def stationarity(model: Model) -> Stationarity:
+    """The exact stationary condition of any model. Raises ModelError if the linear part is incomplete."""
+    rig = assemble(model)
+    Q, C = np.diag(rig.S / 2.0), 0.5 * (rig.C + rig.C.T)
+    T = float(np.sum(Q * C) / (2.0 * np.sum(C * C))) if np.any(C) else np.inf
+    by_dof = {
+        dof: float(Q[i, i] / (2.0 * C[i, i])) if C[i, i] > 0 else np.inf
+        for i, dof in enumerate(rig.dofs)
+        if Q[i, i] > 0 or C[i, i] > 0
+    }
+    mismatch = float(np.linalg.norm(Q - 2.0 * T * C) / np.linalg.norm(Q)) if np.any(Q) and np.isfinite(T) else np.inf
+    effects = [effect_of(use) for use in model.effects]
+    blocking = tuple(e.name for e in effects if not e.stationary_density and e.kind != "sensor")
+    return Stationarity(T, by_dof, mismatch, blocking)

@@ -7,8 +7,9 @@ from typing import Literal
 import numpy as np
 
 from . import simulate_kernel as kernel
+from .arrays import Array
 from .errors import ModelError
-from .rotor import Array, propagator
+from .rotor import propagator
 from .simulate_plan import Plan, Slots, table
 from .simulate_speed import Speed
 

@@ -18,20 +18,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .bandlimit import FORCE_DRIFT, unseen
+from .arrays import Array, Complexes
+from .bandlimit import unseen
 from .effect import Effect
 from .effects.compiled import memory_array
 from .effects.law_loop import force_array
-from .features import Series
 from .mean_response import yields
 from .motion_blocks import MotionBlocks
 from .placed import Placed, evaluate, remembers
 from .side_by_side import each
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 EVEN = 1e-3  # of a law's size: less of it is even in x by rounding alone
 STEPS = 40  # points from which that is seen
 ROUNDS = 3  # beside measured forces: each leaves the change of a law's tangent over the stiffness of the error
@@ -163,12 +160,3 @@ def _pushed(data: MotionBlocks, own: Sequence[Sequence[Placed]], lin: Array) -> 
 
 def _slow(data: MotionBlocks) -> Array:
     return np.zeros(data.x.shape, np.float32) if data.slow is None else np.asarray(data.slow)
-
-
-def below_band(force: Series, rate_hz: float, band: tuple[float, float]) -> Array:
-    """(n,) N of a measured force what is below the band, without the offset and the drift of its sensor."""
-    from scipy.fft import irfft, next_fast_len, rfft
-
-    size = next_fast_len(force.size, real=True)
-    F, f = rfft(force - force.mean(), size), np.fft.rfftfreq(size, 1 / rate_hz)
-    return np.asarray(irfft(np.where((f >= FORCE_DRIFT * band[0]) & (f < band[0]), F, 0.0), size)[: force.size])

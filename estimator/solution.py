@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .balance import Balance
 from .estimate import Parameter, untold_at
 from .fold_tangents import excess
@@ -18,7 +18,6 @@ from .model import UNITS, Model
 from .record import Bank, Record, stretches
 from .start import Start
 
-Floats = NDArray[np.float64]
 SCALELESS = "the data leave it free: nothing in the model sets its scale"
 OVERLAP = 0.106  # correlation of the energies of neighbouring blocks (sums of w^2 w'^2 over w^4, gram.taper)
 
@@ -35,7 +34,7 @@ class Solution:
     balance: Balance
     bank: Bank
     local: Local
-    covariance: Floats
+    covariance: Array
     converged: bool
 
     @property
@@ -58,7 +57,7 @@ def solve(record: Record, start: Start, model: Model, values: Mapping[str, float
     return Solution(record, start, best.balance, best.bank, best.local, covariance, best.converged)
 
 
-def sandwich(likelihood: Likelihood, local: Local, bank: Bank) -> Floats:
+def sandwich(likelihood: Likelihood, local: Local, bank: Bank) -> Array:
     """Covariance H^-1 J H^-1 with J from the scores of the folds of time; H^-1 alone if they are too few."""
     bread, used, folds = inverse(local), active(local.point), bank.blocks.size
     if folds < 3 * used.size:
@@ -79,7 +78,7 @@ def sandwich(likelihood: Likelihood, local: Local, bank: Bank) -> Floats:
     return bread
 
 
-def inferred_force(solution: Solution) -> Floats:
+def inferred_force(solution: Solution) -> Array:
     """(places, n) N: the force that the model does not explain, in the band, NaN where nothing is known.
 
     Synthesised from the same blocks as the likelihood: window, bins of the band, window, overlap and add.
@@ -109,7 +108,7 @@ def report(solution: Solution) -> dict[str, Parameter]:
     return judged(solution.balance, solution.point, solution.covariance, solution.record.model)
 
 
-def judged(balance: Balance, point: Point, covariance: Floats, model: Model) -> dict[str, Parameter]:
+def judged(balance: Balance, point: Point, covariance: Array, model: Model) -> dict[str, Parameter]:
     """Parameters by full name: kL, c, m and S of each place, then those of the effects."""
     sd = np.sqrt(np.diag(covariance))
     free = {

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import bent_path, force_level, one_end, unknown_mass, whole
+from .arrays import Array
 from .balance import force_channels
 from .checks import check_record
 from .contour import modes_of
@@ -14,7 +14,7 @@ from .effects.custom import effect_of
 from .errors import DataError
 from .fit_result import Fit
 from .known_force import is_known
-from .likelihood import responses
+from .likelihood import evidence_of, responses
 from .likely_path import analyse
 from .lines import describe
 from .model import Model
@@ -28,13 +28,12 @@ from .slow_motion import lopsided, own_sizes, usual
 from .solution import Solution, ratios_only, report
 from .whole import Whole
 
-Floats = NDArray[np.float64]
 START_SECONDS = 20.0  # of a record, for where a gap is begun
 UNMEASURED = 1e-3  # of the measured force, in power, from which on it matters whether the rest is noise or a force
 SHARED = 0.03  # of the PSD of an inferred force in a cell: with 0.17, kL was one standard deviation high, with 0.9 five
 
 
-def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) -> Fit:
+def fit(model: Model, y: Array, rate_hz: float, phase: Array | None = None) -> Fit:
     """Parameters with standard deviations from (n, channels) rows in SI. Raises DataError.
 
     A model with more than laws of the states of a cap, with a force that remembers, or with a law that moves the cap
@@ -57,7 +56,7 @@ def fit(model: Model, y: Floats, rate_hz: float, phase: Floats | None = None) ->
     return Fit(report(solution), -solution.local.nll, samples, "spectral", messages(solution))
 
 
-def _pushed(solution: Solution, y: Floats) -> Whole | None:
+def _pushed(solution: Solution, y: Array) -> Whole | None:
     """The model fitted as compare fits it, where the force is measured everywhere, yet not all of it: another acts
     beside it. Such a fit takes what is left for noise of the sensors, and c comes out too small by its share."""
     model, rate_hz = solution.record.model, solution.record.rate_hz
@@ -71,7 +70,7 @@ def _pushed(solution: Solution, y: Floats) -> Whole | None:
     return found if bent_path.pushed(found.model, found.point) else None
 
 
-def _begun(model: Model, y: Floats, rate_hz: float) -> dict[str, float] | None:
+def _begun(model: Model, y: Array, rate_hz: float) -> dict[str, float] | None:
     """Values by name to begin from, where a law has numbers that no linear fit finds, as compare finds them: from a
     gap of another size Gauss-Newton ends at a maximum of its own. None without such a law."""
     if not any(searched(effect_of(use), model) for use in model.effects):
@@ -127,7 +126,7 @@ def _falls(solution: Solution) -> bool:
     record, local, grid = solution.record, solution.local, solution.record.grid
     if record.force:
         return False
-    count = solution.bank.evidence().blocks * grid.per_cell.astype(np.float64)
+    count = evidence_of(solution.bank).blocks * grid.per_cell.astype(np.float64)
     peaks = [solution.start.sizes[place]["hz_peak"] for place in solution.balance.places]
     ratio, f_hz, places = local.power / local.spread, grid.mean_by_cell(grid.f_hz), solution.balance.places
     return any(suspected(ratio[:, own], f_hz, count, max(peaks)) for own in ([*range(len(places))], *devices(places)))

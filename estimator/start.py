@@ -6,19 +6,18 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .balance import build, motion_channels
 from .bandlimit import half_length, left_out
 from .calm import as_displacement, calm_of, is_little
 from .errors import DataError
 from .features import MARGIN, NEAREST
 from .gram import Nodes, nodes, spectra, valid_blocks
-from .likelihood import Evidence, Likelihood, Local, Point, maximise, responses
+from .likelihood import Evidence, Likelihood, Local, Point, evidence_of, maximise, responses
 from .model import Model
 from .record import Record, gather, notches
 
-Floats = NDArray[np.float64]
 SECONDS = 20.0  # of the record that the start is taken from
 LEAST_DAMPING = 0.002  # of critical: where the scan begins
 FEEDING = ("cross_coupling", "rub")  # do work on the rotor: without them it may seem to lose nothing
@@ -32,17 +31,17 @@ class Start:
     nodes : where the Jacobian of these resonances is evaluated.
     """
 
-    m: Floats
-    c: Floats
-    kL: Floats
-    S: Floats
-    noise: Floats
-    widths: Floats
+    m: Array
+    c: Array
+    kL: Array
+    S: Array
+    noise: Array
+    widths: Array
     sizes: dict[str, dict[str, float]]
     nodes: Nodes
 
     @property
-    def linear(self) -> Floats:
+    def linear(self) -> Array:
         return np.stack([self.m, self.kL, self.c], axis=1)
 
 
@@ -66,7 +65,7 @@ def scan(evidence: Evidence, row: int, mass: float, band: tuple[float, float]) -
 
 
 @lru_cache(maxsize=4)
-def _mean_logs(w0: bytes, zeta: bytes, f_hz: bytes) -> Floats:
+def _mean_logs(w0: bytes, zeta: bytes, f_hz: bytes) -> Array:
     """(resonances, dampings) mean over frequency of log |det A|^2 per mass: the same for every place."""
     r = (np.frombuffer(w0)[:, None] / (2 * np.pi * np.frombuffer(f_hz))) ** 2
     return np.stack([np.log((1 - r) ** 2 + 4 * z * z * r).mean(axis=1) for z in np.frombuffer(zeta)], axis=1)
@@ -78,7 +77,7 @@ def linear_start(record: Record) -> Start:
     balance = build(model)
     P = len(balance.places)
     bank = gather(record, balance, np.zeros((P, 2)), seconds=SECONDS)
-    evidence = bank.evidence()
+    evidence = evidence_of(bank)
     beta = np.array([f.start for f in balance.free])
     S = np.empty(P)
     for i, place in enumerate(balance.places):
@@ -131,7 +130,7 @@ def renewed(start: Start, record: Record, evidence: Evidence, point: Point) -> S
     return Start(m, c, kL, point.S, point.noise, widths, start.sizes, at)
 
 
-def _about(record: Record, evidence: Evidence, B: Floats, S: Floats) -> tuple[Floats, Nodes]:
+def _about(record: Record, evidence: Evidence, B: Array, S: Array) -> tuple[Array, Nodes]:
     """`widths` and `nodes` of a start about coefficients B."""
     m, c, kL = _diagonals(B)
     coupled = resonances(evidence, B)  # with a stiff shaft far from those of each place alone
@@ -144,7 +143,7 @@ def _about(record: Record, evidence: Evidence, B: Floats, S: Floats) -> tuple[Fl
     return np.maximum(np.hypot(widths, doubt), NEAREST * record.scales), at
 
 
-def _diagonals(B: Floats) -> tuple[Floats, Floats, Floats]:
+def _diagonals(B: Array) -> tuple[Array, Array, Array]:
     """(places,) m, c, kL, the shaft's part included."""
     P = len(B)
     m, c, kL = (np.diag(B[:, i * P : (i + 1) * P]).copy() for i in range(3))
@@ -168,7 +167,7 @@ def _best(likelihood: Likelihood, first: Point, model: Model) -> Local:
     return min(found, key=lambda z: z.nll)
 
 
-def resonances(evidence: Evidence, B: Floats) -> tuple[Floats, Floats]:
+def resonances(evidence: Evidence, B: Array) -> tuple[Array, Array]:
     """Hz: peaks of the response of the balance B, all places together, and their half-power widths."""
     f = evidence.grid.f_hz
     A = B @ responses(evidence.balance, evidence.tangents, f)

@@ -12,53 +12,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .effects.custom import effect_of
+from .arrays import Array, Complexes
 from .errors import DataError
 from .estimate import Parameter
-from .model import Model
 from .moments import BlockMoments, propagate
 from .planes import Cap, Plane
-from .rotor import assemble
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 BLOCKS = 64
-
-
-@dataclass(frozen=True, slots=True)
-class Stationarity:
-    """Whether exp(-H/T) is the stationary density: force intensity Q = 2 T C_sym (physics.md section 2).
-
-    temperature : J, the T of the best match; by_dof : J, Q_ii / (2 C_ii) of each damped or driven degree of freedom;
-    mismatch : |Q - 2 T C| / |Q| (0: exact). blocking : effects that break it whatever the noise.
-    """
-
-    temperature: float
-    by_dof: dict[str, float]
-    mismatch: float
-    blocking: tuple[str, ...]
-
-    @property
-    def exact(self) -> bool:
-        return self.mismatch < 1e-9 and not self.blocking
-
-
-def stationarity(model: Model) -> Stationarity:
-    """The exact stationary condition of any model. Raises ModelError if the linear part is incomplete."""
-    rig = assemble(model)
-    Q, C = np.diag(rig.S / 2.0), 0.5 * (rig.C + rig.C.T)
-    T = float(np.sum(Q * C) / (2.0 * np.sum(C * C))) if np.any(C) else np.inf
-    by_dof = {
-        dof: float(Q[i, i] / (2.0 * C[i, i])) if C[i, i] > 0 else np.inf
-        for i, dof in enumerate(rig.dofs)
-        if Q[i, i] > 0 or C[i, i] > 0
-    }
-    mismatch = float(np.linalg.norm(Q - 2.0 * T * C) / np.linalg.norm(Q)) if np.any(Q) and np.isfinite(T) else np.inf
-    effects = [effect_of(use) for use in model.effects]
-    blocking = tuple(e.name for e in effects if not e.stationary_density and e.kind != "sensor")
-    return Stationarity(T, by_dof, mismatch, blocking)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc
 
 from . import unexplained
+from .arrays import Array
 from .effects import CATALOGUE
 from .effects.places import kinematic, orders
 from .estimate import Parameter
@@ -23,7 +24,6 @@ from .model import Model
 from .suspect import Suspect
 from .working_point import WorkingPoint, tangent_at
 
-Array = NDArray[np.float64]
 FIRST = 12  # harmonics that a train is sought by
 MOST = 20.0  # that one of them counts for
 SURE, LEVEL = 1.3, 1e-4  # the local noise is known to about a tenth; chance of a false train in a record

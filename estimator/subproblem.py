@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .determinant import Jacobian
 from .motion_blocks import FOLDS
 from .path_fit import TOLD, Gram, PathFit, fit, log_likelihood
-from .weighing import Columns, Complexes, Spectrum
+from .weighing import Columns, Spectrum
 from .working_point import WorkingPoint
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

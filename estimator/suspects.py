@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from . import bent_path, coupled_caps, force_colour, line_forces, periodic, sensor_faults
+from .arrays import Array
 from .model import EffectUse, Model
 from .model_uses import clipped as clipped_by
 from .side_by_side import each
 from .suspect import Suspect, as_use
 from .weighing import Spectrum
 from .working_point import WorkingPoint
-
-Array = NDArray[np.float64]
 
 
 def suspects(model: Model, point: WorkingPoint, y: Array, everywhere: bool = False) -> list[Suspect]:

@@ -15,11 +15,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .model import Model
 
-Array = NDArray[np.float64]
 ORDERS = {"imbalance": (1,), "bow": (1,), "misalignment": (1, 2)}
 WINDOW_S = 1.0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Complexes = NDArray[np.complex128]
+from .arrays import Complexes
 
 
 def times(tangents: Complexes, factor: Complexes) -> Complexes:

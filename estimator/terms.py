@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -11,14 +11,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from . import linear_memory, shaft_law
+from .arrays import Array, Complexes
 from .fluctuation import Fluctuation
 from .motion_blocks import FOLDS, MotionBlocks
 from .placed import Evaluated, Placed, at_home, evaluate, tangent_series
 from .probe import Probe
 from .side_by_side import each
-from .weighing import Complexes, Term
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 SPAN = 0.1  # of a searched parameter of a law with memory: over less its mean response is that of few kinks
 SMALL = 1e-4  # of the shaft's stiffness, that a law of the shaft is stepped by
@@ -271,3 +270,38 @@ def linear_terms(data: MotionBlocks, i: int, lin: Array, uses: Sequence[Placed] 
         rms = max(float(data.rms[which, i]), 1e-300)
         out.append(Term(f"{data.places[i]}.{name}", unit, {i: series}, slope, 1.0 / rms, memory))
     return out
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One parameter's force per unit: series by place index, (n,) N per unit, and its mean tangent.
+
+    tangent : (places, places, 2): mean derivative of the force at place i to x_l and to v_l. apart : (folds, places,
+    places, 2) of those of each time fold less these; None for a term that is the same throughout.
+    memory : by place, (places, bins) N/m per unit, more of the mean response of the force there to every x_l: of a
+    force with memory or through the disc, or of a tangent that fluctuates (fluctuation.py).
+    name : "bearing1.x.kL" and so on. scale : what the parameter is divided by in the computation. shape : (bins,) by
+    which its spectra are multiplied.
+    """
+
+    name: str
+    unit: str
+    series: dict[int, NDArray[Any]]
+    tangent: Array
+    scale: float = 1.0
+    memory: dict[int, Complexes] = field(default_factory=dict)
+    apart: Array | None = None
+    shape: Complexes | None = None
+
+
+def response(tangent: Array, s: Complexes) -> Complexes:
+    """(..., bins) contribution to A at s (bins,) of a mean tangent (..., 2)."""
+    return np.asarray(tangent[..., :1] / s**2 + tangent[..., 1:] / s)
+
+
+def term_response(term: Term, s: Complexes) -> Complexes:
+    """(places, places, bins) contribution to A at s (bins,) of one scaled unit of a term."""
+    out = response(term.tangent, s)
+    for i, more in term.memory.items():
+        out[i] += more / s**2
+    return out * term.scale

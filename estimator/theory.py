@@ -17,15 +17,14 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .errors import DataError
 from .estimate import Parameter
 from .fit_result import Fit
 from .hertz_contact import PointContact, load_deflection, raceways
 from .model import BearingGeometry, Model
 
-Array = NDArray[np.float64]
 PRELOADS = (0.2e-6, 0.3e-6, 0.4e-6, 0.5e-6, 0.6e-6)  # m
 
 

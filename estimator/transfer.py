@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .bandlimit import noise_shape
 from .folded_force import alike, folded
 from .path_spectra import Response
@@ -34,8 +35,6 @@ from .path_spectra import Response
 if TYPE_CHECKING:
     from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 CELLS = 900
 OVERLAPPED = 0.439  # independent numbers for each bin of a block: Hann windows every half block, 1.944 (1 + 2 / 11.7)
 BESIDE = 2.5  # bins on either side of a line that are left out

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array, Series
 from .bandlimit import noise_shape
 from .cut_record import cut
 from .errors import DataError, ModelError
-from .features import Series
 from .free_run import free_run
 from .model import Model
 from .motion_blocks import MotionBlocks, spectrum
@@ -19,7 +18,6 @@ from .sensor_response import echoes, recorder
 from .simulate import simulate
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
 SECONDS = 5.0
 SETTLE = 2.0  # from rest, under a measured force
 

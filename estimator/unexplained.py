@@ -6,12 +6,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .bandlimit import passband
 from .periodic_fit import PIECES, demodulated
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 HEARD = 0.9  # gain of the band filter from where a frequency counts as in the band
 LEAST = 0.5  # of the amplitude by a linear reading: with less left the laws explain the line
 

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .effects.custom import effect_of
 from .errors import DataError
 from .estimate import Parameter, belongs
@@ -23,7 +23,6 @@ from .sensor_response import forced, undone
 from .solution import ratios_only, report
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
 FREE = "no mass is known, so only ratios are: give [rig.mass]"
 
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .bandlimit import band_limit
 from .errors import DataError
 from .estimate import Parameter
@@ -29,8 +30,6 @@ from .model import MOTION, Model
 from .moments import BlockMoments
 from .planes import Plane, density_band, planes
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 FIT_BLOCKS = 64
 FEWEST_ROWS = 8192
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .balance import Balance
 from .effects import CATALOGUE
 from .likelihood import Likelihood, Point
 from .model import EffectUse, Model
 
-Floats = NDArray[np.float64]
 # one of each kind of state dependence; shapes at their defaults
 CANDIDATES = (
     "cubic", "quintic", "quadratic", "clearance", "coulomb", "quadratic_damping", "displacement_damping",
@@ -108,7 +108,7 @@ def look(wide: Likelihood, own: Balance, point: Point, redundancy: float) -> Mis
     return Missing(total, dict(sorted(sure.items(), key=lambda item: -item[1])))
 
 
-def _inverse(H: Floats) -> Floats:
+def _inverse(H: Array) -> Array:
     """Of a symmetric matrix of unit diagonal, or smaller; zero along what the data do not tell."""
     w, V = np.linalg.eigh(H)
     keep = w > 1e-7 * max(float(w.max()), 1.0)

@@ -8,51 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import Array, Complexes
 from .motion_blocks import FOLDS, MotionBlocks
 from .noise_paths import NoisePaths
 from .ringing import Ringing, ringing
 from .side_by_side import each
 from .tangent_rows import times
+from .terms import Term, term_response
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Spectrum = NDArray[np.float32]
 TOGETHER = 32  # blocks at a time: more do not stay in the cache
-
-
-@dataclass(frozen=True, slots=True)
-class Term:
-    """One parameter's force per unit: series by place index, (n,) N per unit, and its mean tangent.
-
-    tangent : (places, places, 2): mean derivative of the force at place i to x_l and to v_l. apart : (folds, places,
-    places, 2) of those of each time fold less these; None for a term that is the same throughout.
-    memory : by place, (places, bins) N/m per unit, more of the mean response of the force there to every x_l: of a
-    force with memory or through the disc, or of a tangent that fluctuates (fluctuation.py).
-    name : "bearing1.x.kL" and so on. scale : what the parameter is divided by in the computation. shape : (bins,) by
-    which its spectra are multiplied.
-    """
-
-    name: str
-    unit: str
-    series: dict[int, NDArray[Any]]
-    tangent: Array
-    scale: float = 1.0
-    memory: dict[int, Complexes] = field(default_factory=dict)
-    apart: Array | None = None
-    shape: Complexes | None = None
-
-
-def response(tangent: Array, s: Complexes) -> Complexes:
-    """(..., bins) contribution to A at s (bins,) of a mean tangent (..., 2)."""
-    return np.asarray(tangent[..., :1] / s**2 + tangent[..., 1:] / s)
-
-
-def term_response(term: Term, s: Complexes) -> Complexes:
-    """(places, places, bins) contribution to A at s (bins,) of one scaled unit of a term."""
-    out = response(term.tangent, s)
-    for i, more in term.memory.items():
-        out[i] += more / s**2
-    return out * term.scale
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from itertools import starmap
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import (
     bends,
@@ -30,6 +29,7 @@ from . import (
     shaft_law,
     unknown_mass,
 )
+from .arrays import Array
 from .declip import LOST, RESTORED, SPOILED, restored
 from .estimate import Parameter, untold_at
 from .fit_result import Fit
@@ -48,7 +48,6 @@ from .start import refuse_without_resonance, resonates
 from .suspects import suspects
 from .working_point import WorkingPoint
 
-Array = NDArray[np.float64]
 SHAPING = (*COLOURS, "correlated_force", "sensor_clipping", "sensor_noise")
 ROUNDS = 2  # of the numbers of periodic forces and colours, which the rest of the fit depends on
 MOST_ROUNDS = 6  # while the answers of two caps to each other still move

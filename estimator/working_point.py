@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import linear_memory
+from .arrays import Array, Complexes, Series
 from .contour import along, contour
 from .determinant import Jacobian
-from .features import Series
 from .fluctuation import Fluctuation, fluctuations
 from .known_spectra import shaft_response
 from .mean_response import Mean, mean_responses
@@ -22,10 +22,9 @@ from .periodic import Wave
 from .placed import Placed, evaluate, remembers
 from .probe import Probe
 from .side_by_side import each
-from .terms import Spans, Units, add_to, dressed, light, linear_terms, reach, terms
-from .weighing import Columns, Complexes, Spectrum, Term, Weighing
+from .terms import Spans, Term, Units, add_to, dressed, light, linear_terms, reach, terms
+from .weighing import Columns, Spectrum, Weighing
 
-Array = NDArray[np.float64]
 STRIDE = 0.3  # of the reach of a searched parameter: one standard deviation of the step that is taken at once
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dis
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..effect import Effect, EffectParameter
 from ..errors import ModelError
 from ..model import EffectUse, Setting
@@ -15,7 +15,6 @@ from .compiled import address
 from .expression import compile_law
 from .law_loop import force_array
 
-Array = NDArray[np.float64]
 SCALE_OF_UNIT = {"m": "x", "m/s": "v", "Hz": "hz_peak"}
 
 

@@ -20,10 +20,10 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..effect import Effect
 from .compiled import machine_code
 
-Floats = NDArray[np.float64]
 F, P = types.float64, types.CPointer(types.float64)
 LOOP = F(P, P, P, P, P, P, F, F, F, F, F, P, types.CPointer(types.uint8), F, types.int64, P, P, types.int64)
 ADDRESS, NUMBER, WHOLE = ctypes.c_void_p, ctypes.c_double, ctypes.c_int64
@@ -66,7 +66,7 @@ def _version(law: Callable[..., float]) -> int:
     return crc32(source.encode()) if source else -1
 
 
-def law_of(effect: Effect, p: Sequence[float] | Floats) -> Callable[..., float]:
+def law_of(effect: Effect, p: Sequence[float] | Array) -> Callable[..., float]:
     """Raises ValueError if it has none."""
     if effect.force is None:
         raise ValueError(f"{effect.name}: no force law (kind {effect.kind})")
@@ -82,13 +82,13 @@ class Signals:
     at: tuple[int, ...]
 
     @classmethod
-    def of(cls, signals: Sequence[Floats], valid: NDArray[np.bool_]) -> Signals:
+    def of(cls, signals: Sequence[Array], valid: NDArray[np.bool_]) -> Signals:
         arrays = (*signals, np.ascontiguousarray(valid))
         return cls(arrays, tuple(z.ctypes.data for z in arrays))
 
 
 def smoothed(
-    law: Callable[..., float], p: Floats, signals: Signals, k: int, h: float, s: float, out: Floats, tangent: Floats,
+    law: Callable[..., float], p: Array, signals: Signals, k: int, h: float, s: float, out: Array, tangent: Array,
     further: bool = False,
 ) -> float:  # fmt: skip
     """Fill out (n,) with the mean of a law over the nodes -h, 0, +h in the k-th of x, v, xo, vo, weights 1/6, 2/3, 1/6;
@@ -106,9 +106,9 @@ def smoothed(
 
 
 def force_array(
-    effect: Effect, p: Floats, x: Floats, v: Floats | float = 0.0, xo: Floats | float = 0.0, vo: Floats | float = 0.0,
-    t: Floats | float = 0.0, phase: Floats | float = 0.0, s: float = 1.0,
-) -> Floats:  # fmt: skip
+    effect: Effect, p: Array, x: Array, v: Array | float = 0.0, xo: Array | float = 0.0, vo: Array | float = 0.0,
+    t: Array | float = 0.0, phase: Array | float = 0.0, s: float = 1.0,
+) -> Array:  # fmt: skip
     """(n,) N, the restoring force of an effect's law along signals; scalars are held. p : parameters in their order."""
     law, p = law_of(effect, p), np.ascontiguousarray(p, dtype=np.float64)
     x = np.ascontiguousarray(x, dtype=np.float64)

@@ -16,7 +16,7 @@ from estimator.balance import build
 from estimator.contour import FED, MARGIN, along, contour
 from estimator.determinant import Jacobian
 from estimator.disc import Disc, disc_of
-from estimator.likelihood import Likelihood, Local, Point
+from estimator.likelihood import Likelihood, Local, Point, evidence_of
 from estimator.lines import begin
 from estimator.model import EffectUse, Model
 from estimator.record import gather, prepare
@@ -24,7 +24,7 @@ from estimator.rolling import RollingSpectral
 from estimator.rotor import shaft_matrix
 from estimator.spectral import fit
 from estimator.start import LEAST_DAMPING, linear_start
-from estimator.weighing import response
+from estimator.terms import response
 from estimator.whole import fit_whole
 
 BLOCK_S = 0.32
@@ -145,7 +145,7 @@ def test_the_likelihood_of_gram_matrices_takes_the_same_line() -> None:
     """From decay to growth its value has no fold, and its slope is its own; on the axis both turned round."""
     record = prepare(rig_model("cross_coupling"), rig_record(6.0, seed=2), RATE)
     balance = build(record.model, search=False)
-    likelihood = Likelihood(gather(record, balance, 0.05 * record.scales).evidence())
+    likelihood = Likelihood(evidence_of(gather(record, balance, 0.05 * record.scales)))
     true = {f"{p}.{key}": TRUTH[key][i] for i, p in enumerate(PLACES) for key in ("kL", "c")}
     j, step = balance.names.index("bearing1.cross_coupling.k"), 200.0
 

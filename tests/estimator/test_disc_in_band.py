@@ -13,7 +13,7 @@ from daq.rig import load_rig
 from estimator import force_cells, force_colour, force_shapes, spectral
 from estimator.balance import build
 from estimator.compare import compare
-from estimator.likelihood import Likelihood, responses
+from estimator.likelihood import Likelihood, evidence_of, responses
 from estimator.model import Model, Setting
 from estimator.record import gather, prepare
 from estimator.simulate import simulate
@@ -62,7 +62,7 @@ def test_the_determinant_of_a_fit_is_that_of_the_axis_beside_the_bins_left_out()
     rig = replace(rig, linear={place: {**own, "c": Setting(10.0)} for place, own in rig.linear.items()})
     record = prepare(rig, simulate(rig, RATE, 6.0, seed=1), RATE)
     balance = build(rig, search=False)
-    likelihood = Likelihood(gather(record, balance, 0.05 * record.scales).evidence())
+    likelihood = Likelihood(evidence_of(gather(record, balance, 0.05 * record.scales)))
     bins = likelihood.evidence.grid.f_hz
     apart = np.diff(bins).min() * ((np.arange(fine) + 0.5) / fine - 0.5)
     on_axis = responses(balance, likelihood.evidence.tangents, (bins[:, None] + apart).ravel())

@@ -13,7 +13,7 @@ from hidden_effects import RATE, one_bearing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator import screen, spectral
+from estimator import law_gain, spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.custom import custom_effect
 from estimator.effects.expression import FUNCTIONS, ExpressionError, compile_law
@@ -173,7 +173,7 @@ def test_a_module_object_that_cannot_work_is_refused() -> None:
 def test_a_user_law_has_the_standing_of_a_built_in_one_in_simulation() -> None:
     from estimator.model import Channel, Model
     from estimator.simulate import simulate
-    from estimator.stationary import stationarity
+    from estimator.simulate_start import stationarity
 
     linear = {"bearing1.x": {"kL": Setting(1e7), "c": Setting(60.0), "S": Setting(9e-5)}}
     model = Model((Channel("a", "bearing1", "x"),), (150.0, 8000.0), mass={"bearing1": 0.2}, linear=linear)
@@ -284,4 +284,4 @@ def test_a_law_that_grows_beyond_all_measure_at_a_value_on_trial_is_passed_over(
     data = prepare(rig, simulate(rig, RATE, 2.0, seed=1, noise=0.02), RATE)
     point = fit_model(data, placed_of(rig, data))
     effect = custom_effect(own("f*exp(x/w)", f=(1e-3, "N"), w=(1e-9, "m")))
-    assert screen.assess(point, Placed(effect, "bearing1.x.mine", (0,), np.array([1.0, 1e-9]), (True, False))) is None
+    assert law_gain.assess(point, Placed(effect, "bearing1.x.mine", (0,), np.array([1.0, 1e-9]), (True, False))) is None

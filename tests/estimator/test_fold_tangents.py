@@ -10,7 +10,7 @@ from reference_rig import COULOMB, RATE, rig_model, rig_record
 
 from estimator.columns import Columns
 from estimator.fold_tangents import excess
-from estimator.likelihood import Likelihood
+from estimator.likelihood import Likelihood, evidence_of
 from estimator.likely_path import analyse
 from estimator.maximum import inverse
 from estimator.solution import Solution
@@ -26,7 +26,7 @@ def solution() -> Solution:
 @pytest.mark.slow
 def test_it_is_the_gradient_with_the_tangents_of_the_fold_less_that_with_the_mean(solution: Solution) -> None:
     bank, local = solution.bank, solution.local
-    evidence = bank.evidence(solution.start.nodes)
+    evidence = evidence_of(bank, solution.start.nodes)
     mean = np.average(bank.fold_tangents, axis=0, weights=bank.blocks)
     likelihood = Likelihood(replace(evidence, tangents=mean))
     found = excess(likelihood, local, bank)

@@ -118,7 +118,13 @@ def test_a_spectrum_that_a_missing_law_bends_is_not_taken_as_it_is() -> None:
     the law gained a third of the nats; at both bearings of the paper's rig it was 6 % off, 20 standard deviations."""
     rig = one_bearing()
     k = 6.0e5  # N/m; c times the resonance is 4.2e5, and the cubic holds what grows
-    truth = replace(rig, effects=(*rig.effects, EffectUse("cross_coupling", {"bearing1": {"k": Setting(k)}}),))
+    truth = replace(
+        rig,
+        effects=(
+            *rig.effects,
+            EffectUse("cross_coupling", {"bearing1": {"k": Setting(k)}}),
+        ),
+    )
     whole = fit_whole(rig, y := simulate(truth, RATE, 10.0, seed=3, noise=0.0), RATE)
     entries = ranked(whole.model, whole.point, y, quiet).entries
     assert entries[0].effect == "cross_coupling"

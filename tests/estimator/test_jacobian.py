@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from reference_rig import RATE, rig_model, rig_record
 
 from estimator.jacobian import levels, log_determinant
-from estimator.likelihood import Likelihood, Line, Point
+from estimator.likelihood import Likelihood, Line, Point, evidence_of
 from estimator.record import Record, gather, prepare
 
 Floats = NDArray[np.float64]
@@ -73,7 +73,7 @@ def test_value_gradient_and_hessian_are_those_of_the_likelihood(record: Record, 
     from estimator.balance import build
 
     balance = build(record.model, search=False)
-    evidence = gather(record, balance, 0.05 * record.scales).evidence()
+    evidence = evidence_of(gather(record, balance, 0.05 * record.scales))
     rng = np.random.default_rng(1)
     beta = np.array([{"kL": 1e7, "c": 60.0}.get(f.name.rsplit(".", 1)[-1], 0.1) for f in balance.free])
     point = Point(beta * rng.uniform(0.9, 1.1, beta.size), np.full(4, 9e-5), np.full(4, noise))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estimator import spectral
 from estimator.balance import build
 from estimator.bandlimit import band_limit
-from estimator.likelihood import Likelihood, Point
+from estimator.likelihood import Likelihood, Point, evidence_of
 from estimator.likely_path import along_likely_path
 from estimator.lines import begin
 from estimator.maximum import initial
@@ -48,7 +48,7 @@ def test_the_slope_is_that_of_what_is_left_at_held_noise(noisy: Floats) -> None:
     start = linear_start(record)
     balance = build(record.model, start.sizes)
     bank = gather(record, balance, start.widths, start.linear)
-    likelihood = Likelihood(bank.evidence(start.nodes))
+    likelihood = Likelihood(evidence_of(bank, start.nodes))
     point = initial(balance, start, {})
     point = Point(point.beta * 1.001, np.full(2, 1e-6), np.full(2, 1e-6))
     local, count = likelihood.at(point), bank.blocks.sum() * bank.grid.per_cell

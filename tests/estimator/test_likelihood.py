@@ -9,7 +9,7 @@ from reference_rig import RATE, rig_model, rig_record
 from estimator.balance import Balance, build, restrict
 from estimator.dressing import pair_energies
 from estimator.jacobian import levels
-from estimator.likelihood import Likelihood, Point, maximise
+from estimator.likelihood import Likelihood, Point, evidence_of, maximise
 from estimator.maximum import initial, inverse
 from estimator.mean_response import alone
 from estimator.record import Bank, Record, gather, prepare
@@ -26,7 +26,7 @@ def fitted() -> tuple[Record, Start, Balance, Bank]:
 
 def test_gradient_and_hessian_are_those_of_the_likelihood(fitted: tuple[Record, Start, Balance, Bank]) -> None:
     _, start, balance, bank = fitted
-    likelihood = Likelihood(bank.evidence(start.nodes))
+    likelihood = Likelihood(evidence_of(bank, start.nodes))
     # sensor noise of one part in a thousand at the lower edge: S hardly varies within a cell, where it is averaged
     point = initial(balance, start, {})
     point = Point(point.beta * 1.01, point.S * 0.97, np.full(4, 1e-9))
@@ -49,8 +49,8 @@ def test_gradient_and_hessian_are_those_of_the_likelihood(fitted: tuple[Record, 
 def test_few_nodes_do_what_every_bin_does(fitted: tuple[Record, Start, Balance, Bank]) -> None:
     _, start, balance, bank = fitted
     point = initial(balance, start, {})
-    full, _ = maximise(Likelihood(bank.evidence()), point)
-    thin, _ = maximise(Likelihood(bank.evidence(start.nodes)), point)
+    full, _ = maximise(Likelihood(evidence_of(bank)), point)
+    thin, _ = maximise(Likelihood(evidence_of(bank, start.nodes)), point)
     sd = np.sqrt(np.diag(inverse(full)))[: point.beta.size]
     assert start.nodes.f_hz.size < 0.15 * bank.grid.bins.size
     assert start.nodes.weight.sum() == bank.grid.bins.size

@@ -139,7 +139,9 @@ def push(kind, p, x, v, xo, t, turn, z):  # type: ignore[no-untyped-def]  # prag
 
 
 @njit(cache=False)
-def steps(state, memory, half, drive, rate, inverse, forces, kinds, dofs, beside, numbers, t0, dt, turn, out_x, out_v, out_a):  # type: ignore[no-untyped-def]  # noqa: E501  # pragma: no cover
+def steps(
+    state, memory, half, drive, rate, inverse, forces, kinds, dofs, beside, numbers, t0, dt, turn, out_x, out_v, out_a
+):  # type: ignore[no-untyped-def]  # noqa: E501  # pragma: no cover
     """Advance in place; displacement, velocity and acceleration amid every step, where its force is what is held. half,
     drive : of half a step. t0 : the middle of the first step."""
     n = inverse.shape[0]

@@ -112,8 +112,8 @@ def rig_file(rig: dict[str, Any], base: list[str]) -> str:
         )
     return (
         f"{name}{turns}"
-        f'[rig.mass]\ndisc = {rig["disc"]!r}\nbearing1 = {rig["m"][0]!r}\nbearing2 = {rig["m"][1]!r}\n'
-        f'[rig.shaft_spring]\nstiffness = {rig["ks"]!r}\ndamping = {rig["cs"]!r}\n'
+        f"[rig.mass]\ndisc = {rig['disc']!r}\nbearing1 = {rig['m'][0]!r}\nbearing2 = {rig['m'][1]!r}\n"
+        f"[rig.shaft_spring]\nstiffness = {rig['ks']!r}\ndamping = {rig['cs']!r}\n"
         f"[band]\nlow = {rig['low']:.1f}\nhigh = {rig['high']:.1f}\n[model]\neffects = {base}\n{channels}"
     )
 

@@ -37,7 +37,7 @@ def test_every_law_that_both_have_is_the_same() -> None:
         p = NUMBERS.get(name, (2.0,))
         assert len(p) == len(PARAMETERS[name].split())
         theirs = np.array([*p, *np.zeros(5 - len(p))])
-        made = [push(LAWS.index(name), theirs, *q, turn, 0.0) for *q, in zip(x, v, xo, t, strict=True)]
+        made = [push(LAWS.index(name), theirs, *q, turn, 0.0) for (*q,) in zip(x, v, xo, t, strict=True)]
         ours = force_array(CATALOGUE[name], np.array(p), x, v, xo, vo, t, turn * t)
         assert np.allclose(made, ours, rtol=1e-9, atol=1e-12), name
 

@@ -1,8 +1,8 @@
 """Golden results: fit, compare, diagnose and improve of twelve records.
 
-    python -m tests.golden.make                # write tests/golden/results/*.json
-    python -m tests.golden.make --check        # compare: verdicts equal, numbers within tests/golden/tolerance
-    python -m tests.golden.make --check --exact   # compare every number bit by bit: same machine, same libraries
+python -m tests.golden.make                # write tests/golden/results/*.json
+python -m tests.golden.make --check        # compare: verdicts equal, numbers within tests/golden/tolerance
+python -m tests.golden.make --check --exact   # compare every number bit by bit: same machine, same libraries
 """
 
 from __future__ import annotations
