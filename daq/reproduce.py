@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from estimator.fit_result import Fit
+from estimator.estimate import Fit
 from estimator.simulate_start import stationarity
 from estimator.stationary import plane_diagnostics
 from estimator.theory import Theory, theory

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import chdtrc
 
-from .arrays import Complexes
+from .arrays import Complexes, Series
 from .missing_force import power_of
 from .placed import Placed, at_home, evaluate
 from .side_by_side import each

@@ -1,4 +1,4 @@
-"""A record of channels band-limited and cut into valid blocks of motion, with the force at each cap that is known."""
+"""A record as the model sees it: sensor effects of the model undone, the band cut, and everything aligned in blocks."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from .arrays import Array, Series
 from .balance import shaft_reaction
 from .bandlimit import below_band
+from .checks import check_moves
 from .disc import disc_of
 from .effects.custom import effect_of
 from .effects.places import at
@@ -15,12 +16,30 @@ from .errors import DataError
 from .filtered import Filtered
 from .known_spectra import OF_FORCE, bins_of, colours, folded_back, shaft_response, sharpened
 from .model import MOTION, Model
-from .motion_blocks import FOLDS, MotionBlocks, runs
+from .motion_blocks import FOLDS, MotionBlocks, part_of, runs
 from .periodic import pushes, series, waves
-from .plausible import check_moves
-from .sensor_response import passed_of_images
+from .sensor_response import passed_of_images, undone
 from .shaft_angle import measured_phase
 from .side_by_side import each
+
+SHORTEST = 2**16  # samples, 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
+LONGEST = 240.0  # s of a record that is kept in memory, about 10 MB each; six stretches of it, spread over the whole
+
+
+def prepare(model: Model, y: Array, rate_hz: float) -> MotionBlocks:
+    """Blocks of a record y (n, channels), SI. Raises DataError as `cut` does."""
+    return part_of(cut(model, undone(model, y, rate_hz), rate_hz), LONGEST)
+
+
+def shortened(data: MotionBlocks, y: Array) -> tuple[str, ...]:
+    """What to tell the user of a record longer than what is kept of it, or so short that little is seen in it."""
+    used, whole = data.seconds, len(y) / data.rate_hz
+    if data.blocks * data.block < SHORTEST:
+        text = "what it does not show may be there all the same; record half a minute or more"
+        return (f"only {used:.2g} s of the record can be judged: {text}",)
+    if whole <= 1.25 * LONGEST or used < 0.9 * LONGEST:
+        return ()
+    return (f"of the record's {whole:.0f} s {used:.0f} are judged, in six stretches spread over it",)
 
 
 def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBlocks:

@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 
 from .arrays import Array
 from .errors import DataError
-from .estimate import Parameter
-from .fit_result import Fit
+from .estimate import Fit, Parameter
 from .model import Model
 from .planes import Cap, Plane, ignored_effects, planes
 from .score_matching import motion_of, place_columns

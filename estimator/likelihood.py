@@ -65,7 +65,7 @@ class Evidence:
 
 
 def evidence_of(bank: Bank, at: Nodes | None = None, folds: NDArray[np.bool_] | None = None) -> Evidence:
-    """The sum of a bank over its time folds (all, or those marked). at : where the Jacobian is evaluated (every bin)."""
+    """The sum of a bank over its time folds (all, or those marked). at : nodes of the Jacobian (every bin)."""
     keep = np.ones(bank.blocks.size, bool) if folds is None else folds
     gram, blocks = bank.grams[keep].sum(axis=0), float(bank.blocks[keep].sum())
     return Evidence(bank.balance, bank.grid, gram, blocks, bank.tangents, nodes(bank.grid) if at is None else at)

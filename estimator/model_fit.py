@@ -14,10 +14,9 @@ from .bandlimit import left_out
 from .calm import as_displacement, calm_of, is_little
 from .effects.strength import search_range
 from .force_level import alike, level_of
-from .model_uses import size, stiffness
 from .motion_blocks import MotionBlocks, part_of, spectrum
 from .noise_level import LEAST_NOISE, noise_of
-from .placed import Placed, evaluate, remembers
+from .placed import Placed, evaluate, remembers, size, stiffness
 from .shaft_law import without_comb
 from .side_by_side import each
 from .slow_motion import with_slow

@@ -24,7 +24,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .arrays import Array, Complexes
-from .linearised import Linearised, passed, together
+from .hidden_states import Linearised, passed, together
 from .mean_response import Mean
 from .motion_blocks import MotionBlocks, coarser
 from .placed import Placed, remembers, tangent_series

@@ -11,7 +11,7 @@ from .arrays import Array
 from .evidence import Entry
 from .features import ready
 from .model import Model
-from .model_uses import on_trial, searched
+from .placed import on_trial, searched
 from .side_by_side import answers
 from .suspect import Suspect
 from .suspects import suspects

@@ -29,7 +29,7 @@ from .model import Model
 from .periodic import known_lines
 from .record import Record, as_record, notches
 from .rolling_fit import WARM_UP_S, RollingFit
-from .shaft_speed import ShaftAngle
+from .shaft_angle import ShaftAngle
 from .solution import judged
 from .watch import CANDIDATES
 

@@ -18,8 +18,7 @@ from .bandlimit import BandLimit, band_limit
 from .effects.custom import effect_of
 from .effects.places import at
 from .errors import DataError
-from .estimate import Estimate, Parameter
-from .fit_result import Fit
+from .estimate import Estimate, Fit, Parameter
 from .model import MOTION, Model
 from .plane_moments import Form, PlaneMoments
 from .planes import density_band, ignored_effects, planes

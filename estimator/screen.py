@@ -16,10 +16,9 @@ from .effects.places import places as canonical_places
 from .effects.strength import search_range
 from .law_gain import DIFFERENT, Assessed, _freed, alone, assess
 from .model import Model
-from .model_uses import FORCES, acting, searched, size, start
 from .path_fit import PathFit
 from .periodic import PERIODIC
-from .placed import Placed
+from .placed import FORCES, Placed, acting, searched, size, start
 from .subproblem import Subproblem, heldout_gain, subproblem
 from .working_point import WorkingPoint
 

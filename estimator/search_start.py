@@ -18,10 +18,9 @@ from . import bends, force_shapes, law_gain
 from .arrays import Array
 from .model import Model, Setting
 from .model_fit import fit_model, glanced
-from .model_uses import placed_of
 from .motion_blocks import MotionBlocks, part_of
 from .path_fit import PathFit
-from .placed import Placed
+from .placed import Placed, placed_of
 from .side_by_side import each
 from .subproblem import Subproblem
 from .working_point import WorkingPoint

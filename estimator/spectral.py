@@ -9,18 +9,18 @@ from .arrays import Array
 from .balance import force_channels
 from .checks import check_record
 from .contour import modes_of
+from .cut_record import prepare
 from .effects.ball_pass import BALL_PASS
 from .effects.custom import effect_of
 from .errors import DataError
-from .fit_result import Fit
+from .estimate import Fit
 from .known_force import is_known
 from .likelihood import evidence_of, responses
 from .likely_path import analyse
 from .lines import describe
 from .model import Model
-from .model_uses import searched
 from .periodic import PERIODIC
-from .preparation import prepare
+from .placed import searched
 from .roll_off import devices, suspected
 from .search_start import fit_record
 from .sensor_response import forced

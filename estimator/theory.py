@@ -20,8 +20,7 @@ import numpy as np
 
 from .arrays import Array
 from .errors import DataError
-from .estimate import Parameter
-from .fit_result import Fit
+from .estimate import Fit, Parameter
 from .hertz_contact import PointContact, load_deflection, raceways
 from .model import BearingGeometry, Model
 

@@ -13,8 +13,7 @@ from .errors import NotFiniteError
 from .evidence import Entry
 from .model import Model
 from .model_fit import FIRST_SECONDS, fit_model
-from .model_uses import acting, on_trial
-from .placed import Placed
+from .placed import Placed, acting, on_trial
 from .ranking import SEARCH_SECONDS
 from .screen import Trial
 from .side_by_side import answers

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from .arrays import Array, Complexes
 from .bandlimit import band_limit
 from .errors import DataError
-from .estimate import Parameter
-from .fit_result import Fit
+from .estimate import Fit, Parameter
 from .model import MOTION, Model
 from .moments import BlockMoments
 from .planes import Plane, density_band, planes

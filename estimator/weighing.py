@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .arrays import Array, Complexes
+from .determinant import times
 from .motion_blocks import FOLDS, MotionBlocks
 from .noise_paths import NoisePaths
 from .ringing import Ringing, ringing
 from .side_by_side import each
-from .tangent_rows import times
 from .terms import Term, term_response
 
 Spectrum = NDArray[np.float32]

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from estimator import screen
 from estimator.amplitude import Extrapolation, extrapolated, upper_part
+from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size
 from estimator.model import CustomLaw, EffectUse, Model, Setting
-from estimator.preparation import prepare
 from estimator.search_start import fit_record
 from estimator.simulate import simulate
 

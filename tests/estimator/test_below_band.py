@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator import preparation
+from estimator import cut_record
 from estimator.bandlimit import BandLimit, band_limit
 from estimator.filtered import Filtered
 from estimator.lines import begin
@@ -51,7 +51,7 @@ def test_laws_see_what_a_displacement_sensor_measures_below_the_band() -> None:
 def test_and_so_it_is_where_a_model_is_compared() -> None:
     x, y = probed()
     model = rig("displacement")
-    data = preparation.prepare(model, y, RATE)
+    data = cut_record.prepare(model, y, RATE)
     rows = np.round(data.t * RATE).astype(int)
     assert data.slow is not None
     now, left = x[rows] - data.seen(0), x[rows] - data.x[0]
@@ -77,4 +77,4 @@ def test_another_sensor_sees_nothing_there(kind: str) -> None:
     record = prepare(rig(kind), y, RATE)
     assert record.motion.slow is None
     assert record.stretch(0, 1000).slow is None
-    assert preparation.prepare(rig(kind), y, RATE).slow is None
+    assert cut_record.prepare(rig(kind), y, RATE).slow is None

@@ -12,13 +12,13 @@ from exact_path import KL, MASS, RATE, RIG, C, S, record
 from numpy.typing import NDArray
 
 from estimator import bends, bent_path, spectral
+from estimator.cut_record import prepare
 from estimator.diagnose import diagnose
 from estimator.effects import CATALOGUE
 from estimator.heldout import heldout_rmse
 from estimator.improve import improve
 from estimator.model import EffectUse, Model
 from estimator.model_fit import fit_model
-from estimator.preparation import prepare
 from estimator.suspects import suspects
 from estimator.transfer import left, linear, plain, response_of
 from estimator.whole import fit_whole

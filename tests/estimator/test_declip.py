@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimator import missing_force
+from estimator.cut_record import prepare
 from estimator.declip import ceilings, restored
 from estimator.diagnose import diagnose, diagnose_point
 from estimator.model import EffectUse
-from estimator.preparation import prepare
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator import law_gain, spectral
+from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.custom import custom_effect
 from estimator.effects.expression import FUNCTIONS, ExpressionError, compile_law
@@ -22,9 +23,7 @@ from estimator.errors import DataError, ModelError
 from estimator.likely_path import analyse
 from estimator.model import CustomLaw, EffectUse, Setting
 from estimator.model_fit import fit_model
-from estimator.model_uses import placed_of
-from estimator.placed import Placed
-from estimator.preparation import prepare
+from estimator.placed import Placed, placed_of
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 

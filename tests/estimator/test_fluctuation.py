@@ -9,15 +9,14 @@ import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing, record, size, strengths, with_effect
 
 from estimator import adequacy, mean_response, missing_force, spectral
+from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.fluctuation import Fluctuation, fluctuations
 from estimator.law_gain import assess
 from estimator.model import EffectUse, Model, Setting
 from estimator.model_fit import fit_model
-from estimator.model_uses import placed_of
 from estimator.motion_blocks import finer
-from estimator.placed import tangent_series
-from estimator.preparation import prepare
+from estimator.placed import placed_of, tangent_series
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 from estimator.working_point import WorkingPoint

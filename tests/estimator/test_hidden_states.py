@@ -9,18 +9,16 @@ import pytest
 from hidden_effects import RATE, one_bearing, record
 
 from estimator import probe
+from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.compiled import memory_array
 from estimator.effects.strength import size, strengths, with_effect
 from estimator.fluctuation import Fluctuation, fluctuations
-from estimator.hidden_states import along
-from estimator.linearised import passed, together
+from estimator.hidden_states import along, passed, together
 from estimator.mean_response import alone, mean_responses
 from estimator.model import EffectUse
 from estimator.model_fit import fit_model
-from estimator.model_uses import placed_of
-from estimator.placed import Placed
-from estimator.preparation import prepare
+from estimator.placed import Placed, placed_of
 from estimator.probe import Probe, probed
 from estimator.simulate import simulate
 from estimator.whole import fit_whole

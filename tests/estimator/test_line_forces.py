@@ -12,10 +12,10 @@ from scipy.signal import lfilter
 
 from daq.rig import load_rig
 from estimator import line_forces
+from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths, with_effect
 from estimator.line_spectrum import spectrum_of, surroundings
-from estimator.preparation import prepare
 from estimator.search_start import fit_record
 from estimator.simulate import simulate
 from estimator.suspects import suspects

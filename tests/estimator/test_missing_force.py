@@ -9,10 +9,10 @@ import pytest
 from hidden_effects import RATE, one_bearing, record
 
 from estimator import missing_force, reference
+from estimator.cut_record import prepare
 from estimator.model import EffectUse, Setting
 from estimator.model_fit import fit_model
-from estimator.model_uses import placed_of
-from estimator.preparation import prepare
+from estimator.placed import placed_of
 from estimator.simulate import simulate
 from estimator.subproblem import Subproblem
 from estimator.whole import fit_whole

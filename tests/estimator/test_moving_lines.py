@@ -13,8 +13,7 @@ from estimator.gram import layout, spectra
 from estimator.model import Channel, Model
 from estimator.moving_lines import MovingLines, left_out, weights
 from estimator.rolling import RollingSpectral
-from estimator.shaft_angle import shaft_angle
-from estimator.shaft_speed import ShaftAngle
+from estimator.shaft_angle import ShaftAngle, shaft_angle
 
 GRID = layout(RATE, (150.0, 8000.0))
 SECONDS, RUN_UP = 14.0, (320.0, 460.0, 0.3)

@@ -10,6 +10,7 @@ from hidden_effects import RATE, SECONDS, one_bearing, record
 from numpy.typing import NDArray
 
 from estimator import evidence, line_forces
+from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
 from estimator.missing_force import survey
@@ -19,7 +20,6 @@ from estimator.motion_blocks import MotionBlocks
 from estimator.numbered import with_found
 from estimator.periodic import known_lines, periodic_of, series
 from estimator.periodic_fit import PIECES, found_beside, refined
-from estimator.preparation import prepare
 from estimator.simulate import simulate
 from estimator.suspects import suspects
 from estimator.whole import fit_whole

@@ -9,6 +9,7 @@ import pytest
 from hidden_effects import RATE, one_bearing, record
 
 from estimator import law_gain, screen
+from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
 from estimator.estimate import Parameter
@@ -16,9 +17,7 @@ from estimator.evidence import entries
 from estimator.missing_force import survey
 from estimator.model import Model
 from estimator.model_fit import fit_model
-from estimator.model_uses import placed_of
-from estimator.placed import Placed
-from estimator.preparation import prepare
+from estimator.placed import Placed, placed_of
 from estimator.terms import Units
 from estimator.working_point import WorkingPoint
 

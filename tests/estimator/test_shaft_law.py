@@ -11,13 +11,13 @@ from hidden_effects import ROOT
 from scipy.integrate import solve_ivp
 
 from daq.rig import load_rig
+from estimator.cut_record import prepare
 from estimator.diagnose import diagnose
 from estimator.disc import Disc, disc_of
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import with_effect
 from estimator.improve import improve
 from estimator.model import Model
-from estimator.preparation import prepare
 from estimator.rotor import shaft_at_caps
 from estimator.screen import best_at
 from estimator.search_start import fit_record

@@ -10,13 +10,13 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import firwin, oaconvolve
 
 from estimator import adequacy, missing_force, spectral
+from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.custom import custom_effect
 from estimator.effects.strength import size, strengths, with_effect
 from estimator.model import CustomLaw, EffectUse, Model, Setting
 from estimator.model_fit import fit_model
-from estimator.model_uses import placed_of
-from estimator.preparation import prepare
+from estimator.placed import placed_of
 from estimator.rolling import RollingSpectral
 from estimator.simulate import simulate
 from estimator.slow_motion import lopsided, own_sizes, usual, with_slow

@@ -9,8 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from estimator.errors import DataError
-from estimator.estimate import Parameter
-from estimator.fit_result import Fit
+from estimator.estimate import Fit, Parameter
 from estimator.hertz_contact import STEEL, delta_star, ellipse_ratio, load_deflection, point_contact, raceways
 from estimator.model import BearingGeometry, Channel, EffectUse, Model, Setting
 from estimator.theory import curve, kinematics, radial_force, taylor, theory

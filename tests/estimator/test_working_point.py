@@ -9,11 +9,11 @@ import pytest
 from hidden_effects import RATE, one_bearing
 
 from estimator import bandlimit, model_fit, noise_level, working_point
+from estimator.cut_record import prepare
 from estimator.fitted import parameters
 from estimator.model import EffectUse, Setting
-from estimator.model_uses import placed_of
 from estimator.noise_level import _least
-from estimator.preparation import prepare
+from estimator.placed import placed_of
 from estimator.simulate import simulate
 
 
