@@ -13,7 +13,7 @@ from importlib.metadata import version
 from typing import Any
 
 from drivers.reading import Driver, Gap, LinkStats, Notice
-from estimator.estimate import Estimate
+from estimator.results import Estimate
 
 from .clock import Clock, SystemClock
 from .estimation import block_rows

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from estimator.effects import CATALOGUE, MORE_LINES
-from estimator.estimate import Fit, Parameter, shared
+from estimator.results import Fit, Parameter, shared
 
 if TYPE_CHECKING:
     from estimator.improve import Ladder

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from rich.rule import Rule
 
 from drivers.reading import Reading
-from estimator.estimate import Estimate, Parameter
+from estimator.results import Estimate, Parameter
 
 from .edit import with_effect, with_values
 from .errors import CheckFailed, ConfigError

@@ -13,7 +13,7 @@ from tomlkit.items import Float, InlineTable, Trivia
 
 from estimator.effects import CATALOGUE, MORE_LINES, NAMED
 from estimator.effects.places import places
-from estimator.estimate import Parameter
+from estimator.results import Parameter
 
 from .errors import ConfigError
 from .output import Output, write_whole

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.estimate import Estimate, OnlineEstimator
+from estimator.results import Estimate, OnlineEstimator
 
 BUSY_BLOCKS = 250  # of 40 ms: ten seconds
 BUSY_BYTES = 32 << 20

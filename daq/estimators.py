@@ -7,8 +7,8 @@ from importlib import import_module
 
 import numpy as np
 
-from estimator.estimate import OnlineEstimator
 from estimator.model import Model
+from estimator.results import OnlineEstimator
 
 METHODS = {
     "spectral": ("estimator.rolling", "RollingSpectral"),

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.effects.strength import size, strengths, with_effect
-from estimator.estimate import Parameter
 from estimator.model import Model, Setting
+from estimator.results import Parameter
 from estimator.simulate import simulate
 
 RATE_HZ = 25600.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from drivers.reading import Block, Gap, Reading
-from estimator.estimate import Estimate
+from estimator.results import Estimate
 
 from .sink import Session, Status
 

@@ -9,7 +9,7 @@ from rich.live import Live
 from rich.text import Text
 
 from drivers.reading import Notice, Reading
-from estimator.estimate import MISSING, certain
+from estimator.results import MISSING, certain
 
 from .live_state import LiveState
 from .sink import Session

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.reading import Block, Gap, Info, LinkStats, Notice, Signal
-from estimator.estimate import Estimate, Parameter
+from estimator.results import Estimate, Parameter
 
 from .log_schema import message
 from .sink import ClockState, Status

@@ -8,7 +8,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from drivers.reading import Block, Gap, Info, Notice, Reading
-from estimator.estimate import Estimate
+from estimator.results import Estimate
 
 from . import log_codec as codec
 from .envelope import Envelope, Extremes

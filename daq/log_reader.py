@@ -11,7 +11,7 @@ from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from drivers.reading import Gap, Info, Notice, Reading
-from estimator.estimate import Estimate
+from estimator.results import Estimate
 
 from . import log_codec as codec
 from .errors import LogError

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from drivers.reading import Block, Gap, Notice, Reading
-from estimator.estimate import Estimate
+from estimator.results import Estimate
 
 from .clock import Clock, SystemClock
 from .errors import LogError

@@ -17,7 +17,7 @@ from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamil
 from prometheus_client.registry import Collector
 
 from drivers.reading import Block, Gap, LinkStats, Notice, Reading
-from estimator.estimate import Estimate
+from estimator.results import Estimate
 
 from .errors import ConfigError
 from .metrics_http import serve

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.reading import Block, Gap, Info, Notice, Reading
-from estimator.estimate import MISSING, Estimate, certain
+from estimator.results import MISSING, Estimate, certain
 
 from .errors import RotorscopeError
 from .rig import Rig

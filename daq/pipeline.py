@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.reading import Block, Gap, Info, LinkStats, Notice, Reading
-from estimator.estimate import Estimate
 from estimator.model import Model
+from estimator.results import Estimate
 
 from .clock import Clock, DeviceClock
 from .errors import ConfigError, LogError

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from drivers.reading import Block, Gap, LinkStats, Notice, Reading
-from estimator.estimate import Estimate
+from estimator.results import Estimate
 
 from . import log_codec as codec
 from .acquire import Notify, RunSummary, acquire

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from estimator.estimate import Fit
+from estimator.results import Fit
 from estimator.simulate_start import stationarity
 from estimator.stationary import plane_diagnostics
 from estimator.theory import Theory, theory
@@ -36,7 +36,7 @@ from .reproduce_cases import (
 
 def section6(rows: list[Row], case: str) -> Theory:
     """Hertz theory of the bearing beside the stiffness that eq. (36) gave (masses given, response form)."""
-    from estimator.estimate import Parameter
+    from estimator.results import Parameter
 
     found: dict[str, Parameter] = {}
     for row in rows:

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from drivers.reading import Block, Notice, Reading
-from estimator.estimate import Estimate
+from estimator.results import Estimate
 
 from .rerun_process import VIEWER_PORT, ViewerGone, ViewerProcess, answers, start_viewer, viewer_target
 from .rerun_view import ViewSession

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.reading import Block, Gap, Info, Notice, Reading, Signal
-from estimator.estimate import MISSING, Estimate, certain
+from estimator.results import MISSING, Estimate, certain
 
 from .report_numbers import unit_text
 from .rerun_layout import BAD, DEVICE_TIME, GOOD, HOST_TIME, IDLE, colour, layout, part

@@ -17,8 +17,8 @@ from drivers.reading import LinkStats, Reading
 from drivers.simulated import DeviceConfig, SimulatedDevice
 from estimator.effect import Effect
 from estimator.effects import NAMED
-from estimator.estimate import Parameter
 from estimator.model import UNITS, EffectUse, Model, Setting
+from estimator.results import Parameter
 
 from .clock import Clock, SystemClock
 from .errors import ConfigError

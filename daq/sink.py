@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 from drivers.reading import Info, LinkStats, Notice, Reading
-from estimator.estimate import Estimate
 from estimator.model import Model
+from estimator.results import Estimate
 
 
 @dataclass(frozen=True, slots=True)

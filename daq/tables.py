@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.reading import Gap
-from estimator.estimate import Parameter
+from estimator.results import Parameter
 
 
 def parameters_table(parameters: Mapping[str, Parameter], truth: Mapping[str, float] | None = None) -> Table:

@@ -13,8 +13,8 @@ from scipy.special import chdtrc
 
 from .arrays import Complexes, Series
 from .missing_force import power_of
+from .parallel import each
 from .placed import Placed, at_home, evaluate
-from .side_by_side import each
 from .subproblem import gain, subproblem
 from .terms import Term, light, orthogonal
 from .working_point import WorkingPoint

@@ -22,9 +22,9 @@ from scipy.special import chdtri
 from .adequacy import STATES
 from .arrays import Array
 from .determinant import Jacobian
+from .parallel import answers
 from .path_fit import Gram, PathFit, fit, log_likelihood
 from .placed import Placed
-from .side_by_side import answers
 from .subproblem import component
 from .terms import Term, dressed, linear_terms, term_response, terms
 from .working_point import WorkingPoint, thinned

@@ -12,12 +12,12 @@ from . import pedestal_form
 from .arrays import Array, Complexes
 from .effects import CATALOGUE
 from .effects.places import at, written
-from .estimate import Parameter
 from .folded_force import images, of_late_sensor
 from .force_shapes import resonance_hz
 from .model import Model
 from .path_spectra import Response
 from .periodic import known_lines
+from .results import Parameter
 from .sensor_response import LINEAR, forced, response
 from .transfer import Peak, highest, linear, noises, plain, response_of
 from .working_point import WorkingPoint

@@ -21,10 +21,10 @@ from .folded_force import of_late_sensor
 from .missing_force import NEGLIGIBLE
 from .model import Model
 from .noise_floor import noisy_beside_forces
+from .parallel import answers
 from .path_spectra import Response
 from .periodic import known_lines
 from .sensor_response import forced
-from .side_by_side import answers
 from .suspect import UNKNOWN, Suspect
 from .transfer import Peak, exp, expected, left, plain, response_of
 from .working_point import WorkingPoint

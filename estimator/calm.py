@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from .arrays import Array
 from .bandlimit import noise_shape
 from .linear_memory import filtered
-from .side_by_side import each
+from .parallel import each
 
 LITTLE = 5e-4  # of the displacement, in power: noise under it bends no law by more than twice as much
 WIDTH = 7  # bins over which the spectrum of the motion is smooth

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .arrays import Array
 from .calm import as_displacement, is_little
-from .side_by_side import each
+from .parallel import each
 from .working_point import WorkingPoint
 
 SETTLED = 1e-3  # of the displacement, in power of what laws see beside it, that moves no number

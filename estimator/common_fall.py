@@ -15,9 +15,9 @@ from .arrays import Array
 from .filter_search import Seen, Standing, likeliest, mean_or_none
 from .force_cells import Cells, cells_of
 from .model import Model
+from .parallel import answers
 from .roll_off import POWERS, Filter, RollOff, devices, images
 from .sensor_response import SHAPES, shape
-from .side_by_side import answers
 from .working_point import WorkingPoint
 
 Plain = tuple[float, Array, Array]  # likelihood, numbers and their scales: force_shapes.plain

@@ -9,12 +9,12 @@ from typing import Any
 from . import missing_force, sensor_faults
 from .arrays import Array
 from .curves import Law, curves
-from .estimate import Parameter
 from .fitted import fitted_model
 from .heldout import heldout_nll, heldout_rmse, reference_nll
 from .model import Model
+from .parallel import answers
+from .results import Parameter
 from .shape import Shape
-from .side_by_side import answers
 from .suspects import suspects
 from .twin import twin
 from .where import Where, where_of

@@ -18,11 +18,11 @@ from .arrays import Array, Complexes
 from .balance import shaft_notch
 from .effects import CATALOGUE
 from .effects.places import at, written
-from .estimate import Parameter
 from .model import EffectUse, Model, Setting
+from .parallel import each
+from .results import Parameter
 from .rotor import between_caps, shaft_matrix
 from .sensor_response import BLIND, LINEAR
-from .side_by_side import each
 from .subproblem import Subproblem, subproblem
 from .suspect import Suspect
 from .terms import Term

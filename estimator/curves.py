@@ -17,9 +17,9 @@ from . import reference
 from .arrays import Array
 from .missing_force import Residual, Survey, ridged
 from .motion_blocks import part_of
+from .parallel import each
 from .path_fit import PathFit
 from .shape import Shape
-from .side_by_side import each
 from .working_point import WorkingPoint
 
 SECONDS = 5.0  # of the record that conditional means are taken over

@@ -17,10 +17,10 @@ from .filtered import Filtered
 from .known_spectra import OF_FORCE, bins_of, colours, folded_back, shaft_response, sharpened
 from .model import MOTION, Model
 from .motion_blocks import FOLDS, MotionBlocks, part_of, runs
+from .parallel import each
 from .periodic import pushes, series, waves
 from .sensor_response import passed_of_images, undone
 from .shaft_angle import measured_phase
-from .side_by_side import each
 
 SHORTEST = 2**16  # samples, 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
 LONGEST = 240.0  # s of a record that is kept in memory, about 10 MB each; six stretches of it, spread over the whole

@@ -13,11 +13,11 @@ from . import modulation
 from .effects import CATALOGUE, NAMED
 from .effects.ball_pass import BALL_PASS
 from .effects.places import at
-from .estimate import Parameter
 from .missing_force import Survey
 from .model import Model
 from .periodic import LINE_NAMES
 from .placed import Placed
+from .results import Parameter
 from .screen import Trial
 from .suspect import CLAIMED, UNKNOWN, Suspect
 from .working_point import WorkingPoint

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .arrays import Array, Complexes
 from .bandlimit import BandLimit, Motion
-from .side_by_side import each
+from .parallel import each
 
 LARGE = 3e8  # bytes of motion above which it is computed where it is asked for, every time
 

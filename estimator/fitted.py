@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from .estimate import Parameter
 from .model import EffectUse, Model, Setting
 from .placed import Placed
+from .results import Parameter
 from .working_point import WorkingPoint
 
 UNSEEN = "the motion of this record does not reach this law"

@@ -15,10 +15,10 @@ from .arrays import Array, Complexes
 from .hidden_states import FINER
 from .mean_response import Mean
 from .motion_blocks import MotionBlocks, coarser, finer, part_of
+from .parallel import each
 from .placed import Placed, remembers, sharp_at, tangent_series
 from .probe import LEAST, SHARE, Probe, probed
 from .self_energy import DECAYS, SECONDS, Spectra, covariance, dressed_response, self_energy, spectra
-from .side_by_side import each
 
 PER_CYCLE = 40.0  # samples of a cycle: covariances with a jump fall within few, and the error with their square
 

@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 from .arrays import Array
 from .errors import DataError
-from .estimate import Fit, Parameter
 from .model import Model
 from .planes import Cap, Plane, ignored_effects, planes
+from .results import Fit, Parameter
 from .score_matching import motion_of, place_columns
 from .stationary import messages, softening_message
 from .synchronous import synchronous_message

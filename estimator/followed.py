@@ -14,10 +14,10 @@ from .disc import disc_of
 from .effect import Effect
 from .effects.custom import effect_of
 from .effects.places import at, kinematic, written
-from .estimate import Parameter
 from .known_spectra import COLOURS
 from .model import DIRECTIONS, EffectUse, Model, Setting
 from .periodic import PERIODIC
+from .results import Parameter
 from .sensor_response import BLIND
 
 FIT = "rotorscope fit has its numbers"

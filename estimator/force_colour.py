@@ -15,7 +15,6 @@ from scipy.special import chdtrc
 from . import pedestal_form
 from .arrays import Array
 from .effects import CATALOGUE
-from .estimate import Parameter
 from .force_cells import Cells, cells_of, finite_exp, mean_power
 from .force_shapes import base_model, causes, peakless, plain, with_shape
 from .known_spectra import OF_FORCE, colours
@@ -23,6 +22,7 @@ from .model import Model
 from .model_fit import fit_model
 from .noise_floor import noisy
 from .noise_paths import together
+from .results import Parameter
 from .suspect import UNKNOWN, Suspect
 from .working_point import WorkingPoint
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from . import pedestal_form
 from .arrays import Array
-from .estimate import Parameter
 from .force_cells import Cells, cells_of, finite_exp
 from .noise_level import LEAST_NOISE
+from .results import Parameter
 from .working_point import WorkingPoint
 
 DARKEST = 0.985  # of S, that the gain of a colour may take away at low frequencies

@@ -10,7 +10,6 @@ from . import common_fall, recorder_phase
 from .arrays import Array
 from .diagnose import Diagnosis, diagnose_point
 from .errors import DataError
-from .estimate import Parameter
 from .evidence import Settings
 from .explains import EARNED
 from .fitted import fitted_model, untold
@@ -20,6 +19,7 @@ from .model import Model
 from .model_fit import fit_model
 from .numbered import with_found
 from .periodic import PERIODIC
+from .results import Parameter
 from .suspects import suspects
 from .whole import SHAPING, Whole, fit_whole
 from .working_point import WorkingPoint, thinned

@@ -25,8 +25,8 @@ from .likelihood import responses
 from .lines import begin, swept
 from .maximum import SETTLED
 from .model import Model
+from .parallel import each
 from .record import Record, prepare
-from .side_by_side import each
 from .solution import Solution, solve
 from .start import Start
 

@@ -22,11 +22,11 @@ from . import strikes, unexplained
 from .arrays import Array, Complexes
 from .balance import shaft_notch
 from .bandlimit import noise_shape
-from .estimate import Parameter
 from .line_spectrum import Spectrum, by_angle, residual_spectrum, spectrum_of
 from .missing_force import NEGLIGIBLE
 from .model import Model
 from .periodic import known_lines, to_cap
+from .results import Parameter
 from .sensor_response import undone
 from .suspect import Suspect
 from .working_point import WorkingPoint, tangent_at

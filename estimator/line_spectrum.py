@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from .arrays import Array, Complexes
 from .bandlimit import to_acceleration
 from .model import MOTION, Model
+from .parallel import each
 from .shaft_angle import measured_phase
-from .side_by_side import each
 
 NEIGHBOURS, THIN = 240, 4  # bins either side for the local noise, of which every fourth is looked at
 FEWEST = 30  # the same near 0, where all are

@@ -20,8 +20,8 @@ from .features import MARGIN
 from .gram import CELLS, layout, spectra, valid_blocks
 from .maximum import initial
 from .moving_lines import MovingLines
+from .parallel import each
 from .record import CELLS_WITH_FORCE, Record, notches, stretches
-from .side_by_side import each
 from .start import Start, calmed, fed, linear_start
 
 FALSE_ALARM = 1e-5  # of a record

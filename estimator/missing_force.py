@@ -26,8 +26,8 @@ from . import reference
 from .arrays import Array
 from .effects.places import kinematic
 from .model import Model
+from .parallel import answers
 from .path_fit import PathFit
-from .side_by_side import answers
 from .subproblem import Subproblem
 from .suspect import SHAPES, Share, Suspect, shares
 from .working_point import WorkingPoint, thinned

@@ -16,9 +16,9 @@ from .effects.strength import search_range
 from .force_level import alike, level_of
 from .motion_blocks import MotionBlocks, part_of, spectrum
 from .noise_level import LEAST_NOISE, noise_of
+from .parallel import each
 from .placed import Placed, evaluate, remembers, size, stiffness
 from .shaft_law import without_comb
-from .side_by_side import each
 from .slow_motion import with_slow
 from .transfer import response_of
 from .working_point import WorkingPoint, point_at

@@ -19,7 +19,7 @@ from .effects.places import at, kinematic, written
 from .line_forces import LEVEL, SURE
 from .line_spectrum import surroundings
 from .model import EffectUse, Model, Setting
-from .side_by_side import each
+from .parallel import each
 from .working_point import WorkingPoint
 
 LOW, HIGH = 0.3, 30.0  # orders looked at

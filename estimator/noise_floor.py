@@ -9,9 +9,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from .arrays import Array
-from .estimate import Parameter
 from .model import MOTION, Model
 from .path_spectra import Response
+from .results import Parameter
 from .sensor_response import SHAPES, shape
 from .suspect import Suspect
 from .transfer import Peak, exp, expected, highest, linear

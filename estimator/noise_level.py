@@ -6,7 +6,7 @@ import numpy as np
 
 from .arrays import Array
 from .noise_paths import beyond, heard_of_all
-from .side_by_side import each
+from .parallel import each
 from .working_point import WorkingPoint
 
 LEAST_NOISE = 1e-4  # of a sensor, over the force noise, that is looked for

@@ -11,8 +11,8 @@ from . import noise_floor, periodic
 from .effect import EffectParameter
 from .effects import NAMED
 from .effects.places import at, written
-from .estimate import Parameter
 from .model import EffectUse, Model, Setting
+from .results import Parameter
 from .sensor_response import BLIND, LINEAR, forced
 from .suspect import Suspect, as_use
 from .working_point import WorkingPoint

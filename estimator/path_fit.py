@@ -21,7 +21,7 @@ from scipy.linalg import block_diag
 from .arrays import Array, Complexes
 from .determinant import Jacobian
 from .motion_blocks import FOLDS
-from .side_by_side import each
+from .parallel import each
 from .terms import response
 from .weighing import Columns, Spectrum, Weighing
 

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from .arrays import Array, Complexes, Series
 from .effects.places import written
-from .estimate import Parameter
 from .model import Model, Setting
 from .model_fit import fit_model
 from .motion_blocks import MotionBlocks
@@ -34,6 +33,7 @@ from .periodic import (
     swung,
     waves,
 )
+from .results import Parameter
 from .suspect import as_use
 from .working_point import WorkingPoint, tangent_at
 

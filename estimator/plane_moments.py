@@ -23,9 +23,9 @@ import numpy as np
 
 from .arrays import Array, Complexes
 from .band_edge import BandEdge
-from .estimate import Parameter
 from .moments import BlockMoments, propagate
 from .planes import Cap, Plane
+from .results import Parameter
 
 Form = Literal["velocity", "density"]
 

@@ -17,8 +17,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from .estimate import Parameter
 from .model import DIRECTIONS, Model
+from .results import Parameter
 
 SHAFT_LIMIT = 0.25  # relative sd above which the shaft does not give a mass
 POWERS = {"quadratic": (2, "kq"), "cubic": (3, "kNL"), "quintic": (5, "k5")}

@@ -11,8 +11,8 @@ from .arrays import Array
 from .evidence import Entry
 from .features import ready
 from .model import Model
+from .parallel import answers
 from .placed import on_trial, searched
-from .side_by_side import answers
 from .suspect import Suspect
 from .suspects import suspects
 from .working_point import WorkingPoint, plain, thinned

@@ -18,7 +18,7 @@ from .features import MARGIN
 from .filtered import Filtered
 from .gram import CELLS, Layout, gram, layout, spectra, valid_blocks
 from .model import Model
-from .side_by_side import each
+from .parallel import each
 
 BLOCKS_PER_FOLD = 3
 CELLS_WITH_FORCE = 300  # what is left is sensor noise seen through A, which varies within a resonance

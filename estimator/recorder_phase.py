@@ -19,9 +19,9 @@ from . import missing_force
 from .arrays import Array
 from .linear_memory import filtered
 from .model import Model
+from .parallel import each
 from .placed import evaluate
 from .roll_off import LATE, POWERS, Filter, RollOff
-from .side_by_side import each
 from .subproblem import subproblem
 from .terms import Term, orthogonal
 from .working_point import WorkingPoint, thinned

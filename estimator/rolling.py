@@ -21,13 +21,13 @@ from .arrays import Array
 from .balance import force_channels, motion_channels, shaft_reaction
 from .bandlimit import BandLimit, Motion
 from .errors import DataError
-from .estimate import Estimate
 from .followed import followed
 from .gram import Layout, layout
 from .lines import begin
 from .model import Model
 from .periodic import known_lines
 from .record import Record, as_record, notches
+from .results import Estimate
 from .rolling_fit import WARM_UP_S, RollingFit
 from .shaft_angle import ShaftAngle
 from .solution import judged

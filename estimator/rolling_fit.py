@@ -13,7 +13,6 @@ from .balance import Balance, build, restrict
 from .block_spectra import BlockSpectra
 from .columns import Columns
 from .dressing import dressed, self_energies
-from .estimate import Parameter
 from .features import MARGIN
 from .gram import valid_blocks
 from .jacobian import levels
@@ -24,6 +23,7 @@ from .maximum import Maximum, initial, inverse, maximum, without_noise
 from .model import Model
 from .moving_lines import MovingLines
 from .record import Record, gather
+from .results import Parameter
 from .rolling_fall import Fall
 from .rolling_level import Level, Moves
 from .rolling_memory import FlutterSums, Memory

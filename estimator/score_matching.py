@@ -18,10 +18,10 @@ from .bandlimit import BandLimit, band_limit
 from .effects.custom import effect_of
 from .effects.places import at
 from .errors import DataError
-from .estimate import Estimate, Fit, Parameter
 from .model import MOTION, Model
 from .plane_moments import Form, PlaneMoments
 from .planes import density_band, ignored_effects, planes
+from .results import Estimate, Fit, Parameter
 from .stationary import check_resonance, messages, softening_message
 from .synchronous import lines, synchronous_message, synchronous_orders
 
@@ -41,7 +41,7 @@ def motion_columns(model: Model) -> tuple[int, ...]:
 
 
 class RollingScoreMatching:
-    """Rolling linear and cubic stiffness per bearing and direction (the OnlineEstimator of estimate.py).
+    """Rolling linear and cubic stiffness per bearing and direction (the OnlineEstimator of results.py).
 
     Exponential forgetting with `time_constant_s`. Internally the motion is cut into blocks of a hundredth of the time
     constant at fixed absolute positions, so the numbers depend neither on how the rows arrived nor on the machine's

@@ -19,9 +19,9 @@ from .arrays import Array
 from .model import Model, Setting
 from .model_fit import fit_model, glanced
 from .motion_blocks import MotionBlocks, part_of
+from .parallel import each
 from .path_fit import PathFit
 from .placed import Placed, placed_of
-from .side_by_side import each
 from .subproblem import Subproblem
 from .working_point import WorkingPoint
 

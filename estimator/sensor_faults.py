@@ -6,8 +6,8 @@ import numpy as np
 from scipy.special import betainc
 
 from .arrays import Array
-from .estimate import Parameter
 from .model import Model
+from .results import Parameter
 from .suspect import Suspect
 
 FAR = 0.3  # of the extremes: less far in are a few samples of any vibration

@@ -15,8 +15,8 @@ import numpy as np
 from .arrays import Array, Complexes
 from .bandlimit import to_acceleration
 from .model import MOTION, EffectUse, Model
+from .parallel import each
 from .roll_off import Filter, images
-from .side_by_side import each
 
 BLIND = ("sensor_gain", "sensor_skew")  # caps that are not coupled say nothing of them: diagnosis.md
 LINEAR = (*BLIND, "sensor_resonance")  # faults that are a response

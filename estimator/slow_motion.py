@@ -26,8 +26,8 @@ from .effects.compiled import memory_array
 from .effects.law_loop import force_array
 from .mean_response import yields
 from .motion_blocks import MotionBlocks
+from .parallel import each
 from .placed import Placed, evaluate, remembers
-from .side_by_side import each
 
 EVEN = 1e-3  # of a law's size: less of it is even in x by rounding alone
 STEPS = 40  # points from which that is seen

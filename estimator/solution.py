@@ -9,13 +9,13 @@ import numpy as np
 
 from .arrays import Array
 from .balance import Balance
-from .estimate import Parameter, untold_at
 from .fold_tangents import excess
 from .gram import spectra, taper, valid_blocks
 from .likelihood import Likelihood, Local, Point, active
 from .maximum import inverse, maximum
 from .model import UNITS, Model
 from .record import Bank, Record, stretches
+from .results import Parameter, untold_at
 from .start import Start
 
 SCALELESS = "the data leave it free: nothing in the model sets its scale"

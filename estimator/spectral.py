@@ -13,7 +13,6 @@ from .cut_record import prepare
 from .effects.ball_pass import BALL_PASS
 from .effects.custom import effect_of
 from .errors import DataError
-from .estimate import Fit
 from .known_force import is_known
 from .likelihood import evidence_of, responses
 from .likely_path import analyse
@@ -21,6 +20,7 @@ from .lines import describe
 from .model import Model
 from .periodic import PERIODIC
 from .placed import searched
+from .results import Fit
 from .roll_off import devices, suspected
 from .search_start import fit_record
 from .sensor_response import forced

@@ -15,9 +15,9 @@ import numpy as np
 
 from .arrays import Array, Complexes
 from .errors import DataError
-from .estimate import Parameter
 from .moments import BlockMoments, propagate
 from .planes import Cap, Plane
+from .results import Parameter
 
 BLOCKS = 64
 

@@ -18,9 +18,9 @@ from . import unexplained
 from .arrays import Array
 from .effects import CATALOGUE
 from .effects.places import kinematic, orders
-from .estimate import Parameter
 from .line_spectrum import Spectrum
 from .model import Model
+from .results import Parameter
 from .suspect import Suspect
 from .working_point import WorkingPoint, tangent_at
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from .estimate import Parameter
 from .model import EffectUse, Setting
+from .results import Parameter
 
 
 @dataclass(frozen=True, slots=True)

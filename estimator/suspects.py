@@ -7,8 +7,8 @@ from dataclasses import replace
 from . import bent_path, coupled_caps, force_colour, line_forces, periodic, sensor_faults
 from .arrays import Array
 from .model import EffectUse, Model
+from .parallel import each
 from .placed import clipped as clipped_by
-from .side_by_side import each
 from .suspect import Suspect, as_use
 from .weighing import Spectrum
 from .working_point import WorkingPoint

@@ -14,9 +14,9 @@ from . import linear_memory, shaft_law
 from .arrays import Array, Complexes
 from .fluctuation import Fluctuation
 from .motion_blocks import FOLDS, MotionBlocks
+from .parallel import each
 from .placed import Evaluated, Placed, at_home, evaluate, tangent_series
 from .probe import Probe
-from .side_by_side import each
 
 T = TypeVar("T")
 SPAN = 0.1  # of a searched parameter of a law with memory: over less its mean response is that of few kinks

@@ -20,9 +20,9 @@ import numpy as np
 
 from .arrays import Array
 from .errors import DataError
-from .estimate import Fit, Parameter
 from .hertz_contact import PointContact, load_deflection, raceways
 from .model import BearingGeometry, Model
+from .results import Fit, Parameter
 
 PRELOADS = (0.2e-6, 0.3e-6, 0.4e-6, 0.5e-6, 0.6e-6)  # m
 

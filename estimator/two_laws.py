@@ -13,10 +13,10 @@ from .errors import NotFiniteError
 from .evidence import Entry
 from .model import Model
 from .model_fit import FIRST_SECONDS, fit_model
+from .parallel import answers
 from .placed import Placed, acting, on_trial
 from .ranking import SEARCH_SECONDS
 from .screen import Trial
-from .side_by_side import answers
 from .working_point import WorkingPoint, plain, thinned
 
 Trials = dict[str, list[Trial]]

@@ -14,10 +14,10 @@ import numpy as np
 from .arrays import Array
 from .effects.custom import effect_of
 from .errors import DataError
-from .estimate import Parameter, belongs
 from .likely_path import analyse
 from .model import Model
 from .periodic import PERIODIC
+from .results import Parameter, belongs
 from .rotor import shaft_matrix
 from .sensor_response import forced, undone
 from .solution import ratios_only, report

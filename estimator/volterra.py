@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from .arrays import Array, Complexes
 from .bandlimit import band_limit
 from .errors import DataError
-from .estimate import Fit, Parameter
 from .model import MOTION, Model
 from .moments import BlockMoments
 from .planes import Plane, density_band, planes
+from .results import Fit, Parameter
 
 FIT_BLOCKS = 64
 FEWEST_ROWS = 8192

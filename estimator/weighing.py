@@ -12,8 +12,8 @@ from .arrays import Array, Complexes
 from .determinant import times
 from .motion_blocks import FOLDS, MotionBlocks
 from .noise_paths import NoisePaths
+from .parallel import each
 from .ringing import Ringing, ringing
-from .side_by_side import each
 from .terms import Term, term_response
 
 Spectrum = NDArray[np.float32]

@@ -32,7 +32,6 @@ from . import (
 from .arrays import Array
 from .cut_record import prepare, shortened
 from .declip import LOST, RESTORED, SPOILED, restored
-from .estimate import Fit, Parameter, untold_at
 from .fitted import parameters
 from .known_spectra import COLOURS, OF_FORCE
 from .known_spectra import colours as colours_of
@@ -40,6 +39,7 @@ from .model import EffectUse, Model, Setting
 from .motion_blocks import MotionBlocks
 from .numbered import further_lines, moved, told_by_force, undone_as_given, with_numbers, with_uses
 from .placed import clipped
+from .results import Fit, Parameter, untold_at
 from .search_start import fit_record
 from .sensor_response import BLIND, LINEAR
 from .shaft_angle import timed

@@ -17,11 +17,11 @@ from .mean_response import Mean, mean_responses
 from .model import Model
 from .motion_blocks import FOLDS, MotionBlocks, part_of
 from .noise_paths import noise_paths, together
+from .parallel import each
 from .path_fit import Gram, PathFit, fit, gram
 from .periodic import Wave
 from .placed import Placed, evaluate, remembers
 from .probe import Probe
-from .side_by_side import each
 from .terms import Spans, Term, Units, add_to, dressed, light, linear_terms, reach, terms
 from .weighing import Columns, Spectrum, Weighing
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from daq.log_writer import LogWriter
 from daq.sink import ClockState, Session, Sink, Status
 from drivers.reading import Block, Gap, Info, LinkStats, Notice, Reading, Signal
-from estimator.estimate import Estimate, Parameter
 from estimator.model import Channel, Model
+from estimator.results import Estimate, Parameter
 
 RATE_HZ = 25600.0
 CHANNELS = tuple(Channel(f"b{n}{d}", f"bearing{n}", d) for n in (1, 2) for d in "xy")

@@ -34,7 +34,7 @@ from daq.rerun_sink import RerunSink
 from daq.sink import Session, Sink, Status
 from drivers.links import make_driver, parse_link
 from drivers.reading import Block, Driver, Reading
-from estimator.estimate import Estimate
+from estimator.results import Estimate
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(900)]
 HERE = Path(__file__).parent

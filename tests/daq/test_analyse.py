@@ -13,7 +13,7 @@ from daq.edit import with_effect, with_values
 from daq.measurement import Measurement
 from daq.rig import Rig, load_rig
 from estimator.diagnose import OTHERWISE
-from estimator.estimate import Parameter
+from estimator.results import Parameter
 from estimator.simulate import simulate
 
 PAPER = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"

@@ -12,7 +12,7 @@ from daq.edit import with_effect, with_values, without_effect
 from daq.errors import ConfigError
 from daq.rig import Rig, load_rig
 from estimator.effects import CATALOGUE
-from estimator.estimate import Parameter
+from estimator.results import Parameter
 
 PAPER = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 COMMENT = re.compile(r"#.*")

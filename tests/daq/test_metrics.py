@@ -21,8 +21,8 @@ from daq.metrics import MetricsServer, MetricsSink
 from daq.metrics_http import MOST
 from daq.sink import ClockState, Session, Status
 from drivers.reading import Block, Gap, Info, LinkStats, Notice, Signal
-from estimator.estimate import Estimate, Parameter
 from estimator.model import Channel, Model
+from estimator.results import Estimate, Parameter
 
 
 def session(device: str = "") -> Session:

@@ -21,7 +21,7 @@ from daq.replay import replay
 from daq.rig import Rig, load_rig
 from daq.sink import Session
 from drivers.reading import Block, Gap, Info, Notice, Signal
-from estimator.estimate import Estimate, Parameter, certain
+from estimator.results import Estimate, Parameter, certain
 
 RATE = 1000.0
 RIG = Rig.parse(Path(__file__).parents[2].joinpath("daq", "demo_rig.toml").read_text("utf-8"))

@@ -20,8 +20,8 @@ from daq.errors import ConfigError
 from daq.rerun_sink import RerunSink
 from daq.sink import ClockState, Session, Status
 from drivers.reading import Block, Gap, Info, LinkStats, Notice, Signal
-from estimator.estimate import Estimate, Parameter
 from estimator.model import Channel, Model
+from estimator.results import Estimate, Parameter
 
 RATE = 25600.0
 NAMES = ("b1x", "b1y", "b2x", "b2y")

@@ -12,7 +12,7 @@ from recordings import entities
 from daq.rerun_view import RerunView, ViewSession
 from daq.sink import Status
 from drivers.reading import Block, Gap, Info, LinkStats, Notice, Signal
-from estimator.estimate import Estimate, Parameter
+from estimator.results import Estimate, Parameter
 
 UNITS = ("m/s^2", "m/s", "rad/s", "A")
 

@@ -17,7 +17,7 @@ from daq.log_reader import read_log
 from daq.log_writer import LogWriter
 from daq.sink import Session, Status
 from drivers.reading import Block, Reading
-from estimator.estimate import Estimate
+from estimator.results import Estimate
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600)]
 RIG = paper_rig()

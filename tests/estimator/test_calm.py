@@ -10,13 +10,13 @@ from reference_rig import RATE as RIG_RATE
 from reference_samples import langevin
 
 from estimator.cut_record import cut
-from estimator.estimate import Parameter
 from estimator.features import MARGIN
 from estimator.likely_path import analyse
 from estimator.lines import begin
 from estimator.model import Channel, EffectUse, Model, Setting
 from estimator.model_fit import fit_model
 from estimator.record import prepare
+from estimator.results import Parameter
 from estimator.rolling import RollingSpectral
 from estimator.simulate import simulate
 from estimator.solution import report

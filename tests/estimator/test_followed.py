@@ -12,9 +12,9 @@ from daq.rig import load_rig
 from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.effects.strength import size, strengths, with_effect
-from estimator.estimate import Estimate
 from estimator.followed import followed
 from estimator.model import EffectUse, Model, Setting
+from estimator.results import Estimate
 from estimator.rolling import RollingSpectral
 
 SECONDS = 10.0

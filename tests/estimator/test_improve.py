@@ -16,11 +16,11 @@ from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.effects.strength import size, strengths, with_effect
 from estimator.errors import DataError
-from estimator.estimate import Parameter
 from estimator.evidence import Entry
 from estimator.improve import _with_found, improve
 from estimator.model import CustomLaw, EffectUse, Model, Setting
 from estimator.placed import Placed
+from estimator.results import Parameter
 from estimator.simulate import simulate
 from estimator.whole import Whole, fit_whole
 

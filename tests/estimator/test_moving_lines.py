@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from reference_rig import PLACES, RATE, rig_model, rig_record, run_up_angle
 
-from estimator.estimate import Estimate
 from estimator.gram import layout, spectra
 from estimator.model import Channel, Model
 from estimator.moving_lines import MovingLines, left_out, weights
+from estimator.results import Estimate
 from estimator.rolling import RollingSpectral
 from estimator.shaft_angle import ShaftAngle, shaft_angle
 

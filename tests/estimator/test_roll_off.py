@@ -17,10 +17,10 @@ from estimator import common_fall, roll_off, spectral
 from estimator.compare import compare
 from estimator.cut_record import prepare
 from estimator.diagnose import diagnose
-from estimator.estimate import Parameter
 from estimator.filter_designs import designs
 from estimator.improve import improve
 from estimator.model import EffectUse, Model, Setting
+from estimator.results import Parameter
 from estimator.rolling import RollingSpectral
 from estimator.search_start import fit_record
 from estimator.sensor_response import echoes, of_place

@@ -5,7 +5,7 @@ import pytest
 from reference_rig import COULOMB, PLACES, RATE, TRUTH, rig_model, rig_record
 
 from estimator import spectral
-from estimator.estimate import Estimate
+from estimator.results import Estimate
 from estimator.rolling import RollingSpectral
 from estimator.watch import CANDIDATES, every
 

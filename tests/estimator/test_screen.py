@@ -12,12 +12,12 @@ from estimator import law_gain, screen
 from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
-from estimator.estimate import Parameter
 from estimator.evidence import entries
 from estimator.missing_force import survey
 from estimator.model import Model
 from estimator.model_fit import fit_model
 from estimator.placed import Placed, placed_of
+from estimator.results import Parameter
 from estimator.terms import Units
 from estimator.working_point import WorkingPoint
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from estimator.estimate import Parameter, shared
+from estimator.results import Parameter, shared
 
 PLACES = ("bearing1.x", "bearing1.y", "bearing2.x", "bearing2.y")
 

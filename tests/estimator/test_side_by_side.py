@@ -14,14 +14,14 @@ from typing import Any
 
 import pytest
 
-from estimator.side_by_side import answers
+from estimator.parallel import answers
 
 BEGIN = """
 import json, os, signal, sys, time
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 from functools import partial
 import numpy as np
-from estimator.side_by_side import answers
+from estimator.parallel import answers
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a test run in the background ignores it
 me = os.getpid()
 def slow(k, do=lambda: None):

@@ -10,9 +10,9 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 
 from estimator import evidence, line_forces, strikes
 from estimator.balance import shaft_notch
-from estimator.estimate import Parameter
 from estimator.evidence import Settings
 from estimator.model import EffectUse, Model, Setting
+from estimator.results import Parameter
 from estimator.simulate import simulate
 from estimator.suspect import Suspect
 from estimator.whole import fit_whole

@@ -10,8 +10,8 @@ from scipy import signal
 
 from daq.rig import load_rig
 from estimator import spectral
-from estimator.estimate import belongs
 from estimator.model import EffectUse, Model, Setting
+from estimator.results import belongs
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 
