@@ -299,7 +299,7 @@ def improved(rig: Rig, ladder: Ladder) -> tuple[str, Rig]:
 
 
 def theory(output: Output, rig_path: Path) -> None:
-    from estimator.theory import theory as hertz
+    from estimator.model.bearing_theory import theory as hertz
 
     rig = load_rig(rig_path)
     if rig.model.bearing is None:

@@ -6,8 +6,8 @@ from typing import Any
 
 from rich.table import Table
 
-from estimator.effect import Effect
 from estimator.effects import CATALOGUE
+from estimator.model.effect import Effect
 
 from .errors import ConfigError
 from .output import Output

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from estimator.errors import ModelError
-from estimator.model import Model
+from estimator.model.rig import Model
 
 from .errors import ConfigError
 from .output import Output

@@ -27,7 +27,7 @@ from estimator.effects import CATALOGUE
 from estimator.errors import ModelError
 from estimator.heldout import heldout_nll
 from estimator.improve import rung
-from estimator.model import EffectUse, Model
+from estimator.model.rig import EffectUse, Model
 from estimator.whole import Whole, fit_whole
 
 from . import hidden_pairs

@@ -1,4 +1,4 @@
-"""A law of the user's own from a Python file: module = "FILE.py:NAME", NAME being an `estimator.effect.Effect`."""
+"""A law of the user's own from a Python file: module = "FILE.py:NAME", NAME being an `estimator.model.effect.Effect`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import importlib.util
 import sys
 from pathlib import Path
 
-from estimator.effect import Effect
+from estimator.model.effect import Effect
 
 
 def load_effect(module: str, base: Path) -> Effect:
@@ -32,5 +32,5 @@ def load_effect(module: str, base: Path) -> Effect:
         held = [k for k, v in vars(loaded).items() if isinstance(v, Effect)]
         raise ValueError(f"{path} has no {name}; its effects are {', '.join(held) or 'none'}")
     if not isinstance(effect, Effect):
-        raise ValueError(f"{name} of {path} is a {type(effect).__name__}, not an estimator.effect.Effect")
+        raise ValueError(f"{name} of {path} is a {type(effect).__name__}, not an estimator.model.effect.Effect")
     return effect

@@ -7,7 +7,7 @@ from importlib import import_module
 
 import numpy as np
 
-from estimator.model import Model
+from estimator.model.rig import Model
 from estimator.results import OnlineEstimator
 
 METHODS = {

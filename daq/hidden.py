@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.effects.strength import size, strengths, with_effect
-from estimator.model import Model, Setting
+from estimator.model.rig import Model, Setting
 from estimator.results import Parameter
 from estimator.simulate import simulate
 

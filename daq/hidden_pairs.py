@@ -17,7 +17,7 @@ import numpy as np
 from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.improve import improve
-from estimator.model import Model
+from estimator.model.rig import Model
 
 from .hidden import AT, COMPLETE, FRACTIONS, NOISE, RATE_HZ, has_one_place, numbers, record, with_hidden
 

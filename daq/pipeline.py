@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.reading import Block, Gap, Info, LinkStats, Notice, Reading
-from estimator.model import Model
+from estimator.model.rig import Model
 from estimator.results import Estimate
 
 from .clock import Clock, DeviceClock

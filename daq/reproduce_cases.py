@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator import fokker_planck
-from estimator.model import BearingGeometry, Channel, EffectUse, Model, Setting
+from estimator.model.rig import BearingGeometry, Channel, EffectUse, Model, Setting
 from estimator.plane_moments import PlaneMoments
 from estimator.planes import Cap, Plane
 from estimator.simulate import Simulator

@@ -1,4 +1,4 @@
-"""The rig file: TOML in, an `estimator.model.Model` in SI out, every problem reported at once."""
+"""The rig file: TOML in, an `estimator.model.rig.Model` in SI out, every problem reported at once."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from estimator.effects import NAMED
-from estimator.model import MOTION, NODES, BearingGeometry, Channel, Model, Setting, Shaft
+from estimator.model.rig import MOTION, NODES, BearingGeometry, Channel, Model, Setting, Shaft
 
 from .errors import ConfigError
 from .rig_effects import effects_of, setting

@@ -9,10 +9,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from estimator.effect import Effect
 from estimator.effects import CATALOGUE
 from estimator.effects.places import places
-from estimator.model import DIRECTIONS, NODES, CustomLaw, EffectUse, Model, Setting
+from estimator.model.effect import Effect
+from estimator.model.rig import DIRECTIONS, NODES, CustomLaw, EffectUse, Model, Setting
 
 from .rig_file import CustomTable, ModelTable, SettingTable
 from .rig_problems import Path, Problem, did_you_mean, of_validation

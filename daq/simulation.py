@@ -15,9 +15,9 @@ from drivers.faults import KINDS
 from drivers.link import Event, Link
 from drivers.reading import LinkStats, Reading
 from drivers.simulated import DeviceConfig, SimulatedDevice
-from estimator.effect import Effect
 from estimator.effects import NAMED
-from estimator.model import UNITS, EffectUse, Model, Setting
+from estimator.model.effect import Effect
+from estimator.model.rig import UNITS, EffectUse, Model, Setting
 from estimator.results import Parameter
 
 from .clock import Clock, SystemClock

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 from drivers.reading import Info, LinkStats, Notice, Reading
-from estimator.model import Model
+from estimator.model.rig import Model
 from estimator.results import Estimate
 
 

@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimator.model.disc import Disc, disc_of
+from estimator.model.effect import Effect
+from estimator.model.rig import MOTION, UNITS, Model, Setting
+
 from .arrays import Array, Complexes
-from .disc import Disc, disc_of
-from .effect import Effect
 from .effects.custom import effect_of
 from .effects.places import at, kinematic, written
 from .errors import DataError
-from .model import MOTION, UNITS, Model, Setting
 
 UNKNOWN = Setting()
 
@@ -133,7 +134,7 @@ def shaft_reaction(model: Model) -> Callable[[Array | Complexes], Complexes] | N
         return None
     if model.mass.get("disc", 0.0) <= 0.0:
         raise DataError(f'shaft "{model.shaft}" needs [rig.mass] disc: give it, or set shaft = "none"')
-    from .rotor import between_caps
+    from estimator.model.rotor import between_caps
 
     ks, cs, disc, shaft = model.shaft_stiffness, model.shaft_damping, model.mass["disc"], model.shaft
     return lambda f_hz: between_caps(shaft, ks, cs, disc, 2 * np.pi * f_hz)

@@ -8,13 +8,14 @@ from functools import partial
 
 import numpy as np
 
+from estimator.model.rig import Model
+
 from . import pedestal_form
 from .arrays import Array, Complexes
 from .effects import CATALOGUE
 from .effects.places import at, written
 from .folded_force import images, of_late_sensor
 from .force_shapes import resonance_hz
-from .model import Model
 from .path_spectra import Response
 from .periodic import known_lines
 from .results import Parameter

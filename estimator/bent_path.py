@@ -14,12 +14,13 @@ from itertools import combinations
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.model.rig import Model
+
 from .arrays import Array, Complexes
 from .bends import OWN, Cause, bent, causes, numbers
 from .effects import CATALOGUE
 from .folded_force import of_late_sensor
 from .missing_force import NEGLIGIBLE
-from .model import Model
 from .noise_floor import noisy_beside_forces
 from .parallel import answers
 from .path_spectra import Response

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.rig import Model
+
 from .errors import DataError
-from .model import Model
 from .placed import clipped
 
 SMALLEST, LARGEST = 1e-15, 1e15  # what is less or more is a mistake, and its powers are no numbers

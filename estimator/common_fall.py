@@ -1,5 +1,5 @@
 """Whether the spectra of all inferred forces fall alike, or those of each bearing, as behind filters of one recorder or
-of two: roll_off.py."""
+of two: model/recorder.py."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from functools import partial
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.model.recorder import POWERS, Filter, RollOff, devices, images
+from estimator.model.rig import Model
+
 from . import force_shapes
 from .arrays import Array
 from .filter_search import Seen, Standing, likeliest, mean_or_none
 from .force_cells import Cells, cells_of
-from .model import Model
 from .parallel import answers
-from .roll_off import POWERS, Filter, RollOff, devices, images
 from .sensor_response import SHAPES, shape
 from .working_point import WorkingPoint
 

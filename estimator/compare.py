@@ -6,12 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from estimator.model.rig import Model
+
 from . import missing_force, sensor_faults
 from .arrays import Array
 from .curves import Law, curves
 from .fitted import fitted_model
 from .heldout import heldout_nll, heldout_rmse, reference_nll
-from .model import Model
 from .parallel import answers
 from .results import Parameter
 from .shape import Shape

@@ -28,8 +28,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from estimator.model.disc import Disc
+
 from .arrays import Array, Complexes
-from .disc import Disc
 
 MARGIN = 1.0  # of the spacing of the bins, at least, from any mode to the line: a sum is then good to exp(-2 pi)
 FED = 4.0  # of the same, where the line is needed

@@ -14,14 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.model.rig import EffectUse, Model, Setting
+from estimator.model.rotor import between_caps, shaft_matrix
+
 from .arrays import Array, Complexes
 from .balance import shaft_notch
 from .effects import CATALOGUE
 from .effects.places import at, written
-from .model import EffectUse, Model, Setting
 from .parallel import each
 from .results import Parameter
-from .rotor import between_caps, shaft_matrix
 from .sensor_response import BLIND, LINEAR
 from .subproblem import Subproblem, subproblem
 from .suspect import Suspect

@@ -5,17 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.disc import disc_of
+from estimator.model.rig import MOTION, Model
+
 from .arrays import Array, Series
 from .balance import shaft_reaction
 from .bandlimit import below_band
 from .checks import check_moves
-from .disc import disc_of
 from .effects.custom import effect_of
 from .effects.places import at
 from .errors import DataError
 from .filtered import Filtered
 from .known_spectra import OF_FORCE, bins_of, colours, folded_back, shaft_response, sharpened
-from .model import MOTION, Model
 from .motion_blocks import FOLDS, MotionBlocks, part_of, runs
 from .parallel import each
 from .periodic import pushes, series, waves

@@ -14,9 +14,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.rig import MOTION, Model
+
 from .arrays import Array
 from .censored import axes, runs, sweep
-from .model import MOTION, Model
 from .sensor_faults import clipping_level, ends
 
 ORDER = 64  # of the autoregression, and how far a sample depends on others

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from estimator.model.rig import Model
+
 from . import adequacy, evidence, explains, force_colour, missing_force, two_laws
 from .arrays import Array
 from .errors import DataError, NotFiniteError
 from .evidence import Entry
 from .known_spectra import COLOURS
-from .model import Model
 from .numbered import with_found
 from .periodic import PERIODIC
 from .periodic_fit import found_beside

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.model.rig import Model
+
 from . import modulation
 from .effects import CATALOGUE, NAMED
 from .effects.ball_pass import BALL_PASS
 from .effects.places import at
 from .missing_force import Survey
-from .model import Model
 from .periodic import LINE_NAMES
 from .placed import Placed
 from .results import Parameter

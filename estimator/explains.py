@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimator.model.rig import Model
+
 from . import adequacy, evidence, missing_force, two_laws
 from .errors import NotFiniteError
 from .evidence import Entry
 from .fitted import parameters, untold
 from .heldout import heldout_nll
-from .model import Model
 from .model_fit import fit_model
 from .ranking import Progress
 from .working_point import WorkingPoint, thinned

@@ -19,9 +19,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from estimator.model.effect import Effect
+
 from . import low_pass
 from .arrays import Array, Series
-from .effect import Effect
 from .effects.law_loop import Signals, compiled, force_array, law_of, smoothed
 
 NEAREST = 0.02  # least smoothing, in standard deviations of the state: a step needs some width to have a derivative

@@ -22,13 +22,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.recorder import POWERS, Filter, images
+
 from . import pedestal_form
 from .arrays import Array, Complexes
 from .filter_designs import chebyshev, designs
 from .force_cells import Cells
 from .force_shapes import DARKEST, coloured, resonant
 from .parallel import answers
-from .roll_off import POWERS, Filter, images
 
 MOST_MEANS = 8.0
 FALLS_DB = (0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0, 16.0)  # at the end of the band, that searches for a design begin with

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from .model import EffectUse, Model, Setting
+from estimator.model.rig import EffectUse, Model, Setting
+
 from .placed import Placed
 from .results import Parameter
 from .working_point import WorkingPoint

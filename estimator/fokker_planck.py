@@ -25,9 +25,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.rig import Model
+
 from .arrays import Array
 from .errors import DataError
-from .model import Model
 from .planes import Cap, Plane, ignored_effects, planes
 from .results import Fit, Parameter
 from .score_matching import motion_of, place_columns

@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from .disc import disc_of
-from .effect import Effect
+from estimator.model.disc import disc_of
+from estimator.model.effect import Effect
+from estimator.model.rig import DIRECTIONS, EffectUse, Model, Setting
+
 from .effects.custom import effect_of
 from .effects.places import at, kinematic, written
 from .known_spectra import COLOURS
-from .model import DIRECTIONS, EffectUse, Model, Setting
 from .periodic import PERIODIC
 from .results import Parameter
 from .sensor_response import BLIND

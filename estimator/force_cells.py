@@ -7,9 +7,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.recorder import images
+
 from .arrays import Array
 from .noise_paths import beyond, heard_of_all
-from .roll_off import images
 from .working_point import WorkingPoint
 
 LEAST_SHARE = 1e-3  # of the noise of the noisiest sensor, in power, that every one is given

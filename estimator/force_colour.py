@@ -12,13 +12,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.model.rig import Model
+
 from . import pedestal_form
 from .arrays import Array
 from .effects import CATALOGUE
 from .force_cells import Cells, cells_of, finite_exp, mean_power
 from .force_shapes import base_model, causes, peakless, plain, with_shape
 from .known_spectra import OF_FORCE, colours
-from .model import Model
 from .model_fit import fit_model
 from .noise_floor import noisy
 from .noise_paths import together

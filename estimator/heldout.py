@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.rig import Model
+
 from .arrays import Array
 from .errors import DataError, ModelError
 from .fitted import fitted_model
 from .missing_force import Survey, ridge_of
-from .model import Model
 from .motion_blocks import FOLDS
 from .sensor_response import undone
 from .subproblem import component, heldout_gain, subproblem

@@ -28,8 +28,9 @@ import numpy as np
 from numba import njit
 from numba.extending import overload
 
+from estimator.model.effect import Effect
+
 from .arrays import Array, Complexes, Series
-from .effect import Effect
 from .effects.compiled import rise
 from .features import MARGIN, decimated, interpolated
 

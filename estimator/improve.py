@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from estimator.model.rig import Model
+
 from . import common_fall, recorder_phase
 from .arrays import Array
 from .diagnose import Diagnosis, diagnose_point
@@ -15,7 +17,6 @@ from .explains import EARNED
 from .fitted import fitted_model, untold
 from .heldout import heldout_nll, heldout_rmse
 from .missing_force import NEGLIGIBLE, SURVEY_SECONDS, surveyed
-from .model import Model
 from .model_fit import fit_model
 from .numbered import with_found
 from .periodic import PERIODIC

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.disc import disc_of
+from estimator.model.rig import Model
+
 from .arrays import Array
 from .balance import shaft_notch
-from .disc import disc_of
 from .effects import CATALOGUE
-from .model import Model
 from .sensor_response import echoes, forced, of_place
 
 OF_FORCE = ("coloured_excitation",)  # effects that are a shape of the spectrum of the force itself

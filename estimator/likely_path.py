@@ -14,6 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.model.rig import Model
+
 from .arrays import Array, Complexes
 from .balance import force_channels, motion_channels
 from .bandlimit import FORCE_DRIFT, noise_shape, passband, to_acceleration
@@ -24,7 +26,6 @@ from .known_force import is_known
 from .likelihood import responses
 from .lines import begin, swept
 from .maximum import SETTLED
-from .model import Model
 from .parallel import each
 from .record import Record, prepare
 from .solution import Solution, solve

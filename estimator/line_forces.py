@@ -18,13 +18,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.rig import Model
+
 from . import strikes, unexplained
 from .arrays import Array, Complexes
 from .balance import shaft_notch
 from .bandlimit import noise_shape
 from .line_spectrum import Spectrum, by_angle, residual_spectrum, spectrum_of
 from .missing_force import NEGLIGIBLE
-from .model import Model
 from .periodic import known_lines, to_cap
 from .results import Parameter
 from .sensor_response import undone

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.rig import MOTION, Model
+
 from .arrays import Array, Complexes
 from .bandlimit import to_acceleration
-from .model import MOTION, Model
 from .parallel import each
 from .shaft_angle import measured_phase
 

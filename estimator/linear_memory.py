@@ -7,8 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from estimator.model.effect import Effect
+
 from .arrays import Array, Complexes
-from .effect import Effect
 
 SLOWEST = 1e-3  # rad/s: a state that only integrates has no response at rest
 DISTINCT = 1e6  # condition of the modes of its states, below which they are taken one by one

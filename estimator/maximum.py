@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.rig import Model
+
 from .arrays import Array
 from .balance import Balance, build
 from .bandlimit import passband
@@ -16,7 +18,6 @@ from .errors import DataError
 from .force_level import level_of
 from .known_force import is_known
 from .likelihood import Likelihood, Local, Point, active, evidence_of, maximise
-from .model import Model
 from .record import Bank, Record, gather
 from .start import Start
 

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimator.model.disc import Disc
+from estimator.model.rotor import shaft_at_caps, shaft_matrix
+
 from .arrays import Array, Complexes
-from .disc import Disc
-from .rotor import shaft_at_caps, shaft_matrix
 
 TAKES_PART = 0.01  # of the variance that white force makes by the largest mode: less is not waited for
 OVER = 1000  # times, to look for the end of an answer at

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.rig import EffectUse, Model, Setting
+
 from .arrays import Array
 from .effects.ball_pass import BALL_PASS
 from .effects.places import at, kinematic, written
 from .line_forces import LEVEL, SURE
 from .line_spectrum import surroundings
-from .model import EffectUse, Model, Setting
 from .parallel import each
 from .working_point import WorkingPoint
 

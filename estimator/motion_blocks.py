@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.disc import Disc
+
 from .arrays import Array, Complexes, Series
 from .bandlimit import noise_shape
-from .disc import Disc
 from .features import HALF, NEAREST, interpolated
 from .periodic import Push, Wave
 
@@ -52,7 +53,7 @@ class MotionBlocks:
     rms: Array  # (3, places) of x, of v and of a, over the whole record
     driven: Array  # (places,) N^2/Hz, PSD of the measured forces; 0 without
     sharpened: Array  # (places, bins) by what undoing a response has multiplied its noise, in power
-    echoes: Array  # (images, places, bins) PSD of acceleration that sampling folds back, over S: roll_off.py
+    echoes: Array  # (images, places, bins) PSD of acceleration that sampling folds back, over S: model/recorder.py
     folded_beside: Array  # (places, bins) the same, not over S, beside a measured force: folded_force.py
     alike_beside: Complexes  # (places, bins) the force that goes with it
     passed: Complexes  # (2, places, bins) sensor_response.passed_of_images

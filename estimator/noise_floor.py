@@ -8,8 +8,9 @@ from functools import partial
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.model.rig import MOTION, Model
+
 from .arrays import Array
-from .model import MOTION, Model
 from .path_spectra import Response
 from .results import Parameter
 from .sensor_response import SHAPES, shape

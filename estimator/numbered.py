@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.model.effect import EffectParameter
+from estimator.model.rig import EffectUse, Model, Setting
+
 from . import noise_floor, periodic
-from .effect import EffectParameter
 from .effects import NAMED
 from .effects.places import at, written
-from .model import EffectUse, Model, Setting
 from .results import Parameter
 from .sensor_response import BLIND, LINEAR, forced
 from .suspect import Suspect, as_use

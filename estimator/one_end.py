@@ -6,9 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from estimator.model.rig import NODES, Model
+
 from .balance import shaft_reaction
 from .errors import DataError
-from .model import NODES, Model
 
 MATTERS = 0.01  # of the stiffness at a place: what comes through the shaft at the resonance there
 

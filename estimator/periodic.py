@@ -18,15 +18,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from estimator.model.effect import Effect
+from estimator.model.rig import Model, Setting
+from estimator.model.rotor import shaft_at_caps
+
 from .arrays import Array, Complexes, Series
 from .bandlimit import passband
-from .effect import Effect
 from .effects import MORE_LINES, NAMED
 from .effects.law_loop import force_array
 from .effects.places import at, kinematic, values, written
 from .errors import ModelError
-from .model import Model, Setting
-from .rotor import shaft_at_caps
 
 LINE_NAMES = ("line", *MORE_LINES)
 PERIODIC = ("imbalance", "bow", "misalignment", "local_defect", *LINE_NAMES)

@@ -9,10 +9,12 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.effect import Effect, EffectParameter
+from estimator.model.rig import Model
+
 from . import linear_memory, shaft_law
 from .arrays import Array, Series
 from .calm import as_seen
-from .effect import Effect, EffectParameter
 from .effects import CATALOGUE
 from .effects.custom import effect_of
 from .effects.places import at, kinematic, written
@@ -20,7 +22,6 @@ from .effects.strength import Size
 from .errors import NotFiniteError
 from .features import FINER, MARGIN, State, decimated, depends, folds, jumps, law_force
 from .hidden_states import along
-from .model import Model
 from .motion_blocks import FOLDS, MotionBlocks
 from .periodic import PERIODIC
 

@@ -17,7 +17,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from .model import DIRECTIONS, Model
+from estimator.model.rig import DIRECTIONS, Model
+
 from .results import Parameter
 
 SHAFT_LIMIT = 0.25  # relative sd above which the shaft does not give a mass

@@ -6,11 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+from estimator.model.rig import Model
+
 from . import amplitude, evidence, missing_force, screen
 from .arrays import Array
 from .evidence import Entry
 from .features import ready
-from .model import Model
 from .parallel import answers
 from .placed import on_trial, searched
 from .suspect import Suspect

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.rig import Model
+
 from .arrays import Array
 from .balance import Balance, force_channels, motion_channels, shaft_notch, shaft_reaction
 from .bandlimit import Motion
@@ -17,7 +19,6 @@ from .errors import DataError
 from .features import MARGIN
 from .filtered import Filtered
 from .gram import CELLS, Layout, gram, layout, spectra, valid_blocks
-from .model import Model
 from .parallel import each
 
 BLOCKS_PER_FOLD = 3

@@ -15,13 +15,14 @@ from typing import Any
 
 import numpy as np
 
+from estimator.model.recorder import LATE, POWERS, Filter, RollOff
+from estimator.model.rig import Model
+
 from . import missing_force
 from .arrays import Array
 from .linear_memory import filtered
-from .model import Model
 from .parallel import each
 from .placed import evaluate
-from .roll_off import LATE, POWERS, Filter, RollOff
 from .subproblem import subproblem
 from .terms import Term, orthogonal
 from .working_point import WorkingPoint, thinned

@@ -17,6 +17,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.model.rig import Model
+
 from .arrays import Array
 from .balance import force_channels, motion_channels, shaft_reaction
 from .bandlimit import BandLimit, Motion
@@ -24,7 +26,6 @@ from .errors import DataError
 from .followed import followed
 from .gram import Layout, layout
 from .lines import begin
-from .model import Model
 from .periodic import known_lines
 from .record import Record, as_record, notches
 from .results import Estimate

@@ -1,14 +1,15 @@
-"""As it rolls: the recorder's filter (roll_off.py), kept in the shape of the force's spectrum."""
+"""As it rolls: the recorder's filter (model/recorder.py), kept in the shape of the force's spectrum."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.optimize import nnls
 
+from estimator.model.recorder import POWERS, gain, suspected
+
 from .arrays import Array
 from .likelihood import Local
 from .record import Record
-from .roll_off import POWERS, gain, suspected
 from .start import Start
 
 

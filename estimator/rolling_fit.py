@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.rig import Model
+
 from .arrays import Array
 from .balance import Balance, build, restrict
 from .block_spectra import BlockSpectra
@@ -20,7 +22,6 @@ from .known_force import is_known
 from .known_spectra import colours
 from .likelihood import Evidence, Likelihood, Local, Point, active, maximise
 from .maximum import Maximum, initial, inverse, maximum, without_noise
-from .model import Model
 from .moving_lines import MovingLines
 from .record import Record, gather
 from .results import Parameter

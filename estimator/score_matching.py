@@ -12,13 +12,14 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.rig import MOTION, Model
+
 from .arrays import Array
 from .band_edge import BandEdge
 from .bandlimit import BandLimit, band_limit
 from .effects.custom import effect_of
 from .effects.places import at
 from .errors import DataError
-from .model import MOTION, Model
 from .plane_moments import Form, PlaneMoments
 from .planes import density_band, ignored_effects, planes
 from .results import Estimate, Fit, Parameter

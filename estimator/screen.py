@@ -9,13 +9,14 @@ from itertools import product
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.model.effect import Effect
+from estimator.model.rig import Model
+
 from .arrays import Array
-from .effect import Effect
 from .effects.places import kinematic
 from .effects.places import places as canonical_places
 from .effects.strength import search_range
 from .law_gain import DIFFERENT, Assessed, _freed, alone, assess
-from .model import Model
 from .path_fit import PathFit
 from .periodic import PERIODIC
 from .placed import FORCES, Placed, acting, searched, size, start

@@ -14,9 +14,10 @@ from itertools import product
 
 import numpy as np
 
+from estimator.model.rig import Model, Setting
+
 from . import bends, force_shapes, law_gain
 from .arrays import Array
-from .model import Model, Setting
 from .model_fit import fit_model, glanced
 from .motion_blocks import MotionBlocks, part_of
 from .parallel import each

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import betainc
 
+from estimator.model.rig import Model
+
 from .arrays import Array
-from .model import Model
 from .results import Parameter
 from .suspect import Suspect
 

@@ -12,11 +12,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from estimator.model.recorder import Filter, images
+from estimator.model.rig import MOTION, EffectUse, Model
+
 from .arrays import Array, Complexes
 from .bandlimit import to_acceleration
-from .model import MOTION, EffectUse, Model
 from .parallel import each
-from .roll_off import Filter, images
 
 BLIND = ("sensor_gain", "sensor_skew")  # caps that are not coupled say nothing of them: diagnosis.md
 LINEAR = (*BLIND, "sensor_resonance")  # faults that are a response

@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.model.rig import Model
+
 from .arrays import Array
 from .errors import DataError
-from .model import Model
 
 
 class ShaftAngle:

@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.effect import Effect
+from estimator.model.rig import DIRECTIONS, NODES, Model
+from estimator.model.rotor import Assembly, assemble
+
 from . import simulate_kernel as kernel
 from .arrays import Array
-from .effect import Effect
 from .effects.custom import effect_of
 from .effects.places import at, values
 from .errors import ModelError
-from .model import DIRECTIONS, NODES, Model
-from .rotor import Assembly, assemble
 
 KINDS = {
     "acceleration": kernel.ACCELERATION,

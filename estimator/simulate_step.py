@@ -6,10 +6,11 @@ from typing import Literal
 
 import numpy as np
 
+from estimator.model.rotor import propagator
+
 from . import simulate_kernel as kernel
 from .arrays import Array
 from .errors import ModelError
-from .rotor import propagator
 from .simulate_plan import Plan, Slots, table
 from .simulate_speed import Speed
 

@@ -19,9 +19,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.model.effect import Effect
+
 from .arrays import Array, Complexes
 from .bandlimit import unseen
-from .effect import Effect
 from .effects.compiled import memory_array
 from .effects.law_loop import force_array
 from .mean_response import yields

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimator.model.rig import UNITS, Model
+
 from .arrays import Array
 from .balance import Balance
 from .fold_tangents import excess
 from .gram import spectra, taper, valid_blocks
 from .likelihood import Likelihood, Local, Point, active
 from .maximum import inverse, maximum
-from .model import UNITS, Model
 from .record import Bank, Record, stretches
 from .results import Parameter, untold_at
 from .start import Start

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from estimator.model.recorder import devices, suspected
+from estimator.model.rig import Model
+
 from . import bent_path, force_level, one_end, unknown_mass, whole
 from .arrays import Array
 from .balance import force_channels
@@ -17,11 +20,9 @@ from .known_force import is_known
 from .likelihood import evidence_of, responses
 from .likely_path import analyse
 from .lines import describe
-from .model import Model
 from .periodic import PERIODIC
 from .placed import searched
 from .results import Fit
-from .roll_off import devices, suspected
 from .search_start import fit_record
 from .sensor_response import forced
 from .slow_motion import lopsided, own_sizes, usual
@@ -122,7 +123,7 @@ def _shared(solution: Solution) -> bool:
 
 def _falls(solution: Solution) -> bool:
     """Whether the force seems to fall alike at all places, or those of a bearing, as behind a filter of the recorder:
-    roll_off.py."""
+    model/recorder.py."""
     record, local, grid = solution.record, solution.local, solution.record.grid
     if record.force:
         return False

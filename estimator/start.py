@@ -7,6 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from estimator.model.rig import Model
+
 from .arrays import Array
 from .balance import build, motion_channels
 from .bandlimit import half_length, left_out
@@ -15,7 +17,6 @@ from .errors import DataError
 from .features import MARGIN, NEAREST
 from .gram import Nodes, nodes, spectra, valid_blocks
 from .likelihood import Evidence, Likelihood, Local, Point, evidence_of, maximise, responses
-from .model import Model
 from .record import Record, gather, notches
 
 SECONDS = 20.0  # of the record that the start is taken from

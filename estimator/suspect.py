@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from .model import EffectUse, Setting
+from estimator.model.rig import EffectUse, Setting
+
 from .results import Parameter
 
 

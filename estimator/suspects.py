@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from estimator.model.rig import EffectUse, Model
+
 from . import bent_path, coupled_caps, force_colour, line_forces, periodic, sensor_faults
 from .arrays import Array
-from .model import EffectUse, Model
 from .parallel import each
 from .placed import clipped as clipped_by
 from .suspect import Suspect, as_use

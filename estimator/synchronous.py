@@ -16,8 +16,9 @@ import math
 
 import numpy as np
 
+from estimator.model.rig import Model
+
 from .arrays import Array
-from .model import Model
 
 ORDERS = {"imbalance": (1,), "bow": (1,), "misalignment": (1, 2)}
 WINDOW_S = 1.0

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from estimator.model.rig import Model
+
 from .arrays import Array, Series
 from .bandlimit import noise_shape
 from .cut_record import cut
 from .errors import DataError, ModelError
 from .free_run import free_run
-from .model import Model
 from .motion_blocks import MotionBlocks, spectrum
 from .sensor_response import echoes, recorder
 from .simulate import simulate

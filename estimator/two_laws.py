@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estimator.model.rig import Model
+
 from . import adequacy, missing_force, screen
 from .errors import NotFiniteError
 from .evidence import Entry
-from .model import Model
 from .model_fit import FIRST_SECONDS, fit_model
 from .parallel import answers
 from .placed import Placed, acting, on_trial

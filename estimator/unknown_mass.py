@@ -11,14 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.model.rig import Model
+from estimator.model.rotor import shaft_matrix
+
 from .arrays import Array
 from .effects.custom import effect_of
 from .errors import DataError
 from .likely_path import analyse
-from .model import Model
 from .periodic import PERIODIC
 from .results import Parameter, belongs
-from .rotor import shaft_matrix
 from .sensor_response import forced, undone
 from .solution import ratios_only, report
 from .working_point import WorkingPoint

@@ -21,10 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.rig import MOTION, Model
+
 from .arrays import Array, Complexes
 from .bandlimit import band_limit
 from .errors import DataError
-from .model import MOTION, Model
 from .moments import BlockMoments
 from .planes import Plane, density_band, planes
 from .results import Fit, Parameter

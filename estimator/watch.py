@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.rig import EffectUse, Model
+
 from .arrays import Array
 from .balance import Balance
 from .effects import CATALOGUE
 from .likelihood import Likelihood, Point
-from .model import EffectUse, Model
 
 # one of each kind of state dependence; shapes at their defaults
 CANDIDATES = (

@@ -12,6 +12,8 @@ from itertools import starmap
 
 import numpy as np
 
+from estimator.model.rig import EffectUse, Model, Setting
+
 from . import (
     bends,
     common_fall,
@@ -24,7 +26,6 @@ from . import (
     periodic,
     periodic_fit,
     recorder_phase,
-    roll_off,
     sensor_faults,
     shaft_law,
     unknown_mass,
@@ -35,7 +36,7 @@ from .declip import LOST, RESTORED, SPOILED, restored
 from .fitted import parameters
 from .known_spectra import COLOURS, OF_FORCE
 from .known_spectra import colours as colours_of
-from .model import EffectUse, Model, Setting
+from .model import recorder
 from .motion_blocks import MotionBlocks
 from .numbered import further_lines, moved, told_by_force, undone_as_given, with_numbers, with_uses
 from .placed import clipped
@@ -70,7 +71,7 @@ class Whole:
         """Every parameter by full name with its standard deviation."""
         found = untold_at(self.point.data.lost, SPOILED, parameters(self.point)) | self.beside
         seen = {place: off.doubt for place, off in (self.model.roll_off or {}).items()}
-        found = roll_off.doubted(seen or dict.fromkeys(self.point.data.places, self.doubt), found)
+        found = recorder.doubted(seen or dict.fromkeys(self.point.data.places, self.doubt), found)
         found = unknown_mass.widened(self.model, found, self.masses)
         return untold_at(unknown_mass.unknown(self.model), unknown_mass.FREE, found, "N") | self.masses
 
@@ -112,7 +113,7 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
         *shortened(data, y),
         *unknown_mass.said(masses),
         *unknown_mass.ratios(whole.model, whole.point),
-        *roll_off.said(whole.model.roll_off, data.places),
+        *recorder.said(whole.model.roll_off, data.places),
         *force_level.said(data.level),
         *one_end.said(whole.model, dict(zip(data.places, whole.point.kL.tolist(), strict=True))),
         *shaft_law.said(data, [use.effect for use in whole.point.placed]),

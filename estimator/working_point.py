@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.model.rig import Model
+
 from . import linear_memory
 from .arrays import Array, Complexes, Series
 from .contour import along, contour
@@ -14,7 +16,6 @@ from .determinant import Jacobian
 from .fluctuation import Fluctuation, fluctuations
 from .known_spectra import shaft_response
 from .mean_response import Mean, mean_responses
-from .model import Model
 from .motion_blocks import FOLDS, MotionBlocks, part_of
 from .noise_paths import noise_paths, together
 from .parallel import each

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from daq.log_writer import LogWriter
 from daq.sink import ClockState, Session, Sink, Status
 from drivers.reading import Block, Gap, Info, LinkStats, Notice, Reading, Signal
-from estimator.model import Channel, Model
+from estimator.model.rig import Channel, Model
 from estimator.results import Estimate, Parameter
 
 RATE_HZ = 25600.0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from daq.rig import Rig, load_rig
 from daq.sink import Session, Status
 from drivers.reading import Block, Info, LinkStats, Reading
-from estimator.model import Model
+from estimator.model.rig import Model
 from estimator.results import Estimate, Parameter
 
 CONFIGS = Path(__file__).parents[1] / "configs"

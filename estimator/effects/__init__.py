@@ -2,7 +2,8 @@
 
 from dataclasses import replace
 
-from ..effect import Effect
+from estimator.model.effect import Effect
+
 from .anisotropy import ANISOTROPY
 from .ball_pass import BALL_PASS
 from .bouc_wen import BOUC_WEN

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import MutableSequence, Sequence
 
-from ..effect import Effect, EffectParameter
+from estimator.model.effect import Effect, EffectParameter
 
 INF = float("inf")
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effect import Effect, EffectParameter
+from estimator.model.effect import Effect, EffectParameter
 
 
 def shape(f_hz: NDArray[np.float64], p: Sequence[float]) -> NDArray[np.float64]:

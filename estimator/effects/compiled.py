@@ -17,7 +17,8 @@ from numba.core.errors import NumbaError, UnsupportedBytecodeError
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from ..effect import Effect
+from estimator.model.effect import Effect
+
 from ..errors import ModelError
 
 F = types.float64

@@ -6,10 +6,11 @@ import dis
 
 import numpy as np
 
+from estimator.model.effect import Effect, EffectParameter
+from estimator.model.rig import EffectUse, Setting
+
 from ..arrays import Array
-from ..effect import Effect, EffectParameter
 from ..errors import ModelError
-from ..model import EffectUse, Setting
 from . import NAMED
 from .compiled import address
 from .expression import compile_law

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from ..effect import Effect, EffectParameter
+from estimator.model.effect import Effect, EffectParameter
 
 INF = float("inf")
 MOST_BALLS = 40

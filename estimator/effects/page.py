@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 
-from ..effect import Effect, EffectParameter
+from estimator.model.effect import Effect, EffectParameter
+
 from . import CATALOGUE
 
 KINDS = {
@@ -65,7 +66,7 @@ or within a factor of 30 of `value`. With `candidate = true` the law is not in t
 diagnosed, until `add` or `improve` puts it in.
 
 By module, for laws with memory, coupling or sensor behaviour: `module = "my_effects.py:SOFT_STOP"` names an
-`estimator.effect.Effect`, built as any file of `estimator/effects/` does. Its law is a plain function with the
+`estimator.model.effect.Effect`, built as any file of `estimator/effects/` does. Its law is a plain function with the
 signature of `estimator/effect.py`, of scalars and the parameter array `p`, that numba can compile.
 
 ## A new effect in the catalogue

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import MutableSequence, Sequence
 
-from ..effect import Effect, EffectParameter
+from estimator.model.effect import Effect, EffectParameter
 
 
 def rates(

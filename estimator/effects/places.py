@@ -10,9 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effect import Effect
+from estimator.model.effect import Effect
+from estimator.model.rig import DIRECTIONS, NODES, EffectUse, Model, Setting
+
 from ..errors import ModelError
-from ..model import DIRECTIONS, NODES, EffectUse, Model, Setting
 
 
 def places(effect: Effect, model: Model) -> tuple[str, ...]:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effect import Effect, EffectParameter
-from ..model import EffectUse, Model, Setting
-from ..rotor import assemble, linear_covariance
+from estimator.model.effect import Effect, EffectParameter
+from estimator.model.rig import EffectUse, Model, Setting
+from estimator.model.rotor import assemble, linear_covariance
+
 from .compiled import memory_array
 from .law_loop import force_array
 from .places import kinematic, places

@@ -15,7 +15,7 @@ import pytest
 from numba import njit
 
 from estimator import spectral
-from estimator.model import Channel, EffectUse, Model
+from estimator.model.rig import Channel, EffectUse, Model
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
 W, ZETA, RATE, STEPS, SECONDS = 2 * np.pi * 50.0, 0.03, 1000.0, 16, 60.0

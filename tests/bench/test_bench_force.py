@@ -34,7 +34,7 @@ from scipy.signal import upfirdn
 from estimator.free_run import simulation_rmse
 from estimator.heldout import FITTED, heldout_rmse
 from estimator.likely_path import analyse
-from estimator.model import Channel, EffectUse, Model, Setting
+from estimator.model.rig import Channel, EffectUse, Model, Setting
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
 SEEDS = int(os.environ.get("ROTORSCOPE_SEEDS", "3"))

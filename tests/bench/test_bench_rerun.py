@@ -12,7 +12,7 @@ import pytest
 from daq.rerun_sink import RerunSink
 from daq.sink import Session
 from drivers.reading import Block, Info, Signal
-from estimator.model import Channel, Model
+from estimator.model.rig import Channel, Model
 
 pytestmark = pytest.mark.bench
 NAMES = ("b1x", "b1y", "b2x", "b2y")

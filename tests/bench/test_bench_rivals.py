@@ -34,7 +34,7 @@ from reference_rig import MASS, PLACES, RATE, SHAFT, SHAFT_DAMPING, TRUTH, rig_m
 from estimator import fokker_planck, score_matching, spectral
 from estimator.bandlimit import Motion, band_limit
 from estimator.errors import DataError
-from estimator.model import Channel, EffectUse, Model
+from estimator.model.rig import Channel, EffectUse, Model
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
 SEEDS = int(os.environ.get("ROTORSCOPE_SEEDS", "2"))

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.effect import Effect
 from estimator.effects import CATALOGUE
 from estimator.effects.compiled import memory_array
 from estimator.effects.law_loop import force_array
 from estimator.effects.page import markdown
 from estimator.effects.strength import OTHER, Size, defaults, rms, search_range, strengths
+from estimator.model.effect import Effect
 
 CONTRACT = """cubic, quintic, quadratic, clearance, stop, hertz, coulomb, quadratic_damping, displacement_damping,
 bouc_wen, imbalance, misalignment, bow, ball_pass, local_defect, crack, rub, cross_coupling, anisotropy, gyroscopic,

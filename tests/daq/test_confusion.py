@@ -19,7 +19,7 @@ from estimator.diagnose import Diagnosis
 from estimator.effects import CATALOGUE
 from estimator.evidence import Entry
 from estimator.improve import Ladder, Rung
-from estimator.model import Model
+from estimator.model.rig import Model
 
 PAPER = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 

@@ -21,7 +21,7 @@ from daq.metrics import MetricsServer, MetricsSink
 from daq.metrics_http import MOST
 from daq.sink import ClockState, Session, Status
 from drivers.reading import Block, Gap, Info, LinkStats, Notice, Signal
-from estimator.model import Channel, Model
+from estimator.model.rig import Channel, Model
 from estimator.results import Estimate, Parameter
 
 

@@ -20,7 +20,7 @@ from daq.errors import ConfigError
 from daq.rerun_sink import RerunSink
 from daq.sink import ClockState, Session, Status
 from drivers.reading import Block, Gap, Info, LinkStats, Notice, Signal
-from estimator.model import Channel, Model
+from estimator.model.rig import Channel, Model
 from estimator.results import Estimate, Parameter
 
 RATE = 25600.0

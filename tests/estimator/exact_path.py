@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model import Channel, Model
+from estimator.model.rig import Channel, Model
 
 Array = NDArray[np.float64]
 RATE, MASS, KL, C, S = 25600.0, 0.2, 1e7, 60.0, 9e-5

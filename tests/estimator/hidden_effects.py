@@ -13,7 +13,7 @@ from daq.rig import load_rig
 from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.effects.strength import size, strengths, with_effect
-from estimator.model import EffectUse, Model, Setting
+from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulate import simulate
 
 ROOT = Path(__file__).parents[2]

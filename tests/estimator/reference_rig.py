@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import firwin, oaconvolve
 
-from estimator.model import Channel, EffectUse, Model
+from estimator.model.rig import Channel, EffectUse, Model
 
 PLACES = ("bearing1.x", "bearing1.y", "bearing2.x", "bearing2.y")
 RATE = 25600.0

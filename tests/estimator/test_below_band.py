@@ -9,7 +9,7 @@ from estimator import cut_record
 from estimator.bandlimit import BandLimit, band_limit
 from estimator.filtered import Filtered
 from estimator.lines import begin
-from estimator.model import Channel, EffectUse, Model
+from estimator.model.rig import Channel, EffectUse, Model
 from estimator.record import prepare
 from estimator.slow_motion import with_slow
 

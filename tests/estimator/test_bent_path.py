@@ -17,7 +17,7 @@ from estimator.diagnose import diagnose
 from estimator.effects import CATALOGUE
 from estimator.heldout import heldout_rmse
 from estimator.improve import improve
-from estimator.model import EffectUse, Model
+from estimator.model.rig import EffectUse, Model
 from estimator.model_fit import fit_model
 from estimator.suspects import suspects
 from estimator.transfer import left, linear, plain, response_of

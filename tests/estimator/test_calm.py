@@ -13,7 +13,7 @@ from estimator.cut_record import cut
 from estimator.features import MARGIN
 from estimator.likely_path import analyse
 from estimator.lines import begin
-from estimator.model import Channel, EffectUse, Model, Setting
+from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.model_fit import fit_model
 from estimator.record import prepare
 from estimator.results import Parameter

@@ -15,13 +15,13 @@ from reference_rig import CROSS, PLACES, RATE, TRUTH, rig_model, rig_record
 from estimator.balance import build
 from estimator.contour import FED, MARGIN, along, contour
 from estimator.determinant import Jacobian
-from estimator.disc import Disc, disc_of
 from estimator.likelihood import Likelihood, Local, Point, evidence_of
 from estimator.lines import begin
-from estimator.model import EffectUse, Model
+from estimator.model.disc import Disc, disc_of
+from estimator.model.rig import EffectUse, Model
+from estimator.model.rotor import shaft_matrix
 from estimator.record import gather, prepare
 from estimator.rolling import RollingSpectral
-from estimator.rotor import shaft_matrix
 from estimator.spectral import fit
 from estimator.start import LEAST_DAMPING, linear_start
 from estimator.terms import response

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from daq.rig import load_rig
 from estimator import coupled_caps
 from estimator.improve import improve
-from estimator.model import EffectUse, Model, Setting
+from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulate import simulate
 from estimator.suspect import Suspect
 from estimator.whole import fit_whole

@@ -14,7 +14,7 @@ from estimator import missing_force
 from estimator.cut_record import prepare
 from estimator.declip import ceilings, restored
 from estimator.diagnose import diagnose, diagnose_point
-from estimator.model import EffectUse
+from estimator.model.rig import EffectUse
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 

@@ -17,7 +17,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
 from estimator.errors import DataError
 from estimator.improve import improve
-from estimator.model import Model
+from estimator.model.rig import Model
 from estimator.placed import Placed
 from estimator.ranking import _promising, extrapolating, ranked
 from estimator.simulate import simulate

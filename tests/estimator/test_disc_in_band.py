@@ -14,7 +14,7 @@ from estimator import force_cells, force_colour, force_shapes, spectral
 from estimator.balance import build
 from estimator.compare import compare
 from estimator.likelihood import Likelihood, evidence_of, responses
-from estimator.model import Model, Setting
+from estimator.model.rig import Model, Setting
 from estimator.record import gather, prepare
 from estimator.simulate import simulate
 from estimator.whole import fit_whole

@@ -10,7 +10,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.compiled import memory_array
 from estimator.effects.law_loop import force_array
 from estimator.effects.places import orders
-from estimator.model import BearingGeometry, Model
+from estimator.model.rig import BearingGeometry, Model
 
 A, W = 2e-7, 2 * np.pi * 1100.0
 ANGLE = np.linspace(0.0, 2 * np.pi, 200001)[:-1]

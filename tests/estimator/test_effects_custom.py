@@ -21,7 +21,7 @@ from estimator.effects.expression import FUNCTIONS, ExpressionError, compile_law
 from estimator.effects.law_loop import force_array
 from estimator.errors import DataError, ModelError
 from estimator.likely_path import analyse
-from estimator.model import CustomLaw, EffectUse, Setting
+from estimator.model.rig import CustomLaw, EffectUse, Setting
 from estimator.model_fit import fit_model
 from estimator.placed import Placed, placed_of
 from estimator.simulate import simulate
@@ -170,7 +170,7 @@ def test_a_module_object_that_cannot_work_is_refused() -> None:
 
 
 def test_a_user_law_has_the_standing_of_a_built_in_one_in_simulation() -> None:
-    from estimator.model import Channel, Model
+    from estimator.model.rig import Channel, Model
     from estimator.simulate import simulate
     from estimator.simulate_start import stationarity
 

@@ -12,7 +12,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.places import at, kinematic, places, values, written
 from estimator.effects.strength import Size, search_range, size, strengths, with_effect
 from estimator.errors import ModelError
-from estimator.model import BearingGeometry, Channel, EffectUse, Model, Setting
+from estimator.model.rig import BearingGeometry, Channel, EffectUse, Model, Setting
 
 LINEAR = {
     f"{n}.{d}": {"kL": Setting(1e7), "c": Setting(60.0), "S": Setting(9e-5)}

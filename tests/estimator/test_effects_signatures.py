@@ -12,8 +12,8 @@ from scipy.stats import kurtosis, skew
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import Size, strengths
 from estimator.errors import ModelError
-from estimator.model import Channel, EffectUse, Model, Setting
-from estimator.rotor import assemble, dynamic_stiffness
+from estimator.model.rig import Channel, EffectUse, Model, Setting
+from estimator.model.rotor import assemble, dynamic_stiffness
 from estimator.simulate import simulate
 
 RATE, SHAFT = 25600.0, 200.0  # Hz: orders fall well inside the band

@@ -14,7 +14,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths, with_effect
 from estimator.errors import NotFiniteError
 from estimator.evidence import Entry
-from estimator.model import CustomLaw, EffectUse, Setting
+from estimator.model.rig import CustomLaw, EffectUse, Setting
 from estimator.placed import Placed
 from estimator.simulate import simulate
 from estimator.whole import fit_whole

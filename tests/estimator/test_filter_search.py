@@ -14,8 +14,8 @@ from estimator.filter_designs import chebyshev, designs
 from estimator.filter_search import NONE, Seen, Standing, _spectrum, likeliest, mean_or_none
 from estimator.force_cells import CELLS, Cells
 from estimator.force_shapes import coloured, resonant
+from estimator.model.recorder import Filter, images
 from estimator.pedestal_form import lost
-from estimator.roll_off import Filter, images
 from estimator.sensor_response import undone
 
 Array = NDArray[np.float64]

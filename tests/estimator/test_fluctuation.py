@@ -13,7 +13,7 @@ from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.fluctuation import Fluctuation, fluctuations
 from estimator.law_gain import assess
-from estimator.model import EffectUse, Model, Setting
+from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model_fit import fit_model
 from estimator.motion_blocks import finer
 from estimator.placed import placed_of, tangent_series

@@ -13,7 +13,7 @@ from estimator.dressing import flutter
 from estimator.features import MARGIN
 from estimator.likely_path import analyse
 from estimator.maximum import Tangents, without_flutter
-from estimator.model import Channel, EffectUse, Model
+from estimator.model.rig import Channel, EffectUse, Model
 from estimator.record import gather, prepare
 from estimator.rolling import RollingSpectral
 from estimator.rolling_memory import FlutterSums

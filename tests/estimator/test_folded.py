@@ -7,7 +7,7 @@ from scipy.signal import firwin, oaconvolve
 
 from estimator.effects import CATALOGUE
 from estimator.features import folds, highest
-from estimator.model import Channel, EffectUse, Model
+from estimator.model.rig import Channel, EffectUse, Model
 from estimator.spectral import fit
 from estimator.whole import fit_whole
 

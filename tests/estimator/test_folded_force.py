@@ -12,7 +12,7 @@ from scipy.signal import bessel, sosfreqz
 from estimator import bent_path
 from estimator.folded_force import alike
 from estimator.missing_force import survey
-from estimator.model import Channel, EffectUse, Model, Setting
+from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.transfer import response_of
 from estimator.whole import fit_whole
 

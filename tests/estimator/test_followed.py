@@ -13,7 +13,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.effects.strength import size, strengths, with_effect
 from estimator.followed import followed
-from estimator.model import EffectUse, Model, Setting
+from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Estimate
 from estimator.rolling import RollingSpectral
 

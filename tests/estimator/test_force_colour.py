@@ -14,7 +14,7 @@ from estimator.cut_record import prepare
 from estimator.diagnose import diagnose, no_law, quiet
 from estimator.improve import improve
 from estimator.missing_force import survey
-from estimator.model import Channel, EffectUse, Model, Setting
+from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.ranking import ranked
 from estimator.search_start import fit_record
 from estimator.simulate import simulate

@@ -9,7 +9,7 @@ from estimator import spectral
 from estimator.free_run import resampled
 from estimator.heldout import heldout_rmse
 from estimator.likely_path import analyse
-from estimator.model import Channel, EffectUse, Model, Setting
+from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.simulate import simulate
 from estimator.solution import report
 from estimator.whole import fit_whole

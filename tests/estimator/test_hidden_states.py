@@ -16,7 +16,7 @@ from estimator.effects.strength import size, strengths, with_effect
 from estimator.fluctuation import Fluctuation, fluctuations
 from estimator.hidden_states import along, passed, together
 from estimator.mean_response import alone, mean_responses
-from estimator.model import EffectUse
+from estimator.model.rig import EffectUse
 from estimator.model_fit import fit_model
 from estimator.placed import Placed, placed_of
 from estimator.probe import Probe, probed

@@ -18,7 +18,7 @@ from estimator.effects.strength import size, strengths, with_effect
 from estimator.errors import DataError
 from estimator.evidence import Entry
 from estimator.improve import _with_found, improve
-from estimator.model import CustomLaw, EffectUse, Model, Setting
+from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
 from estimator.placed import Placed
 from estimator.results import Parameter
 from estimator.simulate import simulate

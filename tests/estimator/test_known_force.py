@@ -15,7 +15,7 @@ from estimator.likelihood import Likelihood, Point, evidence_of
 from estimator.likely_path import along_likely_path
 from estimator.lines import begin
 from estimator.maximum import initial
-from estimator.model import Channel, EffectUse, Model, Setting
+from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.record import gather, prepare
 from estimator.simulate import simulate
 from estimator.solution import solve

@@ -10,7 +10,7 @@ from hidden_effects import RATE, one_bearing
 
 from estimator.effects import CATALOGUE
 from estimator.linear_memory import response, slope
-from estimator.model import EffectUse, Setting
+from estimator.model.rig import EffectUse, Setting
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 

@@ -7,11 +7,11 @@ import pytest
 from scipy.linalg import expm
 
 from estimator import linear_memory
-from estimator.disc import Disc
 from estimator.effects import CATALOGUE
 from estimator.mean_response import Mean, alone, mean_responses
-from estimator.model import Shaft
-from estimator.rotor import shaft_at_caps, shaft_matrix
+from estimator.model.disc import Disc
+from estimator.model.rig import Shaft
+from estimator.model.rotor import shaft_at_caps, shaft_matrix
 
 MASS = np.array([0.16, 0.2, 0.16, 0.2])
 PLACES = ("bearing1.x", "bearing2.x", "bearing1.y", "bearing2.y")

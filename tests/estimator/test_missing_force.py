@@ -10,7 +10,7 @@ from hidden_effects import RATE, one_bearing, record
 
 from estimator import missing_force, reference
 from estimator.cut_record import prepare
-from estimator.model import EffectUse, Setting
+from estimator.model.rig import EffectUse, Setting
 from estimator.model_fit import fit_model
 from estimator.placed import placed_of
 from estimator.simulate import simulate

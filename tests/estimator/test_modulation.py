@@ -13,7 +13,7 @@ from estimator import evidence, modulation, screen, spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths, with_effect
 from estimator.missing_force import Survey
-from estimator.model import EffectUse, Model, Setting
+from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 

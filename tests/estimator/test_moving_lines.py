@@ -9,7 +9,7 @@ import pytest
 from reference_rig import PLACES, RATE, rig_model, rig_record, run_up_angle
 
 from estimator.gram import layout, spectra
-from estimator.model import Channel, Model
+from estimator.model.rig import Channel, Model
 from estimator.moving_lines import MovingLines, left_out, weights
 from estimator.results import Estimate
 from estimator.rolling import RollingSpectral

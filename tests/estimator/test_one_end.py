@@ -9,7 +9,7 @@ from hidden_effects import RATE, ROOT
 
 from daq.rig import load_rig
 from estimator import one_end
-from estimator.model import Model
+from estimator.model.rig import Model
 from estimator.simulate import simulate
 from estimator.spectral import fit
 

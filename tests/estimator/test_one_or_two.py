@@ -13,7 +13,7 @@ from estimator.diagnose import diagnose
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths, with_effect
 from estimator.improve import improve
-from estimator.model import Setting
+from estimator.model.rig import Setting
 from estimator.simulate import simulate
 
 CURVE = """

@@ -14,7 +14,7 @@ from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
 from estimator.missing_force import survey
-from estimator.model import EffectUse, Model, Setting
+from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model_fit import fit_model
 from estimator.motion_blocks import MotionBlocks
 from estimator.numbered import with_found

@@ -96,7 +96,7 @@ def exact_rows(covariance: np.ndarray, squares: np.ndarray) -> tuple[np.ndarray,
 def test_undriven_damping_destroys_the_mass_ratio(disc_damping: float, shaft_damping: float, mu: float) -> None:
     """Exact (Lyapunov) covariance of the linear rig, so no sampling error: 1 % of the caps' damping at the disc, where
     no force acts, takes mu from 2.10 to 0.04; as much in the shaft makes it negative. kL survives a given mass."""
-    from estimator.rotor import linear_covariance, shaft_matrix
+    from estimator.model.rotor import linear_covariance, shaft_matrix
 
     ks, c = 155e3, 60.0
     K = np.diag([KL, KL, 0.0]) + shaft_matrix("chain", ks)

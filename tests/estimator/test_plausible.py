@@ -8,7 +8,7 @@ import pytest
 from estimator import spectral
 from estimator.compare import compare
 from estimator.errors import DataError
-from estimator.model import Channel, Model
+from estimator.model.rig import Channel, Model
 
 MODEL = Model(channels=(Channel("a", "bearing1", "x"), Channel("b", "bearing1", "y")), band=(100.0, 1000.0))
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from estimator.compare import compare
 from estimator.improve import improve
-from estimator.model import Model, Setting
+from estimator.model.recorder import POWERS, Filter
+from estimator.model.rig import Model, Setting
 from estimator.recorder_phase import excess, found
-from estimator.roll_off import POWERS, Filter
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 

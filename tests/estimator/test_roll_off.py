@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from scipy import optimize, signal
 
 from daq.rig import load_rig
-from estimator import common_fall, roll_off, spectral
+from estimator import common_fall, spectral
 from estimator.compare import compare
 from estimator.cut_record import prepare
 from estimator.diagnose import diagnose
 from estimator.filter_designs import designs
 from estimator.improve import improve
-from estimator.model import EffectUse, Model, Setting
+from estimator.model import recorder as roll_off
+from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.rolling import RollingSpectral
 from estimator.search_start import fit_record

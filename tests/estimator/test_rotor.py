@@ -8,8 +8,8 @@ from scipy.integrate import quad_vec
 from scipy.linalg import eigh
 
 from estimator.errors import ModelError
-from estimator.model import Channel, EffectUse, Model, Setting
-from estimator.rotor import (
+from estimator.model.rig import Channel, EffectUse, Model, Setting
+from estimator.model.rotor import (
     assemble,
     between_caps,
     dynamic_stiffness,

@@ -5,7 +5,7 @@ import pytest
 from reference_samples import langevin
 
 from estimator.errors import DataError
-from estimator.model import Channel, EffectUse, Model, Setting
+from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.score_matching import RollingScoreMatching, fit
 
 RATE = 25600.0

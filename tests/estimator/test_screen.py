@@ -14,7 +14,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths
 from estimator.evidence import entries
 from estimator.missing_force import survey
-from estimator.model import Model
+from estimator.model.rig import Model
 from estimator.model_fit import fit_model
 from estimator.placed import Placed, placed_of
 from estimator.results import Parameter

@@ -12,7 +12,7 @@ from estimator import spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths, with_effect
 from estimator.heldout import heldout_nll
-from estimator.model import EffectUse
+from estimator.model.rig import EffectUse
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 

@@ -11,7 +11,7 @@ from hidden_effects import RATE, ROOT, one_bearing
 from daq.rig import load_rig
 from estimator import force_colour, noise_floor
 from estimator.compare import compare
-from estimator.model import EffectUse, Setting
+from estimator.model.rig import EffectUse, Setting
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 

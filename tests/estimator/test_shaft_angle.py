@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.errors import DataError
-from estimator.model import Channel, Model
+from estimator.model.rig import Channel, Model
 from estimator.shaft_angle import measured_phase, rising_edges, shaft_angle
 from estimator.simulate_speed import Speed
 

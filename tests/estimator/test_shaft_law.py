@@ -13,12 +13,12 @@ from scipy.integrate import solve_ivp
 from daq.rig import load_rig
 from estimator.cut_record import prepare
 from estimator.diagnose import diagnose
-from estimator.disc import Disc, disc_of
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import with_effect
 from estimator.improve import improve
-from estimator.model import Model
-from estimator.rotor import shaft_at_caps
+from estimator.model.disc import Disc, disc_of
+from estimator.model.rig import Model
+from estimator.model.rotor import shaft_at_caps
 from estimator.screen import best_at
 from estimator.search_start import fit_record
 from estimator.shaft_law import along

@@ -14,8 +14,8 @@ from scipy.signal import csd, freqz, welch
 from estimator.effects import CATALOGUE
 from estimator.effects.law_loop import force_array
 from estimator.errors import ModelError
-from estimator.model import Channel, EffectUse, Model, Setting
-from estimator.rotor import assemble, dynamic_stiffness, linear_covariance, propagator
+from estimator.model.rig import Channel, EffectUse, Model, Setting
+from estimator.model.rotor import assemble, dynamic_stiffness, linear_covariance, propagator
 from estimator.simulate import Simulator, antialias_taps, quantise, simulate
 from estimator.simulate_plan import build
 from estimator.simulate_speed import Speed

@@ -14,7 +14,7 @@ from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.custom import custom_effect
 from estimator.effects.strength import size, strengths, with_effect
-from estimator.model import CustomLaw, EffectUse, Model, Setting
+from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
 from estimator.model_fit import fit_model
 from estimator.placed import placed_of
 from estimator.rolling import RollingSpectral

@@ -14,7 +14,7 @@ from estimator.bandlimit import left_out
 from estimator.compare import compare
 from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
-from estimator.model import Channel, EffectUse, Model
+from estimator.model.rig import Channel, EffectUse, Model
 from estimator.placed import Placed
 from estimator.slow_motion import with_slow
 

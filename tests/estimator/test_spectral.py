@@ -6,8 +6,8 @@ from reference_rig import DISC, MASS, PLACES, RATE, TRUTH, rig_model, rig_record
 
 from estimator import spectral
 from estimator.errors import DataError
-from estimator.model import EffectUse, Model, Setting
-from estimator.rotor import shaft_at_caps
+from estimator.model.rig import EffectUse, Model, Setting
+from estimator.model.rotor import shaft_at_caps
 from estimator.simulate import simulate
 
 

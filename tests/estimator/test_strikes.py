@@ -11,7 +11,7 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from estimator import evidence, line_forces, strikes
 from estimator.balance import shaft_notch
 from estimator.evidence import Settings
-from estimator.model import EffectUse, Model, Setting
+from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.simulate import simulate
 from estimator.suspect import Suspect

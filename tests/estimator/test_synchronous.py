@@ -7,7 +7,7 @@ import pytest
 from reference_samples import langevin
 
 from estimator import fokker_planck, score_matching
-from estimator.model import Channel, EffectUse, Model
+from estimator.model.rig import Channel, EffectUse, Model
 from estimator.synchronous import amplitude, lines, stiffness_bias, synchronous_orders
 
 RATE = 25600.0

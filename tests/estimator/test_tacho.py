@@ -13,7 +13,7 @@ from daq.rig import load_rig
 from estimator import line_forces, spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import with_effect
-from estimator.model import Channel, EffectUse, Model, Setting
+from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.modulation import turning
 from estimator.periodic import series, whole_waves
 from estimator.shaft_angle import measured_phase, timed

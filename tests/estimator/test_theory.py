@@ -9,10 +9,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from estimator.errors import DataError
-from estimator.hertz_contact import STEEL, delta_star, ellipse_ratio, load_deflection, point_contact, raceways
-from estimator.model import BearingGeometry, Channel, EffectUse, Model, Setting
+from estimator.model.bearing_theory import curve, kinematics, radial_force, taylor, theory
+from estimator.model.hertz_contact import STEEL, delta_star, ellipse_ratio, load_deflection, point_contact, raceways
+from estimator.model.rig import BearingGeometry, Channel, EffectUse, Model, Setting
 from estimator.results import Fit, Parameter
-from estimator.theory import curve, kinematics, radial_force, taylor, theory
 
 SKF6200 = BearingGeometry(6, 6e-3, 20e-3, 3.09e-3, preload=0.3e-6)
 

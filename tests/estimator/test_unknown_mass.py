@@ -10,7 +10,7 @@ from scipy import signal
 
 from daq.rig import load_rig
 from estimator import spectral
-from estimator.model import EffectUse, Model, Setting
+from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import belongs
 from estimator.simulate import simulate
 from estimator.whole import fit_whole

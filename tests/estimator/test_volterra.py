@@ -5,7 +5,7 @@ import pytest
 
 from estimator import volterra
 from estimator.errors import DataError
-from estimator.model import Channel, EffectUse, Model, Setting
+from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.volterra import Kernels, identify, wiener_first
 
 RATE = 25600.0

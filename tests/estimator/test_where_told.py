@@ -14,7 +14,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.strength import with_effect
 from estimator.evidence import Entry
 from estimator.explains import _where_told
-from estimator.model import Model, Setting
+from estimator.model.rig import Model, Setting
 from estimator.model_fit import fit_model
 from estimator.placed import Placed
 from estimator.simulate import simulate

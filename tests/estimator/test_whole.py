@@ -15,7 +15,7 @@ from estimator.compare import compare
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths, with_effect
 from estimator.errors import DataError
-from estimator.model import EffectUse, Model, Setting
+from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulate import simulate
 from estimator.suspects import suspects
 from estimator.whole import fit_whole

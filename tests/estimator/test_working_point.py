@@ -11,7 +11,7 @@ from hidden_effects import RATE, one_bearing
 from estimator import bandlimit, model_fit, noise_level, working_point
 from estimator.cut_record import prepare
 from estimator.fitted import parameters
-from estimator.model import EffectUse, Setting
+from estimator.model.rig import EffectUse, Setting
 from estimator.noise_level import _least
 from estimator.placed import placed_of
 from estimator.simulate import simulate

@@ -13,7 +13,7 @@ from daq.rig import load_rig
 from estimator.effects import CATALOGUE
 from estimator.effects.places import places
 from estimator.effects.strength import size, strengths, with_effect
-from estimator.model import Channel, EffectUse, Model, Setting
+from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.simulate import simulate
 
 CONFIGS = Path(__file__).parents[2] / "configs"

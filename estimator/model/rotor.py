@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh, expm, solve_continuous_lyapunov
 
-from .arrays import Array
-from .errors import ModelError
-from .model import DIRECTIONS, NODES, Model, Shaft
+from estimator.arrays import Array
+from estimator.errors import ModelError
+
+from .rig import DIRECTIONS, NODES, Model, Shaft
 
 Complex = NDArray[np.complex128]
 

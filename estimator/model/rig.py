@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from .effect import Effect
-from .roll_off import RollOff
+from .recorder import RollOff
 
 Shaft = Literal["chain", "beam", "none"]
 NODES = ("bearing1", "bearing2")
@@ -93,7 +93,7 @@ class Model:
     mass : kg, keys "disc", "bearing1", "bearing2" (also "bearing1.x" where directions differ); absent = unknown.
     candidates : laws of the user that are not in the model, but on trial when it is diagnosed.
     order_found : whether ball_pass_order is only an estimate, from the record.
-    roll_off : by place, what the recorder takes, found in the record (roll_off.py); None where nothing is known.
+    roll_off : by place, what the recorder takes, found in the record (model/recorder.py); None where nothing is known.
     shaft_stiffness, shaft_damping : N/m and N s/m of each half of the shaft (physics: k of chain or beam form).
     """
 

@@ -18,11 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import Array
-from .errors import DataError
+from estimator.arrays import Array
+from estimator.errors import DataError
+from estimator.results import Fit, Parameter
+
 from .hertz_contact import PointContact, load_deflection, raceways
-from .model import BearingGeometry, Model
-from .results import Fit, Parameter
+from .rig import BearingGeometry, Model
 
 PRELOADS = (0.2e-6, 0.3e-6, 0.4e-6, 0.5e-6, 0.6e-6)  # m
 

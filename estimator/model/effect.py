@@ -1,7 +1,7 @@
 """What an effect is (the effect seam). One file in effects/ defines one `Effect`.
 
 Laws are scalar functions that numba can compile, with one signature for all, so that the simulator, the estimator's
-features and the report call the same text. All SI. Restoring convention (model.py): M a + C v + K x + law = F.
+features and the report call the same text. All SI. Restoring convention (model/rig.py): M a + C v + K x + law = F.
 
     force(x, v, xo, vo, t, phase, s, p) -> float
         x, v : displacement and velocity at the place (for kind "shaft": disc minus the mean of the caps);

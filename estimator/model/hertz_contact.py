@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from .model import BearingGeometry
+from .rig import BearingGeometry
 
 # Pa. The rounded constant of Harris, 2.15e5 N/mm^2, which gives the K_n of physics.md section 4. Unrounded,
 # (4 sqrt 2/3) E / (2 (1 - nu^2)) is 2.1446e5 N/mm^2 for E = 2.07e5 N/mm^2 and nu = 0.3: 0.25 % less.

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .arrays import Array, Complexes
-from .model import Model, Shaft
+from estimator.arrays import Array, Complexes
+
+from .rig import Model, Shaft
 from .rotor import shaft_at_caps, shaft_matrix
 
 HARMONICS = 4  # of the shaft's turns to either side

@@ -20,8 +20,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import Array
-from .results import Parameter
+from estimator.arrays import Array
+from estimator.results import Parameter
 
 POWERS = np.array([2, 4, 8, 16, 32])  # of frequency, of a fall of any form: a mean of samples falls by the first
 FROM = 2.0  # times the highest resonance, from where laws and damping shape the inferred force no more
