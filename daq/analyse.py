@@ -95,7 +95,7 @@ def fitted(rig: Rig, data: Measurement, method: str) -> Fit:
     from importlib import import_module
 
     from estimator import declip, sensor_faults
-    from estimator.shaft_angle import measured_phase
+    from estimator.signals.shaft_angle import measured_phase
 
     clipped = sensor_faults.find(rig.model, data.y)
     y, off = declip.restored(rig.model, data.y, frozenset(place for s in clipped for place in s.at))

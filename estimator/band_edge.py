@@ -17,8 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimator.signals.band_limit import passband
+
 from .arrays import Array, Complexes
-from .bandlimit import passband
 
 Number = complex | Complexes
 

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from estimator.model.rig import Model
+from estimator.signals.channel_response import LINEAR, forced, response
 
 from . import pedestal_form
 from .arrays import Array, Complexes
@@ -19,7 +20,6 @@ from .force_shapes import resonance_hz
 from .path_spectra import Response
 from .periodic import known_lines
 from .results import Parameter
-from .sensor_response import LINEAR, forced, response
 from .transfer import Peak, highest, linear, noises, plain, response_of
 from .working_point import WorkingPoint
 

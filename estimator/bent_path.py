@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.model.rig import Model
+from estimator.signals.channel_response import forced
 
 from .arrays import Array, Complexes
 from .bends import OWN, Cause, bent, causes, numbers
@@ -25,7 +26,6 @@ from .noise_floor import noisy_beside_forces
 from .parallel import answers
 from .path_spectra import Response
 from .periodic import known_lines
-from .sensor_response import forced
 from .suspect import UNKNOWN, Suspect
 from .transfer import Peak, exp, expected, left, plain, response_of
 from .working_point import WorkingPoint

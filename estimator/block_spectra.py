@@ -14,10 +14,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from estimator.signals.blocks import Layout
+
 from .arrays import Array
 from .columns import Columns, Stretch
 from .features import MARGIN, State
-from .gram import Layout
 
 Complex64s = NDArray[np.complex64]
 

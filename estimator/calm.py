@@ -18,8 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.signals.band_limit import noise_shape
+
 from .arrays import Array
-from .bandlimit import noise_shape
 from .linear_memory import filtered
 from .parallel import each
 

@@ -12,13 +12,13 @@ from scipy.special import chdtrc
 
 from estimator.model.recorder import POWERS, Filter, RollOff, devices, images
 from estimator.model.rig import Model
+from estimator.signals.channel_response import SHAPES, shape
 
 from . import force_shapes
 from .arrays import Array
 from .filter_search import Seen, Standing, likeliest, mean_or_none
 from .force_cells import Cells, cells_of
 from .parallel import answers
-from .sensor_response import SHAPES, shape
 from .working_point import WorkingPoint
 
 Plain = tuple[float, Array, Array]  # likelihood, numbers and their scales: force_shapes.plain

@@ -16,6 +16,7 @@ from scipy.special import chdtrc
 
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model.rotor import between_caps, shaft_matrix
+from estimator.signals.channel_response import BLIND, LINEAR
 
 from .arrays import Array, Complexes
 from .balance import shaft_notch
@@ -23,7 +24,6 @@ from .effects import CATALOGUE
 from .effects.places import at, written
 from .parallel import each
 from .results import Parameter
-from .sensor_response import BLIND, LINEAR
 from .subproblem import Subproblem, subproblem
 from .suspect import Suspect
 from .terms import Term

@@ -7,21 +7,21 @@ from numpy.typing import NDArray
 
 from estimator.model.disc import disc_of
 from estimator.model.rig import MOTION, Model
+from estimator.signals.band_limit import below_band
+from estimator.signals.band_limited_record import Filtered
+from estimator.signals.channel_response import passed_of_images, undone
+from estimator.signals.shaft_angle import measured_phase
 
 from .arrays import Array, Series
 from .balance import shaft_reaction
-from .bandlimit import below_band
 from .checks import check_moves
 from .effects.custom import effect_of
 from .effects.places import at
 from .errors import DataError
-from .filtered import Filtered
 from .known_spectra import OF_FORCE, bins_of, colours, folded_back, shaft_response, sharpened
 from .motion_blocks import FOLDS, MotionBlocks, part_of, runs
 from .parallel import each
 from .periodic import pushes, series, waves
-from .sensor_response import passed_of_images, undone
-from .shaft_angle import measured_phase
 
 SHORTEST = 2**16  # samples, 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
 LONGEST = 240.0  # s of a record that is kept in memory, about 10 MB each; six stretches of it, spread over the whole

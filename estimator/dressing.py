@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.signals.blocks import valid_blocks
+
 from .arrays import Array, Complexes
 from .balance import Balance
 from .columns import Columns
-from .gram import valid_blocks
 from .mean_response import Mean, mean_responses
 from .record import Record, stretches
 from .self_energy import DECAYS, SECONDS, covariance, dressed_response, self_energy, spectra

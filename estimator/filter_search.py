@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.model.recorder import POWERS, Filter, images
+from estimator.signals.filter_designs import chebyshev, designs
 
 from . import pedestal_form
 from .arrays import Array, Complexes
-from .filter_designs import chebyshev, designs
 from .force_cells import Cells
 from .force_shapes import DARKEST, coloured, resonant
 from .parallel import answers

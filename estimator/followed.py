@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 from estimator.model.disc import disc_of
 from estimator.model.effect import Effect
 from estimator.model.rig import DIRECTIONS, EffectUse, Model, Setting
+from estimator.signals.channel_response import BLIND
 
 from .effects.custom import effect_of
 from .effects.places import at, kinematic, written
 from .known_spectra import COLOURS
 from .periodic import PERIODIC
 from .results import Parameter
-from .sensor_response import BLIND
 
 FIT = "rotorscope fit has its numbers"
 CLIPPED = "its sensor is clipped: what that took away is missing from the motion"

@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.model.rig import Model
+from estimator.signals.band_limit import band_limit
+from estimator.signals.blocks import layout, spectra, valid_blocks
 
 from .arrays import Array
 from .balance import force_channels, motion_channels
-from .bandlimit import band_limit
 from .errors import DataError
-from .gram import layout, spectra, valid_blocks
 from .record import CELLS_WITH_FORCE, notches
 
 OVERSAMPLE = 8

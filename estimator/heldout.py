@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.model.rig import Model
+from estimator.signals.channel_response import undone
 
 from .arrays import Array
 from .errors import DataError, ModelError
 from .fitted import fitted_model
 from .missing_force import Survey, ridge_of
 from .motion_blocks import FOLDS
-from .sensor_response import undone
 from .subproblem import component, heldout_gain, subproblem
 from .working_point import WorkingPoint
 

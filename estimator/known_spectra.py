@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from estimator.model.disc import disc_of
 from estimator.model.rig import Model
+from estimator.signals.channel_response import echoes, forced, of_place
 
 from .arrays import Array
 from .balance import shaft_notch
 from .effects import CATALOGUE
-from .sensor_response import echoes, forced, of_place
 
 OF_FORCE = ("coloured_excitation",)  # effects that are a shape of the spectrum of the force itself
 COLOURS = (*OF_FORCE, "sensor_resonance")  # and those that look like one where they are not undone in the record

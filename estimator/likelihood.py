@@ -3,7 +3,7 @@
 Per block and frequency bin, in nats (constants left out):  F^H S^-1 F + log det S - log |det A|^2,  F = B Z,  A = B R,
 where R is what each column answers to the acceleration of each place: 1 for a, 1 / (i w) for v, -1 / w^2 for x, the
 mean tangents of a law times those; det A is summed where contour.py says. S = diag(S_i) + sensor noise seen through A.
-The factor 1/2 in front is the redundancy of the overlapping blocks (gram.py). Where S varies within a cell, the
+The factor 1/2 in front is the redundancy of the overlapping blocks (signals/blocks.py). Where S varies within a cell, the
 Jacobian is weighted as the quadratic form is, so that the score stays unbiased: E[F F^H] = S at every frequency.
 Where the force is measured at every place the slopes have none of the determinant (known_force.py).
 """
@@ -16,11 +16,12 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
+from estimator.signals.band_limit import noise_shape
+from estimator.signals.blocks import Layout, Nodes, nodes
+
 from .arrays import Array, Complexes
 from .balance import Balance
-from .bandlimit import noise_shape
 from .contour import modes_of, past, stretches, turns
-from .gram import Layout, Nodes, nodes
 from .jacobian import levels, log_determinant, noise_slope
 from .known_force import is_known, left, seen_through, taken_back
 from .record import Bank

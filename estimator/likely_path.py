@@ -15,13 +15,13 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.model.rig import Model
+from estimator.signals.band_limit import FORCE_DRIFT, noise_shape, passband, to_acceleration
+from estimator.signals.blocks import taper
 
 from .arrays import Array, Complexes
 from .balance import force_channels, motion_channels
-from .bandlimit import FORCE_DRIFT, noise_shape, passband, to_acceleration
 from .checks import check_record
 from .columns import Columns
-from .gram import taper
 from .known_force import is_known
 from .likelihood import responses
 from .lines import begin, swept

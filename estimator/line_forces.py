@@ -19,16 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.model.rig import Model
+from estimator.signals.band_limit import noise_shape
+from estimator.signals.channel_response import undone
+from estimator.signals.line_spectrum import Spectrum, by_angle, residual_spectrum, spectrum_of
 
 from . import strikes, unexplained
 from .arrays import Array, Complexes
 from .balance import shaft_notch
-from .bandlimit import noise_shape
-from .line_spectrum import Spectrum, by_angle, residual_spectrum, spectrum_of
 from .missing_force import NEGLIGIBLE
 from .periodic import known_lines, to_cap
 from .results import Parameter
-from .sensor_response import undone
 from .suspect import Suspect
 from .working_point import WorkingPoint, tangent_at
 

@@ -13,13 +13,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.signals.blocks import CELLS, layout, spectra, valid_blocks
+from estimator.signals.moving_lines import MovingLines
+
 from .arrays import Array
 from .balance import build
 from .errors import DataError
 from .features import MARGIN
-from .gram import CELLS, layout, spectra, valid_blocks
 from .maximum import initial
-from .moving_lines import MovingLines
 from .parallel import each
 from .record import CELLS_WITH_FORCE, Record, notches, stretches
 from .start import Start, calmed, fed, linear_start

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.model.rig import Model
+from estimator.signals.band_limit import passband
 
 from .arrays import Array
 from .balance import Balance, build
-from .bandlimit import passband
 from .dressing import Flutter, dressed, flutter, mean_tangents, self_energies
 from .errors import DataError
 from .force_level import level_of

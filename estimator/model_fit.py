@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.signals.band_limit import left_out
+
 from . import calm_by_force
 from .arrays import Array
-from .bandlimit import left_out
 from .calm import as_displacement, calm_of, is_little
 from .effects.strength import search_range
 from .force_level import alike, level_of

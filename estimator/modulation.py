@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.model.rig import EffectUse, Model, Setting
+from estimator.signals.line_spectrum import surroundings
 
 from .arrays import Array
 from .effects.ball_pass import BALL_PASS
 from .effects.places import at, kinematic, written
 from .line_forces import LEVEL, SURE
-from .line_spectrum import surroundings
 from .parallel import each
 from .working_point import WorkingPoint
 

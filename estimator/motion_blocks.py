@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.model.disc import Disc
+from estimator.signals.band_limit import noise_shape
 
 from .arrays import Array, Complexes, Series
-from .bandlimit import noise_shape
 from .features import HALF, NEAREST, interpolated
 from .periodic import Push, Wave
 

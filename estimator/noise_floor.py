@@ -9,11 +9,11 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.model.rig import MOTION, Model
+from estimator.signals.channel_response import SHAPES, shape
 
 from .arrays import Array
 from .path_spectra import Response
 from .results import Parameter
-from .sensor_response import SHAPES, shape
 from .suspect import Suspect
 from .transfer import Peak, exp, expected, highest, linear
 from .working_point import WorkingPoint

@@ -9,12 +9,12 @@ import numpy as np
 
 from estimator.model.effect import EffectParameter
 from estimator.model.rig import EffectUse, Model, Setting
+from estimator.signals.channel_response import BLIND, LINEAR, forced
 
 from . import noise_floor, periodic
 from .effects import NAMED
 from .effects.places import at, written
 from .results import Parameter
-from .sensor_response import BLIND, LINEAR, forced
 from .suspect import Suspect, as_use
 from .working_point import WorkingPoint
 

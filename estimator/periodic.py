@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from estimator.model.effect import Effect
 from estimator.model.rig import Model, Setting
 from estimator.model.rotor import shaft_at_caps
+from estimator.signals.band_limit import passband
 
 from .arrays import Array, Complexes, Series
-from .bandlimit import passband
 from .effects import MORE_LINES, NAMED
 from .effects.law_loop import force_array
 from .effects.places import at, kinematic, values, written

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.model.rig import Model
+from estimator.signals.band_limit import Motion
+from estimator.signals.band_limited_record import Filtered
+from estimator.signals.blocks import CELLS, Layout, gram, layout, spectra, valid_blocks
 
 from .arrays import Array
 from .balance import Balance, force_channels, motion_channels, shaft_notch, shaft_reaction
-from .bandlimit import Motion
 from .calm import Calm
 from .columns import Columns, Stretch
 from .errors import DataError
 from .features import MARGIN
-from .filtered import Filtered
-from .gram import CELLS, Layout, gram, layout, spectra, valid_blocks
 from .parallel import each
 
 BLOCKS_PER_FOLD = 3
@@ -42,7 +42,9 @@ class Record:
     lines: tuple[tuple[float, float], ...] = ()  # Hz, stretches left out of the grid (lines.py)
     slow: Array | None = None  # (places, n) displacement below the band that laws see instead of what sensors measure
     calm: Calm | None = None  # what laws see of the displacement where sensors are noisy
-    weights: Array | None = None  # (blocks, bins) what each bin of each block counts for (moving_lines.py); None: 1
+    weights: Array | None = (
+        None  # (blocks, bins) what each bin of each block counts for (signals/moving_lines.py); None: 1
+    )
     _rms: dict[str, Array] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property

@@ -7,7 +7,7 @@ row, the recent memory replaces the long one: a change is followed faster, and t
 honest.
 
 Lines that were there at the start are left out of the grid for good, those that come or move block by block
-(moving_lines.py); a tacho channel gives the angle of the shaft. The candidates of watch.py have a memory of their own,
+(signals/moving_lines.py); a tacho channel gives the angle of the shaft. The candidates of watch.py have a memory of their own,
 of every third block, and are looked at every three seconds. What is computed when depends on the data alone.
 """
 
@@ -18,19 +18,19 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.model.rig import Model
+from estimator.signals.band_limit import BandLimit, Motion
+from estimator.signals.blocks import Layout, layout
+from estimator.signals.shaft_angle import ShaftAngle
 
 from .arrays import Array
 from .balance import force_channels, motion_channels, shaft_reaction
-from .bandlimit import BandLimit, Motion
 from .errors import DataError
 from .followed import followed
-from .gram import Layout, layout
 from .lines import begin
 from .periodic import known_lines
 from .record import Record, as_record, notches
 from .results import Estimate
 from .rolling_fit import WARM_UP_S, RollingFit
-from .shaft_angle import ShaftAngle
 from .solution import judged
 from .watch import CANDIDATES
 

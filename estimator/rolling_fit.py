@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.model.rig import Model
+from estimator.signals.blocks import valid_blocks
+from estimator.signals.moving_lines import MovingLines
 
 from .arrays import Array
 from .balance import Balance, build, restrict
@@ -16,13 +18,11 @@ from .block_spectra import BlockSpectra
 from .columns import Columns
 from .dressing import dressed, self_energies
 from .features import MARGIN
-from .gram import valid_blocks
 from .jacobian import levels
 from .known_force import is_known
 from .known_spectra import colours
 from .likelihood import Evidence, Likelihood, Local, Point, active, maximise
 from .maximum import Maximum, initial, inverse, maximum, without_noise
-from .moving_lines import MovingLines
 from .record import Record, gather
 from .results import Parameter
 from .rolling_fall import Fall

@@ -7,8 +7,9 @@ from functools import partial
 
 import numpy as np
 
+from estimator.signals.band_limit import half_length
+
 from .arrays import Array
-from .bandlimit import half_length
 from .columns import Columns, Stretch
 from .features import MARGIN, State
 from .mean_response import yields

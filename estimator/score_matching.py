@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.model.rig import MOTION, Model
+from estimator.signals.band_limit import BandLimit, band_limit
 
 from .arrays import Array
 from .band_edge import BandEdge
-from .bandlimit import BandLimit, band_limit
 from .effects.custom import effect_of
 from .effects.places import at
 from .errors import DataError

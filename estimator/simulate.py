@@ -15,10 +15,10 @@ import numpy as np
 from estimator.model.effect import Effect
 from estimator.model.rig import Model
 
-from . import low_pass
 from . import simulate_kernel as kernel
 from .arrays import Array
 from .errors import ModelError
+from .signals import low_pass
 from .simulate_plan import Plan, build
 from .simulate_speed import Speed
 from .simulate_start import start_state

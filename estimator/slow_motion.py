@@ -20,9 +20,9 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.model.effect import Effect
+from estimator.signals.band_limit import unseen
 
 from .arrays import Array, Complexes
-from .bandlimit import unseen
 from .effects.compiled import memory_array
 from .effects.law_loop import force_array
 from .mean_response import yields

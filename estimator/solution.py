@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.model.rig import UNITS, Model
+from estimator.signals.blocks import spectra, taper, valid_blocks
 
 from .arrays import Array
 from .balance import Balance
 from .fold_tangents import excess
-from .gram import spectra, taper, valid_blocks
 from .likelihood import Likelihood, Local, Point, active
 from .maximum import inverse, maximum
 from .record import Bank, Record, stretches

@@ -6,6 +6,7 @@ import numpy as np
 
 from estimator.model.recorder import devices, suspected
 from estimator.model.rig import Model
+from estimator.signals.channel_response import forced
 
 from . import bent_path, force_level, one_end, unknown_mass, whole
 from .arrays import Array
@@ -24,7 +25,6 @@ from .periodic import PERIODIC
 from .placed import searched
 from .results import Fit
 from .search_start import fit_record
-from .sensor_response import forced
 from .slow_motion import lopsided, own_sizes, usual
 from .solution import Solution, ratios_only, report
 from .whole import Whole

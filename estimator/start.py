@@ -8,14 +8,14 @@ from functools import lru_cache
 import numpy as np
 
 from estimator.model.rig import Model
+from estimator.signals.band_limit import half_length, left_out
+from estimator.signals.blocks import Nodes, nodes, spectra, valid_blocks
 
 from .arrays import Array
 from .balance import build, motion_channels
-from .bandlimit import half_length, left_out
 from .calm import as_displacement, calm_of, is_little
 from .errors import DataError
 from .features import MARGIN, NEAREST
-from .gram import Nodes, nodes, spectra, valid_blocks
 from .likelihood import Evidence, Likelihood, Local, Point, evidence_of, maximise, responses
 from .record import Record, gather, notches
 

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc
 
 from estimator.model.rig import Model
+from estimator.signals.line_spectrum import Spectrum
 
 from . import unexplained
 from .arrays import Array
 from .effects import CATALOGUE
 from .effects.places import kinematic, orders
-from .line_spectrum import Spectrum
 from .results import Parameter
 from .suspect import Suspect
 from .working_point import WorkingPoint, tangent_at

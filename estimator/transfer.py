@@ -27,8 +27,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.signals.band_limit import noise_shape
+
 from .arrays import Array, Complexes
-from .bandlimit import noise_shape
 from .folded_force import alike, folded
 from .path_spectra import Response
 

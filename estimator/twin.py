@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from estimator.model.rig import Model
+from estimator.signals.band_limit import noise_shape
+from estimator.signals.channel_response import echoes, recorder
 
 from .arrays import Array, Series
-from .bandlimit import noise_shape
 from .cut_record import cut
 from .errors import DataError, ModelError
 from .free_run import free_run
 from .motion_blocks import MotionBlocks, spectrum
-from .sensor_response import echoes, recorder
 from .simulate import simulate
 from .working_point import WorkingPoint
 

@@ -6,8 +6,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.signals.band_limit import passband
+
 from .arrays import Array, Complexes
-from .bandlimit import passband
 from .periodic_fit import PIECES, demodulated
 from .working_point import WorkingPoint
 

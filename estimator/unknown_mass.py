@@ -13,6 +13,7 @@ import numpy as np
 
 from estimator.model.rig import Model
 from estimator.model.rotor import shaft_matrix
+from estimator.signals.channel_response import forced, undone
 
 from .arrays import Array
 from .effects.custom import effect_of
@@ -20,7 +21,6 @@ from .errors import DataError
 from .likely_path import analyse
 from .periodic import PERIODIC
 from .results import Parameter, belongs
-from .sensor_response import forced, undone
 from .solution import ratios_only, report
 from .working_point import WorkingPoint
 

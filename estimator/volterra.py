@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.model.rig import MOTION, Model
+from estimator.signals.band_limit import band_limit
 
 from .arrays import Array, Complexes
-from .bandlimit import band_limit
 from .errors import DataError
 from .moments import BlockMoments
 from .planes import Plane, density_band, planes

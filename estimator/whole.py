@@ -13,6 +13,8 @@ from itertools import starmap
 import numpy as np
 
 from estimator.model.rig import EffectUse, Model, Setting
+from estimator.signals.channel_response import BLIND, LINEAR
+from estimator.signals.shaft_angle import timed
 
 from . import (
     bends,
@@ -42,8 +44,6 @@ from .numbered import further_lines, moved, told_by_force, undone_as_given, with
 from .placed import clipped
 from .results import Fit, Parameter, untold_at
 from .search_start import fit_record
-from .sensor_response import BLIND, LINEAR
-from .shaft_angle import timed
 from .start import refuse_without_resonance, resonates
 from .suspects import suspects
 from .working_point import WorkingPoint

@@ -2,7 +2,7 @@
 
 All channels fall, the more the higher the frequency, and none rises on the way as behind a resonance. Of the inferred
 force that is a colour that no rotor has, and nothing is said to be missing: it is undone in the record
-(sensor_response.py), as laws depend on the motion that there was.
+(signals/channel_response.py), as laws depend on the motion that there was.
 
 A filter that falls slowly (means over a sample, sigma-delta, Bessel) also lets through what is above half the rate, and
 sampling folds it into the band: above all resonances the acceleration is that of a free mass, F / m, and as the unknown
@@ -37,7 +37,7 @@ POWER_OF_W = {"acceleration": 0, "velocity": -1, "displacement": -2}  # from acc
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """Means over a sample, one after the other; poles before the samples (filter_designs.py); or a fall of any form
+    """Means over a sample, one after the other; poles before the samples (signals/filter_designs.py); or a fall of any form
     where nothing is folded back, as behind a filter that is steep at half the rate.
 
     nepers : (5,) of power at the end of the band, each by its power of frequency. name : of the design of the poles.

@@ -32,9 +32,9 @@ from kept_records import kept
 from reference_rig import MASS, PLACES, RATE, SHAFT, SHAFT_DAMPING, TRUTH, rig_model
 
 from estimator import fokker_planck, score_matching, spectral
-from estimator.bandlimit import Motion, band_limit
 from estimator.errors import DataError
 from estimator.model.rig import Channel, EffectUse, Model
+from estimator.signals.band_limit import Motion, band_limit
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
 SEEDS = int(os.environ.get("ROTORSCOPE_SEEDS", "2"))

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from estimator.band_edge import BandEdge
-from estimator.bandlimit import passband
+from estimator.signals.band_limit import passband
 
 RATE, BAND = 25600.0, (282.0, 8000.0)
 

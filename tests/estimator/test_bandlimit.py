@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.bandlimit import BandLimit, band_limit, half_length
 from estimator.errors import DataError
+from estimator.signals.band_limit import BandLimit, band_limit, half_length
 
 RATE, BAND = 2000.0, (20.0, 600.0)
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from estimator import cut_record
-from estimator.bandlimit import BandLimit, band_limit
-from estimator.filtered import Filtered
 from estimator.lines import begin
 from estimator.model.rig import Channel, EffectUse, Model
 from estimator.record import prepare
+from estimator.signals.band_limit import BandLimit, band_limit
+from estimator.signals.band_limited_record import Filtered
 from estimator.slow_motion import with_slow
 
 RATE, SECONDS, BAND = 1000.0, 40.0, (10.0, 450.0)

@@ -12,8 +12,8 @@ from estimator.balance import build
 from estimator.block_spectra import BlockSpectra
 from estimator.columns import Columns
 from estimator.errors import DataError
-from estimator.gram import gram, spectra
 from estimator.record import Record, prepare
+from estimator.signals.blocks import gram, spectra
 
 EFFECTS = ("cubic", "coulomb", "bouc_wen", "quintic", "cross_coupling")  # smooth, with a jump, with a memory
 BLOCKS, GAP = (0, 1, 2, 3, 6, 7), 6  # the last two follow on nothing

@@ -10,13 +10,13 @@ from hidden_effects import RATE, one_bearing
 from numpy.typing import NDArray
 from scipy import signal
 
-from estimator.filter_designs import chebyshev, designs
 from estimator.filter_search import NONE, Seen, Standing, _spectrum, likeliest, mean_or_none
 from estimator.force_cells import CELLS, Cells
 from estimator.force_shapes import coloured, resonant
 from estimator.model.recorder import Filter, images
 from estimator.pedestal_form import lost
-from estimator.sensor_response import undone
+from estimator.signals.channel_response import undone
+from estimator.signals.filter_designs import chebyshev, designs
 
 Array = NDArray[np.float64]
 TOP, MASS, BINS, BLOCKS = 8000.0, 0.2, 2000, 300

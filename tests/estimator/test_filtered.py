@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from reference_rig import PLACES, RATE, rig_model, rig_record
 
-from estimator import filtered
-from estimator.bandlimit import band_limit
-from estimator.filtered import Filtered
 from estimator.likely_path import analyse
+from estimator.signals import band_limited_record
+from estimator.signals.band_limit import band_limit
+from estimator.signals.band_limited_record import Filtered
 from estimator.solution import inferred_force
 
 KINDS, BAND = ["acceleration", "displacement"], (150.0, 8000.0)
@@ -39,7 +39,7 @@ def test_every_piece_has_the_bits_of_the_stream(extra: object) -> None:
 def test_a_large_record_is_fitted_without_its_motion_held(monkeypatch: pytest.MonkeyPatch) -> None:
     y = rig_record(8.0, seed=1)
     small = analyse(rig_model("cubic"), y, RATE)
-    monkeypatch.setattr(filtered, "LARGE", 1e6)
+    monkeypatch.setattr(band_limited_record, "LARGE", 1e6)
     large = analyse(rig_model("cubic"), y, RATE)
     assert isinstance(large.record.motion, Filtered)
     for place in PLACES:

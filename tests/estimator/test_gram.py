@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.errors import DataError
-from estimator.gram import gram, layout, nodes, spectra, valid_blocks
+from estimator.signals.blocks import gram, layout, nodes, spectra, valid_blocks
 
 RATE, BAND = 2000.0, (20.0, 600.0)
 

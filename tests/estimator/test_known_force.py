@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from estimator import spectral
 from estimator.balance import build
-from estimator.bandlimit import band_limit
 from estimator.likelihood import Likelihood, Point, evidence_of
 from estimator.likely_path import along_likely_path
 from estimator.lines import begin
 from estimator.maximum import initial
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.record import gather, prepare
+from estimator.signals.band_limit import band_limit
 from estimator.simulate import simulate
 from estimator.solution import solve
 from estimator.start import linear_start

@@ -15,8 +15,8 @@ from estimator import line_forces
 from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.strength import size, strengths, with_effect
-from estimator.line_spectrum import spectrum_of, surroundings
 from estimator.search_start import fit_record
+from estimator.signals.line_spectrum import spectrum_of, surroundings
 from estimator.simulate import simulate
 from estimator.suspects import suspects
 from estimator.whole import fit_whole

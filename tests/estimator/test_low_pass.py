@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import firwin, kaiserord
 
-from estimator import low_pass
+from estimator.signals import low_pass
 
 
 @pytest.mark.parametrize("width", [0.05, 0.4])

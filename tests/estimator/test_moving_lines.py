@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from reference_rig import PLACES, RATE, rig_model, rig_record, run_up_angle
 
-from estimator.gram import layout, spectra
 from estimator.model.rig import Channel, Model
-from estimator.moving_lines import MovingLines, left_out, weights
 from estimator.results import Estimate
 from estimator.rolling import RollingSpectral
-from estimator.shaft_angle import ShaftAngle, shaft_angle
+from estimator.signals.blocks import layout, spectra
+from estimator.signals.moving_lines import MovingLines, left_out, weights
+from estimator.signals.shaft_angle import ShaftAngle, shaft_angle
 
 GRID = layout(RATE, (150.0, 8000.0))
 SECONDS, RUN_UP = 14.0, (320.0, 460.0, 0.3)

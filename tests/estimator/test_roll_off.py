@@ -17,14 +17,14 @@ from estimator import common_fall, spectral
 from estimator.compare import compare
 from estimator.cut_record import prepare
 from estimator.diagnose import diagnose
-from estimator.filter_designs import designs
 from estimator.improve import improve
 from estimator.model import recorder as roll_off
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.rolling import RollingSpectral
 from estimator.search_start import fit_record
-from estimator.sensor_response import echoes, of_place
+from estimator.signals.channel_response import echoes, of_place
+from estimator.signals.filter_designs import designs
 from estimator.simulate import simulate
 from estimator.whole import fit_whole
 

@@ -5,7 +5,7 @@ import pytest
 
 from estimator.errors import DataError
 from estimator.model.rig import Channel, Model
-from estimator.shaft_angle import measured_phase, rising_edges, shaft_angle
+from estimator.signals.shaft_angle import measured_phase, rising_edges, shaft_angle
 from estimator.simulate_speed import Speed
 
 RATE = 25600.0

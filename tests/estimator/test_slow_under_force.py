@@ -10,12 +10,12 @@ import pytest
 from numba import njit
 from scipy.signal import resample
 
-from estimator.bandlimit import left_out
 from estimator.compare import compare
 from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.model.rig import Channel, EffectUse, Model
 from estimator.placed import Placed
+from estimator.signals.band_limit import left_out
 from estimator.slow_motion import with_slow
 
 RATE, SECONDS, BAND, FINER = 1000.0, 40.0, (10.0, 400.0), 20

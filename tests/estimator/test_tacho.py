@@ -16,7 +16,7 @@ from estimator.effects.strength import with_effect
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.modulation import turning
 from estimator.periodic import series, whole_waves
-from estimator.shaft_angle import measured_phase, timed
+from estimator.signals.shaft_angle import measured_phase, timed
 from estimator.simulate import simulate
 from estimator.simulate_speed import Speed
 from estimator.whole import fit_whole

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing
 
-from estimator import bandlimit, model_fit, noise_level, working_point
+from estimator import model_fit, noise_level, working_point
 from estimator.cut_record import prepare
 from estimator.fitted import parameters
 from estimator.model.rig import EffectUse, Setting
 from estimator.noise_level import _least
 from estimator.placed import placed_of
+from estimator.signals import band_limit
 from estimator.simulate import simulate
 
 
@@ -59,7 +60,7 @@ def test_what_laws_do_not_see_is_that_of_the_rotor_behind_strong_noise() -> None
     m, kL, c, S = 0.2, *(rig.linear["bearing1.y"][name].value or 0.0 for name in ("kL", "c", "S"))
     rms = np.sqrt(0.03 * S / m**2 * RATE / 2)  # integrated, as much as the displacement itself
     data = prepare(rig, simulate(rig, RATE, 8.0, seed=4, noise=float(rms)), RATE)
-    own = bandlimit.left_out(*(np.array([z]) for z in (m, c, kL, S)), rig.band, RATE, ["acceleration"])
+    own = band_limit.left_out(*(np.array([z]) for z in (m, c, kL, S)), rig.band, RATE, ["acceleration"])
     point = model_fit.fit_model(data, placed_of(rig, data))
     assert point.data.left_out[1] == pytest.approx(own[0], rel=0.1)
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Array, Complexes
 from estimator.model.rig import MOTION, Model
+from estimator.parallel import each
 
-from .arrays import Array, Complexes
-from .bandlimit import to_acceleration
-from .parallel import each
+from .band_limit import to_acceleration
 from .shaft_angle import measured_phase
 
 NEIGHBOURS, THIN = 240, 4  # bins either side for the local noise, of which every fourth is looked at

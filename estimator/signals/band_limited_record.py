@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import Array, Complexes
-from .bandlimit import BandLimit, Motion
-from .parallel import each
+from estimator.arrays import Array, Complexes
+from estimator.parallel import each
+
+from .band_limit import BandLimit, Motion
 
 LARGE = 3e8  # bytes of motion above which it is computed where it is asked for, every time
 

@@ -9,10 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.arrays import Array
+from estimator.errors import DataError
 from estimator.model.rig import Model
-
-from .arrays import Array
-from .errors import DataError
 
 
 class ShaftAngle:

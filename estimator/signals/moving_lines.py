@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .arrays import Array
+from estimator.arrays import Array
 
 AnyComplexes = NDArray[np.complex128] | NDArray[np.complex64]
 FALSE_ALARM = 1e-4  # of a block

@@ -12,12 +12,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from estimator.arrays import Array, Complexes
 from estimator.model.recorder import Filter, images
 from estimator.model.rig import MOTION, EffectUse, Model
+from estimator.parallel import each
 
-from .arrays import Array, Complexes
-from .bandlimit import to_acceleration
-from .parallel import each
+from .band_limit import to_acceleration
 
 BLIND = ("sensor_gain", "sensor_skew")  # caps that are not coupled say nothing of them: diagnosis.md
 LINEAR = (*BLIND, "sensor_resonance")  # faults that are a response

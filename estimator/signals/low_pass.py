@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .arrays import Array
+from estimator.arrays import Array
 
 
 def kaiser(taps: int, cutoff: float, beta: float) -> Array:

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import Array, Complexes
-from .errors import DataError
+from estimator.arrays import Array, Complexes
+from estimator.errors import DataError
 
 DRIFT = 0.05  # of the lower band edge: below lie offset and drift of a sensor; the filter is as long as the band's
 FORCE_DRIFT = 0.02  # the same of a sensor of force, whose whole record is filtered

@@ -15,8 +15,8 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import Array
-from .errors import DataError
+from estimator.arrays import Array
+from estimator.errors import DataError
 
 CELLS = 24
 

@@ -1,0 +1,1 @@
+"""Samples turned into band-limited motion, block spectra, the shaft angle and channel responses."""
