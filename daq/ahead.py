@@ -21,4 +21,4 @@ def _load(modules: Sequence[str]) -> None:
     with suppress(Exception):
         for name in modules:
             import_module(name)
-        import_module("estimator.effects.compiled").ready()
+        import_module("estimator.effects.engine.compiled").ready()

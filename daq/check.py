@@ -33,7 +33,7 @@ def check_laws(rig: Rig, path: Path) -> None:
     """ConfigError with its line for a law of the user's that is not finite."""
     for use in rig.model.effects:
         if use.custom is not None:
-            from estimator.effects.custom import custom_effect
+            from estimator.effects.engine.custom import custom_effect
 
             try:
                 custom_effect(use)

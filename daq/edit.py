@@ -12,7 +12,7 @@ import tomlkit
 from tomlkit.items import Float, InlineTable, Trivia
 
 from estimator.effects import CATALOGUE, MORE_LINES, NAMED
-from estimator.effects.places import places
+from estimator.effects.engine.places import places
 from estimator.results import Parameter
 
 from .errors import ConfigError

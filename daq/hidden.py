@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.effects import CATALOGUE
-from estimator.effects.places import places
-from estimator.effects.strength import size, strengths, with_effect
+from estimator.effects.engine.places import places
+from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.model.rig import Model, Setting
 from estimator.results import Parameter
 from estimator.simulate import simulate

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from estimator.effects import CATALOGUE
-from estimator.effects.places import places
+from estimator.effects.engine.places import places
 from estimator.improve import improve
 from estimator.model.rig import Model
 

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from estimator.effects import CATALOGUE
-from estimator.effects.places import places
+from estimator.effects.engine.places import places
 from estimator.model.effect import Effect
 from estimator.model.rig import DIRECTIONS, NODES, CustomLaw, EffectUse, Model, Setting
 
@@ -127,7 +127,7 @@ def _law(
         if effect.turns and not _turning(model):
             wrong.append(("module", f"{own.module} {_ANGLE}"))
         return CustomLaw(None, own.module, known, effect), places(effect, model), wrong
-    from estimator.effects.expression import ExpressionError, compile_law
+    from estimator.effects.engine.expression import ExpressionError, compile_law
 
     law = CustomLaw(own.expression, None, units)
     try:

@@ -80,7 +80,7 @@ def _complete_use(model: Model, use: EffectUse, rate_hz: float, assumed: dict[st
     if use.custom is not None:
         missing = next(k for table in use.parameters.values() for k, s in table.items() if s.value is None)
         raise ConfigError(f"model.custom: {use.name} has no value for {missing}; give one to simulate it")
-    from estimator.effects.strength import size, strengths
+    from estimator.effects.engine.strength import size, strengths
 
     effect: Effect = NAMED[use.name]
     units = {p.name: p.unit for p in effect.parameters}

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimator.effects.engine.custom import effect_of
+from estimator.effects.engine.places import at, kinematic, written
 from estimator.model.disc import Disc, disc_of
 from estimator.model.effect import Effect
 from estimator.model.rig import MOTION, UNITS, Model, Setting
 
 from .arrays import Array, Complexes
-from .effects.custom import effect_of
-from .effects.places import at, kinematic, written
 from .errors import DataError
 
 UNKNOWN = Setting()
@@ -142,7 +142,7 @@ def shaft_reaction(model: Model) -> Callable[[Array | Complexes], Complexes] | N
 
 def _split(effect: Effect) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Indices of the parameters that the law is jointly linear in, and of the others that may be searched."""
-    from .effects.law_loop import force_array
+    from estimator.effects.engine.law_loop import force_array
 
     linear = [j for j, p in enumerate(effect.parameters) if p.linear]
     if effect.force is not None and len(linear) > 1:

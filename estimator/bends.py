@@ -8,13 +8,13 @@ from functools import partial
 
 import numpy as np
 
+from estimator.effects.engine.places import at, written
 from estimator.model.rig import Model
 from estimator.signals.channel_response import LINEAR, forced, response
 
 from . import pedestal_form
 from .arrays import Array, Complexes
 from .effects import CATALOGUE
-from .effects.places import at, written
 from .folded_force import images, of_late_sensor
 from .force_shapes import resonance_hz
 from .path_spectra import Response

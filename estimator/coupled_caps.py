@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.effects.engine.places import at, written
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model.rotor import between_caps, shaft_matrix
 from estimator.signals.channel_response import BLIND, LINEAR
@@ -21,7 +22,6 @@ from estimator.signals.channel_response import BLIND, LINEAR
 from .arrays import Array, Complexes
 from .balance import shaft_notch
 from .effects import CATALOGUE
-from .effects.places import at, written
 from .parallel import each
 from .results import Parameter
 from .subproblem import Subproblem, subproblem

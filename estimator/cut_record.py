@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.effects.engine.custom import effect_of
+from estimator.effects.engine.places import at
 from estimator.model.disc import disc_of
 from estimator.model.rig import MOTION, Model
 from estimator.signals.band_limit import below_band
@@ -15,8 +17,6 @@ from estimator.signals.shaft_angle import measured_phase
 from .arrays import Array, Series
 from .balance import shaft_reaction
 from .checks import check_moves
-from .effects.custom import effect_of
-from .effects.places import at
 from .errors import DataError
 from .known_spectra import OF_FORCE, bins_of, colours, folded_back, shaft_response, sharpened
 from .motion_blocks import FOLDS, MotionBlocks, part_of, runs

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.effects.engine.places import at
+from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.model.rig import Model
 
 from . import modulation
 from .effects import CATALOGUE, NAMED
-from .effects.ball_pass import BALL_PASS
-from .effects.places import at
 from .missing_force import Survey
 from .periodic import LINE_NAMES
 from .placed import Placed

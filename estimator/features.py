@@ -19,10 +19,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from estimator.effects.engine.law_loop import Signals, compiled, force_array, law_of, smoothed
 from estimator.model.effect import Effect
 
 from .arrays import Array, Series
-from .effects.law_loop import Signals, compiled, force_array, law_of, smoothed
 from .signals import low_pass
 
 NEAREST = 0.02  # least smoothing, in standard deviations of the state: a step needs some width to have a derivative

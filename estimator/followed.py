@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from estimator.effects.engine.custom import effect_of
+from estimator.effects.engine.places import at, kinematic, written
 from estimator.model.disc import disc_of
 from estimator.model.effect import Effect
 from estimator.model.rig import DIRECTIONS, EffectUse, Model, Setting
 from estimator.signals.channel_response import BLIND
 
-from .effects.custom import effect_of
-from .effects.places import at, kinematic, written
 from .known_spectra import COLOURS
 from .periodic import PERIODIC
 from .results import Parameter

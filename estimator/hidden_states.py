@@ -28,10 +28,10 @@ import numpy as np
 from numba import njit
 from numba.extending import overload
 
+from estimator.effects.engine.compiled import rise
 from estimator.model.effect import Effect
 
 from .arrays import Array, Complexes, Series
-from .effects.compiled import rise
 from .features import MARGIN, decimated, interpolated
 
 SMALL = 1e-7  # change of a state or of the motion over its largest value, for derivatives

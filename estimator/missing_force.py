@@ -22,11 +22,11 @@ from numpy.polynomial.hermite_e import hermeval
 from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
+from estimator.effects.engine.places import kinematic
 from estimator.model.rig import Model
 
 from . import reference
 from .arrays import Array
-from .effects.places import kinematic
 from .parallel import answers
 from .path_fit import PathFit
 from .subproblem import Subproblem

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.effects.engine.strength import search_range
 from estimator.signals.band_limit import left_out
 
 from . import calm_by_force
 from .arrays import Array
 from .calm import as_displacement, calm_of, is_little
-from .effects.strength import search_range
 from .force_level import alike, level_of
 from .motion_blocks import MotionBlocks, part_of, spectrum
 from .noise_level import LEAST_NOISE, noise_of

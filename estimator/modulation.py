@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.effects.engine.places import at, kinematic, written
+from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.signals.line_spectrum import surroundings
 
 from .arrays import Array
-from .effects.ball_pass import BALL_PASS
-from .effects.places import at, kinematic, written
 from .line_forces import LEVEL, SURE
 from .parallel import each
 from .working_point import WorkingPoint

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.effects.engine.places import at, written
 from estimator.model.effect import EffectParameter
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.signals.channel_response import BLIND, LINEAR, forced
 
 from . import noise_floor, periodic
 from .effects import NAMED
-from .effects.places import at, written
 from .results import Parameter
 from .suspect import Suspect, as_use
 from .working_point import WorkingPoint

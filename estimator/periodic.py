@@ -18,6 +18,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from estimator.effects.engine.law_loop import force_array
+from estimator.effects.engine.places import at, kinematic, values, written
 from estimator.model.effect import Effect
 from estimator.model.rig import Model, Setting
 from estimator.model.rotor import shaft_at_caps
@@ -25,8 +27,6 @@ from estimator.signals.band_limit import passband
 
 from .arrays import Array, Complexes, Series
 from .effects import MORE_LINES, NAMED
-from .effects.law_loop import force_array
-from .effects.places import at, kinematic, values, written
 from .errors import ModelError
 
 LINE_NAMES = ("line", *MORE_LINES)

@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.effects.engine.places import written
 from estimator.model.rig import Model, Setting
 
 from .arrays import Array, Complexes, Series
-from .effects.places import written
 from .model_fit import fit_model
 from .motion_blocks import MotionBlocks
 from .periodic import (

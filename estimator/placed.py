@@ -9,6 +9,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.effects.engine.custom import effect_of
+from estimator.effects.engine.places import at, kinematic, written
+from estimator.effects.engine.strength import Size
 from estimator.model.effect import Effect, EffectParameter
 from estimator.model.rig import Model
 
@@ -16,9 +19,6 @@ from . import linear_memory, shaft_law
 from .arrays import Array, Series
 from .calm import as_seen
 from .effects import CATALOGUE
-from .effects.custom import effect_of
-from .effects.places import at, kinematic, written
-from .effects.strength import Size
 from .errors import NotFiniteError
 from .features import FINER, MARGIN, State, decimated, depends, folds, jumps, law_force
 from .hidden_states import along

@@ -12,13 +12,13 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.effects.engine.custom import effect_of
+from estimator.effects.engine.places import at
 from estimator.model.rig import MOTION, Model
 from estimator.signals.band_limit import BandLimit, band_limit
 
 from .arrays import Array
 from .band_edge import BandEdge
-from .effects.custom import effect_of
-from .effects.places import at
 from .errors import DataError
 from .plane_moments import Form, PlaneMoments
 from .planes import density_band, ignored_effects, planes

@@ -9,13 +9,13 @@ from itertools import product
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.effects.engine.places import kinematic
+from estimator.effects.engine.places import places as canonical_places
+from estimator.effects.engine.strength import search_range
 from estimator.model.effect import Effect
 from estimator.model.rig import Model
 
 from .arrays import Array
-from .effects.places import kinematic
-from .effects.places import places as canonical_places
-from .effects.strength import search_range
 from .law_gain import DIFFERENT, Assessed, _freed, alone, assess
 from .path_fit import PathFit
 from .periodic import PERIODIC

@@ -18,10 +18,10 @@ from collections.abc import Iterable
 import numpy as np
 from numba import njit
 
+from estimator.effects.engine.law_loop import force_array
 from estimator.model.effect import Effect
 
 from .arrays import Array, Complexes
-from .effects.law_loop import force_array
 from .linear_memory import filtered
 from .motion_blocks import MotionBlocks, without_hz
 

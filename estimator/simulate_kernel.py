@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .effects.compiled import call_force_at, call_memory_at, call_rates_at
+from estimator.effects.engine.compiled import call_force_at, call_memory_at, call_rates_at
 
 FORCE, SHAFT, MEMORY = 0, 1, 2
 ACCELERATION, VELOCITY, DISPLACEMENT, EXCITATION = 0, 1, 2, 3

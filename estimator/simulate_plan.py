@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.effects.engine.custom import effect_of
+from estimator.effects.engine.places import at, values
 from estimator.model.effect import Effect
 from estimator.model.rig import DIRECTIONS, NODES, Model
 from estimator.model.rotor import Assembly, assemble
 
 from . import simulate_kernel as kernel
 from .arrays import Array
-from .effects.custom import effect_of
-from .effects.places import at, values
 from .errors import ModelError
 
 KINDS = {
@@ -151,7 +151,7 @@ def table(acting: tuple[Acting, ...], slots: Slots) -> tuple[Table, int, tuple[A
 
     Laws are compiled here, on first use.
     """
-    from .effects.compiled import address
+    from estimator.effects.engine.compiled import address
 
     n, states = len(acting), 0
     width = max((a.p.size for a in acting), default=0) or 1

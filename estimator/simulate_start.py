@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from estimator.effects.engine.custom import effect_of
+from estimator.effects.engine.law_loop import force_array
 from estimator.model.rig import Model
 from estimator.model.rotor import assemble, linear_covariance
 
 from .arrays import Array
-from .effects.custom import effect_of
-from .effects.law_loop import force_array
 from .errors import ModelError
 from .simulate_plan import Plan
 

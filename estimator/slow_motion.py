@@ -19,12 +19,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.effects.engine.compiled import memory_array
+from estimator.effects.engine.law_loop import force_array
 from estimator.model.effect import Effect
 from estimator.signals.band_limit import unseen
 
 from .arrays import Array, Complexes
-from .effects.compiled import memory_array
-from .effects.law_loop import force_array
 from .mean_response import yields
 from .motion_blocks import MotionBlocks
 from .parallel import each

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from estimator.effects.engine.custom import effect_of
+from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.model.recorder import devices, suspected
 from estimator.model.rig import Model
 from estimator.signals.channel_response import forced
@@ -14,8 +16,6 @@ from .balance import force_channels
 from .checks import check_record
 from .contour import modes_of
 from .cut_record import prepare
-from .effects.ball_pass import BALL_PASS
-from .effects.custom import effect_of
 from .errors import DataError
 from .known_force import is_known
 from .likelihood import evidence_of, responses

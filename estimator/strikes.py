@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincc
 
+from estimator.effects.engine.places import kinematic, orders
 from estimator.model.rig import Model
 from estimator.signals.line_spectrum import Spectrum
 
 from . import unexplained
 from .arrays import Array
 from .effects import CATALOGUE
-from .effects.places import kinematic, orders
 from .results import Parameter
 from .suspect import Suspect
 from .working_point import WorkingPoint, tangent_at

@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.effects.engine.custom import effect_of
 from estimator.model.rig import Model
 from estimator.model.rotor import shaft_matrix
 from estimator.signals.channel_response import forced, undone
 
 from .arrays import Array
-from .effects.custom import effect_of
 from .errors import DataError
 from .likely_path import analyse
 from .periodic import PERIODIC

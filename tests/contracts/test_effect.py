@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from estimator.effects import CATALOGUE
-from estimator.effects.compiled import memory_array
-from estimator.effects.law_loop import force_array
-from estimator.effects.page import markdown
-from estimator.effects.strength import OTHER, Size, defaults, rms, search_range, strengths
+from estimator.effects.engine.compiled import memory_array
+from estimator.effects.engine.law_loop import force_array
+from estimator.effects.engine.page import markdown
+from estimator.effects.engine.strength import OTHER, Size, defaults, rms, search_range, strengths
 from estimator.model.effect import Effect
 
 CONTRACT = """cubic, quintic, quadratic, clearance, stop, hertz, coulomb, quadratic_damping, displacement_damping,
@@ -56,7 +56,7 @@ def test_every_name_of_the_contract_is_there() -> None:
 
 def test_the_page_of_the_docs_is_the_catalogue() -> None:
     page = Path(__file__).parents[2] / "docs" / "effects.md"
-    assert page.read_text() == markdown(), "python -m estimator.effects.page > docs/effects.md"
+    assert page.read_text() == markdown(), "python -m estimator.effects.engine.page > docs/effects.md"
 
 
 @of(ALL)

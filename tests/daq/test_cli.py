@@ -176,7 +176,7 @@ def test_nothing_that_a_log_names_is_run_or_copied(
     rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A rig file may name a Python file of its user's; a log may come from anybody."""
-    effect = "from estimator.effects.quintic import QUINTIC as Mine\nopen(__file__ + '.ran', 'w').close()\n"
+    effect = "from estimator.effects.stiffness.quintic import QUINTIC as Mine\nopen(__file__ + '.ran', 'w').close()\n"
     (tmp_path / "laws.py").write_text(effect)
     (tmp_path / "secret").write_text("BO_ nobody's business")
     law = f'[[model.custom]]\nname = "mine"\nmodule = "{tmp_path}/laws.py:Mine"\nparameters = {{ k5 = 1e30 }}\n'

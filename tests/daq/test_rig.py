@@ -184,7 +184,7 @@ def test_a_law_of_the_users_own_joins_the_effects() -> None:
 LAW = '[[model.custom]]\nname = "mine"\nexpression = "{}"\nparameters = {{ k = 1.0 }}\n'
 EFFECT = """
 from dataclasses import replace
-from estimator.effects.quintic import QUINTIC
+from estimator.effects.stiffness.quintic import QUINTIC
 Mine = replace(QUINTIC, name="mine")
 other = 3
 """

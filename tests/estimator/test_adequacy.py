@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estimator import adequacy, screen
 from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import size
+from estimator.effects.engine.strength import size
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
 from estimator.model_fit import fit_model
 from estimator.search_start import fit_record

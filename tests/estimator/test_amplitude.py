@@ -13,7 +13,7 @@ from estimator import screen
 from estimator.amplitude import Extrapolation, extrapolated, upper_part
 from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import size
+from estimator.effects.engine.strength import size
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
 from estimator.search_start import fit_record
 from estimator.simulate import simulate

@@ -14,7 +14,7 @@ from daq.rig import load_rig
 from estimator import evidence
 from estimator.diagnose import Diagnosis, _law, _verdict, diagnose, quiet
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import size, strengths
+from estimator.effects.engine.strength import size, strengths
 from estimator.errors import DataError
 from estimator.improve import improve
 from estimator.model.rig import Model

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from estimator import law_gain, spectral
 from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
-from estimator.effects.custom import custom_effect
-from estimator.effects.expression import FUNCTIONS, ExpressionError, compile_law
-from estimator.effects.law_loop import force_array
+from estimator.effects.engine.custom import custom_effect
+from estimator.effects.engine.expression import FUNCTIONS, ExpressionError, compile_law
+from estimator.effects.engine.law_loop import force_array
 from estimator.errors import DataError, ModelError
 from estimator.likely_path import analyse
 from estimator.model.rig import CustomLaw, EffectUse, Setting

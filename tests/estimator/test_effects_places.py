@@ -9,8 +9,8 @@ import pytest
 
 from estimator.balance import build
 from estimator.effects import CATALOGUE
-from estimator.effects.places import at, kinematic, places, values, written
-from estimator.effects.strength import Size, search_range, size, strengths, with_effect
+from estimator.effects.engine.places import at, kinematic, places, values, written
+from estimator.effects.engine.strength import Size, search_range, size, strengths, with_effect
 from estimator.errors import ModelError
 from estimator.model.rig import BearingGeometry, Channel, EffectUse, Model, Setting
 

@@ -10,7 +10,7 @@ from scipy.signal import csd, welch
 from scipy.stats import kurtosis, skew
 
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import Size, strengths
+from estimator.effects.engine.strength import Size, strengths
 from estimator.errors import ModelError
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.model.rotor import assemble, dynamic_stiffness

@@ -11,7 +11,7 @@ from hidden_effects import RATE, one_bearing
 from estimator import explains, missing_force, two_laws
 from estimator.diagnose import _nothing, diagnose, quiet
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import size, strengths, with_effect
+from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import NotFiniteError
 from estimator.evidence import Entry
 from estimator.model.rig import CustomLaw, EffectUse, Setting

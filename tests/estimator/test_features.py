@@ -8,8 +8,8 @@ import pytest
 from scipy.special import erf
 
 from estimator.effects import CATALOGUE
-from estimator.effects.compiled import address
-from estimator.effects.law_loop import force_array
+from estimator.effects.engine.compiled import address
+from estimator.effects.engine.law_loop import force_array
 from estimator.features import MARGIN, State, decimated, depends, law_force, rough
 
 N, RATE = 20000, 25600.0

@@ -10,8 +10,8 @@ from hidden_effects import RATE, ROOT, one_bearing, record
 
 from daq.rig import load_rig
 from estimator.effects import CATALOGUE
-from estimator.effects.places import places
-from estimator.effects.strength import size, strengths, with_effect
+from estimator.effects.engine.places import places
+from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.followed import followed
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Estimate

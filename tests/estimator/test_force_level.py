@@ -12,7 +12,7 @@ from reference_rig import RATE as RIG_RATE
 
 from estimator import missing_force, screen, spectral
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import size, strengths, with_effect
+from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.force_level import level_of, ratio
 from estimator.motion_blocks import FOLDS, fold_of
 from estimator.placed import Placed, evaluate

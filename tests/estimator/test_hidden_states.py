@@ -11,8 +11,8 @@ from hidden_effects import RATE, one_bearing, record
 from estimator import probe
 from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
-from estimator.effects.compiled import memory_array
-from estimator.effects.strength import size, strengths, with_effect
+from estimator.effects.engine.compiled import memory_array
+from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.fluctuation import Fluctuation, fluctuations
 from estimator.hidden_states import along, passed, together
 from estimator.mean_response import alone, mean_responses

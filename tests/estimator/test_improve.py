@@ -13,8 +13,8 @@ from daq.rig import load_rig
 from estimator.compare import compare
 from estimator.diagnose import Diagnosis, diagnose
 from estimator.effects import CATALOGUE
-from estimator.effects.places import places
-from estimator.effects.strength import size, strengths, with_effect
+from estimator.effects.engine.places import places
+from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import DataError
 from estimator.evidence import Entry
 from estimator.improve import _with_found, improve

@@ -14,7 +14,7 @@ from daq.rig import load_rig
 from estimator import line_forces
 from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import size, strengths, with_effect
+from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.search_start import fit_record
 from estimator.signals.line_spectrum import spectrum_of, surroundings
 from estimator.simulate import simulate

@@ -11,7 +11,7 @@ from hidden_effects import RATE, SECONDS, one_bearing
 
 from estimator import evidence, modulation, screen, spectral
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import size, strengths, with_effect
+from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.missing_force import Survey
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulate import simulate

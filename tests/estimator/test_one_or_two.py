@@ -11,7 +11,7 @@ from daq.rig import Rig
 from estimator import two_laws
 from estimator.diagnose import diagnose
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import size, strengths, with_effect
+from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.improve import improve
 from estimator.model.rig import Setting
 from estimator.simulate import simulate

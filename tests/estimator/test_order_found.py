@@ -9,7 +9,7 @@ from hidden_effects import RATE, one_bearing
 
 from estimator import spectral
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import with_effect
+from estimator.effects.engine.strength import with_effect
 from estimator.model.rig import Channel, EffectUse
 from estimator.simulate import simulate
 from estimator.simulate_speed import Speed

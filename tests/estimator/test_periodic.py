@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estimator import evidence, line_forces
 from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import size, strengths
+from estimator.effects.engine.strength import size, strengths
 from estimator.missing_force import survey
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model_fit import fit_model

@@ -11,7 +11,7 @@ from hidden_effects import RATE, one_bearing, record
 from estimator import law_gain, screen
 from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import size, strengths
+from estimator.effects.engine.strength import size, strengths
 from estimator.evidence import entries
 from estimator.missing_force import survey
 from estimator.model.rig import Model

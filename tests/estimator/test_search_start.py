@@ -10,7 +10,7 @@ from hidden_effects import RATE, ROOT, one_bearing
 from daq.rig import Rig, load_rig
 from estimator import spectral
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import size, strengths, with_effect
+from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.heldout import heldout_nll
 from estimator.model.rig import EffectUse
 from estimator.simulate import simulate

@@ -14,7 +14,7 @@ from daq.rig import load_rig
 from estimator.cut_record import prepare
 from estimator.diagnose import diagnose
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import with_effect
+from estimator.effects.engine.strength import with_effect
 from estimator.improve import improve
 from estimator.model.disc import Disc, disc_of
 from estimator.model.rig import Model

@@ -12,7 +12,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import csd, freqz, welch
 
 from estimator.effects import CATALOGUE
-from estimator.effects.law_loop import force_array
+from estimator.effects.engine.law_loop import force_array
 from estimator.errors import ModelError
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.model.rotor import assemble, dynamic_stiffness, linear_covariance, propagator

@@ -12,8 +12,8 @@ from scipy.signal import firwin, oaconvolve
 from estimator import adequacy, missing_force, spectral
 from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
-from estimator.effects.custom import custom_effect
-from estimator.effects.strength import size, strengths, with_effect
+from estimator.effects.engine.custom import custom_effect
+from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
 from estimator.model_fit import fit_model
 from estimator.placed import placed_of

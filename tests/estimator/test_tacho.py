@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from daq.rig import load_rig
 from estimator import line_forces, spectral
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import with_effect
+from estimator.effects.engine.strength import with_effect
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.modulation import turning
 from estimator.periodic import series, whole_waves

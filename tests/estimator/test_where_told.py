@@ -11,7 +11,7 @@ from hidden_effects import RATE, ROOT
 from daq.rig import load_rig
 from estimator import evidence
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import with_effect
+from estimator.effects.engine.strength import with_effect
 from estimator.evidence import Entry
 from estimator.explains import _where_told
 from estimator.model.rig import Model, Setting

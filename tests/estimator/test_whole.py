@@ -13,7 +13,7 @@ from daq.rig import load_rig
 from estimator import spectral
 from estimator.compare import compare
 from estimator.effects import CATALOGUE
-from estimator.effects.strength import size, strengths, with_effect
+from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import DataError
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulate import simulate

@@ -10,7 +10,7 @@ from scipy import signal
 
 from daq.rig import load_rig
 from estimator.effects import CATALOGUE
-from estimator.effects.law_loop import force_array
+from estimator.effects.engine.law_loop import force_array
 from estimator.improve import improve
 
 from .campaign import run

@@ -37,7 +37,7 @@ from drivers.reading import Block, Gap, LinkStats, Reading
 from drivers.serial_decoder import SerialDecoder
 from drivers.slcan import SlcanDecoder
 from drivers.slcan_codec import MAX_LINE, SlcanCodec, encode_line
-from estimator.effects.expression import compile_law
+from estimator.effects.engine.expression import compile_law
 from estimator.errors import ModelError
 
 ROOT = Path(__file__).parents[2]

@@ -10,10 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.errors import ModelError
 from estimator.model.effect import Effect
 from estimator.model.rig import DIRECTIONS, NODES, EffectUse, Model, Setting
-
-from ..errors import ModelError
 
 
 def places(effect: Effect, model: Model) -> tuple[str, ...]:

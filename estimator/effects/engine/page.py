@@ -1,12 +1,11 @@
-"""docs/effects.md, written from the catalogue: `python -m estimator.effects.page > docs/effects.md`."""
+"""docs/effects.md, written from the catalogue: `python -m estimator.effects.engine.page > docs/effects.md`."""
 
 from __future__ import annotations
 
 import sys
 
+from estimator.effects import CATALOGUE
 from estimator.model.effect import Effect, EffectParameter
-
-from . import CATALOGUE
 
 KINDS = {
     "force": "force on a cap",
@@ -27,7 +26,7 @@ SIZES = {
 }
 HEAD = """# Effects
 
-Written from the catalogue by `python -m estimator.effects.page`; change the file of the effect, not this page.
+Written from the catalogue by `python -m estimator.effects.engine.page`; change the file of the effect, not this page.
 
 **Conventions.** All SI. Laws are *restoring* forces on the left-hand side: `M a + C v + K x + sum(laws) = F`. `x, v`
 are displacement and velocity of the cap in one direction, `xo, vo` those of the other direction of the same cap; for

@@ -17,9 +17,8 @@ from numba.core.errors import NumbaError, UnsupportedBytecodeError
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from estimator.errors import ModelError
 from estimator.model.effect import Effect
-
-from ..errors import ModelError
 
 F = types.float64
 P = types.CPointer(F)

@@ -6,12 +6,12 @@ import dis
 
 import numpy as np
 
+from estimator.arrays import Array
+from estimator.effects import NAMED
+from estimator.errors import ModelError
 from estimator.model.effect import Effect, EffectParameter
 from estimator.model.rig import EffectUse, Setting
 
-from ..arrays import Array
-from ..errors import ModelError
-from . import NAMED
 from .compiled import address
 from .expression import compile_law
 from .law_loop import force_array

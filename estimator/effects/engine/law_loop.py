@@ -20,9 +20,9 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from estimator.arrays import Array
 from estimator.model.effect import Effect
 
-from ..arrays import Array
 from .compiled import machine_code
 
 F, P = types.float64, types.CPointer(types.float64)

@@ -14,7 +14,7 @@ from functools import cache
 
 from numba import njit
 
-from ..errors import ModelError
+from estimator.errors import ModelError
 
 STATE = ("x", "v", "xo", "vo", "t", "phase")
 CONSTANTS = {"pi": math.pi, "e": math.e}

@@ -1,0 +1,1 @@
+"""Laws of velocity and hysteresis."""

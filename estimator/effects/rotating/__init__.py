@@ -1,0 +1,1 @@
+"""Laws of the shaft angle and of the rotor."""
