@@ -13,7 +13,7 @@ from estimator.effects.engine.places import places
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.model.rig import Model, Setting
 from estimator.results import Parameter
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 
 RATE_HZ = 25600.0
 FULL_SCALE = 490.5  # m/s^2, of the simulated counts

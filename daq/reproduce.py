@@ -15,7 +15,7 @@ from typing import Any
 
 from estimator.model.bearing_theory import Theory, theory
 from estimator.results import Fit
-from estimator.simulate_start import stationarity
+from estimator.simulation.start import stationarity
 from estimator.stationary import plane_diagnostics
 
 from .reproduce_cases import (

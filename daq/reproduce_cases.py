@@ -13,7 +13,7 @@ from estimator import fokker_planck
 from estimator.model.rig import BearingGeometry, Channel, EffectUse, Model, Setting
 from estimator.plane_moments import PlaneMoments
 from estimator.planes import Cap, Plane
-from estimator.simulate import Simulator
+from estimator.simulation.simulator import Simulator
 
 Array = NDArray[np.float64]
 RATE_HZ = 12800.0

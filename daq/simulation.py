@@ -102,7 +102,7 @@ class Analogue:
     """
 
     def __init__(self, model: Model, columns: list[int], noise: NDArray[np.float64], rate_hz: float, seed: int) -> None:
-        from estimator.simulate import Simulator
+        from estimator.simulation.simulator import Simulator
 
         moving = [i for i, c in enumerate(model.channels) if c.direction != "z"]
         self._simulator = Simulator(replace(model, channels=tuple(model.channels[i] for i in moving)), rate_hz, seed)

@@ -39,9 +39,9 @@ def free_run(model: Model, force: Array, rate_hz: float, first: int = 0) -> Arra
     model : every value given. first : rows of the record before these, for what turns with the time.
     Raises ModelError for an incomplete or unstable model.
     """
-    from .simulate_plan import build
-    from .simulate_speed import Speed
-    from .simulate_step import Stepper
+    from estimator.simulation.plan import build
+    from estimator.simulation.shaft_speed import Speed
+    from estimator.simulation.stepper import Stepper
 
     channels = tuple(model.channels[c] for c in motion_channels(model))
     plan = build(replace(model, channels=channels))

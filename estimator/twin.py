@@ -10,13 +10,13 @@ import numpy as np
 from estimator.model.rig import Model
 from estimator.signals.band_limit import noise_shape
 from estimator.signals.channel_response import echoes, recorder
+from estimator.simulation.simulator import simulate
 
 from .arrays import Array, Series
 from .cut_record import cut
 from .errors import DataError, ModelError
 from .free_run import free_run
 from .motion_blocks import MotionBlocks, spectrum
-from .simulate import simulate
 from .working_point import WorkingPoint
 
 SECONDS = 5.0

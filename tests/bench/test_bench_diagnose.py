@@ -34,7 +34,7 @@ def test_one_minute(command: str, target_s: float, tmp_path: Path) -> None:
 
     from daq.hidden import RATE_HZ, Case, hidden
     from daq.rig import load_rig
-    from estimator.simulate import simulate
+    from estimator.simulation.simulator import simulate
 
     rig = ROOT / "configs/tiwari_vyas_1997.toml"
     truth, _, noise = hidden(load_rig(rig).model, Case("clearance", "strong", "bearing1", 1), 60.0)

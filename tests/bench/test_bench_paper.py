@@ -115,7 +115,7 @@ def rig() -> Model:
 @pytest.mark.timeout(1800)
 def test_records_of_the_rig() -> None:
     """20 s of the shipped rig, accelerations with sensor noise, masses given: what a user's record gives."""
-    from estimator.simulate import simulate
+    from estimator.simulation.simulator import simulate
 
     model = rig()
     methods = ("eq. (36) response", "score, density form", "score, velocity form")

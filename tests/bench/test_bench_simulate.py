@@ -8,7 +8,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.simulate import Simulator
+from estimator.simulation.simulator import Simulator
 
 RATE, SECONDS = 25600.0, 4.0
 

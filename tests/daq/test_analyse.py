@@ -14,7 +14,7 @@ from daq.measurement import Measurement
 from daq.rig import Rig, load_rig
 from estimator.diagnose import OTHERWISE
 from estimator.results import Parameter
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 
 PAPER = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 

@@ -162,7 +162,7 @@ def test_live_the_catalogue_is_tried_in_a_process_of_its_own() -> None:
 
 @pytest.mark.slow
 def test_a_clearance_that_opens_at_60_s_is_flagged_and_named_within_20_s(tmp_path: Path) -> None:
-    from estimator.simulate import simulate
+    from estimator.simulation.simulator import simulate
 
     path = tmp_path / "rig.toml"
     path.write_text(RIG.text)

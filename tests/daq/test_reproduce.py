@@ -9,7 +9,7 @@ import pytest
 
 from daq.reproduce import reproduce
 from daq.reproduce_cases import DISC, METHODS, paper_model
-from estimator.simulate_start import stationarity
+from estimator.simulation.start import stationarity
 
 
 @pytest.fixture(scope="module")

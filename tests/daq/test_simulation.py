@@ -13,7 +13,7 @@ from daq.log_writer import LogWriter
 from daq.rig import Rig, load_rig
 from daq.simulation import at_full_speed, complete, fault_rates, machine
 from estimator.effects import CATALOGUE
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 
 PAPER = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 HEAD = "schema = 1\n[band]\nlow = 100.0\nhigh = 4000.0\n"

@@ -16,7 +16,7 @@ from estimator.effects.engine.strength import size
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
 from estimator.model_fit import fit_model
 from estimator.search_start import fit_record
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 
 SECONDS = 10.0
 

@@ -13,7 +13,7 @@ from estimator.evidence import Entry
 from estimator.explains import _bends_a_spectrum
 from estimator.missing_force import Survey
 from estimator.placed import Placed
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.suspect import Share
 from estimator.whole import fit_whole
 

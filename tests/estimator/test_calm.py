@@ -18,7 +18,7 @@ from estimator.model_fit import fit_model
 from estimator.record import prepare
 from estimator.results import Parameter
 from estimator.rolling import RollingSpectral
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.solution import report
 from estimator.whole import fit_whole
 

@@ -15,7 +15,7 @@ from estimator.compare import compare
 from estimator.determinant import Jacobian
 from estimator.model.rig import Channel, Model
 from estimator.sensor_faults import clipping_level
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from daq.rig import load_rig
 from estimator import coupled_caps
 from estimator.improve import improve
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.suspect import Suspect
 from estimator.whole import fit_whole
 

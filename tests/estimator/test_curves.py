@@ -37,7 +37,7 @@ def test_a_dead_zone_shows_as_a_dead_zone() -> None:
 
 @pytest.mark.slow
 def test_the_law_of_a_complete_model_lies_in_its_band() -> None:
-    from estimator.simulate import simulate
+    from estimator.simulation.simulator import simulate
 
     model = one_bearing()
     complete = compare(model, simulate(model, RATE, 10.0, seed=5, noise=0.02, full_scale=490.5), RATE)

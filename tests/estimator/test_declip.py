@@ -15,7 +15,7 @@ from estimator.cut_record import prepare
 from estimator.declip import ceilings, restored
 from estimator.diagnose import diagnose, diagnose_point
 from estimator.model.rig import EffectUse
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 HERE = frozenset(["bearing1.x"])

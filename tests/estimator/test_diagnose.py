@@ -20,7 +20,7 @@ from estimator.improve import improve
 from estimator.model.rig import Model
 from estimator.placed import Placed
 from estimator.ranking import _promising, extrapolating, ranked
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.two_laws import another_explains
 from estimator.whole import fit_whole
 

@@ -16,7 +16,7 @@ from estimator.compare import compare
 from estimator.likelihood import Likelihood, evidence_of, responses
 from estimator.model.rig import Model, Setting
 from estimator.record import gather, prepare
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 

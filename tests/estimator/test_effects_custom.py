@@ -24,7 +24,7 @@ from estimator.likely_path import analyse
 from estimator.model.rig import CustomLaw, EffectUse, Setting
 from estimator.model_fit import fit_model
 from estimator.placed import Placed, placed_of
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 
@@ -171,8 +171,8 @@ def test_a_module_object_that_cannot_work_is_refused() -> None:
 
 def test_a_user_law_has_the_standing_of_a_built_in_one_in_simulation() -> None:
     from estimator.model.rig import Channel, Model
-    from estimator.simulate import simulate
-    from estimator.simulate_start import stationarity
+    from estimator.simulation.simulator import simulate
+    from estimator.simulation.start import stationarity
 
     linear = {"bearing1.x": {"kL": Setting(1e7), "c": Setting(60.0), "S": Setting(9e-5)}}
     model = Model((Channel("a", "bearing1", "x"),), (150.0, 8000.0), mass={"bearing1": 0.2}, linear=linear)

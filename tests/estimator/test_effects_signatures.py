@@ -14,7 +14,7 @@ from estimator.effects.engine.strength import Size, strengths
 from estimator.errors import ModelError
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.model.rotor import assemble, dynamic_stiffness
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 
 RATE, SHAFT = 25600.0, 200.0  # Hz: orders fall well inside the band
 AT = Size(x=np.sqrt(9e-5 / (4 * 60 * 1e7)), v=np.sqrt(9e-5 / (4 * 60 * 0.2)), m=0.2, kL=1e7, a=40.0, c=60.0)
@@ -131,7 +131,7 @@ def test_local_defect_is_a_comb_at_its_order() -> None:
 
 
 def test_line_stays_when_the_speed_changes() -> None:
-    from estimator.simulate_speed import Speed
+    from estimator.simulation.shaft_speed import Speed
 
     tone = use("line", "bearing1.x", a=1.0, b=1.0, frequency=650.0)
     for rpm in (9000.0, 12000.0):

@@ -16,7 +16,7 @@ from estimator.errors import NotFiniteError
 from estimator.evidence import Entry
 from estimator.model.rig import CustomLaw, EffectUse, Setting
 from estimator.placed import Placed
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 QUINTIC = Placed(CATALOGUE["quintic"], "bearing1.x.quintic", (0,), np.array([1e60]), (True,))  # some 1e25 N

@@ -17,7 +17,7 @@ from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model_fit import fit_model
 from estimator.motion_blocks import finer
 from estimator.placed import placed_of, tangent_series
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 from estimator.working_point import WorkingPoint
 

@@ -17,7 +17,7 @@ from estimator.missing_force import survey
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.ranking import ranked
 from estimator.search_start import fit_record
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 

@@ -16,7 +16,7 @@ from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.force_level import level_of, ratio
 from estimator.motion_blocks import FOLDS, fold_of
 from estimator.placed import Placed, evaluate
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.terms import terms
 from estimator.whole import fit_whole
 

@@ -10,7 +10,7 @@ from estimator.free_run import resampled
 from estimator.heldout import heldout_rmse
 from estimator.likely_path import analyse
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.solution import report
 from estimator.whole import fit_whole
 

@@ -20,7 +20,7 @@ from estimator.model.rig import EffectUse
 from estimator.model_fit import fit_model
 from estimator.placed import Placed, placed_of
 from estimator.probe import Probe, probed
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 from estimator.working_point import thinned
 

@@ -21,7 +21,7 @@ from estimator.improve import _with_found, improve
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
 from estimator.placed import Placed
 from estimator.results import Parameter
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import Whole, fit_whole
 
 NOISE, FULL_SCALE = 0.02, 981.0  # beyond whirl 500 m/s^2 are reached

@@ -17,7 +17,7 @@ from estimator.maximum import initial
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.record import gather, prepare
 from estimator.signals.band_limit import band_limit
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.solution import solve
 from estimator.start import linear_start
 

@@ -17,7 +17,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.search_start import fit_record
 from estimator.signals.line_spectrum import spectrum_of, surroundings
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.suspects import suspects
 from estimator.whole import fit_whole
 

@@ -11,7 +11,7 @@ from hidden_effects import RATE, one_bearing
 from estimator.effects import CATALOGUE
 from estimator.linear_memory import response, slope
 from estimator.model.rig import EffectUse, Setting
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 M, f0, zeta, kL, c = 0.4, 2000.0, 0.05, 1e7, 60.0

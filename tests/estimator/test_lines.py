@@ -9,7 +9,7 @@ from reference_rig import PLACES, RATE, TRUTH, rig_model, rig_record
 
 from estimator import spectral
 from estimator.lines import find_lines
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from estimator.cut_record import prepare
 from estimator.model.rig import EffectUse, Setting
 from estimator.model_fit import fit_model
 from estimator.placed import placed_of
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.subproblem import Subproblem
 from estimator.whole import fit_whole
 from estimator.working_point import WorkingPoint

@@ -14,7 +14,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.missing_force import Survey
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 WHERE = ("bearing1.x", "bearing1.y")

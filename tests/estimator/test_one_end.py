@@ -10,7 +10,7 @@ from hidden_effects import RATE, ROOT
 from daq.rig import load_rig
 from estimator import one_end
 from estimator.model.rig import Model
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.spectral import fit
 
 

@@ -14,7 +14,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.improve import improve
 from estimator.model.rig import Setting
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 
 CURVE = """
 [[model.custom]]

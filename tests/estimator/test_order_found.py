@@ -11,8 +11,8 @@ from estimator import spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.model.rig import Channel, EffectUse
-from estimator.simulate import simulate
-from estimator.simulate_speed import Speed
+from estimator.simulation.shaft_speed import Speed
+from estimator.simulation.simulator import simulate
 
 
 def test_a_fit_takes_the_order_from_the_record_and_says_how_sure_it_is_of_the_phase() -> None:

@@ -10,7 +10,7 @@ from hidden_effects import one_bearing
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.model.rig import EffectUse, Setting
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 

@@ -20,7 +20,7 @@ from estimator.motion_blocks import MotionBlocks
 from estimator.numbered import with_found
 from estimator.periodic import known_lines, periodic_of, series
 from estimator.periodic_fit import PIECES, found_beside, refined
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.suspects import suspects
 from estimator.whole import fit_whole
 from estimator.working_point import WorkingPoint

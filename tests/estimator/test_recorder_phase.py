@@ -14,7 +14,7 @@ from estimator.improve import improve
 from estimator.model.recorder import POWERS, Filter
 from estimator.model.rig import Model, Setting
 from estimator.recorder_phase import excess, found
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 Array = NDArray[np.float64]

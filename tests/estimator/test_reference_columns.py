@@ -9,7 +9,7 @@ from hidden_effects import RATE, one_bearing
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.reference import VISITED, knots_of, pool
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 OWN = (".kL", ".c", ".kNL", ".cx", ".rate", ".curvature")

@@ -25,7 +25,7 @@ from estimator.rolling import RollingSpectral
 from estimator.search_start import fit_record
 from estimator.signals.channel_response import echoes, of_place
 from estimator.signals.filter_designs import designs
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 TOP = 8000.0

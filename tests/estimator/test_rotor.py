@@ -22,7 +22,7 @@ from estimator.model.rotor import (
     shaft_at_caps,
     shaft_matrix,
 )
-from estimator.simulate_start import stationarity
+from estimator.simulation.start import stationarity
 
 PAPER_MASS = np.diag([0.245, 0.22, 0.515])
 

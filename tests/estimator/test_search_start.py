@@ -13,7 +13,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.heldout import heldout_nll
 from estimator.model.rig import EffectUse
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 SECONDS = 15.0

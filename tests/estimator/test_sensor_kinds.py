@@ -12,7 +12,7 @@ from daq.rig import load_rig
 from estimator import force_colour, noise_floor
 from estimator.compare import compare
 from estimator.model.rig import EffectUse, Setting
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 

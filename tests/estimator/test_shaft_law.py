@@ -22,7 +22,7 @@ from estimator.model.rotor import shaft_at_caps
 from estimator.screen import best_at
 from estimator.search_start import fit_record
 from estimator.shaft_law import along
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 
 RATE_HZ = 25_600.0
 CRACK = CATALOGUE["crack"]

@@ -16,10 +16,10 @@ from estimator.effects.engine.law_loop import force_array
 from estimator.errors import ModelError
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.model.rotor import assemble, dynamic_stiffness, linear_covariance, propagator
-from estimator.simulate import Simulator, antialias_taps, quantise, simulate
-from estimator.simulate_plan import build
-from estimator.simulate_speed import Speed
-from estimator.simulate_step import Stepper
+from estimator.simulation.plan import build
+from estimator.simulation.shaft_speed import Speed
+from estimator.simulation.simulator import Simulator, antialias_taps, quantise, simulate
+from estimator.simulation.stepper import Stepper
 
 RATE = 25600.0
 

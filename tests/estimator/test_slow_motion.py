@@ -18,7 +18,7 @@ from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
 from estimator.model_fit import fit_model
 from estimator.placed import placed_of
 from estimator.rolling import RollingSpectral
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.slow_motion import lopsided, own_sizes, usual, with_slow
 from estimator.whole import fit_whole
 

@@ -8,7 +8,7 @@ from estimator import spectral
 from estimator.errors import DataError
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model.rotor import shaft_at_caps
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from estimator.balance import shaft_notch
 from estimator.evidence import Settings
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.suspect import Suspect
 from estimator.whole import fit_whole
 

@@ -17,8 +17,8 @@ from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.modulation import turning
 from estimator.periodic import series, whole_waves
 from estimator.signals.shaft_angle import measured_phase, timed
-from estimator.simulate import simulate
-from estimator.simulate_speed import Speed
+from estimator.simulation.shaft_speed import Speed
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 SECONDS = 10.0

@@ -12,7 +12,7 @@ from daq.rig import load_rig
 from estimator import spectral
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import belongs
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 ROOT = Path(__file__).parents[2]

@@ -107,7 +107,7 @@ def rig(kinds: tuple[str, ...] = ("acceleration", "force"), mass: bool = True) -
 
 @pytest.mark.parametrize("mass", [True, False])
 def test_fit_with_a_force_channel_and_a_gap(mass: bool) -> None:
-    from estimator.simulate import Simulator
+    from estimator.simulation.simulator import Simulator
 
     linear = {"bearing1.x": {"kL": Setting(1.0e7), "c": Setting(60.0), "S": Setting(9e-5)}}
     truth = Model(

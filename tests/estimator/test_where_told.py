@@ -17,7 +17,7 @@ from estimator.explains import _where_told
 from estimator.model.rig import Model, Setting
 from estimator.model_fit import fit_model
 from estimator.placed import Placed
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 
 SECONDS, NODES = 8.0, ("bearing1", "bearing2")

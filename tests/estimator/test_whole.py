@@ -16,7 +16,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import DataError
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 from estimator.suspects import suspects
 from estimator.whole import fit_whole
 

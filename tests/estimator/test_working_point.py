@@ -15,7 +15,7 @@ from estimator.model.rig import EffectUse, Setting
 from estimator.noise_level import _least
 from estimator.placed import placed_of
 from estimator.signals import band_limit
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 
 
 def test_the_noise_is_that_of_the_values_after_a_step() -> None:

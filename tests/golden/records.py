@@ -14,7 +14,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.places import places
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.simulate import simulate
+from estimator.simulation.simulator import simulate
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 RATE_HZ = 25600.0

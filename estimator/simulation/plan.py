@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Array
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.engine.places import at, values
+from estimator.errors import ModelError
 from estimator.model.effect import Effect
 from estimator.model.rig import DIRECTIONS, NODES, Model
 from estimator.model.rotor import Assembly, assemble
 
-from . import simulate_kernel as kernel
-from .arrays import Array
-from .errors import ModelError
+from . import kernel as kernel
 
 KINDS = {
     "acceleration": kernel.ACCELERATION,

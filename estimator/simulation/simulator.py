@@ -12,17 +12,17 @@ from typing import Literal
 
 import numpy as np
 
+from estimator.arrays import Array
+from estimator.errors import ModelError
 from estimator.model.effect import Effect
 from estimator.model.rig import Model
+from estimator.signals import low_pass
 
-from . import simulate_kernel as kernel
-from .arrays import Array
-from .errors import ModelError
-from .signals import low_pass
-from .simulate_plan import Plan, build
-from .simulate_speed import Speed
-from .simulate_start import start_state
-from .simulate_step import Scheme, Stepper
+from . import kernel as kernel
+from .plan import Plan, build
+from .shaft_speed import Speed
+from .start import start_state
+from .stepper import Scheme, Stepper
 
 BLOCK = 1024  # output samples made at a time
 MARGIN = 512  # samples before and after a block that sensor effects may look at

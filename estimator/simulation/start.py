@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from estimator.arrays import Array
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.engine.law_loop import force_array
+from estimator.errors import ModelError
 from estimator.model.rig import Model
 from estimator.model.rotor import assemble, linear_covariance
 
-from .arrays import Array
-from .errors import ModelError
-from .simulate_plan import Plan
+from .plan import Plan
 
 if TYPE_CHECKING:
-    from .simulate_step import Stepper
+    from .stepper import Stepper
 
 BURN_S = 0.5  # run before the record where the density is not known
 BARRIER = 20.0  # least U/T of a softening model that is let run

@@ -6,13 +6,13 @@ from typing import Literal
 
 import numpy as np
 
+from estimator.arrays import Array
+from estimator.errors import ModelError
 from estimator.model.rotor import propagator
 
-from . import simulate_kernel as kernel
-from .arrays import Array
-from .errors import ModelError
-from .simulate_plan import Plan, Slots, table
-from .simulate_speed import Speed
+from . import kernel as kernel
+from .plan import Plan, Slots, table
+from .shaft_speed import Speed
 
 Scheme = Literal["exponential", "rk4"]
 SHAPE_TAPS = 4096  # length of the filter that colours a force

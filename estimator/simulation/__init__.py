@@ -1,0 +1,1 @@
+"""A rig in time: what its sensors would send, deterministic by seed."""
