@@ -11,13 +11,14 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.likelihood.motion.located_law import Placed, at_home, evaluate
+from estimator.likelihood.path.subproblem import gain, subproblem
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.likelihood.response.regressor_set import Term, light, orthogonal
+
 from .arrays import Complexes, Series
 from .missing_force import power_of
 from .parallel import each
-from .placed import Placed, at_home, evaluate
-from .subproblem import gain, subproblem
-from .terms import Term, light, orthogonal
-from .working_point import WorkingPoint
 
 ODD = (3, 5, 7, 9)
 EVEN = ("v", (2, 4, 6))  # no law is: what is passes for a drag, or for a law of x that is not odd either
@@ -75,7 +76,7 @@ def _left(
 
 def _damped(point: WorkingPoint, i: int, state: str) -> float:
     """N^2 of the laws of velocity that the model has at a place, less what is linear in it: where two of them make much
-    of the damping, the second order of what they do together (self_energy.py) leaves a part of both, 0.5 % of the
+    of the damping, the second order of what they do together (likelihood/response/self_energy.py) leaves a part of both, 0.5 % of the
     bearing force beside friction and a drag of 6 % each."""
     laws = damping(point, {i}) if state == "v" else []
     if not laws:

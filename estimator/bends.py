@@ -9,19 +9,19 @@ from functools import partial
 import numpy as np
 
 from estimator.effects.engine.places import at, written
+from estimator.likelihood.fitting.folded_force import images, of_late_sensor
+from estimator.likelihood.fitting.path_spectra import Response
+from estimator.likelihood.fitting.transfer_function import Peak, highest, linear, noises, plain, response_of
+from estimator.likelihood.motion.harmonics import known_lines
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.signals.channel_response import LINEAR, forced, response
 
 from . import pedestal_form
 from .arrays import Array, Complexes
 from .effects import CATALOGUE
-from .folded_force import images, of_late_sensor
 from .force_shapes import resonance_hz
-from .path_spectra import Response
-from .periodic import known_lines
 from .results import Parameter
-from .transfer import Peak, highest, linear, noises, plain, response_of
-from .working_point import WorkingPoint
 
 OWN = slice(4, None)  # of the numbers of a peak, those of a cause
 CARRIED, SETTLED = 8, 0.1  # times at most that what is folded goes through a sensor as found; standard deviations

@@ -1,6 +1,6 @@
 """What bends the path from a measured force to a measured motion: a pedestal, or a sensor that is wrong.
 
-Each is tried as the A' of transfer.py, stiffness and damping fitted beside it (bends.py). The known mass is what tells
+Each is tried as the A' of likelihood/fitting/transfer_function.py, stiffness and damping fitted beside it (bends.py). The known mass is what tells
 a gain: measured with the gain 1 + error, the rotor's mass seems to be m / (1 + error), and nothing else changes that.
 """
 
@@ -14,21 +14,21 @@ from itertools import combinations
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.likelihood.fitting.folded_force import of_late_sensor
+from estimator.likelihood.fitting.path_spectra import Response
+from estimator.likelihood.fitting.transfer_function import Peak, exp, expected, left, plain, response_of
+from estimator.likelihood.motion.harmonics import known_lines
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.signals.channel_response import forced
 
 from .arrays import Array, Complexes
 from .bends import OWN, Cause, bent, causes, numbers
 from .effects import CATALOGUE
-from .folded_force import of_late_sensor
 from .missing_force import NEGLIGIBLE
 from .noise_floor import noisy_beside_forces
 from .parallel import answers
-from .path_spectra import Response
-from .periodic import known_lines
 from .suspect import UNKNOWN, Suspect
-from .transfer import Peak, exp, expected, left, plain, response_of
-from .working_point import WorkingPoint
 
 EXPLAINED = 0.5  # of what a free response explains, for a cause to be the cause
 LEVEL = 1e-2  # p-value above which nothing is said

@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.recorder import POWERS, Filter, RollOff, devices, images
 from estimator.model.rig import Model
 from estimator.signals.channel_response import SHAPES, shape
@@ -19,7 +20,6 @@ from .arrays import Array
 from .filter_search import Seen, Standing, likeliest, mean_or_none
 from .force_cells import Cells, cells_of
 from .parallel import answers
-from .working_point import WorkingPoint
 
 Plain = tuple[float, Array, Array]  # likelihood, numbers and their scales: force_shapes.plain
 Two = tuple[float, float] | None

@@ -6,12 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from estimator.likelihood.fitting.fitted_values import fitted_model
+from estimator.likelihood.path.working_point import thinned
 from estimator.model.rig import Model
 
 from . import missing_force, sensor_faults
 from .arrays import Array
 from .curves import Law, curves
-from .fitted import fitted_model
 from .heldout import heldout_nll, heldout_rmse, reference_nll
 from .parallel import answers
 from .results import Parameter
@@ -20,7 +21,6 @@ from .suspects import suspects
 from .twin import twin
 from .where import Where, where_of
 from .whole import fit_whole
-from .working_point import thinned
 
 Progress = Callable[[float, str], None]
 

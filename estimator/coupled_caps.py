@@ -15,19 +15,19 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.effects.engine.places import at, written
+from estimator.likelihood.motion.force_balance import shaft_notch
+from estimator.likelihood.path.subproblem import Subproblem, subproblem
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.likelihood.response.regressor_set import Term
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model.rotor import between_caps, shaft_matrix
 from estimator.signals.channel_response import BLIND, LINEAR
 
 from .arrays import Array, Complexes
-from .balance import shaft_notch
 from .effects import CATALOGUE
 from .parallel import each
 from .results import Parameter
-from .subproblem import Subproblem, subproblem
 from .suspect import Suspect
-from .terms import Term
-from .working_point import WorkingPoint
 
 GAIN, SKEW = BLIND
 # Changes of B: ln of its size in the first cap's force and in the second's, its delay (s) and, in the second's, advance

@@ -13,14 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.likelihood.motion.motion_record import part_of
+from estimator.likelihood.path.path_fit import PathFit
+from estimator.likelihood.path.working_point import WorkingPoint
+
 from . import reference
 from .arrays import Array
 from .missing_force import Residual, Survey, ridged
-from .motion_blocks import part_of
 from .parallel import each
-from .path_fit import PathFit
 from .shape import Shape
-from .working_point import WorkingPoint
 
 SECONDS = 5.0  # of the record that conditional means are taken over
 STATES = ("displacement", "velocity", "shaft_angle", "other_direction")

@@ -9,22 +9,22 @@ from typing import Any
 
 import numpy as np
 
+from estimator.likelihood.motion.harmonics import PERIODIC
+from estimator.likelihood.motion.known_spectra import COLOURS
+from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
 
 from . import adequacy, evidence, explains, force_colour, missing_force, two_laws
 from .arrays import Array
 from .errors import DataError, NotFiniteError
 from .evidence import Entry
-from .known_spectra import COLOURS
 from .numbered import with_found
-from .periodic import PERIODIC
 from .periodic_fit import found_beside
 from .ranking import FOREMOST, SIGNIFICANT, Progress, extrapolating, on_whole, ranked
 from .shape import Shape, shape_of
 from .suspect import Suspect
 from .suspects import suspects
 from .whole import Whole, fit_whole
-from .working_point import WorkingPoint, thinned
 
 CLOSE = 10.0  # nats behind the first of the ranking, where the shape of what is left decides
 LEAVES = 1 / 3  # of a force in a spectrum (rms): a shape that leaves more is none of the catalogue

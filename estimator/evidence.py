@@ -11,17 +11,17 @@ from scipy.special import chdtrc
 
 from estimator.effects.engine.places import at
 from estimator.effects.rotating.ball_pass import BALL_PASS
+from estimator.likelihood.motion.harmonics import LINE_NAMES
+from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 
 from . import modulation
 from .effects import CATALOGUE, NAMED
 from .missing_force import Survey
-from .periodic import LINE_NAMES
-from .placed import Placed
 from .results import Parameter
 from .screen import Trial
 from .suspect import CLAIMED, UNKNOWN, Suspect
-from .working_point import WorkingPoint
 
 Settings = dict[str, dict[str, Parameter]]  # by canonical place, by name
 JOINT = 1e-2  # p-value, after counting, for a further bearing to be named beside the best one

@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimator.likelihood.fitting.fitted_values import parameters, untold
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
 
 from . import adequacy, evidence, missing_force, two_laws
 from .errors import NotFiniteError
 from .evidence import Entry
-from .fitted import parameters, untold
 from .heldout import heldout_nll
-from .model_fit import fit_model
 from .ranking import Progress
-from .working_point import WorkingPoint, thinned
 
 SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same state means another law
 SMEARED = 0.12  # the same of a law of two directions of which one is measured: Hertz contacts leave 0.00 to 0.14 so

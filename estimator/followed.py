@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.engine.places import at, kinematic, written
+from estimator.likelihood.motion.harmonics import PERIODIC
+from estimator.likelihood.motion.known_spectra import COLOURS
 from estimator.model.disc import disc_of
 from estimator.model.effect import Effect
 from estimator.model.rig import DIRECTIONS, EffectUse, Model, Setting
 from estimator.signals.channel_response import BLIND
 
-from .known_spectra import COLOURS
-from .periodic import PERIODIC
 from .results import Parameter
 
 FIT = "rotorscope fit has its numbers"

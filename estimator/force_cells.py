@@ -7,11 +7,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.likelihood.path.sensor_noise import beyond, heard_of_all
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.recorder import images
 
 from .arrays import Array
-from .noise_paths import beyond, heard_of_all
-from .working_point import WorkingPoint
 
 LEAST_SHARE = 1e-3  # of the noise of the noisiest sensor, in power, that every one is given
 CELLS = 260  # of the band, at most

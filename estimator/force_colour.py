@@ -12,6 +12,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.known_spectra import OF_FORCE, colours
+from estimator.likelihood.path.sensor_noise import together
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 
 from . import pedestal_form
@@ -19,13 +23,9 @@ from .arrays import Array
 from .effects import CATALOGUE
 from .force_cells import Cells, cells_of, finite_exp, mean_power
 from .force_shapes import base_model, causes, peakless, plain, with_shape
-from .known_spectra import OF_FORCE, colours
-from .model_fit import fit_model
 from .noise_floor import noisy
-from .noise_paths import together
 from .results import Parameter
 from .suspect import UNKNOWN, Suspect
-from .working_point import WorkingPoint
 
 LEVEL = 1e-3
 LEAST_DEPTH = 0.015  # rms of ln(power / model): less is within what filters and integrators leave behind

@@ -8,12 +8,13 @@ from functools import partial
 
 import numpy as np
 
+from estimator.likelihood.fitting.noise_level import LEAST_NOISE
+from estimator.likelihood.path.working_point import WorkingPoint
+
 from . import pedestal_form
 from .arrays import Array
 from .force_cells import Cells, cells_of, finite_exp
-from .noise_level import LEAST_NOISE
 from .results import Parameter
-from .working_point import WorkingPoint
 
 DARKEST = 0.985  # of S, that the gain of a colour may take away at low frequencies
 BROADENED = 0.75  # of a damping: what one resonance has too much in place of two, of a rotor and a strong pedestal

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.likelihood.fitting.fitted_values import fitted_model
+from estimator.likelihood.motion.motion_record import FOLDS
+from estimator.likelihood.path.subproblem import component, heldout_gain, subproblem
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.signals.channel_response import undone
 
 from .arrays import Array
 from .errors import DataError, ModelError
-from .fitted import fitted_model
 from .missing_force import Survey, ridge_of
-from .motion_blocks import FOLDS
-from .subproblem import component, heldout_gain, subproblem
-from .working_point import WorkingPoint
 
 CELLS = 40
 FITTED = 0.7  # of a record with a measured force; the rest is simulated

@@ -6,6 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from estimator.likelihood.fitting.fitted_values import fitted_model, untold
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.harmonics import PERIODIC
+from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
 
 from . import common_fall, recorder_phase
@@ -14,16 +18,12 @@ from .diagnose import Diagnosis, diagnose_point
 from .errors import DataError
 from .evidence import Settings
 from .explains import EARNED
-from .fitted import fitted_model, untold
 from .heldout import heldout_nll, heldout_rmse
 from .missing_force import NEGLIGIBLE, SURVEY_SECONDS, surveyed
-from .model_fit import fit_model
 from .numbered import with_found
-from .periodic import PERIODIC
 from .results import Parameter
 from .suspects import suspects
 from .whole import SHAPING, Whole, fit_whole
-from .working_point import WorkingPoint, thinned
 
 Progress = Callable[[float, str], None]
 MOST = 5  # effects added at most

@@ -2,7 +2,7 @@
 
 In the band the acceleration is measured as y with noise N, and through the rotor by the force with noise S. Both
 together say y - N A^H S_r^-1 r, S_r = A N A^H + S, r what the fit leaves of the force. It is independent of r, so a law
-along it is not bent by noise (known_force.py): integrated twice, noise is strong at the lower end of the band. Below
+along it is not bent by noise (likelihood/path/measured_force.py): integrated twice, noise is strong at the lower end of the band. Below
 the band, where no accelerometer counts, the force alone gives the displacement, less what the laws take of it: the slow
 displacement is smaller while the cap vibrates more.
 """
@@ -14,20 +14,20 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.likelihood.motion.checks import check_record
+from estimator.likelihood.motion.force_balance import force_channels, motion_channels
+from estimator.likelihood.motion.law_columns import Columns
+from estimator.likelihood.motion.stream_record import Record, prepare
+from estimator.likelihood.path.gram_likelihood import responses
+from estimator.likelihood.path.measured_force import is_known
 from estimator.model.rig import Model
 from estimator.signals.band_limit import FORCE_DRIFT, noise_shape, passband, to_acceleration
 from estimator.signals.blocks import taper
 
 from .arrays import Array, Complexes
-from .balance import force_channels, motion_channels
-from .checks import check_record
-from .columns import Columns
-from .known_force import is_known
-from .likelihood import responses
 from .lines import begin, swept
 from .maximum import SETTLED
 from .parallel import each
-from .record import Record, prepare
 from .solution import Solution, solve
 from .start import Start
 

@@ -18,6 +18,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.likelihood.motion.force_balance import shaft_notch
+from estimator.likelihood.motion.harmonics import known_lines, to_cap
+from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
 from estimator.model.rig import Model
 from estimator.signals.band_limit import noise_shape
 from estimator.signals.channel_response import undone
@@ -25,12 +28,9 @@ from estimator.signals.line_spectrum import Spectrum, by_angle, residual_spectru
 
 from . import strikes, unexplained
 from .arrays import Array, Complexes
-from .balance import shaft_notch
 from .missing_force import NEGLIGIBLE
-from .periodic import known_lines, to_cap
 from .results import Parameter
 from .suspect import Suspect
-from .working_point import WorkingPoint, tangent_at
 
 SURE = 1.3  # the local noise is known to about a tenth: so much more is asked of a line
 LEVEL = 1e-4  # chance of one false line in a record, in a blind search

@@ -13,16 +13,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.likelihood.motion.force_balance import build
+from estimator.likelihood.motion.law_smoothing import MARGIN
+from estimator.likelihood.motion.stream_record import CELLS_WITH_FORCE, Record, notches, stretches
 from estimator.signals.blocks import CELLS, layout, spectra, valid_blocks
 from estimator.signals.moving_lines import MovingLines
 
 from .arrays import Array
-from .balance import build
 from .errors import DataError
-from .features import MARGIN
 from .maximum import initial
 from .parallel import each
-from .record import CELLS_WITH_FORCE, Record, notches, stretches
 from .start import Start, calmed, fed, linear_start
 
 FALSE_ALARM = 1e-5  # of a record

@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.likelihood.motion.force_balance import Balance, build
+from estimator.likelihood.motion.stream_record import Bank, Record, gather
+from estimator.likelihood.path.excitation_level import level_of
+from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, active, evidence_of, maximise
+from estimator.likelihood.path.measured_force import is_known
+from estimator.likelihood.response.second_order import Flutter, dressed, flutter, mean_tangents, self_energies
 from estimator.model.rig import Model
 from estimator.signals.band_limit import passband
 
 from .arrays import Array
-from .balance import Balance, build
-from .dressing import Flutter, dressed, flutter, mean_tangents, self_energies
 from .errors import DataError
-from .force_level import level_of
-from .known_force import is_known
-from .likelihood import Likelihood, Local, Point, active, evidence_of, maximise
-from .record import Bank, Record, gather
 from .start import Start
 
 SECONDS = 12.0  # of the record that shapes are sought on before all of it is used
@@ -91,7 +91,7 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
 
 
 def highest(bank: Bank, start: Start, point: Point) -> tuple[Bank, Local, bool]:
-    """The maximum at held shapes and tangents, and the bank with the level of the unknown force (force_level.py)."""
+    """The maximum at held shapes and tangents, and the bank with the level of the unknown force (likelihood/path/excitation_level.py)."""
     local, converged = maximise(Likelihood(evidence_of(bank, start.nodes)), point)
     if not bank.balance.laws or is_known(bank.balance):
         return bank, local, converged
@@ -147,7 +147,7 @@ def _move(balance: Balance, local: Local, values: dict[str, float], last: bool) 
 
 @dataclass(frozen=True, slots=True)
 class Tangents:
-    """What fluctuating tangents do (dressing.py). pairs : (nodes, columns, columns); flutter : what noise does."""
+    """What fluctuating tangents do (likelihood/response/second_order.py). pairs : (nodes, columns, columns); flutter : what noise does."""
 
     pairs: NDArray[np.complex128]
     flutter: Flutter | None

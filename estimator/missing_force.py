@@ -23,15 +23,15 @@ from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
 from estimator.effects.engine.places import kinematic
+from estimator.likelihood.path.path_fit import PathFit
+from estimator.likelihood.path.subproblem import Subproblem
+from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
 
 from . import reference
 from .arrays import Array
 from .parallel import answers
-from .path_fit import PathFit
-from .subproblem import Subproblem
 from .suspect import SHAPES, Share, Suspect, shares
-from .working_point import WorkingPoint, thinned
 
 LEVEL = 1e-3  # of a group at a place, after counting the groups and places tried
 SURVEY_SECONDS = 24.0  # of a long record: enough to see a thousandth of the bearing force

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from estimator.effects.engine.places import at, kinematic, written
 from estimator.effects.rotating.ball_pass import BALL_PASS
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.signals.line_spectrum import surroundings
 
 from .arrays import Array
 from .line_forces import LEVEL, SURE
 from .parallel import each
-from .working_point import WorkingPoint
 
 LOW, HIGH = 0.3, 30.0  # orders looked at
 NEIGHBOURS = 200  # bins of the padded spectrum on either side that the floor is the median of

@@ -8,15 +8,15 @@ from functools import partial
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.likelihood.fitting.path_spectra import Response
+from estimator.likelihood.fitting.transfer_function import Peak, exp, expected, highest, linear
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import MOTION, Model
 from estimator.signals.channel_response import SHAPES, shape
 
 from .arrays import Array
-from .path_spectra import Response
 from .results import Parameter
 from .suspect import Suspect
-from .transfer import Peak, exp, expected, highest, linear
-from .working_point import WorkingPoint
 
 FOLDED = 0.01  # of what sampling folds back, that noise of a sensor has to be NOISE_RATIO times as strong as
 NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty

@@ -8,15 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.effects.engine.places import at, written
+from estimator.likelihood.motion import harmonics
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.effect import EffectParameter
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.signals.channel_response import BLIND, LINEAR, forced
 
-from . import noise_floor, periodic
+from . import noise_floor
 from .effects import NAMED
 from .results import Parameter
 from .suspect import Suspect, as_use
-from .working_point import WorkingPoint
 
 SETTLED = 0.5  # standard deviations by which a colour may still move
 
@@ -39,16 +40,16 @@ def further_lines(model: Model, seen: list[Suspect]) -> dict[str, dict[str, dict
     """Name -> place -> no numbers, of lines seen that the model has no name for: at a place where it has one without a
     frequency, which is as many lines as there are."""
     out: dict[str, dict[str, dict[str, Setting]]] = {}
-    uses = [(u, at(NAMED[u.name], u, model)) for u in model.effects if u.name in periodic.LINE_NAMES]
+    uses = [(u, at(NAMED[u.name], u, model)) for u in model.effects if u.name in harmonics.LINE_NAMES]
     for key in dict.fromkeys(key for _, keys in uses for key in keys):
         own = {u.name: written(NAMED[u.name], u, model, key).get("frequency", Setting()) for u, ks in uses if key in ks}
         if all(setting.value is not None for setting in own.values()):
             continue
-        free = [name for name in periodic.LINE_NAMES if name not in own]
+        free = [name for name in harmonics.LINE_NAMES if name not in own]
         count = sum(s.effect == "line" and key in s.settings for s in seen) - len(own)
         for name in free[: max(count, 0)]:
             out.setdefault(name, {})[key] = {}
-    return {name: out[name] for name in periodic.LINE_NAMES if name in out}
+    return {name: out[name] for name in harmonics.LINE_NAMES if name in out}
 
 
 def told_by_force(use: EffectUse, model: Model) -> bool:
@@ -120,7 +121,7 @@ def _found(
         return {"rms": noise_floor.sensor_noise(point, point.data.places.index(key))}
     if use.name == "bow":
         return _bow(model, [s.settings[key] for s in seen if s.effect == "imbalance"])
-    if use.name in periodic.LINE_NAMES:
+    if use.name in harmonics.LINE_NAMES:
         return _line(use, key, model, [s.settings[key] for s in seen if s.effect == "line" and key in s.settings])
     return next((s.settings[key] for s in seen if s.effect == use.name and key in s.settings), {})
 
@@ -131,7 +132,7 @@ def _line(use: EffectUse, key: str, model: Model, seen: list[dict[str, Parameter
     lines = {
         u.name: written(NAMED[u.name], u, model, key).get("frequency", Setting()).value
         for u in model.effects
-        if u.name in periodic.LINE_NAMES and key in at(NAMED[u.name], u, model)
+        if u.name in harmonics.LINE_NAMES and key in at(NAMED[u.name], u, model)
     }
     left = list(seen)
     for name, hz in sorted(lines.items(), key=lambda one: not one[1]):
@@ -148,7 +149,7 @@ def _bow(model: Model, seen: list[dict[str, Parameter]]) -> dict[str, Parameter]
     if not seen:
         return {}
     rotation = np.array([2 * np.pi * (model.speed_rpm or 0.0) / 60.0])
-    through = complex(periodic.to_cap(model, "bearing1.x", rotation)[0])
+    through = complex(harmonics.to_cap(model, "bearing1.x", rotation)[0])
     ratio = through / (through - 0.5)
     a, b = seen[0]["a"], seen[0]["b"]
     force = ratio * complex(a.value or 0.0, b.value or 0.0)
@@ -160,5 +161,5 @@ def _unseen(blind: bool, q: EffectParameter) -> Parameter:
     if blind:
         why = "bearings that hardly feel each other say nothing of it: measure the force, or give it with fixed = true"
     else:
-        why = periodic.UNTOLD
+        why = harmonics.UNTOLD
     return Parameter(None, None, q.unit, False, why)

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from estimator.likelihood.motion.force_balance import shaft_reaction
 from estimator.model.rig import NODES, Model
 
-from .balance import shaft_reaction
 from .errors import DataError
 
 MATTERS = 0.01  # of the stiffness at a place: what comes through the shaft at the resonance there

@@ -15,12 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.effects.engine.places import written
-from estimator.model.rig import Model, Setting
-
-from .arrays import Array, Complexes, Series
-from .model_fit import fit_model
-from .motion_blocks import MotionBlocks
-from .periodic import (
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.harmonics import (
     FREQUENCY,
     LINE_NAMES,
     UNTOLD,
@@ -34,9 +30,13 @@ from .periodic import (
     swung,
     waves,
 )
+from estimator.likelihood.motion.motion_record import MotionBlocks
+from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
+from estimator.model.rig import Model, Setting
+
+from .arrays import Array, Complexes, Series
 from .results import Parameter
 from .suspect import as_use
-from .working_point import WorkingPoint, tangent_at
 
 Settings = Mapping[str, Mapping[str, Parameter]]  # by canonical place, by name
 PIECES = 16  # of the record, to see a phase that turns

@@ -6,17 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+from estimator.likelihood.motion.law_smoothing import ready
+from estimator.likelihood.motion.located_law import on_trial, searched
+from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
 from estimator.model.rig import Model
 
 from . import amplitude, evidence, missing_force, screen
 from .arrays import Array
 from .evidence import Entry
-from .features import ready
 from .parallel import answers
-from .placed import on_trial, searched
 from .suspect import Suspect
 from .suspects import suspects
-from .working_point import WorkingPoint, plain, thinned
 
 Progress = Callable[[float, str], None]
 SIGNIFICANT = 1e-3  # p-value, after counting all that was tried, below which an effect is claimed

@@ -15,17 +15,17 @@ from typing import Any
 
 import numpy as np
 
+from estimator.likelihood.motion.linear_memory import filtered
+from estimator.likelihood.motion.located_law import evaluate
+from estimator.likelihood.path.subproblem import subproblem
+from estimator.likelihood.path.working_point import WorkingPoint, thinned
+from estimator.likelihood.response.regressor_set import Term, orthogonal
 from estimator.model.recorder import LATE, POWERS, Filter, RollOff
 from estimator.model.rig import Model
 
 from . import missing_force
 from .arrays import Array
-from .linear_memory import filtered
 from .parallel import each
-from .placed import evaluate
-from .subproblem import subproblem
-from .terms import Term, orthogonal
-from .working_point import WorkingPoint, thinned
 
 SMALL = 0.05  # rad at psi = 1, of the difference that the derivative is taken from
 ELSE = 2.0  # times the nats of a phase, that columns of the states win where a law is missing: 4 and more; 1 if none is

@@ -14,15 +14,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from estimator.likelihood.motion.denoise import as_seen
+from estimator.likelihood.motion.motion_record import FOLDS, MotionBlocks, fold_of
+from estimator.likelihood.path.subproblem import Subproblem, base_of, extended, fold_span, products, subproblem
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.likelihood.response.fluctuation import Fluctuation
+from estimator.likelihood.response.impulse_probe import Probe
+from estimator.likelihood.response.regressor_set import response
+
 from .arrays import Array, Complexes
-from .calm import as_seen
-from .fluctuation import Fluctuation
-from .motion_blocks import FOLDS, MotionBlocks, fold_of
-from .probe import Probe
 from .reference_tangents import dressings, lapse, waves
-from .subproblem import Subproblem, base_of, extended, fold_span, products, subproblem
-from .terms import response
-from .working_point import WorkingPoint
 
 Singles = NDArray[np.float32]
 GROUPS = ("displacement", "velocity", "level", "other_direction", "other_bearing", "time", "shaft_angle")

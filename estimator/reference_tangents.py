@@ -1,4 +1,4 @@
-"""Tangents along the path of the flexible columns, which a fluctuating model dresses: fluctuation.py, reference.py."""
+"""Tangents along the path of the flexible columns, which a fluctuating model dresses: likelihood/response/fluctuation.py, reference.py."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.likelihood.response.fluctuation import Fluctuation
+from estimator.likelihood.response.impulse_probe import Probe
+
 from .arrays import Array, Complexes
-from .fluctuation import Fluctuation
-from .probe import Probe
 
 
 def lapse(t: Array, first: float, last: float) -> tuple[Array, Array]:

@@ -17,18 +17,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_reaction
+from estimator.likelihood.motion.harmonics import known_lines
+from estimator.likelihood.motion.stream_record import Record, as_record, notches
 from estimator.model.rig import Model
 from estimator.signals.band_limit import BandLimit, Motion
 from estimator.signals.blocks import Layout, layout
 from estimator.signals.shaft_angle import ShaftAngle
 
 from .arrays import Array
-from .balance import force_channels, motion_channels, shaft_reaction
 from .errors import DataError
 from .followed import followed
 from .lines import begin
-from .periodic import known_lines
-from .record import Record, as_record, notches
 from .results import Estimate
 from .rolling_fit import WARM_UP_S, RollingFit
 from .solution import judged

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import nnls
 
+from estimator.likelihood.motion.stream_record import Record
+from estimator.likelihood.path.gram_likelihood import Local
 from estimator.model.recorder import POWERS, gain, suspected
 
 from .arrays import Array
-from .likelihood import Local
-from .record import Record
 from .start import Start
 
 

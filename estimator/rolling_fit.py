@@ -8,22 +8,22 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.likelihood.motion.force_balance import Balance, build, restrict
+from estimator.likelihood.motion.known_spectra import colours
+from estimator.likelihood.motion.law_columns import Columns
+from estimator.likelihood.motion.law_smoothing import MARGIN
+from estimator.likelihood.motion.stream_record import Record, gather
+from estimator.likelihood.motion.streaming_spectra import BlockSpectra
+from estimator.likelihood.path.gram_likelihood import Evidence, Likelihood, Local, Point, active, maximise
+from estimator.likelihood.path.jacobian import levels
+from estimator.likelihood.path.measured_force import is_known
+from estimator.likelihood.response.second_order import dressed, self_energies
 from estimator.model.rig import Model
 from estimator.signals.blocks import valid_blocks
 from estimator.signals.moving_lines import MovingLines
 
 from .arrays import Array
-from .balance import Balance, build, restrict
-from .block_spectra import BlockSpectra
-from .columns import Columns
-from .dressing import dressed, self_energies
-from .features import MARGIN
-from .jacobian import levels
-from .known_force import is_known
-from .known_spectra import colours
-from .likelihood import Evidence, Likelihood, Local, Point, active, maximise
 from .maximum import Maximum, initial, inverse, maximum, without_noise
-from .record import Record, gather
 from .results import Parameter
 from .rolling_fall import Fall
 from .rolling_level import Level, Moves

@@ -2,7 +2,7 @@
 
 The level of a block, common to all places, is a parameter of its own, profiled out. With F = A a the score of anything
 in A is then that of u = F / |F|, which the level leaves alone: estimates and missing force are those of an even force
-(why an uneven one misleads: force_level.py), for one part in the number of bins of what the data tell.
+(why an uneven one misleads: likelihood/path/excitation_level.py), for one part in the number of bins of what the data tell.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.likelihood.path.gram_likelihood import Point
+
 from .arrays import Array
-from .likelihood import Point
 from .rolling_memory import Memory
 
 MOVED = 1.1  # of the power of the force, from which it has moved: a twentieth in rms

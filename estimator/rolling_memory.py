@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from estimator.likelihood.motion.law_columns import Columns, Stretch
+from estimator.likelihood.motion.law_smoothing import MARGIN
+from estimator.likelihood.response.second_order import Flutter
+
 from .arrays import Array, Complexes
-from .columns import Columns, Stretch
-from .dressing import Flutter
-from .features import MARGIN
 
 SETTLED = 1e-2  # share of other self-energies that is let go
 
@@ -18,7 +19,7 @@ SETTLED = 1e-2  # share of other self-energies that is let go
 class Memory:
     """n : blocks; n2 : sum of squared weights; tangents : of `rows` rows; motion : what FlutterSums wants to know.
 
-    level : sum of what the blocks of `gram` were weighed by (rolling_level.py). pairs : self-energies (dressing.py),
+    level : sum of what the blocks of `gram` were weighed by (rolling_level.py). pairs : self-energies (likelihood/response/second_order.py),
     the mean over its blocks but for `fresh` ones. apart : share of it that may differ from those of the last block.
     """
 

@@ -1,4 +1,4 @@
-"""The slow displacement that lopsided laws make (slow_motion.py), along a block of a stream."""
+"""The slow displacement that lopsided laws make (likelihood/response/below_band.py), along a block of a stream."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from functools import partial
 
 import numpy as np
 
+from estimator.likelihood.motion.law_columns import Columns, Stretch
+from estimator.likelihood.motion.law_smoothing import MARGIN, State
+from estimator.likelihood.motion.stream_record import Record
+from estimator.likelihood.response.below_band import below, lopsided, moved, usual
+from estimator.likelihood.response.modal_response import yields
 from estimator.signals.band_limit import half_length
 
 from .arrays import Array
-from .columns import Columns, Stretch
-from .features import MARGIN, State
-from .mean_response import yields
-from .record import Record
-from .slow_motion import below, lopsided, moved, usual
 
 ROUNDS = 2  # the law is evaluated about the centre, then about the one that it makes: off by its slope squared
 

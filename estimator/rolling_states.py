@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from estimator.likelihood.motion.force_balance import Balance
+from estimator.likelihood.motion.law_columns import Columns
+from estimator.likelihood.motion.stream_record import Record
+
 from .arrays import Array, Complexes
-from .balance import Balance
-from .columns import Columns
-from .record import Record
 
 
 def linear_of(balance: Balance, B: Array) -> Array:

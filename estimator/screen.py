@@ -12,16 +12,16 @@ from scipy.special import chdtrc
 from estimator.effects.engine.places import kinematic
 from estimator.effects.engine.places import places as canonical_places
 from estimator.effects.engine.strength import search_range
+from estimator.likelihood.motion.harmonics import PERIODIC
+from estimator.likelihood.motion.located_law import FORCES, Placed, acting, searched, size, start
+from estimator.likelihood.path.law_gain import DIFFERENT, Assessed, _freed, alone, assess
+from estimator.likelihood.path.path_fit import PathFit
+from estimator.likelihood.path.subproblem import Subproblem, heldout_gain, subproblem
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.effect import Effect
 from estimator.model.rig import Model
 
 from .arrays import Array
-from .law_gain import DIFFERENT, Assessed, _freed, alone, assess
-from .path_fit import PathFit
-from .periodic import PERIODIC
-from .placed import FORCES, Placed, acting, searched, size, start
-from .subproblem import Subproblem, heldout_gain, subproblem
-from .working_point import WorkingPoint
 
 GRID = {1: 6, 2: 4, 3: 3}  # points per searched parameter, by their number
 STEPS, REACH = 3, 0.4  # of Gauss-Newton in searched parameters; largest, of the value

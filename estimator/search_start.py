@@ -14,17 +14,18 @@ from itertools import product
 
 import numpy as np
 
+from estimator.likelihood.fitting.gauss_newton import fit_model, glanced
+from estimator.likelihood.motion.located_law import Placed, placed_of
+from estimator.likelihood.motion.motion_record import MotionBlocks, part_of
+from estimator.likelihood.path import law_gain
+from estimator.likelihood.path.path_fit import PathFit
+from estimator.likelihood.path.subproblem import Subproblem
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model, Setting
 
-from . import bends, force_shapes, law_gain
+from . import bends, force_shapes
 from .arrays import Array
-from .model_fit import fit_model, glanced
-from .motion_blocks import MotionBlocks, part_of
 from .parallel import each
-from .path_fit import PathFit
-from .placed import Placed, placed_of
-from .subproblem import Subproblem
-from .working_point import WorkingPoint
 
 SECONDS = 6.0
 SHAPE_SECONDS = 20.0  # for the spectrum of the force

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from estimator.likelihood.path.working_point import WorkingPoint
+
 from .arrays import Array
 from .missing_force import Residual, Survey, ridged
-from .working_point import WorkingPoint
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimator.likelihood.motion.force_balance import Balance
+from estimator.likelihood.motion.stream_record import Bank, Record, stretches
+from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, active
+from estimator.likelihood.path.sandwich import excess
 from estimator.model.rig import UNITS, Model
 from estimator.signals.blocks import spectra, taper, valid_blocks
 
 from .arrays import Array
-from .balance import Balance
-from .fold_tangents import excess
-from .likelihood import Likelihood, Local, Point, active
 from .maximum import inverse, maximum
-from .record import Bank, Record, stretches
 from .results import Parameter, untold_at
 from .start import Start
 

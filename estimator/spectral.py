@@ -6,26 +6,27 @@ import numpy as np
 
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.rotating.ball_pass import BALL_PASS
+from estimator.likelihood.motion.checks import check_record
+from estimator.likelihood.motion.force_balance import force_channels
+from estimator.likelihood.motion.harmonics import PERIODIC
+from estimator.likelihood.motion.located_law import searched
+from estimator.likelihood.motion.prepare import prepare
+from estimator.likelihood.path import excitation_level
+from estimator.likelihood.path.contour import modes_of
+from estimator.likelihood.path.gram_likelihood import evidence_of, responses
+from estimator.likelihood.path.measured_force import is_known
+from estimator.likelihood.response.below_band import lopsided, own_sizes, usual
 from estimator.model.recorder import devices, suspected
 from estimator.model.rig import Model
 from estimator.signals.channel_response import forced
 
-from . import bent_path, force_level, one_end, unknown_mass, whole
+from . import bent_path, one_end, unknown_mass, whole
 from .arrays import Array
-from .balance import force_channels
-from .checks import check_record
-from .contour import modes_of
-from .cut_record import prepare
 from .errors import DataError
-from .known_force import is_known
-from .likelihood import evidence_of, responses
 from .likely_path import analyse
 from .lines import describe
-from .periodic import PERIODIC
-from .placed import searched
 from .results import Fit
 from .search_start import fit_record
-from .slow_motion import lopsided, own_sizes, usual
 from .solution import Solution, ratios_only, report
 from .whole import Whole
 
@@ -105,7 +106,7 @@ def astray(solution: Solution) -> bool:
 
 
 def _whirls(solution: Solution) -> bool:
-    """Whether a mode of the mean response grows, so that only the law's bend holds it: see contour.py."""
+    """Whether a mode of the mean response grows, so that only the law's bend holds it: see likelihood/path/contour.py."""
     balance, f_hz = solution.balance, solution.start.nodes.f_hz
     B = balance.coefficients(solution.point.beta)
     A = B @ responses(balance, solution.bank.tangents, f_hz)
@@ -115,7 +116,7 @@ def _whirls(solution: Solution) -> bool:
 
 def _shared(solution: Solution) -> bool:
     """Whether noise of a sensor is much of the force that is inferred at another place, through the shaft: rows are
-    taken as independent here, and are not then (noise_paths.py)."""
+    taken as independent here, and are not then (likelihood/path/sensor_noise.py)."""
     point, local = solution.point, solution.local
     shares = point.noise * local.floor / local.spread[:, :, None]
     return bool(np.max(shares, where=~np.eye(point.S.size, dtype=bool), initial=0.0) > SHARED)
@@ -139,7 +140,7 @@ def messages(solution: Solution) -> tuple[str, ...]:
     point, places = solution.point, solution.balance.places
     if not solution.converged:
         out.append("the likelihood was not brought to its maximum: values are provisional")
-    out += force_level.said(solution.bank.level)
+    out += excitation_level.said(solution.bank.level)
     record = solution.record
     out += one_end.said(record.model, {p: solution.values.get(f"{p}.kL", 0.0) for p in places})
     if record.lines:

@@ -7,17 +7,25 @@ from functools import lru_cache
 
 import numpy as np
 
+from estimator.likelihood.motion.denoise import as_displacement, calm_of, is_little
+from estimator.likelihood.motion.force_balance import build, motion_channels
+from estimator.likelihood.motion.law_smoothing import MARGIN, NEAREST
+from estimator.likelihood.motion.stream_record import Record, gather, notches
+from estimator.likelihood.path.gram_likelihood import (
+    Evidence,
+    Likelihood,
+    Local,
+    Point,
+    evidence_of,
+    maximise,
+    responses,
+)
 from estimator.model.rig import Model
 from estimator.signals.band_limit import half_length, left_out
 from estimator.signals.blocks import Nodes, nodes, spectra, valid_blocks
 
 from .arrays import Array
-from .balance import build, motion_channels
-from .calm import as_displacement, calm_of, is_little
 from .errors import DataError
-from .features import MARGIN, NEAREST
-from .likelihood import Evidence, Likelihood, Local, Point, evidence_of, maximise, responses
-from .record import Record, gather, notches
 
 SECONDS = 20.0  # of the record that the start is taken from
 LEAST_DAMPING = 0.002  # of critical: where the scan begins
@@ -108,7 +116,7 @@ def linear_start(record: Record) -> Start:
 
 
 def calmed(record: Record, start: Start) -> tuple[Record, Start]:
-    """The same with what the laws see beside the noise of sensors (calm.py), where no force is measured."""
+    """The same with what the laws see beside the noise of sensors (likelihood/motion/denoise.py), where no force is measured."""
     grid, kinds = record.grid, [record.model.channels[c].kind for c in motion_channels(record.model)]
     noise = as_displacement(kinds, grid.f_hz, start.noise)
     if record.force or is_little(grid.f_hz, noise, record.rms("x") ** 2):

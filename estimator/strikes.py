@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc
 
 from estimator.effects.engine.places import kinematic, orders
+from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
 from estimator.model.rig import Model
 from estimator.signals.line_spectrum import Spectrum
 
@@ -23,7 +24,6 @@ from .arrays import Array
 from .effects import CATALOGUE
 from .results import Parameter
 from .suspect import Suspect
-from .working_point import WorkingPoint, tangent_at
 
 FIRST = 12  # harmonics that a train is sought by
 MOST = 20.0  # that one of them counts for

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from estimator.likelihood.motion import harmonics
+from estimator.likelihood.motion.located_law import clipped as clipped_by
+from estimator.likelihood.path.whitening import Spectrum
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model
 
-from . import bent_path, coupled_caps, force_colour, line_forces, periodic, sensor_faults
+from . import bent_path, coupled_caps, force_colour, line_forces, sensor_faults
 from .arrays import Array
 from .parallel import each
-from .placed import clipped as clipped_by
 from .suspect import Suspect, as_use
-from .weighing import Spectrum
-from .working_point import WorkingPoint
 
 
 def suspects(model: Model, point: WorkingPoint, y: Array, everywhere: bool = False) -> list[Suspect]:
@@ -26,7 +27,7 @@ def suspects(model: Model, point: WorkingPoint, y: Array, everywhere: bool = Fal
     lines = line_forces.find(model, point, y, point.data.rate_hz)
     rest = lines + force_colour.find(model, _without(lines, model, point))
     if point.data.measured_force:
-        rest += bent_path.find(model, point, periodic.known_lines(_having(model, lines)))
+        rest += bent_path.find(model, point, harmonics.known_lines(_having(model, lines)))
     rest += coupled_caps.find(model, point)
     if not everywhere:
         bad = {p for s in clipped for p in s.at} | clipped_by(model) | point.data.lost
@@ -47,7 +48,7 @@ def _without(found: list[Suspect], model: Model, point: WorkingPoint) -> Working
     """The point with the spectra of what is left of the force without periodic ones that were found: a line in all of
     the spectrum of a block is no colour, and at both bearings no common force."""
     data = point.data
-    made = periodic.whole_waves(replace(model, effects=_uses(found)), data.places, data.rate_hz)
+    made = harmonics.whole_waves(replace(model, effects=_uses(found)), data.places, data.rate_hz)
     if not made:
         return point
 
@@ -67,7 +68,7 @@ def _elsewhere(s: Suspect, bad: set[str], point: WorkingPoint) -> Suspect | None
     at = tuple(p for p in s.at if p not in bad)
     if len(at) == len(s.at):
         return s
-    if not at or s.effect not in periodic.PERIODIC:
+    if not at or s.effect not in harmonics.PERIODIC:
         return None
     power = {i: P for i, P in s.power.items() if point.data.places[i] not in bad}
     return replace(s, at=at, power=power, settings={p: v for p, v in s.settings.items() if p not in bad})

@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
+from estimator.likelihood.motion.motion_record import MotionBlocks, spectrum
+from estimator.likelihood.motion.prepare import cut
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.signals.band_limit import noise_shape
 from estimator.signals.channel_response import echoes, recorder
 from estimator.simulation.simulator import simulate
 
 from .arrays import Array, Series
-from .cut_record import cut
 from .errors import DataError, ModelError
 from .free_run import free_run
-from .motion_blocks import MotionBlocks, spectrum
-from .working_point import WorkingPoint
 
 SECONDS = 5.0
 SETTLE = 2.0  # from rest, under a measured force

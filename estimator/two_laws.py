@@ -8,17 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estimator.likelihood.fitting.gauss_newton import FIRST_SECONDS, fit_model
+from estimator.likelihood.motion.located_law import Placed, acting, on_trial
+from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
 from estimator.model.rig import Model
 
 from . import adequacy, missing_force, screen
 from .errors import NotFiniteError
 from .evidence import Entry
-from .model_fit import FIRST_SECONDS, fit_model
 from .parallel import answers
-from .placed import Placed, acting, on_trial
 from .ranking import SEARCH_SECONDS
 from .screen import Trial
-from .working_point import WorkingPoint, plain, thinned
 
 Trials = dict[str, list[Trial]]
 EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left

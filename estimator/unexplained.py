@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.signals.band_limit import passband
 
 from .arrays import Array, Complexes
 from .periodic_fit import PIECES, demodulated
-from .working_point import WorkingPoint
 
 HEARD = 0.9  # gain of the band filter from where a frequency counts as in the band
 LEAST = 0.5  # of the amplitude by a linear reading: with less left the laws explain the line

@@ -12,6 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.effects.engine.custom import effect_of
+from estimator.likelihood.motion.harmonics import PERIODIC
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.model.rotor import shaft_matrix
 from estimator.signals.channel_response import forced, undone
@@ -19,10 +21,8 @@ from estimator.signals.channel_response import forced, undone
 from .arrays import Array
 from .errors import DataError
 from .likely_path import analyse
-from .periodic import PERIODIC
 from .results import Parameter, belongs
 from .solution import ratios_only, report
-from .working_point import WorkingPoint
 
 FREE = "no mass is known, so only ratios are: give [rig.mass]"
 

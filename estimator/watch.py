@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.likelihood.motion.force_balance import Balance
+from estimator.likelihood.path.gram_likelihood import Likelihood, Point
 from estimator.model.rig import EffectUse, Model
 
 from .arrays import Array
-from .balance import Balance
 from .effects import CATALOGUE
-from .likelihood import Likelihood, Point
 
 # one of each kind of state dependence; shapes at their defaults
 CANDIDATES = (

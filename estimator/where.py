@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from estimator.likelihood.path.working_point import WorkingPoint
+
 from .missing_force import Residual, Survey
 from .shape import curve
-from .working_point import WorkingPoint
 
 PREFIX = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"))
 

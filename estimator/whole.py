@@ -12,6 +12,15 @@ from itertools import starmap
 
 import numpy as np
 
+from estimator.likelihood.fitting.fitted_values import parameters
+from estimator.likelihood.motion import harmonics, shaft_law
+from estimator.likelihood.motion.known_spectra import COLOURS, OF_FORCE
+from estimator.likelihood.motion.known_spectra import colours as colours_of
+from estimator.likelihood.motion.located_law import clipped
+from estimator.likelihood.motion.motion_record import MotionBlocks
+from estimator.likelihood.motion.prepare import prepare, shortened
+from estimator.likelihood.path import excitation_level
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.signals.channel_response import BLIND, LINEAR
 from estimator.signals.shaft_angle import timed
@@ -21,32 +30,22 @@ from . import (
     common_fall,
     coupled_caps,
     force_colour,
-    force_level,
     force_shapes,
     modulation,
     one_end,
-    periodic,
     periodic_fit,
     recorder_phase,
     sensor_faults,
-    shaft_law,
     unknown_mass,
 )
 from .arrays import Array
-from .cut_record import prepare, shortened
 from .declip import LOST, RESTORED, SPOILED, restored
-from .fitted import parameters
-from .known_spectra import COLOURS, OF_FORCE
-from .known_spectra import colours as colours_of
 from .model import recorder
-from .motion_blocks import MotionBlocks
 from .numbered import further_lines, moved, told_by_force, undone_as_given, with_numbers, with_uses
-from .placed import clipped
 from .results import Fit, Parameter, untold_at
 from .search_start import fit_record
 from .start import refuse_without_resonance, resonates
 from .suspects import suspects
-from .working_point import WorkingPoint
 
 SHAPING = (*COLOURS, "correlated_force", "sensor_clipping", "sensor_noise")
 ROUNDS = 2  # of the numbers of periodic forces and colours, which the rest of the fit depends on
@@ -78,7 +77,7 @@ class Whole:
 
 def beside_the_laws(use: EffectUse) -> bool:
     """Whether an effect is none of the laws that a fit of the states has columns for."""
-    return use.name in (*periodic.PERIODIC, *SHAPING, *BLIND)
+    return use.name in (*harmonics.PERIODIC, *SHAPING, *BLIND)
 
 
 def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
@@ -114,7 +113,7 @@ def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
         *unknown_mass.said(masses),
         *unknown_mass.ratios(whole.model, whole.point),
         *recorder.said(whole.model.roll_off, data.places),
-        *force_level.said(data.level),
+        *excitation_level.said(data.level),
         *one_end.said(whole.model, dict(zip(data.places, whole.point.kL.tolist(), strict=True))),
         *shaft_law.said(data, [use.effect for use in whole.point.placed]),
     )
@@ -188,7 +187,7 @@ def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None =
             break
         model, found = renewed, found | again
         point = fit_record(model, prepared(model))
-    for done in range(MOST_ROUNDS if any(u.name in (*periodic.PERIODIC, *LINEAR) for u in uses) else 0):
+    for done in range(MOST_ROUNDS if any(u.name in (*harmonics.PERIODIC, *LINEAR) for u in uses) else 0):
         model, bent = bends.refined(model, point)
         model, mutual = coupled_caps.refined(model, point)
         model, stepped = periodic_fit.settled(model, point)

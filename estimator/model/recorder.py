@@ -8,7 +8,7 @@ A filter that falls slowly (means over a sample, sigma-delta, Bessel) also lets 
 sampling folds it into the band: above all resonances the acceleration is that of a free mass, F / m, and as the unknown
 force is white its level is known. Towards the end of the band that fills up again what the filter took; below a
 resonance, where the inferred force is the acceleration times its k / w^2, it is many times more than the force. It is
-noise of every sensor: noise_paths.py.
+noise of every sensor: likelihood/path/sensor_noise.py.
 """
 
 from __future__ import annotations

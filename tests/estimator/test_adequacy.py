@@ -10,11 +10,11 @@ from hidden_effects import RATE, one_bearing, record
 from numpy.typing import NDArray
 
 from estimator import adequacy, screen
-from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
-from estimator.model_fit import fit_model
 from estimator.search_start import fit_record
 from estimator.simulation.simulator import simulate
 

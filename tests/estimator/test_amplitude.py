@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from estimator import screen
 from estimator.amplitude import Extrapolation, extrapolated, upper_part
-from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size
+from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
 from estimator.search_start import fit_record
 from estimator.simulation.simulator import simulate

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator import cut_record
+from estimator.likelihood.motion import prepare as cut_record
+from estimator.likelihood.motion.stream_record import prepare
+from estimator.likelihood.response.below_band import with_slow
 from estimator.lines import begin
 from estimator.model.rig import Channel, EffectUse, Model
-from estimator.record import prepare
 from estimator.signals.band_limit import BandLimit, band_limit
 from estimator.signals.band_limited_record import Filtered
-from estimator.slow_motion import with_slow
 
 RATE, SECONDS, BAND = 1000.0, 40.0, (10.0, 450.0)
 

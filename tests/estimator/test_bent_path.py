@@ -12,15 +12,15 @@ from exact_path import KL, MASS, RATE, RIG, C, S, record
 from numpy.typing import NDArray
 
 from estimator import bends, bent_path, spectral
-from estimator.cut_record import prepare
 from estimator.diagnose import diagnose
 from estimator.effects import CATALOGUE
 from estimator.heldout import heldout_rmse
 from estimator.improve import improve
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.fitting.transfer_function import left, linear, plain, response_of
+from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import EffectUse, Model
-from estimator.model_fit import fit_model
 from estimator.suspects import suspects
-from estimator.transfer import left, linear, plain, response_of
 from estimator.whole import fit_whole
 
 Array = NDArray[np.float64]

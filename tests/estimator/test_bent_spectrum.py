@@ -11,8 +11,8 @@ from hidden_effects import RATE, one_bearing
 from estimator.effects import CATALOGUE
 from estimator.evidence import Entry
 from estimator.explains import _bends_a_spectrum
+from estimator.likelihood.motion.located_law import Placed
 from estimator.missing_force import Survey
-from estimator.placed import Placed
 from estimator.simulation.simulator import simulate
 from estimator.suspect import Share
 from estimator.whole import fit_whole

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from reference_rig import RATE, rig_model, rig_record
 
-from estimator.balance import build
-from estimator.block_spectra import BlockSpectra
-from estimator.columns import Columns
 from estimator.errors import DataError
-from estimator.record import Record, prepare
+from estimator.likelihood.motion.force_balance import build
+from estimator.likelihood.motion.law_columns import Columns
+from estimator.likelihood.motion.stream_record import Record, prepare
+from estimator.likelihood.motion.streaming_spectra import BlockSpectra
 from estimator.signals.blocks import gram, spectra
 
 EFFECTS = ("cubic", "coulomb", "bouc_wen", "quintic", "cross_coupling")  # smooth, with a jump, with a memory

@@ -9,13 +9,13 @@ from reference_rig import CLEARANCE, GAP, PLACES, rig_model, rig_record
 from reference_rig import RATE as RIG_RATE
 from reference_samples import langevin
 
-from estimator.cut_record import cut
-from estimator.features import MARGIN
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.law_smoothing import MARGIN
+from estimator.likelihood.motion.prepare import cut
+from estimator.likelihood.motion.stream_record import prepare
 from estimator.likely_path import analyse
 from estimator.lines import begin
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.model_fit import fit_model
-from estimator.record import prepare
 from estimator.results import Parameter
 from estimator.rolling import RollingSpectral
 from estimator.simulation.simulator import simulate

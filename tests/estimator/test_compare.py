@@ -12,7 +12,7 @@ from hidden_effects import RATE, one_bearing, record, schema
 
 from estimator import sensor_faults
 from estimator.compare import compare
-from estimator.determinant import Jacobian
+from estimator.likelihood.path.determinant import Jacobian
 from estimator.model.rig import Channel, Model
 from estimator.sensor_faults import clipping_level
 from estimator.simulation.simulator import simulate

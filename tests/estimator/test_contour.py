@@ -12,19 +12,19 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from reference_rig import CROSS, PLACES, RATE, TRUTH, rig_model, rig_record
 
-from estimator.balance import build
-from estimator.contour import FED, MARGIN, along, contour
-from estimator.determinant import Jacobian
-from estimator.likelihood import Likelihood, Local, Point, evidence_of
+from estimator.likelihood.motion.force_balance import build
+from estimator.likelihood.motion.stream_record import gather, prepare
+from estimator.likelihood.path.contour import FED, MARGIN, along, contour
+from estimator.likelihood.path.determinant import Jacobian
+from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, evidence_of
+from estimator.likelihood.response.regressor_set import response
 from estimator.lines import begin
 from estimator.model.disc import Disc, disc_of
 from estimator.model.rig import EffectUse, Model
 from estimator.model.rotor import shaft_matrix
-from estimator.record import gather, prepare
 from estimator.rolling import RollingSpectral
 from estimator.spectral import fit
 from estimator.start import LEAST_DAMPING, linear_start
-from estimator.terms import response
 from estimator.whole import fit_whole
 
 BLOCK_S = 0.32

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from estimator.bent_path import _odd
-from estimator.path_spectra import Folded, Response
-from estimator.transfer import Peak, expected
+from estimator.likelihood.fitting.path_spectra import Folded, Response
+from estimator.likelihood.fitting.transfer_function import Peak, expected
 
 Complexes = NDArray[np.complex128]
 CELLS, PLACES, HERE = 40, 3, 1

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimator import missing_force
-from estimator.cut_record import prepare
 from estimator.declip import ceilings, restored
 from estimator.diagnose import diagnose, diagnose_point
+from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import EffectUse
 from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole

@@ -17,8 +17,8 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
 from estimator.errors import DataError
 from estimator.improve import improve
+from estimator.likelihood.motion.located_law import Placed
 from estimator.model.rig import Model
-from estimator.placed import Placed
 from estimator.ranking import _promising, extrapolating, ranked
 from estimator.simulation.simulator import simulate
 from estimator.two_laws import another_explains
@@ -109,7 +109,9 @@ def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
 ) -> None:
     """As Bouc-Wen is at times some nats ahead of a drag that is there; and it is no second law of a pair. A stop is odd
     and even, and may pass the even law that is there by any number of nats."""
-    monkeypatch.setattr("estimator.placed.CATALOGUE", {name: CATALOGUE[name] for name in (right, wrong)})
+    monkeypatch.setattr(
+        "estimator.likelihood.motion.located_law.CATALOGUE", {name: CATALOGUE[name] for name in (right, wrong)}
+    )
     y = record(rig, right, 0.06)
     fitted = fit_whole(rig, y, RATE)
     found = ranked(fitted.model, fitted.point, y, quiet)
@@ -134,7 +136,10 @@ def test_a_law_that_is_nothing_once_it_is_fitted_with_the_model_is_not_named(
 ) -> None:
     """Beside noise as strong as the motion trials won up to 38 nats by a law that the fit then takes away (Bouc-Wen,
     behind filters that fold, another simulator)."""
-    monkeypatch.setattr("estimator.placed.CATALOGUE", {name: CATALOGUE[name] for name in ("quadratic", "coulomb")})
+    monkeypatch.setattr(
+        "estimator.likelihood.motion.located_law.CATALOGUE",
+        {name: CATALOGUE[name] for name in ("quadratic", "coulomb")},
+    )
     y = simulate(rig, RATE, 3.0, seed=6, noise=0.02)
     fitted = fit_whole(rig, y, RATE)
     found = ranked(fitted.model, fitted.point, y, quiet)

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from daq.rig import load_rig
 from estimator import force_cells, force_colour, force_shapes, spectral
-from estimator.balance import build
 from estimator.compare import compare
-from estimator.likelihood import Likelihood, evidence_of, responses
+from estimator.likelihood.motion.force_balance import build
+from estimator.likelihood.motion.stream_record import gather, prepare
+from estimator.likelihood.path.gram_likelihood import Likelihood, evidence_of, responses
 from estimator.model.rig import Model, Setting
-from estimator.record import gather, prepare
 from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 

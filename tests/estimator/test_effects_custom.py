@@ -13,17 +13,18 @@ from hidden_effects import RATE, one_bearing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator import law_gain, spectral
-from estimator.cut_record import prepare
+from estimator import spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.custom import custom_effect
 from estimator.effects.engine.expression import FUNCTIONS, ExpressionError, compile_law
 from estimator.effects.engine.law_loop import force_array
 from estimator.errors import DataError, ModelError
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.located_law import Placed, placed_of
+from estimator.likelihood.motion.prepare import prepare
+from estimator.likelihood.path import law_gain
 from estimator.likely_path import analyse
 from estimator.model.rig import CustomLaw, EffectUse, Setting
-from estimator.model_fit import fit_model
-from estimator.placed import Placed, placed_of
 from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 

@@ -14,8 +14,8 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import NotFiniteError
 from estimator.evidence import Entry
+from estimator.likelihood.motion.located_law import Placed
 from estimator.model.rig import CustomLaw, EffectUse, Setting
-from estimator.placed import Placed
 from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
 

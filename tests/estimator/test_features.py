@@ -10,7 +10,7 @@ from scipy.special import erf
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.compiled import address
 from estimator.effects.engine.law_loop import force_array
-from estimator.features import MARGIN, State, decimated, depends, law_force, rough
+from estimator.likelihood.motion.law_smoothing import MARGIN, State, decimated, depends, law_force, rough
 
 N, RATE = 20000, 25600.0
 

@@ -8,18 +8,19 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing, record, size, strengths, with_effect
 
-from estimator import adequacy, mean_response, missing_force, spectral
-from estimator.cut_record import prepare
+from estimator import adequacy, missing_force, spectral
 from estimator.effects import CATALOGUE
-from estimator.fluctuation import Fluctuation, fluctuations
-from estimator.law_gain import assess
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.located_law import placed_of, tangent_series
+from estimator.likelihood.motion.motion_record import finer
+from estimator.likelihood.motion.prepare import prepare
+from estimator.likelihood.path.law_gain import assess
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.likelihood.response import modal_response
+from estimator.likelihood.response.fluctuation import Fluctuation, fluctuations
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.model_fit import fit_model
-from estimator.motion_blocks import finer
-from estimator.placed import placed_of, tangent_series
 from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
-from estimator.working_point import WorkingPoint
 
 SLOW = 12800.0
 Case = tuple[str, Model, np.ndarray, WorkingPoint]
@@ -59,7 +60,7 @@ def test_nothing_is_found_beside_the_right_law(strong: Case) -> None:
 def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
     """Sigma is linear in the first of its two tangents."""
     point = strong[3]
-    mean = mean_response.mean_responses(point.data.mass, point.slopes, point.data.places, point.data.disc)
+    mean = modal_response.mean_responses(point.data.mass, point.slopes, point.data.places, point.data.disc)
     here = fluctuations(point.data, point.placed, mean, point.lin)[0]
     assert here is not None
     own = [u for u in point.placed if 0 in u.at]
@@ -71,7 +72,7 @@ def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
 def test_a_law_alone_is_dressed_per_unit_by_what_all_of_it_does(strong: Case) -> None:
     """Both tangents of a law beside itself have its amplitude; of two laws at a place neither is all there is."""
     point = strong[3]
-    mean = mean_response.mean_responses(point.data.mass, point.slopes, point.data.places, point.data.disc)
+    mean = modal_response.mean_responses(point.data.mass, point.slopes, point.data.places, point.data.disc)
     law = next(u for u in point.placed if 0 in u.at and u.effect.name == "quadratic_damping")
     here = fluctuations(point.data, [law], mean, point.lin)[0]
     assert isinstance(here, Fluctuation)
@@ -180,7 +181,7 @@ def test_models_are_compared_by_the_value_whose_derivatives_their_columns_have(
 def test_a_damping_that_lets_nothing_move_has_lags_all_the_same() -> None:
     """A step of a fit went there, and improve ended with "negative shift count"."""
     for c, lags in ((60.0, 2048), (1e9, 1 << 15)):
-        assert mean_response.alone(0.2, c, 1e7).lags(1 / 25600.0, 1 << 15) == lags
+        assert modal_response.alone(0.2, c, 1e7).lags(1 / 25600.0, 1 << 15) == lags
 
 
 @pytest.mark.slow

@@ -7,14 +7,14 @@ import pytest
 from reference_samples import langevin
 from scipy.signal import lfilter, welch
 
-from estimator.balance import build
-from estimator.columns import Columns
-from estimator.dressing import flutter
-from estimator.features import MARGIN
+from estimator.likelihood.motion.force_balance import build
+from estimator.likelihood.motion.law_columns import Columns
+from estimator.likelihood.motion.law_smoothing import MARGIN
+from estimator.likelihood.motion.stream_record import gather, prepare
+from estimator.likelihood.response.second_order import flutter
 from estimator.likely_path import analyse
 from estimator.maximum import Tangents, without_flutter
 from estimator.model.rig import Channel, EffectUse, Model
-from estimator.record import gather, prepare
 from estimator.rolling import RollingSpectral
 from estimator.rolling_memory import FlutterSums
 from estimator.solution import report

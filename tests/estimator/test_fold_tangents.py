@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from reference_rig import COULOMB, RATE, rig_model, rig_record
 
-from estimator.columns import Columns
-from estimator.fold_tangents import excess
-from estimator.likelihood import Likelihood, evidence_of
+from estimator.likelihood.motion.law_columns import Columns
+from estimator.likelihood.path.gram_likelihood import Likelihood, evidence_of
+from estimator.likelihood.path.sandwich import excess
 from estimator.likely_path import analyse
 from estimator.maximum import inverse
 from estimator.solution import Solution

@@ -6,7 +6,7 @@ from reference_samples import langevin
 from scipy.signal import firwin, oaconvolve
 
 from estimator.effects import CATALOGUE
-from estimator.features import folds, highest
+from estimator.likelihood.motion.law_smoothing import folds, highest
 from estimator.model.rig import Channel, EffectUse, Model
 from estimator.spectral import fit
 from estimator.whole import fit_whole

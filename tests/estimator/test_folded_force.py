@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.signal import bessel, sosfreqz
 
 from estimator import bent_path
-from estimator.folded_force import alike
+from estimator.likelihood.fitting.folded_force import alike
+from estimator.likelihood.fitting.transfer_function import response_of
 from estimator.missing_force import survey
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.transfer import response_of
 from estimator.whole import fit_whole
 
 Floats = NDArray[np.float64]

@@ -10,9 +10,9 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import bilinear, butter, iirpeak, lfilter
 
 from estimator import force_cells, force_colour, force_shapes
-from estimator.cut_record import prepare
 from estimator.diagnose import diagnose, no_law, quiet
 from estimator.improve import improve
+from estimator.likelihood.motion.prepare import prepare
 from estimator.missing_force import survey
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.ranking import ranked

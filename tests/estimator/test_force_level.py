@@ -13,11 +13,11 @@ from reference_rig import RATE as RIG_RATE
 from estimator import missing_force, screen, spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
-from estimator.force_level import level_of, ratio
-from estimator.motion_blocks import FOLDS, fold_of
-from estimator.placed import Placed, evaluate
+from estimator.likelihood.motion.located_law import Placed, evaluate
+from estimator.likelihood.motion.motion_record import FOLDS, fold_of
+from estimator.likelihood.path.excitation_level import level_of, ratio
+from estimator.likelihood.response.regressor_set import terms
 from estimator.simulation.simulator import simulate
-from estimator.terms import terms
 from estimator.whole import fit_whole
 
 

@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing, record
 
-from estimator import probe
-from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.compiled import memory_array
 from estimator.effects.engine.strength import size, strengths, with_effect
-from estimator.fluctuation import Fluctuation, fluctuations
-from estimator.hidden_states import along, passed, together
-from estimator.mean_response import alone, mean_responses
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.located_law import Placed, placed_of
+from estimator.likelihood.motion.memory_law import along, passed, together
+from estimator.likelihood.motion.prepare import prepare
+from estimator.likelihood.path.working_point import thinned
+from estimator.likelihood.response import impulse_probe
+from estimator.likelihood.response.fluctuation import Fluctuation, fluctuations
+from estimator.likelihood.response.impulse_probe import Probe, probed
+from estimator.likelihood.response.modal_response import alone, mean_responses
 from estimator.model.rig import EffectUse
-from estimator.model_fit import fit_model
-from estimator.placed import Placed, placed_of
-from estimator.probe import Probe, probed
 from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole
-from estimator.working_point import thinned
 
 BOUC_WEN = CATALOGUE["bouc_wen"]
 LIN = np.array([0.2, 1e7, 60.0])
@@ -167,7 +167,7 @@ def test_answers_do_not_depend_on_the_pieces_they_are_followed_in(monkeypatch: p
     mean = alone(0.2, 60.0, 9e6)
     whole = probed(data, data.f_hz, 0, [law], mean, lin)
     assert isinstance(whole, Probe)
-    monkeypatch.setattr(probe, "PIECE", whole.lags)
+    monkeypatch.setattr(impulse_probe, "PIECE", whole.lags)
     pieces = probed(data, data.f_hz, 0, [law], mean, lin)
     assert isinstance(pieces, Probe)
     assert np.linalg.norm(pieces.whole - whole.whole) < 1e-3 * np.linalg.norm(whole.whole)

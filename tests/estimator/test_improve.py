@@ -18,8 +18,8 @@ from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import DataError
 from estimator.evidence import Entry
 from estimator.improve import _with_found, improve
+from estimator.likelihood.motion.located_law import Placed
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
-from estimator.placed import Placed
 from estimator.results import Parameter
 from estimator.simulation.simulator import simulate
 from estimator.whole import Whole, fit_whole

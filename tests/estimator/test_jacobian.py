@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 from reference_rig import RATE, rig_model, rig_record
 
-from estimator.jacobian import levels, log_determinant
-from estimator.likelihood import Likelihood, Line, Point, evidence_of
-from estimator.record import Record, gather, prepare
+from estimator.likelihood.motion.stream_record import Record, gather, prepare
+from estimator.likelihood.path.gram_likelihood import Likelihood, Line, Point, evidence_of
+from estimator.likelihood.path.jacobian import levels, log_determinant
 
 Floats = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def record() -> Record:
 
 @pytest.mark.parametrize("noise", [0.0, 3e-7])
 def test_value_gradient_and_hessian_are_those_of_the_likelihood(record: Record, noise: float) -> None:
-    from estimator.balance import build
+    from estimator.likelihood.motion.force_balance import build
 
     balance = build(record.model, search=False)
     evidence = evidence_of(gather(record, balance, 0.05 * record.scales))

@@ -9,13 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from estimator import spectral
-from estimator.balance import build
-from estimator.likelihood import Likelihood, Point, evidence_of
+from estimator.likelihood.motion.force_balance import build
+from estimator.likelihood.motion.stream_record import gather, prepare
+from estimator.likelihood.path.gram_likelihood import Likelihood, Point, evidence_of
 from estimator.likely_path import along_likely_path
 from estimator.lines import begin
 from estimator.maximum import initial
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.record import gather, prepare
 from estimator.signals.band_limit import band_limit
 from estimator.simulation.simulator import simulate
 from estimator.solution import solve

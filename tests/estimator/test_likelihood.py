@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from reference_rig import RATE, rig_model, rig_record
 
-from estimator.balance import Balance, build, restrict
-from estimator.dressing import pair_energies
-from estimator.jacobian import levels
-from estimator.likelihood import Likelihood, Point, evidence_of, maximise
+from estimator.likelihood.motion.force_balance import Balance, build, restrict
+from estimator.likelihood.motion.stream_record import Bank, Record, gather, prepare
+from estimator.likelihood.path.gram_likelihood import Likelihood, Point, evidence_of, maximise
+from estimator.likelihood.path.jacobian import levels
+from estimator.likelihood.response.modal_response import alone
+from estimator.likelihood.response.second_order import pair_energies
 from estimator.maximum import initial, inverse
-from estimator.mean_response import alone
-from estimator.record import Bank, Record, gather, prepare
 from estimator.start import Start, linear_start
 
 

@@ -12,9 +12,9 @@ from scipy.signal import lfilter
 
 from daq.rig import load_rig
 from estimator import line_forces
-from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
+from estimator.likelihood.motion.prepare import prepare
 from estimator.search_start import fit_record
 from estimator.signals.line_spectrum import spectrum_of, surroundings
 from estimator.simulation.simulator import simulate

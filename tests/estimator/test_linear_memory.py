@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, one_bearing
 
 from estimator.effects import CATALOGUE
-from estimator.linear_memory import response, slope
+from estimator.likelihood.motion.linear_memory import response, slope
 from estimator.model.rig import EffectUse, Setting
 from estimator.simulation.simulator import simulate
 from estimator.whole import fit_whole

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from estimator import linear_memory
 from estimator.effects import CATALOGUE
-from estimator.mean_response import Mean, alone, mean_responses
+from estimator.likelihood.motion import linear_memory
+from estimator.likelihood.response.modal_response import Mean, alone, mean_responses
 from estimator.model.disc import Disc
 from estimator.model.rig import Shaft
 from estimator.model.rotor import shaft_at_caps, shaft_matrix

@@ -9,14 +9,14 @@ import pytest
 from hidden_effects import RATE, one_bearing, record
 
 from estimator import missing_force, reference
-from estimator.cut_record import prepare
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.located_law import placed_of
+from estimator.likelihood.motion.prepare import prepare
+from estimator.likelihood.path.subproblem import Subproblem
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Setting
-from estimator.model_fit import fit_model
-from estimator.placed import placed_of
 from estimator.simulation.simulator import simulate
-from estimator.subproblem import Subproblem
 from estimator.whole import fit_whole
-from estimator.working_point import WorkingPoint
 
 Hats = tuple[WorkingPoint, Subproblem, tuple[str, ...], np.ndarray]
 

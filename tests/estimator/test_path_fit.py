@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from estimator.determinant import Jacobian
-from estimator.motion_blocks import FOLDS
-from estimator.path_fit import Gram, fit
-from estimator.subproblem import Subproblem
+from estimator.likelihood.motion.motion_record import FOLDS
+from estimator.likelihood.path.determinant import Jacobian
+from estimator.likelihood.path.path_fit import Gram, fit
+from estimator.likelihood.path.subproblem import Subproblem
 
 
 def test_columns_that_cancel_are_not_told_apart_by_the_error_of_their_tangents() -> None:

@@ -10,20 +10,20 @@ from hidden_effects import RATE, SECONDS, one_bearing, record
 from numpy.typing import NDArray
 
 from estimator import evidence, line_forces
-from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.harmonics import known_lines, periodic_of, series
+from estimator.likelihood.motion.motion_record import MotionBlocks
+from estimator.likelihood.motion.prepare import prepare
+from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.missing_force import survey
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.model_fit import fit_model
-from estimator.motion_blocks import MotionBlocks
 from estimator.numbered import with_found
-from estimator.periodic import known_lines, periodic_of, series
 from estimator.periodic_fit import PIECES, found_beside, refined
 from estimator.simulation.simulator import simulate
 from estimator.suspects import suspects
 from estimator.whole import fit_whole
-from estimator.working_point import WorkingPoint
 
 LINE = {"a": 0.12, "b": -0.05, "frequency": 791.37}
 DEFECT = {"strike": 1.5, "order": 2.1, "angle": 0.7, "width": 0.05}

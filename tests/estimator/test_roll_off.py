@@ -15,9 +15,9 @@ from scipy import optimize, signal
 from daq.rig import load_rig
 from estimator import common_fall, spectral
 from estimator.compare import compare
-from estimator.cut_record import prepare
 from estimator.diagnose import diagnose
 from estimator.improve import improve
+from estimator.likelihood.motion.prepare import prepare
 from estimator.model import recorder as roll_off
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter

@@ -8,18 +8,19 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing, record
 
-from estimator import law_gain, screen
-from estimator.cut_record import prepare
+from estimator import screen
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
 from estimator.evidence import entries
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.located_law import Placed, placed_of
+from estimator.likelihood.motion.prepare import prepare
+from estimator.likelihood.path import law_gain
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.likelihood.response.regressor_set import Units
 from estimator.missing_force import survey
 from estimator.model.rig import Model
-from estimator.model_fit import fit_model
-from estimator.placed import Placed, placed_of
 from estimator.results import Parameter
-from estimator.terms import Units
-from estimator.working_point import WorkingPoint
 
 CLEARANCE = CATALOGUE["clearance"]
 

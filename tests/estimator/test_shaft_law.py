@@ -11,17 +11,17 @@ from hidden_effects import ROOT
 from scipy.integrate import solve_ivp
 
 from daq.rig import load_rig
-from estimator.cut_record import prepare
 from estimator.diagnose import diagnose
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.improve import improve
+from estimator.likelihood.motion.prepare import prepare
+from estimator.likelihood.motion.shaft_law import along
 from estimator.model.disc import Disc, disc_of
 from estimator.model.rig import Model
 from estimator.model.rotor import shaft_at_caps
 from estimator.screen import best_at
 from estimator.search_start import fit_record
-from estimator.shaft_law import along
 from estimator.simulation.simulator import simulate
 
 RATE_HZ = 25_600.0

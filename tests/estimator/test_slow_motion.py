@@ -10,16 +10,16 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import firwin, oaconvolve
 
 from estimator import adequacy, missing_force, spectral
-from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.custom import custom_effect
 from estimator.effects.engine.strength import size, strengths, with_effect
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.located_law import placed_of
+from estimator.likelihood.motion.prepare import prepare
+from estimator.likelihood.response.below_band import lopsided, own_sizes, usual, with_slow
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
-from estimator.model_fit import fit_model
-from estimator.placed import placed_of
 from estimator.rolling import RollingSpectral
 from estimator.simulation.simulator import simulate
-from estimator.slow_motion import lopsided, own_sizes, usual, with_slow
 from estimator.whole import fit_whole
 
 SECONDS = 12.0

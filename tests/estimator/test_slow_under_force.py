@@ -11,12 +11,12 @@ from numba import njit
 from scipy.signal import resample
 
 from estimator.compare import compare
-from estimator.cut_record import prepare
 from estimator.effects import CATALOGUE
+from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.motion.prepare import prepare
+from estimator.likelihood.response.below_band import with_slow
 from estimator.model.rig import Channel, EffectUse, Model
-from estimator.placed import Placed
 from estimator.signals.band_limit import left_out
-from estimator.slow_motion import with_slow
 
 RATE, SECONDS, BAND, FINER = 1000.0, 40.0, (10.0, 400.0), 20
 MASS, KL, C = 1.0, (100 * np.pi) ** 2, 6 * np.pi

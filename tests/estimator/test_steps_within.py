@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.model_fit import _within
+from estimator.likelihood.fitting.gauss_newton import _within
 
 
 def point(delta: np.ndarray, covariance: np.ndarray, scales: np.ndarray) -> SimpleNamespace:

@@ -9,8 +9,8 @@ import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 
 from estimator import evidence, line_forces, strikes
-from estimator.balance import shaft_notch
 from estimator.evidence import Settings
+from estimator.likelihood.motion.force_balance import shaft_notch
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.simulation.simulator import simulate

@@ -13,9 +13,9 @@ from daq.rig import load_rig
 from estimator import line_forces, spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
+from estimator.likelihood.motion.harmonics import series, whole_waves
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.modulation import turning
-from estimator.periodic import series, whole_waves
 from estimator.signals.shaft_angle import measured_phase, timed
 from estimator.simulation.shaft_speed import Speed
 from estimator.simulation.simulator import simulate

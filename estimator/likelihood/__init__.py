@@ -1,0 +1,1 @@
+"""The force balance along the measured motion, and its spectral likelihood."""

@@ -1,0 +1,62 @@
+"""What laws see of a noisy displacement where the force under it is measured: the likeliest motion, given both.
+
+In the band the acceleration is measured as y with noise N, and through the rotor by the force with noise S. The
+inferred force r = A y - f is noise, A n - q, and of the noise in y it says N A^H R^-1 r, R = A N A^H + S. What error
+the motion then has is independent of r, so a law along it is not bent by it (likely_path.py). By the motion alone
+(likelihood/motion/denoise.py) what is noise at the lower end of the band can only be left out, and the motion there with it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array
+from estimator.likelihood.motion.denoise import as_displacement, is_little
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.parallel import each
+
+SETTLED = 1e-3  # of the displacement, in power of what laws see beside it, that moves no number
+
+
+def calm_of(point: WorkingPoint, nu: Array) -> tuple[NDArray[np.float32] | None, Array | float]:
+    """(places, n) m, what laws see beside the displacement, and (places, 2) sd of the displacement and velocity that
+    are then in doubt; None and 0 where the noise is little. nu : (places,) noise of the sensors over S."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    data, A = point.data, point.A
+    f_hz, w = data.f_hz, 2 * np.pi * data.f_hz
+    N = data.noise_shape * (nu * point.S)[:, None]
+    if is_little(f_hz, as_displacement(data.kinds, f_hz, nu * point.S), data.rms[0] ** 2):
+        return None, 0.0
+    df = np.gradient(f_hz)
+    through = N.T[:, :, None] * A.conj().transpose(0, 2, 1)  # N A^H
+    known = through @ np.linalg.inv(A @ through + np.diag(point.S))
+    left = N - np.einsum("kij,kji->ik", known, A * N.T[:, None, :]).real
+    doubt = np.sqrt(np.stack([(left / w**4) @ df, (left / w**2) @ df], axis=1))
+
+    n = point.force.shape[1]
+    size = next_fast_len(n, real=True)
+    there: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(size, 1 / data.rate_hz), dtype=np.float64)
+    inferred = point.force if data.slow is None else point.force - _on_slow(point) @ data.slow
+    forces = each(lambda force: rfft(force, size), inferred)
+    inside = there > np.pi * data.band[0]  # below half of it nothing is measured
+
+    def at(i: int) -> Array:
+        heard = np.sum([np.interp(there, w, known[:, i, j] / w**2) * F for j, F in enumerate(forces)], axis=0)
+        return np.asarray(irfft(heard * inside, size)[:n])
+
+    return np.array(each(at, range(len(N))), np.float32), doubt
+
+
+def _on_slow(point: WorkingPoint) -> NDArray[np.float32]:
+    """(places, places) N/m by which laws answer to the slow displacement, of which nothing is measured."""
+    return np.asarray(point.slopes[..., 0] - np.diag(point.kL), np.float32)
+
+
+def settled(point: WorkingPoint, calm: NDArray[np.float32] | None) -> bool:
+    """Whether what laws see beside the displacement, (places, n), is what they saw."""
+    before = point.data.calm
+    if calm is None or before is None:
+        return calm is before
+    return bool(np.all(np.mean((calm - before) ** 2, axis=1) <= SETTLED**2 * point.data.rms[0] ** 2))

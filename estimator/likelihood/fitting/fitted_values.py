@@ -1,0 +1,82 @@
+"""The model with the values of a fit written into it: what is simulated, saved, compared again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.model.rig import EffectUse, Model, Setting
+from estimator.results import Parameter
+
+UNSEEN = "the motion of this record does not reach this law"
+
+
+def fitted_model(model: Model, point: WorkingPoint) -> Model:
+    """The model with the values of the working point, and with effects of the point that it lacks added."""
+    linear: dict[str, Mapping[str, Setting]] = dict(model.linear)
+    for i, place in enumerate(point.data.places):
+        old = dict(linear.get(place, {}))
+        for name, value in (("kL", point.kL[i]), ("c", point.c[i]), ("S", point.S[i])):
+            old[name] = replace(old.get(name, Setting()), value=float(value))
+        linear[place] = old
+    effects = [_with_values(use, [p for p in point.placed if p.effect.name == use.name]) for use in model.effects]
+    known = {use.name for use in model.effects}
+    for name in dict.fromkeys(p.effect.name for p in point.placed if p.effect.name not in known):
+        own = [p for p in point.placed if p.effect.name == name]
+        law = next((use.custom for use in model.candidates if use.name == name), None)
+        effects.append(_with_values(EffectUse(name, {}, law), own))
+    left = tuple(use for use in model.candidates if use.name not in {e.name for e in effects})
+    return replace(model, linear=linear, effects=tuple(effects), candidates=left)
+
+
+def _with_values(use: EffectUse, placed: list[Placed]) -> EffectUse:
+    parameters = {k: dict(v) for k, v in use.parameters.items()}
+    for p in placed:
+        canonical = p.key.rsplit(".", 1)[0]
+        node = canonical.split(".")[0]
+        old = parameters.get(canonical, parameters.get(node, {}))
+        parameters[canonical] = {
+            q.name: replace(old.get(q.name, Setting()), value=float(p.p[k])) for k, q in enumerate(p.effect.parameters)
+        }
+    if placed:
+        covered = {p.key.rsplit(".", 1)[0] for p in placed}
+        for node in [k for k in parameters if k not in covered and any(c.startswith(k + ".") for c in covered)]:
+            del parameters[node]
+    return replace(use, parameters=parameters)
+
+
+def parameters(point: WorkingPoint) -> dict[str, Parameter]:
+    """Every fitted parameter by full name with its standard deviation."""
+    places = point.data.places
+    sd = dict(zip(point.fit.names, np.sqrt(np.diag(point.fit.covariance)) * point.fit.scales, strict=True))
+    out: dict[str, Parameter] = {}
+    for i, place in enumerate(places):
+        out[f"{place}.kL"] = Parameter.judged(float(point.kL[i]), sd[f"{place}.kL"], "N/m")
+        out[f"{place}.c"] = Parameter.judged(float(point.c[i]), sd[f"{place}.c"], "N s/m")
+        bins = float(point.gram.n[i].sum())
+        out[f"{place}.S"] = Parameter.judged(float(point.S[i]), float(point.S[i] / np.sqrt(bins)), "N^2/Hz")
+    for use in point.placed:
+        for k, q in enumerate(use.effect.parameters):
+            name = use.name(k)
+            if name in sd:
+                out[name] = Parameter.judged(float(use.p[k]), sd[name], q.unit)
+            elif use.free[k]:
+                out[name] = Parameter(None, None, q.unit, False, UNSEEN)
+            else:
+                out[name] = Parameter(float(use.p[k]), 0.0, q.unit)
+    return out
+
+
+def untold(point: WorkingPoint) -> list[str]:
+    """Laws, by place and name, none of whose amplitudes is told from zero."""
+    out = []
+    values = parameters(point)
+    for use in point.placed:
+        amplitudes = [values[use.name(k)] for k, q in enumerate(use.effect.parameters) if q.linear and use.free[k]]
+        if amplitudes and not any(p.identifiable for p in amplitudes):
+            out.append(use.key)
+    return out

@@ -1,0 +1,268 @@
+"""The model fitted to a record step by step, and between the steps what of the record goes with the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array
+from estimator.effects.engine.strength import search_range
+from estimator.likelihood.motion.denoise import as_displacement, calm_of, is_little
+from estimator.likelihood.motion.located_law import Placed, evaluate, remembers, size, stiffness
+from estimator.likelihood.motion.motion_record import MotionBlocks, part_of, spectrum
+from estimator.likelihood.motion.shaft_law import without_comb
+from estimator.likelihood.path.excitation_level import alike, level_of
+from estimator.likelihood.path.working_point import WorkingPoint, point_at
+from estimator.likelihood.response.below_band import with_slow
+from estimator.parallel import each
+from estimator.signals.band_limit import left_out
+
+from . import denoise_by_force
+from .noise_level import LEAST_NOISE, noise_of
+from .transfer_function import response_of
+
+FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
+LEAP = 3.0  # from a part of a record to the next
+ROUNDS, LAST_ROUNDS = 6, 3  # at most, and on the whole of it
+NOISE_STEP = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
+LEAST_LEFT = 0.3  # of a stiffness, after a step, where the force is measured
+SETTLED = 0.3  # standard deviations by which the last step of a fit moves: it leaves a tenth of that, or less
+NEARLY = 0.5  # the same on a part of a record, which is not where the fit ends
+LOOKED_AT = 80  # blocks, for the spectrum of the motion
+BESIDE = 0.05  # of what laws do not see outside of the band, or of what is folded into it, that it moves by
+STILL = 1.0  # the same below which the slow displacement is left as it is
+
+
+def fit_model(
+    data: MotionBlocks, uses: list[Placed], start: WorkingPoint | None = None, rounds: int = ROUNDS,
+    moving: float = SETTLED,
+) -> WorkingPoint:  # fmt: skip
+    """Fit kL, c, S and every free parameter of the effects, from a start that needs no values of the linear part.
+
+    moving : standard deviations by which the last of fewer than `rounds` steps may move.
+    """
+    data = without_comb(data, [use.effect for use in uses])
+    if start is None:
+        start = _approached(data, uses, rounds)
+        uses, rounds = (uses, rounds) if start is None else (list(start.placed), LAST_ROUNDS)
+    data, kL, c, nu, S = _begun(data, uses, start)
+    del start  # as the points below
+    moved = np.full(1, np.inf)
+    while True:
+        data = data if moved.max(initial=0.0) < STILL else with_slow(data, kL, c, uses)
+        point = point_at(data, kL, c, nu, S, uses)
+        S_old, S = S, point.S
+        moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
+        moved = moved[: moved.size - 2 * len(data.shared) - len(data.waves)]
+        kL, c, uses = _moved(point, kL, c)
+        nu_old, (nu, weight) = nu, noise_of(point)
+        settled = np.allclose(nu * weight, nu_old * weight, rtol=NOISE_STEP, atol=NOISE_STEP * LEAST_NOISE)
+        settled &= not data.folded.any() or np.allclose(S, S_old, rtol=BESIDE)
+        data, settled = _renewed(point, nu, settled)
+        if rounds == 0 or (moved.max(initial=0.0) < moving and settled):
+            return replace(point, kL=kL, c=c, placed=tuple(uses))
+        rounds -= 1
+        del point  # its columns are large: let go before the next are made
+
+
+def _begun(
+    data: MotionBlocks, uses: list[Placed], start: WorkingPoint | None
+) -> tuple[MotionBlocks, Array, Array, Array, Array]:  # fmt: skip
+    """kL, c, nu and S to begin from, and the record as laws see it by them."""
+    if start is None:
+        kL, c, S = _first_linear(data)
+        nu = np.zeros(len(data.places))
+        return _calmed(replace(data, left_out=_unseen(data, c, kL, S)), nu, S), kL, c, nu, S
+    kL, c, nu, S = start.kL.copy(), start.c.copy(), start.nu.copy(), start.S
+    if start.data is not data:
+        data = _calmed(replace(data, left_out=start.data.left_out), nu, start.S)
+    if {u.key for u in uses} - {u.key for u in start.placed}:  # a strong law takes over much of kL and c
+        kL, c, _ = _first_linear(data, uses, start.lin)
+    return data, kL, c, nu, S
+
+
+def _renewed(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionBlocks, bool]:
+    """The record of a point as laws see it after its step, and whether it is what it was. settled : whether the noise
+    of sensors, nu now, and what is folded over are."""
+    data = point.data
+    folded, force = _folded_beside(point)
+    if not np.allclose(folded, data.folded_beside, rtol=BESIDE, atol=0.0):
+        data, settled = replace(data, folded_beside=folded, alike_beside=force), False
+    if data.measured_force and not data.folded_beside.any():
+        calm, doubt = denoise_by_force.calm_of(point, nu)
+        settled &= denoise_by_force.settled(point, calm)
+        data = replace(data, calm=calm, doubt=doubt)
+    else:
+        data = data if settled else _calmed(data, nu, point.S)
+    beside = _left_out(point)
+    if not np.allclose(beside, data.left_out, rtol=BESIDE, atol=0.0):
+        data, settled = replace(data, left_out=beside), False
+    level = _level(point)
+    if not alike(level, data.level):
+        data, settled = replace(data, level=level), False
+    return data, settled
+
+
+def glanced(data: MotionBlocks, uses: list[Placed]) -> WorkingPoint:
+    """The same with one step on the whole record where a part of it is enough to begin from: to look at its force.
+    Laws are dressed as on that part."""
+    data = without_comb(data, [use.effect for use in uses])
+    start = _approached(data, uses)
+    if start is None:
+        return fit_model(data, uses)
+    uses = list(start.placed)
+    data, kL, c, nu, S = _begun(data, uses, start)
+    point = point_at(with_slow(data, kL, c, uses), kL, c, nu, S, uses, start)
+    kL, c, uses = _moved(point, kL, c)
+    return replace(point, kL=kL, c=c, placed=tuple(uses), nu=noise_of(point)[0])
+
+
+def _approached(data: MotionBlocks, uses: list[Placed], rounds: int = ROUNDS) -> WorkingPoint | None:
+    """The model fitted to a part of a long record, and by a step each to longer ones where a step is dear; None for a
+    short record."""
+    lin = np.stack([data.mass, *np.ones((2, len(data.places)))], axis=1)
+    dear = any(remembers(u, lin[u.at[0]]) for u in uses)
+    start, seconds = None, FIRST_SECONDS
+    while (start is None or dear) and (part := part_of(data, seconds)) is not data:
+        start = fit_model(part, uses, start, rounds if start is None else 0, NEARLY)
+        uses, seconds = list(start.placed), LEAP * seconds
+    return start
+
+
+def _first_linear(
+    data: MotionBlocks, uses: Sequence[Placed] = (), lin: Array | None = None
+) -> tuple[Array, Array, Array]:
+    """kL by least squares (consistent: E[a v] = 0 leaves it alone), c from the power balance S = 4 c m E[v^2], S.
+
+    uses : laws whose force, at (places, 3) m, kL, c, is known beside.
+    """
+    kL, c, powers = np.zeros((3, len(data.places)))
+    for i in range(len(data.places)):
+        x, v = data.x[i], data.v[i]
+        known = data.known[i]
+        for use in uses:
+            if i in use.at and lin is not None:
+                known = known + evaluate(use, data, i, lin)[0]
+        kL[i] = -np.dot(x, known) / np.dot(x, x)
+        f = (known + kL[i] * x).reshape(data.blocks, data.block)[:: max(1, data.blocks // 40)]
+        power = np.mean(np.abs(np.fft.rfft(f * np.hanning(data.block), axis=1)) ** 2, axis=0)[data.bins]
+        S = float(np.median(power)) * 2 / (data.rate_hz * data.block * 0.375)
+        c[i] = (S + data.driven[i]) / (4 * data.mass[i] * np.mean(v * v))
+        powers[i] = S
+    return kL, c, powers
+
+
+def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list[Placed]]:
+    """Values after the increments of the fit, searched parameters kept inside their limits."""
+    bounds = [_bounds(point, use, kL) for use in point.placed]
+    limits = {use.name(k): own for use, each in zip(point.placed, bounds, strict=True) for k, own in each.items()}
+    step = dict(zip(point.fit.names, _within(point, limits) * point.fit.scales, strict=True))
+    places = point.data.places
+    least = np.where(point.data.driven > 0.0, LEAST_LEFT * kL, -np.inf)  # a known force forgives no step too far
+    kL = np.maximum(kL + np.array([step[f"{p}.kL"] for p in places]), least)
+    c = c + np.array([step[f"{p}.c"] for p in places])
+    uses = []
+    for use, own in zip(point.placed, bounds, strict=True):
+        p = use.p + np.array([step.get(use.name(k), 0.0) for k in range(use.p.size)])
+        for k, (low, high) in own.items():
+            p[k] = np.clip(p[k], use.p[k] + low, use.p[k] + high)
+        uses.append(use.with_values(p))
+    return kL, c, uses
+
+
+def _bounds(point: WorkingPoint, use: Placed, kL: Array) -> dict[int, tuple[float, float]]:
+    """How far each searched parameter of a law may move, down and up."""
+    i = use.at[0]
+    natural = size(point.data, i, kL[i] if kL[i] > 0.0 else stiffness(point.data, i))  # of a step too far
+    out = {}
+    for k, q in enumerate(use.effect.parameters):
+        if not q.linear:
+            low, high = search_range(q, natural)
+            out[k] = min(low - use.p[k], 0.0), max(high - use.p[k], 0.0)
+    return out
+
+
+def _within(point: WorkingPoint, limits: Mapping[str, tuple[float, float]]) -> Array:
+    """The increments of the fit, scaled, where those at their limit are held there and the others follow: what a law
+    of much preload has in k it must not keep where the preload stops."""
+    fit = point.fit
+    delta, covariance = fit.delta.copy(), fit.covariance.copy()
+    loose = {k: np.divide(limits[name], fit.scales[k]) for k, name in enumerate(fit.names) if name in limits}
+    while loose:
+        beyond = {k: float(np.clip(delta[k], *own) - delta[k]) for k, own in loose.items()}
+        worst = max(beyond, key=lambda k: abs(beyond[k]) / np.sqrt(covariance[k, k]))
+        if beyond[worst] == 0.0:
+            break
+        gain = covariance[:, worst] / covariance[worst, worst]
+        delta += gain * beyond[worst]
+        covariance -= np.outer(gain, covariance[worst])
+        del loose[worst]
+    return delta
+
+
+def _level(point: WorkingPoint) -> Array | None:
+    """(places, blocks) how strong the unknown forces are along the record: likelihood/path/excitation_level.py."""
+    data, weighing = point.data, point.weighing
+    if data.measured_force:
+        return None
+
+    def power(i: int) -> Array:
+        own, noise = weighing.power(i, point.spectra[i]), point.S[i] * weighing.paths.noise[i].sum()
+        return np.asarray(np.maximum(own - noise, 0.1 * own))
+
+    return level_of(np.array(each(power, range(len(data.places)))), data.start / data.rate_hz, data.bins.size)
+
+
+def _left_out(point: WorkingPoint) -> Array:
+    """(places, 2) sd of the displacement and velocity that laws do not see; as it was where the fit is far off."""
+    data = point.data
+    kL, c = np.einsum("iik->ki", point.slopes)
+    if not (np.all(kL > 0.0) and np.all(c > 0.0)):
+        return data.left_out
+    return _unseen(data, c, kL, point.S)
+
+
+def _unseen(data: MotionBlocks, c: Array, kL: Array, S: Array) -> Array:
+    """The same by kL, c and S; below the band a measured force may have told it."""
+    told = np.zeros_like(S) if data.shaken is None else data.driven
+    return left_out(data.mass, c, kL, S + data.driven - told, data.band, data.rate_hz, data.kinds, told)
+
+
+def _calmed(data: MotionBlocks, nu: Array, S: Array) -> MotionBlocks:
+    """The record as laws see it beside the noise of sensors; where a force is measured, of what is folded beside it."""
+    noise = as_displacement(data.kinds, data.f_hz, nu * S) * data.sharpened
+    inside = np.array([kind != "displacement" for kind in data.kinds]) * S
+    noise = noise + data.folded * inside[:, None] / (2 * np.pi * data.f_hz) ** 4
+    if data.measured_force:
+        noise = data.folded_beside / (2 * np.pi * data.f_hz) ** 4
+    if is_little(data.f_hz, noise, data.rms[0] ** 2):
+        return replace(data, calm=None, doubt=0.0)
+    bins = np.arange(data.bins[0], data.bins[-1] + 1)  # also those that are left out: a disc rings there by its noise
+    f_hz: Array = np.asarray(bins * (data.rate_hz / data.block), dtype=np.float64)
+    smooth = noise * data.f_hz**4
+    noise = np.array([np.interp(f_hz, data.f_hz, z) for z in smooth]) / f_hz**4
+    found = calm_of(f_hz, _spectrum(data, bins), noise, 0)
+    return replace(data, calm=found.of(data.x, data.rate_hz).astype(np.float32), doubt=found.doubt)
+
+
+def _folded_beside(point: WorkingPoint) -> tuple[Array, NDArray[np.complex128]]:
+    """(places, bins) PSD of the acceleration that is folded beside a measured force, and the force that goes with it:
+    likelihood/fitting/folded_force.py."""
+    data = point.data
+    out, force = np.zeros_like(data.colour), np.zeros(data.colour.shape, complex)
+    for i in np.flatnonzero(data.driven):
+        r = response_of(point, int(i), every=max(1, data.blocks // LOOKED_AT))
+        if np.any(r.folded):
+            hz = r.w / (2 * np.pi)
+            out[i] = np.interp(data.f_hz, hz, r.folded)
+            force[i] = np.interp(data.f_hz, hz, r.alike)
+    return out, force
+
+
+def _spectrum(data: MotionBlocks, bins: NDArray[np.int64]) -> Array:
+    """(places, bins) one-sided PSD of the displacement, m^2/Hz, of some of the blocks."""
+    some = data.x.reshape(len(data.places), data.blocks, -1)[:, :: max(1, data.blocks // LOOKED_AT)]
+    return np.array([spectrum(x.ravel(), data.block, data.rate_hz)[1][bins] for x in some])

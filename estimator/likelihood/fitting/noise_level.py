@@ -1,0 +1,46 @@
+"""Noise of the sensors as the spectrum of the inferred force shows it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.likelihood.path.sensor_noise import beyond, heard_of_all
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.parallel import each
+
+LEAST_NOISE = 1e-4  # of a sensor, over the force noise, that is looked for
+
+
+def noise_of(point: WorkingPoint) -> tuple[Array, Array]:
+    """nu, (places,), by maximum likelihood on the spectrum of the inferred force; what one of it is there of the force
+    noise, in the mean over the band."""
+    data = point.data
+    own = data.heard(point.A)
+    noise = heard_of_all(data, point.A, point.nu * point.S) / point.S[:, None]
+    known = data.colour + beyond(data, point.A, point.S) + noise - point.nu[:, None] * own
+    weight = own.mean(axis=1)
+
+    def at(i: int) -> float:
+        step = point.fit.delta[point.columns.index[i]].astype(np.float32)  # the noise is of the values after it
+        Z = point.spectra[i] + np.tensordot(step, point.columns.spectra[i], 1)
+        Z = Z.reshape(data.blocks, -1, 2)
+        power = np.einsum("bkc,bkc->k", Z, Z) / data.blocks / point.weighing.weight[i]
+        grid = np.concatenate([[0.0], np.geomspace(LEAST_NOISE, 1e3, 61) / weight[i]])
+        shape = known[i] + grid[:, None] * own[i]
+        S = np.mean(power / shape, axis=1)
+        cost = np.log(S) + np.mean(np.log(shape), axis=1)
+        return _least(grid, cost)
+
+    return np.array(each(at, range(len(data.places)))), weight
+
+
+def _least(grid: Array, cost: Array) -> float:
+    """Where the cost is least between the points of a geometric grid behind 0: the vertex of a parabola."""
+    k = int(np.argmin(cost))
+    if k < 2 or k == grid.size - 1:
+        return float(grid[k])
+    before, here, after = cost[k - 1 : k + 2]
+    bend = before - 2 * here + after
+    shift = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
+    return float(grid[k] * (grid[k + 1] / grid[k]) ** shift)

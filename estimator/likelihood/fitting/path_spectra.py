@@ -1,0 +1,113 @@
+"""What is measured of the path from a force to a motion, by cells of the band, and what sampling folds into both.
+
+How they are found: likelihood/fitting/transfer_function.py and likelihood/fitting/folded_force.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.arrays import Array, Complexes
+
+
+@dataclass(frozen=True, slots=True)
+class Folded:
+    """density : (2, cells) PSD in the record from below and from beyond the rate, 0 where none is seen. passed : (2,
+    cells) of these by the sensor; undone : the same by what is undone. back : (cells,) as `alike` gives it. likely :
+    whether it is seen, or less sure than is asked for and likelier than noise of the sensor. rival : density of what is
+    not seen, as noise of the sensor is about as likely by its coherence with the motion."""
+
+    density: Array
+    passed: Complexes
+    undone: Complexes
+    back: Complexes
+    likely: bool
+    rival: Array | None = None
+
+    @property
+    def seen(self) -> Array:
+        """(cells,) PSD in the record."""
+        return np.asarray(np.sum(self.density, axis=0))
+
+    @property
+    def force(self) -> Complexes:
+        """(cells,) per acceleration in the record."""
+        with np.errstate(invalid="ignore"):
+            force = self.back * np.sum(self.density / self.passed, axis=0) / self.seen
+        return np.where(self.seen > 0.0, force, self.back)
+
+    @property
+    def apart(self) -> Array:
+        """(cells,) PSD of the force that is folded with no motion: where what comes from both sides of the rate is as
+        strong and a sensor of velocity, which has it with two signs, sees none of it."""
+        D = self.density / np.abs(self.passed) ** 2
+        with np.errstate(invalid="ignore", divide="ignore"):
+            seen = np.abs(np.sum(self.passed.conj() * D, axis=0)) ** 2 / self.seen
+        return np.where(self.seen > 0.0, np.abs(self.back) ** 2 * np.maximum(np.sum(D, axis=0) - seen, 0.0), 0.0)
+
+    def through(self, further: Complexes) -> Folded:
+        """The same of a sensor with a further response, (2, cells) at the images."""
+        return replace(self, passed=self.undone * np.stack([further[0].conj(), further[1]]))
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """Residual R and acceleration a of one place by cells of the band. w : (cells,) rad/s; n : independent numbers.
+
+    rr, ra, aa, rf, af, ff : mean |R|^2, R a*, |a|^2, R f*, a f* and |f|^2, f the measured force, one-sided PSD; A :
+    tangent; H : acceleration per force, the other places free, 1 / A of one that is not coupled; noise : PSD of
+    acceleration of white noise of the sensor. unmeasured : share of Q that is a force beside the measured one, not
+    noise of its sensor.
+    """
+
+    w: Array
+    n: Array
+    rr: Array
+    ra: Complexes
+    aa: Array
+    rf: Complexes
+    af: Complexes
+    ff: Array
+    A: Complexes
+    H: Complexes
+    noise: Array
+    hz: Array  # width of each cell
+    unmeasured: float = 0.0
+    alike: Complexes | float = 0.0  # (cells,) force per acceleration of what is folded
+    folded: Array | float = 0.0  # (cells,) M
+    apart: Array | float = 0.0  # (cells,) Folded.apart, noise of the sensor of the force
+    across: Array | float = 0.0  # (cells,) of R, noise of the other caps' sensors and what is folded there
+    fold: Folded | None = None  # of an acceleration, seen or not
+    bare: Response | None = None  # the same with it, where it was taken out
+
+    def share(self, Q: float) -> Array:
+        """(cells,) p: what of the measured force is noise where the density Q is left."""
+        return np.minimum(((1.0 - self.unmeasured) * Q + self.apart) / self.ff, 0.5)
+
+    def answer(self, A: Complexes) -> Complexes:
+        """(cells,) H where the tangent is another."""
+        return np.asarray(self.H / (1 + (A - self.A) * self.H))
+
+    def through(self, further: Complexes) -> Response:
+        """The same where the sensor has a response that is not undone, (2, cells) at the images of what is folded."""
+        if self.fold is None or self.bare is None:
+            return self
+        return replace(self.bare, unmeasured=self.unmeasured).less(self.fold.through(further))
+
+    def less(self, fold: Folded) -> Response:
+        """Without what the measured force tells of the fold; the rest of that is noise."""
+        alike = fold.force
+        folded = np.minimum(fold.seen, 0.5 * self.ff / np.abs(alike) ** 2)
+        told = alike.conj() * folded / self.ff
+        B, rest = told * (self.A - alike), 1 - (told * alike).real
+        return replace(
+            self,
+            rr=self.rr - 2 * np.real(B.conj() * self.rf) + np.abs(B) ** 2 * self.ff,
+            ra=self.ra - told.conj() * self.rf - B * self.af.conj() + B * told.conj() * self.ff,
+            aa=self.aa - 2 * np.real(told.conj() * self.af) + np.abs(told) ** 2 * self.ff,
+            rf=rest * (self.rf - B * self.ff),
+            af=rest * (self.af - told * self.ff),
+            ff=rest**2 * self.ff, alike=alike, folded=rest * folded, apart=rest**2 * fold.apart, fold=fold, bare=self,
+        )  # fmt: skip

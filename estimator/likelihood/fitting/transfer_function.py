@@ -1,0 +1,207 @@
+"""The path from a measured force to a measured motion, by frequency, and the likelihood of one that is bent.
+
+Where the force f on a cap is measured, the residual R = A a - f of the fitted model A is coherent with the motion if A
+is not the rotor's: with A' in truth, and noise n of the motion and q of the force, (A' a - f) = A' n - q in every bin.
+Both noises white, of densities N and Q, the likelihood of the motion given the force that was measured is Whittle's,
+
+    -sum n [P / s + ln s - ln |A'|^2],   P = mean |A' a - (1 - p) f|^2,   s = |A'|^2 N + (1 - p) Q,   p = Q / mean |f|^2
+
+(1 - p) f being what the measured force says of the true one. The last term is the Jacobian: it keeps the noise in a
+from pulling A' towards zero, as p keeps that in f from pushing it up. Where a shaft couples the places, A' a stands for
+the sum over all, and the Jacobian is that of their matrix: |1 + (A' - A) H|^2, H = (A^-1)_ii, for a change at one.
+Q may be a force that acts unmeasured beside f instead, the machine's own beside a shaker's: then f is what it is, and
+p = 0; or some of both. Amplitude and phase of every bin count: a thousandth of the force is seen that no power spectrum
+shows. What may bend A: bends.py.
+
+What sampling folds back, of density M, is n in the motion and m n in the force: (A' - m) n is left (likelihood/fitting/folded_force.py).
+The measured force tells m M / |f|^2 f of it, which is taken out of both; the rest, independent of f, adds |A' - m|^2 M.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array, Complexes
+from estimator.signals.band_limit import noise_shape
+
+from .folded_force import alike, folded
+from .path_spectra import Response
+
+if TYPE_CHECKING:
+    from estimator.likelihood.path.working_point import WorkingPoint
+
+CELLS = 900
+OVERLAPPED = 0.439  # independent numbers for each bin of a block: Hann windows every half block, 1.944 (1 + 2 / 11.7)
+BESIDE = 2.5  # bins on either side of a line that are left out
+STEPS, SETTLED = 60, 1e-4
+
+
+def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), every: int = 1) -> Response:
+    """Of place i; bins beside `lines` (Hz) are left out. every : so manyth block is looked at, all if it is in doubt
+    what is folded back."""
+    data = point.data
+    w = 2 * np.pi * data.f_hz
+
+    def blocks(z: NDArray[Any]) -> NDArray[np.complex64]:
+        return _spectra(z.reshape(-1, data.block)[::every], data.block, data.start[::every])[:, data.bins]
+
+    R, a = blocks(point.force[i]), 1j * w * blocks(data.v[i])
+    f = point.A[:, i, i] * a - R
+    others = np.arange(len(data.places)) != i
+    for j in np.flatnonzero(others & point.A[:, i].any(axis=0)):
+        f += point.A[:, i, j] * (1j * w) * blocks(data.v[j])
+    spacing = data.rate_hz / data.block
+    keep = np.ones(w.size, bool)
+    for hz in lines:
+        keep &= np.abs(data.f_hz - hz) > BESIDE * spacing
+    scale = 2.0 / (data.rate_hz * 0.375 * data.block)
+    pairs = ((R, R), (R, a), (a, a), (R, f), (a, f), (f, f))
+    power = [scale * np.mean(one * other.conj(), axis=0) for one, other in pairs]
+    edges = np.unique(np.round(np.geomspace(20, keep.sum(), CELLS)).astype(int))
+    first = np.concatenate([np.arange(min(20, edges[0])), edges[:-1]])
+    width = np.diff(np.append(first, keep.sum())).astype(np.float64)
+
+    def mean(z: NDArray[np.generic]) -> Complexes:
+        return np.asarray(np.add.reduceat(z[keep], first) / width)
+
+    rr, ra, aa, rf, af, ff, A, H, ww = (mean(z) for z in (*power, point.A[:, i, i], np.linalg.inv(point.A)[:, i, i], w))
+    shape = noise_shape(data.kinds[i : i + 1], w)[0] * data.sharpened[i]
+    beside = data.noise_shape * (point.nu * point.S)[:, None] + data.folded_beside
+    across = np.sum(np.abs(point.A[:, i]) ** 2 * beside.T, axis=1, where=others)
+    found = Response(
+        ww.real, OVERLAPPED * width * len(R), rr.real, ra, aa.real, rf, af, ff.real, A, H, mean(shape).real,
+        spacing * width, across=mean(across).real,
+    )  # fmt: skip
+    k, c = point.slopes[i, i]
+    back = alike(found.w / (2 * np.pi), data.rate_hz, float(data.mass[i]), float(k), float(c))
+    seen = folded(found, back, np.stack([mean(z) for z in data.passed[:, i]]), data.rate_hz)
+    if every > 1 and seen.likely and not seen.density.any():
+        return response_of(point, i, lines)
+    return found.less(seen) if seen.density.any() else replace(found, fold=seen)
+
+
+def _spectra(z: Array, block: int, start: NDArray[np.int64]) -> NDArray[np.complex64]:
+    """(blocks, bins) of a series (n,) of blocks laid end to end under Hann windows, half a block apart where the
+    record goes on."""
+    from scipy.fft import rfft
+
+    rows = z.reshape(-1, block).astype(np.float32)
+    on = np.flatnonzero(np.diff(start) == block)
+    half = block // 2
+    between = np.concatenate([rows[on, half:], rows[on + 1, :half]], axis=1)
+    window = (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(block) / block)).astype(np.float32)
+    return np.asarray(rfft(np.concatenate([rows, between]) * window, axis=1))
+
+
+@dataclass(frozen=True, slots=True)
+class Peak:
+    """Where a likelihood is largest. u : ln Q, ln N, changes of k, c (and m), then a cause's free form; nats."""
+
+    nats: float
+    u: Array
+    covariance: Array
+    A: Complexes  # (cells,) A'
+
+
+def highest(
+    r: Response, bend: Callable[[Array], Complexes], start: Array, scale: Array, held: int | None = None
+) -> Peak:
+    """The likelihood climbed from a start by damped scoring. bend : A' of the numbers after ln Q and ln N.
+
+    held : number of one that stays as it is.
+    """
+
+    def at(u: Array) -> tuple[float, Complexes, Complexes, Array]:
+        A = bend(u[2:])
+        P, rest, s = expected(r, A, u)
+        return float(r.n @ (P / s + np.log(s) - 2 * np.log(np.abs(1 + (A - r.A) * r.H)))), A, rest, s
+
+    def slopes(u: Array, A: Complexes, rest: Complexes, s: Array) -> tuple[Array, Array]:
+        P = left(r, A, exp(u[0]))
+        own, back = exp(u[1]) * r.noise, (A - r.alike) * r.folded
+        dA = np.zeros((u.size, r.w.size), complex)
+        for j in range(2, u.size):
+            up, down = u[2:].copy(), u[2:].copy()
+            up[j - 2] += 1e-4 * scale[j]
+            down[j - 2] -= 1e-4 * scale[j]
+            dA[j] = (bend(up) - bend(down)) / 2e-4
+        ds = 2 * np.real((A * own + back).conj() * dA)
+        ds[0], ds[1] = exp(u[0]) * scale[0], np.abs(A) ** 2 * own * scale[1]
+        g = (2 * np.real(dA.conj() * rest) / s + ds * (1 / s - P / s**2) - 2 * np.real(dA * r.answer(A))) @ r.n
+        H = 2 * np.real((dA.conj() * (r.n * r.aa / s)) @ dA.T) + (ds * (r.n / s**2)) @ ds.T
+        return g, H
+
+    u, damping = start.copy(), 1e-3
+    cost, A, rest, s = at(u)
+    if held is None:  # the noise at first what makes up for a start that is far off
+        u[:2] += np.log(np.average(left(r, A) / s, weights=r.n))
+        cost, A, rest, s = at(u)
+    H = np.eye(u.size)
+    for _ in range(STEPS):
+        g, H = slopes(u, A, rest, s)
+        if held is not None:
+            g[held], H[held], H[:, held], H[held, held] = 0.0, 0.0, 0.0, 1.0
+        moved = False
+        while damping < 1e8:
+            step = -np.linalg.solve(H + np.diag(damping * np.diag(H) + 1e-9), g)
+            new = at(u + step * scale)
+            if np.isfinite(new[0]) and new[0] < cost:
+                moved = True
+                break
+            damping *= 6.0
+        if not moved:
+            break
+        gained = cost - new[0]
+        u = u + step * scale
+        cost, A, rest, s = new
+        damping = max(damping / 6.0, 1e-9)
+        if gained < SETTLED:
+            break
+    covariance: Array = np.asarray(np.linalg.pinv(H, rcond=1e-12) * np.multiply.outer(scale, scale), np.float64)
+    return Peak(-cost, u, covariance, A)
+
+
+def exp(z: float) -> float:
+    return float(np.exp(np.clip(z, -90.0, 30.0)))
+
+
+def plain(point: WorkingPoint, i: int, r: Response) -> tuple[Peak, Array]:
+    """The place without a cause, and the scales of its numbers: ln Q, ln N, changes of k and c."""
+    scale = np.array([1.0, 1.0, 1e-3 * point.kL[i], 1e-2 * point.c[i] + 1e-9])
+    tried = [highest(r, partial(linear, r), np.array([*noise, 0.0, 0.0]), scale) for noise in noises(r, r.A)]
+    return max(tried, key=lambda peak: peak.nats), scale
+
+
+def noises(r: Response, A: Complexes) -> list[tuple[float, float]]:
+    """ln Q and ln N to begin from where A' is about A: mostly the one, mostly the other."""
+    heard = float(np.mean(r.noise * np.abs(A) ** 2))
+    S = float(np.exp(np.average(np.log(left(r, A)), weights=r.n)))
+    return [(float(np.log(S * q)), float(np.log(S * n / heard))) for q, n in ((1.0, 0.1), (0.1, 1.0), (1.0, 1e-4))]
+
+
+def linear(r: Response, d: Array) -> Complexes:
+    """The tangent with changes of k and c."""
+    return np.asarray(r.A - d[0] / r.w**2 + d[1] / (1j * r.w))
+
+
+def left(r: Response, A: Complexes, Q: float = 0.0) -> Array:
+    """(cells,) mean |A a - (1 - p) f|^2, with p what noise of the density Q is of the measured force."""
+    p, d = r.share(Q), A - r.A
+    P = r.rr + np.abs(d) ** 2 * r.aa + p**2 * r.ff + 2 * np.real(d.conj() * r.ra + p * (r.rf + d * r.af))
+    return np.asarray(np.maximum(P, 1e-300))
+
+
+def expected(r: Response, A: Complexes, u: Array) -> tuple[Array, Complexes, Array]:
+    """(cells,) each: mean |A a - (1 - p) f|^2, the same times a*, and what the first is to be by the noise of u."""
+    Q = exp(u[0])
+    p = r.share(Q)
+    rest = r.ra + (A - r.A) * r.aa + p * r.af.conj()
+    own = r.unmeasured * Q + (1 - p) * ((1 - r.unmeasured) * Q + r.apart)
+    s = np.abs(A) ** 2 * exp(u[1]) * r.noise + np.abs(A - r.alike) ** 2 * r.folded + own + r.across
+    return left(r, A, Q), rest, s

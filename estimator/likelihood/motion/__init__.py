@@ -1,0 +1,1 @@
+"""Laws and regressors evaluated along a record of band-limited motion."""

@@ -1,0 +1,68 @@
+"""Checks of a record before anything is estimated from it: shape, rate, dead, clipped and implausible channels."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.errors import DataError
+from estimator.model.rig import Model
+
+from .located_law import clipped
+
+SMALLEST, LARGEST = 1e-15, 1e15  # what is less or more is a mistake, and its powers are no numbers
+
+
+def check_moves(name: str, z: NDArray[np.float64]) -> tuple[float, float]:
+    """Smallest and largest of a channel's finite values. Raises DataError if they cannot be a motion or a force."""
+    if z.size < 2:
+        raise DataError(f"channel {name} has no valid samples: check its cable and its signal in the rig file")
+    low, high = float(z.min()), float(z.max())
+    if low == high:
+        what = "is zero throughout" if low == 0 else f"is constant at {low:g}"
+        raise DataError(f"channel {name} {what}: check the sensor and its cable")
+    largest = max(high, -low)
+    if not SMALLEST < largest < LARGEST:
+        raise DataError(f"channel {name} reaches {largest:.3g} in SI units: check its unit and its scale")
+    return low, high
+
+
+CLIPPED = 0.002  # fraction of samples at the extreme value that is no accident
+
+
+def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArray[np.float64]:
+    """y as (n, channels) float64. Raises DataError with the channel and the remedy."""
+    try:
+        y = np.asarray(y, dtype=np.float64)
+    except ValueError as e:
+        raise DataError("the channels are of unequal length: export them with a common start and end") from e
+    if y.ndim != 2 or y.shape[1] != len(model.channels):
+        raise DataError(
+            f"the record has shape {y.shape}, the model {len(model.channels)} channels: (n, channels) needed"
+        )
+    if not model.places:
+        raise DataError("the model has no motion channel on a bearing: nothing can be estimated")
+    if not np.isfinite(rate_hz) or rate_hz <= 0:
+        raise DataError(f"sampling rate {rate_hz} Hz: it must be positive")
+    for i, channel in enumerate(model.channels):
+        if channel.kind == "tacho":
+            continue
+        z = y[:, i]
+        z = z[np.isfinite(z)]
+        low, high = check_moves(channel.name, z)
+        if channel.place in clipped(model):
+            continue  # the model says so: the fit does, beside its numbers
+        at_end = max(np.mean(z == low), np.mean(z == high))
+        if at_end > CLIPPED and at_end * z.size > 4 and np.unique(z[:100000]).size > 16:
+            raise DataError(
+                f"channel {channel.name} is clipped: {100 * at_end:.1f} % of its samples are at {high:g} or {low:g}; "
+                "use a larger range, lower the excitation, or add sensor_clipping to the model"
+            )
+    for place in model.places:
+        for key, sign in (("kL", "positive"), ("c", "positive")):
+            setting = model.linear.get(place, {}).get(key)
+            if setting is not None and setting.value is not None and setting.value < 0:
+                raise DataError(
+                    f"the model is unstable: {place}.{key} = {setting.value:g}; give a {sign} value or none"
+                )
+    return y

@@ -1,0 +1,310 @@
+"""Periodic forces of a model: what they add to the force balance of the caps.
+
+Imbalance, bow, misalignment, a line and a local defect are forces of time alone: they move no tangent and no
+determinant, and the motion that they cause stays in the displacement that the laws see. A force is written by its
+harmonics, sum_k Re F_k exp(i k theta), with theta the shaft angle, the defect's angle or 2 pi f t; on the disc it
+reaches a cap through the shaft.
+
+Numbers are those at the mean speed of the record. While the speed changes an imbalance grows with its square, and the
+shaft between disc and cap answers otherwise (`swing`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from estimator.arrays import Array, Complexes, Series
+from estimator.effects import MORE_LINES, NAMED
+from estimator.effects.engine.law_loop import force_array
+from estimator.effects.engine.places import at, kinematic, values, written
+from estimator.errors import ModelError
+from estimator.model.effect import Effect
+from estimator.model.rig import Model, Setting
+from estimator.model.rotor import shaft_at_caps
+from estimator.signals.band_limit import passband
+
+LINE_NAMES = ("line", *MORE_LINES)
+PERIODIC = ("imbalance", "bow", "misalignment", "local_defect", *LINE_NAMES)
+TURN = 1 << 14  # points of one period
+UNTOLD = "not told from zero by this record"
+LEAST = 1e-4  # gain of the band filter, below which nothing comes through
+RATIOS = np.geomspace(0.1, 10.0, 1201)  # of speeds to the mean one, that a swing is known at
+STEADY = 1e-3  # of the speed: so much it may change and be constant
+SMOOTHED_S = 0.25  # to either side, that a speed is the mean of
+LINES = 399  # harmonics that are looked at
+FREQUENCY = {"local_defect": 1} | dict.fromkeys(LINE_NAMES, 2)  # number of the parameter that turns the angle
+
+
+@dataclass(frozen=True, slots=True)
+class Periodic:
+    """One periodic effect with parameters p at a canonical place. hz : its fundamental."""
+
+    effect: Effect
+    key: str
+    p: Array
+    free: tuple[bool, ...]
+    hz: float
+
+    def angle(self, t: Array, phase: Array) -> Array:
+        """(n,) theta, rad."""
+        if self.effect.name in LINE_NAMES:
+            return np.asarray(2 * np.pi * self.hz * t)
+        return phase * self.p[1] if self.effect.name == "local_defect" else phase
+
+    def harmonics(self, model: Model, place: str, count: int, p: Array | None = None) -> Complexes:
+        """(count,) F_1, F_2, ... in N of the force on a cap; the mean is of no interest."""
+        p = self.p if p is None else p
+        theta = 2 * np.pi * (np.arange(TURN) + 0.5) / TURN
+        f = FREQUENCY.get(self.effect.name)
+        own = p.copy()
+        if f is not None:
+            own[f] = 1.0  # the law over one turn does not depend on it
+        t = theta / (2 * np.pi)
+        law = force_array(self.effect, own, np.zeros(TURN), t=t, phase=theta, s=1.0 if place.endswith("x") else -1.0)
+        k = np.arange(1.0, count + 1)
+        F = -2.0 / TURN * np.fft.rfft(law)[1 : count + 1] * np.exp(-0.5j * k * 2 * np.pi / TURN)
+        if self.effect.kind in ("disc", "shaft"):
+            F *= to_cap(model, place, np.asarray(2 * np.pi * self.hz * k)) - (0.5 if self.effect.name == "bow" else 0.0)
+        return np.asarray(F)
+
+    def highest(self, band: tuple[float, float]) -> int:
+        """The last order of its angle that a band, Hz, reaches."""
+        return int(min(band[1] / self.hz, TURN // 8))
+
+    def within(self, band: tuple[float, float]) -> NDArray[np.int64]:
+        """The orders that its law has in a band, Hz."""
+        k = np.arange(1, self.highest(band) + 1)
+        return k[(self.hz * k >= band[0]) & self.sounding(k.size)]
+
+    def sounding(self, count: int) -> NDArray[np.bool_]:
+        """(count,) which harmonics its law has."""
+        return sounding(self.effect.name, count)
+
+
+def sounding(name: str, count: int) -> NDArray[np.bool_]:
+    """(count,) which harmonics a periodic effect has."""
+    if name == "local_defect":
+        return np.ones(count, bool)
+    return np.asarray(np.arange(1, count + 1) == (2 if name == "misalignment" else 1))
+
+
+def fundamental(effect: Effect, own: Mapping[str, Setting], model: Model) -> float:
+    """Hz at which the angle of a periodic effect with these settings turns; 0 where that is not known."""
+    rotation, k = (model.speed_rpm or 0.0) / 60.0, FREQUENCY.get(effect.name)
+    if k is None:
+        return rotation
+    q = effect.parameters[k]
+    value = own.get(q.name, Setting()).value or kinematic(q.scale, model) or 0.0
+    return value if effect.name in LINE_NAMES else rotation * value
+
+
+def known_lines(model: Model) -> list[float]:
+    """Hz of the lines that the model's own effects make, whether their strength is known or not."""
+    out: dict[float, None] = {}
+    for use in model.effects:
+        if use.name in PERIODIC:
+            effect = NAMED[use.name]
+            orders = 1 + np.flatnonzero(sounding(use.name, LINES))
+            for key in at(effect, use, model):
+                hz = fundamental(effect, written(effect, use, model, key), model)
+                out |= dict.fromkeys((hz * orders).tolist() if hz > 0.0 else ())
+    return list(out)
+
+
+def to_cap(model: Model, place: str, omega: Array) -> Complexes:
+    """(f,) force on a cap per force on the disc, by reciprocity the disc's displacement per cap displacement."""
+    disc = model.mass.get("disc", 0.0)
+    _, follow = shaft_at_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, disc, omega)
+    return np.asarray(follow[:, int(place[7]) - 1])
+
+
+def periodic_of(model: Model) -> list[Periodic]:
+    """The model's periodic effects whose numbers are all known, by place."""
+    out = []
+    for use in model.effects:
+        if use.name not in PERIODIC:
+            continue
+        effect = NAMED[use.name]
+        for key in at(effect, use, model):
+            try:
+                p = values(effect, use, model, key)
+            except ModelError:
+                continue
+            own = written(effect, use, model, key)
+            hz = fundamental(effect, own, model)
+            if hz > 0.0:
+                free = tuple(not own.get(q.name, Setting()).fixed for q in effect.parameters)
+                out.append(Periodic(effect, key, p, free, hz))
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Wave:
+    """One number of a periodic effect that its force is proportional to, at the places it acts on.
+
+    name : in full, "bearing1.x.line.a". tables : by place index, (TURN + 1,) N per unit over a turn of the angle, as
+    far as the band lets it through.
+    """
+
+    name: str
+    unit: str
+    one: Periodic
+    tables: dict[int, Array]
+    swings: dict[int, Complexes]  # (RATIOS,) by place index, where the force depends on the speed
+
+    def series(self, t: Array, phase: Array) -> dict[int, Array]:
+        """(n,) N per unit by place index, at t in s and phase in rad."""
+        made = {i: self.at(i, t, phase) for i in self.tables}
+        return {i: z for i, z in made.items() if z is not None}
+
+    def at(self, i: int, t: Array, phase: Array) -> Array | None:
+        """(n,) the same at one place; None where it does not act."""
+        if i not in self.tables:
+            return None
+        theta = self.one.angle(t, phase)
+        out: Array = np.asarray(_along(theta, self.tables[i]), dtype=np.float64)
+        if i not in self.swings:
+            return out
+        ratio = speeds(t, phase) / (2 * np.pi * self.one.hz)
+        if np.abs(ratio - 1.0).max() < STEADY:
+            return out
+        g = swung(self.swings[i], ratio)
+        return np.asarray(out * g.real + g.imag * _along(theta + 0.5 * np.pi, self.tables[i]))  # Re(g F e^(i theta))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _along(theta, table):  # type: ignore[no-untyped-def]
+    """(n,) a table over one turn at any angles, straight between its points."""
+    out = np.empty(theta.size)
+    for i in range(theta.size):
+        turn = theta[i] / (2 * np.pi)
+        at = (turn - np.floor(turn)) * (table.size - 1)
+        k = min(int(at), table.size - 2)
+        out[i] = table[k] + (at - k) * (table[k + 1] - table[k])
+    return out
+
+
+def speeds(t: Array, phase: Array) -> Array:
+    """(n,) rad/s along t in s and phase in rad, which need not be evenly spaced; smooth, as pulses are few."""
+    rows = np.arange(t.size)
+    reach = max(1, int(SMOOTHED_S / max(float(t[1] - t[0]), 1e-12))) if t.size > 1 else 0
+    before, after = np.maximum(rows - reach, 0), np.minimum(rows + reach, t.size - 1)
+    return np.asarray((phase[after] - phase[before]) / np.maximum(t[after] - t[before], 1e-12))
+
+
+def swing(model: Model, one: Periodic, place: str) -> Complexes | None:
+    """(RATIOS,) force on a cap over that at the mean speed; None where it does not depend on the speed."""
+    if one.effect.kind not in ("disc", "shaft") or one.sounding(2)[1]:
+        return None
+    omega = 2 * np.pi * one.hz * np.append(RATIOS, 1.0)
+    through = to_cap(model, place, omega) - (0.5 if one.effect.name == "bow" else 0.0)
+    grown = RATIOS**2 if one.effect.name == "imbalance" else np.ones(RATIOS.size)
+    return np.asarray(grown * through[:-1] / through[-1])
+
+
+def swung(swing: Complexes, ratio: Array) -> Complexes:
+    """(n,) a swing at these ratios of the speed to the mean one."""
+    return np.asarray(np.interp(ratio, RATIOS, swing.real) + 1j * np.interp(ratio, RATIOS, swing.imag))
+
+
+def _swings(model: Model, one: Periodic, places: tuple[str, ...]) -> dict[int, Complexes]:
+    found = {i: swing(model, one, place) for i, place in enumerate(places) if acts(one, place)}
+    return {i: g for i, g in found.items() if g is not None}
+
+
+def waves(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[Wave, ...]:
+    """The free amplitudes of the model's periodic effects with a harmonic in the band."""
+    out = []
+    for one in periodic_of(model):
+        if one.within(model.band).size == 0:
+            continue
+        parameters = one.effect.parameters
+        for k, q in enumerate(parameters):
+            if q.linear and one.free[k]:
+                p = np.where([other.linear for other in parameters], 0.0, one.p)
+                p[k] = 1.0
+                tables = _tables(model, replace(one, p=p), places, rate_hz)
+                name = f"{one.key}.{one.effect.name}.{q.name}"
+                out.append(Wave(name, q.unit, one, tables, _swings(model, one, places)))
+    return tuple(out)
+
+
+def series(model: Model, places: tuple[str, ...], t: Array, phase: Array, rate_hz: float) -> Series | None:
+    """(places, n) N that the periodic effects put on the caps, as far as the band lets it through; None without any.
+
+    t, phase : (n,) s and rad.
+    """
+    out: Series | None = None
+    for one in whole_waves(model, places, rate_hz):
+        for i, z in one.series(t, phase).items():
+            out = np.zeros((len(places), t.size), np.float32) if out is None else out
+            out[i] += z
+    return out
+
+
+def whole_waves(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[Wave, ...]:
+    """What the model's periodic effects put on the caps, all numbers of each together, where the band lets it
+    through."""
+    made = [(one, _tables(model, one, places, rate_hz)) for one in periodic_of(model)]
+    return tuple(Wave("", "N", one, tables, _swings(model, one, places)) for one, tables in made if tables)
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """A periodic force below the band. force : by index of the place, (orders,) N of its harmonics there, from the
+    first."""
+
+    one: Periodic
+    force: dict[int, Complexes]
+    swings: dict[int, Complexes]
+
+    def displacement(self, t: Array, phase: Array, response: Callable[[Array], Complexes]) -> dict[int, Array]:
+        """(n,) m by index of the place. response : w (f,) rad/s -> (f, places, places) m/N."""
+        F = np.stack([*self.force.values()], axis=1)
+        yields = response(2 * np.pi * self.one.hz * np.arange(1.0, len(F) + 1))[..., [*self.force]]
+        moved = np.einsum("fij,fj->if", yields, F)
+        made = {i: _turned(x) for i, x in enumerate(moved) if x.any()}
+        return Wave("", "m", self.one, made, self.swings).series(t, phase)
+
+
+def pushes(model: Model, places: tuple[str, ...]) -> tuple[Push, ...]:
+    """The model's periodic forces, their part below the band."""
+    out = []
+    for one in periodic_of(model):
+        count = int(min(model.band[0] / one.hz, TURN // 8))
+        heard = one.sounding(count)
+        if heard.any():
+            force = {i: one.harmonics(model, p, count) * heard for i, p in enumerate(places) if acts(one, p)}
+            out.append(Push(one, force, _swings(model, one, places)))
+    return tuple(out)
+
+
+def _turned(harmonics: Complexes) -> Array:
+    """(TURN + 1,) of harmonics (orders,), from the first, over a turn of the angle."""
+    spectrum = np.zeros(TURN // 2 + 1, complex)
+    spectrum[1 : harmonics.size + 1] = 0.5 * TURN * harmonics
+    wave = np.fft.irfft(spectrum, TURN)
+    return np.append(wave, wave[0])
+
+
+def _tables(model: Model, one: Periodic, places: tuple[str, ...], rate_hz: float) -> dict[int, Array]:
+    """(TURN + 1,) N over a turn of the angle by index of the places it acts on, if the band lets it through."""
+    count = int(min(0.5 * rate_hz / one.hz, TURN // 8))
+    gain = passband(np.asarray(one.hz * np.arange(1.0, count + 1)), rate_hz, model.band)
+    tables: dict[int, Array] = {}
+    if not ((gain > LEAST) & one.sounding(count)).any():
+        return tables
+    for i, place in enumerate(places):
+        if acts(one, place):
+            tables[i] = _turned(gain * one.harmonics(model, place, count))
+    return tables
+
+
+def acts(one: Periodic, place: str) -> bool:
+    """Whether it puts a force on the cap there."""
+    return one.key in ("disc", place, place.split(".")[0])

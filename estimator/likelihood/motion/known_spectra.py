@@ -1,0 +1,74 @@
+"""What the model says by frequency before a fit: the shaft, the shape of the forces, what is undone and folded back."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array
+from estimator.effects import CATALOGUE
+from estimator.model.disc import disc_of
+from estimator.model.rig import Model
+from estimator.signals.channel_response import echoes, forced, of_place
+
+from .force_balance import shaft_notch
+
+OF_FORCE = ("coloured_excitation",)  # effects that are a shape of the spectrum of the force itself
+COLOURS = (*OF_FORCE, "sensor_resonance")  # and those that look like one where they are not undone in the record
+
+
+def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
+    """(f, places, places) N/m: what shaft and disc add to the dynamic stiffness at the measured caps."""
+    disc = disc_of(model)
+    if disc is None:
+        return np.zeros((f_hz.size, len(places), len(places)), complex)
+    return disc.at_caps(places, 2 * np.pi * f_hz)
+
+
+def bins_of(model: Model, rate_hz: float, block: int) -> NDArray[np.int64]:
+    """Bins of a block spectrum that a fit looks at."""
+    f = np.fft.rfftfreq(block, 1 / rate_hz)
+    inside = (f >= model.band[0]) & (f <= model.band[1])
+    if notch := shaft_notch(model):
+        inside &= (f < notch[0]) | (f > notch[1])
+    return np.flatnonzero(inside)
+
+
+def sharpened(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
+    """(places, f) |true over measured|^2 of the responses that are undone, of sensors and of recorders."""
+    return np.array([1.0 / np.abs(of_place(model, p, 2 * np.pi * f_hz)) ** 2 for p in places])
+
+
+def folded_back(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], mass: Array, f_hz: Array) -> Array:
+    """What the recorder's filter lets through above half the rate, as MotionBlocks.echoes."""
+    own = [echoes(model, place, kind, f_hz) / m**2 for place, kind, m in zip(places, kinds, mass, strict=True)]
+    out = np.zeros((max(map(len, own)), len(places), f_hz.size))
+    for i, z in enumerate(own):
+        out[: len(z), i] = z
+    return out
+
+
+def colours(model: Model, places: tuple[str, ...], f_hz: Array, names: tuple[str, ...] = COLOURS) -> Array:
+    """(places, f) what the model's own effects make of a white force: coloured excitation and, where that is not undone
+    in the record, a resonant sensor. names : of the effects."""
+    known = forced(model)
+    out = np.ones((len(places), f_hz.size))
+    for use in model.effects:
+        if use.name not in names:
+            continue
+        for i, place in enumerate(places):
+            if place in known:  # a measured force has the colour that it has, and its sensor is undone
+                continue
+            own = [s for k, s in use.parameters.items() if k in (place, place.split(".")[0])]
+            if not own:
+                continue
+            values = [s.value for q in CATALOGUE[use.name].parameters if (s := own[0].get(q.name)) is not None]
+            a, b = (*(z for z in values if z is not None), None, None)[:2]
+            if a is None or b is None:
+                continue
+            if use.name == "coloured_excitation":
+                out[i] *= 1 + a / (1 + (f_hz / b) ** 2)
+            else:
+                r = f_hz / a
+                out[i] /= (1 - r**2) ** 2 + (r / b) ** 2
+    return out

@@ -1,0 +1,262 @@
+"""The force of a law along the measured motion, as the estimator needs it: smoothed over what the band leaves out.
+
+The true displacement is the band-limited one plus an out-of-band remainder e, small, Gaussian and independent of it.
+What the in-band force sees of a law phi is then E_e[phi(x + e)], and its mean tangent is E_e[phi'(x + e)]. A three-
+point Gauss-Hermite rule gives both: nodes at -h, 0, +h with h = sqrt(3) sd(e), weights 1/6, 2/3, 1/6; the derivative
+is the central difference over the same nodes (Stein's identity), so a jump such as sgn(v) gets its density term.
+
+A law with a jump or a kink has harmonics above the Nyquist frequency; sampled, they would fold back into the band. It
+is evaluated on a grid finer by `FINER` and brought back through a low-pass filter. So is a smooth law at a resonance so
+high that its own few harmonics fold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from estimator.arrays import Array, Series
+from estimator.effects.engine.law_loop import Signals, compiled, force_array, law_of, smoothed
+from estimator.model.effect import Effect
+from estimator.signals import low_pass
+
+NEAREST = 0.02  # least smoothing, in standard deviations of the state: a step needs some width to have a derivative
+FINER = 4
+FASTEST = 9  # harmonic of a smooth law that is looked at
+HEARD = 0.02  # of the fundamental: a harmonic of a law that counts
+ORBITS = (1.3, 2.6, 4.1)  # standard deviations, that a law is tried along
+SPREAD = 1.1  # over the mean frequency of a motion, of what is still strong in it
+HALF = 12  # half support of the interpolation, in samples of the coarse grid
+MARGIN = 2 * HALF  # rows needed on either side of those that come out
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
+def _interpolate(z, taps, out):  # type: ignore[no-untyped-def]
+    """out (n U,) on the finer grid from z (n + 2 half,); taps (U, 2 half)."""
+    finer, length = taps.shape
+    for i in range(out.size // finer):
+        for u in range(finer):
+            total = 0.0
+            for j in range(length):
+                total += taps[u, j] * z[i + 1 + j]
+            out[i * finer + u] = total
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _between(z, out):  # type: ignore[no-untyped-def]
+    """out (n U,) on straight lines between the points of z (n + 1,)."""
+    n = z.size - 1
+    finer = out.size // n
+    for i in range(n):
+        step = (z[i + 1] - z[i]) / finer
+        for u in range(finer):
+            out[i * finer + u] = z[i] + u * step
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
+def _decimate(z, taps, finer, out):  # type: ignore[no-untyped-def]
+    """out (n,) from z ((n + 2 half) U,) through the symmetric taps (2 half U + 1,)."""
+    rows = min(1024, out.size)
+    reach = (taps.size - 1) // finer
+    phases = np.empty((finer, rows + reach + 1))  # so that neighbours in the inner loop are neighbours in memory
+    for first in range(0, out.size, rows):
+        n = min(rows, out.size - first)
+        for i in range(n + reach + 1):
+            for u in range(finer):
+                k = (first + i) * finer + u
+                phases[u, i] = z[k] if k < z.size else 0.0
+        part = out[first : first + n]
+        part[:] = 0.0
+        for j in range(taps.size):
+            tap, row = taps[j], phases[j % finer, j // finer :]
+            for i in range(n):
+                part[i] += tap * row[i]
+
+
+@cache
+def _prototype(finer: int) -> tuple[Array, Array]:
+    """(U, 2 half) taps of the interpolation and (2 half U + 1,) of the decimation: one Kaiser low-pass, -80 dB."""
+    h = low_pass.kaiser(2 * HALF * finer + 1, 1.0 / finer, 8.0)
+    # value at i + u / U from samples i - half + 1 ... i + half
+    offset = (HALF - 1 - np.arange(2 * HALF))[None, :] * finer + np.arange(finer)[:, None]
+    return np.ascontiguousarray(h[offset + HALF * finer] / h[HALF * finer]), h  # through the samples
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """What a law is evaluated on: (n,) arrays at one place, MARGIN rows wider on either side than what is asked for.
+
+    x, v, xo, vo : m and m/s (zeros where there is no other direction); t : s; phase : rad; s : +1 in x, -1 in y.
+    h : (4,) half-widths of the smoothing for x, v, xo, vo. valid : (n,) bool. made : what `signals` has made.
+    """
+
+    x: Series
+    v: Series
+    xo: Series
+    vo: Series
+    t: Series
+    phase: Series
+    s: float
+    h: Array
+    valid: NDArray[np.bool_]
+    made: dict[bytes, Signals] = field(default_factory=dict)
+
+    def signals(self, reads: NDArray[np.bool_]) -> Signals:
+        """What a law is handed that reads these of x, v, xo, vo."""
+        key = reads.tobytes()
+        if key not in self.made:
+            if b"" not in self.made:
+                still = np.zeros(self.x.size)  # a gap that no state tried has reached is not reached by it
+                signals = (self.x, self.v, self.xo, self.vo, self.t, self.phase, still)
+                self.made[b""] = Signals.of([_signal(z) for z in signals], self.valid)
+            *own, t, phase, zeros, valid = self.made[b""].at
+            seen = (z if read else zeros for z, read in zip(own, reads.tolist(), strict=True))
+            self.made[key] = Signals(self.made[b""].arrays, (*seen, t, phase, valid))
+        return self.made[key]
+
+    def inner(self) -> State:
+        """Without the margins."""
+        k = slice(MARGIN, -MARGIN)
+        x, v, xo, vo, t, phase = (
+            np.ascontiguousarray(z[k]) for z in (self.x, self.v, self.xo, self.vo, self.t, self.phase)
+        )
+        return State(x, v, xo, vo, t, phase, self.s, self.h, self.valid[k])
+
+    def finer(self, reads: NDArray[np.bool_]) -> State:
+        """On the finer grid, HALF (coarse) rows wider than the inner rows on either side; zero what is not read."""
+        n = (self.x.size - 2 * HALF) * FINER
+        zero = np.zeros(n)
+
+        def linear(z: Series) -> Array:
+            out = np.empty(n)
+            _between(z[HALF : n // FINER + HALF + 1], out)
+            return out
+
+        x, v, xo, vo = (
+            interpolated(z) if u else zero for z, u in zip((self.x, self.v, self.xo, self.vo), reads, strict=True)
+        )
+        valid = np.repeat(self.valid[HALF:-HALF], FINER)
+        valid[: HALF * FINER] = valid[-HALF * FINER :] = False  # the margins do not count in the mean tangents
+        return State(x, v, xo, vo, linear(self.t), linear(self.phase), self.s, self.h, valid)
+
+
+def depends(effect: Effect, p: Array, scale: Array) -> NDArray[np.bool_]:
+    """(4,) whether the law reads x, v, xo, vo, by trying 64 states of rms `scale` (4,)."""
+    z, t, phase = _tried_states()
+    x, v, xo, vo = scale[:, None] * z
+    force = force_array(effect, p, x, v, xo, vo, t, phase).reshape(5, 64)
+    return np.asarray(np.any(force[1:] != force[0], axis=1))
+
+
+@cache
+def _tried_states() -> tuple[Array, Array, Array]:
+    """(4, 320) x, v, xo, vo of rms 2, five times the same 64, from the second time on one of the four anew; (320,) t
+    and phase."""
+    rng = np.random.default_rng(0)
+    z = np.tile(2.0 * rng.normal(size=(4, 64)), 5)
+    t, phase = rng.uniform(0, 10, 64), rng.uniform(0, 2 * np.pi, 64)
+    for k in range(4):
+        z[k, 64 * (k + 1) : 64 * (k + 2)] = 2.0 * rng.normal(size=64)
+    return z, np.tile(t, 5), np.tile(phase, 5)
+
+
+def rough(effect: Effect, p: Array, scale: Array) -> bool:
+    """Whether the law has a jump or a kink along orbits of up to four standard deviations."""
+    return _shrinking(effect, p, scale, 4096) < 9.0  # it falls by 16 if the law is smooth, by 4 at a kink
+
+
+def jumps(effect: Effect, p: Array, scale: Array) -> bool:
+    """Whether the law has a jump along such orbits."""
+    return _shrinking(effect, p, scale, 512) < 2.0  # by 1 at a jump
+
+
+def folds(effect: Effect, p: Array, scale: Array, folding_hz: float) -> bool:
+    """Whether a harmonic of the law lies where sampling folds it into the band: above `folding_hz`, the sampling rate
+    less the upper band edge. scale : (4,) rms of x, v, xo, vo."""
+    x, v = scale[::2], scale[1::2]
+    moving = x > 0.0
+    hz = SPREAD * float((v[moving] / (2 * np.pi * x[moving])).max(initial=0.0))
+    return FASTEST * hz > folding_hz and highest(effect, p, scale) * hz > folding_hz
+
+
+def highest(effect: Effect, p: Array, scale: Array) -> int:
+    """The highest harmonic that the law makes of an orbit of 2.6 standard deviations, none above `FASTEST`."""
+    x, v, xo, vo = 2.6 * scale[:, None] * _orbit(np.linspace(0.0, 2 * np.pi, 63, endpoint=False))
+    size = np.abs(np.fft.rfft(force_array(effect, p, x, v, xo, vo)))[1 : FASTEST + 1]
+    return 1 + int(np.flatnonzero(size > HEARD * size.max(initial=0.0)).max(initial=0))
+
+
+def _shrinking(effect: Effect, p: Array, scale: Array, points: int) -> float:
+    """By how much the largest second difference of the force falls from orbits of `points` to those of four times."""
+    largest = []
+    for n in (points, 4 * points):
+        at, states = _orbits(n)
+        x, v, xo, vo = scale[:, None] * states
+        f = force_array(effect, p, x, v, xo, vo, at / 10.0, at).reshape(-1, n)
+        size = np.ptp(f, axis=1)
+        sharpest = np.abs(np.diff(f, 2)).max(axis=1)
+        largest.append(float(np.max(sharpest[size > 0] / size[size > 0], initial=0.0)))
+    return largest[0] / largest[1] if largest[1] > 0.0 else np.inf
+
+
+@cache
+def _orbits(n: int) -> tuple[Array, Array]:
+    """Angles of a turn in n steps, and (4, ...) x, v, xo, vo there in units of their rms, one of `ORBITS` after the
+    other."""
+    at = np.linspace(0.0, 2 * np.pi, n)
+    return np.tile(at, len(ORBITS)), np.concatenate([size * _orbit(at) for size in ORBITS], axis=1)
+
+
+def _orbit(at: Array) -> Array:
+    """(4, n) x, v, xo, vo of size 1 at these angles."""
+    return np.asarray(np.sin(at + np.array([[0.1], [1.67], [2.3], [3.9]])))
+
+
+def law_force(
+    effect: Effect,
+    p: Array,
+    state: State,
+    reads: NDArray[np.bool_],
+    series: tuple[Series, Series] | None = None,
+) -> tuple[Array, Array]:
+    """(n,) smoothed force in N on the grid of `state`, and (4,) sums of its tangents over the valid rows.
+
+    reads : of x, v, xo, vo, as `depends` has it. series : arrays to fill with the tangents along x and v.
+    """
+    law, p, sums = law_of(effect, p), np.ascontiguousarray(p), np.zeros(4)
+    signals = state.signals(reads)
+    out, tangent = np.empty(state.x.size), np.empty(state.x.size)
+    widths = [(k, h) for k, h in enumerate((reads * state.h).tolist()) if h > 0.0]
+    for number, (k, h) in enumerate(widths or [(0, 0.0)]):
+        sums[k] = smoothed(law, p, signals, k, h, state.s, out, tangent, number > 0)
+        if series is not None and k < 2:
+            series[k][...] = tangent
+    return out, sums
+
+
+def _signal(z: Series) -> Array:
+    """What the compiled loops are made for."""
+    return np.ascontiguousarray(z, dtype=np.float64)
+
+
+def ready(effect: Effect, p: Array) -> None:
+    """Compile the law of an effect, before several threads ask for it. Raises ValueError if the effect has none."""
+    compiled(law_of(effect, p))
+
+
+def interpolated(z: Series, finer: int = FINER) -> Array:
+    """A signal on the finer grid, without HALF (coarse) rows on either side."""
+    out = np.empty((z.size - 2 * HALF) * finer)
+    _interpolate(np.asarray(z, np.float64), _prototype(finer)[0], out)
+    return out
+
+
+def decimated(force: Array, finer: int = FINER) -> Array:
+    """The inner rows of a force on the finer grid of `State.finer`, without what does not fit under Nyquist."""
+    out = np.empty(force.size // finer - 2 * HALF)
+    _decimate(force, _prototype(finer)[1], finer, out)
+    return out

@@ -1,0 +1,82 @@
+"""Forces with memory whose states obey linear equations (a pedestal): their response to motion, exactly; and what a
+response makes of a series."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from estimator.arrays import Array, Complexes
+from estimator.model.effect import Effect
+
+SLOWEST = 1e-3  # rad/s: a state that only integrates has no response at rest
+DISTINCT = 1e6  # condition of the modes of its states, below which they are taken one by one
+BESIDE = 1e-3  # of a stiffness or damping, by which the derivative of a response is taken
+
+
+def states(effect: Effect, p: Array, lin: Array) -> Array | None:
+    """(n + 1, n + 2) dz/dt of the n states, and the force, per (z, x, v); for parameters p and (m, kL, c). None if they
+    are not linear in them."""
+    n = effect.states
+    rates, force = effect.rates, effect.memory_force
+    if rates is None or force is None:
+        return None
+
+    def seen(u: Array) -> Array:
+        """(n + 1,) dz/dt and force at u = (z, x, v)."""
+        dz = np.zeros(n + 1)
+        rates(u[:n], u[n], u[n + 1], p, lin, dz)
+        dz[n] = force(u[:n], u[n], u[n + 1], p, lin)
+        return dz
+
+    M = np.stack([seen(one) for one in np.eye(n + 2)], axis=1)
+    for u in np.random.default_rng(0).normal(size=(4, n + 2)):
+        if not np.allclose(seen(u), M @ u, rtol=1e-6, atol=1e-9 * np.abs(M).max()):
+            return None
+    return M
+
+
+def response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], Complexes] | None:
+    """Force per displacement, N/m, at w (f,) rad/s, for parameters p and (m, kL, c); None if not linear."""
+    n, M = effect.states, states(effect, p, lin)
+    if M is None:
+        return None
+    own, reads = M[:n, :n], M[n]
+
+    rates_at, modes = np.linalg.eig(own)
+    apart = n > 0 and np.linalg.cond(modes) < DISTINCT
+
+    def transfer(w: Array) -> Complexes:
+        iw = 1j * np.maximum(w, SLOWEST)
+        if apart:  # a sum over the modes: many times faster than to solve at every frequency
+            by_mode = (reads[:n] @ modes) * np.linalg.solve(modes, M[:n, n:]).T
+            through = sum((a + iw * b) / (iw - rate) for a, b, rate in zip(*by_mode, rates_at, strict=True))
+        else:
+            push = M[:n, n] + iw[:, None] * M[:n, n + 1]
+            through = (reads[:n] @ np.linalg.solve(iw[:, None, None] * np.eye(n) - own, push[..., None]))[..., 0]
+        return np.asarray(through + reads[n] + iw * reads[n + 1])
+
+    return transfer
+
+
+def slope(effect: Effect, p: Array, lin: Array, which: int) -> Callable[[Array], Complexes] | None:
+    """Derivative of the response by the linear stiffness (which = 1) or damping (2) beside it, per unit; None if it is
+    not linear or does not depend on it."""
+    step = BESIDE * np.eye(3)[which] * abs(lin[which])
+    up, down = response(effect, p, lin + step), response(effect, p, lin - step)
+    if up is None or down is None or not step.any():
+        return None
+    w = np.sqrt(max(lin[1] / lin[0], 1.0)) * np.array([0.5, 1.5])
+    if np.allclose(up(w), down(w), rtol=1e-9):
+        return None
+    return lambda w: (up(w) - down(w)) / (2 * step[which])
+
+
+def filtered(response: Callable[[Array], Complexes], x: Array, rate_hz: float, by: int = 1) -> Array:
+    """(by n,) what a response at w (f,) rad/s makes of a series (n,), at `by` times its rate."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = next_fast_len(x.size, real=True)
+    f: Array = np.asarray(np.fft.rfftfreq(size, 1 / rate_hz), dtype=np.float64)
+    return np.asarray(irfft(rfft(x, size) * response(2 * np.pi * f), by * size)[: by * x.size] * by)

@@ -1,0 +1,179 @@
+"""A record as the model sees it: sensor effects of the model undone, the band cut, and everything aligned in blocks."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array, Series
+from estimator.effects.engine.custom import effect_of
+from estimator.effects.engine.places import at
+from estimator.errors import DataError
+from estimator.model.disc import disc_of
+from estimator.model.rig import MOTION, Model
+from estimator.parallel import each
+from estimator.signals.band_limit import below_band
+from estimator.signals.band_limited_record import Filtered
+from estimator.signals.channel_response import passed_of_images, undone
+from estimator.signals.shaft_angle import measured_phase
+
+from .checks import check_moves
+from .force_balance import shaft_reaction
+from .harmonics import pushes, series, waves
+from .known_spectra import OF_FORCE, bins_of, colours, folded_back, shaft_response, sharpened
+from .motion_record import FOLDS, MotionBlocks, part_of, runs
+
+SHORTEST = 2**16  # samples, 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
+LONGEST = 240.0  # s of a record that is kept in memory, about 10 MB each; six stretches of it, spread over the whole
+
+
+def prepare(model: Model, y: Array, rate_hz: float) -> MotionBlocks:
+    """Blocks of a record y (n, channels), SI. Raises DataError as `cut` does."""
+    return part_of(cut(model, undone(model, y, rate_hz), rate_hz), LONGEST)
+
+
+def shortened(data: MotionBlocks, y: Array) -> tuple[str, ...]:
+    """What to tell the user of a record longer than what is kept of it, or so short that little is seen in it."""
+    used, whole = data.seconds, len(y) / data.rate_hz
+    if data.blocks * data.block < SHORTEST:
+        text = "what it does not show may be there all the same; record half a minute or more"
+        return (f"only {used:.2g} s of the record can be judged: {text}",)
+    if whole <= 1.25 * LONGEST or used < 0.9 * LONGEST:
+        return ()
+    return (f"of the record's {whole:.0f} s {used:.0f} are judged, in six stretches spread over it",)
+
+
+def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBlocks:
+    """Band-limit a record (n, channels of the model) and cut it into valid blocks.
+
+    Raises DataError if no ten blocks are valid, or a channel does not move.
+    """
+    y = np.asarray(y, dtype=np.float64)
+    places = model.places
+    moving, shaken = _columns(model, y)
+    columns = [*moving, *shaken.values()]
+    while block > 1024 and y.shape[0] < 24 * block:
+        block //= 2
+    used = y if columns == [*range(y.shape[1])] else y[:, columns]
+    motion = Filtered(
+        used, [model.channels[k].kind for k in columns], rate_hz, model.band, shaft_reaction(model), slow=True
+    ).whole(np.float32)
+    starts = _valid_starts(motion.valid, block)
+    if starts.size < 2 * FOLDS:
+        raise DataError(_too_short(used, starts.size, rate_hz, block))
+    P = len(places)
+    stretches = runs(starts, block)
+
+    def valid(z: Series) -> Series:
+        if len(stretches) == 1:
+            return z[:, stretches[0]]
+        return np.concatenate([z[:, rows] for rows in stretches], axis=1)
+
+    t = np.arange(len(y)) / rate_hz
+    speed = 2 * np.pi * (model.speed_rpm or 0.0) / 60
+    angle = measured_phase(model, y, rate_hz)
+    angle = speed * t if angle is None else angle
+    a, v, x, u, (t,), (phase,) = map(valid, (motion.a, motion.v[:P], motion.x[:P], motion.u, t[None], angle[None]))
+    below = None if motion.slow is None else valid(motion.slow[:P])
+    measured = {places.index(p): a[P + k] for k, p in enumerate(shaken)}
+    slow = _below(model, valid(y.T[[*shaken.values()]]), list(shaken), rate_hz) if shaken else None
+    mass = _masses(model, a, v, x, measured)
+    known = _inertia_and_shaft(model, mass, a, v, x, u)
+    driven = np.zeros(P)
+    for i, force in measured.items():
+        known[i] -= force
+        driven[i] = np.mean(force**2) / (model.band[1] - model.band[0])
+    rms = np.array([each(np.std, z) for z in (x, v, a[:P])])
+    periodic = series(model, places, t, phase, rate_hz)
+    if periodic is not None:
+        known -= periodic
+    fold = np.minimum(np.arange(starts.size) * FOLDS // starts.size, FOLDS - 1)
+    bins = bins_of(model, rate_hz, block)
+    f = np.asarray(bins * (rate_hz / block), dtype=np.float64)
+    kinds = tuple(model.channels[k].kind for k in moving)
+    return MotionBlocks(
+        places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
+        shaft_response(model, places, f), colours(model, places, f, OF_FORCE), np.zeros((P, 2)), rms, driven,
+        sharpened(model, places, f), folded_back(model, places, kinds, mass, f), np.zeros((P, f.size)),
+        np.zeros((P, f.size), complex), np.stack([passed_of_images(model, p, rate_hz, f) for p in places], axis=1),
+        below, below, None, 0.0, _shared(model), pushes(model, places), waves(model, places, rate_hz),
+        disc=disc_of(model), shaken=slow,
+    )  # fmt: skip
+
+
+def _columns(model: Model, y: Array) -> tuple[list[int], dict[str, int]]:
+    """Columns of a record of the channel of motion of each place, and of the channels of force, by place.
+
+    Raises DataError if it has other channels than the model, or one does not move."""
+    if y.ndim != 2 or y.shape[1] != len(model.channels):
+        raise DataError(
+            f"the record has {y.shape[-1]} channels, the rig {len(model.channels)}: use the rig of the record"
+        )
+    if not model.places:
+        raise DataError("the rig has no motion channel at a bearing: nothing to compare")
+    moving = [next(k for k, c in enumerate(model.channels) if c.place == p and c.kind in MOTION) for p in model.places]
+    forces = {c.place: k for k, c in enumerate(model.channels) if c.kind == "force"}
+    shaken = {p: forces[p] for p in model.places if p in forces}
+    for k in (*moving, *shaken.values()):
+        finite = np.isfinite(y[:, k])
+        check_moves(model.channels[k].name, y[:, k] if finite.all() else y[finite, k])
+    return moving, shaken
+
+
+def _too_short(used: Array, blocks: int, rate_hz: float, block: int) -> str:
+    """Why a record is refused that has no more valid blocks than these."""
+    needed = f"at least {2 * FOLDS * block / rate_hz:.2g} s are needed"
+    if np.isfinite(used).all():
+        left = f"{len(used) / rate_hz:.2g} s, {blocks * block / rate_hz:.2g} s of it behind the analysis filter"
+        return f"the record has {left}; {needed}: record half a minute or more"
+    return (
+        f"only {blocks * block / rate_hz:.2f} s in stretches of {block / rate_hz:.2g} s without a missing or "
+        f"clipped sample; {needed}: see what the gaps come from, or record longer"
+    )
+
+
+def _masses(model: Model, a: Series, v: Series, x: Series, measured: dict[int, Series]) -> Array:
+    """(places,) kg: of the rig file, else the scale that a measured force gives, else 1."""
+    mass = np.array([model.cap_mass(p) or 1.0 for p in model.places])
+    for i, force in measured.items():
+        if model.cap_mass(model.places[i]) is None:
+            Z = np.stack([a[i], v[i], x[i]]).astype(np.float64)
+            mass[i] = np.linalg.solve(Z @ Z.T, Z @ force)[0]
+    return mass
+
+
+def _inertia_and_shaft(model: Model, mass: Array, a: Series, v: Series, x: Series, u: Series) -> Series:
+    """(places, n) N: m a, and what shaft and disc pull. u : what the other end does, written over; empty without."""
+    P = len(model.places)
+    known = u[:P] if len(u) else np.zeros_like(x)
+    for direction in "xy":
+        same = [i for i, p in enumerate(model.places) if p.endswith(direction)]
+        reaction = known[same].sum(axis=0)
+        for i in same:
+            np.multiply(mass[i], a[i], out=known[i])
+            known[i] += reaction
+            if len(u) and model.shaft == "chain":
+                known[i] += model.shaft_stiffness * x[i]
+                known[i] += model.shaft_damping * v[i]
+    return known
+
+
+def _below(model: Model, forces: Series, at: list[str], rate_hz: float) -> Series:
+    """(places, n) N of the forces measured `at` places (forces, n) what is below the band; 0 at the others."""
+    out = np.zeros((len(model.places), forces.shape[1]), np.float32)
+    for place, force in zip(at, forces, strict=True):
+        out[model.places.index(place)] = below_band(force, rate_hz, model.band)
+    return out
+
+
+def _shared(model: Model) -> tuple[tuple[int, int], ...]:
+    """Pairs of places whose unknown forces the model lets be correlated."""
+    found = [at(effect_of(u), u, model) for u in model.effects if u.name == "correlated_force"]
+    return tuple((model.places.index(p), model.places.index(f"bearing2.{p[-1]}")) for keys in found for p in keys)
+
+
+def _valid_starts(valid: NDArray[np.bool_], block: int) -> NDArray[np.int64]:
+    """First rows of as many non-overlapping all-valid blocks as there are."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], valid.astype(np.int8), [0]])))
+    out = [np.arange(a, b - block + 1, block) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return np.concatenate(out) if out else np.zeros(0, np.int64)

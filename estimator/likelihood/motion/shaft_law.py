@@ -1,0 +1,121 @@
+"""Laws between the disc and the caps (a breathing crack): their force on the caps along the measured motion, and its
+mean response.
+
+The disc is not measured, and what takes g(phase) of the shaft's stiffness moves it otherwise than the shaft of the rig
+file does. Its deflection s against the mean of the caps obeys
+
+    m s'' + C s' + (K - g) s = -m x'',    x the mean displacement of the two caps of a direction,
+
+with m, C, K those of the disc on its shaft: linear, and periodic in time. s = s0 + s1, where s0 is what the rig file's
+shaft does and is in the balance already; what is left of the shaft's force is m s1'' / 2 on each cap. s1 is integrated
+along the path, as a series in g does not converge at the disc's resonance (quality of thousands).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numba import njit
+
+from estimator.arrays import Array, Complexes
+from estimator.effects.engine.law_loop import force_array
+from estimator.model.effect import Effect
+
+from .linear_memory import filtered
+from .motion_record import MotionBlocks, without_hz
+
+STEP = 0.3  # rad of the disc's resonance to a step, at most
+FAINT = 1e-3  # of the shaft's stiffness, below which a law is on trial
+ANGLES = 64  # that the law's mean and first harmonic are taken from
+
+
+def first(data: MotionBlocks, i: int) -> int:
+    """The first cap of the direction of a place: the force on both is the same."""
+    o = data.opposite(i)
+    return i if o is None else min(i, o)
+
+
+def along(effect: Effect, p: Array, data: MotionBlocks, i: int, lin: Array) -> tuple[Array, Complexes]:
+    """(n,) N on the cap at a place, and (places, bins) N/m its mean response to the displacement of every place; zero
+    where there is no shaft, or the other cap is not measured. lin : (places, 3) m, kL, c."""
+    across, disc, o = np.zeros((len(data.places), data.bins.size), complex), data.disc, data.opposite(i)
+    if disc is None or o is None:
+        return np.zeros(data.x.shape[1]), across
+    caps, g = sorted((i, o)), _taken(effect, p, data.t, data.phase)
+    if max(-g.min(), g.max()) < FAINT * disc.K:
+        disc = disc.blurred()
+    calm = 0.0 if data.calm is None else data.calm[caps].astype(np.float64)
+    mean = 0.5 * (data.x[caps] + calm).sum(axis=0)
+    steps = max(1, int(np.ceil(disc.w0 / (STEP * data.rate_hz))))
+    force = _beside(
+        filtered(disc.follows, mean, data.rate_hz, 2 * steps), g, disc.m, disc.C, disc.K, 1.0 / data.rate_hz, steps
+    )  # fmt: skip
+    angles = 2 * np.pi * np.arange(ANGLES) / ANGLES
+    turn = np.fft.fft(_taken(effect, p, np.zeros(ANGLES), angles)) / ANGLES
+    speed = float((data.phase[-1] - data.phase[0]) / (data.t[-1] - data.t[0]))
+    bins = 2 * np.pi * data.f_hz
+    across[caps] = own = 0.5 * disc.changed(bins, float(turn[0].real), complex(turn[1]), speed, lin[caps])
+    if (
+        data.calm is not None
+    ):  # its mean response is to the whole displacement, as of the laws at a cap: likelihood/motion/denoise.py
+        force -= filtered(lambda w: np.interp(w, bins, own), np.asarray(calm).sum(axis=0), data.rate_hz)
+    return force, across
+
+
+def _comb_hz(data: MotionBlocks, effects: Iterable[Effect]) -> tuple[float, float] | None:
+    """Between which a model with such a law is not judged; None for other models."""
+    return data.disc.comb_hz if data.disc is not None and any(effect.kind == "shaft" for effect in effects) else None
+
+
+def without_comb(data: MotionBlocks, effects: Iterable[Effect]) -> MotionBlocks:
+    """The record without those bins; as it is for other models."""
+    comb = _comb_hz(data, effects)
+    return data if comb is None else without_hz(data, *comb)
+
+
+def said(data: MotionBlocks, effects: Iterable[Effect]) -> tuple[str, ...]:
+    """What to tell of them. data : of the fit."""
+    comb = _comb_hz(data, effects)
+    if comb is None or comb[1] < data.band[0] or comb[0] > data.band[1]:
+        return ()
+    low, high = comb
+    return (
+        f"beside a shaft that breathes {low:.0f} to {high:.0f} Hz are left out: likelihoods compare only with those of "
+        "models that have it (the ladder of improve does so)",
+    )
+
+
+def _taken(effect: Effect, p: Array, t: Array, phase: Array) -> Array:
+    """(n,) N/m that a law takes of the shaft's stiffness."""
+    zero = np.zeros(t.size)
+    return np.asarray(-force_array(effect, p, np.ones(t.size), zero, zero, zero, t, phase))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _beside(s0, g, m, C, K, dt, steps):  # type: ignore[no-untyped-def]
+    """(n,) N: m s1'' / 2 = (g s - C s1' - K s1) / 2. s0 : (2 steps n,) at half steps; g : (n,).
+
+    Each step is that of a linear oscillator of the mean g, exact but for Simpson's rule over what drives it.
+    """
+    n = g.size
+    out = np.empty(n)
+    h = dt / steps
+    half = 0.5 * C / m
+    s = v = 0.0
+    for i in range(n):
+        out[i] = 0.5 * (g[i] * (s0[2 * steps * i] + s) - C * v - K * s)
+        if i + 1 == n:
+            break
+        rise = (g[i + 1] - g[i]) / steps
+        for k in range(steps):
+            j = 2 * (steps * i + k)
+            ga, gb = g[i] + k * rise, g[i] + (k + 1) * rise
+            gm = 0.5 * (ga + gb)
+            p = complex(-half, np.sqrt(max((K - gm) / m - half * half, 1e-6 * K / m)))
+            e = np.exp(0.5 * h * p)
+            q = e * e * complex(v - p.real * s, p.imag * s)  # s' - conj(p) s
+            q += h / (6.0 * m) * (e * e * (ga * s0[j]) + 4.0 * e * (gm * s0[j + 1]) + gb * s0[j + 2])
+            s = q.imag / p.imag
+            v = q.real + p.real * s
+    return out

@@ -1,0 +1,1 @@
+"""Whitening, Gram matrices, Jacobian and one Newton step of the path likelihood."""

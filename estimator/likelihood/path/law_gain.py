@@ -1,0 +1,94 @@
+"""The gain in nats of one law at given searched parameters: its amplitudes fitted together with the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.errors import NotFiniteError
+from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.response.regressor_set import Term, dressed, orthogonal, terms
+
+from .path_fit import PathFit
+from .subproblem import Subproblem, subproblem
+from .whitening import Columns
+from .working_point import WorkingPoint
+
+EVERYTHING = np.arange(6)
+DIFFERENT = 2.0  # nats, about the price of a parameter, that a spot's own searched parameters are to be worth
+
+
+def trial_columns(point: WorkingPoint, placed: Placed) -> Columns | None:
+    """Columns of the amplitudes, freed from the base; None if nothing is left of one of them."""
+    kept = _freed(point, placed, linear_only=True)
+    return point.weighing.columns(kept) if kept else None
+
+
+def _freed(point: WorkingPoint, placed: Placed, linear_only: bool = False) -> list[Term]:
+    """The terms of a law on trial, freed from the base."""
+    linear = [q.linear for q in placed.effect.parameters]
+
+    def made(free: Sequence[bool]) -> list[Term]:
+        own = replace(placed, free=tuple(np.logical_and(placed.free, free).tolist()))
+        return dressed(terms(own, point.data, point.lin), own, point.fluctuations)
+
+    if placed.effect.kind == "force":
+        found = point.units.of(placed, lambda: made(linear))
+        found = found if linear_only else found + made([not one for one in linear])
+    else:
+        found = made(linear if linear_only else [True] * len(linear))
+    return [t for t in (orthogonal(t, point.spans) for t in found) if t is not None]
+
+
+class Assessed(NamedTuple):
+    """gain : nats, 0 where every amplitude is at its limit; problem, fit : with those that are not; spread : name ->
+    standard deviation of every amplitude, limits or not."""
+
+    gain: float
+    problem: Subproblem
+    fit: PathFit
+    spread: dict[str, float]
+
+
+class Alone(NamedTuple):
+    """The model by itself at some places, fitted. level : nats."""
+
+    problem: Subproblem
+    fit: PathFit
+    level: float
+
+
+def alone(point: WorkingPoint, places: tuple[int, ...], steps: int = 3) -> Alone:
+    """What an effect at these places is judged against."""
+    plain = subproblem(point, places)
+    fit = plain.fit(steps=steps)
+    return Alone(plain, fit, plain.likelihood(fit, EVERYTHING))
+
+
+def assess(point: WorkingPoint, placed: Placed, steps: int = 3, against: Alone | None = None) -> Assessed | None:
+    """Gain of the amplitudes within their limits, at given searched parameters; None if the model has such columns, or
+    the law is no number there.
+
+    against : `alone`, if it is known.
+    """
+    try:
+        extra = trial_columns(point, placed)
+    except NotFiniteError:
+        return None
+    if extra is None:
+        return None
+    problem = subproblem(point, placed.at, extra)
+    plain, base, level = against or alone(point, placed.at, steps)
+    limits = {placed.name(k): (q.low, q.high) for k, q in enumerate(placed.effect.parameters)}
+    spread: dict[str, float] = {}
+    while problem.extra:
+        fit = problem.fit(steps=steps)
+        spread = spread or {n.rsplit(".", 1)[1]: fit.value(n)[1] for n in problem.extra}
+        inside = tuple(n for n in problem.extra if limits[n][0] <= fit.value(n)[0] <= limits[n][1])
+        if inside == problem.extra:
+            return Assessed(problem.likelihood(fit, EVERYTHING) - level, problem, fit, spread)
+        problem = problem.only(inside)
+    return Assessed(0.0, plain, base, spread)

@@ -1,0 +1,50 @@
+"""The part of a fold's score that comes from its own tangents.
+
+Over the whole record the data's side of a law's score, E[phi F], is balanced by S times the mean tangent times the
+response. In a fold of time it is so with the tangent that the law had there: one that moved more has a larger one, and
+with the mean of the record its score would seem to scatter by that. Without this the interval of quadratic damping came
+out 1.4 times and that of c beside friction 1.5 times too wide.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.likelihood.motion.stream_record import Bank
+
+from .gram_likelihood import Likelihood, Local
+
+
+def excess(likelihood: Likelihood, local: Local, bank: Bank) -> Array:
+    """(folds, p) what is to be taken off the scores of folds, by beta.
+
+    Of a fold with another level of the force it is that of its tangents at its level: the rest is what S of the fold
+    differs by, which the score of S has too.
+    """
+    evidence, point = likelihood.evidence, local.point
+    balance, nodes = evidence.balance, evidence.nodes
+    B = balance.coefficients(point.beta)
+    A = B @ likelihood.R
+    line = likelihood.line(B, A)
+    inside = point.S + (np.abs(A) ** 2 * likelihood.noise_shape[:, None, :]) @ point.noise
+    kappa = inside / local.spread[nodes.cell] * nodes.weight[:, None]
+    weighted = np.linalg.inv(line.A) * kappa[:, None, :]
+    s = line.shift + 2j * np.pi * nodes.f_hz
+    # (places, places) : the gradient by a coefficient at row j of a force that answers with 1 to x, to v, of place i
+    to_x = np.einsum("f,fij->ij", 1 / s**2, weighted).real
+    to_v = np.einsum("f,fij->ij", 1 / s, weighted).real
+    tangents, weights = bank.fold_tangents, bank.blocks[:, None, None]
+    if bank.rest is not None:
+        weights = weights * bank.rest[[c.row for c in balance.columns]].T[:, :, None]
+    apart = (tangents - np.sum(weights * tangents, axis=0) / np.sum(weights, axis=0)) * weights
+    out = np.zeros((bank.blocks.size, likelihood.row.size))
+    for e, (row, column) in enumerate(zip(likelihood.row, likelihood.column, strict=True)):
+        if balance.columns[column].kind != "law":
+            continue
+        own = balance.columns[column].row
+        other = balance.other(own)
+        out[:, e] = apart[:, column, 0] * to_x[own, row] + apart[:, column, 1] * to_v[own, row]
+        if other >= 0:
+            out[:, e] += apart[:, column, 2] * to_x[other, row] + apart[:, column, 3] * to_v[other, row]
+    return np.asarray(out @ likelihood.T.T)

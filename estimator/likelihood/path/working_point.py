@@ -1,0 +1,303 @@
+"""A model at given values on a record: inferred force by place, spectra of its columns, and the tangent A(w)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array, Complexes, Series
+from estimator.likelihood.motion import linear_memory
+from estimator.likelihood.motion.harmonics import Wave
+from estimator.likelihood.motion.known_spectra import shaft_response
+from estimator.likelihood.motion.located_law import Placed, evaluate, remembers
+from estimator.likelihood.motion.motion_record import FOLDS, MotionBlocks, part_of
+from estimator.likelihood.response.fluctuation import Fluctuation, fluctuations
+from estimator.likelihood.response.impulse_probe import Probe
+from estimator.likelihood.response.modal_response import Mean, mean_responses
+from estimator.likelihood.response.regressor_set import (
+    Spans,
+    Term,
+    Units,
+    add_to,
+    dressed,
+    light,
+    linear_terms,
+    reach,
+    terms,
+)
+from estimator.model.rig import Model
+from estimator.parallel import each
+
+from .contour import along, contour
+from .determinant import Jacobian
+from .path_fit import Gram, PathFit, fit, gram
+from .sensor_noise import noise_paths, together
+from .whitening import Columns, Spectrum, Weighing
+
+STRIDE = 0.3  # of the reach of a searched parameter: one standard deviation of the step that is taken at once
+
+
+@dataclass(frozen=True, slots=True)
+class WorkingPoint:
+    """A fitted model on a record. kL, c, S : (places,); nu : (places,) sensor noise PSD, in its unit^2/Hz, over S.
+
+    force, spectra and gram are those before the last step of the fit, which is a fraction of a standard deviation.
+    """
+
+    data: MotionBlocks
+    kL: Array
+    c: Array
+    S: Array
+    nu: Array
+    placed: tuple[Placed, ...]
+    force: Series  # (places, n) N, inferred excitation
+    weighing: Weighing
+    spectra: dict[int, Spectrum]  # of the force
+    terms: tuple[Term, ...]
+    columns: Columns
+    gram: Gram
+    jacobian: Jacobian
+    fit: PathFit
+    caution: Array  # (terms,) information that keeps searched parameters near, in every fit about this point
+    A: NDArray[np.complex128]  # (bins, places, places)
+    slopes: Array  # (places, places, 2) mean tangent
+    fluctuations: tuple[Fluctuation | Probe | None, ...]  # by place, of the laws of the model
+    spans: Spans  # of the model's own columns, by place
+    units: Units  # of the law on trial
+
+    @property
+    def lin(self) -> Array:
+        """(places, 3) m, kL, c."""
+        return np.stack([self.data.mass, self.kL, self.c], axis=1)
+
+    @property
+    def bearing_force(self) -> Array:
+        """(places,) N rms of the force in the bearing, k x + c v + effects, as the scale of what is missing, and
+        weighed like it."""
+        power = (self.force - self.data.known) ** 2
+        if self.data.level is not None:
+            power = power.reshape(len(power), self.data.blocks, -1).mean(axis=2) / self.data.level
+        return np.asarray(np.sqrt(np.mean(power, axis=1)))
+
+    def rowless(self) -> WorkingPoint:
+        """Itself without rows, which are large: for a fit of another record to begin from."""
+        none = np.zeros(self.data.x.shape[1], bool)
+        data, still = self.data.at(none), (None,) * len(self.fluctuations)
+        return replace(self, data=data, force=self.force[:, none], weighing=replace(self.weighing, data=data),
+                       fluctuations=still)  # fmt: skip
+
+
+def thinned(point: WorkingPoint, seconds: float) -> WorkingPoint:
+    """The same model on part of the record: for searching, and for pictures."""
+    part = part_of(point.data, seconds)
+    if part is point.data:
+        return point
+    return point_at(part, point.kL, point.c, point.nu, point.S, list(point.placed), point)
+
+
+def plain(point: WorkingPoint, seconds: float) -> WorkingPoint:
+    """The same on part of the record for a quick search, far from where it ends: no law is dressed by the others, as
+    what dresses it holds for small steps of theirs only."""
+    remembering = {u.name(k) for u in point.placed if u.effect.kind == "memory" for k in range(u.p.size)}
+    bare = tuple(t if t.name in remembering else replace(t, memory={}) for t in point.terms)
+    longer = replace(point, terms=bare, fluctuations=(None,) * len(point.fluctuations))
+    return point_at(part_of(point.data, seconds), point.kL, point.c, point.nu, point.S, list(point.placed), longer)
+
+
+def _forces(
+    data: MotionBlocks, kL: Array, c: Array, uses: list[Placed], made: list[list[Term]]
+) -> tuple[Series, NDArray[np.complex128], Array]:
+    """Inferred force (places, n), A (bins, places, places) and the mean tangent (places, places, 2).
+
+    made : the terms of each use.
+    """
+    P = len(data.places)
+    F = np.empty_like(data.x)
+    M = np.zeros_like(data.shaft)
+    D = np.zeros((P, P, 2))
+    D[np.arange(P), np.arange(P), 0] = kL
+    D[np.arange(P), np.arange(P), 1] = c
+    lin = np.stack([data.mass, kL, c], axis=1)
+
+    def add(i: int) -> None:
+        F[i] = data.known[i]
+        add_to(F[i], kL[i], data.x[i])
+        add_to(F[i], c[i], data.v[i])
+        for use, own in zip(uses, made, strict=True):
+            if i not in use.at:
+                continue
+            amplitudes = [k for k, q in enumerate(use.effect.parameters) if q.linear]
+            units = {t.name: t for t in own}
+            if amplitudes and use.effect.kind != "shaft" and all(use.name(k) in units for k in amplitudes):
+                for k in amplitudes:
+                    unit = units[use.name(k)]
+                    add_to(F[i], use.p[k], unit.series[i])
+                    D[i] += use.p[k] * unit.tangent[i]
+                    if i in unit.memory:
+                        M[:, i] += use.p[k] * unit.memory[i].T
+                continue
+            f, slope, memory = evaluate(use, data, i, lin)
+            add_to(F[i], 1.0, f)
+            D[i] += data.over_folds(slope)
+            if memory is not None:
+                M[:, i] += memory.T
+
+    each(add, range(P))
+    w = 2 * np.pi * data.f_hz[:, None, None]
+    return F, np.diag(data.mass)[None] - (data.shaft + M + D[..., 0]) / w**2 + D[..., 1] / (1j * w), D
+
+
+def tangent_at(point: WorkingPoint, model: Model, f_hz: Array) -> NDArray[np.complex128]:
+    """(f, places, places) force per acceleration at any frequency, memory effects left out. model : of the point."""
+    w = 2 * np.pi * f_hz[:, None, None]
+    D = point.slopes
+    shaft = shaft_response(model, point.data.places, f_hz)
+    return np.asarray(np.diag(point.data.mass)[None] - (shaft + D[..., 0]) / w**2 + D[..., 1] / (1j * w))
+
+
+def point_at(
+    data: MotionBlocks, kL: Array, c: Array, nu: Array, S: Array, uses: list[Placed],
+    longer: WorkingPoint | None = None,
+) -> WorkingPoint:  # fmt: skip
+    """The point at these values. longer : the same model on more of the record: what its laws fluctuate is kept."""
+    P = len(data.places)
+    lin = np.stack([data.mass, kL, c], axis=1)
+    own = each(lambda use: terms(use, data, lin), uses)
+    F, A, D = _forces(data, kL, c, uses, own)
+    s = contour(A, data.mass, D, data.f_hz, data.disc, data.places)
+
+    def along_line(A: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        return along(s, A, data.mass, D, data.disc, data.places)
+
+    paths = noise_paths(data, A, nu, S)
+    weighing = Weighing(data, paths, s, paths.measured(along_line(A)))
+    spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
+    mean = _means(data, D, uses, own, lin)
+    around = fluctuations(data, uses, mean, lin) if longer is None else longer.fluctuations
+    if longer is None:
+        own = each(lambda k: dressed(own[k], uses[k], around), range(len(uses)))
+    else:
+        own = each(lambda k: _as_longer(own[k], uses[k], longer), range(len(uses)))
+    common = {(i, j): together(data, A, paths.weight, i, j) for i, j in data.shared}
+    made = _all_terms(data, lin, uses, own) + _in_common(data, F, paths.weight, common)
+    columns = weighing.columns(made)
+    G = gram(weighing, spectra, columns)
+    dressing = np.zeros((len(A), P), complex)
+    for i, here in enumerate(around):
+        if here is not None:
+            dressing[:, i] = here.whole / (2 * np.pi * data.f_hz) ** 2
+            A[:, i, i] += dressing[:, i]
+    there = (1j * s.imag / s) ** 2  # over -w^2 becomes over s^2
+    kept = None if weighing.rings is None else weighing.rings.kept.mean(axis=0)
+    jacobian = Jacobian(along_line(A), s, dressing * there[:, None], kept)
+    caution = _caution(data, G, uses)
+    result = _cautious(G, jacobian, data.fold_blocks, caution)
+    own_terms = tuple(light(t) for t in made)
+    coarse = tuple(here and here.coarse(data.rate_hz, about) for here, about in zip(around, mean, strict=True))
+    return WorkingPoint(
+        data, kL, c, _whole_power(data, result, common), nu, tuple(uses), F, weighing, spectra, own_terms, columns, G,
+        jacobian, result, caution, A, D, coarse, Spans(own_terms), Units(),
+    )  # fmt: skip
+
+
+def _means(data: MotionBlocks, D: Array, uses: list[Placed], made: list[list[Term]], lin: Array) -> list[Mean]:
+    """Mean response of each place. Of laws that remember, those at other caps answer as stiffness and damping of their
+    mean response at the resonance there; what is fed back at the place itself is followed by likelihood/response/impulse_probe.py. made : the terms
+    of each use."""
+    linear = [
+        (i, own) for use in uses if use.effect.kind == "memory" for i in use.at
+        if (own := linear_memory.states(use.effect, use.p, lin[i])) is not None
+    ]  # fmt: skip
+    bare = mean_responses(data.mass, D, data.places, data.disc, linear)
+    beside = np.zeros((len(data.places), 2))
+    for use, terms_of in zip(uses, made, strict=True):
+        for i in use.at if remembers(use, lin[use.at[0]]) else ():
+            units = {t.name: t for t in terms_of}
+            at = int(np.argmin(np.abs(data.f_hz - bare[i].hz)))
+            for k, q in enumerate(use.effect.parameters):
+                if q.linear and use.name(k) in units:
+                    answer = use.p[k] * units[use.name(k)].memory[i][i, at]
+                    beside[i] += answer.real, answer.imag / (2 * np.pi * data.f_hz[at])
+    if not beside.any():
+        return list(bare)
+    out = []
+    for i in range(len(data.places)):
+        others = np.where(np.arange(len(beside)) == i, 0.0, beside.T).T
+        there = D + np.eye(len(D))[..., None] * others[:, None]
+        out.append(mean_responses(data.mass, there, data.places, data.disc, linear)[i])
+    return out
+
+
+def _all_terms(data: MotionBlocks, lin: Array, uses: list[Placed], own: list[list[Term]]) -> list[Term]:
+    """Of stiffness and damping, of the laws, and of periodic forces. own : those of each use."""
+    made = [t for i in range(len(data.places)) for t in linear_terms(data, i, lin[i], uses)]
+    made += [t for ts in own for t in ts]
+    return made + each(lambda wave: _wave(data, wave), data.waves)
+
+
+def _as_longer(own: list[Term], use: Placed, longer: WorkingPoint) -> list[Term]:
+    """The terms of a use on part of a record, dressed as on all of it.
+
+    A law that remembers answers as it does here at these values: with the answer from before the last step, a fifth of
+    a standard deviation off, force and determinant do not balance, and a complete model gained 27 nats by its level.
+    """
+    known = {t.name: t.memory for t in longer.terms}
+    there = [t for t in own if t.name in known]
+    if any(remembers(use, longer.lin[i]) and longer.fluctuations[i] is not None for i in use.at):
+        return dressed(there, use, longer.fluctuations)
+    return [replace(t, memory=known[t.name]) for t in there]
+
+
+def _caution(data: MotionBlocks, G: Gram, uses: list[Placed]) -> Array:
+    """(terms,) prior information, scaled: the columns of searched parameters are tangents, and hold near by. A weak
+    law's are free to run far off; of a strong one's a tenth of a standard deviation is lost."""
+    caution = np.zeros(len(G.names))
+    for use in uses:
+        for k, q in enumerate(use.effect.parameters):
+            far = STRIDE * reach(use, k, data)
+            if not q.linear and far > 0.0 and use.name(k) in G.names:
+                j = G.names.index(use.name(k))
+                caution[j] = (G.scales[j] / far) ** 2
+    return caution
+
+
+def _cautious(G: Gram, jacobian: Jacobian, blocks: Array, caution: Array) -> PathFit:
+    """The fit with its step in searched parameters kept short, and what goes with them."""
+    everything = np.arange(FOLDS)
+    result = fit(G, jacobian, everything, blocks)
+    if not caution.any():
+        return result
+    return replace(fit(G, jacobian, everything, blocks, ridge=caution), covariance=result.covariance)
+
+
+def _in_common(data: MotionBlocks, F: Series, weight: Array, common: dict[tuple[int, int], Complexes]) -> list[Term]:
+    """What the unknown force at place i has in common with that at j, and the other way round, as columns. With them
+    the rest of F_i is independent of F_j and of all motion that F_j makes; the determinant does not change."""
+
+    def follows(i: int, j: int, shape: Complexes) -> Term:
+        P = len(data.places)
+        rms, name = max(float(F[j].std()), 1e-300), f"{data.places[i]}.follows.{data.places[j]}"
+        shape = shape * np.sqrt(weight[j] / weight[i])
+        return light(Term(name, "1", {i: F[j]}, np.zeros((P, P, 2)), 1.0 / rms, shape=shape))
+
+    return [t for (i, j), own in common.items() for t in (follows(i, j, own), follows(j, i, own.conj()))]
+
+
+def _wave(data: MotionBlocks, wave: Wave) -> Term:
+    """What the amplitude of a periodic force may be off by, as a column. Without it a wrong one moves k and c, which
+    are then as wrong as the line about a resonance."""
+    P = len(data.places)
+    made = wave.series(data.t, data.phase)
+    rms = max(float(np.std(z)) for z in made.values())
+    return light(Term(wave.name, wave.unit, made, np.zeros((P, P, 2)), 1.0 / max(rms, 1e-300)))
+
+
+def _whole_power(data: MotionBlocks, fit: PathFit, common: dict[tuple[int, int], Complexes]) -> Array:
+    """(places,) S of the whole unknown forces: the rest that the columns above leave is 1 - rho^2 of it."""
+    S = fit.S.copy()
+    for (i, j), own in common.items():
+        there, back = (fit.value(f"{data.places[a]}.follows.{data.places[b]}")[0] for a, b in ((i, j), (j, i)))
+        S[[i, j]] /= max(1.0 - there * back * float(np.mean(np.abs(own) ** 2)), 1e-6)
+    return S

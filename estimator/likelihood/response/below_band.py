@@ -1,0 +1,163 @@
+"""The slow displacement that some laws make and no accelerometer sees: below the band, it follows from the law.
+
+A law with an even part (a quadratic one, a one-sided stop) pushes the cap off its centre, by more while the vibration
+is stronger: x_slow = -h(phi(x + x_slow)), h the response of the rotor below the band, through the shaft also at the
+other cap: there it is half as large with a shaft twice as stiff as the bearings. Left out, kq of 6 % of
+the bearing force comes out 4 % too small, and the law works about the wrong centre. A periodic force below the band,
+such as an imbalance, turns the stiffness of a law that sees only the rest. Hysteresis pushes by loops that end off the
+centre, now on this side and now on that: less, but what it loses so near the edge of the band, and about twice the
+resonance, would be taken for stiffness.
+
+Where a force is measured, what it does below the band is known as well, and every law has it: beside a strong x^5 it
+is 8 % of the displacement, and its coefficient came out 1 % small, many times what its standard deviation said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.arrays import Array, Complexes
+from estimator.effects.engine.compiled import memory_array
+from estimator.effects.engine.law_loop import force_array
+from estimator.likelihood.motion.located_law import Placed, evaluate, remembers
+from estimator.likelihood.motion.motion_record import MotionBlocks
+from estimator.model.effect import Effect
+from estimator.parallel import each
+from estimator.signals.band_limit import unseen
+
+from .modal_response import yields
+
+EVEN = 1e-3  # of a law's size: less of it is even in x by rounding alone
+STEPS = 40  # points from which that is seen
+ROUNDS = 3  # beside measured forces: each leaves the change of a law's tangent over the stiffness of the error
+
+
+def lopsided(effect: Effect, p: Array, sizes: Array) -> bool:
+    """Whether a law has a part that is even in the motion; sizes : (4,) of x, v, xo, vo."""
+    if effect.kind != "force" or effect.force is None:
+        return False
+    x, v, xo, vo = np.random.default_rng(0).normal(size=(4, STEPS)) * sizes[:, None]
+    there, back = force_array(effect, p, x, v, xo, vo), force_array(effect, p, -x, -v, -xo, -vo)
+    return bool(np.abs(there + back).max() > EVEN * np.abs(there - back).max() + 1e-300)
+
+
+def usual(effect: Effect) -> Array:
+    """(k,) parameters of a law in natural sizes."""
+    return np.array([1.0 if q.linear else q.default for q in effect.parameters])
+
+
+def own_sizes(effect: Effect) -> Array:
+    """(4,) of x, v, xo, vo that the usual parameters of a law are natural for: a user's law has its lengths in m."""
+
+    def of(unit: str) -> float:
+        return max((abs(q.default) for q in effect.parameters if q.unit == unit and q.default), default=1.0)
+
+    return np.array([of("m"), of("m/s")] * 2)
+
+
+def below(
+    yields: Callable[[Array], Complexes], rate_hz: float, band: tuple[float, float], kinds: Sequence[str]
+) -> Callable[[Array], Complexes]:
+    """Displacement below the band per force, (f, places, places) m/N at w (f,) rad/s, as far as the sensors do not show
+    it. yields : all of it. kinds : of the sensor at each place."""
+
+    def response(w: Array) -> Complexes:
+        f = w / (2 * np.pi)
+        part = np.stack([np.where(f < band[0], unseen(f, rate_hz, band, kind), 0.0) for kind in kinds], axis=1)
+        return np.asarray(part[..., None] * yields(w))
+
+    return response
+
+
+def moved(
+    push: Mapping[int, Array], response: Callable[[Array], Complexes], rate_hz: float, low_hz: float
+) -> dict[int, Array]:
+    """(n,) m by place, of those that restoring forces push (n,) N by place move; nothing from low_hz on."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    n = next(iter(push.values())).size
+    size = next_fast_len(n, real=True)
+    f: Array = np.asarray(np.fft.rfftfreq(size, 1 / rate_hz)[: int(low_hz * size / rate_hz) + 1], np.float64)
+    G = response(2 * np.pi * f)
+    forces = {j: np.asarray(rfft(one, size)[: f.size]) for j, one in push.items()}
+    there = [i for i in range(G.shape[1]) if G[:, i, list(forces)].any()]
+    F = np.stack([*forces.values()], axis=1)
+    return {i: irfft(-(G[:, i, list(forces)] * F).sum(axis=1), size)[:n] for i in there}
+
+
+def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -> MotionBlocks:
+    """The record with the slow displacement of the laws as they stand, of periodic forces and of measured ones, beside
+    what sensors measure of it. kL, c : (places,).
+
+    Where a cap resonates below the band, measured forces make most of the motion there, by numbers that are fitted
+    above: they are let go.
+    """
+    lin = np.stack([data.mass, kL, c], axis=1)
+    own = [[u for u in uses if i in u.at and u.p.any() and _pushes(u, data, i, lin)] for i in range(len(data.places))]
+    if not any(own) and not data.pushes and data.shaken is None:
+        return data
+    for _ in range(1 if data.shaken is None else ROUNDS):
+        push, tangents = _pushed(data, own, lin)
+        D = np.stack([np.diag(kL), np.diag(c)], axis=-1)
+        if data.shaken is not None:  # the caps then move much, and a strong law answers as its mean tangent
+            D[..., 0] += tangents
+            if not _above(data, np.diag(D[..., 0])):
+                return with_slow(replace(data, slow=data.measured, shaken=None), kL, c, uses)
+            push = {i: push.get(i, 0.0) - tangents[i] @ _slow(data) - force for i, force in enumerate(data.shaken)}
+        response = _response(data, D)
+        slow = np.zeros(data.x.shape, np.float32)
+        if push:
+            for i, x in moved(push, response, data.rate_hz, data.band[0]).items():
+                slow[i] += x
+        for periodic in data.pushes:
+            for i, x in periodic.displacement(data.t, data.phase, response).items():
+                slow[i] += x
+        if data.measured is not None:
+            slow += data.measured
+        data = replace(data, slow=slow)
+    return data
+
+
+def _response(data: MotionBlocks, D: Array) -> Callable[[Array], Complexes]:
+    return below(lambda w: yields(w, data.mass, D, data.places, data.disc), data.rate_hz, data.band, data.kinds)
+
+
+def _above(data: MotionBlocks, k: Array) -> bool:
+    """Whether every cap resonates above the lower edge of the band. k : (places,) N/m, in the bearing."""
+    held = 0.0 if data.disc is None else data.disc.held[0]
+    return bool(np.all(k + held > data.mass * (2 * np.pi * data.band[0]) ** 2))
+
+
+def _pushes(use: Placed, data: MotionBlocks, i: int, lin: Array) -> bool:
+    """Whether a law makes slow displacement, or takes of that of a measured force."""
+    if use.effect.kind == "force":
+        return data.shaken is not None or lopsided(use.effect, use.p, data.sizes(i))
+    return remembers(use, lin[i])
+
+
+def _pushed(data: MotionBlocks, own: Sequence[Sequence[Placed]], lin: Array) -> tuple[dict[int, Array], Array]:
+    """By place the force (n,) N of its laws, and (places, places) N/m their mean tangents to the displacements."""
+
+    def force(use: Placed, i: int) -> tuple[Array, Array]:
+        if use.effect.kind == "force":
+            f, slopes, _ = evaluate(use, data, i, lin)
+            return f, data.over_folds(slopes)[:, 0]
+        return memory_array(use.effect, use.p, lin[i], data.seen(i), data.v[i], data.rate_hz), np.zeros(len(own))
+
+    def at(i: int) -> tuple[Array, Array]:
+        forces, slopes = zip(*(force(u, i) for u in own[i]), strict=True)
+        return np.asarray(np.sum(forces, axis=0)), np.asarray(np.sum(slopes, axis=0))
+
+    there = [i for i, laws in enumerate(own) if laws]
+    found = dict(zip(there, each(at, there), strict=True))
+    tangents = np.zeros((len(own), len(own)))
+    for i, (_, slopes) in found.items():
+        tangents[i] = slopes
+    return {i: f for i, (f, _) in found.items()}, tangents
+
+
+def _slow(data: MotionBlocks) -> Array:
+    return np.zeros(data.x.shape, np.float32) if data.slow is None else np.asarray(data.slow)

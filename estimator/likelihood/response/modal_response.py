@@ -1,0 +1,155 @@
+"""What a cap does after a push: the response of the mean rotor, shaft and disc included, as a sum of its modes.
+
+Each cap is taken with the mean tangents of its laws; an impulse of force on it is then answered by
+x(tau) = Re sum_k r_k exp(p_k tau). On a stiff shaft that is far from what the cap would do by itself: of one whose
+bearing is as stiff as the shaft the resonance is at 1250 Hz for 780.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.arrays import Array, Complexes
+from estimator.model.disc import Disc
+from estimator.model.rotor import shaft_at_caps, shaft_matrix
+
+TAKES_PART = 0.01  # of the variance that white force makes by the largest mode: less is not waited for
+OVER = 1000  # times, to look for the end of an answer at
+SLOWLY = 0.1  # as many decays of the slowest mode as of all by their power: beside a stiff shaft 240 s were asked for
+FELT = 1e-6  # of the largest residue: modes with less are those of other caps
+
+
+@dataclass(frozen=True, slots=True)
+class Mean:
+    """poles, residues : (modes,) rad/s and m/(N s), of a pair the one above the real axis, doubled."""
+
+    poles: Complexes
+    residues: Complexes
+
+    @property
+    def sound(self) -> bool:
+        """Whether what was pushed comes to rest."""
+        return bool(self.poles.real.max() < 0.0)
+
+    @property
+    def _power(self) -> Array:
+        """(modes,) variance of the displacement that white force makes, by modes apart."""
+        return np.asarray(np.abs(self.residues) ** 2 / np.maximum(np.abs(self.poles.real), 1e-9))
+
+    @property
+    def hz(self) -> float:
+        """Of its main resonance."""
+        return float(np.abs(self.poles[np.argmax(self._power)]) / (2 * np.pi))
+
+    @property
+    def decay(self) -> float:
+        """s in which free motion falls by e, in the slowest mode that takes part."""
+        part = self._power > TAKES_PART * self._power.max()
+        return float((-1.0 / self.poles.real[part]).max())
+
+    @property
+    def quick(self) -> float:
+        """The same in the mean over its modes, by their power."""
+        return float(self._power.sum() / (self._power @ np.abs(self.poles.real)))
+
+    def unfinished(self, seconds: float) -> float:
+        """Share of the power of the answer to an impulse that is to come this long after it."""
+        return float(self._power @ np.exp(2.0 * seconds * self.poles.real) / self._power.sum())
+
+    def over(self, left: float) -> float:
+        """s after an impulse from which on only so much of the power of the answer is to come, of modes that have more,
+        apart."""
+        power, decays = self._power / self._power.sum(), 2.0 * np.abs(self.poles.real)
+        part = power > left
+        t = np.linspace(0.0, -1.01 * np.log(left) / decays[part].min(), OVER)
+        return float(t[np.argmax(np.exp(-np.multiply.outer(t, decays[part])) @ power[part] <= left)])
+
+    @property
+    def stiffness(self) -> float:
+        """N/m at rest."""
+        return float(1.0 / self.at(np.zeros(1)).real[0])
+
+    @property
+    def width(self) -> float:
+        """N/m, the least dynamic stiffness: that of a resonance, c w0 of a cap by itself."""
+        return float(1.0 / np.abs(self.at(np.abs(self.poles.imag))).max())
+
+    def at(self, w: Array) -> Complexes:
+        """(f,) m/N at w rad/s."""
+        iw = 1j * w[:, None]
+        pairs = self.residues / (iw - self.poles) + self.residues.conj() / (iw - self.poles.conj())
+        return np.asarray(0.5 * pairs.sum(axis=1))
+
+    def after(self, tau: Array) -> Array:
+        """(2, lags) x and v after an impulse of 1 N s."""
+        free = self.residues * np.exp(np.multiply.outer(tau, self.poles))
+        return np.stack([free.sum(axis=1).real, (free @ self.poles).real])
+
+    def seconds(self, least: float, decays: float) -> float:
+        """Of the record that covariances of its motion need: so many times as its power forgets, and of a mode that
+        rings on with a smaller part of it a tenth as many."""
+        return max(least, decays * self.quick, SLOWLY * decays * self.decay)
+
+    def lags(self, dt: float, most: int) -> int:
+        """Number of lags after which free motion has died out, a power of two unless `most`; a step of a fit may try a
+        damping that lets nothing move."""
+        return min(most, 1 << max(3, int(np.ceil(np.log2(7.0 * self.decay / dt)))))
+
+
+def yields(w: Array, mass: Array, D: Array, places: Sequence[str], disc: Disc | None) -> Complexes:
+    """(f, places, places) m/N at w (f,) rad/s, displacement of each cap per force on each; see `mean_responses`."""
+    iw = 1j * w[:, None, None]
+    dynamic = D[..., 0] + iw * D[..., 1] + iw**2 * np.diag(mass)
+    if disc is not None:
+        caps, _ = shaft_at_caps(disc.shaft, disc.ks, disc.cs, disc.m, w)
+        for at, ends in _directions(places):
+            dynamic[:, np.array(at)[:, None], at] += caps[:, np.array(ends)[:, None], ends]
+    return np.asarray(np.linalg.inv(dynamic))
+
+
+def _directions(places: Sequence[str]) -> list[tuple[list[int], list[int]]]:
+    """Indices of the places of each direction, and of their ends of the shaft."""
+    by = [[i for i, p in enumerate(places) if p.endswith(d)] for d in sorted({p.split(".")[1] for p in places})]
+    return [(at, [0 if places[i].startswith("bearing1") else 1 for i in at]) for at in by]
+
+
+def alone(m: float, c: float, k: float) -> Mean:
+    """Of one mass by itself."""
+    return mean_responses(np.array([m]), np.array([[[k, c]]]), ("bearing1.x",), None)[0]
+
+
+def mean_responses(
+    mass: Array, D: Array, places: Sequence[str], disc: Disc | None, memories: Sequence[tuple[int, Array]] = ()
+) -> tuple[Mean, ...]:
+    """Of each cap of a rotor. mass : (places,) kg; D : (places, places, 2) mean tangents of displacement and velocity,
+    N/m and N s/m, the shaft's left out. disc : None without a shaft. memories : at a place, as linear_memory.states."""
+    n = len(places)
+    M, K, C = mass, D[..., 0], D[..., 1]
+    if disc is not None:
+        for at, ends in _directions(places):
+            M, K, C = np.append(M, disc.m), np.pad(K, (0, 1)), np.pad(C, (0, 1))
+            here, nodes = np.ix_([*at, len(M) - 1], [*at, len(M) - 1]), np.ix_([*ends, 2], [*ends, 2])
+            K[here] += shaft_matrix(disc.shaft, disc.ks)[nodes]
+            C[here] += shaft_matrix(disc.shaft, disc.cs)[nodes]
+    size = len(M)
+    free = np.block([[np.zeros((size, size)), np.eye(size)], [-K / M[:, None], -C / M[:, None]]])
+    for i, own in memories:
+        before, more = len(free), len(own) - 1
+        seen = [*range(before, before + more), i, size + i]
+        free = np.pad(free, (0, more))
+        free[before:, seen] = own[:-1]
+        free[size + i, seen] -= own[-1] / mass[i]
+    poles, right = np.linalg.eig(free)
+    left = np.linalg.inv(right)[:, size : 2 * size] / M
+    above = poles.imag >= 0.0
+    double = np.where(poles.imag > 0.0, 2.0, 1.0)
+
+    def of(i: int) -> Mean:
+        residues = double * right[i] * left[:, i]
+        felt = above & (np.abs(residues) > FELT * np.abs(residues).max())
+        return Mean(np.asarray(poles[felt], np.complex128), np.asarray(residues[felt], np.complex128))
+
+    return tuple(of(i) for i in range(n))

@@ -1,0 +1,308 @@
+"""One column per parameter of the linear part and of a placed effect, and what of it the base does not say already."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from estimator.arrays import Array, Complexes
+from estimator.likelihood.motion import linear_memory, shaft_law
+from estimator.likelihood.motion.located_law import Evaluated, Placed, at_home, evaluate, tangent_series
+from estimator.likelihood.motion.motion_record import FOLDS, MotionBlocks
+from estimator.parallel import each
+
+from .fluctuation import Fluctuation
+from .impulse_probe import Probe
+
+T = TypeVar("T")
+SPAN = 0.1  # of a searched parameter of a law with memory: over less its mean response is that of few kinks
+SMALL = 1e-4  # of the shaft's stiffness, that a law of the shaft is stepped by
+LEAST = 1e-30  # rms per unit that single precision holds: x^5 of a quiet bearing is below
+
+
+class Units:
+    """The terms of the amplitudes of the law that was asked for last, on one record: a search looks at a law's gain,
+    and goes on from there."""
+
+    def __init__(self) -> None:
+        self._last: tuple[tuple[str, bytes], list[Term]] = ("", b""), []
+
+    def of(self, placed: Placed, made: Callable[[], list[Term]]) -> list[Term]:
+        """Those of a law of the states, made if they are not known."""
+        searched = [not q.linear for q in placed.effect.parameters]
+        law = placed.key, placed.p[searched].tobytes() + bytes(placed.at)
+        last, known = self._last
+        if law != last:
+            known = made()
+            self._last = law, known
+        return known
+
+
+def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = False) -> list[Term]:
+    """One column per free parameter: the force per unit for a linear one, a central difference for a searched one;
+    none of a law that is zero all along the record.
+
+    lin : (places, 3) m, kL, c.
+    """
+
+    def law(i: int, p: Array) -> Evaluated:
+        return evaluate(placed, data, i, lin, p)
+
+    responding = placed.effect.kind in ("memory", "shaft")
+    at = _once(law) if responding else law
+    free = [k for k, q in enumerate(placed.effect.parameters) if placed.free[k] and (q.linear or not linear_only)]
+    if placed.effect.kind == "shaft":  # integrated anew for every one of them
+        caps = {shaft_law.first(data, i) for i in placed.at}
+        each(lambda ask: at(*ask), [(i, p) for k in free for p, _ in _ends(placed, k, data) for i in caps])
+    out = []
+    for k in free:
+        q = placed.effect.parameters[k]
+        series: dict[int, NDArray[Any]] = {}
+        memory: dict[int, Complexes] = {}
+        slopes = np.zeros((FOLDS, len(data.places), len(data.places), 2))
+        ends = _ends(placed, k, data)
+        for i in placed.at:
+            made = [at(shaft_law.first(data, i) if placed.effect.kind == "shaft" else i, p) for p, _ in ends]
+            series[i] = _summed(f if w == 1.0 else w * f for (_, w), (f, _, _) in zip(ends, made, strict=True))
+            slopes[:, i] = _summed(w * s for (_, w), (_, s, _) in zip(ends, made, strict=True))
+            if responding:
+                memory[i] = _summed(w * m for (_, w), (_, _, m) in zip(ends, made, strict=True) if m is not None)
+        rms = float(np.sqrt(np.mean([np.dot(z, z) / z.size for z in series.values()])))
+        if rms == 0.0:
+            continue  # of a law that is still zero, or that the motion does not reach
+        mean = data.over_folds(slopes)
+        out.append(light(Term(placed.name(k), q.unit, series, mean, 1.0 / rms, memory, slopes - mean)))
+    return out
+
+
+def dressed(made: list[Term], placed: Placed, fluctuations: Sequence[Fluctuation | Probe | None]) -> list[Term]:
+    """The terms of an effect with what the fluctuating laws of the model, by place, do to their mean response."""
+    if placed.effect.kind == "shaft" or not any(fluctuations[i] for i in placed.at):
+        return made
+    numbers = {placed.name(k): k for k in range(len(placed.effect.parameters))}
+
+    def remembering(i: int, p: Array) -> Complexes | float:
+        here = fluctuations[i]
+        return 0.0 if here is None else here.of_memory(placed, p)
+
+    at = _once(remembering)
+    out = []
+    for term in made:
+        memory, k = dict(term.memory), numbers[term.name]
+        for i in placed.at:
+            if (here := fluctuations[i]) is not None:
+                ends = _ends(placed, k, here.data)
+                if placed.effect.kind == "memory":
+                    own = _summed(w * at(i, p) for p, w in ends)
+                elif isinstance(here, Fluctuation) and (known := here.per_unit(placed, k)) is not None:
+                    own = known
+                else:
+                    own = here.of(_summed(w * tangent_series(placed, here.data, i, p) for p, w in ends))
+                memory[i] = memory.get(i, 0.0) - at_home(own, i, here.data)
+        out.append(replace(term, memory=memory))
+    return out
+
+
+def _once(found: Callable[[int, Array], T]) -> Callable[[int, Array], T]:
+    """The same, remembering what it found at a place for some parameters."""
+    known: dict[tuple[int, bytes], T] = {}
+
+    def at(i: int, p: Array) -> T:
+        key = i, p.tobytes()
+        if key not in known:
+            known[key] = found(i, p)
+        return known[key]
+
+    return at
+
+
+def _ends(placed: Placed, k: int, data: MotionBlocks) -> list[tuple[Array, float]]:
+    """Parameter vectors and weights whose sum of forces is the force per unit of parameter k."""
+    parameters = placed.effect.parameters
+    if placed.effect.kind == "shaft" and data.disc is not None:  # linear in the first order only: it moves the disc
+        near = SMALL * data.disc.K * np.eye(placed.p.size)[k]
+        if np.abs(placed.p).max() <= near[k]:  # on trial
+            return [(near, 1.0 / near[k])]
+        return [(placed.p + near, 0.5 / near[k]), (placed.p - near, -0.5 / near[k])]
+    if parameters[k].linear:
+        p = np.where([q.linear for q in parameters], 0.0, placed.p)
+        p[k] = 1.0
+        return [(p, 1.0)]
+    amplitudes = [j for j, q in enumerate(parameters) if q.linear]
+    if placed.effect.kind == "memory" and len(amplitudes) == 1:
+        # one force is that of the amplitude; a column need not be the derivative to give no bias
+        unit, a, step = _ends(placed, amplitudes[0], data)[0][0], placed.p[amplitudes[0]], SPAN * abs(placed.p[k])
+        up = unit.copy()
+        up[k] += step
+        return [(up, a / step), (unit, -a / step)]
+    step = 1e-3 * max(reach(placed, k, data), 1e-12)
+    up, down = placed.p.copy(), placed.p.copy()
+    up[k] += step
+    down[k] -= step
+    return [(up, 0.5 / step), (down, -0.5 / step)]
+
+
+def reach(placed: Placed, k: int, data: MotionBlocks) -> float:
+    """What a searched parameter has to change by to make another law: its own size; of a shaft order, what turns the
+    end of the record by a radian."""
+    if placed.effect.parameters[k].scale == "bpfo":
+        return 1.0 / max(float(data.phase[-1]), 1.0)
+    return float(abs(placed.p[k]))
+
+
+def _summed(parts: Iterator[Any]) -> Any:
+    """Their sum, in the memory of the first."""
+    total = next(parts)
+    for part in parts:
+        total += part
+    return total
+
+
+def light(term: Term) -> Term:
+    """The term for keeping: its own series in single precision if that can hold it, views of the record as they are."""
+    if term.scale > 1.0 / LEAST:
+        return term
+    return replace(
+        term, series={i: z if z.base is not None else z.astype(np.float32, copy=False) for i, z in term.series.items()}
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """What the base terms span at one place, each scaled to rms 1: their Gram matrix and tangents."""
+
+    base: tuple[Term, ...]
+    part: NDArray[np.float32]  # (k, n / STRIDE) of their series
+    gram: Array
+    slopes: Array  # (k, places, 2)
+    apart: Array  # (k, folds, places, 2) of those of time folds, see Term
+    memory: Complexes | None  # (k, places, bins) more of the response to x, see Term
+
+
+@njit(cache=True, nogil=True)
+def add_to(z, weight, other):  # type: ignore[no-untyped-def]
+    """z += weight * other, (n,), without memory for the product: that takes longer than the sum."""
+    for i in range(z.size):
+        z[i] += weight * other[i]
+
+
+STRIDE = 4  # of the samples that the projection is computed from; it need not be exact, only subtracted exactly
+
+
+def span(base: Sequence[Term], i: int) -> Span:
+    """The base at place i."""
+    own = tuple(b for b in base if i in b.series)
+    part = np.stack([(b.series[i][::STRIDE] * b.scale).astype(np.float32) for b in own])
+    wide = part.astype(np.float64)
+    more = next((b.memory[i] for b in own if i in b.memory), None)
+    memory = None if more is None else np.stack([b.memory.get(i, 0.0 * more) * b.scale for b in own])
+    slopes = np.stack([b.tangent[i] * b.scale for b in own])
+    still = np.zeros((FOLDS, *slopes.shape[1:]))
+    apart = np.stack([still if b.apart is None else b.apart[:, i] * b.scale for b in own])
+    return Span(own, part, wide @ wide.T, slopes, apart, memory)
+
+
+class Spans:
+    """The base's span at every place, made when it is first asked for."""
+
+    def __init__(self, base: Sequence[Term]) -> None:
+        self._base, self._made = base, dict[int, Span]()
+
+    def __getitem__(self, i: int) -> Span:
+        if i not in self._made:
+            self._made[i] = span(self._base, i)
+        return self._made[i]
+
+
+def orthogonal(term: Term, spans: Spans, least: float = 1e-4) -> Term | None:
+    """The term without what the base (by place) already explains there, series and tangent alike.
+
+    The likelihood is the same function of the new parameter; what changes is that nearly equal columns keep their
+    difference in single precision. None if less than `least` of its rms is left: the base says it all.
+    """
+    series, slopes, memory = {}, term.tangent.copy(), dict(term.memory)
+    apart = None if term.apart is None else term.apart.copy()
+    before = after = 0.0
+    for i, z in term.series.items():
+        base = spans[i]
+        weights = np.linalg.lstsq(base.gram, base.part @ z[::STRIDE], rcond=1e-10)[0]
+        rest = z.astype(np.float64)
+        for weight, b in zip(weights, base.base, strict=True):
+            add_to(rest, -weight * b.scale, b.series[i])
+        slopes[i] -= np.tensordot(weights, base.slopes, 1)
+        if apart is not None:
+            apart[:, i] -= np.tensordot(weights, base.apart, 1)
+        if base.memory is not None:
+            memory[i] = np.asarray(memory.get(i, 0.0) - np.tensordot(weights, base.memory, 1), np.complex128)
+        series[i] = rest
+        before += float(z @ z)
+        after += float(rest @ rest)
+    if not after > least**2 * before:
+        return None
+    n = next(iter(series.values())).size
+    return replace(
+        term,
+        series=series,
+        tangent=slopes,
+        memory=memory,
+        scale=1.0 / float(np.sqrt(after / len(series) / n)),
+        apart=apart,
+    )
+
+
+def linear_terms(data: MotionBlocks, i: int, lin: Array, uses: Sequence[Placed] = ()) -> list[Term]:
+    """kL and c of a place. lin : (3,) m, kL, c. uses : laws, some of which may answer by them, as a pedestal does."""
+    P = len(data.places)
+    out = []
+    for which, (name, unit, z) in enumerate((("kL", "N/m", data.x[i]), ("c", "N s/m", data.v[i]))):
+        slope = np.zeros((P, P, 2))
+        slope[i, i, which] = 1.0
+        series, memory = z, dict[int, Complexes]()
+        for use in uses:
+            own = i in use.at and use.effect.kind == "memory"
+            if own and (more := linear_memory.slope(use.effect, use.p, lin, 1 + which)) is not None:
+                series = (series + linear_memory.filtered(more, data.x[i], data.rate_hz)).astype(z.dtype)
+                memory[i] = memory.get(i, 0.0) + at_home(more(2 * np.pi * data.f_hz), i, data)
+        rms = max(float(data.rms[which, i]), 1e-300)
+        out.append(Term(f"{data.places[i]}.{name}", unit, {i: series}, slope, 1.0 / rms, memory))
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One parameter's force per unit: series by place index, (n,) N per unit, and its mean tangent.
+
+    tangent : (places, places, 2): mean derivative of the force at place i to x_l and to v_l. apart : (folds, places,
+    places, 2) of those of each time fold less these; None for a term that is the same throughout.
+    memory : by place, (places, bins) N/m per unit, more of the mean response of the force there to every x_l: of a
+    force with memory or through the disc, or of a tangent that fluctuates (likelihood/response/fluctuation.py).
+    name : "bearing1.x.kL" and so on. scale : what the parameter is divided by in the computation. shape : (bins,) by
+    which its spectra are multiplied.
+    """
+
+    name: str
+    unit: str
+    series: dict[int, NDArray[Any]]
+    tangent: Array
+    scale: float = 1.0
+    memory: dict[int, Complexes] = field(default_factory=dict)
+    apart: Array | None = None
+    shape: Complexes | None = None
+
+
+def response(tangent: Array, s: Complexes) -> Complexes:
+    """(..., bins) contribution to A at s (bins,) of a mean tangent (..., 2)."""
+    return np.asarray(tangent[..., :1] / s**2 + tangent[..., 1:] / s)
+
+
+def term_response(term: Term, s: Complexes) -> Complexes:
+    """(places, places, bins) contribution to A at s (bins,) of one scaled unit of a term."""
+    out = response(term.tangent, s)
+    for i, more in term.memory.items():
+        out[i] += more / s**2
+    return out * term.scale

@@ -1,0 +1,154 @@
+"""The laws of a force balance dressed by what their tangents fluctuate (likelihood/response/self_energy.py), and by sensor noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array, Complexes
+from estimator.likelihood.motion.force_balance import Balance
+from estimator.likelihood.motion.law_columns import Columns
+from estimator.likelihood.motion.stream_record import Record, stretches
+from estimator.signals.blocks import valid_blocks
+
+from .modal_response import Mean, mean_responses
+from .self_energy import DECAYS, SECONDS, covariance, dressed_response, self_energy, spectra
+
+
+def self_energies(
+    record: Record, columns: Columns, B: Array, tangents: Array, f_hz: Array, seconds: float = SECONDS
+) -> Complexes | None:
+    """(f, columns, columns) N/m, at f_hz, per pair of law columns at one place: Sigma_j is its sum over k times B_k.
+
+    B : (places, columns) coefficients of the balance; tangents : (columns, 4) means. Nothing where what was pushed does
+    not come to rest. None where the mean tangents of a place are not positive, or no law is there.
+    """
+    balance = columns.balance
+    D = mean_tangents(balance, B, tangents)
+    own = np.einsum("iik->ki", D)
+    if all(law.effect.kind != "force" for law in balance.laws) or np.any(own <= 0.0) or np.any(np.diag(B) <= 0.0):
+        return None
+    mean = of_caps(balance, B, D)
+    out = np.zeros((f_hz.size, len(balance.columns), len(balance.columns)), complex)
+    for row in [i for i, m in enumerate(mean) if m.sound]:
+        laws = [
+            k
+            for k, c in enumerate(balance.columns)
+            if c.kind == "law" and c.row == row and balance.laws[c.law].effect.kind == "force"
+        ]
+        if laws:
+            C, dt = _covariances(record, columns, laws, mean[row], seconds)
+            out[:, np.array(laws)[:, None], laws] = pair_energies(C, dt, B[row, laws], mean[row], f_hz)
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Flutter:
+    """What the noise e of displacement sensors does in the laws, per unit of each law.
+
+    covariance : (places, columns, columns) of the tangents at a place, (N/m)^2. bend : (places, columns) N/m^3, half
+    the curvature of the tangent, from its regression on x^2; both 0 for other columns and sensors.
+    """
+
+    covariance: Array
+    bend: Array
+
+
+def flutter(record: Record, columns: Columns, seconds: float = SECONDS) -> Flutter | None:
+    """What noise does in the laws; None where no sensor is one of displacement (integrated, that of others is small).
+
+    The noise enters the force of a law as phi'(x) e + phi''(x) e^2 / 2. The mean tangent is seen through A; by what it
+    fluctuates it adds white noise to the column of the law, which least squares would bend the law to shrink. The
+    second part has the mean <e^2> phi'' / 2, which looks like a stiffness.
+    """
+    balance = columns.balance
+    covariance = np.zeros((len(balance.places), len(balance.columns), len(balance.columns)))
+    bend = np.zeros((len(balance.places), len(balance.columns)))
+    usable = valid_blocks(record.motion.valid, record.grid)[::2]
+    usable = usable[: max(2, int(seconds * record.rate_hz / record.grid.size))]
+    for row, kind in enumerate(balance.kinds):
+        laws = [
+            k
+            for k, c in enumerate(balance.columns)
+            if c.kind == "law" and c.row == row and balance.laws[c.law].effect.kind == "force"
+        ]
+        if laws and kind == "displacement":
+            series, factor = _series(record, columns, laws, usable)
+            tangents = series[:, 0, :, ::factor].reshape(len(laws), -1)
+            first = usable * record.grid.hop
+            square = np.concatenate([record.motion.x[row, a : a + record.grid.size] for a in first]) ** 2
+            square -= square.mean()
+            covariance[row, np.array(laws)[:, None], laws] = np.cov(tangents).reshape(len(laws), len(laws))
+            bend[row, laws] = tangents @ square / (square @ square)
+    return Flutter(covariance, bend) if covariance.any() else None
+
+
+def _covariances(record: Record, columns: Columns, laws: list[int], mean: Mean, seconds: float) -> tuple[Array, float]:
+    """(laws, laws, 2, 2, lags) <kappa_ja(t + lag) kappa_kb(t)>, a and b: along x and v; and the time step."""
+    usable = valid_blocks(record.motion.valid, record.grid)[::2]  # each row once
+    usable = usable[: max(2, int(mean.seconds(seconds, DECAYS) * record.rate_hz / record.grid.size))]
+    series, factor = _series(record, columns, laws, usable)  # (laws, 2, blocks, n)
+    dt = 1.0 / (factor * record.rate_hz)
+    series -= series.mean(axis=(2, 3), keepdims=True)
+    lags = mean.lags(dt, series.shape[3])
+    Z = [spectra(z, lags) for z in series]
+    return np.array([[covariance(a, b, lags) for b in Z] for a in Z]), dt
+
+
+def pair_energies(C: Array, dt: float, B: Array, mean: Mean, f_hz: Array) -> Complexes:
+    """(f, laws, laws) self-energies of each law by each, from their covariances (laws, laws, 2, 2, lags)."""
+    g = dressed_response(np.einsum("j,k,jkabt->abt", B, B, C), dt, mean)
+    out = np.zeros((f_hz.size, B.size, B.size), complex)
+    if g is not None:
+        for j, k in np.ndindex(B.size, B.size):
+            out[:, j, k] = self_energy(C[j, k], g, dt, f_hz)
+    return out
+
+
+def _series(record: Record, columns: Columns, laws: list[int], usable: NDArray[np.intp]) -> tuple[Array, int]:
+    """(laws, 2, blocks, n) tangents along x and v, all on the finest grid that one of the laws needs."""
+    grid = record.grid
+    parts = []
+    for group in stretches(usable, 1):
+        start = int(group[0]) * grid.hop
+        parts.append([columns.tangent_series(k, record.stretch(start, start + grid.size)) for k in laws])
+    factor = max(p[2] for p in parts[0])
+    out = np.empty((len(laws), 2, len(parts), grid.size * factor))
+    fine = np.arange(grid.size * factor) / factor
+    for b, part in enumerate(parts):
+        for j, (kx, kv, own) in enumerate(part):
+            for a, z in enumerate((kx, kv)):
+                out[j, a, b] = z if own == factor else np.interp(fine, np.arange(grid.size), z)
+    return out, factor
+
+
+def mean_tangents(balance: Balance, B: Array, tangents: Array) -> Array:
+    """(places, places, 2) mean tangents of displacement and velocity, N/m and N s/m, from the coefficients and the
+    tangents of the columns (columns, 4); what B has of a chain's springs included."""
+    P = len(balance.places)
+    D = np.zeros((P, P, 2))
+    for i in range(P):
+        D[i, i] = B[i, 2 * P + i], B[i, P + i]
+        law = np.array([c.kind == "law" and c.row == i for c in balance.columns])
+        moved = B[i, law] @ tangents[law]
+        D[i, i] += moved[:2]
+        if (other := balance.other(i)) >= 0:
+            D[i, other] += moved[2:]
+    return D
+
+
+def of_caps(balance: Balance, B: Array, D: Array) -> tuple[Mean, ...]:
+    """Mean response of each place, D as `mean_tangents` gives it."""
+    return mean_responses(np.diag(B), balance.by_itself(D), balance.places, balance.disc)
+
+
+def dressed(pairs: Complexes, balance: Balance, B: Array, f_hz: Array) -> Complexes:
+    """(f, columns) change of each column's response to the acceleration of its own place, 1/(m/s^2) of its unit."""
+    w = 2 * np.pi * f_hz
+    out = np.zeros((f_hz.size, len(balance.columns)), complex)
+    for j, column in enumerate(balance.columns):
+        if column.kind == "law":
+            out[:, j] = pairs[:, j] @ B[column.row] / w**2
+    return out
