@@ -94,16 +94,16 @@ def fitted(rig: Rig, data: Measurement, method: str) -> Fit:
     """The fit of a record by the method's name; clipped channels are restored, and it is said."""
     from importlib import import_module
 
-    from estimator import declip, sensor_faults
+    from estimator.identification.record import clipping, declip
     from estimator.signals.shaft_angle import measured_phase
 
-    clipped = sensor_faults.find(rig.model, data.y)
+    clipped = clipping.find(rig.model, data.y)
     y, off = declip.restored(rig.model, data.y, frozenset(place for s in clipped for place in s.at))
     module = import_module(f"estimator.{method.replace('-', '_')}")
     phase = measured_phase(rig.model, y, data.rate_hz) if method == "spectral" else None
     result: Fit = module.fit(rig.model, y, data.rate_hz, **({} if phase is None else {"phase": phase}))
     drawn = {place for place, error in off.items() if error < np.inf}
-    said = [f"{s.region}: {declip.RESTORED}" if s.at[0] in drawn else sensor_faults.said(s) for s in clipped]
+    said = [f"{s.region}: {declip.RESTORED}" if s.at[0] in drawn else clipping.said(s) for s in clipped]
     return replace(result, messages=(*result.messages, *said))
 
 
@@ -129,7 +129,7 @@ def _compared(output: Output, rig: Rig, data: Measurement) -> dict[str, Any]:
 
 def comparison_text(value: Mapping[str, Any]) -> list[Any]:
     """A comparison for people."""
-    from estimator.missing_force import UNJUDGED
+    from estimator.identification.residual.missing_force import UNJUDGED
 
     missing = value["missing_force_percent"]
     interval = f"{missing['low']:.2f} to {missing['high']:.2f}"
@@ -205,7 +205,7 @@ def step(rig: Rig, comparison: Mapping[str, Any]) -> dict[str, Any]:
 def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     """A diagnosis for people."""
     from estimator.diagnose import no_law
-    from estimator.missing_force import UNJUDGED
+    from estimator.identification.residual.missing_force import UNJUDGED
 
     table = Table(box=None, header_style="bold", pad_edge=False)
     for heading in ("effect", "at", "held-out gain", "p-value", "missing there [%]", "parameters", "detectable from"):
@@ -272,7 +272,7 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
 def ending(last: Mapping[str, Any], added: Sequence[str] = ()) -> str:
     """Why an improvement stops, from its last diagnosis and what was added."""
     from estimator.diagnose import no_law
-    from estimator.missing_force import UNJUDGED
+    from estimator.identification.residual.missing_force import UNJUDGED
 
     verdict = last["verdict"]
     if verdict == "complete":

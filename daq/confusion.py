@@ -26,9 +26,9 @@ from estimator.diagnose import diagnose_point
 from estimator.effects import CATALOGUE
 from estimator.errors import ModelError
 from estimator.heldout import heldout_nll
+from estimator.identification.batch.full_fit import Whole, fit_whole
 from estimator.improve import rung
 from estimator.model.rig import EffectUse, Model
-from estimator.whole import Whole, fit_whole
 
 from . import hidden_pairs
 from .errors import ConfigError

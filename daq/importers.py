@@ -67,14 +67,14 @@ def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: 
 
 def limited(record: Record, rig: Rig) -> list[str]:
     """What to tell of motion channels whose samples pile up at a ceiling."""
-    from estimator import sensor_faults
+    from estimator.identification.record import clipping
 
     out = []
     for channel, values, factor in zip(rig.model.channels, record.values, record.factors, strict=True):
         if channel.place in rig.model.places and channel.kind != "force":
-            found = sensor_faults.clipping_level(values * factor)
+            found = clipping.clipping_level(values * factor)
             if found is not None:
-                out.append(sensor_faults.limited(channel.name, *found, record.samples))
+                out.append(clipping.limited(channel.name, *found, record.samples))
     return out
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator import fokker_planck
+from estimator.identification.moments import fokker_planck
+from estimator.identification.moments.plane_moments import PlaneMoments
+from estimator.identification.moments.planes import Cap, Plane
 from estimator.model.rig import BearingGeometry, Channel, EffectUse, Model, Setting
-from estimator.plane_moments import PlaneMoments
-from estimator.planes import Cap, Plane
 from estimator.simulation.simulator import Simulator
 
 Array = NDArray[np.float64]

@@ -6,21 +6,22 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.record import clipping
+from estimator.identification.residual import missing_force
+from estimator.identification.search import suspects
 from estimator.likelihood.fitting.fitted_values import fitted_model
 from estimator.likelihood.path.working_point import thinned
 from estimator.model.rig import Model
 
-from . import missing_force, sensor_faults
 from .arrays import Array
 from .curves import Law, curves
 from .heldout import heldout_nll, heldout_rmse, reference_nll
 from .parallel import answers
 from .results import Parameter
 from .shape import Shape
-from .suspects import suspects
 from .twin import twin
 from .where import Where, where_of
-from .whole import fit_whole
 
 Progress = Callable[[float, str], None]
 
@@ -85,7 +86,7 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         part, model, lambda: suspects(model, point, y), lambda: heldout_rmse(model, y, point.data.rate_hz),
         lambda: twin(fitted_model(model, point), point, y), lambda: heldout_nll(point),
     )  # fmt: skip
-    clipped = [sensor_faults.said(s) for s in others if s.effect == "sensor_clipping"]
+    clipped = [clipping.said(s) for s in others if s.effect == "sensor_clipping"]
     say(0.85, "where the model fails")
     channel = {p: next(c.name for c in model.channels if c.place == p) for p in point.data.places}
     asked: list[Callable[[], Any]] = [

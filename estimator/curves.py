@@ -1,6 +1,6 @@
 """What a person looks at to see where a model fails: force against the states, with 95 % bands.
 
-Two kinds, both from the joint fit of the model's own parameters and of smooth columns of a state (reference.py).
+Two kinds, both from the joint fit of the model's own parameters and of smooth columns of a state (identification/residual/black_box.py).
 Residual: what the model leaves over, freed from what its own parameters could take over. Law: the whole restoring
 force, model and residual together, freed from a straight line. The residual of a dead zone under a fitted cubic looks
 like a high polynomial; its law is flat in the middle with straight flanks, and is known far better than its parts.
@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.identification.residual import black_box
+from estimator.identification.residual.missing_force import Residual, Survey, ridged
 from estimator.likelihood.motion.motion_record import part_of
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.working_point import WorkingPoint
 
-from . import reference
 from .arrays import Array
-from .missing_force import Residual, Survey, ridged
 from .parallel import each
 from .shape import Shape
 
@@ -74,7 +74,7 @@ def curves(
             elif state == "shaft_angle":
                 shapes.append(_against_angle(fit, names, orders, name))
             else:
-                group, o = reference.other_direction(data, i), data.other(i)
+                group, o = black_box.other_direction(data, i), data.other(i)
                 if group is not None and o is not None:
                     shapes.append(_against_other(fit, names, group, data.x[o], name))
         return shapes, laws
@@ -180,7 +180,7 @@ def _against_angle(fit: PathFit, names: list[str], orders: tuple[float, ...], ch
     return _linear(fit, own, A, ANGLES, channel, "shaft_angle")
 
 
-def _against_other(fit: PathFit, names: list[str], group: reference.Group, z: Array, channel: str) -> Shape:
+def _against_other(fit: PathFit, names: list[str], group: black_box.Group, z: Array, channel: str) -> Shape:
     """Mean force at a displacement z of the other direction."""
     rms = float(z.std())
     knots = np.asarray(np.arange(-9, 10) * 0.35 * rms, dtype=np.float64)

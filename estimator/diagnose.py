@@ -9,22 +9,24 @@ from typing import Any
 
 import numpy as np
 
+from estimator.identification.batch.disturbance_numbers import with_found
+from estimator.identification.batch.full_fit import Whole, fit_whole
+from estimator.identification.finding import Suspect
+from estimator.identification.machine.harmonic_fit import found_beside
+from estimator.identification.residual import missing_force
+from estimator.identification.search import suspects
+from estimator.identification.structure import spectral_shape
 from estimator.likelihood.motion.harmonics import PERIODIC
 from estimator.likelihood.motion.known_spectra import COLOURS
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
 
-from . import adequacy, evidence, explains, force_colour, missing_force, two_laws
+from . import adequacy, evidence, explains, two_laws
 from .arrays import Array
 from .errors import DataError, NotFiniteError
 from .evidence import Entry
-from .numbered import with_found
-from .periodic_fit import found_beside
 from .ranking import FOREMOST, SIGNIFICANT, Progress, extrapolating, on_whole, ranked
 from .shape import Shape, shape_of
-from .suspect import Suspect
-from .suspects import suspects
-from .whole import Whole, fit_whole
 
 CLOSE = 10.0  # nats behind the first of the ranking, where the shape of what is left decides
 LEAVES = 1 / 3  # of a force in a spectrum (rms): a shape that leaves more is none of the catalogue
@@ -82,7 +84,7 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
     """The same from a model already fitted."""
     before, entries, known = _ranked(model, point, y, say)
     law = max((entry.gain for entry in entries), default=0.0)
-    if before.shares and (as_it_is := force_colour.as_it_is(model, point, law)) is not None:
+    if before.shares and (as_it_is := spectral_shape.as_it_is(model, point, law)) is not None:
         point, shares = as_it_is, before.shares
         before, entries, known = _ranked(model, point, y, say)
         before = replace(before, shares=shares)

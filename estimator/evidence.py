@@ -11,17 +11,17 @@ from scipy.special import chdtrc
 
 from estimator.effects.engine.places import at
 from estimator.effects.rotating.ball_pass import BALL_PASS
+from estimator.identification.finding import CLAIMED, UNKNOWN, Suspect
+from estimator.identification.machine import stiffness_order
+from estimator.identification.residual.missing_force import Survey
 from estimator.likelihood.motion.harmonics import LINE_NAMES
 from estimator.likelihood.motion.located_law import Placed
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 
-from . import modulation
 from .effects import CATALOGUE, NAMED
-from .missing_force import Survey
 from .results import Parameter
 from .screen import Trial
-from .suspect import CLAIMED, UNKNOWN, Suspect
 
 Settings = dict[str, dict[str, Parameter]]  # by canonical place, by name
 JOINT = 1e-2  # p-value, after counting, for a further bearing to be named beside the best one
@@ -85,7 +85,7 @@ def entries(
         by_effect.setdefault(t.effect.name, []).append(t)
     out = [_entry(point, own, tried, before) for own in by_effect.values()]
     if model.order_found:  # by the same data
-        more = modulation.looked_at(point)
+        more = stiffness_order.looked_at(point)
         out = [replace(e, p_value=min(1.0, e.p_value * more)) if e.effect == BALL_PASS.name else e for e in out]
     for name in dict.fromkeys(s.effect for s in others if s.effect != UNKNOWN):
         out.append(_suspected(model, point, [s for s in others if s.effect == name], before))

@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.fitted_values import parameters, untold
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
 
-from . import adequacy, evidence, missing_force, two_laws
+from . import adequacy, evidence, two_laws
 from .errors import NotFiniteError
 from .evidence import Entry
 from .heldout import heldout_nll

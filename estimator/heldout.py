@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.identification.residual.missing_force import Survey, ridge_of
 from estimator.likelihood.fitting.fitted_values import fitted_model
 from estimator.likelihood.motion.motion_record import FOLDS
 from estimator.likelihood.path.subproblem import component, heldout_gain, subproblem
@@ -16,7 +17,6 @@ from estimator.signals.channel_response import undone
 
 from .arrays import Array
 from .errors import DataError, ModelError
-from .missing_force import Survey, ridge_of
 
 CELLS = 40
 FITTED = 0.7  # of a record with a measured force; the rest is simulated
@@ -30,8 +30,9 @@ def heldout_rmse(model: Model, y: Array, rate_hz: float) -> dict[str, float]:
     forced = {c.place for c in model.channels if c.kind == "force"}
     if not model.places or not forced.issuperset(model.places):
         return {}
+    from estimator.identification.batch.full_fit import fit_whole
+
     from .free_run import simulation_rmse
-    from .whole import fit_whole
 
     try:
         found = fit_whole(model, y[: int(FITTED * len(y))], rate_hz)

@@ -6,24 +6,24 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from estimator.identification.batch.disturbance_numbers import with_found
+from estimator.identification.batch.full_fit import SHAPING, Whole, fit_whole
+from estimator.identification.residual.missing_force import NEGLIGIBLE, SURVEY_SECONDS, surveyed
+from estimator.identification.search import suspects
+from estimator.identification.structure import recorder_fall, recorder_phase
 from estimator.likelihood.fitting.fitted_values import fitted_model, untold
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
 
-from . import common_fall, recorder_phase
 from .arrays import Array
 from .diagnose import Diagnosis, diagnose_point
 from .errors import DataError
 from .evidence import Settings
 from .explains import EARNED
 from .heldout import heldout_nll, heldout_rmse
-from .missing_force import NEGLIGIBLE, SURVEY_SECONDS, surveyed
-from .numbered import with_found
 from .results import Parameter
-from .suspects import suspects
-from .whole import SHAPING, Whole, fit_whole
 
 Progress = Callable[[float, str], None]
 MOST = 5  # effects added at most
@@ -111,7 +111,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                     break
                 new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
                 # masses, shapes of spectra, and what the recorder takes and delays, were sought beside what was missing
-                taken = model.roll_off is not given.roll_off or common_fall.find(new_whole.model, richer)
+                taken = model.roll_off is not given.roll_off or recorder_fall.find(new_whole.model, richer)
                 shaped = any(use.name in SHAPING for use in model.effects)
                 if whole.masses or shaped or taken or recorder_phase.found(new_whole.model, richer):
                     again = replace(new_whole.model, mass=given.mass, roll_off=given.roll_off)

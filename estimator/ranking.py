@@ -6,17 +6,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+from estimator.identification.finding import Suspect
+from estimator.identification.residual import missing_force
+from estimator.identification.search import suspects
 from estimator.likelihood.motion.law_smoothing import ready
 from estimator.likelihood.motion.located_law import on_trial, searched
 from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
 from estimator.model.rig import Model
 
-from . import amplitude, evidence, missing_force, screen
+from . import amplitude, evidence, screen
 from .arrays import Array
 from .evidence import Entry
 from .parallel import answers
-from .suspect import Suspect
-from .suspects import suspects
 
 Progress = Callable[[float, str], None]
 SIGNIFICANT = 1e-3  # p-value, after counting all that was tried, below which an effect is claimed

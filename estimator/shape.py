@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from estimator.identification.residual.missing_force import Residual, Survey, ridged
 from estimator.likelihood.path.working_point import WorkingPoint
 
 from .arrays import Array
-from .missing_force import Residual, Survey, ridged
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.gauss_newton import FIRST_SECONDS, fit_model
 from estimator.likelihood.motion.located_law import Placed, acting, on_trial
 from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
 from estimator.model.rig import Model
 
-from . import adequacy, missing_force, screen
+from . import adequacy, screen
 from .errors import NotFiniteError
 from .evidence import Entry
 from .parallel import answers

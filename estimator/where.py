@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from estimator.identification.residual.missing_force import Residual, Survey
 from estimator.likelihood.path.working_point import WorkingPoint
 
-from .missing_force import Residual, Survey
 from .shape import curve
 
 PREFIX = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"))

@@ -42,7 +42,7 @@ class Filter:
 
     nepers : (5,) of power at the end of the band, each by its power of frequency. name : of the design of the poles.
     echo : what is folded back, over what is by the design: recorders have more stages than one. late : rad at the end
-    of the band, growing by LATE powers of frequency, that the phase is behind that of the poles: recorder_phase.py.
+    of the band, growing by LATE powers of frequency, that the phase is behind that of the poles: identification/structure/recorder_phase.py.
     flat : of what is folded back, what is white as acceleration: that about the rate, which means shut out, and others
     do not (a Bessel filter of order 6 at 0.45 of the rate lets 0.013 of it through). kept : of the samples that the
     poles worked on, as in a recorder that oversamples, by the bilinear transform, after which nothing is above half of

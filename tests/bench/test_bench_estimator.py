@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from kept_records import KNL, kept
 from reference_rig import MASS, PLACES, RATE, TRUTH, rig_model
 
-from estimator.likely_path import analyse
+from estimator.identification.batch.measured_force import analyse
 
 SEEDS = int(os.environ.get("ROTORSCOPE_SEEDS", "4"))
 SECONDS = float(os.environ.get("ROTORSCOPE_SECONDS", "60"))

@@ -33,7 +33,7 @@ from scipy.signal import upfirdn
 
 from estimator.free_run import simulation_rmse
 from estimator.heldout import FITTED, heldout_rmse
-from estimator.likely_path import analyse
+from estimator.identification.batch.measured_force import analyse
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]

@@ -16,11 +16,11 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "estimator"))
 from reference_samples import boltzmann  # noqa: E402
 
-from estimator import fokker_planck  # noqa: E402
-from estimator.band_edge import BandEdge  # noqa: E402
+from estimator.identification.moments import fokker_planck  # noqa: E402
+from estimator.identification.moments.band_edge import BandEdge  # noqa: E402
+from estimator.identification.moments.plane_moments import PlaneMoments  # noqa: E402
+from estimator.identification.moments.planes import Cap, Plane, density_band, planes  # noqa: E402
 from estimator.model.rig import Channel, EffectUse, Model, Setting  # noqa: E402
-from estimator.plane_moments import PlaneMoments  # noqa: E402
-from estimator.planes import Cap, Plane, density_band, planes  # noqa: E402
 from estimator.signals.band_limit import band_limit  # noqa: E402
 
 SEEDS = 20

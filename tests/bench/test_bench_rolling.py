@@ -17,9 +17,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "estimator"))
 
 from reference_rig import RATE, rig_model, rig_record
 
-from estimator import spectral
-from estimator.rolling import RollingSpectral
-from estimator.watch import CANDIDATES, PASSING, every
+from estimator.identification.batch import fit
+from estimator.identification.rolling.estimator import RollingSpectral
+from estimator.identification.rolling.watch import CANDIDATES, PASSING, every
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
 
@@ -56,7 +56,7 @@ def test_share_of_a_core(watch: tuple[str, ...], limit: float) -> None:
 @pytest.mark.parametrize("seconds", [15.0, 30.0, 60.0])
 def test_time_of_a_fit(seconds: float) -> None:
     y = rig_record(seconds, seed=1)
-    spectral.fit(rig_model("cubic"), y[: int(8 * RATE)], RATE)
+    fit.fit(rig_model("cubic"), y[: int(8 * RATE)], RATE)
     begin, cpu = time.perf_counter(), time.process_time()
-    spectral.fit(rig_model("cubic"), y, RATE)
+    fit.fit(rig_model("cubic"), y, RATE)
     print(f"\nfit of {seconds:g} s: {time.perf_counter() - begin:.2f} s, {time.process_time() - cpu:.2f} s of CPU")

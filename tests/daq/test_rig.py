@@ -305,7 +305,7 @@ def test_any_text_is_read_or_refused_in_words(text: str) -> None:
 @pytest.mark.parametrize(("word", "least", "most"), [("none", 0, 0), ("usual", 5, 12), ("catalogue", 15, 31)])
 def test_the_rig_says_what_the_rolling_estimator_watches_for(word: str, least: int, most: int) -> None:
     from daq.estimators import maker
-    from estimator.rolling import RollingSpectral
+    from estimator.identification.rolling.estimator import RollingSpectral
 
     rig = Rig.parse(HEAD + CHANNELS + f'[estimator]\nwatch = "{word}"\n')
     table = rig.estimator

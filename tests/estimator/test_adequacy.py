@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from estimator import adequacy, screen
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size
+from estimator.identification.batch.grid_start import fit_record
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
-from estimator.search_start import fit_record
 from estimator.simulation.simulator import simulate
 
 SECONDS = 10.0

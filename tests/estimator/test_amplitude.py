@@ -13,9 +13,9 @@ from estimator import screen
 from estimator.amplitude import Extrapolation, extrapolated, upper_part
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size
+from estimator.identification.batch.grid_start import fit_record
 from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
-from estimator.search_start import fit_record
 from estimator.simulation.simulator import simulate
 
 SECONDS = 10.0

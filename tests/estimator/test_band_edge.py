@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from estimator.band_edge import BandEdge
+from estimator.identification.moments.band_edge import BandEdge
 from estimator.signals.band_limit import passband
 
 RATE, BAND = 25600.0, (282.0, 8000.0)

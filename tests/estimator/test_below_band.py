@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from estimator.identification.batch.line_notches import begin
 from estimator.likelihood.motion import prepare as cut_record
 from estimator.likelihood.motion.stream_record import prepare
 from estimator.likelihood.response.below_band import with_slow
-from estimator.lines import begin
 from estimator.model.rig import Channel, EffectUse, Model
 from estimator.signals.band_limit import BandLimit, band_limit
 from estimator.signals.band_limited_record import Filtered

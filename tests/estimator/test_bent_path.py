@@ -11,17 +11,18 @@ import pytest
 from exact_path import KL, MASS, RATE, RIG, C, S, record
 from numpy.typing import NDArray
 
-from estimator import bends, bent_path, spectral
 from estimator.diagnose import diagnose
 from estimator.effects import CATALOGUE
 from estimator.heldout import heldout_rmse
+from estimator.identification.batch import fit as spectral
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.search import suspects
+from estimator.identification.structure import transfer_bias, transfer_faults
 from estimator.improve import improve
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.fitting.transfer_function import left, linear, plain, response_of
 from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import EffectUse, Model
-from estimator.suspects import suspects
-from estimator.whole import fit_whole
 
 Array = NDArray[np.float64]
 Sensor = Callable[[Array], Array]
@@ -113,7 +114,7 @@ def test_a_complete_model_has_no_suspect(seed: int) -> None:
 
 def test_a_gain_that_no_calibration_would_show_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The steps of a simulation make one of 0.04 %, which beside much damping is a force worth a name."""
-    monkeypatch.setattr(bent_path, "NEGLIGIBLE", 1e-4)
+    monkeypatch.setattr(transfer_faults, "NEGLIGIBLE", 1e-4)
     for error, claimed in ((1.5e-3, False), (3e-3, True)):
         y = record(seed=3, sensor=heard("sensor_gain", error))
         found = suspects(RIG, fit_whole(RIG, y, RATE).point, y)
@@ -131,7 +132,7 @@ def test_a_force_beside_the_measured_one_is_no_fault_of_a_sensor() -> None:
     y = record(seed=3, unseen=unseen)
     whole = fit_whole(RIG, y, RATE)
     assert suspects(RIG, whole.point, y) == []
-    assert bent_path.pushed(RIG, whole.point)
+    assert transfer_faults.pushed(RIG, whole.point)
     found = spectral.fit(RIG, y, RATE).parameters
     for name, true in (("kL", KL), ("c", C)):
         p = found[f"{PLACE}.{name}"]
@@ -142,7 +143,7 @@ def test_as_much_noise_of_the_force_sensor_is_told_from_it() -> None:
     y = record(seed=3, noise=(0.02, float(np.sqrt(S / 8 * RATE / 2))))
     point = fit_whole(RIG, y, RATE).point
     assert suspects(RIG, point, y) == []
-    assert not bent_path.pushed(RIG, point)
+    assert not transfer_faults.pushed(RIG, point)
 
 
 def test_a_gain_beside_a_force_that_is_not_measured() -> None:
@@ -218,8 +219,8 @@ def test_where_only_one_force_is_measured_the_other_place_is_judged_as_without()
 
 
 def test_the_notes_say_what_else_would_look_the_same() -> None:
-    assert "cap mass" in bent_path.NOTES["sensor_gain"]
-    assert "force channel" in bent_path.NOTES["sensor_skew"]
+    assert "cap mass" in transfer_faults.NOTES["sensor_gain"]
+    assert "force channel" in transfer_faults.NOTES["sensor_skew"]
 
 
 @pytest.mark.slow
@@ -232,9 +233,9 @@ def test_twice_the_nats_of_an_idle_cause_are_chi_square_whatever_the_noise() -> 
         point = fit_model(prepare(RIG, record(seed=seed, noise=noise), RATE), [])
         r = response_of(point, 0)
         base, scale = plain(point, 0, r)
-        for cause in bends.causes(point, 0, {}):
+        for cause in transfer_bias.causes(point, 0, {}):
             starts = [np.array(z) for z in cause.starts]
-            nats = bends.bent(point, 0, r, cause, base, scale, starts).nats - base.nats
+            nats = transfer_bias.bent(point, 0, r, cause, base, scale, starts).nats - base.nats
             won.setdefault(cause.effect, []).append(2 * nats)
     for name in ("sensor_gain", "sensor_skew"):
         assert 0.4 < np.mean(won[name]) < 1.8
@@ -321,7 +322,7 @@ def test_noise_of_the_force_and_a_force_beside_it_are_told_in_their_shares() -> 
     y = record(4.0, 4, noise=(0.02, rms * np.sqrt(noise)),
                unseen=lambda t: rms * np.sqrt(beside) * rng.normal(size=t.size))  # fmt: skip
     point = fit_whole(RIG, y, RATE).point
-    found = bent_path._likeliest(RIG, point, 0, response_of(point, 0))
+    found = transfer_faults._likeliest(RIG, point, 0, response_of(point, 0))
     assert found.response.unmeasured == pytest.approx(beside / (noise + beside), abs=0.05)
     assert point.c[0] + found.base.u[3] == pytest.approx(C, abs=4 * float(np.sqrt(found.base.covariance[3, 3])))
-    assert bent_path.find(RIG, point) == []
+    assert transfer_faults.find(RIG, point) == []

@@ -11,11 +11,11 @@ from hidden_effects import RATE, one_bearing
 from estimator.effects import CATALOGUE
 from estimator.evidence import Entry
 from estimator.explains import _bends_a_spectrum
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.finding import Share
+from estimator.identification.residual.missing_force import Survey
 from estimator.likelihood.motion.located_law import Placed
-from estimator.missing_force import Survey
 from estimator.simulation.simulator import simulate
-from estimator.suspect import Share
-from estimator.whole import fit_whole
 
 SECONDS = 6.0
 

@@ -9,18 +9,18 @@ from reference_rig import CLEARANCE, GAP, PLACES, rig_model, rig_record
 from reference_rig import RATE as RIG_RATE
 from reference_samples import langevin
 
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.line_notches import begin
+from estimator.identification.batch.measured_force import analyse
+from estimator.identification.batch.report import report
+from estimator.identification.rolling.estimator import RollingSpectral
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.law_smoothing import MARGIN
 from estimator.likelihood.motion.prepare import cut
 from estimator.likelihood.motion.stream_record import prepare
-from estimator.likely_path import analyse
-from estimator.lines import begin
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.results import Parameter
-from estimator.rolling import RollingSpectral
 from estimator.simulation.simulator import simulate
-from estimator.solution import report
-from estimator.whole import fit_whole
 
 RATE = 1000.0
 

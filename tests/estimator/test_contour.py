@@ -12,20 +12,20 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from reference_rig import CROSS, PLACES, RATE, TRUTH, rig_model, rig_record
 
+from estimator.identification.batch.fit import fit
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.line_notches import begin
+from estimator.identification.batch.linear_start import LEAST_DAMPING, linear_start
+from estimator.identification.rolling.estimator import RollingSpectral
 from estimator.likelihood.motion.force_balance import build
 from estimator.likelihood.motion.stream_record import gather, prepare
 from estimator.likelihood.path.contour import FED, MARGIN, along, contour
 from estimator.likelihood.path.determinant import Jacobian
 from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, evidence_of
 from estimator.likelihood.response.regressor_set import response
-from estimator.lines import begin
 from estimator.model.disc import Disc, disc_of
 from estimator.model.rig import EffectUse, Model
 from estimator.model.rotor import shaft_matrix
-from estimator.rolling import RollingSpectral
-from estimator.spectral import fit
-from estimator.start import LEAST_DAMPING, linear_start
-from estimator.whole import fit_whole
 
 BLOCK_S = 0.32
 F_HZ = np.arange(200.0, 8000.0, 1 / BLOCK_S)

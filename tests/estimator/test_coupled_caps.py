@@ -10,12 +10,12 @@ from hidden_effects import RATE, ROOT
 from numpy.typing import NDArray
 
 from daq.rig import load_rig
-from estimator import coupled_caps
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.finding import Suspect
+from estimator.identification.structure import coupled_caps
 from estimator.improve import improve
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
-from estimator.suspect import Suspect
-from estimator.whole import fit_whole
 
 Array = NDArray[np.float64]
 STIFF = 10e6  # N/m, of half the shaft: as much as a bearing's

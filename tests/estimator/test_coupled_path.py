@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from estimator.bent_path import _odd
+from estimator.identification.structure.transfer_faults import _odd
 from estimator.likelihood.fitting.path_spectra import Folded, Response
 from estimator.likelihood.fitting.transfer_function import Peak, expected
 

@@ -10,13 +10,13 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing, record
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimator import missing_force
-from estimator.declip import ceilings, restored
 from estimator.diagnose import diagnose, diagnose_point
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.record.declip import ceilings, restored
+from estimator.identification.residual import missing_force
 from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import EffectUse
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 HERE = frozenset(["bearing1.x"])
 LOST = {"bearing1.x": np.inf}

@@ -16,13 +16,13 @@ from estimator.diagnose import Diagnosis, _law, _verdict, diagnose, quiet
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
 from estimator.errors import DataError
+from estimator.identification.batch.full_fit import fit_whole
 from estimator.improve import improve
 from estimator.likelihood.motion.located_law import Placed
 from estimator.model.rig import Model
 from estimator.ranking import _promising, extrapolating, ranked
 from estimator.simulation.simulator import simulate
 from estimator.two_laws import another_explains
-from estimator.whole import fit_whole
 
 UNTOLD = ("bow", "crack")  # on a soft shaft: docs/diagnosis.md, what one record cannot tell
 

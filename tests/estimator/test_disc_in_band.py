@@ -10,14 +10,15 @@ from hidden_effects import RATE, ROOT
 from numpy.typing import NDArray
 
 from daq.rig import load_rig
-from estimator import force_cells, force_colour, force_shapes, spectral
 from estimator.compare import compare
+from estimator.identification.batch import fit
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.structure import spectral_cells, spectral_models, spectral_shape
 from estimator.likelihood.motion.force_balance import build
 from estimator.likelihood.motion.stream_record import gather, prepare
 from estimator.likelihood.path.gram_likelihood import Likelihood, evidence_of, responses
 from estimator.model.rig import Model, Setting
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 
 def ringing() -> Model:
@@ -47,7 +48,7 @@ def test_noise_through_the_shaft_moves_no_stiffness_of_a_fit() -> None:
     rig = ringing()
     y = simulate(rig, RATE, 20.0, seed=1, noise=0.02)
     y[:, 0] += 2.0 * np.random.default_rng(101).standard_normal(len(y))
-    found = spectral.fit(rig, y, RATE)
+    found = fit.fit(rig, y, RATE)
     assert found.messages == ()
     for place in rig.places:
         for name in ("kL", "c"):
@@ -86,15 +87,15 @@ def test_what_rings_from_block_to_block_is_no_force_beside_the_bins_left_out() -
     y = simulate(rig, RATE, 20.0, seed=3)
     y[:, 0] += 2.0 * np.random.default_rng(1).standard_normal(len(y))
     point = fit_whole(rig, y, RATE).point
-    cells = force_cells.cells_of(point, 0)
-    level, u, _ = force_shapes.plain(point, 0, cells)
+    cells = spectral_cells.cells_of(point, 0)
+    level, u, _ = spectral_models.plain(point, 0, cells)
     df = cells.n.size - 4
     assert abs(-2 * level - df) < 4 * np.sqrt(2 * df)
     f = cells.w / (2 * np.pi)
     near = (f > 440.0) & (f < 560.0)
-    ratio = (cells.power / force_shapes.base_model(cells, u))[near]
+    ratio = (cells.power / spectral_models.base_model(cells, u))[near]
     assert abs(np.average(ratio, weights=cells.n[near]) - 1.0) < 4 / np.sqrt(cells.n[near].sum())
-    found = [s.effect for s in force_colour.find(rig, point)]
+    found = [s.effect for s in spectral_shape.find(rig, point)]
     assert found == ["sensor_noise"]
 
 

@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing
 
-from estimator import explains, missing_force, two_laws
+from estimator import explains, two_laws
 from estimator.diagnose import _nothing, diagnose, quiet
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import NotFiniteError
 from estimator.evidence import Entry
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.residual import missing_force
 from estimator.likelihood.motion.located_law import Placed
 from estimator.model.rig import CustomLaw, EffectUse, Setting
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 QUINTIC = Placed(CATALOGUE["quintic"], "bearing1.x.quintic", (0,), np.array([1e60]), (True,))  # some 1e25 N
 

@@ -10,11 +10,11 @@ from hidden_effects import RATE, one_bearing
 from numpy.typing import NDArray
 from scipy import signal
 
-from estimator.filter_search import NONE, Seen, Standing, _spectrum, likeliest, mean_or_none
-from estimator.force_cells import CELLS, Cells
-from estimator.force_shapes import coloured, resonant
+from estimator.identification.structure.filter_search import NONE, Seen, Standing, _spectrum, likeliest, mean_or_none
+from estimator.identification.structure.pedestal_form import lost
+from estimator.identification.structure.spectral_cells import CELLS, Cells
+from estimator.identification.structure.spectral_models import coloured, resonant
 from estimator.model.recorder import Filter, images
-from estimator.pedestal_form import lost
 from estimator.signals.channel_response import undone
 from estimator.signals.filter_designs import chebyshev, designs
 

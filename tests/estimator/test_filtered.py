@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from reference_rig import PLACES, RATE, rig_model, rig_record
 
-from estimator.likely_path import analyse
+from estimator.identification.batch.measured_force import analyse
+from estimator.identification.batch.report import inferred_force
 from estimator.signals import band_limited_record
 from estimator.signals.band_limit import band_limit
 from estimator.signals.band_limited_record import Filtered
-from estimator.solution import inferred_force
 
 KINDS, BAND = ["acceleration", "displacement"], (150.0, 8000.0)
 

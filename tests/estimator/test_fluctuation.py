@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing, record, size, strengths, with_effect
 
-from estimator import adequacy, missing_force, spectral
+from estimator import adequacy
 from estimator.effects import CATALOGUE
+from estimator.identification.batch import fit
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import placed_of, tangent_series
 from estimator.likelihood.motion.motion_record import finer
@@ -20,7 +23,6 @@ from estimator.likelihood.response import modal_response
 from estimator.likelihood.response.fluctuation import Fluctuation, fluctuations
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 SLOW = 12800.0
 Case = tuple[str, Model, np.ndarray, WorkingPoint]
@@ -39,7 +41,7 @@ def strong(request: pytest.FixtureRequest) -> Case:
 @pytest.mark.slow
 def test_diagnosis_and_fit_estimate_the_same(strong: Case) -> None:
     name, model, y, point = strong
-    fitted = spectral.fit(model, y, RATE).parameters
+    fitted = fit.fit(model, y, RATE).parameters
     for place in model.places:
         key = f"{place}.{name}.{CATALOGUE[name].parameters[0].name}"
         parameter = fitted[key]

@@ -7,17 +7,17 @@ import pytest
 from reference_samples import langevin
 from scipy.signal import lfilter, welch
 
+from estimator.identification.batch.maximum import Tangents, without_flutter
+from estimator.identification.batch.measured_force import analyse
+from estimator.identification.batch.report import report
+from estimator.identification.rolling.estimator import RollingSpectral
+from estimator.identification.rolling.memory import FlutterSums
 from estimator.likelihood.motion.force_balance import build
 from estimator.likelihood.motion.law_columns import Columns
 from estimator.likelihood.motion.law_smoothing import MARGIN
 from estimator.likelihood.motion.stream_record import gather, prepare
 from estimator.likelihood.response.second_order import flutter
-from estimator.likely_path import analyse
-from estimator.maximum import Tangents, without_flutter
 from estimator.model.rig import Channel, EffectUse, Model
-from estimator.rolling import RollingSpectral
-from estimator.rolling_memory import FlutterSums
-from estimator.solution import report
 
 RATE, SIGMA = 1000.0, 0.3
 

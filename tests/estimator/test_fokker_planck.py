@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from reference_samples import boltzmann, langevin
 
-from estimator import fokker_planck
 from estimator.errors import DataError
-from estimator.fokker_planck import estimate, histogram, potentials, steps
+from estimator.identification.moments import fokker_planck
+from estimator.identification.moments.fokker_planck import estimate, histogram, potentials, steps
+from estimator.identification.moments.planes import Cap, Plane
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.planes import Cap, Plane
 
 KL, T, M3 = 1.0e7, 4.0e-7, 0.515
 MASS = M3 / 2.10

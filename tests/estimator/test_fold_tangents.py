@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from reference_rig import COULOMB, RATE, rig_model, rig_record
 
+from estimator.identification.batch.maximum import inverse
+from estimator.identification.batch.measured_force import analyse
+from estimator.identification.batch.report import Solution
 from estimator.likelihood.motion.law_columns import Columns
 from estimator.likelihood.path.gram_likelihood import Likelihood, evidence_of
 from estimator.likelihood.path.sandwich import excess
-from estimator.likely_path import analyse
-from estimator.maximum import inverse
-from estimator.solution import Solution
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ from reference_samples import langevin
 from scipy.signal import firwin, oaconvolve
 
 from estimator.effects import CATALOGUE
+from estimator.identification.batch.fit import fit
+from estimator.identification.batch.full_fit import fit_whole
 from estimator.likelihood.motion.law_smoothing import folds, highest
 from estimator.model.rig import Channel, EffectUse, Model
-from estimator.spectral import fit
-from estimator.whole import fit_whole
 
 RATE, HZ, BAND, FINER = 12800.0, 3000.0, (400.0, 5760.0), 8
 

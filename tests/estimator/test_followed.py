@@ -12,10 +12,10 @@ from daq.rig import load_rig
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.places import places
 from estimator.effects.engine.strength import size, strengths, with_effect
-from estimator.followed import followed
+from estimator.identification.rolling.estimator import RollingSpectral
+from estimator.identification.rolling.scope import followed
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Estimate
-from estimator.rolling import RollingSpectral
 
 SECONDS = 10.0
 

@@ -10,15 +10,17 @@ from hidden_effects import RATE, one_bearing
 from reference_rig import PLACES, QUADRATIC_DAMPING, TRUTH, rig_model, rig_record
 from reference_rig import RATE as RIG_RATE
 
-from estimator import missing_force, screen, spectral
+from estimator import screen
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
+from estimator.identification.batch import fit
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.residual import missing_force
 from estimator.likelihood.motion.located_law import Placed, evaluate
 from estimator.likelihood.motion.motion_record import FOLDS, fold_of
 from estimator.likelihood.path.excitation_level import level_of, ratio
 from estimator.likelihood.response.regressor_set import terms
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 
 def test_the_level_follows_the_force_and_an_even_force_has_none() -> None:
@@ -111,5 +113,5 @@ def test_damping_of_a_fit_is_without_bias_beside_a_growing_force() -> None:
     hidden = np.zeros((4, 7))
     hidden[:, QUADRATIC_DAMPING] = 1200.0
     model = rig_model("cubic", "quadratic_damping")
-    found = spectral.fit(model, rig_record(20.0, seed=900, hidden=hidden, growth=2.5), RIG_RATE).parameters
+    found = fit.fit(model, rig_record(20.0, seed=900, hidden=hidden, growth=2.5), RIG_RATE).parameters
     assert np.mean([found[f"{p}.c"].value for p in PLACES]) == pytest.approx(TRUTH["c"].mean(), rel=0.1)

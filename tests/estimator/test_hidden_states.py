@@ -11,6 +11,7 @@ from hidden_effects import RATE, one_bearing, record
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.compiled import memory_array
 from estimator.effects.engine.strength import size, strengths, with_effect
+from estimator.identification.batch.full_fit import fit_whole
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import Placed, placed_of
 from estimator.likelihood.motion.memory_law import along, passed, together
@@ -22,7 +23,6 @@ from estimator.likelihood.response.impulse_probe import Probe, probed
 from estimator.likelihood.response.modal_response import alone, mean_responses
 from estimator.model.rig import EffectUse
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 BOUC_WEN = CATALOGUE["bouc_wen"]
 LIN = np.array([0.2, 1e7, 60.0])

@@ -17,12 +17,12 @@ from estimator.effects.engine.places import places
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import DataError
 from estimator.evidence import Entry
+from estimator.identification.batch.full_fit import Whole, fit_whole
 from estimator.improve import _with_found, improve
 from estimator.likelihood.motion.located_law import Placed
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.simulation.simulator import simulate
-from estimator.whole import Whole, fit_whole
 
 NOISE, FULL_SCALE = 0.02, 981.0  # beyond whirl 500 m/s^2 are reached
 
@@ -124,7 +124,7 @@ def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(
     said = iter([Diagnosis("cubic", (named,)), Diagnosis("complete", ())])
     monkeypatch.setattr("estimator.improve.diagnose_point", lambda *_: next(said))
     # where all places have the wrong colour it passes for the recorder's filter, which is sought again anyway
-    monkeypatch.setattr("estimator.common_fall.find", lambda *_: {})
+    monkeypatch.setattr("estimator.identification.structure.recorder_fall.find", lambda *_: {})
     ladder = improve(known, y, RATE)
     assert ladder.rungs[-1].effects == ("coloured_excitation", "cubic")
     alone = fit_whole(having(known, EffectUse("cubic", {"bearing1.x": {}})), y, RATE).parameters

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from reference_rig import RATE, rig_model, rig_record
 
+from estimator.identification.batch.linear_start import Start, linear_start
+from estimator.identification.batch.maximum import initial, inverse
 from estimator.likelihood.motion.force_balance import Balance, build, restrict
 from estimator.likelihood.motion.stream_record import Bank, Record, gather, prepare
 from estimator.likelihood.path.gram_likelihood import Likelihood, Point, evidence_of, maximise
 from estimator.likelihood.path.jacobian import levels
 from estimator.likelihood.response.modal_response import alone
 from estimator.likelihood.response.second_order import pair_energies
-from estimator.maximum import initial, inverse
-from estimator.start import Start, linear_start
 
 
 @pytest.fixture(scope="module")

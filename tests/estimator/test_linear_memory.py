@@ -9,10 +9,10 @@ import pytest
 from hidden_effects import RATE, one_bearing
 
 from estimator.effects import CATALOGUE
+from estimator.identification.batch.full_fit import fit_whole
 from estimator.likelihood.motion.linear_memory import response, slope
 from estimator.model.rig import EffectUse, Setting
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 M, f0, zeta, kL, c = 0.4, 2000.0, 0.05, 1e7, 60.0
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing, record
 
-from estimator import missing_force, reference
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.residual import black_box, missing_force
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import placed_of
 from estimator.likelihood.motion.prepare import prepare
@@ -16,7 +17,6 @@ from estimator.likelihood.path.subproblem import Subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Setting
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 Hats = tuple[WorkingPoint, Subproblem, tuple[str, ...], np.ndarray]
 
@@ -27,7 +27,7 @@ def hats() -> Hats:
     rig = one_bearing()
     data = prepare(rig, record(rig, "quintic", 0.015), RATE)
     point = fit_model(data, placed_of(rig, data))
-    pool, knots = reference.pool(point, 0, (1.0, 2.0))
+    pool, knots = black_box.pool(point, 0, (1.0, 2.0))
     names = tuple(n for n in pool.extra if n.startswith("displacement."))
     return point, pool.only(names), names, knots["displacement"]
 
@@ -69,7 +69,7 @@ def test_a_force_that_the_model_has_wins_nothing_again(effect: str, values: dict
     own = {name: Setting(value) for name, value in values.items()}
     rig = replace(one_bearing(), effects=(EffectUse(effect, {"bearing1.x": own}),))
     point = fit_whole(rig, simulate(rig, RATE, 6.0, seed=2), RATE).point
-    pool, _ = reference.pool(point, 0, (1.0, 2.0, 2.1))
+    pool, _ = black_box.pool(point, 0, (1.0, 2.0, 2.1))
     trial = pool.only(tuple(n for n in pool.extra if n.split(".")[0] == group))
     plain, everything = pool.without_extra(), np.arange(point.data.fold_blocks.size)
     won = trial.likelihood(missing_force.ridged(trial), everything) - plain.likelihood(plain.fit(), everything)
@@ -88,7 +88,7 @@ def test_hats_of_the_velocity_win_no_more_than_their_number() -> None:
     won, free = [], []
     for seed in range(10):
         point = fit_whole(rig, simulate(rig, RATE, 6.0, seed=seed), RATE).point
-        pool, _ = reference.pool(point, 0, (1.0, 2.0))
+        pool, _ = black_box.pool(point, 0, (1.0, 2.0))
         trial = pool.only(tuple(n for n in pool.extra if n.startswith("velocity")))
         plain, everything = pool.without_extra(), np.arange(point.data.fold_blocks.size)
         fit = missing_force.ridged(trial)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from reference_rig import PLACES, RATE, rig_model, rig_record, run_up_angle
 
+from estimator.identification.rolling.estimator import RollingSpectral
 from estimator.model.rig import Channel, Model
 from estimator.results import Estimate
-from estimator.rolling import RollingSpectral
 from estimator.signals.blocks import layout, spectra
 from estimator.signals.moving_lines import MovingLines, left_out, weights
 from estimator.signals.shaft_angle import ShaftAngle, shaft_angle

@@ -8,10 +8,10 @@ import pytest
 from hidden_effects import RATE, ROOT
 
 from daq.rig import load_rig
-from estimator import one_end
+from estimator.identification.batch import unmeasured_end
+from estimator.identification.batch.fit import fit
 from estimator.model.rig import Model
 from estimator.simulation.simulator import simulate
-from estimator.spectral import fit
 
 
 @pytest.fixture
@@ -24,9 +24,14 @@ def test_only_a_stiff_shaft_with_one_end_measured_is_told(rig: Model) -> None:
     first = replace(rig, channels=tuple(c for c in rig.channels if c.node == "bearing1"))
     own = {place: kL[place] for place in first.places}
     stiff = {"shaft_stiffness": 1e7}
-    assert one_end.said(rig, kL) == one_end.said(first, own) == one_end.said(replace(rig, **stiff), kL) == ()
-    assert one_end.said(replace(first, shaft="none", **stiff), own) == ()
-    (text,) = one_end.said(replace(first, **stiff), own)
+    assert (
+        unmeasured_end.said(rig, kL)
+        == unmeasured_end.said(first, own)
+        == unmeasured_end.said(replace(rig, **stiff), kL)
+        == ()
+    )
+    assert unmeasured_end.said(replace(first, shaft="none", **stiff), own) == ()
+    (text,) = unmeasured_end.said(replace(first, **stiff), own)
     assert text.startswith("bearing2 is not measured")
 
 

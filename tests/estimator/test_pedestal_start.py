@@ -9,9 +9,9 @@ from hidden_effects import one_bearing
 
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
+from estimator.identification.batch.full_fit import fit_whole
 from estimator.model.rig import EffectUse, Setting
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 
 @pytest.mark.slow

@@ -9,21 +9,22 @@ import pytest
 from hidden_effects import RATE, SECONDS, one_bearing, record
 from numpy.typing import NDArray
 
-from estimator import evidence, line_forces
+from estimator import evidence
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
+from estimator.identification.batch.disturbance_numbers import with_found
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.machine import lines
+from estimator.identification.machine.harmonic_fit import PIECES, found_beside, refined
+from estimator.identification.residual.missing_force import survey
+from estimator.identification.search import suspects
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import known_lines, periodic_of, series
 from estimator.likelihood.motion.motion_record import MotionBlocks
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.missing_force import survey
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.numbered import with_found
-from estimator.periodic_fit import PIECES, found_beside, refined
 from estimator.simulation.simulator import simulate
-from estimator.suspects import suspects
-from estimator.whole import fit_whole
 
 LINE = {"a": 0.12, "b": -0.05, "frequency": 791.37}
 DEFECT = {"strike": 1.5, "order": 2.1, "angle": 0.7, "width": 0.05}
@@ -171,7 +172,7 @@ def test_strikes_that_are_found_are_as_strong_as_they_are() -> None:
     rig = one_bearing()
     y = record(rig, "local_defect", 0.06)
     point = fit_whole(rig, y, RATE).point
-    (seen,) = (s for s in line_forces.find(rig, point, y, RATE) if s.effect == "local_defect")
+    (seen,) = (s for s in lines.find(rig, point, y, RATE) if s.effect == "local_defect")
     found = found_beside(rig, point, {"local_defect": seen.settings})[0]["local_defect"]
     truth = strengths(CATALOGUE["local_defect"], size(rig, "bearing1.x", RATE), 0.06, rig, SECONDS)
     for place in rig.places:

@@ -10,12 +10,12 @@ from hidden_effects import RATE, one_bearing, record
 from numpy.typing import NDArray
 
 from estimator.compare import compare
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.structure.recorder_phase import excess, found
 from estimator.improve import improve
 from estimator.model.recorder import POWERS, Filter
 from estimator.model.rig import Model, Setting
-from estimator.recorder_phase import excess, found
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 Array = NDArray[np.float64]
 LATE = 0.8  # rad at the end of the band

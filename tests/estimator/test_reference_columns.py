@@ -8,9 +8,9 @@ from hidden_effects import RATE, one_bearing
 
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
-from estimator.reference import VISITED, knots_of, pool
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.residual.black_box import VISITED, knots_of, pool
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 OWN = (".kL", ".c", ".kNL", ".cx", ".rate", ".curvature")
 

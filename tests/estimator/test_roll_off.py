@@ -13,20 +13,21 @@ from numpy.typing import NDArray
 from scipy import optimize, signal
 
 from daq.rig import load_rig
-from estimator import common_fall, spectral
 from estimator.compare import compare
 from estimator.diagnose import diagnose
+from estimator.identification.batch import fit as spectral
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.grid_start import fit_record
+from estimator.identification.rolling.estimator import RollingSpectral
+from estimator.identification.structure import recorder_fall
 from estimator.improve import improve
 from estimator.likelihood.motion.prepare import prepare
 from estimator.model import recorder as roll_off
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
-from estimator.rolling import RollingSpectral
-from estimator.search_start import fit_record
 from estimator.signals.channel_response import echoes, of_place
 from estimator.signals.filter_designs import designs
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 TOP = 8000.0
 OVERSAMPLED = 16 * RATE
@@ -127,7 +128,7 @@ def test_ripples_that_the_deviance_hardly_shows_are_the_recorders() -> None:
     """Of 0.25 dB: S was 2.6 to 3.7 % low at all places, 7 to 10 standard deviations, as no filter was looked for."""
     rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
     y = through(simulate(rig, RATE, 6.0, seed=1, noise=0.02), "ripples")
-    found = common_fall.find(rig, fit_record(rig, prepare(rig, y, RATE)))
+    found = recorder_fall.find(rig, fit_record(rig, prepare(rig, y, RATE)))
     assert found is not None
     f = np.linspace(150.0, TOP, 100)
     for own in found.values():
@@ -145,7 +146,7 @@ def test_behind_one_recorder_the_places_without_a_colour_show_its_filter() -> No
 
     y = through(simulate(coloured(8.0, 900.0), RATE, 4.0, seed=1, noise=0.02), "butterworth")
     thought = coloured(10.8, 970.0)
-    found = common_fall.find(thought, fit_record(thought, prepare(thought, y, RATE)))
+    found = recorder_fall.find(thought, fit_record(thought, prepare(thought, y, RATE)))
     assert found is not None
     assert set(found) == set(rig.places)
     f = np.linspace(150.0, TOP, 100)
@@ -166,7 +167,7 @@ def test_pedestals_at_every_cap_do_not_hide_the_filter() -> None:
     sos = signal.bessel(3, 0.45 * RATE, fs=8 * RATE, norm="mag", output="sos")
     y = signal.sosfiltfilt(sos, simulate(on(0.5 * m, hz, 0.05), 8 * RATE, 4.0, seed=1), axis=0)[::8]
     thought = on(0.6 * m, 0.95 * hz, 0.06)
-    found = common_fall.find(thought, fit_record(thought, prepare(thought, y, RATE)))
+    found = recorder_fall.find(thought, fit_record(thought, prepare(thought, y, RATE)))
     assert found is not None
     f = np.linspace(150.0, TOP, 100)
     wanted = abs(signal.sosfreqz(sos, f, fs=8 * RATE)[1]) ** 4
@@ -183,7 +184,7 @@ def test_a_sensor_that_resonates_does_not_hide_the_filter_of_all(recorder: str) 
     resonance = 1.0 / (1.0 - (f / 5600.0) ** 2 + 1j * f / 5600.0 / 5.0)
     y[:, 0] = np.fft.irfft(np.fft.rfft(y[:, 0]) * resonance, len(y))
     y = through(y, recorder) if recorder else y
-    found = common_fall.find(rig, fit_record(rig, prepare(rig, y, RATE)))
+    found = recorder_fall.find(rig, fit_record(rig, prepare(rig, y, RATE)))
     assert (set(found) if found else set()) == (set(rig.places) if recorder else set())
 
 
@@ -421,7 +422,7 @@ def test_lines_do_not_hide_the_filter() -> None:
 def test_no_shape_of_a_rotor_passes_for_a_filter(effect: str, strength: float) -> None:
     rig = one_bearing()
     whole = fit_whole(rig, record(rig, effect, strength, seconds=30.0), RATE)
-    assert not common_fall.find(whole.model, whole.point)
+    assert not recorder_fall.find(whole.model, whole.point)
     assert not whole.model.roll_off
 
 
@@ -475,11 +476,11 @@ def test_a_bearing_whose_own_spectra_do_not_tell_has_the_filter_of_the_other_if_
     """As beside a late sensor on a stiff shaft: each channel of the other bearing was called resonant."""
     rig, y = two_devices(4.0, "bessel", two)
     point = fit_record(rig, prepare(rig, y, RATE))
-    first, second = (common_fall._measured(point, at) for at in ([0, 1], [2, 3]))
-    _, off = common_fall._fall(point, first, 0.5)
+    first, second = (recorder_fall._measured(point, at) for at in ([0, 1], [2, 3]))
+    _, off = recorder_fall._fall(point, first, 0.5)
     assert off is not None
     before = -2 * sum(fit[0] for _, _, fit in second)
-    assert common_fall._explains(point, off, second, before) == bool(two)
+    assert recorder_fall._explains(point, off, second, before) == bool(two)
 
 
 @pytest.mark.slow

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from reference_rig import COULOMB, PLACES, RATE, TRUTH, rig_model, rig_record
 
-from estimator import spectral
+from estimator.identification.batch import fit as spectral
+from estimator.identification.rolling.estimator import RollingSpectral
+from estimator.identification.rolling.watch import CANDIDATES, every
 from estimator.results import Estimate
-from estimator.rolling import RollingSpectral
-from estimator.watch import CANDIDATES, every
 
 BLOCK = 1280
 

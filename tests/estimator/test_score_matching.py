@@ -5,8 +5,8 @@ import pytest
 from reference_samples import langevin
 
 from estimator.errors import DataError
+from estimator.identification.moments.score_matching import RollingScoreMatching, fit
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.score_matching import RollingScoreMatching, fit
 
 RATE = 25600.0
 TRUE_KL = np.array([1.0e7, 1.2e7])

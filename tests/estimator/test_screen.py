@@ -12,13 +12,13 @@ from estimator import screen
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
 from estimator.evidence import entries
+from estimator.identification.residual.missing_force import survey
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import Placed, placed_of
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path import law_gain
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response.regressor_set import Units
-from estimator.missing_force import survey
 from estimator.model.rig import Model
 from estimator.results import Parameter
 

@@ -14,6 +14,7 @@ from daq.rig import load_rig
 from estimator.diagnose import diagnose
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
+from estimator.identification.batch.grid_start import fit_record
 from estimator.improve import improve
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.motion.shaft_law import along
@@ -21,7 +22,6 @@ from estimator.model.disc import Disc, disc_of
 from estimator.model.rig import Model
 from estimator.model.rotor import shaft_at_caps
 from estimator.screen import best_at
-from estimator.search_start import fit_record
 from estimator.simulation.simulator import simulate
 
 RATE_HZ = 25_600.0

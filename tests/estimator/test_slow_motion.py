@@ -9,18 +9,20 @@ import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import firwin, oaconvolve
 
-from estimator import adequacy, missing_force, spectral
+from estimator import adequacy
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.custom import custom_effect
 from estimator.effects.engine.strength import size, strengths, with_effect
+from estimator.identification.batch import fit as spectral
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.residual import missing_force
+from estimator.identification.rolling.estimator import RollingSpectral
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import placed_of
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.response.below_band import lopsided, own_sizes, usual, with_slow
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
-from estimator.rolling import RollingSpectral
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 SECONDS = 12.0
 

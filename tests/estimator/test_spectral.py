@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from reference_rig import DISC, MASS, PLACES, RATE, TRUTH, rig_model, rig_record
 
-from estimator import spectral
 from estimator.errors import DataError
+from estimator.identification.batch import fit as spectral
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model.rotor import shaft_at_caps
 from estimator.simulation.simulator import simulate

@@ -5,9 +5,9 @@ import pytest
 from reference_samples import boltzmann, langevin
 
 from estimator.errors import DataError
-from estimator.planes import Cap, Plane
+from estimator.identification.moments.planes import Cap, Plane
+from estimator.identification.moments.stationary import Density, circulation, plane_diagnostics, softening_message
 from estimator.results import Parameter
-from estimator.stationary import Density, circulation, plane_diagnostics, softening_message
 
 KL, T, MASS = 1.0e7, 4.0e-7, 0.245
 

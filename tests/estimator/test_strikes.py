@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 
-from estimator import evidence, line_forces, strikes
+from estimator import evidence
 from estimator.evidence import Settings
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.finding import Suspect
+from estimator.identification.machine import impact_train as strikes
+from estimator.identification.machine import lines as line_forces
 from estimator.likelihood.motion.force_balance import shaft_notch
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.simulation.simulator import simulate
-from estimator.suspect import Suspect
-from estimator.whole import fit_whole
 
 SECONDS = 8.0
 

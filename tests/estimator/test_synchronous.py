@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from reference_samples import langevin
 
-from estimator import fokker_planck, score_matching
+from estimator.identification.moments import fokker_planck, score_matching
+from estimator.identification.moments.synchronous import amplitude, lines, stiffness_bias, synchronous_orders
 from estimator.model.rig import Channel, EffectUse, Model
-from estimator.synchronous import amplitude, lines, stiffness_bias, synchronous_orders
 
 RATE = 25600.0
 HZ = 400.0  # a high-speed spindle, so that 1X lies in the band

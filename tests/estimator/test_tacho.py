@@ -10,16 +10,17 @@ from hidden_effects import RATE, ROOT, one_bearing
 from scipy.integrate import solve_ivp
 
 from daq.rig import load_rig
-from estimator import line_forces, spectral
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
+from estimator.identification.batch import fit
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.machine import lines
+from estimator.identification.machine.stiffness_order import turning
 from estimator.likelihood.motion.harmonics import series, whole_waves
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.modulation import turning
 from estimator.signals.shaft_angle import measured_phase, timed
 from estimator.simulation.shaft_speed import Speed
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 SECONDS = 10.0
 WANDER = Speed(2100.0, fluctuation=0.01)
@@ -65,7 +66,7 @@ def test_strikes_are_as_strong_as_they_are_although_the_speed_wanders() -> None:
 @pytest.mark.slow
 def test_orders_are_found_although_the_speed_wanders(rig: Model, record: np.ndarray) -> None:
     whole = fit_whole(replace(rig, speed_rpm=None), record, RATE)
-    found = line_forces.find(whole.model, whole.point, record, RATE)
+    found = lines.find(whole.model, whole.point, record, RATE)
     assert {s.effect for s in found} == {"imbalance", "local_defect"}
     for name, value in HIDDEN["imbalance"][0].items():
         got = next(s for s in found if s.effect == "imbalance").settings["disc"][name]
@@ -125,7 +126,7 @@ def test_a_line_that_the_speed_carries_along_is_left_out_of_a_fit(rig: Model) ->
     y = simulate(
         with_effect(rig, CATALOGUE["imbalance"], {"a": 19.0, "b": 0.0}, "disc"), RATE, 12.0, seed=3, speed=ramp
     )
-    found = spectral.fit(rig, y, RATE, measured_phase(rig, y, RATE))
+    found = fit.fit(rig, y, RATE, measured_phase(rig, y, RATE))
     assert not [m for m in found.messages if "not white" in m]
     for place in rig.places:
         for key in ("kL", "c", "S"):

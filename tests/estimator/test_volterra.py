@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator import volterra
 from estimator.errors import DataError
+from estimator.identification.moments import volterra
+from estimator.identification.moments.volterra import Kernels, identify, wiener_first
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.volterra import Kernels, identify, wiener_first
 
 RATE = 25600.0
 TRUE = Kernels(0.2, 60.0, 1.0e7, 1.3e18)

@@ -14,11 +14,11 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.evidence import Entry
 from estimator.explains import _where_told
+from estimator.identification.batch.full_fit import fit_whole
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import Placed
 from estimator.model.rig import Model, Setting
 from estimator.simulation.simulator import simulate
-from estimator.whole import fit_whole
 
 SECONDS, NODES = 8.0, ("bearing1", "bearing2")
 

@@ -10,15 +10,15 @@ from hidden_effects import RATE, ROOT, coupled_on_a_stiff_shaft, one_bearing, re
 from reference_rig import rig_model, rig_record
 
 from daq.rig import load_rig
-from estimator import spectral
 from estimator.compare import compare
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import DataError
+from estimator.identification.batch import fit as spectral
+from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.search import suspects
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
-from estimator.suspects import suspects
-from estimator.whole import fit_whole
 
 # effect, strength, where, and how near its numbers come: standard deviations, or a part of the value for those
 # whose law is not quite that of a sampled record

@@ -18,8 +18,8 @@ from typing import Any
 
 from estimator.compare import compare
 from estimator.diagnose import diagnose
+from estimator.identification.batch.fit import fit
 from estimator.improve import improve
-from estimator.spectral import fit
 
 from .records import RECORDS, GoldenRecord
 

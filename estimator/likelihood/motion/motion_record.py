@@ -73,7 +73,9 @@ class MotionBlocks:
     )
     disc: Disc | None = None  # on its shaft, where there is one: likelihood/motion/shaft_law.py
     shaken: Series | None = None  # (places, n) N, measured forces below the band: likelihood/response/below_band.py
-    drawn: Array | None = None  # (places,) rms by which motion drawn beyond a ceiling is off, over its own: declip.py
+    drawn: Array | None = (
+        None  # (places,) rms by which motion drawn beyond a ceiling is off, over its own: identification/record/declip.py
+    )
 
     @property
     def measured_force(self) -> bool:

@@ -39,7 +39,9 @@ class Record:
     force: dict[int, Array]
     phase: Array
     grid: Layout
-    lines: tuple[tuple[float, float], ...] = ()  # Hz, stretches left out of the grid (lines.py)
+    lines: tuple[
+        tuple[float, float], ...
+    ] = ()  # Hz, stretches left out of the grid (identification/batch/line_notches.py)
     slow: Array | None = None  # (places, n) displacement below the band that laws see instead of what sensors measure
     calm: Calm | None = None  # what laws see of the displacement where sensors are noisy
     weights: Array | None = (

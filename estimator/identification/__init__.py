@@ -1,0 +1,1 @@
+"""Numbers from records: disturbances, the fit of a record, the rolling estimate."""

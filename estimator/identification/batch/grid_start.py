@@ -1,0 +1,171 @@
+"""Starting values for parameters that no linear fit can find: a gap, a corner, an exponent typed as a guess.
+
+Newton's method finds them from near by. What a rig file says may be far off, so each effect with such parameters is
+first tried on a coarse grid about its values, on a part of the record, beside the model without it. A pedestal, which
+has no amplitude to judge a node by, is also begun from what the spectrum of the force suggests, or the motion under a
+measured force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.identification.structure import spectral_models, transfer_bias
+from estimator.likelihood.fitting.gauss_newton import fit_model, glanced
+from estimator.likelihood.motion.located_law import Placed, placed_of
+from estimator.likelihood.motion.motion_record import MotionBlocks, part_of
+from estimator.likelihood.path import law_gain
+from estimator.likelihood.path.path_fit import PathFit
+from estimator.likelihood.path.subproblem import Subproblem
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.model.rig import Model, Setting
+from estimator.parallel import each
+
+SECONDS = 6.0
+SHAPE_SECONDS = 20.0  # for the spectrum of the force
+FACTORS = {1: np.geomspace(0.1, 10.0, 13), 2: np.geomspace(0.1, 10.0, 5)}
+COARSE = np.array([0.3, 1.0, 3.0])
+BELOW = 0.1  # of a damping without a pedestal: a fit with one may end as far below zero, on its way to a light one
+CLOSER = np.array([0.56, 1.0, 1.8])  # about the best node of a grid of several numbers, whose steps are wide
+
+
+def fit_record(
+    model: Model, data: MotionBlocks, begun: WorkingPoint | None = None, glance: bool = False
+) -> WorkingPoint:
+    """The model fitted to a record, whatever values its rig file starts from. begun : the same fitted to nearly the
+    same record, to begin from where only amplitudes are sought. glance : there, near enough to look at the force."""
+    uses, near = _suggested(data, placed_of(model, data), placed_of(_unnumbered(model), data))
+    loose = [k for k, use in enumerate(uses) if _searched(use)]
+    if not loose and near:
+        return fit_model(data, uses, near)
+    if not loose and begun:
+        return fit_model(data, list(begun.placed), begun)
+    if not loose:
+        return glanced(data, uses) if glance else fit_model(data, uses)
+    part = part_of(data, SECONDS)
+    kinds = {k: (uses[k].effect.name, *_searched(uses[k])) for k in loose}
+    for kind in dict.fromkeys(kinds.values()):
+        own = [k for k in loose if kinds[k] == kind]
+        point = fit_model(part, [u for j, u in enumerate(uses) if j not in loose or j < own[0]])
+        for k, use in zip(own, _started(point, [uses[k] for k in own]), strict=True):
+            uses[k] = use
+    return fit_model(data, uses, near)
+
+
+def _unnumbered(model: Model) -> Model:
+    """The model with no values for the free numbers of its pedestals."""
+
+    def bare(own: Mapping[str, Setting]) -> dict[str, Setting]:
+        return {name: s if s.fixed else replace(s, value=None) for name, s in own.items()}
+
+    uses = (
+        replace(u, parameters={p: bare(own) for p, own in u.parameters.items()}) if u.name == "pedestal" else u
+        for u in model.effects
+    )
+    return replace(model, effects=tuple(uses))
+
+
+def _suggested(
+    data: MotionBlocks, uses: list[Placed], natural: list[Placed]
+) -> tuple[list[Placed], WorkingPoint | None]:  # fmt: skip
+    """The uses with their pedestals begun where the force of a model without them suggests, or at the natural size, if
+    that fits better; beside a measured force, which forgives no distance, with the point to begin from.
+
+    Beside a shaft as stiff as the bearings, all four caps on pedestals, what the force suggested at one of them led to
+    a stiffness a hundred times too small; the natural size led to the rotor.
+    """
+    shaped = [k for k, use in enumerate(uses) if use.effect.name == "pedestal" and any(use.free)]
+    others = [use for k, use in enumerate(uses) if k not in shaped and not _searched(use)]
+    if not shaped:
+        return uses, None
+    part = part_of(data, SHAPE_SECONDS)
+    without = fit_model(part, others)
+    begun = {}
+    kL, c = without.kL.copy(), without.c.copy()
+    for k in shaped:
+        i = uses[k].at[0]
+        if kL[i] > 0.0:  # not a fit far from the rotor
+            suggest = transfer_bias.pedestal if data.driven[i] > 0.0 else spectral_models.pedestal
+            suggested, kL[i], c[i] = suggest(without, i)
+            begun[k] = uses[k].with_values(np.where(uses[k].free, suggested, uses[k].p))
+    own = [begun.get(k, uses[k]) for k in shaped]
+    if data.measured_force:
+        best = fit_model(part, [*others, *own], replace(without, kL=kL, c=c))
+    else:
+        beside = replace(without, kL=kL, c=c, placed=(*others, *own))
+        points = [
+            fit_model(part, [*others, *own], beside),
+            *(fit_model(part, [*others, *(given[k] for k in shaped)]) for given in (uses, natural)),
+        ]
+        least = -BELOW * np.abs(without.c)
+        sound = [point for point in points if np.all(point.kL > 0.0) and np.all(point.c > least)]
+        best = max(sound or points, key=lambda point: point.fit.log_likelihood)
+    fitted = {use.key: use for use in best.placed}
+    return [fitted.get(use.key, use) for use in uses], best
+
+
+def _searched(use: Placed) -> list[int]:
+    """Numbers of the free parameters that are no amplitudes, if there are amplitudes to judge them by; not of a shaft
+    order, which no grid finds (identification/machine/stiffness_order.py)."""
+    if not any(q.linear and free for q, free in zip(use.effect.parameters, use.free, strict=True)):
+        return []
+    return [
+        k for k, q in enumerate(use.effect.parameters)
+        if use.free[k] and not q.linear and q.scale != "bpfo" and use.p[k] != 0.0
+    ]  # fmt: skip
+
+
+def _started(point: WorkingPoint, uses: list[Placed]) -> list[Placed]:
+    """The uses of one effect at the best of a grid about their values, amplitudes as they fit there; of several numbers
+    also of a closer one about that."""
+    loose = len(_searched(uses[0]))
+    begun = _best(point, uses, FACTORS.get(loose, COARSE), turned=True)
+    return begun if loose == 1 else _best(point, begun, CLOSER)
+
+
+def _best(point: WorkingPoint, uses: list[Placed], factors: Array, turned: bool = False) -> list[Placed]:
+    """The same of the grid of these factors. Places are alike unless the record says otherwise: one has a node of its
+    own where that is worth law_gain.DIFFERENT nats."""
+    nodes = [_grid(use, factors, turned) for use in uses]
+    pairs = [use for own in nodes for use in own]
+    found = each(lambda use: law_gain.assess(point, use), pairs)
+    tried = [found[k : k + len(nodes[0])] for k in range(0, len(pairs), len(nodes[0]))]
+    gains = np.array([[0.0 if got is None else max(got.gain, 0.0) for got in own] for own in tried])
+    shared = int(np.argmax(gains.sum(axis=0)))
+    out = []
+    for use, own, results, gained in zip(uses, nodes, tried, gains, strict=True):
+        best = int(np.argmax(gained))
+        best = best if gained[best] > gained[shared] + law_gain.DIFFERENT else shared
+        got = results[best]
+        out.append(use if got is None or got.gain <= 0.0 else _amplitudes(own[best], got.problem, got.fit))
+    return out
+
+
+def _grid(use: Placed, factors: Array, turned: bool) -> list[Placed]:
+    """The use at every node, its free amplitudes 1. turned : also with the other sign, where the effect has numbers of
+    both: the side that a stop is on, preload or clearance."""
+    loose = _searched(use)
+    limits = [(use.effect.parameters[k].low, use.effect.parameters[k].high) for k in loose]
+    both = [turned and -np.inf < low < 0.0 < high < np.inf for low, high in limits]
+    axes = [np.append(factors, -factors) if signed else factors for signed in both]
+    p = np.where([q.linear and free for q, free in zip(use.effect.parameters, use.free, strict=True)], 1.0, use.p)
+    nodes = []
+    for scale in product(*axes):
+        node = p.copy()
+        node[loose] *= scale
+        nodes.append(use.with_values(node))
+    return nodes
+
+
+def _amplitudes(use: Placed, problem: Subproblem, fit: PathFit) -> Placed:
+    """The use with the amplitudes of its fit, 0 for those that would be out of their limits."""
+    p = use.p.copy()
+    for k, q in enumerate(use.effect.parameters):
+        if q.linear and use.free[k]:
+            p[k] = fit.value(use.name(k))[0] if use.name(k) in problem.extra else 0.0
+    return use.with_values(p)

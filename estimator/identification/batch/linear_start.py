@@ -1,0 +1,229 @@
+"""A start that knows nothing of the answer: a scan over resonance and damping, and the linear fit from there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.errors import DataError
+from estimator.likelihood.motion.denoise import as_displacement, calm_of, is_little
+from estimator.likelihood.motion.force_balance import build, motion_channels
+from estimator.likelihood.motion.law_smoothing import MARGIN, NEAREST
+from estimator.likelihood.motion.stream_record import Record, gather, notches
+from estimator.likelihood.path.gram_likelihood import (
+    Evidence,
+    Likelihood,
+    Local,
+    Point,
+    evidence_of,
+    maximise,
+    responses,
+)
+from estimator.model.rig import Model
+from estimator.signals.band_limit import half_length, left_out
+from estimator.signals.blocks import Nodes, nodes, spectra, valid_blocks
+
+SECONDS = 20.0  # of the record that the start is taken from
+LEAST_DAMPING = 0.002  # of critical: where the scan begins
+FEEDING = ("cross_coupling", "rub")  # do work on the rotor: without them it may seem to lose nothing
+MASSES = np.array([0.05, 0.15, 0.5, 1.5])  # of the disc, that unknown cap masses are started from
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Linear point and natural sizes. m, c, kL, S, noise : (places,). widths : (places, 2) sd left out of x and v.
+
+    nodes : where the Jacobian of these resonances is evaluated.
+    """
+
+    m: Array
+    c: Array
+    kL: Array
+    S: Array
+    noise: Array
+    widths: Array
+    sizes: dict[str, dict[str, float]]
+    nodes: Nodes
+
+    @property
+    def linear(self) -> Array:
+        return np.stack([self.m, self.kL, self.c], axis=1)
+
+
+def scan(evidence: Evidence, row: int, mass: float, band: tuple[float, float]) -> tuple[float, float, float]:
+    """(c, kL, S) of the best single oscillator at a place, over resonances in the band and dampings of 0.2 to 80 %."""
+    P, grid = len(evidence.balance.places), evidence.grid
+    G = evidence.gram.sum(axis=0)[np.ix_([row, P + row, 2 * P + row], [row, P + row, 2 * P + row])]
+    w0 = 2 * np.pi * np.geomspace(band[0], band[1], 240)
+    zeta = np.geomspace(LEAST_DAMPING, 0.8, 14)
+    c, k = mass * 2 * zeta[None, :] * w0[:, None], np.broadcast_to((mass * w0**2)[:, None], (w0.size, zeta.size))
+    Q = (
+        mass * mass * G[0, 0] + c * c * G[1, 1] + k * k * G[2, 2]
+        + 2 * (mass * c * G[0, 1] + mass * k * G[0, 2] + c * k * G[1, 2])
+    )  # fmt: skip
+    f = grid.f_hz[:: max(1, grid.bins.size // 1500)]
+    logs = _mean_logs(w0.tobytes(), zeta.tobytes(), f.tobytes())
+    value = np.log(np.maximum(Q, 1e-300)) - logs  # per bin; the mass is the same for all
+    i, j = np.unravel_index(int(np.argmin(value)), value.shape)
+    n = evidence.blocks * grid.bins.size
+    return float(c[i, j]), float(k[i, j]), float(Q[i, j] / n)
+
+
+@lru_cache(maxsize=4)
+def _mean_logs(w0: bytes, zeta: bytes, f_hz: bytes) -> Array:
+    """(resonances, dampings) mean over frequency of log |det A|^2 per mass: the same for every place."""
+    r = (np.frombuffer(w0)[:, None] / (2 * np.pi * np.frombuffer(f_hz))) ** 2
+    return np.stack([np.log((1 - r) ** 2 + 4 * z * z * r).mean(axis=1) for z in np.frombuffer(zeta)], axis=1)
+
+
+def linear_start(record: Record) -> Start:
+    """The linear fit from a scan. Raises DataError if the band holds no resonance or the record is too short."""
+    model = replace(record.model, effects=())
+    balance = build(model)
+    P = len(balance.places)
+    bank = gather(record, balance, np.zeros((P, 2)), seconds=SECONDS)
+    evidence = evidence_of(bank)
+    beta = np.array([f.start for f in balance.free])
+    S = np.empty(P)
+    for i, place in enumerate(balance.places):
+        mass = model.cap_mass(place)
+        scanned = scan(evidence, i, 1.0 if mass is None else mass, model.band)
+        S[i] = scanned[2]
+        for j, f in enumerate(balance.free):
+            beta[j] = {f"{place}.m": 1.0, f"{place}.c": scanned[0], f"{place}.kL": scanned[1]}.get(f.name, beta[j])
+    local = _best(Likelihood(evidence), Point(beta, S, np.zeros(P)), model)
+    B = balance.coefficients(local.point.beta)
+    m, c, kL = _diagonals(B)
+    for i, place in enumerate(balance.places):
+        if fed(record.model, place):
+            c[i] = B[i, P + i] = max(c[i], 2 * LEAST_DAMPING * np.sqrt(max(kL[i] * m[i], 0.0)))
+    x, v, a = record.rms("x"), record.rms("v"), record.rms("a")
+    for i, place in enumerate(balance.places):
+        _judge(place, m[i], c[i], kL[i], record)
+    sizes = {
+        place: {
+            "x": x[i], "v": v[i], "a": a[i], "m": m[i], "hz_peak": float(np.sqrt(kL[i] / m[i]) / (2 * np.pi)),
+            "rate": record.rate_hz, "sample": 1 / record.rate_hz, "band": model.band[1], "seconds": record.seconds,
+        }
+        for i, place in enumerate(balance.places)
+    }  # fmt: skip
+    widths, at = _about(record, evidence, B, local.point.S)
+    return Start(m, c, kL, local.point.S, local.point.noise, widths, sizes, at)
+
+
+def calmed(record: Record, start: Start) -> tuple[Record, Start]:
+    """The same with what the laws see beside the noise of sensors (likelihood/motion/denoise.py), where no force is measured."""
+    grid, kinds = record.grid, [record.model.channels[c].kind for c in motion_channels(record.model)]
+    noise = as_displacement(kinds, grid.f_hz, start.noise)
+    if record.force or is_little(grid.f_hz, noise, record.rms("x") ** 2):
+        return record, start
+    blocks = valid_blocks(record.motion.valid, grid)[::2]
+    blocks = blocks[: max(1, int(SECONDS * record.rate_hz / grid.size))]
+    seen = np.zeros_like(noise)
+    for block in blocks.tolist():
+        stretch = record.stretch(block * grid.hop, block * grid.hop + grid.size)
+        seen += np.abs(spectra(stretch.x[:, MARGIN:-MARGIN], np.zeros(1, np.intp), grid)[:, 0]) ** 2 / blocks.size
+    calm = calm_of(grid.f_hz, seen, noise, half_length(record.rate_hz, record.model.band))
+    return replace(record, calm=calm), replace(start, widths=np.hypot(start.widths, calm.doubt))
+
+
+def renewed(start: Start, record: Record, evidence: Evidence, point: Point) -> Start:
+    """The start about a better point, where the first one was blind to what shapes the force."""
+    B = evidence.balance.coefficients(point.beta)
+    m, c, kL = _diagonals(B)
+    widths, at = _about(record, evidence, B, point.S)
+    return Start(m, c, kL, point.S, point.noise, widths, start.sizes, at)
+
+
+def _about(record: Record, evidence: Evidence, B: Array, S: Array) -> tuple[Array, Nodes]:
+    """`widths` and `nodes` of a start about coefficients B."""
+    m, c, kL = _diagonals(B)
+    coupled = resonances(evidence, B)  # with a stiff shaft far from those of each place alone
+    alone = np.sqrt(kL / m) / (2 * np.pi), c / m / (2 * np.pi)
+    middle = [0.5 * (low + high) for low, high in notches(record.model)]  # what the shaft answers is steep beside them
+    left_out_there = np.array(middle), np.zeros(len(middle))
+    at = nodes(record.grid, *(np.concatenate(z) for z in zip(coupled, alone, left_out_there, strict=True)))
+    widths = left_out(m, c, kL, S + record.driven, record.model.band, record.rate_hz, evidence.balance.kinds)
+    doubt = 0.0 if record.calm is None else record.calm.doubt
+    return np.maximum(np.hypot(widths, doubt), NEAREST * record.scales), at
+
+
+def _diagonals(B: Array) -> tuple[Array, Array, Array]:
+    """(places,) m, c, kL, the shaft's part included."""
+    P = len(B)
+    m, c, kL = (np.diag(B[:, i * P : (i + 1) * P]).copy() for i in range(3))
+    return m, c, kL
+
+
+def _best(likelihood: Likelihood, first: Point, model: Model) -> Local:
+    """The highest of the maxima found. Where the shaft is to set the scale of unknown masses there are several."""
+    balance = likelihood.evidence.balance
+    unknown = {p for p in balance.places if model.cap_mass(p) is None}
+    if balance.common is None or not unknown:
+        return maximise(likelihood, first)[0]
+    scaled = np.array([f.name.rsplit(".", 1)[0] in unknown for f in balance.free])
+    power = np.array([p in unknown for p in balance.places])
+    found = []
+    for mass in MASSES * model.mass["disc"]:
+        beta, S = np.where(scaled, mass * first.beta, first.beta), np.where(power, mass**2 * first.S, first.S)
+        local, _ = maximise(likelihood, Point(beta, S, first.noise))
+        if np.isfinite(local.nll):
+            found.append(local)
+    return min(found, key=lambda z: z.nll)
+
+
+def resonances(evidence: Evidence, B: Array) -> tuple[Array, Array]:
+    """Hz: peaks of the response of the balance B, all places together, and their half-power widths."""
+    f = evidence.grid.f_hz
+    A = B @ responses(evidence.balance, evidence.tangents, f)
+    power = np.sum(np.abs(np.linalg.inv(A)) ** 2, axis=(1, 2)) / f**4  # of the displacement, which has a peak
+    inner = power[1:-1]
+    peaks = np.flatnonzero((inner >= power[:-2]) & (inner >= power[2:])) + 1
+    widths = []
+    for k in peaks:
+        below = power < 0.5 * power[k]
+        right, left = np.argmax(below[k:]), np.argmax(below[k::-1])
+        steps = [int(n) for n in (left, right) if n > 0]
+        widths.append(2.0 * min(steps, default=f.size) * (f[1] - f[0]))
+    return f[peaks], np.asarray(widths, dtype=np.float64)
+
+
+def resonates(m: float, c: float, kL: float, band: tuple[float, float]) -> bool:
+    """Whether a place with this mean response resonates inside the band, Hz."""
+    low, high = band
+    f0 = np.sqrt(kL / m) / (2 * np.pi) if kL > 0 and m > 0 else 0.0
+    return bool(1.02 * low < f0 < 0.98 * high and c <= 1.8 * np.sqrt(kL * m))
+
+
+def refuse_without_resonance(place: str, m: float, c: float, kL: float, band: tuple[float, float]) -> None:
+    """Raises DataError if a place with this mean response does not resonate inside the band, Hz."""
+    if not resonates(m, c, kL, band):
+        low, high = band
+        raise DataError(
+            f"no resonance of {place} inside the band {low:g}-{high:g} Hz: choose a band around the bearing resonance, "
+            "and check that the channel is the bearing's"
+        )
+
+
+def _judge(place: str, m: float, c: float, kL: float, record: Record) -> None:
+    refuse_without_resonance(place, m, c if c > 0 else np.inf, kL, record.model.band)
+    correlation = 2 * m / c
+    if correlation > record.seconds:
+        raise DataError(
+            f"{place} seems to lose nothing (c = {c:.2g} N s/m): something feeds it, as cross-coupling near whirl does "
+            "(rotorscope diagnose), or the record is far too short"
+        )
+    if record.seconds < 10 * correlation:
+        raise DataError(
+            f"the record ({record.seconds:.2f} s valid) is shorter than ten correlation times of {place} "
+            f"({correlation:.2g} s each): record at least {10 * correlation:.1f} s"
+        )
+
+
+def fed(model: Model, place: str) -> bool:
+    """Whether the model has an effect there that may give back what damping takes."""
+    own = (place, place.split(".")[0])
+    return any(p in own for u in model.effects if u.name in FEEDING or u.custom for p in u.parameters)

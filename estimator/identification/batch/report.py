@@ -1,0 +1,150 @@
+"""A model fitted to a prepared record from its Gram matrices: values, covariance, the force that is left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.likelihood.motion.force_balance import Balance
+from estimator.likelihood.motion.stream_record import Bank, Record, stretches
+from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, active
+from estimator.likelihood.path.sandwich import excess
+from estimator.model.rig import UNITS, Model
+from estimator.results import Parameter, untold_at
+from estimator.signals.blocks import spectra, taper, valid_blocks
+
+from .linear_start import Start
+from .maximum import inverse, maximum
+
+SCALELESS = "the data leave it free: nothing in the model sets its scale"
+OVERLAP = 0.106  # correlation of the energies of neighbouring blocks (sums of w^2 w'^2 over w^4, gram.taper)
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """A fitted model: the record, the balance and its Gram matrices, the point and its uncertainty.
+
+    covariance : (p + 2 P, p + 2 P) of beta, log S, noise (see likelihood.Local); inf where the data leave it free.
+    """
+
+    record: Record
+    start: Start
+    balance: Balance
+    bank: Bank
+    local: Local
+    covariance: Array
+    converged: bool
+
+    @property
+    def point(self) -> Point:
+        return self.local.point
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Free parameters by name; searched ones at their current value."""
+        return {
+            f.name: (f.start + b if f.searched else b)
+            for f, b in zip(self.balance.free, self.local.point.beta.tolist(), strict=True)
+        }
+
+
+def solve(record: Record, start: Start, model: Model, values: Mapping[str, float] | None = None) -> Solution:
+    """Fit a model to a prepared record from a linear start. values : known ones by name, before the model's own."""
+    best = maximum(record, start, model, values)
+    covariance = sandwich(best.likelihood, best.local, best.bank)
+    return Solution(record, start, best.balance, best.bank, best.local, covariance, best.converged)
+
+
+def sandwich(likelihood: Likelihood, local: Local, bank: Bank) -> Array:
+    """Covariance H^-1 J H^-1 with J from the scores of the folds of time; H^-1 alone if they are too few."""
+    bread, used, folds = inverse(local), active(local.point), bank.blocks.size
+    if folds < 3 * used.size:
+        return bread
+    g = likelihood.scores(local, bank.grams, bank.blocks)
+    if not likelihood.known:
+        g[:, : local.point.beta.size] -= excess(likelihood, local, bank)
+    g = g[:, used]
+    m = float(bank.blocks.mean())
+    lost = (1 + 2 * OVERLAP) / (1 + 2 * OVERLAP * (m - 1) / m)  # neighbouring folds share half a block
+    J = (g.T @ g) * lost * folds / (folds - used.size)
+    H = bread[np.ix_(used, used)]
+    loose = ~np.isfinite(np.diag(H))
+    H = np.where(np.isfinite(H), H, 0.0)
+    covariance = H @ J @ H
+    covariance[loose, loose] = np.inf
+    bread[np.ix_(used, used)] = covariance
+    return bread
+
+
+def inferred_force(solution: Solution) -> Array:
+    """(places, n) N: the force that the model does not explain, in the band, NaN where nothing is known.
+
+    Synthesised from the same blocks as the likelihood: window, bins of the band, window, overlap and add.
+    """
+    record, grid, balance = solution.record, solution.record.grid, solution.balance
+    columns = record.columns(balance, solution.start.widths, solution.start.linear)
+    B = balance.coefficients(solution.point.beta)
+    out, weight = np.zeros((len(balance.places), record.motion.rows)), np.zeros(record.motion.rows)
+    w = taper(grid.size)
+    for group in stretches(valid_blocks(record.motion.valid, grid), 8):
+        at = int(group[0]) * grid.hop
+        z, _ = columns.evaluate(record.stretch(at, int(group[-1]) * grid.hop + grid.size))
+        Z = spectra(B @ z, group - group[0], grid) * (w[grid.hop] / grid.window[grid.hop])
+        full = np.zeros((*Z.shape[:2], grid.size // 2 + 1), complex)
+        full[:, :, grid.bins] = Z
+        series = np.fft.irfft(full, grid.size, axis=2)
+        for b in range(group.size):
+            rows = slice(at + b * grid.hop, at + b * grid.hop + grid.size)
+            out[:, rows] += series[:, b] * w
+            weight[rows] += w * w
+    out[:, weight < 0.999] = np.nan
+    return out
+
+
+def report(solution: Solution) -> dict[str, Parameter]:
+    """Every parameter by full name, judged."""
+    return judged(solution.balance, solution.point, solution.covariance, solution.record.model)
+
+
+def judged(balance: Balance, point: Point, covariance: Array, model: Model) -> dict[str, Parameter]:
+    """Parameters by full name: kL, c, m and S of each place, then those of the effects."""
+    sd = np.sqrt(np.diag(covariance))
+    free = {
+        f.name: (f, (f.start + b if f.searched else b), sd[j])
+        for j, (f, b) in enumerate(zip(balance.free, point.beta.tolist(), strict=True))
+    }
+    out: dict[str, Parameter] = {}
+    for i, place in enumerate(balance.places):
+        for key in ("kL", "c", "m"):
+            name = f"{place}.{key}"
+            setting = model.linear.get(place, {}).get(key)
+            given = model.cap_mass(place) if key == "m" else None if setting is None else setting.value
+            if name in free:
+                out[name] = _judged(free[name][1], free[name][2], UNITS[key])
+            elif given is not None:
+                out[name] = Parameter(given, 0.0, UNITS[key], True, "given")
+        out[f"{place}.S"] = _judged(point.S[i], point.S[i] * sd[point.beta.size + i], UNITS["S"])
+    out |= {name: _judged(value, s, f.unit) for name, (f, value, s) in free.items() if name not in out}
+    adrift = [p for p in balance.places if f"{p}.m" in free and not np.isfinite(free[f"{p}.m"][2])]
+    return untold_at(adrift, SCALELESS, out, "N")
+
+
+def _judged(value: float, sd: float, unit: str) -> Parameter:
+    judged = Parameter.judged(value, sd, unit)
+    if judged.identifiable:
+        return judged
+    if not np.isfinite(sd):
+        return Parameter(None, None, unit, False, SCALELESS)
+    return Parameter(None, None, unit, False, f"{value:.3g} +- {sd:.2g}: not told from zero by this record")
+
+
+def ratios_only(place: str, kL: float, c: float, m: float) -> str:
+    """What to tell of a place whose mass is not known."""
+    hz, zeta = np.sqrt(kL / m) / (2 * np.pi), c / (2 * np.sqrt(kL * m))
+    return (
+        f"{place}: no mass is known, so only ratios are: resonance {hz:.1f} Hz, damping {100 * zeta:.2f} % of "
+        "critical; give [rig.mass] to have stiffness in N/m"
+    )

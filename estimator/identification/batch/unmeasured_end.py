@@ -1,0 +1,38 @@
+"""A shaft with one bearing measured: what the other does reaches this one through the shaft, and nothing tells it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from estimator.errors import DataError
+from estimator.likelihood.motion.force_balance import shaft_reaction
+from estimator.model.rig import NODES, Model
+
+MATTERS = 0.01  # of the stiffness at a place: what comes through the shaft at the resonance there
+
+
+def said(model: Model, kL: Mapping[str, float]) -> tuple[str, ...]:
+    """What to tell of it. kL : by place, N/m."""
+    try:
+        reaction = shaft_reaction(model)
+    except DataError:  # said elsewhere
+        return ()
+    most, lacking = 0.0, ""
+    for place, stiffness in kL.items():
+        node, direction = place.split(".")
+        other = NODES[node == NODES[0]]
+        mass = model.cap_mass(place)
+        if reaction is None or mass is None or stiffness <= 0.0 or f"{other}.{direction}" in model.places:
+            continue
+        f_hz = np.array([np.sqrt(stiffness / mass) / (2 * np.pi)])
+        share = float(np.abs(reaction(f_hz))[0]) / stiffness
+        if share > max(most, MATTERS):
+            most, lacking = share, other
+    if not lacking:
+        return ()
+    return (
+        f"{lacking} is not measured, and what it does comes through the shaft ({100 * most:.0f} % of the stiffness "
+        "here, at the resonance): it is taken for a force, and no number is sound; measure both ends",
+    )

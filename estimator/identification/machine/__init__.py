@@ -1,0 +1,1 @@
+"""Tones, harmonics, impact trains and parametric stiffness of a machine."""

@@ -1,0 +1,212 @@
+"""Trains of strikes in the spectrum of the motion: all harmonics of one frequency, of which each may be weak.
+
+A train that is not announced, by the geometry of the bearing or the spacing of lines that stand out by themselves, is
+sought by the sum of |Y|^2 over its noise at the first harmonics of every frequency: under noise alone a sum of
+exponentials. One line counts for little in it. Tones that happen to be multiples of one frequency, as mains hum, leave
+orders out; short equal strikes have them all, of nearly the strength of their neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincc
+
+from estimator.arrays import Array
+from estimator.effects import CATALOGUE
+from estimator.effects.engine.places import kinematic, orders
+from estimator.identification.finding import Suspect
+from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
+from estimator.model.rig import Model
+from estimator.results import Parameter
+from estimator.signals.line_spectrum import Spectrum
+
+from . import beyond_harmonics
+
+FIRST = 12  # harmonics that a train is sought by
+MOST = 20.0  # that one of them counts for
+SURE, LEVEL = 1.3, 1e-4  # the local noise is known to about a tenth; chance of a false train in a record
+LEAST_ORDER, MOST_ORDER = 0.3, 30.0  # of the shaft, as the effect's own limits
+VISIBLE, PLAIN = 8.0, 25.0  # power over noise of a harmonic that is seen, and of one that cannot be overlooked
+BESIDE = np.arange(4, 16)  # bins on either side of a line that tell what is beside it
+SAME = 1e-3  # of the ratio of two fundamentals, that it may be off a whole number by
+COMB, APART = 5, 20.0  # lines, and bins between them, that make multiples of one frequency no chance
+GAP, GAPS = 0.25, 0.2  # of the power of its neighbours, under which a harmonic is left out; share that may be
+
+
+def find(
+    model: Model, point: WorkingPoint, s: Spectrum, lines: list[float], rotation: float, known: Sequence[float] = ()
+) -> tuple[Suspect | None, float]:
+    """The clearest train of harmonics of a bearing order, and its fundamental in Hz.
+
+    lines : Hz of what stands out by itself. rotation : Hz. known : Hz of lines that the model has.
+    """
+    Zs: Array = np.asarray(np.abs(s.Y) ** 2 / s.noise, dtype=np.float64)
+    for hz in known:
+        Zs[:, np.abs(s.f_hz - hz) <= s.width(hz)] = 0.0
+    best: Suspect | None = None
+    fundamental = won = 0.0
+    for order in dict.fromkeys(round(o, 4) for o in _orders(model, s, Zs, lines, rotation)):
+        hz = order * rotation
+        if abs(order - round(order)) < 0.02 and order < 2.5:
+            continue
+        harmonics = np.arange(1, min(400, int(min(0.45 * s.rate_hz, model.band[1]) / hz)) + 1)
+        bins = np.clip(np.round(harmonics * hz * s.seconds).astype(int), 1, s.f_hz.size - 2)
+        Z: Array = np.asarray(np.max([Zs[:, bins + d] for d in (-1, 0, 1)], axis=0))
+        # a Hann line fills three bins; the largest of three is about 1.8 by chance
+        gains = np.maximum(Z - 3.0, 0.0).sum(axis=1) - 0.15 * harmonics.size
+        clear = float(np.sum(np.clip(Z - 3.0, 0.0, MOST))) - 0.15 * Z.size  # one of them may be a resonance
+        enough = 40 + 5 * np.sqrt(harmonics.size)
+        i = int(np.argmax(gains))
+        visible = int((Z[i] > VISIBLE).sum())
+        if visible < 4 or gains[i] <= enough or (best is not None and clear <= won * _more(hz, fundamental)):
+            continue
+        F, unit = _forces(point, s, bins + np.argmax([Zs[i, bins + d] for d in (-1, 0, 1)], axis=0) - 1, i)
+        if not _full(F, unit) or _made_by_laws(point, order, hz, F, unit, i):
+            continue
+        places = [point.data.places[j] for j in range(len(gains)) if gains[j] > enough]
+        best, fundamental, won = _defect(point, s, order, rotation, places, float(np.sum(gains))), hz, clear
+    return best, fundamental
+
+
+def fundamental(lines: Sequence[float], seconds: float) -> float:
+    """Hz that all but a fifth of at least `COMB` lines are multiples of, to a bin; 0 if there is none. lines : Hz."""
+    best, most = 0.0, max(COMB, (1.0 - GAPS) * len(lines))
+    rising = sorted(lines)
+    for candidate in {round(hz / q, 3) for hz in rising[:4] for q in (1, 2, 3, 4)}:
+        hz, count = candidate, 0
+        for line in rising if candidate * seconds > APART else ():
+            k = round(line / hz)
+            if k and abs(line - k * hz) < 1.0 / seconds:
+                hz, count = line / k, count + 1  # the k-th tells it k times as well
+        if count >= most and (count > most or hz > best):
+            best, most = hz, count
+    return best
+
+
+def _more(hz: float, other: float) -> float:
+    """How many times as clear as a train another must be, fundamentals in Hz. One of a q-th of the other's has all that
+    the other has and q - 1 times as many harmonics between: if strikes are there they are as clear each. By chance and
+    a resonance on one of them half of the weak trains of 20 s at order 2.1 went by 0.7."""
+    q = max(hz / other, other / hz)
+    if abs(q - round(q)) > SAME * q:
+        return 1.0
+    share = 0.5 * (1.0 + round(q))  # half of what they would win
+    return share if hz < other else 1.0 / share
+
+
+def _orders(model: Model, s: Spectrum, Zs: Array, lines: list[float], rotation: float) -> list[float]:
+    """Orders of the shaft at which a train is looked for."""
+    out = []
+    bpfo = kinematic("bpfo", model)
+    if bpfo is not None:
+        out.append(float(bpfo))
+    if model.bearing is not None:
+        out += [v for k, v in orders(model).items() if k != "FTF"]
+    steady = [hz for hz in lines if s.steady(hz)]  # in a short record a resonance stands out of its surroundings too
+    if len(steady) >= 4:  # the spacing that most of the lines share
+        spacing = np.diff(np.sort(steady))
+        out += [float(d / rotation) for d in np.unique(np.round(spacing, 2)) if d > LEAST_ORDER * rotation][:20]
+    return out + [hz / rotation for hz in _combs(s, Zs, rotation, model.band[1])]
+
+
+def _combs(s: Spectrum, Zs: Array, rotation: float, high: float) -> list[float]:
+    """Hz whose first harmonics together stand out most, in any channel, with what it is a third to thrice of."""
+    low, top = LEAST_ORDER * rotation, min(MOST_ORDER * rotation, high / 4)
+    grid = np.arange(np.ceil(low * FIRST * s.seconds), np.floor(top * FIRST * s.seconds)) / (FIRST * s.seconds)
+    totals, count = np.zeros((len(Zs), grid.size), np.float32), np.zeros(grid.size)
+    bounded = np.minimum(Zs, MOST, dtype=np.float32)
+    for k in range(1, FIRST + 1):
+        inside = int(np.searchsorted(grid, high / k))
+        at = np.rint(k * grid[:inside] * s.seconds).astype(np.intp)
+        for total, Z in zip(totals, bounded, strict=True):
+            total[:inside] += Z[at]
+        count[:inside] += 1
+    best, found = 0.0, 0.0
+    for total in totals if grid.size else ():
+        clear = total / SURE - count
+        top = int(np.argmax(clear))
+        if clear[top] > best and gammaincc(count[top], total[top] / SURE) * grid.size * len(Zs) < LEVEL:
+            best, found = float(clear[top]), float(grid[top])
+    return [_centred(s, Zs, found * q, high) for q in (1.0, 1 / 2, 1 / 3, 2.0, 3.0)] if found else []
+
+
+def _centred(s: Spectrum, Zs: Array, hz: float, high: float) -> float:
+    """A fundamental, refined by its visible harmonics, the lowest first: the k-th tells it k times as well."""
+    Z = Zs.max(axis=0)
+    for k in range(1, int(high / hz) + 1):
+        at = int(round(k * hz * s.seconds))
+        near = Z[max(at - 1, 0) : at + 2]
+        if near.size == 3 and near[1] > VISIBLE and near[1] >= near.max():
+            a, b, c = np.sqrt(near)
+            shift = (2 * c - b) / (b + c) if c >= a else -(2 * a - b) / (a + b)
+            hz += (at / s.seconds + float(np.clip(shift, -0.7, 0.7)) / s.seconds - k * hz) / k * 0.5
+    return hz
+
+
+def _forces(point: WorkingPoint, s: Spectrum, bins: NDArray[np.intp], i: int) -> tuple[Array, Array]:
+    """(lines,) N at place i of lines at some bins by a linear reading of the motion, and of what is beside them."""
+    near = np.clip(bins[:, None] + np.concatenate([[0], -BESIDE, BESIDE]), 1, s.f_hz.size - 1)
+    bins = near.ravel()
+    if set(s.kinds) == {"force"}:
+        F = np.abs(s.Y[i, bins])
+    else:
+        F = np.abs(np.einsum("fj,jf->f", tangent_at(point, s.model, s.f_hz[bins])[:, i], s.accelerations(bins)))
+    F = F.reshape(near.shape)
+    return np.asarray(F[:, 0]), np.sqrt(np.median(F[:, 1:] ** 2, axis=1) / np.log(2.0))
+
+
+def _full(F: Array, unit: Array) -> bool:
+    """Whether a train has all its harmonics, as far as they would be seen beside their neighbours.
+
+    F, unit : (harmonics,) N of its force, and of what is beside each harmonic.
+    """
+    expected = 0.5 * (F[:-2] + F[2:])
+    plain = (expected / unit[1:-1]) ** 2 > PLAIN
+    left_out = plain & (F[1:-1] ** 2 < GAP * expected**2)
+    return bool(left_out.sum() <= GAPS * plain.sum())
+
+
+def _made_by_laws(point: WorkingPoint, order: float, hz: float, F: Array, unit: Array, i: int) -> bool:
+    """Whether the laws of the model make the harmonics that are seen out of other lines. F, unit : as `_full` has
+    them."""
+    over = F / unit
+    seen = (over**2 > VISIBLE) & beyond_harmonics.known(point, hz * np.arange(1.0, over.size + 1))
+    if point.data.measured_force or not seen.any():
+        return False
+    left = beyond_harmonics.harmonics(point, i, order * point.data.phase, over.size)[seen]
+    over_noise = np.abs(left / unit[seen]) ** 2  # one beside a resonance is many times the others
+    return bool(np.sum(over_noise) < beyond_harmonics.LEAST**2 * np.sum(over[seen] ** 2))
+
+
+def _defect(
+    point: WorkingPoint, s: Spectrum, order: float, rotation: float, places: list[str], gained: float
+) -> Suspect:
+    """Strike, angle and width from the folded inferred force: the mean over all periods."""
+    settings, power = {}, {}
+    hz = order * rotation
+    for place in places:
+        i = point.data.places.index(place)
+        turn = (order * point.data.phase / (2 * np.pi)) % 1.0
+        bins = 256
+        index = np.minimum((turn * bins).astype(int), bins - 1)
+        folded = np.bincount(index, point.force[i], bins) / np.maximum(np.bincount(index, minlength=bins), 1)
+        folded -= np.median(folded)
+        sd = float(point.force[i].std() / np.sqrt(point.force.shape[1] / bins))
+        peak = int(np.argmax(np.abs(folded)))
+        tail = np.roll(folded, -peak)[: bins // 4] / folded[peak]
+        width = 2 * np.pi / bins * float(np.clip(np.sum(np.clip(tail, 0, None)), 1.0, 40.0))
+        settings[place] = {
+            "strike": Parameter(float(folded[peak]), sd, "N"),
+            "order": Parameter(order, order / s.seconds / hz / 10, "1"),
+            "angle": Parameter(2 * np.pi * peak / bins, 2 * np.pi / bins, "rad"),
+            "width": Parameter(width, 2 * np.pi / bins, "rad"),
+        }
+        power[i] = max(float(np.mean(folded**2)) - sd**2, 0.0)
+    effect = CATALOGUE["local_defect"]
+    return Suspect(
+        "local_defect", tuple(places), gained, 4 * len(places), float(np.exp(-min(gained, 700.0) / 2)), power,
+        "shaft_angle", f"impacts at {order:.3f} x shaft speed ({hz:.2f} Hz)", settings, effect.signature,
+    )  # fmt: skip

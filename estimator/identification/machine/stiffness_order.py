@@ -1,0 +1,147 @@
+"""At what shaft order stiffness turns, from the record: geometry may not be given, and bearings slip by a per cent.
+
+Of a missing force F = F0 + k cos(w t) x, with F0 white and independent of x, the product F x has a line at w over a
+smooth floor. Its power over that floor is the nats that k_cos and k_sin gain at this frequency, so a line is sought
+among the products as in a periodogram (frequency to sqrt(6 / nats) / (2 pi T), the bound for a sinusoid).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array
+from estimator.effects.engine.places import at, kinematic, written
+from estimator.effects.rotating.ball_pass import BALL_PASS
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.model.rig import EffectUse, Model, Setting
+from estimator.parallel import each
+from estimator.signals.line_spectrum import surroundings
+
+from .lines import LEVEL, SURE
+
+LOW, HIGH = 0.3, 30.0  # orders looked at
+NEIGHBOURS = 200  # bins of the padded spectrum on either side that the floor is the median of
+FINER = 4  # bins of the zero-padded spectrum for one of the record, at least
+
+
+@dataclass(frozen=True, slots=True)
+class Turning:
+    """A shaft order at which stiffness turns, and its standard deviation."""
+
+    order: float
+    sd: float
+
+    @property
+    def text(self) -> str:
+        return f"the force follows the motion at shaft order {self.order:.4f} +- {self.sd:.1g}"
+
+
+def sought(model: Model) -> bool:
+    """Whether the model leaves the ball-pass order to be found: it has a speed, and no such law with an order typed."""
+    orders = [own.get("order", Setting()).value for use in laws(model) for own in _written(model, use).values()]
+    return bool(model.speed_rpm) and model.ball_pass_order is None and (not orders or None in orders)
+
+
+def laws(model: Model) -> tuple[EffectUse, ...]:
+    """The uses whose order it is."""
+    return tuple(u for u in model.effects if u.name == BALL_PASS.name)
+
+
+def _written(model: Model, use: EffectUse) -> dict[str, dict[str, Setting]]:
+    return {place: written(BALL_PASS, use, model, place) for place in at(BALL_PASS, use, model)}
+
+
+def begun(model: Model) -> Model:
+    """The model with its laws' orders begun at that of the record."""
+    order = {"order": Setting(model.ball_pass_order)}
+    return replace(
+        model,
+        effects=tuple(
+            replace(u, parameters={place: order | own for place, own in _written(model, u).items()})
+            if u in laws(model) else u
+            for u in model.effects
+        ),
+    )  # fmt: skip
+
+
+def turned(model: Model, point: WorkingPoint) -> tuple[Model, tuple[str, ...]]:
+    """The model with the ball-pass order of the record, where it shows one that the geometry does not give, and what
+    to say about it. point : of the model without ball-pass laws."""
+    found = turning(point)
+    if found is None:
+        return model, ()
+    known = kinematic("bpfo", model)
+    if known is not None and abs(found.order - known) < 4.0 * found.sd:
+        return model, ()
+    beside = "" if known is None else f"; the geometry says {known:.4f}"
+    return replace(model, ball_pass_order=found.order, order_found=True), (found.text + beside,)
+
+
+def turning(point: WorkingPoint) -> Turning | None:
+    """The clearest line of F x at any place, orders 1 and 2 of the shaft left out (a crack's); None without one."""
+    from scipy.fft import next_fast_len, rfft
+
+    data = point.data
+    rotation = data.speed / (2 * np.pi)
+    if rotation <= 0.0:
+        return None
+    thin = max(1, int(data.rate_hz / (4.0 * HIGH * rotation)))
+    turned = (data.phase - data.phase[0]) / data.speed  # s, at the mean speed: a line of the shaft's stays one
+    rows = np.rint(turned * data.rate_hz).astype(np.int64) // thin
+    size = next_fast_len(FINER * (int(rows[-1]) + 1), real=True)
+    f = np.fft.rfftfreq(size, thin / data.rate_hz)
+    seconds = float(data.t[-1] - data.t[0])
+    usable = (f > max(LOW * rotation, 10.0 / seconds)) & (f < HIGH * rotation)
+    for k in (1.0, 2.0):
+        usable &= np.abs(f - k * rotation) > 3.0 / seconds
+    if not usable.any():
+        return None
+    looked = int(np.flatnonzero(usable)[-1]) + 2 * NEIGHBOURS  # bins
+    usable = usable[:looked]
+
+    def clearest(i: int) -> tuple[float, float]:
+        """Nats and Hz of the highest line at a place."""
+        force = _without_lines(point.force[i]) if data.driven[i] > 0.0 else point.force[i]
+        product = np.bincount(rows, force * data.x[i]).astype(np.float32)
+        line = np.asarray(rfft(product, size))[:looked]
+        power = line.real**2 + line.imag**2
+        nats = power / surroundings(power, NEIGHBOURS)
+        k = int(np.argmax(np.where(usable, nats, 0.0)))
+        return float(nats[k]), float(f[k] + _between(power[k - 1 : k + 2]) * f[1])  # its floor may step
+
+    nats, hz = max(each(clearest, range(len(data.places))))
+    if nats < SURE * np.log(np.count_nonzero(usable) * len(data.places) / LEVEL):
+        return None
+    return Turning(hz / rotation, float(np.sqrt(6.0 / nats) / (2 * np.pi * seconds)) / rotation)
+
+
+def looked_at(point: WorkingPoint) -> float:
+    """Frequencies that `turning` looks at, independent ones: as many trials are behind an order of the record."""
+    data = point.data
+    return max(1.0, (HIGH - LOW) * data.speed / (2 * np.pi) * float(data.t[-1] - data.t[0]))
+
+
+def _without_lines(force: Array) -> Array:
+    """What is left of a measured force, (n,), without its lines: they make lines in the motion too, and with these in
+    every product. A stiffness that turns makes none in the force itself."""
+    from scipy.fft import irfft, rfft
+
+    Z = rfft(force * np.hanning(force.size))
+    power = Z.real**2 + Z.imag**2
+    lines = power > SURE * np.log(Z.size / LEVEL) * surroundings(power, NEIGHBOURS)
+    if not lines.any():
+        return force
+    Z[np.convolve(lines, np.ones(5, bool), mode="same")] = 0.0
+    return np.asarray(irfft(Z, force.size))
+
+
+def _between(three: NDArray[np.floating[Any]]) -> float:
+    """Where between its neighbours a peak lies, bins, by the parabola through their logarithms."""
+    if three.size < 3 or three.min() <= 0.0:
+        return 0.0
+    a, b, c = np.log(three)
+    return float(0.5 * (a - c) / (a - 2 * b + c)) if a - 2 * b + c < 0.0 else 0.0

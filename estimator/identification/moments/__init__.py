@@ -1,0 +1,1 @@
+"""The paper's own methods: Fokker-Planck density, score matching, Volterra series."""

@@ -1,0 +1,304 @@
+"""The paper's estimator: least squares on the logarithm of the histogram, eq. (36).
+
+Between neighbouring cells of the displacement histogram ln(p'/p) = -(V' - V)/T, so with T/m3 = c sigma_v1 sigma_v2,
+c = 1/sqrt(mu1 mu2), a = ks/m3, D a step (chain; physics.md section 3):
+
+    [S ln(p'/p), x1 D1, G1 D1, x2 D2, G2 D2] . (c, w1^2, w1^2 lambda1, w2^2, w2^2 lambda2) = -(a/2)(x1 - x2)(D1 - D2)
+
+Three forms:
+  literal   steps along the diagonal of the grid and forward differences, as printed. D1 = D2 makes the right side zero
+            in every row: only the null solution. It is built, and refused.
+  midpoint  steps along the axes, x D and G D replaced by the exact differences of x^2/2 and x^4/4. The noisy logarithm
+            is a regressor, which attenuates c.
+  response  the logarithm on the left, weights 1/(1/n + 1/n'), cells under 30 counts dropped, the mean of the density
+            over a cell (not its value at the centre) on the right. The default.
+
+A cap that no spring of the shaft joins to another has the one-dimensional form of the companion paper on rigid rotors
+(J. Sound Vib. 187(2), 1995): w^2 and w^2 lambda from its own histogram. Standard deviations by block bootstrap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array
+from estimator.errors import DataError
+from estimator.model.rig import Model
+from estimator.results import Fit, Parameter
+
+from .planes import Cap, Plane, ignored_effects, planes
+from .score_matching import motion_of, place_columns
+from .stationary import messages, softening_message
+from .synchronous import synchronous_message
+
+Form = Literal["literal", "midpoint", "response"]
+BLOCKS = 64
+FEWEST_COUNTS = 30
+REACH = 4.5  # half-width of the grid in rms
+CELL = {1: 0.15, 2: 0.3}  # cell in rms, for one and two caps
+GAUSS = (np.array([-(0.6**0.5), 0.0, 0.6**0.5]), np.array([5.0, 8.0, 5.0]) / 18.0)  # nodes of [-1, 1], weights to 1
+
+
+@dataclass(frozen=True, slots=True)
+class Histogram:
+    """Counts by block of record: counts (blocks, cells), cells of a uniform grid in row-major order.
+
+    widths : (caps,) m; centres : (cells, caps) m; squares : (blocks, caps) sum of v^2; rows : (blocks,).
+    """
+
+    shape: tuple[int, ...]
+    widths: Array
+    centres: Array
+    counts: Array
+    squares: Array
+    rows: Array
+
+
+def histogram(x: Array, v: Array, cell: float | None = None, blocks: int = BLOCKS) -> Histogram:
+    """Histogram of (n, caps) displacements, m, over +- 4.5 rms, cells of `cell` rms; velocities in m/s."""
+    n, caps = x.shape
+    sigma = np.std(x, axis=0)
+    width = (CELL[caps] if cell is None else cell) * float(sigma.min())
+    half = np.minimum(np.ceil(REACH * sigma / width).astype(np.int64), 60)
+    widths = np.full(caps, width)  # one width for both axes, as in the paper
+    at = np.floor(x / widths).astype(np.int64) + half
+    inside = ((at >= 0) & (at < 2 * half)).all(axis=1)
+    shape = tuple(int(2 * h) for h in half)
+    flat = np.ravel_multi_index(tuple(np.where(inside, a, 0) for a in at.T), shape)
+    cells = int(np.prod(shape))
+    block = np.minimum(np.arange(n) * blocks // n, blocks - 1)
+    counts = np.bincount((block * cells + flat)[inside], minlength=blocks * cells).reshape(blocks, cells)
+    axes = [(np.arange(2 * h) - h + 0.5) * width for h in half]
+    centres: Array = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, caps)
+    squares: Array = np.stack([np.bincount(block, v[:, i] ** 2, blocks) for i in range(caps)], axis=1)
+    rows = np.bincount(block, minlength=blocks).astype(float)
+    return Histogram(shape, widths, centres, counts.astype(float), squares, rows)
+
+
+def potentials(plane: Plane, x: Array) -> tuple[Array, Array]:
+    """phi_k of every coefficient (..., p), cap by cap, and that of the shaft spring (...), at x (..., caps)."""
+    terms = [x[..., i] ** (q + 1) / (q + 1) for i, cap in enumerate(plane.caps) for q in cap.powers]
+    shaft = 0.5 * plane.a * np.sum(x**2, axis=-1)
+    if x.shape[-1] == 2:
+        shaft = shaft + plane.b * x[..., 0] * x[..., 1]
+    return np.stack(terms, axis=-1), shaft
+
+
+def steps(shape: tuple[int, ...], diagonal: bool = False) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Flat indices (from, to) of neighbouring cells: along each axis, or along the diagonal only."""
+    index = np.arange(int(np.prod(shape))).reshape(shape)
+    if diagonal:
+        here, there = index[(slice(None, -1),) * len(shape)], index[(slice(1, None),) * len(shape)]
+        return here.ravel(), there.ravel()
+    pairs = []
+    for axis in range(len(shape)):
+        moved = np.moveaxis(index, axis, 0)
+        pairs.append((moved[:-1].ravel(), moved[1:].ravel()))
+    return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
+
+
+def _refuse_literal(plane: Plane, grid: Histogram) -> None:
+    here, there = steps(grid.shape, diagonal=True)
+    if len(plane.caps) == 2:
+        step = grid.centres[there] - grid.centres[here]
+        if np.allclose(step[:, 0], step[:, 1], rtol=1e-9):
+            raise DataError(
+                f"eq. (36) as printed is singular, direction {plane.direction}: on a uniform grid every diagonal step "
+                "has D1 = D2, the right-hand side is zero in all rows and the scale is lost; use midpoint or response"
+            )
+    raise DataError(
+        f"eq. (36) as printed needs two caps joined by the shaft; direction {plane.direction} has none: use response"
+    )
+
+
+def _columns(plane: Plane, grid: Histogram) -> tuple[Array, Array, Array]:
+    """Differences over every axis step of the bearing terms (r, p) and the shaft term (r,); scales (p,)."""
+    phi, shaft = potentials(plane, grid.centres)
+    here, there = steps(grid.shape)
+    sigma = grid.widths * np.array(grid.shape) / (2.0 * REACH)
+    scale = np.array([sigma[i] ** (q + 1) for i, cap in enumerate(plane.caps) for q in cap.powers])
+    return phi[there] - phi[here], shaft[there] - shaft[here], scale
+
+
+def _weighted(design: Array, response: Array, weight: Array) -> Array:
+    root = np.sqrt(weight)
+    return np.asarray(np.linalg.lstsq(design * root[:, None], response * root, rcond=None)[0])
+
+
+def _cell_mean(plane: Plane, grid: Histogram, theta: Array, shaft: float) -> Array:
+    """ln of the mean of exp(-V/T) over each cell relative to its centre, (cells,), by 3-point Gauss quadrature."""
+    nodes, weights = GAUSS
+    caps = len(plane.caps)
+    offsets = np.stack(np.meshgrid(*(nodes,) * caps, indexing="ij"), axis=-1).reshape(-1, caps) * grid.widths / 2.0
+    weight = np.prod(np.stack(np.meshgrid(*(weights,) * caps, indexing="ij"), axis=-1).reshape(-1, caps), axis=1)
+    at_centre = potentials(plane, grid.centres)
+    base = at_centre[0] @ theta + shaft * at_centre[1]
+    total = np.zeros(len(grid.centres))
+    for offset, w in zip(offsets, weight, strict=True):
+        phi, spring = potentials(plane, grid.centres + offset)
+        total += w * np.exp(np.clip(base - phi @ theta - shaft * spring, -50.0, 50.0))
+    return np.log(total)
+
+
+def _model_counts(plane: Plane, grid: Histogram, theta: Array, shaft: float, total: float) -> tuple[Array, Array]:
+    """Expected counts (cells,) of a fitted density, and ln of its mean over each cell relative to the centre."""
+    mean = _cell_mean(plane, grid, theta, shaft)
+    phi, spring = potentials(plane, grid.centres)
+    log_p = mean - phi @ theta - shaft * spring
+    p = np.exp(np.minimum(log_p - np.median(log_p), 300.0))
+    return np.asarray(total * p / p.sum()), mean
+
+
+def _slopes(plane: Plane, grid: Histogram, counts: Array, temperature: float | None, form: Form) -> tuple[Array, float]:
+    """theta/T of every coefficient (p,) and of the shaft, from total counts (cells,).
+
+    temperature : J, if known: the shaft's coefficient is then ks/T and not fitted.
+    """
+    here, there = steps(grid.shape)
+    terms, spring, scale = _columns(plane, grid)
+    terms = terms / scale
+    unit = scale[0]  # of the shaft term
+    free = temperature is None and plane.scale_from_shaft
+    known = 0.0 if free or temperature is None else plane.ks / temperature
+    logs = np.log(counts + 0.5)  # of a Poisson count: ln(mean) with an error of second order only
+    drop = logs[here] - logs[there]  # = (V' - V)/T
+
+    def kept(expected: Array) -> NDArray[np.bool_]:
+        keep = (np.minimum(expected[here], expected[there]) >= FEWEST_COUNTS) & (counts[here] > 0) & (counts[there] > 0)
+        if keep.sum() < 4 * (terms.shape[1] + 1):
+            raise DataError(
+                f"direction {plane.direction}: only {keep.sum()} pairs of histogram cells hold {FEWEST_COUNTS} counts: "
+                "record longer"
+            )
+        return keep
+
+    keep = kept(counts)
+    if form == "midpoint" and free:  # as printed: unknowns (T/ks, k/ks), the noisy logarithm among the regressors
+        one = np.ones(int(keep.sum()))
+        solution = _weighted(np.column_stack([-drop, terms])[keep], -spring[keep] / unit, one)
+        return solution[1:] / solution[0] / scale, float(1.0 / (solution[0] * unit))
+    if form == "midpoint":
+        return _weighted(terms[keep], (drop - known * spring)[keep], np.ones(int(keep.sum()))) / scale, known
+    design = np.column_stack([terms, spring / unit]) if free else terms
+    expected, mean = counts, np.zeros(len(counts))
+    for _ in range(4):  # cells chosen by their counts at first, then by the fitted density: no selection
+        keep = kept(expected)
+        with np.errstate(divide="ignore"):
+            weight = 1.0 / (1.0 / expected[here] + 1.0 / expected[there])
+        response = drop - mean[here] + mean[there] - known * spring
+        solution = _weighted(design[keep], response[keep], weight[keep])
+        theta = solution[: len(scale)] / scale
+        shaft = float(solution[-1] / unit) if free else known
+        expected, mean = _model_counts(plane, grid, theta, shaft, counts.sum())
+    return theta, shaft
+
+
+def _values(plane: Plane, grid: Histogram, weights: Array, form: Form) -> Array:
+    """Parameters in the order of plane.names() for weights (blocks,) of the blocks of the record."""
+    square = weights @ grid.squares / (weights @ grid.rows)
+    temperature = None
+    if plane.masses_known:
+        temperature = float(np.mean([cap.mass * s for cap, s in zip(plane.caps, square, strict=True) if cap.mass]))
+    theta, shaft = _slopes(plane, grid, weights @ grid.counts, temperature, form)
+    joint = plane.ks / shaft if plane.scale_from_shaft and temperature is None else None
+    out: list[float] = []
+    at = 0
+    for cap, s in zip(plane.caps, square, strict=True):
+        slope = theta[at : at + len(cap.powers)]
+        at += len(cap.powers)
+        scale = cap.mass * s if cap.mass is not None and joint is None else joint
+        if scale is not None and plane.solvable(cap):
+            out += list(slope * scale)
+        if 3 in cap.powers:
+            out.append(float(slope[cap.powers.index(3)] / slope[0]))
+        if cap.mass is None and joint is not None:
+            out.append(joint / s)
+    return np.array(out)
+
+
+def estimate(
+    plane: Plane, x: Array, v: Array, form: Form = "response", replicates: int = 200, seed: int = 0
+) -> tuple[dict[str, float], Array]:
+    """Parameters of one direction and their covariance in the order of plane.names(), by block bootstrap.
+
+    x, v : (n, caps) m and m/s, no NaN. Raises DataError for the literal form and for too few counts.
+    """
+    if form == "literal":
+        _refuse_literal(plane, histogram(x, v))
+    if len(plane.caps) == 2 and not plane.scale_from_shaft:
+        return _separately(plane, x, v, form, replicates, seed)
+    grid = histogram(x, v)
+    values = _values(plane, grid, np.ones(BLOCKS), form)
+    rng = np.random.default_rng(seed)
+    draws = []
+    for _ in range(replicates):
+        weights = rng.multinomial(BLOCKS, np.full(BLOCKS, 1.0 / BLOCKS)).astype(float)
+        draws.append(_values(plane, grid, weights, form))
+    covariance = np.atleast_2d(np.cov(np.array(draws).T)) if replicates > 1 else np.full((len(values),) * 2, np.nan)
+    if form == "midpoint" and plane.scale_from_shaft and not plane.masses_known:
+        # attenuated to a steady wrong value, its own scatter says nothing: the response form tells if there is a scale
+        honest, spread = estimate(plane, x, v, "response", replicates, seed)
+        if any(np.sqrt(s) > 0.5 * abs(q) for q, s in zip(honest.values(), np.diag(spread), strict=True)):
+            covariance = np.full_like(covariance, np.inf)
+    return dict(zip(plane.names(), values.tolist(), strict=True)), covariance
+
+
+def _separately(
+    plane: Plane, x: Array, v: Array, form: Form, replicates: int, seed: int
+) -> tuple[dict[str, float], Array]:
+    """Caps that the shaft does not join: each from its own one-dimensional histogram."""
+    values: dict[str, float] = {}
+    parts = []
+    for i, cap in enumerate(plane.caps):
+        alone = Plane(plane.direction, (cap,), plane.ks, plane.a, 0.0, plane.disc)
+        found, cov = estimate(alone, x[:, i : i + 1], v[:, i : i + 1], form, replicates, seed)
+        values |= found
+        parts.append(cov)
+    size = sum(len(c) for c in parts)
+    covariance = np.zeros((size, size))
+    at = 0
+    for c in parts:
+        covariance[at : at + len(c), at : at + len(c)] = c
+        at += len(c)
+    return values, covariance
+
+
+def fit(model: Model, y: Array, rate_hz: float, form: Form = "response", replicates: int = 200) -> Fit:
+    """Eq. (36) on a record y (n, channels), SI, NaN where missing; both directions.
+
+    Raises DataError if the form is literal, too few rows are valid, a channel is constant or the band misses the
+    resonance.
+    """
+    x, v, _, valid = motion_of(model, y, rate_hz)
+    found: dict[str, Parameter] = {}
+    notes: list[str] = []
+    for plane in planes(model):
+        columns = place_columns(model, plane.direction)
+        here, speed = x[valid][:, columns], v[valid][:, columns]
+        values, covariance = estimate(plane, here, speed, form, replicates)
+        sds = np.sqrt(np.diag(covariance))
+        found |= plane.judged({n: (values[n], float(sd)) for n, sd in zip(values, sds, strict=True)})
+        notes += messages(plane, here, speed) + softening_message(plane, found, speed)
+        notes += _silent_assumptions(plane)
+    for k, place in enumerate(model.places):
+        notes += synchronous_message(model, place, x[valid, k], v[valid, k], rate_hz)
+    ignored = ignored_effects(model)
+    if ignored:
+        notes.append(f"eq. (36) knows only powers of the displacement; left out: {', '.join(ignored)}")
+    return Fit(found, None, int(valid.sum()), "fokker-planck", tuple(dict.fromkeys(notes)))
+
+
+def _silent_assumptions(plane: Plane) -> list[str]:
+    def unknown(cap: Cap) -> bool:
+        return cap.mass is None
+
+    if plane.scale_from_shaft and any(unknown(cap) for cap in plane.caps):
+        return [
+            f"direction {plane.direction}: the masses rest on equal noise-to-damping ratios at the caps and no damping "
+            "at the disc; 1 % of undriven disc damping can flip their sign, and nothing in the record would show it"
+        ]
+    return []

@@ -1,0 +1,176 @@
+"""The rig one transverse direction at a time, as the density methods need it: caps, powers, masses, shaft term.
+
+The disc is never measured. What it does to the caps' stationary density depends on the band: a disc whose mode lies
+inside is in equilibrium with the caps and is integrated out of exp(-V/T); a disc whose mode lies below stands still.
+A soft shaft's disc mode relaxes in tens of seconds or more, so its share of the caps' motion never averages out; where
+the bearing mode is well above it, `density_band` cuts it off. The shaft energy of a direction is
+(ks/2) [a (x1^2 + x2^2) + 2 b x1 x2] with
+
+    shaft   disc in band          disc below band
+    chain   a = 1/2, b = -1/2     a = 1, b = 0
+    beam    a = 0,   b = 0        a = 1, b = 1
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from estimator.model.rig import DIRECTIONS, Model
+from estimator.results import Parameter
+
+SHAFT_LIMIT = 0.25  # relative sd above which the shaft does not give a mass
+POWERS = {"quadratic": (2, "kq"), "cubic": (3, "kNL"), "quintic": (5, "k5")}
+POWER_UNITS = {1: "N/m", 2: "N/m^2", 3: "N/m^3", 5: "N/m^5"}
+
+
+@dataclass(frozen=True, slots=True)
+class Cap:
+    """One measured cap in one direction. powers : of x in its restoring force, 1 first. mass : kg or None."""
+
+    place: str
+    powers: tuple[int, ...]
+    mass: float | None
+
+    def name(self, power: int) -> str:
+        """Full name of the coefficient of x^power, as in the contract."""
+        if power == 1:
+            return f"{self.place}.kL"
+        effect, parameter = next((e, p) for e, (k, p) in POWERS.items() if k == power)
+        return f"{self.place}.{effect}.{parameter}"
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """The caps of one direction and the shaft between them. a, b : shaft term (module docstring); ks in N/m."""
+
+    direction: str
+    caps: tuple[Cap, ...]
+    ks: float = 0.0
+    a: float = 0.0
+    b: float = 0.0
+    disc: float | None = None
+
+    @property
+    def masses_known(self) -> bool:
+        return all(cap.mass is not None for cap in self.caps)
+
+    @property
+    def scale_from_shaft(self) -> bool:
+        """Whether the known shaft spring can stand in for an unknown mass: it must couple two measured caps."""
+        return len(self.caps) == 2 and self.ks > 0.0 and self.b != 0.0
+
+    def solvable(self, cap: Cap) -> bool:
+        """Whether the stiffness of this cap has a scale: its mass is given, or the shaft supplies it."""
+        return cap.mass is not None or self.scale_from_shaft
+
+    def names(self, solved_only: bool = True) -> tuple[str, ...]:
+        """Parameters of a density method, cap by cap: coefficients, lambda = kNL/kL, and the mass where unknown."""
+        out: list[str] = []
+        for cap in self.caps:
+            if self.solvable(cap) or not solved_only:
+                out += [cap.name(q) for q in cap.powers]
+            if 3 in cap.powers:
+                out.append(f"{cap.place}.cubic.lambda")
+            if cap.mass is None and (self.scale_from_shaft or not solved_only):
+                out.append(f"{cap.place}.m")
+        return tuple(out)
+
+    def judged(self, found: Mapping[str, tuple[float, float]]) -> dict[str, Parameter]:
+        """Every parameter with its verdict, from (value, sd) of those solved for.
+
+        A scale taken from the shaft must stand out by four sd: the quotient ks/(ks/T) is large whenever its
+        denominator happens to be small, and two sd would let one in twenty through.
+        """
+        masses = [found[f"{cap.place}.m"] for cap in self.caps if f"{cap.place}.m" in found]
+        weak = any(not (value > 0.0 and sd <= SHAFT_LIMIT * value) for value, sd in masses)
+        out = {}
+        for name in self.names(solved_only=False):
+            if name not in found:
+                reason = "mass unknown: give rig.mass for this cap; only ratios follow from its density"
+                out[name] = Parameter(None, None, unit_of(name), False, reason)
+            elif weak and not name.endswith("lambda"):
+                reason = "the shaft couples the caps too weakly to set the mass: give rig.mass"
+                out[name] = Parameter(None, None, unit_of(name), False, reason)
+            else:
+                out[name] = Parameter.judged(*found[name], unit_of(name))
+        return out
+
+    def undetermined(self, reason: str) -> dict[str, Parameter]:
+        """Every parameter without a value, for one reason."""
+        return {n: Parameter(None, None, unit_of(n), False, reason) for n in self.names(solved_only=False)}
+
+
+def unit_of(name: str) -> str:
+    """SI unit of a density method's parameter, by its full name."""
+    kind = name.rsplit(".", 1)[1]
+    if kind in ("lambda", "m"):
+        return "1/m^2" if kind == "lambda" else "kg"
+    return POWER_UNITS[{"kL": 1, "kq": 2, "kNL": 3, "k5": 5}[kind]]
+
+
+def disc_mode_hz(model: Model) -> float:
+    """Frequency of the disc on the shaft and the caps' springs in series, Hz; 0 without disc or shaft."""
+    disc = model.mass.get("disc")
+    if model.shaft == "none" or not disc or model.shaft_stiffness <= 0.0:
+        return 0.0
+    shaft = (2.0 if model.shaft == "chain" else 4.0) * model.shaft_stiffness
+    starts = [s["kL"].value for s in model.linear.values() if "kL" in s]
+    springs = [v for v in starts if v is not None and v > 0.0]
+    bearing = 2.0 * sum(springs) / len(springs) if springs else math.inf
+    return math.sqrt(1.0 / (1.0 / shaft + 1.0 / bearing) / disc) / (2.0 * math.pi)
+
+
+def density_band(model: Model) -> tuple[tuple[float, float], bool]:
+    """The band in Hz that the density methods use, and whether the disc stands still in it.
+
+    The model's own band, its low end raised to 2.3 times the disc mode (the filter's stop edge is at half the low end)
+    if that stays under 0.7 of the bearing mode: sqrt(kL/m) of the rig file, or the middle of the band.
+    """
+    low, high = model.band
+    disc = disc_mode_hz(model)
+    if disc == 0.0:
+        return model.band, False
+    modes = []
+    for place in model.places:
+        setting, mass = model.linear.get(place, {}).get("kL"), model.cap_mass(place)
+        if setting is not None and setting.value is not None and setting.value > 0.0 and mass is not None:
+            modes.append(math.sqrt(setting.value / mass) / (2.0 * math.pi))
+    bearing = min(modes, default=math.sqrt(low * high))
+    raised = max(low, 2.3 * disc)
+    return ((raised, high), True) if raised == low or raised < 0.7 * bearing else (model.band, False)
+
+
+def _shaft_term(model: Model, caps: int) -> tuple[float, float]:
+    if model.shaft == "none" or model.shaft_stiffness <= 0.0:
+        return 0.0, 0.0
+    _, still = density_band(model)
+    if still:
+        a, b = (1.0, 0.0) if model.shaft == "chain" else (1.0, 1.0)
+    else:
+        a, b = (0.5, -0.5) if model.shaft == "chain" else (0.0, 0.0)
+    return (a, b) if caps == 2 else (a, 0.0)
+
+
+def planes(model: Model) -> tuple[Plane, ...]:
+    """One `Plane` per measured direction, caps in the order of `model.places`."""
+    out = []
+    for direction in DIRECTIONS:
+        places = [p for p in model.places if p.endswith("." + direction)]
+        if not places:
+            continue
+        caps = []
+        for place in places:
+            extra = [POWERS[e.name][0] for e in model.effects if e.name in POWERS and place in e.at]
+            caps.append(Cap(place, (1, *sorted(set(extra))), model.cap_mass(place)))
+        a, b = _shaft_term(model, len(places))
+        out.append(Plane(direction, tuple(caps), model.shaft_stiffness, a, b, model.mass.get("disc")))
+    return tuple(out)
+
+
+def ignored_effects(model: Model) -> tuple[str, ...]:
+    """Effects of the model that a density method leaves out: all but powers of the displacement and removed lines."""
+    from .synchronous import ORDERS
+
+    return tuple(e.name for e in model.effects if e.name not in POWERS and e.name not in ORDERS)

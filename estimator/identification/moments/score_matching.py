@@ -1,0 +1,206 @@
+"""Score matching of a whole model: the rolling estimator of the live service, and the fit of a record.
+
+The mathematics, and the two forms of the estimating equation, are in identification/moments/plane_moments.py. Here: channels to band-limited
+(x, v), blocks, forgetting, and what the user is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array
+from estimator.effects.engine.custom import effect_of
+from estimator.effects.engine.places import at
+from estimator.errors import DataError
+from estimator.model.rig import MOTION, Model
+from estimator.results import Estimate, Fit, Parameter
+from estimator.signals.band_limit import BandLimit, band_limit
+
+from .band_edge import BandEdge
+from .plane_moments import Form, PlaneMoments
+from .planes import density_band, ignored_effects, planes
+from .stationary import check_resonance, messages, softening_message
+from .synchronous import lines, synchronous_message, synchronous_orders
+
+LEFT_OUT = "score matching leaves it out: use the spectral method"
+FEWEST_ROWS = 4096
+CHECKED_S = 0.5  # of motion, for a resonance
+FIT_BLOCKS = 64  # the sd of a fit is itself known to 9 %
+
+
+def motion_columns(model: Model) -> tuple[int, ...]:
+    """Column in the data of the motion channel of each of `model.places` (the first, if there are several)."""
+    columns = []
+    for place in model.places:
+        found = [i for i, c in enumerate(model.channels) if c.place == place and c.kind in MOTION]
+        columns.append(found[0])
+    return tuple(columns)
+
+
+class RollingScoreMatching:
+    """Rolling linear and cubic stiffness per bearing and direction (the OnlineEstimator of results.py).
+
+    Exponential forgetting with `time_constant_s`. Internally the motion is cut into blocks of a hundredth of the time
+    constant at fixed absolute positions, so the numbers depend neither on how the rows arrived nor on the machine's
+    load; the estimate moves once per such block. Rows near a gap (NaN) are left out, time still passes.
+    """
+
+    def __init__(self, model: Model, rate_hz: float, time_constant_s: float) -> None:
+        if not time_constant_s > 0.0:
+            raise ValueError(f"time constant {time_constant_s} s must be positive")
+        self.model = model
+        self._columns = list(motion_columns(model))
+        kinds = [model.channels[i].kind for i in self._columns]
+        self._stream = BandLimit(kinds, rate_hz, density_band(model)[0])
+        edge = BandEdge.of(rate_hz, density_band(model)[0])
+        self._planes = [(PlaneMoments(p, edge=edge), place_columns(model, p.direction)) for p in planes(model)]
+        self._rows = max(256, round(time_constant_s * rate_hz / 100.0))
+        self._forget = math.exp(-self._rows / (time_constant_s * rate_hz))
+        self._held = np.empty((3, len(kinds), 0))
+        self._recent: deque[Array] = deque(maxlen=max(1, round(CHECKED_S * rate_hz / self._rows)))
+        self._missing = "warming up"  # what is said while no resonance has been seen
+        self._rate_hz, self._orders = rate_hz, synchronous_orders(model)
+        self._index = 0
+        self._beside = _left_out(model)
+
+    def update(self, block: Array) -> None:
+        """Take the next rows, (n, channels of the model), SI; NaN where missing or clipped."""
+        motion = self._stream.push(block[:, self._columns])
+        if not motion.rows:
+            return
+        fresh = np.stack([motion.x, motion.v, motion.a])
+        if not motion.valid.all():
+            fresh[:, :, ~motion.valid] = np.nan
+        self._held = np.concatenate([self._held, fresh], axis=2)
+        used = 0
+        while self._held.shape[2] - used >= self._rows:
+            x, v, a = self._motion(self._held[:, :, used : used + self._rows])
+            for moments, columns in self._planes:
+                moments.add(x[columns].T, v[columns].T, a[columns].T, self._forget)
+            if self._missing:
+                self._look_for_resonance(v)
+            used += self._rows
+        self._held = self._held[:, :, used:].copy()
+        self._index += used
+
+    def _look_for_resonance(self, v: Array) -> None:
+        """Once in a while, until there is one; v : (places, rows) of one block."""
+        if not np.isfinite(v).all():
+            return
+        self._recent.append(v)
+        if len(self._recent) < (self._recent.maxlen or 1):
+            return
+        recent, band = np.concatenate(self._recent, axis=1), density_band(self.model)[0]
+        self._recent.clear()
+        try:
+            for speed, column in zip(recent, self._columns, strict=True):
+                if speed.any():  # else it is said that it does not move
+                    check_resonance(speed, self._rate_hz, band, self.model.channels[column].name)
+            self._missing = ""
+        except DataError as e:
+            self._missing = str(e)
+
+    def _motion(self, block: Array) -> Array:
+        """x, v, a of one block (3, places, rows), without the lines that the model's effects say are there."""
+        if not self._orders or self.model.speed_rpm is None:
+            return block
+        flat = block.reshape(-1, block.shape[-1]).T
+        hz = self.model.speed_rpm / 60.0
+        flat = flat - lines(flat, self._rate_hz, hz, self._orders, len(flat) / self._rate_hz)
+        return flat.T.reshape(block.shape)
+
+    def snapshot(self) -> Estimate:
+        """The estimate as of the last complete internal block."""
+        parameters: dict[str, Parameter] = {}
+        rows = min((m.moments.rows for m, _ in self._planes), default=0.0)
+        if min((m.moments.blocks for m, _ in self._planes), default=0.0) < 8.0 or rows < FEWEST_ROWS / 4:
+            return Estimate(self._index, parameters, rows, status="warming up")
+        if self._missing:
+            return Estimate(self._index, parameters, rows, status=self._missing)
+        for moments, _ in self._planes:
+            parameters |= moments.parameters()
+        parameters |= self._beside
+        stopped = [p.reason for p in parameters.values() if "does not move" in p.reason]
+        return Estimate(self._index, parameters, rows, status=stopped[0] if stopped else "ok")
+
+
+def _left_out(model: Model) -> dict[str, Parameter]:
+    """Parameters of the effects that the method leaves out, with the reason."""
+    out: dict[str, Parameter] = {}
+    for use in (u for u in model.effects if u.name in ignored_effects(model)):
+        effect = effect_of(use)
+        for key in at(effect, use, model):
+            for q in effect.parameters:
+                out[f"{key}.{use.name}.{q.name}"] = Parameter(None, None, q.unit, False, LEFT_OUT)
+    return out
+
+
+def fit(model: Model, y: Array, rate_hz: float, form: Form = "velocity") -> Fit:
+    """Linear and cubic (quadratic, quintic) stiffness of a record y (n, channels), SI, NaN where missing.
+
+    form : identification/moments/plane_moments.py; "velocity" for records, "density" is the paper's hypothesis taken literally.
+    Raises DataError if too few rows are valid, a channel does not move, or the band misses the resonance.
+    """
+    x, v, a, valid = motion_of(model, y, rate_hz)
+    found: dict[str, Parameter] = {}
+    notes: list[str] = []
+    size = max(1, int(valid.sum()) // FIT_BLOCKS)
+    edge = BandEdge.of(rate_hz, density_band(model)[0])
+    for plane in planes(model):
+        columns = place_columns(model, plane.direction)
+        here, speed, shaken = (z[valid][:, columns] for z in (x, v, a))
+        moments = PlaneMoments(plane, form, edge)
+        for first in range(0, len(here), size):
+            part = slice(first, first + size)
+            moments.add(here[part], speed[part], shaken[part])
+        found |= moments.parameters()
+        notes += messages(plane, here, speed) + softening_message(plane, found, speed)
+    for k, place in enumerate(model.places):
+        notes += synchronous_message(model, place, x[valid, k], v[valid, k], rate_hz)
+    ignored = ignored_effects(model)
+    if ignored:
+        notes.append(f"score matching knows only powers of the displacement; left out: {', '.join(ignored)}")
+    return Fit(found, None, int(valid.sum()), "score-matching", tuple(notes))
+
+
+def motion_of(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Band-limited displacement, velocity, acceleration (n, places) of a record and the rows (n,) that may be used.
+
+    Raises DataError as `fit`.
+    """
+    if y.ndim != 2 or y.shape[1] != len(model.channels):
+        raise DataError(f"the record has shape {y.shape}, the rig has {len(model.channels)} channels")
+    if not model.places:
+        raise DataError("no channel of kind acceleration, velocity or displacement at a bearing: nothing to fit")
+    columns = list(motion_columns(model))
+    kinds = [model.channels[i].kind for i in columns]
+    for i in columns:
+        finite = y[np.isfinite(y[:, i]), i]
+        if finite.size and np.ptp(finite) == 0.0:
+            raise DataError(f"channel {model.channels[i].name} is constant ({finite[0]:g}): check sensor and cable")
+    band, _ = density_band(model)
+    motion = band_limit(y[:, columns], kinds, rate_hz, band)
+    usable = int(motion.valid.sum())
+    if usable < FEWEST_ROWS:
+        raise DataError(
+            f"{usable} usable samples of {len(y)} (band filter and gaps take the rest), {FEWEST_ROWS} needed: "
+            "record longer, or widen the band at its low end"
+        )
+    parts = np.concatenate([motion.x, motion.v, motion.a]).T
+    orders = synchronous_orders(model)
+    if orders and model.speed_rpm is not None:
+        parts = np.where(motion.valid[:, None], parts, np.nan)
+        parts = parts - lines(parts, rate_hz, model.speed_rpm / 60.0, orders)
+    x, v, a = np.split(parts, 3, axis=1)
+    for k, i in enumerate(columns):
+        check_resonance(v[motion.valid, k], rate_hz, band, model.channels[i].name)
+    return x, v, a, motion.valid
+
+
+def place_columns(model: Model, direction: str) -> list[int]:
+    """Positions in `model.places` of the caps of one direction."""
+    return [k for k, place in enumerate(model.places) if place.endswith("." + direction)]

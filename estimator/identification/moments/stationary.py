@@ -1,0 +1,203 @@
+"""The stationary density exp(-H/T), and whether a record obeys what it says (physics.md section 2).
+
+If H = kinetic + V and the forces have Q = 2 T C (`stationarity` says so of a model), then velocities are
+Gaussian whatever V, uncorrelated with each other and with every displacement, m v^2 is shared equally, and no
+probability circulates: <x v_y - y v_x> = 0. Each of these is measured here with its sampling error for correlated
+samples. They are necessary, not sufficient: 1 % of undriven damping at the disc changes none of them visibly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.arrays import Array, Complexes
+from estimator.errors import DataError
+from estimator.results import Parameter
+
+from .batch_means import BlockMoments, propagate
+from .planes import Cap, Plane
+
+BLOCKS = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Density:
+    """p(x) = c exp(-V/T) of the caps of one direction.
+
+    stiffness : per cap, power of x -> coefficient (N/m, N/m^3 ...); temperature : J.
+    """
+
+    plane: Plane
+    stiffness: tuple[Mapping[int, float], ...]
+    temperature: float
+
+    def potential(self, x: Array) -> Array:
+        """Effective potential (n,), J, at x (n, caps), m: bearings, and the shaft with the disc integrated out."""
+        plane = self.plane
+        energy = 0.5 * plane.ks * plane.a * np.sum(x**2, axis=-1)
+        if x.shape[-1] == 2:
+            energy = energy + plane.ks * plane.b * x[..., 0] * x[..., 1]
+        for i, terms in enumerate(self.stiffness):
+            for power, k in terms.items():
+                energy = energy + k * x[..., i] ** (power + 1) / (power + 1)
+        return np.asarray(energy)
+
+    def on_grid(self, axes: tuple[Array, ...]) -> Array:
+        """Density on a uniform grid (one axis per cap), normalised to 1 over it. 1/m per cap."""
+        mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        energy = self.potential(mesh) / self.temperature
+        p = np.exp(-(energy - energy.min()))
+        return np.asarray(p / (p.sum() * np.prod([a[1] - a[0] for a in axes])))
+
+    def require_stationary(self) -> None:
+        """Raise DataError if a softening cubic lets the cap escape: barrier U = kL^2/(4 |kNL|) under 20 T."""
+        for cap, terms in zip(self.plane.caps, self.stiffness, strict=True):
+            kL, kNL = terms[1], terms.get(3, 0.0)
+            if kNL < 0.0 and 5 not in terms and barrier(kL, kNL, self.temperature) < 20.0:
+                raise DataError(_softens(cap.place, kL, kNL, self.temperature))
+
+
+def barrier(kL: float, kNL: float, temperature: float) -> float:
+    """Height of the potential barrier of a softening cubic in units of T: kL^2 / (4 |kNL| T)."""
+    return kL**2 / (4.0 * abs(kNL) * temperature)
+
+
+def _softens(place: str, kL: float, kNL: float, temperature: float) -> str:
+    return (
+        f"{place}: softening cubic kNL = {kNL:.3g} N/m^3 has no stationary density (barrier "
+        f"{barrier(kL, kNL, temperature):.1f} T, 20 needed): use the hertz effect, or a lower level of excitation"
+    )
+
+
+def softening_message(plane: Plane, found: Mapping[str, Parameter], v: Array) -> list[str]:
+    """A line for each cap whose fitted cubic softens by more than 3 sd and has too low a barrier; v : (n, caps) m/s."""
+    out = []
+    for i, cap in enumerate(plane.caps):
+        kL, kNL = found.get(f"{cap.place}.kL"), found.get(f"{cap.place}.cubic.kNL")
+        if cap.mass is None or kL is None or kNL is None or kL.value is None or kNL.value is None:
+            continue
+        temperature = cap.mass * float(np.mean(v[:, i] ** 2))
+        if kNL.value < -3.0 * (kNL.sd or 0.0) and barrier(kL.value, kNL.value, temperature) < 20.0:
+            out.append(_softens(cap.place, kL.value, kNL.value, temperature))
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostic:
+    """A statistic of the record, what exp(-H/T) says it is, and its sampling error."""
+
+    name: str
+    value: float
+    expected: float
+    sd: float
+    meaning: str
+
+    @property
+    def z(self) -> float:
+        """Deviation in standard deviations."""
+        return (self.value - self.expected) / self.sd if self.sd > 0.0 else 0.0
+
+
+def _blocks(rows: Array, blocks: int = BLOCKS) -> BlockMoments:
+    moments = BlockMoments(rows.shape[1])
+    size = max(1, len(rows) // blocks)
+    for at in range(0, len(rows), size):
+        part = rows[at : at + size]
+        moments.add(part.sum(axis=0), len(part))
+    return moments
+
+
+def _statistic(
+    rows: Array, function: Callable[[Complexes], Complexes], name: str, expected: float, meaning: str
+) -> Diagnostic:
+    """function : of the means of the columns of rows (n, K), each an array of any shape."""
+    (value,), covariance = propagate(lambda u: function(np.moveaxis(u, -1, 0))[..., None], _blocks(rows))
+    return Diagnostic(name, float(value), expected, float(np.sqrt(max(covariance[0, 0], 0.0))), meaning)
+
+
+def _kurtosis(v: Array, name: str, meaning: str) -> Diagnostic:
+    v = v / np.std(v)
+    rows = np.stack([v, v**2, v**3, v**4], axis=1)
+
+    def function(u: Complexes) -> Complexes:
+        fourth = u[3] - 4.0 * u[0] * u[2] + 6.0 * u[0] ** 2 * u[1] - 3.0 * u[0] ** 4
+        return np.asarray(fourth / (u[1] - u[0] ** 2) ** 2)
+
+    return _statistic(rows, function, name, 3.0, meaning)
+
+
+def _correlation(p: Array, q: Array, name: str, meaning: str) -> Diagnostic:
+    p, q = p / np.std(p), q / np.std(q)
+    rows = np.stack([p * q, p**2, q**2], axis=1)
+    return _statistic(rows, lambda u: u[0] / np.sqrt(u[1] * u[2]), name, 0.0, meaning)
+
+
+def plane_diagnostics(plane: Plane, x: Array, v: Array) -> tuple[Diagnostic, ...]:
+    """Diagnostics of one direction; x, v : (n, caps) m and m/s, without NaN."""
+    out = []
+    for i, cap in enumerate(plane.caps):
+        out.append(_kurtosis(v[:, i], f"{cap.place}: kurtosis of velocity", "velocity is not Gaussian"))
+    if len(plane.caps) == 2:
+        one, two = plane.caps
+        for i, j in ((0, 1), (1, 0)):
+            name = f"corr(x {plane.caps[i].place}, v {plane.caps[j].place})"
+            out.append(_correlation(x[:, i], v[:, j], name, "energy flows between the caps"))
+        name = f"corr(v {one.place}, v {two.place})"
+        out.append(_correlation(v[:, 0], v[:, 1], name, "forces at the caps are correlated, or the rotor couples them"))
+        if one.mass is not None and two.mass is not None:
+            out.append(_equipartition(one, two, v))
+    return tuple(out)
+
+
+def _equipartition(one: Cap, two: Cap, v: Array) -> Diagnostic:
+    scale = float(np.mean(v[:, 0] ** 2))
+    ratio = (one.mass or 0.0) / (two.mass or 1.0)
+    return _statistic(
+        v**2 / scale,
+        lambda u: np.asarray(ratio * u[0] / u[1]),
+        f"m v^2 of {one.place} over {two.place}",
+        1.0,
+        "noise-to-damping ratios differ between the caps (or a mass or gain is wrong)",
+    )
+
+
+def circulation(node: str, x: Array, y: Array, vx: Array, vy: Array) -> Diagnostic:
+    """<x v_y - y v_x> over the rms of x times that of v, each (n,): 0 unless a force circulates (whirl)."""
+    rows = np.stack([x * vy - y * vx, x**2 + y**2, vx**2 + vy**2], axis=1)
+    scale = np.array([np.sqrt(np.mean(rows[:, 1]) * np.mean(rows[:, 2])), np.mean(rows[:, 1]), np.mean(rows[:, 2])])
+    meaning = "the orbit circulates: a cross-coupled (follower) force or a rotating one"
+    name = f"{node}: circulation"
+    return _statistic(rows / scale, lambda u: u[0] / np.sqrt(u[1] * u[2]), name, 0.0, meaning)
+
+
+def messages(plane: Plane, x: Array, v: Array, limit: float = 4.0) -> list[str]:
+    """One line for each diagnostic that the record contradicts by more than `limit` standard deviations."""
+    out = []
+    for d in plane_diagnostics(plane, x, v):
+        if abs(d.z) > limit:
+            out.append(f"{d.name} is {d.value:.3g} +- {d.sd:.2g}, exp(-H/T) says {d.expected:g}: {d.meaning}")
+    return out
+
+
+def check_resonance(v: Array, rate_hz: float, band: tuple[float, float], channel: str) -> None:
+    """Raise DataError if the velocity spectrum (n,) peaks at an edge of the band: no resonance lies inside it.
+
+    The velocity of a cap on its spring peaks at the resonance, rises towards it from below and falls above it.
+    """
+    from scipy.signal import welch
+
+    f, power = welch(v, rate_hz, nperseg=min(2048, len(v)))
+    power = np.convolve(power, np.ones(5) / 5.0, mode="same")
+    inside = (f >= band[0]) & (f <= band[1])
+    if inside.sum() < 8:
+        raise DataError(f"band {band[0]:g}-{band[1]:g} Hz is too narrow for a fit: widen it around the resonance")
+    peak = float(f[inside][np.argmax(power[inside])])
+    side = "below" if peak < 1.06 * band[0] else "above" if peak > band[1] / 1.06 else ""
+    if side:
+        raise DataError(
+            f"channel {channel}: no resonance inside the band {band[0]:g}-{band[1]:g} Hz (it seems to lie {side}): "
+            "move the band over the bearing mode"
+        )

@@ -1,0 +1,82 @@
+"""Imbalance with random excitation (companion paper, J. Sound Vib. 208(1), 1997): the synchronous part of a record.
+
+A line A cos(W t + phi) in the displacement adds A^2/2 to E[x^2] and W^2 A^2/2 to E[v^2], so the stiffness read from the
+density of a linear cap, m E[v^2]/E[x^2], becomes
+
+    kL' = m (s_v^2 + W^2 A^2/2) / (s_x^2 + A^2/2),    kL'/kL - 1 = -(A^2/2)(1 - W^2/w0^2) / (s_x^2 + A^2/2)
+
+too soft for a line below the resonance, too stiff above it. The line is removed by least squares at the known shaft
+speed, window by window, so that a slow change of phase or speed is followed; what is removed of the random part is the
+bandwidth 1/window at each order. Strictly this is exact for a linear cap; with a cubic one, 3 kNL A^2/2 stays in kL.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.model.rig import Model
+
+ORDERS = {"imbalance": (1,), "bow": (1,), "misalignment": (1, 2)}
+WINDOW_S = 1.0
+
+
+def synchronous_orders(model: Model) -> tuple[int, ...]:
+    """Shaft orders that the model's effects put into a record; empty if none or if the speed is not known."""
+    if model.speed_rpm is None or model.speed_rpm <= 0.0:
+        return ()
+    return tuple(sorted({k for e in model.effects for k in ORDERS.get(e.name, ())}))
+
+
+def lines(x: Array, rate_hz: float, hz: float, orders: tuple[int, ...], window_s: float = WINDOW_S) -> Array:
+    """The lines at orders of `hz` in x (n, channels), NaN rows ignored: (n, channels), to be subtracted.
+
+    Least squares on cos and sin in windows of `window_s` (a last shorter one joins its neighbour).
+    """
+    out = np.zeros_like(x)
+    n = len(x)
+    size = max(int(round(window_s * rate_hz)), int(4.0 * rate_hz / hz))
+    starts = list(range(0, max(n - size, 0) + 1, size)) or [0]
+    t = np.arange(n) / rate_hz
+    for start, stop in zip(starts, [*starts[1:], n], strict=True):
+        phase = 2.0 * math.pi * hz * t[start:stop]
+        basis = np.stack([f(k * phase) for k in orders for f in (np.cos, np.sin)], axis=1)
+        good = np.isfinite(x[start:stop]).all(axis=1)
+        if good.sum() < 8 * basis.shape[1]:
+            continue
+        coefficients, *_ = np.linalg.lstsq(basis[good], x[start:stop][good], rcond=None)
+        out[start:stop] = basis @ coefficients
+    return out
+
+
+def amplitude(x: Array, rate_hz: float, hz: float) -> Array:
+    """Zero-to-peak amplitude (channels,) of the line at `hz` in x (n, channels) without NaN."""
+    n = len(x)
+    carrier = np.exp(-2j * np.pi * hz * np.arange(n) / rate_hz)
+    return np.asarray(2.0 * np.abs(carrier @ x) / n)
+
+
+def stiffness_bias(line: float, rms: float, hz: float, resonance_hz: float) -> float:
+    """kL'/kL - 1 caused by a line of amplitude `line` (m) beside a random displacement of rms `rms` (m)."""
+    extra = 0.5 * line**2
+    return -extra * (1.0 - (hz / resonance_hz) ** 2) / (rms**2 + extra)
+
+
+def synchronous_message(model: Model, place: str, x: Array, v: Array, rate_hz: float) -> list[str]:
+    """A line for the user if a 1X that the model does not have would move kL of this cap by over 1 %; x, v (n,)."""
+    if model.speed_rpm is None or model.speed_rpm <= 0.0 or synchronous_orders(model):
+        return []
+    hz = model.speed_rpm / 60.0
+    line = float(amplitude(x[:, None], rate_hz, hz)[0])
+    total = float(np.mean(x**2))
+    rms = math.sqrt(max(total - 0.5 * line**2, 1e-3 * total))
+    resonance = math.sqrt(float(np.mean(v**2)) / total) / (2.0 * math.pi)
+    bias = stiffness_bias(line, rms, hz, resonance)
+    if abs(bias) < 0.01:
+        return []
+    return [
+        f"{place}: a line at shaft speed ({hz:g} Hz, {1e9 * line:.3g} nm) moves kL by about {100 * bias:+.1f} %: "
+        "add the imbalance effect, which removes it here, or raise band.low above it"
+    ]

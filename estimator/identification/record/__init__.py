@@ -1,0 +1,1 @@
+"""Faults of a record that need no model: clipped channels and their repair."""

@@ -1,0 +1,96 @@
+"""Faults that show in the raw samples before any model: clipping."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import betainc
+
+from estimator.arrays import Array
+from estimator.identification.finding import Suspect
+from estimator.model.rig import Model
+from estimator.results import Parameter
+
+FAR = 0.3  # of the extremes: less far in are a few samples of any vibration
+PILE = 20  # samples of one and the same extreme value, beside three times as many as have the next
+
+
+def clipping_level(y: Array) -> tuple[float, int] | None:
+    """Level and number of samples at it, if the extremes of a channel pile up; None if they thin out as they should.
+
+    The density of any vibration falls towards its extremes. A limiter puts everything beyond it into a spike there: of
+    one value, as a converter does, or blurred by what noise comes after, both ends together.
+    """
+    y = np.ascontiguousarray(y)  # a column is read five times
+    if np.count_nonzero(np.isfinite(y)) < 1000:
+        return None
+    low, high = np.nanmin(y), np.nanmax(y)
+    found = [end for end in ends(y, low, high) if end is not None]
+    if found:
+        return max(level for level, _ in found), sum(count for _, count in found)
+    top = float(max(high, -low))
+    size = np.abs(y[(y > (1.0 - FAR) * top) | (y < (FAR - 1.0) * top)])
+    if size.size <= 40:
+        return None
+    edge = np.partition(size, -20)[-20:].mean()  # a spike in the noise does not make the level
+    at = int(np.sum(size > 0.993 * edge))
+    before = int(np.sum((size > 0.965 * edge) & (size <= 0.979 * edge)))
+    if at > 40 and at > 3 * before + 40 and top < 1.3 * edge:
+        return float(np.median(size[size > 0.993 * edge])), at
+    return None
+
+
+def ends(y: Array, low: float, high: float) -> tuple[tuple[float, int] | None, tuple[float, int] | None]:
+    """`_piled` of the samples near the largest, and of those near the smallest with their sign turned."""
+    reach = FAR * (high - low)
+    return _piled(y[y >= high - reach]), _piled(-y[y <= low + reach])
+
+
+def limited(name: str, level: float, count: int, samples: int) -> str:
+    """What is said of a channel of which so many samples are at a level."""
+    share = 100 * count / samples
+    return f"{name} is limited to +-{level:.3g} in {f'{share:.2g}' if share < 99.5 else '100'} % of its samples"
+
+
+def _piled(z: Array) -> tuple[float, int] | None:
+    """Largest value and number of samples that have it, if that is more than the fall of a density allows."""
+    top = z.max()
+    count = int(np.count_nonzero(z == top))
+    below = z[z < top]
+    if count <= PILE or not below.size:
+        return None
+    return (float(top), count) if count > 3 * np.count_nonzero(below == below.max()) + PILE else None
+
+
+def chance(count: int) -> float:
+    """p-value of the fewest that count as clipped: so many at the extreme value, a third of what is beyond PILE at the
+    next, where both are as likely (the density of a vibration falls)."""
+    return float(betainc(count, max(count - PILE, 0) / 3 + 1, 0.5))
+
+
+def find(model: Model, y: Array) -> list[Suspect]:
+    """Clipped channels."""
+    out = []
+    have = {p for u in model.effects if u.name == "sensor_clipping" for p in u.parameters}
+    for k, channel in enumerate(model.channels):
+        if channel.place in have or channel.place not in model.places or channel.kind == "force":
+            continue
+        found = clipping_level(y[:, k])
+        if found is None:
+            continue
+        level, count = found
+        place = model.places.index(channel.place)
+        out.append(
+            Suspect(
+                "sensor_clipping", (channel.place,), float(count), 1, chance(count),
+                {place: 0.0},
+                "level", limited(channel.name, level, count, len(y)),
+                {channel.place: {"level": Parameter(level, level * 1e-3, "m/s^2")}},
+                "every other finding on this channel may follow from it: mend the range first",
+            )
+        )  # fmt: skip
+    return out
+
+
+def said(clipped: Suspect) -> str:
+    """A clipped channel in a line."""
+    return f"{clipped.region}: {clipped.note}"

@@ -1,0 +1,321 @@
+"""A flexible black box for the residual force: smooth columns of every state that a cap force can depend on.
+
+By group, named as the map of comparison names them. Columns of one state are hat functions (piecewise linear, exact
+mean derivative); of two states, low products. u = x / rms, w = v / rms, r^2 = u^2 + w^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from estimator.arrays import Array, Complexes
+from estimator.likelihood.motion.denoise import as_seen
+from estimator.likelihood.motion.motion_record import FOLDS, MotionBlocks, fold_of
+from estimator.likelihood.path.subproblem import Subproblem, base_of, extended, fold_span, products, subproblem
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.likelihood.response.fluctuation import Fluctuation
+from estimator.likelihood.response.impulse_probe import Probe
+from estimator.likelihood.response.regressor_set import response
+
+from .black_box_tangents import dressings, lapse, waves
+
+Singles = NDArray[np.float32]
+GROUPS = ("displacement", "velocity", "level", "other_direction", "other_bearing", "time", "shaft_angle")
+X_STEP, V_STEP, SPAN = 0.35, 0.5, 3.7
+KNOWN = 1e-3  # of a column's power: with less beside the model's own columns it says nothing of its own
+VISITED = 30  # samples beyond the last knot but one, on each side, that the last is there for
+DRESSED_S = 5.0  # of the record, for what the columns fluctuate by: a gain is within 0.04 nats of that of 33 s
+KICKED = 2.5  # widths of a hat of velocity, at least, over what the force moves the velocity by within the band's tau
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Columns of one place (k, n) float32 N-free, their tangents (k, places, 2) and, for hats, their knots (SI)."""
+
+    name: str
+    series: list[Singles]
+    tangents: list[Array]
+    knots: Array | None = None
+
+
+@njit(cache=True, nogil=True)
+def _hats(z, low, step, out, slopes):  # type: ignore[no-untyped-def]
+    """Hat functions with knots low + k step; linear beyond the ends. slopes (k,): mean derivative."""
+    k = out.shape[0]
+    n = z.size
+    for i in range(n):
+        u = (z[i] - low) / step
+        j = int(u)
+        if j < 0:
+            j = 0
+        if j > k - 2:
+            j = k - 2
+        f = u - j
+        out[j, i] = 1.0 - f
+        out[j + 1, i] = f
+        slopes[j] -= 1.0
+        slopes[j + 1] += 1.0
+    for j in range(k):
+        slopes[j] /= n * step
+
+
+@njit(cache=True, nogil=True)
+def _level(u, w, out, slopes):  # type: ignore[no-untyped-def]
+    """Products of u and w, and what goes with r = |(u, w)|. slopes (k, 4): sums of d/du, d/dw, d/duo, d/dwo."""
+    for i in range(u.size):
+        x, v = u[i], w[i]
+        r = max(np.sqrt(x * x + v * v), 1e-6)
+        out[0, i], out[1, i], out[2, i], out[3, i], out[4, i] = x * v, x * x * v, x * v * v, r * x, r * v
+        slopes[0, 0] += v
+        slopes[0, 1] += x
+        slopes[1, 0] += 2 * x * v
+        slopes[1, 1] += x * x
+        slopes[2, 0] += v * v
+        slopes[2, 1] += 2 * x * v
+        slopes[3, 0] += r + x * x / r
+        slopes[3, 1] += x * v / r
+        slopes[4, 0] += x * v / r
+        slopes[4, 1] += r + v * v / r
+
+
+@njit(cache=True, nogil=True)
+def _beside(u, uo, wo, out, slopes):  # type: ignore[no-untyped-def]
+    """What depends on the other direction: its state, products, and radial springs with a gap. slopes as in _level."""
+    for i in range(u.size):
+        x, y = u[i], uo[i]
+        out[0, i], out[1, i], out[2, i], out[3, i] = y, wo[i], y * y, x * y
+        out[4, i], out[5, i], out[6, i] = y * y * y, x * x * y, x * y * y
+        slopes[0, 2] += 1.0
+        slopes[1, 3] += 1.0
+        slopes[2, 2] += 2 * y
+        slopes[3, 0] += y
+        slopes[3, 2] += x
+        slopes[4, 2] += 3 * y * y
+        slopes[5, 0] += 2 * x * y
+        slopes[5, 2] += x * x
+        slopes[6, 0] += y * y
+        slopes[6, 2] += 2 * x * y
+        r = max(np.sqrt(x * x + y * y), 1e-6)
+        for k in range(2):
+            gap = k + 1.0
+            over, bend = (1.0 - gap / r, gap / (r * r * r)) if r > gap else (0.0, 0.0)
+            out[7 + 2 * k, i], out[8 + 2 * k, i] = over * x, over * y
+            slopes[7 + 2 * k, 0] += over + bend * x * x
+            slopes[7 + 2 * k, 2] += bend * x * y
+            slopes[8 + 2 * k, 0] += bend * x * y
+            slopes[8 + 2 * k, 2] += over + bend * y * y
+
+
+LEVELS, BESIDE = 5, 11  # columns of these
+
+
+def _filled(law: Callable[..., None], columns: int, *states: Singles) -> tuple[list[Singles], Array]:
+    """Singles of the columns, and the means of their slopes."""
+    out, slopes = np.empty((columns, states[0].size), np.float32), np.zeros((columns, 4))
+    law(*states, out, slopes)
+    return list(out), slopes / states[0].size
+
+
+def knots_of(z: NDArray[np.floating[Any]], scale: float, step: float) -> Array:
+    """(k,) knots of hats of a state, SI: over +-SPAN rms (scale), as far as it is visited. step : between them, in rms.
+
+    A column that is not zero at one sample only, little as it is there, has a mean slope as one that is 1: for the
+    determinant of it 790 nats were won, in a complete model whose damping grows with the motion and thins its tails.
+    """
+    half = int(np.ceil(SPAN / step))
+    while half > 2 and min(np.sum(side > (half - 1) * step * scale) for side in (z, -z)) < VISITED:
+        half -= 1
+    return np.arange(-half, half + 1, dtype=np.float64) * step * scale
+
+
+def hat_group(name: str, z: NDArray[np.floating[Any]], knots: Array, place: int, which: int, places: int) -> Group:
+    """Hats at some knots of a state; which: 0 for x, 1 for v."""
+    out = np.zeros((knots.size, z.size), np.float32)
+    slopes = np.zeros(knots.size)
+    _hats(z, float(knots[0]), float(knots[1] - knots[0]), out, slopes)
+    tangents = []
+    for s in slopes:
+        t = np.zeros((places, 2))
+        t[place, which] = s
+        tangents.append(t)
+    return Group(name, list(out), tangents, knots)
+
+
+def velocity_step(point: WorkingPoint, i: int) -> float:
+    """Between knots of the velocity, over its rms.
+
+    Within tau = 1 / (2 high), which the band resolves, a white force moves it by sqrt(2 c tau / m) of its rms, and the
+    motion turns by w0 tau. Hats no wider are passed within tau: their force then follows the force of the same instant
+    by more than the likelihood knows (5 % damping, high = 4 f0: p under 0.001 in 8 of 60 complete records).
+    """
+    tau, mass = 0.5 / point.data.band[1], float(point.data.mass[i])
+    k, c = (max(float(z), 0.0) / mass for z in point.slopes[i, i])
+    return max(V_STEP, KICKED * float(np.sqrt(2.0 * c * tau)), float(np.sqrt(k)) * tau)
+
+
+def _group(data: MotionBlocks, i: int, name: str, series: list[Singles], slopes: Array) -> Group:
+    """slopes : (columns, 4) mean d/du, d/dw, d/duo, d/dwo."""
+    o = data.other(i)
+    tangents = np.zeros((len(series), len(data.places), 2))
+    tangents[:, i] = slopes[:, :2] / data.rms[:2, i]
+    if o is not None:
+        tangents[:, o] = slopes[:, 2:] / data.rms[:2, o]
+    return Group(name, series, list(tangents))
+
+
+def other_direction(data: MotionBlocks, i: int) -> Group | None:
+    """What place i has in common with the other direction of its node, if that is measured."""
+    o = data.other(i)
+    if o is None:
+        return None
+    states = [data.calmed(i) / data.rms[0, i], data.calmed(o) / data.rms[0, o], data.v[o] / data.rms[1, o]]
+    found = _group(data, i, "other_direction", *_filled(_beside, BESIDE, *(z.astype(np.float32) for z in states)))
+    return _as_laws(found, data, i)
+
+
+def _as_laws(group: Group, data: MotionBlocks, i: int) -> Group:
+    """The group, made of the displacements that laws see, with their mean tangents along the whole of these, as laws
+    have them. With the noise of sensors in it x^2 v beside itself won 290 nats (behind a mean over a sample)."""
+    if data.calm is not None:
+        o = data.other(i)
+        for series, tangents in zip(group.series, group.tangents, strict=True):
+            mean = np.array([tangents[i, 0], 0.0, 0.0 if o is None else tangents[o, 0], 0.0])
+            if mean.any():
+                as_seen(series, mean, data.calm, i, -1 if o is None else o)
+    return group
+
+
+def groups(
+    data: MotionBlocks,
+    i: int,
+    orders: tuple[float, ...],
+    knots: tuple[Array, Array],
+    times: tuple[float, float] | None = None,
+) -> Iterator[Group]:
+    """Every group of columns of place i, one at a time (they are large). orders : of shaft rotation, for stiffness.
+
+    knots : of the hats of x and v. times : s, first and last of the record where the data are a part of it.
+    """
+    P = len(data.places)
+    sx, sv = float(data.rms[0, i]), float(data.rms[1, i])
+    u, w = (data.calmed(i) / sx).astype(np.float32), (data.v[i] / sv).astype(np.float32)
+    # of calmed displacements a sum of hats is nearly the law's own column, but for mean tangents that are known to a
+    # part in a hundred: 97 nats of nothing were won at one cap behind a Bessel filter of order 6
+    yield hat_group("displacement", data.seen(i), knots[0], i, 0, P)
+    yield hat_group("velocity", data.v[i], knots[1], i, 1, P)
+
+    def m(z: Singles) -> float:
+        return float(np.mean(z, dtype=np.float64))
+
+    yield _as_laws(_group(data, i, "level", *_filled(_level, LEVELS, u, w)), data, i)
+    beside = other_direction(data, i)
+    if beside is not None:
+        yield beside
+    q = data.opposite(i)
+    if q is not None:
+        tx, tv = np.zeros((P, 2)), np.zeros((P, 2))
+        tx[q, 0], tv[q, 1] = 1.0 / data.rms[0, q], 1.0 / data.rms[1, q]
+        up, wp = (data.x[q] / data.rms[0, q]).astype(np.float32), (data.v[q] / data.rms[1, q]).astype(np.float32)
+        yield Group("other_bearing", [up, wp], [tx, tv])
+    first, last = (float(data.t[0]), float(data.t[-1])) if times is None else times
+    tau, second = (z.astype(np.float32) for z in lapse(data.t, first, last))
+    slopes = np.zeros((4, 4))
+    slopes[0, 0] = slopes[1, 1] = m(tau)
+    slopes[2, 0] = slopes[3, 1] = m(second)
+    yield _as_laws(_group(data, i, "time", [tau * u, tau * w, second * u, second * w], slopes), data, i)
+    if data.speed > 0.0:
+        turning = waves(data.phase, orders)
+        slopes = np.array([[m(z), 0.0, 0.0, 0.0] for z in turning])
+        yield _as_laws(_group(data, i, "shaft_angle", [z * u for z in turning], slopes), data, i)
+
+
+def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subproblem, dict[str, Array]]:
+    """Every group of place i on trial beside the model, and the knots of the hat functions.
+
+    Fold by fold, as the columns of all are large; each is scaled to the rms of the inferred force.
+    """
+    data, times = point.data, (float(point.data.t[0]), float(point.data.t[-1]))
+    plain = subproblem(point, (i,))
+    base = base_of(point, np.array(plain.places))
+    own = float(np.sqrt(np.vdot(point.spectra[i], point.spectra[i]) / point.spectra[i].size))
+    made: list[tuple[NDArray[np.int64], Array, Array]] = []
+    by_fold: list[list[Group]] = []
+    ends = (
+        knots_of(data.seen(i), float(data.rms[0, i]), X_STEP),
+        knots_of(data.v[i], float(data.rms[1, i]), velocity_step(point, i)),
+    )
+    room = np.empty(0, np.float32)
+    for f in range(FOLDS):
+        part, first = fold_of(data, f), fold_span(point, f).start
+        found = []
+        spectra: list[Singles] = []
+        for g in groups(part, i, orders, ends, times):
+            spectra += [point.weighing.spectrum(i, z, first=first) for z in g.series]
+            found.append(Group(g.name, [], g.tangents, g.knots))
+        if not room.size:  # the same for all folds: memory that is new takes longer than what is computed in it
+            room = np.empty(len(spectra) * -(-data.blocks // FOLDS) * spectra[0].shape[1], np.float32)
+        X = room[: len(spectra) * spectra[0].size].reshape(len(spectra), *spectra[0].shape)
+        np.stack(spectra, out=X)
+        del spectra
+        made.append(products(point, i, base, f, X))
+        by_fold.append(found)
+    power = np.sqrt(np.sum([np.diag(square) for _, _, square in made], axis=0) / point.spectra[i].size)
+    scales = own / np.maximum(power, 1e-30)
+    made = [(rows, C * scales, square * np.multiply.outer(scales, scales)) for rows, C, square in made]
+    apart = np.zeros((scales.size, FOLDS, len(data.places), len(data.places), 2))
+    apart[:, :, i] = np.swapaxes([[t for g in found for t in g.tangents] for found in by_fold], 0, 1)
+    mean = data.over_folds(np.swapaxes(apart, 0, 1))
+    apart = (apart - mean[:, None]) * scales[:, None, None, None, None]
+    columns = np.split(mean[:, i], np.cumsum([len(g.tangents) for g in by_fold[0]])[:-1])
+    whole = [replace(g, tangents=[*own]) for g, own in zip(by_fold[0], columns, strict=True)]
+    around = point.fluctuations[i]
+    here = around and around.shorter(DRESSED_S)
+    tangents: Complexes = np.concatenate([_tangents(point, i, g, here, orders, times) for g in whole])
+    tangents *= scales[:, None, None, None]
+    names = tuple(f"{g.name}.{k}" for g in whole for k in range(len(g.tangents)))
+    knots = {g.name: g.knots for g in whole if g.knots is not None}
+    return with_known(extended(point, plain, i, made, names, scales, tangents, apart)), knots
+
+
+def with_known(problem: Subproblem) -> Subproblem:
+    """The same with the response of the model's own columns in extra ones that they span: one force has one response.
+
+    With another, as a law knows its own to a part in a hundred only, what one takes from the other moves the
+    determinant and nothing else: of complete models with a drift, a ball pass or a drag of the user's, with x^2 v, up
+    to 220 nats were won by a force of nothing (`time`, `shaft_angle`, `level`).
+    """
+    gram, b = problem.gram, len(problem.base)
+    G = gram.G.sum(axis=(0, 1))[1:, 1:]
+    own, cross = G[:b, :b], G[:b, b:]
+    size = np.sqrt(np.maximum(np.diag(own), 1e-300))
+    weights = np.linalg.pinv(own / np.multiply.outer(size, size), rcond=1e-10) @ (cross / size[:, None]) / size[:, None]
+    left = 1.0 - np.einsum("bk,bk->k", cross, weights) / np.maximum(np.diag(G)[b:], 1e-300)
+    known = np.flatnonzero(left < KNOWN)
+    tangents = gram.tangents.copy()
+    tangents[b + known] = np.tensordot(weights[:, known].T, tangents[:b], 1)
+    apart = None if gram.apart is None else gram.apart.copy()
+    if apart is not None:
+        apart[b + known] = np.tensordot(weights[:, known].T, apart[:b], 1)
+    return replace(problem, gram=replace(gram, tangents=tangents, apart=apart))
+
+
+def _tangents(
+    point: WorkingPoint, i: int, group: Group, here: Fluctuation | Probe | None, orders: tuple[float, ...],
+    times: tuple[float, float],
+) -> Complexes:  # fmt: skip
+    """(columns, places, places, bins) what the columns of a group add to A per unit. here : what dresses them."""
+    P = len(point.data.places)
+    out = np.zeros((len(group.tangents), P, P, point.columns.tangents.shape[-1]), complex)
+    for k, t in enumerate(group.tangents):
+        out[k, i] = response(t, point.weighing.s)
+    if here is not None:
+        s2 = point.weighing.s**2
+        for k, sigma in enumerate(dressings(group.name, here, point.data.rms[:2, i], group.knots, orders, times)):
+            out[k, i, i] -= sigma / s2
+    return point.weighing.seen(out)

@@ -1,0 +1,65 @@
+"""Tangents along the path of the flexible columns, which a fluctuating model dresses: likelihood/response/fluctuation.py, identification/residual/black_box.py."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.arrays import Array, Complexes
+from estimator.likelihood.response.fluctuation import Fluctuation
+from estimator.likelihood.response.impulse_probe import Probe
+
+
+def lapse(t: Array, first: float, last: float) -> tuple[Array, Array]:
+    """Legendre polynomials of degree 1 and 2 of the time t, (n,) s, from first to last."""
+    tau = 2 * (t - first) / max(last - first, 1e-9) - 1
+    return tau, 1.5 * tau**2 - 0.5
+
+
+def waves(phase: Array, orders: tuple[float, ...]) -> list[NDArray[np.float32]]:
+    """Cosine and sine of each order of the shaft's angle, (n,) rad."""
+    turns = phase / (2 * np.pi)
+    angles = [2 * np.pi * (k * turns - np.floor(k * turns)) for k in orders]
+    return [wave(z.astype(np.float32)) for z in angles for wave in (np.cos, np.sin)]
+
+
+def dressings(
+    name: str, here: Fluctuation | Probe, sizes: Array, knots: Array | None, orders: tuple[float, ...],
+    times: tuple[float, float],
+) -> Iterator[Complexes]:  # fmt: skip
+    """(bins,) N/m per column of a group, in its order; nothing for groups whose tangents the model leaves alone.
+
+    sizes : (2,) rms of x and v that the group is built with; knots of a group of hat functions; orders, times : of
+    those that turn or change with time.
+    """
+    x, v = (here.data.calmed if knots is None else here.data.seen)(here.place), here.data.v[here.place]
+    if knots is not None:
+        which = 0 if name == "displacement" else 1
+        step, last = float(knots[1] - knots[0]), knots.size - 2
+        cell = np.clip(((x, v)[which] - knots[0]) // step, 0, last).astype(np.int8)
+        inside = np.zeros((2, x.size), np.float32)
+        below: Complexes | float = 0.0
+        for k in range(knots.size):
+            own: Complexes | float = 0.0
+            if k <= last:
+                np.equal(cell, k, out=inside[which])
+                own = here.of(inside) / step
+            yield np.asarray(below - own)
+            below = own
+    elif name == "level":
+        u, w = x / sizes[0], v / sizes[1]
+        r = np.maximum(np.hypot(u, w), 1e-6)
+        for du, dw in (
+            (w, u), (2 * u * w, u * u), (w * w, 2 * u * w), (r + u * u / r, u * w / r), (u * w / r, r + w * w / r),
+        ):  # fmt: skip
+            yield here.of(np.stack([du / sizes[0], dw / sizes[1]]))
+    elif name == "time":
+        none = np.zeros(x.size)
+        for z in lapse(here.data.t, *times):
+            yield here.of(np.stack([z / sizes[0], none]))
+            yield here.of(np.stack([none, z / sizes[1]]))
+    elif name == "shaft_angle":
+        for wave in waves(here.data.phase, orders):
+            yield here.of(np.stack([wave / sizes[0], np.zeros(x.size)]))

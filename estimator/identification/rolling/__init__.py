@@ -1,0 +1,1 @@
+"""The same fit while samples arrive."""

@@ -1,0 +1,236 @@
+"""The spectral estimator while samples arrive: the same filters, columns, Gram matrices and likelihood as `fit`.
+
+The first seconds are kept and fitted as a record; until that works nothing is shown. Their Gram matrices start the
+memory, which then forgets exponentially. A second memory that forgets faster watches for change: when a parameter as
+the recent data have it differs from that of the long memory by five standard deviations of the difference, twice in a
+row, the recent memory replaces the long one: a change is followed faster, and the interval, wider for a while, stays
+honest.
+
+Lines that were there at the start are left out of the grid for good, those that come or move block by block
+(signals/moving_lines.py); a tacho channel gives the angle of the shaft. The candidates of identification/rolling/watch.py have a memory of their own,
+of every third block, and are looked at every three seconds. What is computed when depends on the data alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.errors import DataError
+from estimator.identification.batch.line_notches import begin
+from estimator.identification.batch.report import judged
+from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_reaction
+from estimator.likelihood.motion.harmonics import known_lines
+from estimator.likelihood.motion.stream_record import Record, as_record, notches
+from estimator.model.rig import Model
+from estimator.results import Estimate
+from estimator.signals.band_limit import BandLimit, Motion
+from estimator.signals.blocks import Layout, layout
+from estimator.signals.shaft_angle import ShaftAngle
+
+from .scope import followed
+from .update import WARM_UP_S, RollingFit
+from .watch import CANDIDATES
+
+SHOW_EVERY_S = 0.45
+FEWEST_BLOCKS = 6
+CATCH_UP = 2  # times as many blocks in a call until the first ones have been taken
+STILL = 1e-6  # of what a place usually moves, or of what the others do: it does not move
+
+
+class RollingSpectral:
+    """OnlineEstimator by the spectral likelihood. Estimates are renewed about twice a second.
+
+    watch : catalogue effects whose force is looked for in what the model leaves over (identification/rolling/watch.py). The estimate's
+        `extra` then holds missing_force_percent, rms of the force that all of them together would explain over the
+        rms linear bearing force, and missing_force_percent_NAME for each one that is certain. None: half the cost.
+    """
+
+    def __init__(
+        self, model: Model, rate_hz: float, time_constant_s: float, watch: tuple[str, ...] = CANDIDATES
+    ) -> None:
+        if time_constant_s <= 0:
+            raise ValueError(f"time constant {time_constant_s} s: it must be positive")
+        self._followed = followed(model)
+        self.model, self.rate_hz, self.time_constant_s = self._followed.model, rate_hz, time_constant_s
+        self.watch = () if self._followed.lacking else watch  # where the model lacks what is known, no more is sought
+        motions, forces = motion_channels(model), force_channels(model)
+        self._used = [*motions, *forces.values()]
+        kinds = [model.channels[c].kind for c in self._used]
+        self._filter = BandLimit(kinds, rate_hz, model.band, shaft_reaction(model), slow=True)
+        self._grid: Layout = layout(rate_hz, model.band, notches(model))
+        self._lines = _lines(model, self._grid)
+        self._kept: list[Motion] = []  # what the next blocks and a new start need
+        self._shaft = ShaftAngle(model, rate_hz)
+        self._seen = 0  # rows taken in
+        self._next = 0  # first row of the next block
+        self._since_solved = 0
+        self._since_taken = False
+        self._ahead: Record | None = None  # what the next blocks are cut from
+        self._fitted: RollingFit | None = None
+        self._retry_at = 0
+        self._moves = np.zeros(0)  # (places,) rms acceleration at the start, m/s^2
+        self._still = ""  # the place that does not move of late
+        gains = _gains(self.model)[self._used]
+        self._gain = None if (gains == 1.0).all() else gains
+        self._estimate = Estimate(0, {}, 0.0, status="warming up")
+        reasons = [self._followed.lacking.get(place, "") for place in model.places]
+        self._nothing = all(reasons) and bool(reasons)  # can be said of any place
+        if self._nothing:
+            self._estimate = Estimate(0, {}, 0.0, status=reasons[0])
+
+    def update(self, block: Array) -> None:
+        """Take the next rows, (n, channels); NaN where a sample is missing or clipped."""
+        self._seen += len(block)
+        if self._nothing:
+            return
+        self._since_solved += len(block)
+        self._shaft.push(block)
+        y = block[:, self._used]
+        motion = self._filter.push(y if self._gain is None else y / self._gain)
+        if motion.rows:
+            self._kept.append(motion)
+            self._ahead = None
+        if self._fitted is not None:
+            self._advance(self._fitted, 1 + len(block) // self._grid.hop)
+        elif motion.rows:
+            self._start()
+
+    def snapshot(self) -> Estimate:
+        """The estimate as of the last update."""
+        return replace(self._estimate, index=self._seen)
+
+    # the rest is private
+
+    def _record(self, first: int = 0) -> Record:
+        """What is kept, from the piece that holds row `first` on, as a record."""
+        parts = [p for p in self._kept if p.start + p.rows > first]
+        record = as_record(self.model, self.rate_hz, parts, self._grid)
+        if self._fitted is not None:
+            record = replace(record, calm=self._fitted.calm)
+        if not self._shaft.measured:
+            return record
+        angle = self._shaft.angle(record.motion.start, record.motion.start + record.motion.rows)
+        return record if angle is None else replace(record, phase=angle)
+
+    def _start(self) -> None:
+        """Begin, once there is enough to fit."""
+        end = self._kept[-1].start + self._kept[-1].rows
+        wanted = max(int(WARM_UP_S * self.rate_hz), 24 * self._grid.hop)
+        if end - self._kept[0].start >= wanted and end >= self._retry_at:
+            self._begin()
+            self._retry_at = end + wanted // 2
+            if self._fitted is None:
+                self._trim(end - wanted)
+
+    def _advance(self, fitted: RollingFit, most: int) -> None:
+        """Take the next blocks, `most` at a time, and solve when there is none: no call has much to do, so that none
+        is late. A whole record given at once is worked through at once."""
+        grid, end = self._grid, self._kept[-1].start + self._kept[-1].rows
+        at_once, taken = most > 1, 0
+        while taken < (most if fitted.settled else CATCH_UP * most) and self._next + grid.size + fitted.margin <= end:
+            record = self._ahead = self._ahead or self._record(self._next - fitted.margin)
+            at = self._next - record.motion.start
+            fitted.forget()
+            self._still = self._standing(record.motion.a[:, at : at + grid.size])
+            if record.motion.valid[at : at + grid.size].all() and not self._still:
+                fitted.take(record, at, self._shaft.measured)
+            else:
+                fitted.skip()
+            self._next += grid.hop
+            taken += 1
+        if taken:
+            self._since_taken = True
+        if self._since_taken and self._next + grid.size + fitted.margin > end and (at_once or not taken):
+            if not fitted.settled and not (self._settle(fitted) and at_once):
+                return
+            self._trim(min(self._next - fitted.margin, end - max(int(WARM_UP_S * self.rate_hz), 24 * grid.hop)))
+            self._since_taken = False
+            if self._since_solved >= SHOW_EVERY_S * self.rate_hz * 0.6:
+                self._solve()
+
+    def _standing(self, a: Array) -> str:
+        """What to tell about a place whose acceleration (places, n) is none, if any is known."""
+        if not a.size:
+            return ""
+        rms = np.sqrt(np.einsum("cn,cn->c", a, a) / a.shape[1])
+        usual = self._moves if self._moves.any() else np.full(len(a), rms.max(initial=0.0))
+        still = np.flatnonzero(rms <= STILL * usual)
+        return (
+            f"{self.model.places[still[0]]} does not move in the band: check the sensor and the band"
+            if len(still)
+            else ""
+        )
+
+    def _trim(self, needed: int) -> None:
+        while len(self._kept) > 1 and self._kept[1].start <= needed:
+            self._kept.pop(0)
+        self._shaft.drop(self._kept[0].start)
+
+    def _begin(self) -> None:
+        """Fit what is kept as a record, or say why it cannot be."""
+        record = self._record()
+        self._moves = np.zeros(len(record.motion.a))
+        self._still = self._standing(record.motion.a[:, record.motion.valid])
+        if self._still:
+            self._estimate = Estimate(self._seen, {}, 0.0, status=self._still)
+            return
+        try:
+            record, start = begin(record, 1, self._lines)
+            self._grid = record.grid
+            self._fitted = RollingFit.begin(record, start, self.model, self.time_constant_s, self.watch)
+        except DataError as e:
+            self._estimate = Estimate(self._seen, {}, 0.0, status=str(e))
+            return
+        self._moves, self._next, self._ahead = record.rms("a"), record.motion.start, None
+
+    def _settle(self, fitted: RollingFit) -> bool:
+        """All of the first rows have been taken; False if too little of them was of use, and a new start is due."""
+        if fitted.slow.n < FEWEST_BLOCKS:
+            self._fitted = None
+            return False
+        fitted.settle(self._record())
+        self._since_solved = self._seen
+        return True
+
+    def _solve(self) -> None:
+        fitted = self._fitted
+        if fitted is None:
+            return
+        self._since_solved = 0
+        hop_s = self._grid.hop / self.rate_hz
+        if self._still:
+            self._estimate = Estimate(self._seen, {}, 0.0, status=self._still)
+            return
+        if fitted.slow.n < FEWEST_BLOCKS or fitted.slow.n * hop_s < 0.1 * min(self.time_constant_s, WARM_UP_S):
+            self._estimate = Estimate(self._seen, {}, 0.0, status="too few valid samples of late")
+            return
+        fitted.solve(self._record)
+        parameters = judged(fitted.balance, *fitted.shown(), self.model)
+        samples = fitted.slow.n**2 / fitted.slow.n2 * self._grid.hop
+        shown = self._followed.shown(parameters | fitted.held)
+        self._estimate = Estimate(self._seen, shown, samples, -fitted.local.nll, extra=fitted.missing)
+
+
+def _lines(model: Model, grid: Layout) -> tuple[tuple[float, float], ...]:
+    """Hz, about the lines that the model's periodic effects make, too weak to stand out perhaps.
+
+    None where a tacho follows the speed: they move then; nor where they would take half of the band.
+    """
+    half, low, high = 3.5 * grid.rate_hz / grid.size, *model.band
+    lines = [hz for hz in known_lines(model) if low - half < hz < high + half]
+    if model.tacho is not None or 4 * half * len(lines) > high - low:
+        return ()
+    return tuple((hz - half, hz + half) for hz in sorted(lines))
+
+
+def _gains(model: Model) -> Array:
+    """(channels,) by which each reads too much, as far as the model gives it."""
+    out = np.ones(len(model.channels))
+    for use in model.effects:
+        for place, settings in use.parameters.items() if use.name == "sensor_gain" else ():
+            own = [k for k, c in enumerate(model.channels) if c.place == place and c.kind != "force"]
+            out[own] += settings["error"].value or 0.0
+    return out

@@ -1,0 +1,1 @@
+"""Excitation spectra, sensor noise, recorder filter and faults of transfer functions."""

@@ -1,0 +1,114 @@
+"""A sensor whose noise stands out of its neighbours': in the inferred force, or beside a measured one."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from functools import partial
+
+import numpy as np
+from scipy.special import chdtrc
+
+from estimator.arrays import Array
+from estimator.identification.finding import Suspect
+from estimator.likelihood.fitting.path_spectra import Response
+from estimator.likelihood.fitting.transfer_function import Peak, exp, expected, highest, linear
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.model.rig import MOTION, Model
+from estimator.results import Parameter
+from estimator.signals.channel_response import SHAPES, shape
+
+FOLDED = 0.01  # of what sampling folds back, that noise of a sensor has to be NOISE_RATIO times as strong as
+NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
+
+
+def noisy(model: Model, point: WorkingPoint, noise: Array, shaped: Collection[int]) -> list[Suspect]:
+    """A sensor whose noise floor stands out of its neighbours' of the same kind: others have another unit.
+
+    shaped : places with another spectrum than white force and white noise make. Their noise is not known: beside a peak
+    it came out as nothing, and that of a sound neighbour stood out. Nor is one the measure of others whose shape is
+    known: its two numbers take in what noise would be.
+    """
+    data = point.data
+    out, heard = [], data.heard(point.A)
+    have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
+    known = [k for k in range(len(data.places)) if k not in shaped]
+    plain = [k for k in known if not any(shape(model, data.places[k], name) for name in SHAPES)]
+    for i in known:
+        place, kind = data.places[i], data.kinds[i]
+        others = noise[[k for k in plain if k != i and data.kinds[k] == kind]]
+        if others.size == 0 or place in have:
+            continue
+        # noise counts where it is loudest: that of an accelerometer low in the band, that of displacement at its top
+        folded = point.S[i] * float(heard[i] @ data.folded[i] / (heard[i] @ data.noise_shape[i]))
+        floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i].max()), FOLDED * folded)
+        if noise[i] < NOISE_RATIO * floor:
+            continue
+        rms = float(np.sqrt(noise[i] * data.rate_hz / 2))
+        gain = 0.5 * data.blocks * float(np.sum(np.log1p(noise[i] * heard[i] / point.S[i]) ** 2) / 2)
+        sd = rms / np.sqrt(2 * max(gain, 1.0))
+        name, unit = next(c.name for c in model.channels if c.place == place), MOTION[data.kinds[i]]
+        out.append(
+            Suspect(
+                "sensor_noise", (place,), gain, 1, float(np.exp(-min(gain, 700.0))),
+                {i: float(noise[i] * np.mean(heard[i]) * (data.band[1] - data.band[0]))}, "frequency",
+                f"noise of {name}: {rms:.2g} {unit} rms, over {np.sqrt(noise[i] / floor):.1f} times its neighbours'",
+                {place: {"rms": Parameter(rms, float(sd), unit)}},
+            )
+        )  # fmt: skip
+    return out
+
+
+def sensor_noise(point: WorkingPoint, i: int) -> Parameter:
+    """rms over the whole band of the noise of a place's sensor, if it is white."""
+    data = point.data
+    density = point.nu[i] * point.S[i]
+    floor = density * data.heard(point.A)[i]
+    share = floor / (point.S[i] * data.colour[i] + floor)
+    sd = 1.0 / np.sqrt(max(data.blocks * float(np.sum(share**2)), 1e-300))  # of ln(density), by the Whittle likelihood
+    rms = float(np.sqrt(density * data.rate_hz / 2))
+    return Parameter.judged(rms, 0.5 * rms * sd, MOTION[data.kinds[i]])
+
+
+UNEVEN = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
+
+
+def _density(r: Response, peak: Peak) -> float:
+    """PSD of the noise of a sensor of motion, with the least of what is folded into it."""
+    return exp(peak.u[1]) + float(np.min(r.folded))
+
+
+def noisy_beside_forces(
+    model: Model, point: WorkingPoint, heard: Mapping[int, tuple[Response, Peak, Array]]
+) -> list[Suspect]:  # fmt: skip
+    """A sensor whose noise stands out of its neighbours', where white noise of force and motion is all that is left."""
+    data = point.data
+    have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
+    out = []
+    for i, (r, base, scale) in heard.items():
+        place = data.places[i]
+        P, _, s = expected(r, base.A, base.u)
+        off = np.log(P / s)
+        others = [_density(*own[:2]) for j, own in heard.items() if j != i and data.kinds[j] == data.kinds[i]]
+        depth = np.average(off**2 - 1.0 / r.n, weights=r.n)
+        if not others or place in have or depth > UNEVEN**2:
+            continue
+        density, floor = _density(r, base), float(np.median(others))
+        if density < NOISE_RATIO * floor:
+            continue
+        own = np.log(floor - min(float(np.min(r.folded)), 0.9 * floor))
+        quiet = highest(r, partial(linear, r), np.array([base.u[0], own, *base.u[2:]]), scale, held=1)
+        gain = base.nats - quiet.nats
+        if 2 * gain < NOISE_RATIO:
+            continue
+        rms = float(np.sqrt(density * data.rate_hz / 2))
+        name, unit = next(c.name for c in model.channels if c.place == place), MOTION[data.kinds[i]]
+        power = float((density * r.noise * np.abs(r.A) ** 2) @ r.hz)
+        out.append(
+            Suspect(
+                "sensor_noise", (place,), gain, 1, float(chdtrc(1, 2 * gain)) * len(heard), {i: power}, "frequency",
+                f"noise of {name}: {rms:.2g} {unit} rms, {np.sqrt(density / floor):.1f} times its neighbours'",
+                {place: {"rms": Parameter(rms, 0.5 * rms * float(np.sqrt(base.covariance[1, 1])), unit)}},
+                "the model is not wrong: a simulation cannot follow what the sensor adds",
+            )
+        )  # fmt: skip
+    return out

@@ -1,0 +1,200 @@
+"""Whether the spectra of all inferred forces fall alike, or those of each bearing, as behind filters of one recorder or
+of two: model/recorder.py."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from scipy.special import chdtrc
+
+from estimator.arrays import Array
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.model.recorder import POWERS, Filter, RollOff, devices, images
+from estimator.model.rig import Model
+from estimator.parallel import answers
+from estimator.signals.channel_response import SHAPES, shape
+
+from . import spectral_models
+from .filter_search import Seen, Standing, likeliest, mean_or_none
+from .spectral_cells import Cells, cells_of
+
+Plain = tuple[float, Array, Array]  # likelihood, numbers and their scales: force_shapes.plain
+Two = tuple[float, float] | None
+Shaped = tuple[Two, Two, Standing | None]  # the numbers of the sensor's resonance, of the colour and of the pedestal
+Place = tuple[int, Cells, Plain]  # its index, its cells and the model fitted to them
+LEVEL = 1e-6
+LEAST = 0.002  # rms of ln(power) over the band, from where it matters to S
+EXPLAINED = 0.5  # of the misfit beyond chance
+ALIKE = 0.8  # the same of two channels of a bearing: one that falls beside one that does not leaves half
+NOTHING: Mapping[int, Shaped] = {}
+CHANCE = 3.0  # standard deviations of a deviance
+WAVES, LOOK = 12, 1e-4  # half waves along the band, and chance of them, of what is looked into
+LINE, LINES = 6.0, 0.1  # standard deviations that a line raises a cell by; of the cells, those that lines may have
+BEHIND = 12.0  # in deviance and a place, that causes of other kinds, two numbers each, may fit better by (Schwarz)
+
+
+def find(model: Model, point: WorkingPoint) -> RollOff | None:
+    """None where nothing falls, or something else fits better. A place whose force has a colour in the model takes the
+    filter that the others show, and so does one on a pedestal, or whose sensor's resonance is undone: what falls there
+    is within that. Where the others show none, it is sought with these shapes: identification/structure/filter_search.py. Places that cannot be
+    judged, as behind a clipped channel, take it too."""
+    data, whole = point.data, _judged(point)
+    if not whole:
+        return None
+    shapes = [_shapes(model, point, i) for i in range(len(data.places))]
+    shaped = {i: shapes[i] for i in whole if any(shapes[i])}
+    plain = [i for i in whole if i not in shaped]
+    found = _of(point, _measured(point, plain)) if plain else None
+    if found is not None or not shaped:
+        return found
+    own = _measured(point, whole)
+    stands_out = any(chdtrc(c.n.size - 4.0, -2 * fit[0]) < LOOK for i, c, fit in own if i in shaped)
+    off = _fall(point, own, EXPLAINED, shaped)[1] if stands_out or _in_common(own) else None
+    if off is not None:
+        return dict.fromkeys(data.places, off)
+    standing = [i for i in whole if not any(shapes[i][:2])]  # what is too little to be told from pedestals, beside them
+    if len(standing) == len(plain):
+        return None
+    return _of(point, own if standing == whole else _measured(point, standing))
+
+
+def doubt(model: Model, point: WorkingPoint) -> float:
+    """Relative standard deviation of S, where no filter is found, by a mean over a sample that would be as likely."""
+    whole = _judged(point)
+    if not whole:
+        return 0.0
+    seen = _seen(point, _measured(point, whole), {i: _shapes(model, point, i) for i in whole})
+    return mean_or_none(seen, _blank(point))[1]
+
+
+def _judged(point: WorkingPoint) -> list[int]:
+    """Places of which a filter is told."""
+    whole = [*point.data.judged]
+    return [] if point.data.measured_force or not whole or point.kL[whole].min() <= 0.0 else whole
+
+
+def _blank(point: WorkingPoint) -> Filter:
+    return Filter(point.data.rate_hz, point.data.band[1])
+
+
+def _seen(point: WorkingPoint, own: list[Place], shaped: Mapping[int, Shaped]) -> list[Seen]:
+    return [Seen(c, point.data.kinds[i], *shaped.get(i, ())) for i, c, _ in own]
+
+
+def _shapes(model: Model, point: WorkingPoint, i: int) -> Shaped:
+    resonance, colour = (shape(model, point.data.places[i], name) for name in SHAPES)
+    for use in point.placed:
+        if use.effect.name == "pedestal" and i in use.at:
+            mass, frequency, damping = use.p.tolist()
+            return resonance, colour, Standing(point.kL[i], point.c[i], (mass, frequency, damping))
+    return resonance, colour, None
+
+
+def _of(point: WorkingPoint, own: list[Place]) -> RollOff | None:
+    """The same by what some places show."""
+    data = point.data
+    together, found = _fall(point, own, EXPLAINED)
+    if found is not None and together - (df := sum(c.n.size - 4 for _, c, _ in own)) < CHANCE * np.sqrt(2.0 * df):
+        return dict.fromkeys(data.places, found)
+    names = tuple(data.places[i] for i, _, _ in own)
+    nodes = [(at, *_fall(point, [own[k] for k in at], ALIKE)) for at in devices(names)]
+    each_its_own = sum(after for _, after, _ in nodes) if nodes else together
+    deviance, most = _all_but_one(point, own) if len(own) > 1 else (np.inf, None)
+    if most is not None and deviance < each_its_own:
+        return dict.fromkeys(data.places, most)
+    apart = {names[k]: off for at, _, off in nodes if off is not None for k in at}
+    if apart:  # of the other bearing too, if it shows none of its own: one recorder, not two
+        off, bare = next(iter(apart.values())), [(at, after) for at, after, none in nodes if none is None]
+        apart |= {names[k]: off for at, after in bare if _explains(point, off, [own[k] for k in at], after) for k in at}
+    if apart and (found is None or chdtrc(POWERS.size * (len(nodes) - 1), together - each_its_own) < LEVEL):
+        return apart
+    return None if found is None else dict.fromkeys(data.places, found)
+
+
+def _measured(point: WorkingPoint, places: list[int]) -> list[Place]:
+    cells, fits = _without_lines(point, [cells_of(point, i) for i in places])
+    return list(zip(places, cells, fits, strict=True))
+
+
+def _fall(
+    point: WorkingPoint, own: list[Place], explained: float, shaped: Mapping[int, Shaped] = NOTHING
+) -> tuple[float, Filter | None]:
+    """Deviance of some places behind what they fall alike by, and that; without it where nothing falls, or something
+    else fits better. explained : of the misfit beyond chance, at least."""
+    hz, count = own[0][1].w / (2 * np.pi), own[0][1].n
+    before, df = -2 * sum(fit[0] for _, _, fit in own), float(sum(c.n.size - 4 for _, c, _ in own))
+    seen, blank = _seen(point, own, shaped), _blank(point)
+    if not shaped and not _in_common(own) and chdtrc(1.0, max(mean_or_none(seen, blank)[0], 0.0)) > LEVEL:
+        return before, None
+    after, found = likeliest(seen, blank)
+    fall = -np.log(found.passed(hz))
+    rms = float(np.sqrt(np.average((fall - np.average(fall, weights=count)) ** 2, weights=count)))
+    free = sum(one.shapes for one in seen)
+    if chdtrc(POWERS.size + free, before - after) > LEVEL or rms < LEAST:
+        return before, None
+    if after - df > max((1 - explained) * (before - df), CHANCE * np.sqrt(2 * df)):
+        return before, None
+    other = sum(answers([partial(spectral_models.otherwise, point, i, c, *fit) for i, c, fit in own]))
+    return (after, found) if after < other + BEHIND * len(own) else (before, None)
+
+
+def _all_but_one(point: WorkingPoint, own: list[Place]) -> tuple[float, Filter | None]:
+    """Deviance of all places, and what all but some one fall by, if what that one has of its own, as a sensor's
+    resonance or noise, is likelier behind the same filter."""
+    best, found = np.inf, None
+    for k, (i, c, fit) in enumerate(own):
+        after, off = _fall(point, own[:k] + own[k + 1 :], ALIKE)
+        if off is None:
+            continue
+        behind = _behind(point, i, c, off)
+        alone = spectral_models.otherwise(point, i, behind, *spectral_models.plain(point, i, behind))
+        if after + alone < best and alone < spectral_models.otherwise(point, i, c, *fit):
+            best, found = after + alone, off
+    return best, found
+
+
+def _explains(point: WorkingPoint, off: Filter, own: list[Place], before: float) -> bool:
+    """Whether a filter takes half of some places' misfit beyond chance. before : their deviance without it."""
+    behind = [(i, _behind(point, i, c, off)) for i, c, _ in own]
+    after = -2 * sum(spectral_models.plain(point, i, c)[0] for i, c in behind)
+    return after - (df := sum(c.n.size - 4 for _, c, _ in own)) < (1 - EXPLAINED) * (before - df)
+
+
+def _behind(point: WorkingPoint, i: int, c: Cells, off: Filter) -> Cells:
+    """The cells of a place behind a filter."""
+    hz = c.w / (2 * np.pi)
+    here, others = c.white
+    echoes = here * off.echoes(hz, point.data.kinds[i])
+    back = c.back + echoes.sum(axis=0) + others * off.folded(hz, point.data.kinds[i])
+    beyond = images(off.rate_hz, hz)[: len(echoes)]
+    return replace(c, colour=c.colour * off.passed(hz), back=back, echoes=echoes, images=beyond)
+
+
+def _in_common(own: list[Place]) -> bool:
+    """Whether the spectra have anything smooth in common beside the model: a cheap look before a search. 3 % of ripple
+    in all of four is 36 powers of ten from chance, where the deviance of their 900 cells is 3.4 standard deviations."""
+    off = sum((_ratio(c, fit) - 1.0) * np.sqrt(c.n) for _, c, fit in own) / np.sqrt(len(own))
+    first = own[0][1]
+    x, n = np.pi * first.w / first.w[-1], np.sqrt(first.n)
+    Q, _ = np.linalg.qr(n[:, None] * np.cos(np.multiply.outer(x, np.arange(1, WAVES + 1))))
+    return bool(chdtrc(WAVES, float(np.sum((Q.T @ off) ** 2))) < LOOK)
+
+
+def _without_lines(point: WorkingPoint, cells: list[Cells]) -> tuple[list[Cells], list[Plain]]:
+    """The cells that no line raises at any place, if they are few, and the model of each place fitted to them."""
+    whole = cells[0].n.size
+    while True:
+        fits = [spectral_models.plain(point, i, c) for i, c in enumerate(cells)]
+        over = [spectral_models.deviance(np.sqrt(c.n), _ratio(c, fit)) for c, fit in zip(cells, fits, strict=True)]
+        keep = np.max(over, axis=0) < LINE
+        if keep.all() or keep.sum() < (1 - LINES) * whole:
+            return cells, fits
+        cells = [c.at(keep) for c in cells]
+
+
+def _ratio(c: Cells, fit: Plain) -> Array:
+    """(cells,) measured power over the model's."""
+    return c.power / spectral_models.base_model(c, fit[1])

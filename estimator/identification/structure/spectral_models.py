@@ -1,0 +1,203 @@
+"""What may shape the spectrum of a force or its sensor, and the likeliest numbers of each, k and c refitted beside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.likelihood.fitting.noise_level import LEAST_NOISE
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.results import Parameter
+
+from . import pedestal_form
+from .spectral_cells import Cells, cells_of, finite_exp
+
+DARKEST = 0.985  # of S, that the gain of a colour may take away at low frequencies
+BROADENED = 0.75  # of a damping: what one resonance has too much in place of two, of a rotor and a strong pedestal
+PEAKED = 1.0  # quality of a sensor's resonance: below it filters look alike
+SMALL = 1e-8  # change of a number, in its scale, for a derivative
+
+
+def base_model(c: Cells, u: Array) -> Array:
+    """u : ln S, ln(noise share), relative changes of k and c in units of 1 / w^2 and 1 / (i w)."""
+    return c.spectrum(u, c.tangent(u))
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A cause: multiplier of the whole measured power, or of S, by its parameters in free form; starts in that form.
+
+    idle : N s/m, the damping that starts are tried without as well.
+    """
+
+    effect: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    starts: tuple[tuple[float, ...], ...]
+    model: Callable[[Cells, Array], Array]
+    values: Callable[[Array], Array]
+    idle: float = 0.0
+
+
+def _coloured(place_peak: float) -> Shape:
+    def values(z: Array) -> Array:
+        return np.array([np.exp(np.clip(z[0], -6, 7)) - DARKEST, np.exp(np.clip(z[1], 2, 12))])
+
+    def model(c: Cells, u: Array) -> Array:
+        return c.spectrum(u, c.tangent(u), coloured(c.w / (2 * np.pi), *values(u[4:])))
+
+    starts = tuple((g, float(np.log(place_peak * f))) for g in (0.6, 1.5, -0.5) for f in (0.4, 1.0, 2.5))
+    return Shape("coloured_excitation", ("gain", "corner"), ("1", "Hz"), starts, model, values)
+
+
+def _resonance(top: float) -> Shape:
+    def values(z: Array) -> Array:
+        return np.array([np.exp(np.clip(z[0], 3, 13)), np.exp(np.clip(z[1], -0.5, 5))])
+
+    def model(c: Cells, u: Array) -> Array:
+        numbers = values(u[4:])
+        out = c.spectrum(u, c.tangent(u), resonant(c.w / (2 * np.pi), *numbers))
+        beyond = c.echoes[:, None] * (resonant(c.images[:, None], *numbers) - 1.0)
+        return np.asarray(out + (finite_exp(u[0]) * beyond.sum(axis=0)).reshape(out.shape))
+
+    starts = tuple((float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4) for q in (4, 25))
+    return Shape("sensor_resonance", ("frequency", "quality"), ("Hz", "1"), starts, model, values)
+
+
+def coloured(f_hz: Array, gain: float | Array, corner: float | Array) -> Array:
+    """Power that a colour of the force multiplies that at f_hz by."""
+    return np.asarray(1 + gain / (1 + (f_hz / corner) ** 2))
+
+
+def resonant(f_hz: Array, f0: float | Array, quality: float | Array) -> Array:
+    """Power that a sensor's resonance multiplies that at f_hz by."""
+    r2 = (f_hz / f0) ** 2
+    return np.asarray(1.0 / ((1 - r2) ** 2 + r2 / quality**2))
+
+
+def _pedestal(mass: float, kL: float, c0: float, peak: float) -> Shape:
+    values = partial(pedestal_form.values, cap_mass=mass)
+
+    def model(c: Cells, u: Array) -> Array:
+        lost = pedestal_form.lost(c.w, kL + u[2], c0 + u[3], values(u[4:]))
+        return c.spectrum(u, c.tangent(u) + lost / c.w**2)
+
+    names, units = ("mass", "frequency", "damping"), ("kg", "Hz", "1")
+    return Shape("pedestal", names, units, pedestal_form.starts(peak), model, values, BROADENED * c0)
+
+
+def deviance(root: Array, ratio: Array) -> Array:
+    """Residuals whose squares add up to the Whittle likelihood ratio. root : of the bins of a cell; ratio : its power
+    over a model's."""
+    return np.asarray(np.sign(ratio - 1) * root * np.sqrt(np.maximum(2 * (ratio - 1 - np.log(ratio)), 0.0)))
+
+
+def _maximum(
+    c: Cells, model: Callable[[Cells, Array], Array], starts: list[Array], scale: Array
+) -> tuple[float, Array, Array]:
+    """Largest Whittle likelihood, where, and the standard deviations there. Once a start leads to what chance leaves of
+    a true model, no other is tried."""
+    from scipy.optimize import least_squares
+
+    root, df = np.sqrt(c.n), c.n.size - scale.size
+
+    def residual(z: Array) -> Array:
+        return deviance(root, c.power / np.maximum(model(c, (z * scale).T), 1e-300))
+
+    def slopes(z: Array) -> Array:
+        step = SMALL * np.maximum(1.0, np.abs(z))
+        here, *there = residual(np.vstack([z, z + np.diag(step)])[None])
+        return np.asarray((there - here).T / step)
+
+    best: tuple[float, Array, Array] | None = None
+    for start in starts:
+        found = least_squares(residual, start / scale, slopes, method="lm", max_nfev=60)
+        if best is None or found.cost < best[0]:
+            J = np.asarray(found.jac)
+            H = J.T @ J
+            sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(H, rcond=1e-12)), 0.0))
+            best = (float(found.cost), found.x * scale, sd * scale)
+        if 2 * found.cost < df + np.sqrt(2.0 * df):
+            break
+    if best is None:
+        raise ValueError("no start")
+    return -best[0], best[1], best[2]
+
+
+def plain(point: WorkingPoint, i: int, c: Cells) -> tuple[float, Array, Array]:
+    """Likelihood and numbers of the base model at a place, and their scales."""
+    scale = np.array([1.0, 1.0, point.kL[i] * 0.01, point.c[i] * 0.1 + 1e-9])
+    least = point.S[i] * LEAST_NOISE / np.mean(c.heard)
+    quiet = np.array([np.log(point.S[i]), np.log(least), 0.0, 0.0])
+    u0 = quiet.copy()
+    u0[1] = np.log(point.nu[i] * point.S[i]) if point.nu[i] > 0.0 else quiet[1] - 10.0
+    level, u, _ = _maximum(c, base_model, [u0, quiet], scale)
+    return level, u, scale
+
+
+def otherwise(point: WorkingPoint, i: int, c: Cells, level: float, u: Array, scale: Array) -> float:
+    """Least deviance of a place by a cause that is no roll-off: a colour with its corner in the band, a resonance with
+    a peak, a pedestal."""
+    least, top = -2 * level, point.data.band[1]
+    for shape in causes(point, i):
+        found, z, _ = with_shape(c, shape, u, scale)
+        values = shape.values(z[4:])
+        if peakless(shape.effect, values, top) or (shape.effect == "coloured_excitation" and values[1] > top):
+            continue
+        least = min(least, -2 * found)
+    return least
+
+
+def causes(point: WorkingPoint, i: int) -> tuple[Shape, ...]:
+    data, peak = point.data, resonance_hz(point, i)
+    return (
+        _coloured(peak), _resonance(data.band[1]), _pedestal(data.mass[i], point.kL[i], point.c[i], peak)
+    )  # fmt: skip
+
+
+def pedestal(point: WorkingPoint, i: int) -> tuple[Array, float, float]:
+    """(3,) mass, frequency and damping that the spectrum at a place suggests to a model without one, likely or not, and
+    kL and c beside it."""
+    c = cells_of(point, i)
+    _, u, scale = plain(point, i, c)
+    shape = _pedestal(point.data.mass[i], point.kL[i], point.c[i], resonance_hz(point, i))
+    found = with_shape(c, shape, u, scale)[1]
+    return shape.values(found[4:]), float(point.kL[i] + found[2]), float(point.c[i] + found[3])
+
+
+def level(point: WorkingPoint, i: int, gain: float, corner: float) -> Parameter:
+    """S of a place whose excitation has a colour by these numbers, found in the same spectrum: they leave S many times
+    more uncertain than its number of bins says."""
+    own = 1 + gain / (1 + (point.data.f_hz / corner) ** 2)
+    flat = replace(point, data=replace(point.data, colour=point.data.colour / own))
+    c, shape = cells_of(flat, i), _coloured(resonance_hz(point, i))
+    _, u, scale = plain(flat, i, c)
+    u[0] = np.log(point.S[i])
+    begun = replace(shape, starts=((float(np.log(gain + DARKEST)), float(np.log(corner))),))
+    sd = with_shape(c, begun, u, scale)[2][0]  # of ln S
+    return Parameter.judged(float(point.S[i]), float(point.S[i] * sd), "N^2/Hz")
+
+
+def resonance_hz(point: WorkingPoint, i: int) -> float:
+    """Hz of the resonance at a place."""
+    return float(np.sqrt(point.kL[i] / point.data.mass[i]) / (2 * np.pi))
+
+
+def with_shape(c: Cells, shape: Shape, u: Array, scale: Array) -> tuple[float, Array, Array]:
+    """Largest likelihood of the base model, at u, with a cause beside it; where, and the standard deviations there.
+
+    Without the cause there may have been no noise, ln 0, and from there a search finds none."""
+    begun = np.array([u[0], max(u[1], u[0] + float(np.log(LEAST_NOISE / np.mean(c.heard)))), *u[2:]])
+    starts = [np.concatenate([begun, s]) for s in shape.starts]
+    if shape.idle:
+        starts += [start - shape.idle * np.eye(start.size)[3] for start in starts]
+    return _maximum(c, shape.model, starts, np.concatenate([scale, np.full(len(shape.names), 0.3)]))
+
+
+def peakless(effect: str, values: Array, top_hz: float) -> bool:
+    """Whether a sensor's resonance is above the band and has no peak: a filter looks the same."""
+    return effect == "sensor_resonance" and bool(values[0] > top_hz and values[1] < PEAKED)

@@ -1,0 +1,221 @@
+"""The spectrum of the inferred force: not white, shaped by a sensor, by a pedestal, or shared by the two bearings.
+
+Nothing here depends on the state of the rotor, so nothing here can be a force law. The mean power of the inferred
+force in narrow cells is compared, by the Whittle likelihood, with what each cause would give, k and c refitted for
+each (a shape near the resonance can hide in them).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import chdtrc
+
+from estimator.arrays import Array
+from estimator.effects import CATALOGUE
+from estimator.identification.finding import UNKNOWN, Suspect
+from estimator.likelihood.fitting.gauss_newton import fit_model
+from estimator.likelihood.motion.known_spectra import OF_FORCE, colours
+from estimator.likelihood.path.sensor_noise import together
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.model.rig import Model
+from estimator.results import Parameter
+
+from . import pedestal_form
+from .noisy_sensor import noisy
+from .spectral_cells import Cells, cells_of, finite_exp, mean_power
+from .spectral_models import base_model, causes, peakless, plain, with_shape
+
+LEVEL = 1e-3
+LEAST_DEPTH = 0.015  # rms of ln(power / model): less is within what filters and integrators leave behind
+EXPLAINED = 0.5  # of the misfit beyond chance: a cause that leaves more is not the cause
+ROUNDS = 2  # of a spectrum as it is seen, beside what is fitted with it
+UNLIKE = 1e-6  # of a colour of the model: more is none
+BEYOND = 3.0  # standard deviations, below nothing, of a stiffness or damping that no bearing has
+PLAIN = 0.1  # depth from which a shape that no cause explains is told: laws that a model lacks bend spectra by less
+
+
+def find(model: Model, point: WorkingPoint) -> list[Suspect]:
+    """Shaped excitation, sensor resonance, pedestal and a noisy sensor, by place; and forces shared by the bearings."""
+    data = point.data
+    taken = {(u.name, place) for u in model.effects for place in u.parameters}
+    out: list[Suspect] = []
+    noise = np.zeros(len(data.places))
+    seen = data.colour / colours(model, data.places, data.f_hz, OF_FORCE)  # of a spectrum as it is: see below
+    shaped = set(np.flatnonzero(np.ptp(seen, axis=1) > UNLIKE * seen.mean(axis=1)).tolist())
+    white: list[tuple[int, Cells, float, Array, Array]] = []
+    for i, place in enumerate(data.places):
+        if data.driven[i] > 0.0:  # what is left of a known force is noise: identification/structure/transfer_faults.py
+            shaped.add(i)
+            continue
+        if point.kL[i] <= 0.0:  # a fit far from the rotor: no resonance to begin from
+            continue
+        c = cells_of(point, i)
+        level, u, scale = plain(point, i, c)
+        noise[i] = finite_exp(u[1])
+        df = float(c.n.size - 4)
+        off = np.average(np.log(c.power / base_model(c, u)) ** 2 - 1.0 / c.n, weights=c.n)  # without its own scatter
+        depth = float(np.sqrt(max(float(off), 0.0)))
+        if chdtrc(df, -2 * level) * len(data.places) > LEVEL or depth < LEAST_DEPTH:
+            white.append((i, c, level, u, scale))
+            continue
+        shaped.add(i)
+        own = _shapes(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
+        out += own or ([_unknown(point, i, c, u, level)] if depth > PLAIN else [])
+    out += _alike(point, out, white, taken, shaped)
+    out += noisy(model, point, noise, shaped)
+    return out + _shared(model, point)
+
+
+def as_it_is(model: Model, point: WorkingPoint, law: float) -> WorkingPoint | None:
+    """The point refitted with the spectra that are seen, where nothing of the catalogue makes them; None where there is
+    no such place, or what it is worth is less than `law`, nats of the best effect on trial: a law that is missing bends
+    spectra, too, by more than they show of it.
+
+    Taken for white, a force has about a resonance more or less of the motion with it than the likelihood knows: on a
+    stiff shaft that passes for a law, and for what follows the other cap.
+    """
+    bent = [s for s in find(model, point) if s.effect == UNKNOWN]
+    if sum(s.gain for s in bent) <= law:
+        return None
+    places = {point.data.places.index(s.at[0]) for s in bent}
+    for _ in range(ROUNDS):
+        colour = point.data.colour.copy()
+        for i in places:
+            c = cells_of(point, i)
+            more = c.power / base_model(c, plain(point, i, c)[1])
+            colour[i] *= np.interp(point.data.f_hz, c.w / (2 * np.pi), more)
+            colour[i] /= colour[i].mean()
+        point = fit_model(replace(point.data, colour=colour), list(point.placed), start=point)
+    return point
+
+
+def _alike(
+    point: WorkingPoint,
+    found: list[Suspect],
+    white: list[tuple[int, Cells, float, Array, Array]],
+    taken: set[tuple[str, str]],
+    shaped: set[int],
+) -> list[Suspect]:
+    """What is found at a place is tried at those whose spectrum, of many cells, does not stand out by itself: bearings
+    are alike. `shaped` takes up the places where it is."""
+    best = max((s for s in found if s.effect == "pedestal"), key=lambda s: s.gain, default=None)
+    if best is None or best.gain < max(s.gain for s in found):
+        return []
+    out = []
+    for i, c, level, u, scale in white:
+        place = point.data.places[i]
+        others = {shape.effect for shape in causes(point, i)} - {best.effect}
+        have = {e for e, p in taken if p in (place, place.split(".")[0])}
+        own = [s for s in _shapes(point, i, c, u, level, scale, others | have) if s.p_value < LEVEL]
+        shaped.update(i for s in own)
+        out += own
+    return out
+
+
+def _shapes(
+    point: WorkingPoint, i: int, c: Cells, u: Array, level: float, scale: Array, taken: set[str]
+) -> list[Suspect]:
+    data = point.data
+    place = data.places[i]
+    out = []
+    r = c.power / base_model(c, u)
+    predictable = _predictable(point, i, c, r)
+    for shape in causes(point, i):
+        if shape.effect in taken:
+            continue
+        found, z, sd = with_shape(c, shape, u, scale)
+        gain = found - level
+        if gain < EXPLAINED * (-level - 0.5 * (c.n.size - 4)):
+            continue
+        if shape.effect == "pedestal" and (pedestal_form.at_end(z[4:]) or _drives(point, i, z, sd)):
+            continue
+        q = len(shape.names)
+        values = shape.values(z[4:])
+        spread = np.abs(shape.values(z[4:] + 1e-3) - values) / 1e-3 * sd[4:]
+        settings = {
+            n: replace(Parameter.judged(float(v), float(s), unit), value=float(v), sd=float(s))
+            for n, v, s, unit in zip(shape.names, values, spread, shape.units, strict=True)
+        }
+        p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 3 * len(data.places) * len(shape.starts)))
+        out.append(
+            Suspect(
+                shape.effect, (place,), gain, q + 2, p, {i: predictable}, "frequency", _where(c, r), {place: settings},
+                _falls(shape.effect, values, data.band[1]),
+            )
+        )  # fmt: skip
+    return out
+
+
+def _drives(point: WorkingPoint, i: int, z: Array, sd: Array) -> bool:
+    """Whether the bearing beside a cause, z as force_shapes.base_model has it, would push the rotor on: what looks like
+    a pedestal by that is a peak in the spectrum of the force."""
+    k, c = point.kL[i] + z[2], point.c[i] + z[3]
+    return bool(k < -BEYOND * sd[2] or c < -BEYOND * sd[3])
+
+
+def _unknown(point: WorkingPoint, i: int, c: Cells, u: Array, level: float) -> Suspect:
+    """A spectrum that nothing of the catalogue has."""
+    r, df = c.power / base_model(c, u), c.n.size - 4
+    place = point.data.places[i]
+    p = float(min(1.0, chdtrc(df, -2 * level) * len(point.data.places)))
+    power = {i: _predictable(point, i, c, r)}
+    return Suspect(UNKNOWN, (place,), -level - 0.5 * df, df, p, power, "frequency", f"{place}: {_where(c, r)}")
+
+
+def _predictable(point: WorkingPoint, i: int, c: Cells, r: Array) -> float:
+    """N^2: one-step prediction error of a process with spectrum r, what of it is predictable from its own past."""
+    weight = c.n / c.n.sum()
+    return float(1 - np.exp(weight @ np.log(r)) / (weight @ r)) * _variance(point, i)
+
+
+def _falls(effect: str, values: Array, top_hz: float) -> str:
+    """What to say of a resonance above the band that has no peak."""
+    if not peakless(effect, values, top_hz):
+        return ""
+    return (
+        "the channel falls towards the end of the band as behind an anti-alias filter: a lower band.high leaves it out"
+    )
+
+
+def _variance(point: WorkingPoint, i: int) -> float:
+    """N^2 of the force at a place, within the bins looked at."""
+    return float(mean_power(point, i).sum()) * point.data.rate_hz / point.data.block
+
+
+def _where(c: Cells, r: Array) -> str:
+    k = int(np.argmax(np.abs(np.log(r)) * np.sqrt(c.n)))
+    return f"force spectrum {'above' if r[k] > 1 else 'below'} the model about {c.w[k] / 2 / np.pi:.0f} Hz"
+
+
+def _shared(model: Model, point: WorkingPoint) -> list[Suspect]:
+    """Coherence of the inferred forces at the two bearings, direction by direction."""
+    data = point.data
+    out = []
+    have = {p for u in model.effects if u.name == "correlated_force" for p in u.parameters}
+    for i, place in enumerate(data.places):
+        j = data.opposite(i)
+        if j is None or j < i or place in have or data.driven[i] > 0.0 or data.driven[j] > 0.0:
+            continue
+        paths, (a, b) = point.weighing.paths, (point.spectra[k].view(np.complex64) for k in (i, j))
+        shape = together(data, point.A, paths.weight, i, j)
+        both = np.einsum("bk,bk->k", a, b.conj()) / np.sqrt(np.vdot(a, a).real * np.vdot(b, b).real) * shape.size
+        square = float(np.vdot(shape, shape).real)
+        rho = float(np.vdot(shape, both - paths.coherent(i, j)).real) / square
+        n = len(a) * square
+        gain = -n * float(np.log(max(1 - rho**2, 1e-12)))
+        p = float(min(1.0, chdtrc(1, 2 * gain) * len(data.places)))
+        if p > LEVEL or abs(rho) < 0.02:
+            continue
+        power = {k: rho**2 * _variance(point, k) for k in (i, j)}
+        sd = (1 - rho**2) / np.sqrt(2 * n)
+        out.append(
+            Suspect(
+                "correlated_force", (place,), gain, 1, p, power, "other_bearing",
+                f"the forces at {place} and {data.places[j]} share {100 * rho:.0f} %",
+                {place: {"rho": Parameter(rho, float(sd), "1")}}, CATALOGUE["correlated_force"].distinguish,
+                (float(5 / np.sqrt(2 * n)), "1"),
+            )
+        )  # fmt: skip
+    return out

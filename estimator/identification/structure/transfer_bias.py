@@ -1,0 +1,166 @@
+"""What may bend the path from a measured force to a measured motion, and its likeliest numbers beside k and c."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from estimator.arrays import Array, Complexes
+from estimator.effects import CATALOGUE
+from estimator.effects.engine.places import at, written
+from estimator.likelihood.fitting.folded_force import images, of_late_sensor
+from estimator.likelihood.fitting.path_spectra import Response
+from estimator.likelihood.fitting.transfer_function import Peak, highest, linear, noises, plain, response_of
+from estimator.likelihood.motion.harmonics import known_lines
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.model.rig import Model
+from estimator.results import Parameter
+from estimator.signals.channel_response import LINEAR, forced, response
+
+from . import pedestal_form
+from .spectral_models import resonance_hz
+
+OWN = slice(4, None)  # of the numbers of a peak, those of a cause
+CARRIED, SETTLED = 8, 0.1  # times at most that what is folded goes through a sensor as found; standard deviations
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cause:
+    """What may bend a tangent. values : parameters in SI of their free form, and `free` the other way; starts : in it.
+
+    bend : A' of a response, the tangent (cells,) without the cause, kL and c, and the parameters. sensor : of a
+    sensor's fault, its response at w (..., cells) over what is undone; what is folded went through it at the image."""
+
+    effect: str
+    starts: tuple[tuple[float, ...], ...]
+    values: Callable[[Array], Array]
+    free: Callable[[Array], Array]
+    bend: Callable[[Response, Complexes, float, float, Array], Complexes]
+    sensor: Callable[[Array, Array], Complexes] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(q.name for q in CATALOGUE[self.effect].parameters)
+
+
+def _pedestal(mass: float, peak: float) -> Cause:
+    def bend(r: Response, A: Complexes, k: float, c: float, p: Array) -> Complexes:
+        return np.asarray(A + pedestal_form.lost(r.w, k, c, p) / r.w**2)
+
+    values, free = partial(pedestal_form.values, cap_mass=mass), partial(pedestal_form.free, cap_mass=mass)
+    return Cause("pedestal", pedestal_form.starts(peak), values, free, bend)
+
+
+def _sensor(effect: str, starts: tuple[tuple[float, ...], ...], unit: float, now: Mapping[str, float | None]) -> Cause:
+    """A fault that is a response. now : its numbers that have been undone. unit : of the free form; 0: logarithms."""
+    names = [q.name for q in CATALOGUE[effect].parameters]
+    limits = np.array([(3.0, 13.0), (-1.5, 6.0)]).T
+
+    def bend(r: Response, A: Complexes, k: float, c: float, p: Array) -> Complexes:
+        return np.asarray(A / sensor(r.w, p))
+
+    def sensor(w: Array, p: Array) -> Complexes:
+        return response(effect, dict(zip(names, p, strict=True)), w) / response(effect, now, w)
+
+    if unit == 0.0:
+        return Cause(effect, starts, lambda z: np.exp(np.clip(z, *limits)), np.log, bend, sensor)
+    return Cause(effect, starts, lambda z: unit * z, lambda p: p / unit, bend, sensor)
+
+
+def causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str, float | None]]) -> list[Cause]:
+    """Those that a place may have. have : numbers of those that the model has there."""
+    data = point.data
+    peak = resonance_hz(point, i)
+    top = data.band[1]
+    resonances = tuple(
+        (float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4, 2.5) for q in (4, 25)
+    ) + ((float(np.log(30 * top)), 0.0),)
+    return [
+        _pedestal(float(data.mass[i]), peak),
+        _sensor("sensor_gain", ((0.0,), (0.1,), (-0.1,), (1.0,), (-0.5,), (-2.0,)), 1.0, have.get("sensor_gain", {})),
+        _sensor("sensor_skew", ((0.0,), (-3.0,), (-1.0,), (1.0,), (3.0,)), 1.0 / data.rate_hz,
+                have.get("sensor_skew", {})),
+        _sensor("sensor_resonance", resonances, 0.0, have.get("sensor_resonance", {})),
+    ]  # fmt: skip
+
+
+def bent(
+    point: WorkingPoint, i: int, r: Response, cause: Cause, base: Peak, scale: Array, starts: list[Array]
+) -> Peak:  # fmt: skip
+    """The likeliest numbers of a cause beside k and c."""
+    k, c = float(point.kL[i]), float(point.c[i])
+
+    def bend(d: Array) -> Complexes:
+        return cause.bend(r, linear(r, d), k + d[0], c + d[1], cause.values(d[2:]))
+
+    wide = np.concatenate([scale, np.full(starts[0].size, 0.1)])
+    peaks = [highest(r, bend, np.concatenate([base.u[:4], z]), wide) for z in starts]
+    best = max(peaks, key=lambda peak: peak.nats)
+
+    def again(r: Response) -> list[Peak]:
+        return [highest(r, bend, np.concatenate([noise, best.u[2:]]), wide) for noise in noises(r, best.A)]
+
+    best = max([best, *again(r)], key=lambda peak: peak.nats)
+    if cause.sensor is None or r.bare is None:
+        return best
+    for _ in range(CARRIED):
+        was, further = best.u[OWN], cause.sensor(images(r.w, point.data.rate_hz), cause.values(best.u[OWN]))
+        best = max(again(r.through(further)), key=lambda peak: peak.nats)
+        if np.all(np.abs(best.u[OWN] - was) < SETTLED * np.sqrt(np.diag(best.covariance)[OWN])):
+            break
+    return best
+
+
+def numbers(cause: Cause, peak: Peak, part: slice = OWN) -> dict[str, Parameter]:
+    """Parameters of a cause with their standard deviations. part : where its free form is in the peak."""
+    z, q = peak.u[part], len(cause.names)
+    values = cause.values(z)
+    slopes = np.stack([(cause.values(z + 1e-5 * e) - values) / 1e-5 for e in np.eye(q)])
+    sd = np.sqrt(np.maximum(np.diag(slopes.T @ peak.covariance[part, part] @ slopes), 0.0))
+    return {
+        p.name: Parameter(float(v), float(s), p.unit)
+        for p, v, s in zip(CATALOGUE[cause.effect].parameters, values, sd, strict=True)
+    }
+
+
+def pedestal(point: WorkingPoint, i: int) -> tuple[Array, float, float]:
+    """(3,) mass, frequency and damping that the motion under a measured force suggests, likely or not; kL and c."""
+    r = response_of(point, i)
+    base, scale = plain(point, i, r)
+    cause = causes(point, i, {})[0]
+    u = bent(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts]).u
+    return cause.values(u[4:]), float(point.kL[i] + u[2]), float(point.c[i] + u[3])
+
+
+def refined(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:
+    """The model with the numbers of its sensors' faults, those undone in the record of the point, one step nearer, and
+    these as parameters. Of two faults of a sensor one after the other."""
+    found: dict[str, Parameter] = {}
+    lines = known_lines(model)
+    uses = []
+    for use in model.effects:
+        new = {key: dict(own) for key, own in use.parameters.items()}
+        for key in at(CATALOGUE[use.name], use, model) if use.name in LINEAR else ():
+            own = written(CATALOGUE[use.name], use, model, key)
+            now = {n: s.value for n, s in own.items()}
+            i = point.data.places.index(key)
+            if key not in forced(model) or all(s.fixed for s in own.values()) or None in now.values():
+                continue
+            if point.kL[i] <= 0.0:
+                continue
+            (cause,) = (c for c in causes(point, i, {use.name: now}) if c.effect == use.name)
+            starts = [cause.free(np.array([now[n] for n in cause.names])), *map(np.array, cause.starts)]
+            r = response_of(point, i, lines)
+            late = of_late_sensor(r, point.data.rate_hz) if use.name == "sensor_skew" else None
+            peaks = [bent(point, i, z, cause, *plain(point, i, z), starts) for z in (r, late) if z]
+            best = numbers(cause, max(peaks, key=lambda peak: peak.nats))
+            new.pop(key.split(".")[0], None)
+            new[key] = {n: s if s.fixed else replace(s, value=best[n].value) for n, s in own.items()}
+            for n, q in best.items():
+                judged = Parameter.judged(q.value or 0.0, q.sd or 0.0, q.unit)
+                found[f"{key}.{use.name}.{n}"] = Parameter(own[n].value, 0.0, q.unit) if own[n].fixed else judged
+        uses.append(replace(use, parameters=new))
+    return replace(model, effects=tuple(uses)), found

@@ -1,0 +1,278 @@
+"""What bends the path from a measured force to a measured motion: a pedestal, or a sensor that is wrong.
+
+Each is tried as the A' of likelihood/fitting/transfer_function.py, stiffness and damping fitted beside it (identification/structure/transfer_bias.py). The known mass is what tells
+a gain: measured with the gain 1 + error, the rotor's mass seems to be m / (1 + error), and nothing else changes that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+from scipy.special import chdtrc
+
+from estimator.arrays import Array, Complexes
+from estimator.effects import CATALOGUE
+from estimator.identification.finding import UNKNOWN, Suspect
+from estimator.identification.residual.missing_force import NEGLIGIBLE
+from estimator.likelihood.fitting.folded_force import of_late_sensor
+from estimator.likelihood.fitting.path_spectra import Response
+from estimator.likelihood.fitting.transfer_function import Peak, exp, expected, left, plain, response_of
+from estimator.likelihood.motion.harmonics import known_lines
+from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.model.rig import Model
+from estimator.parallel import answers
+from estimator.signals.channel_response import forced
+
+from .noisy_sensor import noisy_beside_forces
+from .transfer_bias import OWN, Cause, bent, causes, numbers
+
+EXPLAINED = 0.5  # of what a free response explains, for a cause to be the cause
+LEVEL = 1e-2  # p-value above which nothing is said
+HALVED = 0.5  # of what the best cause leaves, in power, that two together leave at most
+BEYOND_CHANCE = 8.0  # standard deviations of what a free response gains, for the path to be bent by who knows what
+FEWEST = 100  # cells that are to be left
+MATTERS = 1e-3  # of the force, in power: less noise than that bends nothing that would be claimed
+# nats, for a cause to be likelier than none: a gain makes a wrong reading likelier than the right one by half of p in
+# each cell, as |f|^2 is noisy there: 14 to 197 nats in records with 2 to 30 % of noise, whatever their length
+WORTH = 250.0
+ALIKE = 10.0  # nats, within which what is left is noise of the sensor
+AS_WELL = 0.99  # of the nats of the likeliest cause, that a delay brings where it is one
+CALIBRATED = 2e-3  # error of a gain that no calibration, and no weighing of a cap, would show to be one
+NOTES = {
+    "pedestal": CATALOGUE["pedestal"].distinguish,
+    "sensor_gain": "a cap mass in the rig file that is off by as much, or a force channel by the inverse, is the same",
+    "sensor_skew": "a force channel that is early by as much is the same: only the two against each other are told",
+    "sensor_resonance": CATALOGUE["sensor_resonance"].distinguish,
+}
+
+
+def find(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> list[Suspect]:
+    """Pedestals and faulty sensors that the model does not have, at places whose force is measured.
+
+    lines : Hz of what is periodic in the residual, which is left out.
+    """
+    at = [i for i, place in enumerate(point.data.places) if place in forced(model) and point.kL[i] > 0.0]
+    seen = answers([partial(_at_place, model, point, i, lines) for i in at])
+    heard = {i: own for i, (_, own) in zip(at, seen, strict=True) if own is not None}
+    return [s for found, _ in seen for s in found] + noisy_beside_forces(model, point, heard)
+
+
+def _at_place(
+    model: Model, point: WorkingPoint, i: int, lines: Collection[float]
+) -> tuple[list[Suspect], tuple[Response, Peak, Array] | None]:  # fmt: skip
+    """What bends the path at a place; the response as it is without, where nothing does."""
+    r = response_of(point, i, lines)
+    if r.n.size < FEWEST:
+        return [], None
+    tried = _likeliest(model, point, i, r)
+    if (beside := _folded(model, point, i, tried)) is not None:
+        tried = beside
+    elif late := of_late_sensor(r, point.data.rate_hz):
+        delayed = _likeliest(model, point, i, late)
+        tried = delayed if delayed.late and delayed.nats > tried.nats else tried
+    found = _found(model, point, i, tried)
+    return found, None if found else (tried.response, tried.base, tried.scale)
+
+
+def _folded(model: Model, point: WorkingPoint, i: int, tried: Tried) -> Tried | None:
+    """The same beside what is folded back, where that and noise of the sensor are as likely by their coherence with the
+    motion: where no cause explains what bends the path, it is the one beside which nothing does."""
+    r, least = tried.response, (NEGLIGIBLE * point.bearing_force[i]) ** 2
+    if r.fold is None or r.fold.rival is None:
+        return None
+    if not all(_bent_still(r, peak, least) for peak in (tried.base, tried.best)):
+        return None
+    beside = _likeliest(model, point, i, r.less(replace(r.fold, density=r.fold.rival)))
+    return None if _bent_still(beside.response, beside.base, least) else replace(beside, causes={})
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """A place without a cause, `base`, and with each. likely : nats of the best, less what it is to bring."""
+
+    response: Response
+    base: Peak
+    scale: Array
+    causes: dict[Cause, Peak]
+
+    @property
+    def best(self) -> Peak:
+        """With the likeliest cause."""
+        return max(self.causes.values(), key=lambda peak: peak.nats, default=self.base)
+
+    @property
+    def nats(self) -> float:
+        return max(self.base.nats, self.best.nats)
+
+    @property
+    def late(self) -> bool:
+        """Whether a delay is as likely as any cause; a resonance far above the band is hardly likelier."""
+        gains = {cause.effect: peak.nats - self.base.nats for cause, peak in self.causes.items()}
+        return gains.get("sensor_skew", 0.0) > AS_WELL * max(gains.values(), default=0.0)
+
+    @property
+    def likely(self) -> float:
+        return max(self.base.nats, self.best.nats - WORTH) - ALIKE * (self.response.unmeasured > 0.0)
+
+
+def _likeliest(model: Model, point: WorkingPoint, i: int, r: Response) -> Tried:
+    """What is left of the force at a place, where it is enough to matter, read as noise of its sensor, as a force that
+    acts beside it, or as both. The first makes the rotor seem lighter and softer by its share of the force, in power.
+    """
+    noise = _tried(model, point, i, r)
+    if float(np.average(r.share(exp(noise.base.u[0])), weights=r.n)) < MATTERS:
+        return noise
+    beside = _tried(model, point, i, replace(r, unmeasured=1.0), noise.causes)
+    either = noise, beside
+    share = _share(point, i, r)
+    both = plain(point, i, replace(r, unmeasured=share))[0].nats
+    if both < max(tried.base.nats for tried in either) + ALIKE:
+        return max(either, key=lambda tried: tried.likely)
+    mixed = _tried(model, point, i, replace(r, unmeasured=share), noise.causes)
+    return max(*either, mixed, key=lambda tried: tried.likely)
+
+
+def _share(point: WorkingPoint, i: int, r: Response) -> float:
+    """Of what is left, the likeliest share that acts beside the measured force; the rest is noise of its sensor."""
+    from scipy.optimize import minimize_scalar
+
+    found = minimize_scalar(
+        lambda share: -plain(point, i, replace(r, unmeasured=float(share)))[0].nats, bounds=(0.0, 1.0),
+        method="bounded", options={"xatol": 1e-3},
+    )  # fmt: skip
+    return float(found.x)
+
+
+def pushed(model: Model, point: WorkingPoint) -> bool:
+    """Whether somewhere more of what is left acts beside the measured force than is noise of its sensor, as far as the
+    known mass tells."""
+    lines = known_lines(model)
+
+    def at(i: int) -> bool:
+        r = response_of(point, i, lines)
+        return r.n.size >= FEWEST and _likeliest(model, point, i, r).response.unmeasured > 0.5
+
+    places = [i for i, place in enumerate(point.data.places)
+              if place in forced(model) and model.cap_mass(place) is not None and point.kL[i] > 0.0]  # fmt: skip
+    return any(answers([partial(at, i) for i in places]))
+
+
+def _tried(
+    model: Model, point: WorkingPoint, i: int, r: Response, about: Mapping[Cause, Peak] | None = None
+) -> Tried:  # fmt: skip
+    """Every cause that the model does not have at a place. about : where they are by another reading of what is left,
+    which moves them little."""
+    place = point.data.places[i]
+    base, scale = plain(point, i, r)
+    taken = {u.name for u in model.effects if place in u.parameters or place.split(".")[0] in u.parameters}
+    taken |= {"sensor_gain"} if model.cap_mass(place) is None else set()
+    if about is None:
+        starts = {c: [np.array(z) for z in c.starts] for c in causes(point, i, {}) if c.effect not in taken}
+    else:
+        starts = {cause: [peak.u[OWN]] for cause, peak in about.items()}
+    tried = {cause: bent(point, i, r, cause, base, scale, own) for cause, own in starts.items()}
+    return Tried(r, base, scale, tried)
+
+
+def _found(model: Model, point: WorkingPoint, i: int, at_place: Tried) -> list[Suspect]:
+    """What bends the path at a place: one cause, two together where one leaves much, or who knows what."""
+    data, place = point.data, point.data.places[i]
+    r, base, scale, tried = at_place.response, at_place.base, at_place.scale, at_place.causes
+    least = (NEGLIGIBLE * point.bearing_force[i]) ** 2
+    before = left(r, base.A)
+    coherent = float(r.n @ (_odd(r, base)[0] / before)) - r.n.size  # beyond chance, in units of what is left
+
+    def suspect(cause: Cause, part: slice, peak: Peak, without: Peak) -> list[Suspect]:
+        power = float(np.maximum(before - left(r, peak.A), 0.0) @ r.hz)
+        explained = float(r.n @ (1 - left(r, peak.A) / before))
+        if explained < EXPLAINED * coherent or power < least:
+            return []
+        gain, q = peak.nats - without.nats, len(cause.names)
+        p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 4 * len(data.places) * len(cause.starts)))
+        if p > LEVEL:
+            return []
+        where = _where(r, before, peak.A)
+        settings = {place: numbers(cause, peak, part)}
+        return [Suspect(cause.effect, (place,), gain, q, p, {i: power}, "frequency", where, settings,
+                        NOTES[cause.effect])]  # fmt: skip
+
+    out = [s for cause, peak in tried.items() for s in suspect(cause, OWN, peak, base)]
+    late = next((peak for cause, peak in tried.items() if cause.effect == "sensor_skew"), base)
+    if at_place.late and not _bent_still(r, late, least):
+        out = [s for s in out if s.effect != "sensor_resonance"]
+    best = at_place.best
+    if not _bent_still(r, best, least):
+        slight = any(c.effect == "sensor_gain" and abs(peak.u[4]) < CALIBRATED and not _bent_still(r, peak, least)
+                     for c, peak in tried.items())  # fmt: skip
+        return [] if slight else out
+    near = {(a, b): _both(point, i, r, a, b, tried, scale).nats for a, b in combinations(tried, 2)}
+    if near:
+        a, b = max(near, key=lambda pair: near[pair])
+        peak = _both(point, i, r, a, b, tried, scale, everywhere=True)
+        k = 4 + len(a.names)
+        two = suspect(a, slice(4, k), peak, tried[b]) + suspect(b, slice(k, None), peak, tried[a])
+        if two and float(left(r, peak.A) @ r.hz) < HALVED * float(left(r, best.A) @ r.hz):
+            return two
+    if out or not _bent_still(r, base, least):
+        return out
+    power, z = _rest(r, base)
+    where = _where(r, before, r.A - r.ra / r.aa)
+    return [Suspect(UNKNOWN, (place,), z * z / 2, r.n.size, float(np.exp(-z * z / 2)), {i: power}, "frequency", where)]
+
+
+def _both(
+    point: WorkingPoint, i: int, r: Response, a: Cause, b: Cause, alone: Mapping[Cause, Peak], scale: Array,
+    everywhere: bool = False,
+) -> Peak:  # fmt: skip
+    """The likeliest numbers of two causes together, begun where each is by itself; everywhere : or where the one is and
+    the other at its starts."""
+    k = len(a.names)
+
+    def apart(of_a: Callable[[Array], Array], of_b: Callable[[Array], Array]) -> Callable[[Array], Array]:
+        return lambda z: np.concatenate([of_a(z[:k]), of_b(z[k:])])
+
+    def bend(r: Response, A: Complexes, kL: float, c: float, p: Array) -> Complexes:
+        return b.bend(r, a.bend(r, A, kL, c, p[:k]), kL, c, p[k:])
+
+    pair = Cause(a.effect, (), apart(a.values, b.values), apart(a.free, b.free), bend)
+
+    def begun(first: Peak, *starts: tuple[Array, Array]) -> Peak:
+        return bent(point, i, r, pair, first, scale, [np.concatenate(start) for start in starts])
+
+    at_a, at_b = alone[a].u[OWN], alone[b].u[OWN]
+    if not everywhere:
+        return begun(alone[a], (at_a, at_b))
+    beside_a = begun(alone[a], *((at_a, np.array(z)) for z in b.starts))
+    beside_b = begun(alone[b], *((np.array(z), at_b) for z in a.starts))
+    return max(beside_a, beside_b, key=lambda peak: peak.nats)
+
+
+def _odd(r: Response, peak: Peak) -> tuple[Array, Array]:
+    """(cells,) of the power that is left what is coherent with the motion beyond the noise in both, and what is not."""
+    P, rest, s = expected(r, peak.A, peak.u)
+    N, Q, H = exp(peak.u[1]) * r.noise, exp(peak.u[0]), r.answer(peak.A).conj()
+    odd = rest - peak.A * N - r.share(Q) * r.af.conj() - r.unmeasured * Q * H  # what Q is of the force, or moves
+    odd -= (peak.A - r.alike) * (1 - H * np.conj(r.alike)) * r.folded
+    # no more than is left: what is taken for a force beside the measured one may be none, and move nothing
+    return np.minimum(np.abs(odd) ** 2 / r.aa, P), np.maximum(s, P - np.abs(rest) ** 2 / r.aa)
+
+
+def _rest(r: Response, peak: Peak) -> tuple[float, float]:
+    """N^2 that is coherent with the motion still, and by how many standard deviations it is more than chance."""
+    odd, noise = _odd(r, peak)
+    z = float((r.n @ (odd / noise) - r.n.size) / np.sqrt(r.n.size))  # each an exponential variable of mean 1
+    return float((odd - noise / r.n) @ r.hz), z
+
+
+def _bent_still(r: Response, peak: Peak, least: float) -> bool:
+    power, z = _rest(r, peak)
+    return power > least and z > BEYOND_CHANCE
+
+
+def _where(r: Response, before: Array, A: Complexes) -> str:
+    k = int(np.argmax(r.n * np.log(before / left(r, A))))
+    return f"the motion does not follow the measured force as the model says about {r.w[k] / 2 / np.pi:.0f} Hz"
