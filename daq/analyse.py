@@ -16,7 +16,7 @@ from estimator.effects import CATALOGUE, MORE_LINES
 from estimator.results import Fit, Parameter, shared
 
 if TYPE_CHECKING:
-    from estimator.improve import Ladder
+    from estimator.diagnosis.verdict.improve import Ladder
 
 from .ahead import loaded
 from .edit import with_effect, with_values
@@ -113,7 +113,7 @@ def _likelihood(result: Fit) -> str:
 
 def compare(output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None) -> None:
     pages = Pages(html, rerun)
-    rig, data = given(output, log, rig_path, ("estimator.compare", *IN_USE))
+    rig, data = given(output, log, rig_path, ("estimator.diagnosis.comparison.compare", *IN_USE))
     with about(log, data):
         value = _compared(output, rig, data)
     pages.write(rig, data, comparison=value)
@@ -121,7 +121,7 @@ def compare(output: Output, log: Path, rig_path: Path, html: Path | None, rerun:
 
 
 def _compared(output: Output, rig: Rig, data: Measurement) -> dict[str, Any]:
-    from estimator.compare import compare as compare_model
+    from estimator.diagnosis.comparison.compare import compare as compare_model
 
     with output.progress("comparing") as progress:
         return compare_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
@@ -158,8 +158,8 @@ def comparison_text(value: Mapping[str, Any]) -> list[Any]:
 
 def diagnose(output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None) -> None:
     pages = Pages(html, rerun)
-    rig, data = given(output, log, rig_path, ("estimator.diagnose", *IN_USE))
-    from estimator.diagnose import diagnose as diagnose_model
+    rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict.diagnose", *IN_USE))
+    from estimator.diagnosis.verdict.diagnose import diagnose as diagnose_model
 
     with output.progress("diagnosing") as progress, about(log, data):
         value = diagnose_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
@@ -204,7 +204,7 @@ def step(rig: Rig, comparison: Mapping[str, Any]) -> dict[str, Any]:
 
 def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     """A diagnosis for people."""
-    from estimator.diagnose import no_law
+    from estimator.diagnosis.verdict.diagnose import no_law
     from estimator.identification.residual.missing_force import UNJUDGED
 
     table = Table(box=None, header_style="bold", pad_edge=False)
@@ -247,8 +247,8 @@ def _p(value: float) -> str:
 def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | None, rerun: str | None) -> None:
     pages = Pages(html, rerun)
     spare(out)
-    rig, data = given(output, log, rig_path, ("estimator.improve", *IN_USE))
-    from estimator.improve import improve as improve_model
+    rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict.improve", *IN_USE))
+    from estimator.diagnosis.verdict.improve import improve as improve_model
 
     with output.progress("improving") as progress, about(log, data):
         ladder = improve_model(rig.model, data.y, data.rate_hz, progress=progress)
@@ -271,7 +271,7 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
 
 def ending(last: Mapping[str, Any], added: Sequence[str] = ()) -> str:
     """Why an improvement stops, from its last diagnosis and what was added."""
-    from estimator.diagnose import no_law
+    from estimator.diagnosis.verdict.diagnose import no_law
     from estimator.identification.residual.missing_force import UNJUDGED
 
     verdict = last["verdict"]

@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.diagnose import diagnose_point
+from estimator.diagnosis.comparison.heldout import heldout_nll
+from estimator.diagnosis.verdict.diagnose import diagnose_point
+from estimator.diagnosis.verdict.improve import rung
 from estimator.effects import CATALOGUE
 from estimator.errors import ModelError
-from estimator.heldout import heldout_nll
 from estimator.identification.batch.full_fit import Whole, fit_whole
-from estimator.improve import rung
 from estimator.model.rig import EffectUse, Model
 
 from . import hidden_pairs

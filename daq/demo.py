@@ -26,7 +26,7 @@ from .sink import Session, Sink, Status
 from .tables import ladder_table, parameters_table
 
 if TYPE_CHECKING:
-    from estimator.compare import Comparison
+    from estimator.diagnosis.comparison.compare import Comparison
 
 SECONDS = 20.0
 SEED = 7
@@ -160,8 +160,8 @@ def _replay(output: Output, log: Path) -> None:
 
 def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tuple[list[dict[str, Any]], list[Path]]:
     """Compare, diagnose, add, compare: the ladder of errors and the files written."""
-    from estimator.compare import compare
-    from estimator.diagnose import diagnose
+    from estimator.diagnosis.comparison.compare import compare
+    from estimator.diagnosis.verdict.diagnose import diagnose
 
     from .analyse import comparison_text, diagnosis_text, step
     from .measurement import measure

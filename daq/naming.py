@@ -57,7 +57,7 @@ class Question:
 
 def answer(question: Question) -> dict[str, Any]:
     """The diagnosis as JSON, or {"error": one line}."""
-    from estimator.diagnose import diagnose
+    from estimator.diagnosis.verdict.diagnose import diagnose
     from estimator.errors import DataError, ModelError
 
     from .edit import with_effect

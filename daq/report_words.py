@@ -75,7 +75,7 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
     if verdict == "complete":
         return ["Diagnosis: complete. No effect of the catalogue improves the prediction by more than chance would."]
     if verdict == "unknown":
-        from estimator.diagnose import no_law
+        from estimator.diagnosis.verdict.diagnose import no_law
         from estimator.identification.residual.missing_force import UNJUDGED
 
         if UNJUDGED in diagnosis.get("messages", ()):

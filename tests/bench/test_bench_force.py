@@ -31,8 +31,8 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.signal import upfirdn
 
-from estimator.free_run import simulation_rmse
-from estimator.heldout import FITTED, heldout_rmse
+from estimator.diagnosis.comparison.free_run import simulation_rmse
+from estimator.diagnosis.comparison.heldout import FITTED, heldout_rmse
 from estimator.identification.batch.measured_force import analyse
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 

@@ -12,7 +12,7 @@ from daq.cli import main
 from daq.edit import with_effect, with_values
 from daq.measurement import Measurement
 from daq.rig import Rig, load_rig
-from estimator.diagnose import OTHERWISE
+from estimator.diagnosis.verdict.diagnose import OTHERWISE
 from estimator.results import Parameter
 from estimator.simulation.simulator import simulate
 

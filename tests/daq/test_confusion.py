@@ -15,10 +15,10 @@ from daq.cli import main
 from daq.hidden import Case, cases, with_hidden
 from daq.hidden_pairs import NOBODY_TELLS, Pair, pairs
 from daq.rig import load_rig
-from estimator.diagnose import Diagnosis
+from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.verdict.diagnose import Diagnosis
+from estimator.diagnosis.verdict.improve import Ladder, Rung
 from estimator.effects import CATALOGUE
-from estimator.evidence import Entry
-from estimator.improve import Ladder, Rung
 from estimator.model.rig import Model
 
 PAPER = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"

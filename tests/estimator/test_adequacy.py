@@ -9,7 +9,8 @@ import pytest
 from hidden_effects import RATE, one_bearing, record
 from numpy.typing import NDArray
 
-from estimator import adequacy, screen
+from estimator.diagnosis.hypotheses import gate_shape
+from estimator.diagnosis.hypotheses import trial as screen
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size
 from estimator.identification.batch.grid_start import fit_record
@@ -26,7 +27,7 @@ def left(rig: Model, y: NDArray[np.float64], effect: str) -> float:
     trial = screen.best_at(point, rig, CATALOGUE[effect], "bearing1.x")
     assert trial is not None
     after = fit_model(point.data, [*point.placed, trial.placed], start=point, rounds=2)
-    found = adequacy.left(point, after, effect, {0})
+    found = gate_shape.left(point, after, effect, {0})
     assert found is not None
     return found
 
@@ -43,13 +44,13 @@ def one_sided_drag(rig: Model) -> NDArray[np.float64]:
 @pytest.mark.parametrize("effect", ["quadratic", "quadratic_damping"])
 def test_a_drag_of_one_direction_is_neither_a_one_sided_spring_nor_a_drag(effect: str) -> None:
     rig = one_bearing()
-    assert left(rig, one_sided_drag(rig), effect) > adequacy.OTHER
+    assert left(rig, one_sided_drag(rig), effect) > gate_shape.OTHER
 
 
 @pytest.mark.parametrize("effect", ["quadratic", "stop", "coulomb", "quadratic_damping"])
 def test_the_right_law_leaves_nothing_even_in_the_velocity(effect: str) -> None:
     rig = one_bearing()
-    assert left(rig, record(rig, effect, 0.06), effect) < adequacy.MOST
+    assert left(rig, record(rig, effect, 0.06), effect) < gate_shape.MOST
 
 
 def test_what_is_left_is_measured_by_what_the_law_explains_where_that_is_more() -> None:
@@ -57,8 +58,8 @@ def test_what_is_left_is_measured_by_what_the_law_explains_where_that_is_more() 
     1.6 % of the force was 39 % of that, and the contact was refused."""
     rig = one_bearing()
     point = fit_record(rig, prepare(rig, record(rig, "stop", 0.06), RATE))
-    power, _, _ = adequacy._smooth(point, 0, "x", tuple(range(2, 10)))
-    plain = adequacy.left(point, point, "stop", {0})
+    power, _, _ = gate_shape._smooth(point, 0, "x", tuple(range(2, 10)))
+    plain = gate_shape.left(point, point, "stop", {0})
     assert plain == pytest.approx(1.0)
-    assert adequacy.left(point, point, "stop", {0}, least=0.5 * power) == plain
-    assert adequacy.left(point, point, "stop", {0}, least=25.0 * power) == pytest.approx(0.2, rel=0.01)
+    assert gate_shape.left(point, point, "stop", {0}, least=0.5 * power) == plain
+    assert gate_shape.left(point, point, "stop", {0}, least=25.0 * power) == pytest.approx(0.2, rel=0.01)

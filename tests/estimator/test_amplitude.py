@@ -9,8 +9,8 @@ import pytest
 from hidden_effects import RATE, one_bearing, record
 from numpy.typing import NDArray
 
-from estimator import screen
-from estimator.amplitude import Extrapolation, extrapolated, upper_part
+from estimator.diagnosis.hypotheses import trial as screen
+from estimator.diagnosis.hypotheses.gate_amplitude import Extrapolation, extrapolated, upper_part
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size
 from estimator.identification.batch.grid_start import fit_record

@@ -11,14 +11,14 @@ import pytest
 from exact_path import KL, MASS, RATE, RIG, C, S, record
 from numpy.typing import NDArray
 
-from estimator.diagnose import diagnose
+from estimator.diagnosis.comparison.heldout import heldout_rmse
+from estimator.diagnosis.verdict.diagnose import diagnose
+from estimator.diagnosis.verdict.improve import improve
 from estimator.effects import CATALOGUE
-from estimator.heldout import heldout_rmse
 from estimator.identification.batch import fit as spectral
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.search import suspects
 from estimator.identification.structure import transfer_bias, transfer_faults
-from estimator.improve import improve
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.fitting.transfer_function import left, linear, plain, response_of
 from estimator.likelihood.motion.prepare import prepare

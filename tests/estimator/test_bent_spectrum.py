@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing
 
+from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.verdict.gate_residual import _bends_a_spectrum
 from estimator.effects import CATALOGUE
-from estimator.evidence import Entry
-from estimator.explains import _bends_a_spectrum
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.finding import Share
 from estimator.identification.residual.missing_force import Survey

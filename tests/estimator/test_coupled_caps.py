@@ -10,10 +10,10 @@ from hidden_effects import RATE, ROOT
 from numpy.typing import NDArray
 
 from daq.rig import load_rig
+from estimator.diagnosis.verdict.improve import improve
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.finding import Suspect
 from estimator.identification.structure import coupled_caps
-from estimator.improve import improve
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
 

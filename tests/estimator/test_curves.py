@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing, record
 
-from estimator.compare import compare
-from estimator.curves import STATES, on_hats
+from estimator.diagnosis.comparison.compare import compare
+from estimator.diagnosis.comparison.curves import STATES, on_hats
 
 
 def test_a_projection_on_hats_keeps_straight_lines_and_kinks() -> None:

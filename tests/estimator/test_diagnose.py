@@ -11,18 +11,18 @@ import pytest
 from hidden_effects import RATE, ROOT, SECONDS, one_bearing, record, schema
 
 from daq.rig import load_rig
-from estimator import evidence
-from estimator.diagnose import Diagnosis, _law, _verdict, diagnose, quiet
+from estimator.diagnosis.hypotheses import ranking
+from estimator.diagnosis.hypotheses.screen import _promising, extrapolating, ranked
+from estimator.diagnosis.verdict.diagnose import Diagnosis, _law, _verdict, diagnose, quiet
+from estimator.diagnosis.verdict.gate_second_law import another_explains
+from estimator.diagnosis.verdict.improve import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
 from estimator.errors import DataError
 from estimator.identification.batch.full_fit import fit_whole
-from estimator.improve import improve
 from estimator.likelihood.motion.located_law import Placed
 from estimator.model.rig import Model
-from estimator.ranking import _promising, extrapolating, ranked
 from estimator.simulation.simulator import simulate
-from estimator.two_laws import another_explains
 
 UNTOLD = ("bow", "crack")  # on a soft shaft: docs/diagnosis.md, what one record cannot tell
 
@@ -215,11 +215,11 @@ def test_a_few_clipped_samples_stand_behind_what_they_cannot_make(per_sample: fl
     """166 of 1.5 million hid a cross-coupling of 223,000 nats; alone such samples make 0.14 nats each."""
     law = Placed(CATALOGUE["cross_coupling"], "bearing1.cross_coupling", (0, 1), np.ones(1), (True,))
 
-    def entry(effect: str, gain: float, score: float, placed: tuple[Placed, ...] = ()) -> evidence.Entry:
-        return evidence.Entry(effect, ("bearing1",), gain, gain, 0.0, 1.0, 0.0, {}, score, placed=placed)
+    def entry(effect: str, gain: float, score: float, placed: tuple[Placed, ...] = ()) -> ranking.Entry:
+        return ranking.Entry(effect, ("bearing1",), gain, gain, 0.0, 1.0, 0.0, {}, score, placed=placed)
 
     found = [
         entry("sensor_clipping", 166.0, np.inf),
         entry("cross_coupling", 166 * per_sample, 166 * per_sample - 1.5, (law,)),
     ]
-    assert max(evidence.after_what_clipping_cannot_make(found), key=lambda e: e.score).effect == first
+    assert max(ranking.after_what_clipping_cannot_make(found), key=lambda e: e.score).effect == first

@@ -10,7 +10,7 @@ from hidden_effects import RATE, ROOT
 from numpy.typing import NDArray
 
 from daq.rig import load_rig
-from estimator.compare import compare
+from estimator.diagnosis.comparison.compare import compare
 from estimator.identification.batch import fit
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.structure import spectral_cells, spectral_models, spectral_shape

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing
 
-from estimator import explains, two_laws
-from estimator.diagnose import _nothing, diagnose, quiet
+from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.verdict import gate_residual, gate_second_law
+from estimator.diagnosis.verdict.diagnose import _nothing, diagnose, quiet
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import NotFiniteError
-from estimator.evidence import Entry
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.residual import missing_force
 from estimator.likelihood.motion.located_law import Placed
@@ -30,11 +30,11 @@ def test_a_law_whose_fit_goes_astray_is_nothing() -> None:
     entry = Entry("quintic", ("bearing1",), 9.0, 9.0, 1e-9, 3.0, 0.0, {}, 9.0, placed=(QUINTIC,))
     before = missing_force.survey(point, rig)
     with pytest.raises(NotFiniteError, match=r"quintic at bearing1\.x"):
-        explains.seen(point, point, before, entry)
-    found = explains.fits(rig, point, before, entry, quiet)
+        gate_residual.seen(point, point, before, entry)
+    found = gate_residual.fits(rig, point, before, entry, quiet)
     assert found.left is None
-    assert found.entry.notes == (explains.ASTRAY,)
-    assert two_laws.of_one_state(rig, point, point, [entry]) is None
+    assert found.entry.notes == (gate_residual.ASTRAY,)
+    assert gate_second_law.of_one_state(rig, point, point, [entry]) is None
 
 
 def test_what_may_be_nothing_by_its_interval_makes_no_model_unknown() -> None:

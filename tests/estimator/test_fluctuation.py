@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing, record, size, strengths, with_effect
 
-from estimator import adequacy
+from estimator.diagnosis.hypotheses import gate_shape
 from estimator.effects import CATALOGUE
 from estimator.identification.batch import fit
 from estimator.identification.batch.full_fit import fit_whole
@@ -55,7 +55,7 @@ def test_diagnosis_and_fit_estimate_the_same(strong: Case) -> None:
 def test_nothing_is_found_beside_the_right_law(strong: Case) -> None:
     name, model, _, point = strong
     assert not missing_force.survey(point, model).any_found()
-    assert adequacy.left(point, point, name, set(range(len(model.places)))) == 0.0
+    assert gate_shape.left(point, point, name, set(range(len(model.places)))) == 0.0
 
 
 @pytest.mark.parametrize("strong", ["quadratic_damping"], indirect=True)

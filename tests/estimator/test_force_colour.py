@@ -9,15 +9,15 @@ import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import bilinear, butter, iirpeak, lfilter
 
-from estimator.diagnose import diagnose, no_law, quiet
+from estimator.diagnosis.hypotheses.screen import ranked
+from estimator.diagnosis.verdict.diagnose import diagnose, no_law, quiet
+from estimator.diagnosis.verdict.improve import improve
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.residual.missing_force import survey
 from estimator.identification.structure import spectral_cells, spectral_models, spectral_shape
-from estimator.improve import improve
 from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.ranking import ranked
 from estimator.simulation.simulator import simulate
 
 

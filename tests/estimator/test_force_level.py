@@ -10,7 +10,7 @@ from hidden_effects import RATE, one_bearing
 from reference_rig import PLACES, QUADRATIC_DAMPING, TRUTH, rig_model, rig_record
 from reference_rig import RATE as RIG_RATE
 
-from estimator import screen
+from estimator.diagnosis.hypotheses import trial as screen
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch import fit

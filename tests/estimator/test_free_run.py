@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator.free_run import resampled
-from estimator.heldout import heldout_rmse
+from estimator.diagnosis.comparison.free_run import resampled
+from estimator.diagnosis.comparison.heldout import heldout_rmse
 from estimator.identification.batch import fit
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.batch.measured_force import analyse

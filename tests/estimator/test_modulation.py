@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, SECONDS, one_bearing
 
-from estimator import evidence, screen
+from estimator.diagnosis.hypotheses import ranking
+from estimator.diagnosis.hypotheses import trial as screen
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch import fit as spectral
@@ -87,7 +88,7 @@ def test_an_order_taken_from_the_record_pays_for_all_that_were_looked_at(rig: Mo
     some = replace(trial, gain=25.0)
     survey = Survey((), point.bearing_force)
     given, found = (
-        evidence.entries(replace(rig, order_found=known), point, [some], survey)[0].p_value for known in (False, True)
+        ranking.entries(replace(rig, order_found=known), point, [some], survey)[0].p_value for known in (False, True)
     )
     assert found == pytest.approx(given * stiffness_order.looked_at(point))
     assert stiffness_order.looked_at(point) == pytest.approx(29.7 * point.data.speed / (2 * np.pi) * 4.0, rel=0.2)

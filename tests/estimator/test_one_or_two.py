@@ -8,11 +8,11 @@ import pytest
 from hidden_effects import RATE, ROOT, one_bearing
 
 from daq.rig import Rig
-from estimator import two_laws
-from estimator.diagnose import diagnose
+from estimator.diagnosis.verdict import gate_second_law
+from estimator.diagnosis.verdict.diagnose import diagnose
+from estimator.diagnosis.verdict.improve import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
-from estimator.improve import improve
 from estimator.model.rig import Setting
 from estimator.simulation.simulator import simulate
 
@@ -30,7 +30,7 @@ parameters = { L = { value = 1.34e-7, unit = "m" } }
 def test_nothing_beside_any_odd_law_explains_an_odd_curve(monkeypatch: pytest.MonkeyPatch, first: str) -> None:
     """Hysteresis earned 490 of 6500 nats and left 96 % of the missing force, and was named as a quintic earned a third
     of the rest: of what an odd curve leaves any odd law takes some."""
-    monkeypatch.setattr(two_laws, "EXPLAINS", 0.01)  # that part depends on the curve
+    monkeypatch.setattr(gate_second_law, "EXPLAINS", 0.01)  # that part depends on the curve
     if first != "hertz":  # which comes nearer, but not near
         monkeypatch.delitem(CATALOGUE, "hertz")
     rig = one_bearing()

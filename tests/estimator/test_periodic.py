@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, SECONDS, one_bearing, record
 from numpy.typing import NDArray
 
-from estimator import evidence
+from estimator.diagnosis.hypotheses import ranking
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
 from estimator.identification.batch.disturbance_numbers import with_found
@@ -192,7 +192,7 @@ def test_a_place_may_have_more_than_one_line(rig: Model) -> None:
     y = simulate(truth, RATE, 8.0, seed=5, noise=0.02, full_scale=490.5)
     whole = fit_whole(rig, y, RATE)
     seen = suspects(rig, whole.point, y)
-    entry = evidence.entries(rig, whole.point, [], survey(whole.point, rig, only=()), seen)[0]
+    entry = ranking.entries(rig, whole.point, [], survey(whole.point, rig, only=()), seen)[0]
     assert [*entry.settings] == [*hums]
     added = fit_whole(with_found(rig, entry.settings), y, RATE)
     assert suspects(added.model, added.point, y) == []
@@ -203,7 +203,7 @@ def test_a_place_may_have_more_than_one_line(rig: Model) -> None:
             assert abs((p.value or 0.0) - value) < 4 * p.sd, (name, key)
     further = replace(added.model, effects=tuple(u for u in added.model.effects if u.name != "line_2"))
     left = [s for s in seen if s.region.startswith("250")]
-    again = evidence.entries(further, whole.point, [], survey(whole.point, rig, only=()), left)[0]
+    again = ranking.entries(further, whole.point, [], survey(whole.point, rig, only=()), left)[0]
     assert [*again.settings] == ["line_2"]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.compare import compare
+from estimator.diagnosis.comparison.compare import compare
 from estimator.errors import DataError
 from estimator.identification.batch import fit
 from estimator.model.rig import Channel, Model

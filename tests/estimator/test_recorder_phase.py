@@ -9,10 +9,10 @@ import pytest
 from hidden_effects import RATE, one_bearing, record
 from numpy.typing import NDArray
 
-from estimator.compare import compare
+from estimator.diagnosis.comparison.compare import compare
+from estimator.diagnosis.verdict.improve import improve
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.structure.recorder_phase import excess, found
-from estimator.improve import improve
 from estimator.model.recorder import POWERS, Filter
 from estimator.model.rig import Model, Setting
 from estimator.simulation.simulator import simulate

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from scipy import optimize, signal
 
 from daq.rig import load_rig
-from estimator.compare import compare
-from estimator.diagnose import diagnose
+from estimator.diagnosis.comparison.compare import compare
+from estimator.diagnosis.verdict.diagnose import diagnose
+from estimator.diagnosis.verdict.improve import improve
 from estimator.identification.batch import fit as spectral
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.rolling.estimator import RollingSpectral
 from estimator.identification.structure import recorder_fall
-from estimator.improve import improve
 from estimator.likelihood.motion.prepare import prepare
 from estimator.model import recorder as roll_off
 from estimator.model.rig import EffectUse, Model, Setting

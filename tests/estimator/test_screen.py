@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing, record
 
-from estimator import screen
+from estimator.diagnosis.hypotheses import trial as screen
+from estimator.diagnosis.hypotheses.ranking import entries
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
-from estimator.evidence import entries
 from estimator.identification.residual.missing_force import survey
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import Placed, placed_of

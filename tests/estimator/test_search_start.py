@@ -8,9 +8,9 @@ import pytest
 from hidden_effects import RATE, ROOT, one_bearing
 
 from daq.rig import Rig, load_rig
+from estimator.diagnosis.comparison.heldout import heldout_nll
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
-from estimator.heldout import heldout_nll
 from estimator.identification.batch import fit
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.model.rig import EffectUse

@@ -11,17 +11,17 @@ from hidden_effects import ROOT
 from scipy.integrate import solve_ivp
 
 from daq.rig import load_rig
-from estimator.diagnose import diagnose
+from estimator.diagnosis.hypotheses.trial import best_at
+from estimator.diagnosis.verdict.diagnose import diagnose
+from estimator.diagnosis.verdict.improve import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.identification.batch.grid_start import fit_record
-from estimator.improve import improve
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.motion.shaft_law import along
 from estimator.model.disc import Disc, disc_of
 from estimator.model.rig import Model
 from estimator.model.rotor import shaft_at_caps
-from estimator.screen import best_at
 from estimator.simulation.simulator import simulate
 
 RATE_HZ = 25_600.0

@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import firwin, oaconvolve
 
-from estimator import adequacy
+from estimator.diagnosis.hypotheses import gate_shape
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.custom import custom_effect
 from estimator.effects.engine.strength import size, strengths, with_effect
@@ -101,7 +101,7 @@ def test_nothing_smooth_is_left_beside_the_true_law(truth: Model) -> None:
     data = prepare(truth, simulate(truth, RATE, SECONDS, seed=9, noise=0.02, full_scale=490.5), RATE)
     point = fit_model(data, placed_of(truth, data))
     for i in range(2):
-        _, nats, terms = adequacy._smooth(point, i, "x", tuple(range(2, 10)))
+        _, nats, terms = gate_shape._smooth(point, i, "x", tuple(range(2, 10)))
         assert nats < 5 + 2 * terms
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 
-from estimator import evidence
-from estimator.evidence import Settings
+from estimator.diagnosis.hypotheses import ranking
+from estimator.diagnosis.hypotheses.ranking import Settings
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.finding import Suspect
 from estimator.identification.machine import impact_train as strikes
@@ -118,10 +118,10 @@ def test_lines_below_the_band_come_after_strikes_in_it(hz: tuple[float, ...], fi
         for name, f in zip(("line", "line_2"), hz, strict=True)
     }
     strikes = entry("local_defect", 3735.0)
-    found = evidence.after_strikes([entry("line", 8331.0, lines), strikes], 171.6)
+    found = ranking.after_strikes([entry("line", 8331.0, lines), strikes], 171.6)
     assert max(found, key=lambda e: e.score).effect == first
-    assert evidence.after_strikes([entry("line", 8331.0, lines)], 171.6)[0].score == 8331.0
+    assert ranking.after_strikes([entry("line", 8331.0, lines)], 171.6)[0].score == 8331.0
 
 
-def entry(effect: str, score: float, settings: dict[str, Settings] | None = None) -> evidence.Entry:
-    return evidence.Entry(effect, ("bearing1",), score, score, 0.0, 97.0, 0.0, {}, score, settings=settings or {})
+def entry(effect: str, score: float, settings: dict[str, Settings] | None = None) -> ranking.Entry:
+    return ranking.Entry(effect, ("bearing1",), score, score, 0.0, 97.0, 0.0, {}, score, settings=settings or {})

@@ -9,11 +9,11 @@ import pytest
 from hidden_effects import RATE, ROOT
 
 from daq.rig import load_rig
-from estimator import evidence
+from estimator.diagnosis.hypotheses import ranking
+from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.verdict.gate_residual import _where_told
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
-from estimator.evidence import Entry
-from estimator.explains import _where_told
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import Placed
@@ -59,6 +59,6 @@ def test_without_a_bearing_its_nats_and_numbers_go() -> None:
     by_node = {"bearing1": (5.0, 4.0), "bearing2": (3.0, 1.0)}
     parameters = {f"{n}.x.cubic.kNL": object() for n in NODES}
     entry = Entry("cubic", NODES, 8.0, 5.0, 1e-3, 1.0, 0.0, parameters, 8.0, placed=laws, by_node=by_node)  # type: ignore[arg-type]
-    less = evidence.without(entry, ["bearing2"])
+    less = ranking.without(entry, ["bearing2"])
     assert (less.at, less.gain, less.heldout_gain, less.placed) == (("bearing1",), 5.0, 4.0, laws[:1])
     assert set(less.parameters) == {"bearing1.x.cubic.kNL"}

@@ -10,7 +10,7 @@ from hidden_effects import RATE, ROOT, coupled_on_a_stiff_shaft, one_bearing, re
 from reference_rig import rig_model, rig_record
 
 from daq.rig import load_rig
-from estimator.compare import compare
+from estimator.diagnosis.comparison.compare import compare
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import DataError

@@ -9,9 +9,9 @@ import pytest
 from scipy import signal
 
 from daq.rig import load_rig
+from estimator.diagnosis.verdict.improve import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.law_loop import force_array
-from estimator.improve import improve
 
 from .campaign import run
 from .hidden import FORMS, PARAMETERS

@@ -16,10 +16,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from estimator.compare import compare
-from estimator.diagnose import diagnose
+from estimator.diagnosis.comparison.compare import compare
+from estimator.diagnosis.verdict.diagnose import diagnose
+from estimator.diagnosis.verdict.improve import improve
 from estimator.identification.batch.fit import fit
-from estimator.improve import improve
 
 from .records import RECORDS, GoldenRecord
 

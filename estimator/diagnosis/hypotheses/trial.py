@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.arrays import Array
 from estimator.effects.engine.places import kinematic
 from estimator.effects.engine.places import places as canonical_places
 from estimator.effects.engine.strength import search_range
@@ -20,8 +21,6 @@ from estimator.likelihood.path.subproblem import Subproblem, heldout_gain, subpr
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.effect import Effect
 from estimator.model.rig import Model
-
-from .arrays import Array
 
 GRID = {1: 6, 2: 4, 3: 3}  # points per searched parameter, by their number
 STEPS, REACH = 3, 0.4  # of Gauss-Newton in searched parameters; largest, of the value

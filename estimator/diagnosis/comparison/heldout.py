@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Array
+from estimator.errors import DataError, ModelError
 from estimator.identification.residual.missing_force import Survey, ridge_of
 from estimator.likelihood.fitting.fitted_values import fitted_model
 from estimator.likelihood.motion.motion_record import FOLDS
@@ -14,9 +16,6 @@ from estimator.likelihood.path.subproblem import component, heldout_gain, subpro
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.signals.channel_response import undone
-
-from .arrays import Array
-from .errors import DataError, ModelError
 
 CELLS = 40
 FITTED = 0.7  # of a record with a measured force; the rest is simulated

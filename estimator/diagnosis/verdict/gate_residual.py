@@ -6,17 +6,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimator.diagnosis.comparison.heldout import heldout_nll
+from estimator.diagnosis.hypotheses import gate_shape, ranking
+from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.hypotheses.screen import Progress
+from estimator.errors import NotFiniteError
 from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.fitted_values import parameters, untold
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
 
-from . import adequacy, evidence, two_laws
-from .errors import NotFiniteError
-from .evidence import Entry
-from .heldout import heldout_nll
-from .ranking import Progress
+from . import gate_second_law
 
 SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same state means another law
 SMEARED = 0.12  # the same of a law of two directions of which one is measured: Hertz contacts leave 0.00 to 0.14 so
@@ -63,7 +64,7 @@ def seen(part: WorkingPoint, point: WorkingPoint, before: missing_force.Survey, 
     """An entry on part of the record of a point. Raises NotFiniteError where the fit goes far from the rotor."""
     missing = bool(entry.places.intersection(before.places_found()))
     after = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=2 if missing else 6)
-    left = adequacy.left(part, after, entry.effect, entry.places, least=_across(part, entry))
+    left = gate_shape.left(part, after, entry.effect, entry.places, least=_across(part, entry))
     far = missing and left is not None and left > FAR * _most_left(part, entry)
     needed = far or part is point
     return Seen(entry, after if needed else after.rowless(), missing, left, far, part is point)
@@ -100,7 +101,7 @@ def _fitted(
         if found is None:
             return Explained(replace(entry, notes=(*entry.notes, IDLE)), None)
         entry, after_point = found
-        smooth = adequacy.left(point, after_point, entry.effect, entry.places, least=_across(point, entry))
+        smooth = gate_shape.left(point, after_point, entry.effect, entry.places, least=_across(point, entry))
     del known
     joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
     after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
@@ -115,8 +116,10 @@ def _fitted(
     whole = left <= _most_left(point, entry)
     if not whole and not (smooth is None and left > NOTHING):
         say(0.93, "one effect or two?")
-        whole = two_laws.another_explains(after_part, two_laws.others(model, after_part, after, entry), after, entry)
-    if whole and left > adequacy.MOST and entry.effect == "coulomb":
+        whole = gate_second_law.another_explains(
+            after_part, gate_second_law.others(model, after_part, after, entry), after, entry
+        )
+    if whole and left > gate_shape.MOST and entry.effect == "coulomb":
         entry = replace(entry, notes=(*entry.notes, f"{100 * left:.0f} % of what velocity explains is left: {ROUND}"))
     return Explained(entry, left, whole)
 
@@ -124,10 +127,10 @@ def _fitted(
 def _most_left(point: WorkingPoint, entry: Entry) -> float:
     """What a law of the right shape may leave. One that joins two directions is smeared by a motion across that is not
     measured, and one of velocity leaves what friction may beside it: that is judged as those of no single state."""
-    most = adequacy.most_left(entry.effect, SAME_SHAPE)
+    most = gate_shape.most_left(entry.effect, SAME_SHAPE)
     if any(law.effect.one_direction and len(law.at) == 1 for law in entry.placed):
         return max(most, SMEARED)
-    beside = adequacy.STATES.get(entry.effect) is adequacy.V and adequacy.damping(point, entry.places)
+    beside = gate_shape.STATES.get(entry.effect) is gate_shape.V and gate_shape.damping(point, entry.places)
     return max(most, SAME_SHAPE) if beside else most
 
 
@@ -171,7 +174,7 @@ def _where_told(point: WorkingPoint, entry: Entry, after_point: WorkingPoint) ->
     idle = [n for n in entry.at if all(use.key in silent for use in entry.placed if use.key.split(".")[0] == n)]
     if not idle or len(idle) == len(entry.at):
         return entry, after_point
-    fewer = evidence.without(entry, idle)
+    fewer = ranking.without(entry, idle)
     less = fit_model(point.data, [*point.placed, *fewer.placed], start=point, rounds=6)
     samples = point.data.blocks * point.data.block
     if heldout_nll(less) > heldout_nll(after_point) + EARNED / samples:

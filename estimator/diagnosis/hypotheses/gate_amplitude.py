@@ -19,16 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from estimator.arrays import Array
 from estimator.likelihood.motion.located_law import Placed
 from estimator.likelihood.path.determinant import Jacobian
 from estimator.likelihood.path.path_fit import Gram, PathFit, fit, log_likelihood
 from estimator.likelihood.path.subproblem import component
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.likelihood.response.regressor_set import Term, dressed, linear_terms, term_response, terms
+from estimator.parallel import answers
 
-from .adequacy import STATES
-from .arrays import Array
-from .parallel import answers
+from .gate_shape import STATES
 
 UPPER = 0.2  # of the samples
 WINDOW = 1024  # samples; blocks are a multiple of it

@@ -11,14 +11,13 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.arrays import Complexes, Series
 from estimator.identification.residual.missing_force import power_of
 from estimator.likelihood.motion.located_law import Placed, at_home, evaluate
 from estimator.likelihood.path.subproblem import gain, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response.regressor_set import Term, light, orthogonal
-
-from .arrays import Complexes, Series
-from .parallel import each
+from estimator.parallel import each
 
 ODD = (3, 5, 7, 9)
 EVEN = ("v", (2, 4, 6))  # no law is: what is passes for a drag, or for a law of x that is not odd either

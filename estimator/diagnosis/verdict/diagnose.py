@@ -1,4 +1,4 @@
-"""Which effect is missing: what the ranking of all that could be (ranking.py) comes to, with honest odds."""
+"""Which effect is missing: what the ranking of all that could be (diagnosis/hypotheses/screen.py) comes to, with honest odds."""
 
 from __future__ import annotations
 
@@ -9,6 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from estimator.arrays import Array
+from estimator.diagnosis.comparison.shape import Shape, shape_of
+from estimator.diagnosis.hypotheses import gate_shape
+from estimator.diagnosis.hypotheses import ranking as evidence
+from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.hypotheses.screen import FOREMOST, SIGNIFICANT, Progress, extrapolating, on_whole, ranked
+from estimator.errors import DataError, NotFiniteError
 from estimator.identification.batch.disturbance_numbers import with_found
 from estimator.identification.batch.full_fit import Whole, fit_whole
 from estimator.identification.finding import Suspect
@@ -21,12 +28,7 @@ from estimator.likelihood.motion.known_spectra import COLOURS
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
 
-from . import adequacy, evidence, explains, two_laws
-from .arrays import Array
-from .errors import DataError, NotFiniteError
-from .evidence import Entry
-from .ranking import FOREMOST, SIGNIFICANT, Progress, extrapolating, on_whole, ranked
-from .shape import Shape, shape_of
+from . import gate_residual, gate_second_law
 
 CLOSE = 10.0  # nats behind the first of the ranking, where the shape of what is left decides
 LEAVES = 1 / 3  # of a force in a spectrum (rms): a shape that leaves more is none of the catalogue
@@ -97,16 +99,16 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
 
 def _ranked(
     model: Model, point: WorkingPoint, y: Array, say: Progress
-) -> tuple[missing_force.Survey, list[Entry], explains.Seen | None]:  # fmt: skip
+) -> tuple[missing_force.Survey, list[Entry], gate_residual.Seen | None]:  # fmt: skip
     """What is missing, what could be it, and what part of the record shows of the likeliest law. The rest of it is
     asked where the law may have the shape of what is missing, or a spectrum is to be told from it."""
     found = ranked(model, point, y, say)
     say(0.58, "largest amplitudes")
     entries, known = extrapolating(found), None
-    if _is_claimed(entries) and entries[0].effect in adequacy.STATES:
+    if _is_claimed(entries) and entries[0].effect in gate_shape.STATES:
         say(0.6, f"does {entries[0].effect} explain it?")
         with suppress(NotFiniteError):  # where it goes far from the rotor: said once it is asked of the whole
-            known = explains.seen(found.part, point, found.before, entries[0])
+            known = gate_residual.seen(found.part, point, found.before, entries[0])
     if found.part is not point and (known is None or not known.far or found.before.shares):
         entries = extrapolating(on_whole(model, point, found, say))
     return found.before, entries, known
@@ -114,7 +116,7 @@ def _ranked(
 
 def _verdict(
     model: Model, point: WorkingPoint, before: missing_force.Survey, entries: list[Entry], say: Progress,
-    known: explains.Seen | None = None,
+    known: gate_residual.Seen | None = None,
 ) -> Diagnosis:  # fmt: skip
     """What the ranking comes to."""
     if not _is_claimed(entries) or _negligible(point, entries[0]):
@@ -210,14 +212,14 @@ def _beside(model: Model, point: WorkingPoint, before: missing_force.Survey, ent
 
 def _law(
     model: Model, point: WorkingPoint, before: missing_force.Survey, entries: list[Entry], say: Progress,
-    known: explains.Seen | None = None,
+    known: gate_residual.Seen | None = None,
 ) -> Diagnosis:  # fmt: skip
     """The first of the ranking, if its law has the shape of what is missing, or one close behind that has."""
     left: dict[str, float] = {}
     for k in _close(entries):
         name = entries[k].effect
         say(0.85, f"does {name} explain it?")
-        found = explains.fits(model, point, before, entries[k], say, known)
+        found = gate_residual.fits(model, point, before, entries[k], say, known)
         entries[k] = found.entry
         if found.left is None:
             if left:
@@ -225,10 +227,12 @@ def _law(
             said = _verdict(model, point, before, entries[:k] + entries[k + 1 :], say)
             return replace(said, ranking=(*said.ranking, entries[k]))
         # friction may leave a third, as its step is rounded; what another state explains is no second law of its own
-        two = not found.whole or (found.left <= adequacy.MOST and two_laws.FAMILY.get(name) in two_laws.OF_X)
-        if two and found.left > two_laws.NEGLIGIBLE and (not left or "stop" in left):
+        two = not found.whole or (
+            found.left <= gate_shape.MOST and gate_second_law.FAMILY.get(name) in gate_second_law.OF_X
+        )
+        if two and found.left > gate_second_law.NEGLIGIBLE and (not left or "stop" in left):
             part = thinned(point, missing_force.SURVEY_SECONDS)
-            pair = two_laws.of_one_state(model, part, point, entries[k:])
+            pair = gate_second_law.of_one_state(model, part, point, entries[k:])
             if pair is not None:
                 left[name] = found.left
                 return _of_two(model, point, before, entries, pair, left, say)
@@ -241,7 +245,7 @@ def _law(
     return Diagnosis(
         "unknown",
         tuple(entries),
-        shape_of(point, before, (best.placed[0].at[0], adequacy.state_of(best.effect))),
+        shape_of(point, before, (best.placed[0].at[0], gate_shape.state_of(best.effect))),
         messages=(
             f"{best.effect} comes nearest but leaves {100 * left[best.effect]:.0f} % of what a state explains of the "
             "missing force: no law of the catalogue has this shape",
@@ -265,7 +269,7 @@ def _of_two(
     name, other = pair
     k = next(j for j, e in enumerate(entries) if e.effect == name)
     if name not in left:
-        found = explains.fits(model, point, before, entries[k], say)
+        found = gate_residual.fits(model, point, before, entries[k], say)
         left[name] = 1.0 if found.left is None else found.left
         entries[k] = entries[k] if found.left is None else found.entry
     note = f"by itself it leaves {100 * left[name]:.0f} %; {other} beside it leaves nothing of that"
@@ -285,7 +289,9 @@ def _close(entries: list[Entry]) -> list[int]:
     least = entries[0].score - CLOSE
     sure = [k for k, e in enumerate(entries) if e.placed and e.p_value < SIGNIFICANT]
     near = [k for k in sure if k < FOREMOST and entries[k].score > least]
-    halves = [k for k in sure if k not in near and two_laws.FAMILY.get(entries[k].effect) in two_laws.OF_X]
+    halves = [
+        k for k in sure if k not in near and gate_second_law.FAMILY.get(entries[k].effect) in gate_second_law.OF_X
+    ]
     return near + halves[:1] if entries[0].effect == "stop" else near
 
 

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from estimator.arrays import Array
 from estimator.identification.residual.missing_force import Residual, Survey, ridged
 from estimator.likelihood.path.working_point import WorkingPoint
-
-from .arrays import Array
 
 
 @dataclass(frozen=True, slots=True)

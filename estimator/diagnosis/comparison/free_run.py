@@ -10,14 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.arrays import Array
+from estimator.errors import DataError
 from estimator.likelihood.motion.force_balance import force_channels, motion_channels
 from estimator.likelihood.motion.stream_record import CELLS_WITH_FORCE, notches
 from estimator.model.rig import Model
 from estimator.signals.band_limit import band_limit
 from estimator.signals.blocks import layout, spectra, valid_blocks
-
-from .arrays import Array
-from .errors import DataError
 
 OVERSAMPLE = 8
 SETTLE = 12.0  # decay times until the start from rest is forgotten

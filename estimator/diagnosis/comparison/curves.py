@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import Array
 from estimator.identification.residual import black_box
 from estimator.identification.residual.missing_force import Residual, Survey, ridged
 from estimator.likelihood.motion.motion_record import part_of
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.working_point import WorkingPoint
+from estimator.parallel import each
 
-from .arrays import Array
-from .parallel import each
 from .shape import Shape
 
 SECONDS = 5.0  # of the record that conditional means are taken over

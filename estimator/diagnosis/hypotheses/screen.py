@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+from estimator.arrays import Array
 from estimator.identification.finding import Suspect
 from estimator.identification.residual import missing_force
 from estimator.identification.search import suspects
@@ -13,11 +14,11 @@ from estimator.likelihood.motion.law_smoothing import ready
 from estimator.likelihood.motion.located_law import on_trial, searched
 from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
 from estimator.model.rig import Model
+from estimator.parallel import answers
 
-from . import amplitude, evidence, screen
-from .arrays import Array
-from .evidence import Entry
-from .parallel import answers
+from . import gate_amplitude, ranking
+from . import trial as screen
+from .ranking import Entry
 
 Progress = Callable[[float, str], None]
 SIGNIFICANT = 1e-3  # p-value, after counting all that was tried, below which an effect is claimed
@@ -45,7 +46,7 @@ def ranked(model: Model, point: WorkingPoint, y: Array, say: Progress) -> Rankin
     part = thinned(point, missing_force.SURVEY_SECONDS)
     before, others = missing_force.surveyed(part, model, lambda: suspects(model, point, y))
     trials = _trials(model, part, say)
-    return Ranking(part, before, others, trials, evidence.entries(model, point, trials, before, others))
+    return Ranking(part, before, others, trials, ranking.entries(model, point, trials, before, others))
 
 
 def on_whole(model: Model, point: WorkingPoint, found: Ranking, say: Progress) -> Ranking:
@@ -59,7 +60,7 @@ def on_whole(model: Model, point: WorkingPoint, found: Ranking, say: Progress) -
     worth = zip(screen.contenders(found.trials), _with_promise(model, found.trials), strict=True)
     asked = [partial(whole, trial, more, promising) for more, (trial, promising) in worth]
     trials = answers(asked, [t.effect for t in found.trials])
-    entries = evidence.entries(model, point, trials, found.before, found.suspects)
+    entries = ranking.entries(model, point, trials, found.before, found.suspects)
     return replace(found, trials=trials, entries=entries)
 
 
@@ -68,8 +69,8 @@ def extrapolating(found: Ranking) -> list[Entry]:
     passed: list[Entry] = []
     refused: list[Entry] = []
     for number, entry in enumerate(found.entries):
-        asked = not passed and number < FOREMOST and entry.p_value < SIGNIFICANT and amplitude.judged(entry.effect)
-        told = amplitude.extrapolated(found.part, entry.placed) if asked and entry.placed else None
+        asked = not passed and number < FOREMOST and entry.p_value < SIGNIFICANT and gate_amplitude.judged(entry.effect)
+        told = gate_amplitude.extrapolated(found.part, entry.placed) if asked and entry.placed else None
         if told is None:
             passed.append(entry)
         elif told.refused:

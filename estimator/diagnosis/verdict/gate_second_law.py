@@ -8,18 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estimator.diagnosis.hypotheses import gate_shape
+from estimator.diagnosis.hypotheses import trial as screen
+from estimator.diagnosis.hypotheses.ranking import Entry
+from estimator.diagnosis.hypotheses.screen import SEARCH_SECONDS
+from estimator.diagnosis.hypotheses.trial import Trial
+from estimator.errors import NotFiniteError
 from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.gauss_newton import FIRST_SECONDS, fit_model
 from estimator.likelihood.motion.located_law import Placed, acting, on_trial
 from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
 from estimator.model.rig import Model
-
-from . import adequacy, screen
-from .errors import NotFiniteError
-from .evidence import Entry
-from .parallel import answers
-from .ranking import SEARCH_SECONDS
-from .screen import Trial
+from estimator.parallel import answers
 
 Trials = dict[str, list[Trial]]
 EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
@@ -63,7 +63,7 @@ def another_explains(point: WorkingPoint, trials: Trials, left: missing_force.Su
     hysteresis, it is its own state: beside an odd curve any odd law takes a part.
     """
     found = {r.place: sum(f.gain for f in r.found) for r in left.residuals if r.found}
-    smooth = adequacy.worth(point, best.effect, best.places)
+    smooth = gate_shape.worth(point, best.effect, best.places)
     for name, own in trials.items():
         earned, asked, seen = 0.0, sum(smooth.values()), False
         for trial in own:
@@ -71,7 +71,7 @@ def another_explains(point: WorkingPoint, trials: Trials, left: missing_force.Su
             if not {*found, *smooth}.intersection(on):
                 continue
             earned += max(trial.gain - trial.df, 0.0)
-            asked += 0.0 if smooth else sum(adequacy.worth(point, name, {*on}).values())
+            asked += 0.0 if smooth else sum(gate_shape.worth(point, name, {*on}).values())
             here = sum(found.get(i, 0.0) for i in on)
             seen |= here > 0.0 and trial.gain > EXPLAINS * here
         if seen and earned >= asked:
@@ -89,11 +89,11 @@ def of_one_state(
     part, whole : the model fitted to a part of the record and to all of it.
     """
     first = ranking[0]
-    if first.effect not in adequacy.STATES:
+    if first.effect not in gate_shape.STATES:
         return None
     own = FAMILY[first.effect]
     alike = OF_X if own == "even in x" else (own,)
-    sure = [e for e in ranking if FAMILY.get(e.effect) in alike and e.p_value < adequacy.LEVEL][:LAWS]
+    sure = [e for e in ranking if FAMILY.get(e.effect) in alike and e.p_value < gate_shape.LEVEL][:LAWS]
     places = set().union(*(entry.places for entry in sure))
     short, kept = thinned(part, FIRST_SECONDS), on_trial(model)
     begun: dict[frozenset[str], Begun] = {}
@@ -110,7 +110,7 @@ def of_one_state(
             return start._replace(left=1.0)
         base = {u.key for u in point.placed}
         state = next((n for n in start.names if FAMILY[n] == "even in x"), first.effect)
-        left = adequacy.left(point, both, state, places, DOUBT) or 0.0
+        left = gate_shape.left(point, both, state, places, DOUBT) or 0.0
         return Begun(start.names, both.fit.log_likelihood, [u for u in both.placed if u.key not in base], left)
 
     fitted = answers([partial(by, short, start) for start in likeliest], kept)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from estimator.arrays import Array
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.record import clipping
 from estimator.identification.residual import missing_force
@@ -13,15 +14,14 @@ from estimator.identification.search import suspects
 from estimator.likelihood.fitting.fitted_values import fitted_model
 from estimator.likelihood.path.working_point import thinned
 from estimator.model.rig import Model
+from estimator.parallel import answers
+from estimator.results import Parameter
 
-from .arrays import Array
 from .curves import Law, curves
+from .failure_map import Where, where_of
 from .heldout import heldout_nll, heldout_rmse, reference_nll
-from .parallel import answers
-from .results import Parameter
 from .shape import Shape
 from .twin import twin
-from .where import Where, where_of
 
 Progress = Callable[[float, str], None]
 

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from estimator.arrays import Array, Series
+from estimator.errors import DataError, ModelError
 from estimator.likelihood.motion.motion_record import MotionBlocks, spectrum
 from estimator.likelihood.motion.prepare import cut
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -15,8 +17,6 @@ from estimator.signals.band_limit import noise_shape
 from estimator.signals.channel_response import echoes, recorder
 from estimator.simulation.simulator import simulate
 
-from .arrays import Array, Series
-from .errors import DataError, ModelError
 from .free_run import free_run
 
 SECONDS = 5.0

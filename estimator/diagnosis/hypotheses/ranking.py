@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.effects import CATALOGUE, NAMED
 from estimator.effects.engine.places import at
 from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.identification.finding import CLAIMED, UNKNOWN, Suspect
@@ -18,10 +19,9 @@ from estimator.likelihood.motion.harmonics import LINE_NAMES
 from estimator.likelihood.motion.located_law import Placed
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
+from estimator.results import Parameter
 
-from .effects import CATALOGUE, NAMED
-from .results import Parameter
-from .screen import Trial
+from .trial import Trial
 
 Settings = dict[str, dict[str, Parameter]]  # by canonical place, by name
 JOINT = 1e-2  # p-value, after counting, for a further bearing to be named beside the best one

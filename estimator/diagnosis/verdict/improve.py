@@ -6,6 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from estimator.arrays import Array
+from estimator.diagnosis.comparison.heldout import heldout_nll, heldout_rmse
+from estimator.diagnosis.hypotheses.ranking import Settings
+from estimator.errors import DataError
 from estimator.identification.batch.disturbance_numbers import with_found
 from estimator.identification.batch.full_fit import SHAPING, Whole, fit_whole
 from estimator.identification.residual.missing_force import NEGLIGIBLE, SURVEY_SECONDS, surveyed
@@ -16,14 +20,10 @@ from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
+from estimator.results import Parameter
 
-from .arrays import Array
 from .diagnose import Diagnosis, diagnose_point
-from .errors import DataError
-from .evidence import Settings
-from .explains import EARNED
-from .heldout import heldout_nll, heldout_rmse
-from .results import Parameter
+from .gate_residual import EARNED
 
 Progress = Callable[[float, str], None]
 MOST = 5  # effects added at most

@@ -1,0 +1,1 @@
+"""Model against measurement, the effects on trial, and the verdict."""

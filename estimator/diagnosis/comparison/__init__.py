@@ -1,0 +1,1 @@
+"""Held-out error, missing force by state, restoring-force curves and the simulated twin."""

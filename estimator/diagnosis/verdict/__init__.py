@@ -1,0 +1,1 @@
+"""Gates, the verdict of a diagnosis, and the ladder of improvements."""
