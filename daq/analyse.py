@@ -35,6 +35,12 @@ BELOW_DETECTION = (
     'weaker than "detectable from", an effect cannot be told in a record of this length and level; one four times as '
     "long halves the limit"
 )
+METHODS = {  # --method of `rotorscope fit` -> its module
+    "spectral": "estimator.identification.batch.fit",
+    "fokker-planck": "estimator.identification.moments.fokker_planck",
+    "score-matching": "estimator.identification.moments.score_matching",
+    "volterra": "estimator.identification.moments.volterra",
+}
 NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is missing"
 
 
@@ -99,7 +105,7 @@ def fitted(rig: Rig, data: Measurement, method: str) -> Fit:
 
     clipped = clipping.find(rig.model, data.y)
     y, off = declip.restored(rig.model, data.y, frozenset(place for s in clipped for place in s.at))
-    module = import_module(f"estimator.{method.replace('-', '_')}")
+    module = import_module(METHODS[method])
     phase = measured_phase(rig.model, y, data.rate_hz) if method == "spectral" else None
     result: Fit = module.fit(rig.model, y, data.rate_hz, **({} if phase is None else {"phase": phase}))
     drawn = {place for place, error in off.items() if error < np.inf}

@@ -10,33 +10,33 @@ import tempfile
 from pathlib import Path
 
 VARIABLE = "NUMBA_CACHE_DIR"
-PARTS = ("estimator", "drivers", "effects")  # whose functions are compiled
+INSTALLED = Path(__file__).parents[1]  # the folder of the three packages
+COMPILED_PACKAGES = ("estimator", "drivers")  # whose functions numba compiles
 BOOT = Path("/proc/sys/kernel/random/boot_id")
 CHECKED = "checked-in-boot"  # beside the files that were
 
 
-def choose() -> None:
+def choose(root: Path = INSTALLED) -> None:
     """Before numba is imported: a folder among the temporary files, if its own places cannot be written.
 
     A read-only installation, and no home.
     """
-    home, root = _home(), Path(__file__).parents[1]
-    if VARIABLE not in os.environ and not (_writable(root / PARTS[0] / "__pycache__") or _writable(home)):
+    own = root / COMPILED_PACKAGES[0] / "__pycache__"
+    if VARIABLE not in os.environ and not (_writable(own) or _writable(_home())):
         os.environ[VARIABLE] = str(_ours(Path(tempfile.gettempdir())))
 
 
-def clean() -> None:
+def clean(root: Path = INSTALLED, boot_id: Path = BOOT) -> None:
     """Remove files that are empty or have no end: numba would end every command over one, for ever.
 
     Once in each place after the computer has started: numba itself leaves none, a power cut does. By the kernel's name
     for this start, not by times: a computer without a clock of its own starts in the past.
     """
-    root, boot = Path(__file__).parents[1], _boot()
-    places = {
-        folder / "__pycache__" for folder in (root / "estimator", root / "drivers", root / "estimator" / "effects")
-    }
+    boot = _boot(boot_id)
+    folders = {file.parent for package in COMPILED_PACKAGES for file in (root / package).rglob("*.py")}
+    places = {folder / "__pycache__" for folder in folders}
     for cache in {_home(), Path(os.environ.get(VARIABLE) or _home())}:
-        places |= {place for part in PARTS for place in cache.glob(f"{part}_*")}
+        places |= {place for folder in folders for place in cache.glob(f"{folder.name}_*")}
     for place in places:
         if boot and _checked(place) == boot:
             continue
@@ -48,10 +48,10 @@ def clean() -> None:
             (place / CHECKED).write_bytes(boot)
 
 
-def _boot() -> bytes:
+def _boot(boot_id: Path) -> bytes:
     """Empty where the system does not say: then all are looked at each time."""
     try:
-        return BOOT.read_bytes().strip()
+        return boot_id.read_bytes().strip()
     except OSError:
         return b""
 

@@ -10,7 +10,8 @@ import time
 from pathlib import Path
 
 from .errors import LogError
-from .log_scan import MAGIC, RECORD
+from .file_kinds import LOG_MAGIC
+from .log_scan import RECORD
 
 try:
     import fcntl
@@ -151,8 +152,8 @@ def made(path: Path) -> bool:
 
 def _session(head: bytes) -> dict[str, str]:
     """The metadata of a log, from its first bytes."""
-    at = len(MAGIC)
-    while head.startswith(MAGIC) and at + RECORD.size <= len(head):
+    at = len(LOG_MAGIC)
+    while head.startswith(LOG_MAGIC) and at + RECORD.size <= len(head):
         op, length = RECORD.unpack_from(head, at)
         if op == METADATA:
             texts = list(_texts(head[at + RECORD.size : at + RECORD.size + length]))

@@ -17,8 +17,8 @@ from typing import BinaryIO, NamedTuple
 import zstandard
 
 from .errors import LogError
+from .file_kinds import LOG_MAGIC
 
-MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, ATTACHMENT, STATISTICS = 0x02, 0x03, 0x04, 0x05, 0x06, 0x09, 0x0B
 RECORD = struct.Struct("<BQ")
 CHUNK_HEAD = struct.Struct("<QQQII4s")  # start, end, uncompressed size, CRC, length of the next: "zstd"
@@ -67,9 +67,9 @@ def scan(path: Path, findings: Findings) -> Iterator[list[Message]]:
 
 
 def _scan(file: BinaryIO, size: int, findings: Findings) -> Iterator[list[Message]]:
-    if file.read(len(MAGIC)) != MAGIC:
+    if file.read(len(LOG_MAGIC)) != LOG_MAGIC:
         findings.damage.append("the first 8 bytes are not those of an MCAP file")
-    at, budget, unpacker = len(MAGIC), 4 * size + LARGEST, zstandard.ZstdDecompressor()
+    at, budget, unpacker = len(LOG_MAGIC), 4 * size + LARGEST, zstandard.ZstdDecompressor()
     while at < size:
         file.seek(at)
         head = file.read(RECORD.size)
@@ -159,8 +159,8 @@ def _attachment(content: bytes, findings: Findings) -> str:
 def _closed(file: BinaryIO, footer_at: int, size: int, findings: Findings) -> bool:
     """Whether footer, magic and summary are whole and count the same chunks and messages as were found."""
     file.seek(footer_at)
-    footer = file.read(size - footer_at) if size - footer_at == RECORD.size + 20 + len(MAGIC) else b""
-    if not footer.endswith(MAGIC):
+    footer = file.read(size - footer_at) if size - footer_at == RECORD.size + 20 + len(LOG_MAGIC) else b""
+    if not footer.endswith(LOG_MAGIC):
         findings.damage.append("the end of the file is damaged")
         return False
     start, _, crc = struct.unpack_from("<QQI", footer, RECORD.size)

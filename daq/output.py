@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
 from . import unfinished
 from .errors import ConfigError, not_written
+from .file_kinds import IMPORTED_SUFFIXES, LOG_MAGIC
 from .ticking import ticking
 
 if TYPE_CHECKING:
@@ -177,12 +178,9 @@ def spare(path: Path, *others: str) -> None:
         return
     from drivers.capture_files import SUFFIXES
 
-    from .import_formats import READERS
-    from .log_scan import MAGIC
-
-    kept = (".mcap", *READERS, *SUFFIXES, *others)
+    kept = (".mcap", *IMPORTED_SUFFIXES, *SUFFIXES, *others)
     with contextlib.suppress(OSError), path.open("rb") as file:
-        if path.suffix.lower() in kept or file.read(len(MAGIC)) == MAGIC:
+        if path.suffix.lower() in kept or file.read(len(LOG_MAGIC)) == LOG_MAGIC:
             raise ConfigError(f"{path}: a result is not written over a file of this kind; choose another name")
 
 

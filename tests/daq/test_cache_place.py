@@ -15,13 +15,13 @@ import pytest
 from daq.cache_place import CHECKED, VARIABLE, choose, clean
 
 RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
+NOWHERE = Path("/proc/nowhere")  # a read-only installation
 
 
 @pytest.fixture
 def nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Nothing of numba's own can be written (root can write anything but this): only the temporary files."""
     monkeypatch.delenv(VARIABLE, raising=False)
-    monkeypatch.setattr("daq.cache_place.__file__", "/proc/nowhere/daq/cache_place.py")
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     return tmp_path
@@ -34,18 +34,18 @@ def test_numba_is_left_alone_where_it_can_write(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_a_read_only_installation_without_a_home(nowhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    choose()
+    choose(NOWHERE)
     first = Path(os.environ[VARIABLE])
     assert first.parent == nowhere
     assert stat.S_IMODE(first.stat().st_mode) == 0o700
     monkeypatch.delenv(VARIABLE)
-    choose()
+    choose(NOWHERE)
     assert Path(os.environ[VARIABLE]) == first  # what was compiled is there the next time
 
 
 @pytest.mark.parametrize("trap", ["others may write", "link", "file"])
 def test_a_place_that_another_may_have_prepared_is_not_taken(nowhere: Path, trap: str) -> None:
-    choose()
+    choose(NOWHERE)
     first = Path(os.environ.pop(VARIABLE))
     if trap == "others may write":
         first.chmod(0o777)
@@ -53,7 +53,7 @@ def test_a_place_that_another_may_have_prepared_is_not_taken(nowhere: Path, trap
         first.rmdir()
         (nowhere / "theirs").mkdir()
         first.symlink_to(nowhere / "theirs") if trap == "link" else first.write_text("")
-    choose()
+    choose(NOWHERE)
     taken = Path(os.environ[VARIABLE])
     assert taken != first
     assert taken.parent == nowhere
@@ -110,19 +110,18 @@ def test_compiled_code_is_looked_at_once_after_the_computer_has_started(
 ) -> None:
     """mark : what a power cut left of it, or one that is older than the power cut."""
     monkeypatch.setenv(VARIABLE, str(tmp_path))
-    monkeypatch.setattr("daq.cache_place.BOOT", tmp_path / "boot_id")
     (tmp_path / "boot_id").write_text("this-start\n")
     folder = tmp_path / "drivers_1"
     _some_code(folder)
     if mark is not None:
         (folder / CHECKED).write_bytes(mark)
-    clean()
+    clean(boot_id=tmp_path / "boot_id")
     assert sorted(path.name for path in folder.iterdir()) == [CHECKED, "whole.nbi"]
     _some_code(folder)
-    clean()
+    clean(boot_id=tmp_path / "boot_id")
     assert len(list(folder.iterdir())) == 5, "looked at again"
     (tmp_path / "boot_id").write_text("the-next-start\n")
-    clean()
+    clean(boot_id=tmp_path / "boot_id")
     assert sorted(path.name for path in folder.iterdir()) == [CHECKED, "whole.nbi"]
 
 
@@ -130,8 +129,7 @@ def test_compiled_code_is_looked_at_each_time_where_the_system_names_no_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(VARIABLE, str(tmp_path))
-    monkeypatch.setattr("daq.cache_place.BOOT", tmp_path / "nowhere")
     for _ in range(2):
         _some_code(tmp_path / "drivers_1")
-        clean()
+        clean(boot_id=tmp_path / "nowhere")
         assert len(list((tmp_path / "drivers_1").glob("*.nb[ic]"))) == 1

@@ -18,11 +18,12 @@ from sessions import RIG_TEXT, counts_at, make_block, make_estimate, make_info, 
 
 from daq import log_codec as codec
 from daq.errors import LogError
+from daq.file_kinds import LOG_MAGIC
 from daq.info import info
 from daq.log_encoder import LogEncoder
 from daq.log_file import LogFile
 from daq.log_reader import Recording, read_log
-from daq.log_scan import MAGIC, SIGNATURE, SIGNATURE_AT
+from daq.log_scan import SIGNATURE, SIGNATURE_AT
 from daq.recover import recover
 from drivers.reading import Block, Gap, Notice
 
@@ -211,7 +212,7 @@ def test_every_chunk_can_be_read_alone(tmp_path: Path) -> None:
     file.close()
     data = (tmp_path / "a.mcap").read_bytes()
     starts = [m.start() - SIGNATURE_AT for m in re.finditer(re.escape(SIGNATURE), data)]
-    alone = [read(tmp_path / "b.mcap", MAGIC + data[a:b]) for a, b in pairwise([*starts, len(data)])]
+    alone = [read(tmp_path / "b.mcap", LOG_MAGIC + data[a:b]) for a, b in pairwise([*starts, len(data)])]
     assert len(alone) > 3
     assert sum(log.n_samples for log in alone if log is not None) == 400 * 256
 

@@ -18,6 +18,7 @@ from targets import _STARTS, ANSWER_PLACES, GOOD_ANSWER, ROOT, _chunk, _message
 
 from daq import log_codec as codec
 from daq import log_scan
+from daq.file_kinds import LOG_MAGIC
 from drivers import cobs
 from drivers.reading import Gap, Notice
 from drivers.slcan_codec import encode_line
@@ -52,7 +53,7 @@ def _can() -> list[bytes]:
     return out
 
 
-LOG_HEAD = b"\0" + log_scan.MAGIC  # for the target "mcap": a file
+LOG_HEAD = b"\0" + LOG_MAGIC  # for the target "mcap": a file
 
 
 def _whole_log() -> bytes:
@@ -80,7 +81,7 @@ def _events(index: int) -> list[tuple[int, bytes]]:
 def small_logs() -> list[bytes]:
     """What a log begins with, and many chunks of one or two messages; all that comes before the end."""
     raw = _whole_log()
-    first = raw[len(log_scan.MAGIC) : raw.index(log_scan.SIGNATURE) - log_scan.SIGNATURE_AT]
+    first = raw[len(LOG_MAGIC) : raw.index(log_scan.SIGNATURE) - log_scan.SIGNATURE_AT]
     start = [(codec.SESSION, codec.encode_session("dev", 0, {})), (codec.INFO, codec.encode_info(make_info()))]
     chunks = [start + [(codec.RAW, codec.encode_blocks([make_block(0, 4)]))]]
     for k in range(4, 400, 4):
@@ -109,7 +110,7 @@ def tiny_logs() -> list[bytes]:
 def _closed(log: bytes) -> bytes:
     """With a footer, and an index that says nothing."""
     footer = log_scan.RECORD.pack(log_scan.FOOTER, 20) + struct.pack("<QQ", len(log) - 1, 0)
-    return log + footer + struct.pack("<I", zlib.crc32(footer)) + log_scan.MAGIC
+    return log + footer + struct.pack("<I", zlib.crc32(footer)) + LOG_MAGIC
 
 
 def log_ends() -> list[bytes]:

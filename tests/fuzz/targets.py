@@ -22,6 +22,7 @@ from ramp_device import CHANNELS, ramp_device
 
 from daq import import_child, import_formats, log_scan
 from daq.errors import ConfigError, LogError
+from daq.file_kinds import LOG_MAGIC
 from daq.import_checks import checked
 from daq.import_formats import read
 from daq.log_reader import read_log
@@ -192,7 +193,7 @@ def _log(data: bytes, path: Path) -> None:
     if kind == 0:
         path.write_bytes(rest)
     else:
-        path.write_bytes(log_scan.MAGIC + _chunk(rest if kind == 1 else b"".join(_records(rest))))
+        path.write_bytes(LOG_MAGIC + _chunk(rest if kind == 1 else b"".join(_records(rest))))
 
 
 def recover_log(data: bytes, folder: Path) -> None:

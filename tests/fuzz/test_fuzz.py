@@ -29,8 +29,8 @@ from seeds import seeds
 from targets import PARSER, TARGETS, _array, _chunk, _message, _records
 
 from daq import log_codec as codec
-from daq import log_scan
 from daq.errors import LogError
+from daq.file_kinds import LOG_MAGIC
 from daq.import_child import READERS, Found, answer, of_mat
 from daq.import_formats import read
 from daq.log_reader import read_log
@@ -137,7 +137,7 @@ def test_a_file_without_end_is_refused(tmp_path: Path) -> None:
 def test_a_log_of_countless_events_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daq.log_reader.MOST_EVENTS", 20_000)
     data = b"".join(_records(b"")) + 30_000 * _message(codec.GAP, codec.encode_gap(Gap(4, 0, "")))
-    (tmp_path / "a.mcap").write_bytes(log_scan.MAGIC + _chunk(data))
+    (tmp_path / "a.mcap").write_bytes(LOG_MAGIC + _chunk(data))
     assert (tmp_path / "a.mcap").stat().st_size < 2_000
     with pytest.raises(LogError, match="more than 20000 gaps"):
         read_log(tmp_path / "a.mcap")
