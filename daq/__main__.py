@@ -1,6 +1,6 @@
 """`python -m daq` is `rotorscope`."""
 
-from .entry import main
+from daq.commands.entry import main
 
 if __name__ == "__main__":
     main()

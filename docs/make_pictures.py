@@ -37,15 +37,15 @@ def main(wanted: list[str]) -> int:
 
 def rerun(folder: Path) -> Path:
     """The live view at the end of a session."""
-    from daq.acquire import acquire
-    from daq.demo import truth_text
-    from daq.naming import Naming
-    from daq.rerun_sink import RerunSink
-    from daq.rig import Rig, load_rig
-    from daq.simulation import machine
-    from drivers.faults import Fault
-    from drivers.link_config import VirtualConfig
-    from drivers.links import make_driver
+    from daq.commands.demo import truth_text
+    from daq.report.rerun.sink import RerunSink
+    from daq.rig.rig import Rig, load_rig
+    from daq.session.acquire import acquire
+    from daq.session.naming import Naming
+    from daq.session.simulation import machine
+    from drivers.contract.link_config import VirtualConfig
+    from drivers.links.links import make_driver
+    from drivers.protocol.faults import Fault
 
     rig = load_rig(RIG)
     lost = Fault("drop", at=round(0.7 * SECONDS * 25600 / 7), count=900)  # frames of seven samples: a quarter second

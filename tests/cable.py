@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ramp_device import ramp_device
 
-from drivers import cobs
+from drivers.serial import cobs
 
 
 class Cable:

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from promises import PATIENCE_S
 
-from drivers.links import make_driver, parse_link
-from drivers.reading import REASONS, Block, Driver, Gap, Info, Notice, Reading
-from drivers.serve import serve
-from drivers.simulated import DeviceConfig, SimulatedDevice
+from drivers.contract.reading import REASONS, Block, Driver, Gap, Info, Notice, Reading
+from drivers.links.links import make_driver, parse_link
+from drivers.links.serve import serve
+from drivers.simulated.simulated import DeviceConfig, SimulatedDevice
 
 PERIOD = 16_000  # the ramp's, in counts; fits 15 bits
 CHANNELS = ("b1x", "b1y", "b2x", "b2y")

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.log_writer import LogWriter
-from daq.sink import ClockState, Session, Sink, Status
-from drivers.reading import Block, Gap, Info, LinkStats, Notice, Reading, Signal
+from daq.base.contract.sink import ClockState, Session, Sink, Status
+from daq.log.writer import LogWriter
+from drivers.contract.reading import Block, Gap, Info, LinkStats, Notice, Reading, Signal
 from estimator.model.rig import Channel, Model
 from estimator.results import Estimate, Parameter
 

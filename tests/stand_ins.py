@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.rig import Rig, load_rig
-from daq.sink import Session, Status
-from drivers.reading import Block, Info, LinkStats, Reading
+from daq.base.contract.sink import Session, Status
+from daq.rig.rig import Rig, load_rig
+from drivers.contract.reading import Block, Info, LinkStats, Reading
 from estimator.model.rig import Model
 from estimator.results import Estimate, Parameter
 
@@ -134,7 +134,7 @@ class Recorder:
 
 
 def info_of(rig: Rig, bits: int = 16) -> Info:
-    from drivers.reading import Signal
+    from drivers.contract.reading import Signal
 
     signals = tuple(Signal(c.name, "m/s^2", 490.5 / 2 ** (bits - 1)) for c in rig.model.channels)
     return Info(signals, 25600.0, "SN 1", bits)

@@ -1,4 +1,4 @@
-"""The disc on its shaft as the caps see it, with what a law of the shaft (likelihood/motion/shaft_law.py) makes of it."""
+"""The disc on its shaft as the caps see it, with what a law of the shaft (shaft_law.py) makes of it."""
 
 from __future__ import annotations
 

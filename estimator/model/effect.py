@@ -1,7 +1,7 @@
 """What an effect is (the effect seam). One file in effects/ defines one `Effect`.
 
 Laws are scalar functions that numba can compile, with one signature for all, so that the simulator, the estimator's
-features and the report call the same text. All SI. Restoring convention (model/rig.py): M a + C v + K x + law = F.
+features and the report call the same text. All SI. Restoring convention (rig.py): M a + C v + K x + law = F.
 
     force(x, v, xo, vo, t, phase, s, p) -> float
         x, v : displacement and velocity at the place (for kind "shaft": disc minus the mean of the caps);
@@ -23,7 +23,7 @@ class EffectParameter:
     """name, unit and limits of one parameter.
 
     linear : the law is proportional to it (an amplitude, solved for exactly); otherwise it is searched on [low, high].
-    scale : the natural size. For a searched parameter, low, high and default are multiples of it (effects/strength.py):
+    scale : the natural size. For a searched parameter, low, high and default are multiples of it (strength.py):
         "x" displacement rms, "v" velocity rms, "a" acceleration rms of the place, "m" its mass, "hz_peak" its resonance
         in Hz, "sample" the sampling interval in s, "band" the upper band edge in Hz;
         "1", "angle", "order": as they are; "bpfo", "balls": from the rig's geometry or ball_pass_order where known.

@@ -2,13 +2,13 @@
 
 All channels fall, the more the higher the frequency, and none rises on the way as behind a resonance. Of the inferred
 force that is a colour that no rotor has, and nothing is said to be missing: it is undone in the record
-(signals/channel_response.py), as laws depend on the motion that there was.
+(channel_response.py), as laws depend on the motion that there was.
 
 A filter that falls slowly (means over a sample, sigma-delta, Bessel) also lets through what is above half the rate, and
 sampling folds it into the band: above all resonances the acceleration is that of a free mass, F / m, and as the unknown
 force is white its level is known. Towards the end of the band that fills up again what the filter took; below a
 resonance, where the inferred force is the acceleration times its k / w^2, it is many times more than the force. It is
-noise of every sensor: likelihood/path/sensor_noise.py.
+noise of every sensor: sensor_noise.py.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ POWER_OF_W = {"acceleration": 0, "velocity": -1, "displacement": -2}  # from acc
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """Means over a sample, one after the other; poles before the samples (signals/filter_designs.py); or a fall of any form
+    """Means over a sample, one after the other; poles before the samples (filter_designs.py); or a fall of any form
     where nothing is folded back, as behind a filter that is steep at half the rate.
 
     nepers : (5,) of power at the end of the band, each by its power of frequency. name : of the design of the poles.
     echo : what is folded back, over what is by the design: recorders have more stages than one. late : rad at the end
-    of the band, growing by LATE powers of frequency, that the phase is behind that of the poles: identification/structure/recorder_phase.py.
+    of the band, growing by LATE powers of frequency, that the phase is behind that of the poles: recorder_phase.py.
     flat : of what is folded back, what is white as acceleration: that about the rate, which means shut out, and others
     do not (a Bessel filter of order 6 at 0.45 of the rate lets 0.013 of it through). kept : of the samples that the
     poles worked on, as in a recorder that oversamples, by the bilinear transform, after which nothing is above half of

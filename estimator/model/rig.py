@@ -62,7 +62,7 @@ class BearingGeometry:
 
 @dataclass(frozen=True, slots=True)
 class CustomLaw:
-    """A user's own restoring force: an expression (see effects/custom.py) or a module's object, and its units.
+    """A user's own restoring force: an expression (see custom.py) or a module's object, and its units.
 
     effect : the loaded object of `module`; the estimator opens no files, so whoever reads the rig file puts it here.
     """
@@ -93,7 +93,7 @@ class Model:
     mass : kg, keys "disc", "bearing1", "bearing2" (also "bearing1.x" where directions differ); absent = unknown.
     candidates : laws of the user that are not in the model, but on trial when it is diagnosed.
     order_found : whether ball_pass_order is only an estimate, from the record.
-    roll_off : by place, what the recorder takes, found in the record (model/recorder.py); None where nothing is known.
+    roll_off : by place, what the recorder takes, found in the record (recorder.py); None where nothing is known.
     shaft_stiffness, shaft_damping : N/m and N s/m of each half of the shaft (physics: k of chain or beam form).
     """
 

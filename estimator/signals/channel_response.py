@@ -1,8 +1,8 @@
 """What a faulty sensor makes of the motion, as a response: measured over true, by frequency.
 
-They are undone in the record before anything is fitted. Beside a measured force they can be told (identification/structure/transfer_faults.py).
+They are undone in the record before anything is fitted. Beside a measured force they can be told (transfer_faults.py).
 Without one, a gain and a delay are undone as far as the rig file gives them; a resonance is a shape of the spectrum of
-the force (identification/structure/spectral_shape.py), and undone by the numbers that this shows: with its phase left in, what is answered through
+the force, and undone by the numbers that this shows: with its phase left in, what is answered through
 a stiff shaft is not the rotor's (a shaft half as stiff as the bearings, a resonance at four times theirs: c 9 % off).
 """
 

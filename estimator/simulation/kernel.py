@@ -2,7 +2,7 @@
 
 State x, v: three slots for each direction (bearing1, bearing2, disc; a slot that the rig lacks stays zero) and one
 slot more that is always zero, for "no such degree of freedom". z: memory states. Effects are called by address
-(effects/compiled.py). What comes out of a step is its average: (v1 - v0) / h is the mean acceleration whatever the
+(compiled.py). What comes out of a step is its average: (v1 - v0) / h is the mean acceleration whatever the
 force did, so acceleration, velocity, displacement and force are all seen through the same box of length h, centred on
 the step.
 

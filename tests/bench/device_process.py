@@ -14,10 +14,10 @@ import tty
 
 import numpy as np
 
-from drivers import cobs
-from drivers.protocol import SERIAL16, InfoRecord
-from drivers.reading import Signal
-from drivers.serial_decoder import pack_info_body, pack_samples
+from drivers.contract.reading import Signal
+from drivers.protocol.protocol import SERIAL16, InfoRecord
+from drivers.serial import cobs
+from drivers.serial.serial_decoder import pack_info_body, pack_samples
 
 ROWS = 64
 CHANNELS = ("b1x", "b1y", "b2x", "b2y")

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 PROGRAM = """
 import resource, sys, time
 import numpy as np
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.compare import compare
 from estimator.diagnosis.verdict.diagnose import diagnose
 model, y = load_rig(sys.argv[2]).model, np.load(sys.argv[3])
@@ -32,8 +32,8 @@ print(time.perf_counter() - wall, time.process_time() - cpu, peak)
 def test_one_minute(command: str, target_s: float, tmp_path: Path) -> None:
     import numpy as np
 
-    from daq.hidden import RATE_HZ, Case, hidden
-    from daq.rig import load_rig
+    from daq.commands.study.hidden import RATE_HZ, Case, hidden
+    from daq.rig.rig import load_rig
     from estimator.simulation.simulator import simulate
 
     rig = ROOT / "configs/tiwari_vyas_1997.toml"

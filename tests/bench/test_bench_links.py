@@ -22,14 +22,15 @@ from device_process import ROWS
 from device_process import frames as serial_frames
 from ramp_device import ramp_device
 
-from drivers import cobs, protocol
-from drivers.can_decoder import CanDecoder
-from drivers.can_frames import CanFrames
-from drivers.link_config import SerialConfig, SlcanConfig
-from drivers.links import make_driver
-from drivers.protocol_dbc import dbc_text
-from drivers.reading import Block, Gap, LinkStats
-from drivers.slcan_codec import encode_line
+from drivers.can.can_decoder import CanDecoder
+from drivers.can.can_frames import CanFrames
+from drivers.can.slcan_codec import encode_line
+from drivers.contract.link_config import SerialConfig, SlcanConfig
+from drivers.contract.reading import Block, Gap, LinkStats
+from drivers.links.links import make_driver
+from drivers.protocol import protocol
+from drivers.protocol.protocol_dbc import dbc_text
+from drivers.serial import cobs
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(600)]
 SENDER = """

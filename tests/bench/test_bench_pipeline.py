@@ -25,15 +25,15 @@ from mcap.writer import Writer
 from sessions import feed, make_session
 from stand_ins import paper_rig
 
-from daq.acquire import RunSummary, acquire
-from daq.estimators import METHODS, MakeEstimator, maker
-from daq.log_reader import read_log
-from daq.log_writer import LogWriter
-from daq.replay import replay
-from daq.rerun_sink import RerunSink
-from daq.sink import Session, Sink, Status
-from drivers.links import make_driver, parse_link
-from drivers.reading import Block, Driver, Reading
+from daq.base.contract.sink import Session, Sink, Status
+from daq.log.reader import read_log
+from daq.log.writer import LogWriter
+from daq.report.rerun.sink import RerunSink
+from daq.session.acquire import RunSummary, acquire
+from daq.session.estimators import METHODS, MakeEstimator, maker
+from daq.session.replay import replay
+from drivers.contract.reading import Block, Driver, Reading
+from drivers.links.links import make_driver, parse_link
 from estimator.results import Estimate
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(900)]
@@ -326,7 +326,7 @@ def test_mcap_beside_one_message_per_sample(tmp_path: Path) -> None:
 
 
 def test_status_costs_little() -> None:
-    from daq.clock import DeviceClock
+    from daq.base.contract.clock import DeviceClock
 
     clock = DeviceClock(25_600.0)
     for k in range(1, 60 * 400):

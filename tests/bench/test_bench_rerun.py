@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.rerun_sink import RerunSink
-from daq.sink import Session
-from drivers.reading import Block, Info, Signal
+from daq.base.contract.sink import Session
+from daq.report.rerun.sink import RerunSink
+from drivers.contract.reading import Block, Info, Signal
 from estimator.model.rig import Channel, Model
 
 pytestmark = pytest.mark.bench

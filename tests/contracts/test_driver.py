@@ -20,13 +20,13 @@ from promises import PATIENCE_S, within
 from ramp_device import Record, Served, ramp_device
 from sessions import make_block, write_log
 
-from daq.log_reader import read_log
-from daq.replay import ReplayDriver
-from drivers import links
-from drivers.link_config import CanConfig, CaptureConfig, SerialConfig, SlcanConfig, VirtualConfig
-from drivers.links import make_driver, parse_link
-from drivers.reading import Driver, LinkStats
-from drivers.slcan_codec import encode_line
+from daq.log.reader import read_log
+from daq.session.replay import ReplayDriver
+from drivers.can.slcan_codec import encode_line
+from drivers.contract.link_config import CanConfig, CaptureConfig, SerialConfig, SlcanConfig, VirtualConfig
+from drivers.contract.reading import Driver, LinkStats
+from drivers.links import links
+from drivers.links.links import make_driver, parse_link
 
 Make = Callable[[], AbstractContextManager[Driver]]
 

@@ -14,14 +14,14 @@ import pytest
 from promises import PATIENCE_S, within
 from sessions import RATE_HZ, counts_at, feed, make_block, make_estimate, make_session, make_status, make_stream
 
-from daq.live_devices_table import DeviceRow
-from daq.log_reader import read_log
-from daq.log_writer import LogWriter
-from daq.metrics import MetricsServer
-from daq.replay import EstimateCheck
-from daq.rerun_sink import RerunSink
-from daq.sink import Reporting, Sink
-from drivers.reading import Block, Gap, Info, Notice, Reading, Signal
+from daq.base.contract.sink import Reporting, Sink
+from daq.commands.live.devices_table import DeviceRow
+from daq.log.reader import read_log
+from daq.log.writer import LogWriter
+from daq.report.metrics import MetricsServer
+from daq.report.rerun.sink import RerunSink
+from daq.session.replay import EstimateCheck
+from drivers.contract.reading import Block, Gap, Info, Notice, Reading, Signal
 
 
 def estimate_check(folder: Path) -> Sink:
@@ -34,7 +34,7 @@ def estimate_check(folder: Path) -> Sink:
 def live_table(folder: Path) -> Sink:
     from rich.console import Console
 
-    from daq.live_table import LiveTable
+    from daq.report.live_table import LiveTable
 
     return LiveTable(Console(file=io.StringIO(), force_terminal=True))
 

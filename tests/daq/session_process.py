@@ -14,9 +14,9 @@ from collections.abc import Iterator
 
 from stand_ins import MomentEstimator, ScriptedDriver, info_of, paper_rig, vibration
 
-from daq.acquire import acquire
-from daq.log_writer import LogWriter
-from drivers.reading import Reading
+from daq.log.writer import LogWriter
+from daq.session.acquire import acquire
+from drivers.contract.reading import Reading
 
 BATCH_S = 0.01
 

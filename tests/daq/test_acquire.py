@@ -16,15 +16,15 @@ import pytest
 from promises import until, within
 from stand_ins import MomentEstimator, Recorder, ScriptedDriver, info_of, paper_rig, vibration
 
-from daq.acquire import ANSWER_S, Device, RunSummary, acquire, acquire_all
-from daq.errors import ConfigError
-from daq.links import open_driver
-from daq.log_reader import read_log
-from daq.log_writer import LogWriter
-from daq.replay import replay
-from daq.sink import SinkHealth
-from drivers.errors import LinkOpenError
-from drivers.reading import Block, Gap, Notice, Reading
+from daq.base.contract.errors import ConfigError
+from daq.base.contract.sink import SinkHealth
+from daq.log.reader import read_log
+from daq.log.writer import LogWriter
+from daq.session.acquire import ANSWER_S, Device, RunSummary, acquire, acquire_all
+from daq.session.links import open_driver
+from daq.session.replay import replay
+from drivers.contract.errors import LinkOpenError
+from drivers.contract.reading import Block, Gap, Notice, Reading
 
 RIG = paper_rig()
 Property = Callable[[str, object], None]
@@ -127,7 +127,7 @@ def test_seconds_are_of_data_and_exact(tmp_path: Path) -> None:
 
 
 def test_a_silent_device_does_not_hold_a_run_of_given_length(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.acquire.GRACE_S", 0.2)
+    monkeypatch.setattr("daq.session.acquire.GRACE_S", 0.2)
     recorder = Recorder()
     begin = time.monotonic()
     summary = acquire(RIG, ScriptedDriver([[INFO]], ends=False), [recorder], seconds=0.3, make=MomentEstimator)
@@ -137,7 +137,7 @@ def test_a_silent_device_does_not_hold_a_run_of_given_length(monkeypatch: pytest
 
 
 def test_a_device_that_is_too_slow_for_a_run_of_given_length_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.acquire.GRACE_S", 0.2)
+    monkeypatch.setattr("daq.session.acquire.GRACE_S", 0.2)
     told: list[Notice] = []
     slow = ScriptedDriver(endless(pause_s=0.04), ends=False)  # a quarter of its rate
     summary = acquire(RIG, slow, [], seconds=0.4, notify=told.append, make=MomentEstimator)
@@ -226,7 +226,7 @@ def test_a_driver_that_breaks_its_contract_is_not_silent_and_loses_nothing(tmp_p
 
 
 def test_a_device_without_the_rigs_channels_is_refused(tmp_path: Path) -> None:
-    from drivers.reading import Info
+    from drivers.contract.reading import Info
 
     short = Info(INFO.signals[:2], 25600.0)
     with pytest.raises(ConfigError, match="not the rig's channel b2x, b2y"):
@@ -256,11 +256,11 @@ def test_a_stalled_estimator_costs_the_oldest_by_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Property
 ) -> None:
     """The reader goes on; what the queue had to drop is a gap with its exact indices, in log, summary and status."""
-    from daq.reading_queue import ReadingQueue
+    from daq.session.reading_queue import ReadingQueue
 
-    monkeypatch.setattr("daq.acquire.ReadingQueue", lambda live: ReadingQueue(2 << 20, live))
-    monkeypatch.setattr("daq.estimator_runner.BUSY_BLOCKS", 8)
-    monkeypatch.setattr("daq.acquire._warm_up", lambda *_: None)
+    monkeypatch.setattr("daq.session.acquire.ReadingQueue", lambda live: ReadingQueue(2 << 20, live))
+    monkeypatch.setattr("daq.session.estimator_runner.BUSY_BLOCKS", 8)
+    monkeypatch.setattr("daq.session.acquire._warm_up", lambda *_: None)
     path = tmp_path / "a.mcap"
     monkeypatch.setattr(Slow, "over", False)
     told: list[bool] = []
@@ -297,7 +297,7 @@ def test_a_stalled_estimator_delays_neither_log_nor_viewer(
             self.calls.append(("at", time.monotonic()))
             super().readings(batch)
 
-    monkeypatch.setattr("daq.acquire._warm_up", lambda *_: None)
+    monkeypatch.setattr("daq.session.acquire._warm_up", lambda *_: None)
     sink = Timed()
     summary = acquire(RIG, ScriptedDriver(flood(rows=512)), [sink], make=Slow)
     assert (summary.samples, summary.lost_samples) == (51_200, 0)
@@ -318,7 +318,7 @@ def test_a_hanging_estimator_does_not_hold_the_stop(
             super().update(block)
             time.sleep(0.05)
 
-    monkeypatch.setattr("daq.acquire._warm_up", lambda *_: None)
+    monkeypatch.setattr("daq.session.acquire._warm_up", lambda *_: None)
     stop = threading.Event()
     threading.Timer(1.2, stop.set).start()
     begin = time.monotonic()

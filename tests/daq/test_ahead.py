@@ -8,11 +8,11 @@ import threading
 
 import pytest
 
-from daq import ahead
+from daq.base.console import ahead
 
 LOADS = """
 import sys, threading
-from daq.ahead import loaded
+from daq.base.console.ahead import loaded
 loaded(["scipy.ndimage"])
 for thread in threading.enumerate():
     if thread is not threading.main_thread():

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.analyse import BELOW_DETECTION, diagnosis_text, ending, fitted, with_lines, with_verdict
-from daq.cli import main
-from daq.edit import with_effect, with_values
-from daq.measurement import Measurement
-from daq.rig import Rig, load_rig
+from daq.commands.analyse import BELOW_DETECTION, diagnosis_text, ending, fitted, with_lines, with_verdict
+from daq.commands.cli.app import main
+from daq.exchange.measurement import Measurement
+from daq.rig.edit import with_effect, with_values
+from daq.rig.rig import Rig, load_rig
 from estimator.diagnosis.verdict.diagnose import OTHERWISE
 from estimator.results import Parameter
 from estimator.simulation.simulator import simulate
@@ -137,9 +137,9 @@ def test_a_page_and_a_recording_of_every_command(
 
 
 def test_a_record_in_pieces_says_so(tmp_path: Path) -> None:
-    from daq.analyse import about
-    from daq.errors import LogError
-    from daq.measurement import Measurement
+    from daq.base.contract.errors import LogError
+    from daq.commands.analyse import about
+    from daq.exchange.measurement import Measurement
     from estimator.errors import DataError
 
     y = np.zeros((1000, 2))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.cache_place import CHECKED, VARIABLE, choose, clean
+from daq.commands.cache_place import CHECKED, VARIABLE, choose, clean
 
 RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 NOWHERE = Path("/proc/nowhere")  # a read-only installation
@@ -65,7 +65,10 @@ def test_compiled_code_that_a_power_cut_spoilt_is_compiled_again(
     tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
     """Files that were not written to the disk before it: empty, cut, or zeros."""
-    code = "from daq import cache_place; cache_place.clean(); from drivers import cobs; print(cobs.encode(b'a').hex())"
+    code = (
+        "from daq.commands import cache_place; cache_place.clean(); "
+        "from drivers.serial import cobs; print(cobs.encode(b'a').hex())"
+    )
     environment = os.environ | {VARIABLE: str(tmp_path / "cache"), "PYTHONPATH": str(RIG.parents[1])}
 
     def encode() -> tuple[str, list[Path]]:

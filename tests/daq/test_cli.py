@@ -15,10 +15,10 @@ import jsonschema
 import pytest
 from promises import PATIENCE_S, until, within
 
-from daq.cli import application, main
-from daq.log_reader import read_log
-from daq.rig import Rig
-from daq.rig_schema import rig_schema
+from daq.commands.cli.app import application, main
+from daq.log.reader import read_log
+from daq.rig.rig import Rig
+from daq.rig.schema import rig_schema
 
 ROOT = Path(__file__).parents[2]
 PAPER = ROOT / "configs" / "tiwari_vyas_1997.toml"
@@ -88,7 +88,7 @@ def test_every_command_has_help_and_the_three_options(command: str, capsys: pyte
 
 def test_help_imports_nothing_heavy() -> None:
     code = (
-        "import sys; from daq.cli import main; main(['--help']); "
+        "import sys; from daq.commands.cli.app import main; main(['--help']); "
         "heavy = {'numpy', 'scipy', 'numba', 'pydantic', 'can', 'mcap', 'rerun', 'matplotlib'} & set(sys.modules); "
         "sys.exit(', '.join(heavy) or 0)"
     )

@@ -11,7 +11,7 @@ import pytest
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from daq.clock import WINDOW_S, DeviceClock, SystemClock, theil_sen
+from daq.base.contract.clock import WINDOW_S, DeviceClock, SystemClock, theil_sen
 
 
 @dataclass(frozen=True)

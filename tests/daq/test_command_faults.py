@@ -23,12 +23,12 @@ from cable import Cable
 from promises import PATIENCE_S, least_share, within
 from ramp_device import PERIOD, ramp_device
 
-from daq.cli import main
-from daq.log_reader import Recording, read_log
-from drivers import cobs
-from drivers.faults import Fault
-from drivers.reading import Block
-from drivers.simulated import SimulatedDevice, WireFrame
+from daq.commands.cli.app import main
+from daq.log.reader import Recording, read_log
+from drivers.contract.reading import Block
+from drivers.protocol.faults import Fault
+from drivers.serial import cobs
+from drivers.simulated.simulated import SimulatedDevice, WireFrame
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 # as a user has it: what cannot be written stays in the buffer

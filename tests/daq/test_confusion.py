@@ -9,12 +9,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from daq import confusion as subject
-from daq import hidden_pairs
-from daq.cli import main
-from daq.hidden import Case, cases, with_hidden
-from daq.hidden_pairs import NOBODY_TELLS, Pair, pairs
-from daq.rig import load_rig
+from daq.commands.cli.app import main
+from daq.commands.study import confusion as subject
+from daq.commands.study import hidden_pairs
+from daq.commands.study.hidden import Case, cases, with_hidden
+from daq.commands.study.hidden_pairs import NOBODY_TELLS, Pair, pairs
+from daq.rig.rig import load_rig
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict.diagnose import Diagnosis
 from estimator.diagnosis.verdict.improve import Ladder, Rung

@@ -17,9 +17,9 @@ import pytest
 from promises import PATIENCE_S, within
 from stand_ins import MomentEstimator, vibration
 
-from daq.log_reader import read_log
-from daq.recover import recover
-from daq.replay import replay
+from daq.log.reader import read_log
+from daq.log.recover import recover
+from daq.session.replay import replay
 
 HERE = Path(__file__).parent
 Property = Callable[[str, object], None]

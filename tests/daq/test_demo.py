@@ -6,11 +6,11 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from daq import demo
-from daq.cli import main
-from daq.log_reader import read_log
-from daq.output import Output
-from daq.rig import Rig
+from daq.base.console.output import Output
+from daq.commands import demo
+from daq.commands.cli.app import main
+from daq.log.reader import read_log
+from daq.rig.rig import Rig
 
 SCHEMA = Path(__file__).parents[1] / "data" / "schemas" / "demo.json"
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.edit import with_effect, with_values, without_effect
-from daq.errors import ConfigError
-from daq.rig import Rig, load_rig
+from daq.base.contract.errors import ConfigError
+from daq.rig.edit import with_effect, with_values, without_effect
+from daq.rig.rig import Rig, load_rig
 from estimator.effects import CATALOGUE
 from estimator.results import Parameter
 

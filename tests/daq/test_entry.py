@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 from promises import PATIENCE_S
 
-from daq.cli import main
-from daq.log_reader import read_log
-from daq.stop import Stop, interrupt
+from daq.base.console.stop import Stop, interrupt
+from daq.commands.cli.app import main
+from daq.log.reader import read_log
 
 RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 BEGIN = """
 import os, signal, sys, threading, time
-from daq.entry import main
+from daq.commands.entry import main
 after_s = float(sys.argv.pop())
 def interrupt():
     while signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -34,8 +34,8 @@ sys.exit(main())
 
 
 def test_an_interrupt_while_what_clears_away_is_imported_itself() -> None:
-    half = "import sys, types; sys.modules['daq.unfinished'] = types.ModuleType('half')"
-    code = f"{half}; from daq.entry import _leave; _leave()"
+    half = "import sys, types; sys.modules['daq.base.console.unfinished'] = types.ModuleType('half')"
+    code = f"{half}; from daq.commands.entry import _leave; _leave()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=PATIENCE_S, check=False)
     assert (done.returncode, done.stderr) == (130, b"rotorscope: interrupted\n")
 
@@ -64,9 +64,9 @@ def test_an_interrupt_while_python_imports_ends_quietly(
 
 UNRAISABLE = """
 import signal, sys, time, weakref
-from daq.entry import main
+from daq.commands.entry import main
 from daq import cli
-from daq.stop import Stop
+from daq.base.console.stop import Stop
 class Lock: pass
 def command(*_):
     def callback(_):
@@ -110,8 +110,8 @@ def test_an_interrupt_that_is_swallowed_while_a_command_imports_ends_it(
             signal.raise_signal(signal.SIGINT)
         then()
 
-    monkeypatch.setattr("daq.stop._asked", False)
-    monkeypatch.setattr("daq.cli.application", command)
+    monkeypatch.setattr("daq.base.console.stop._asked", False)
+    monkeypatch.setattr("daq.commands.cli.app.application", command)
     before = signal.signal(signal.SIGINT, interrupt)
     try:
         assert main(["effects"]) == 130
@@ -123,7 +123,7 @@ def test_an_interrupt_that_is_swallowed_while_a_command_imports_ends_it(
 STUCK = """
 import time
 from concurrent.futures import ThreadPoolExecutor
-from daq.entry import main
+from daq.commands.entry import main
 ThreadPoolExecutor(1).submit(time.sleep, 600)
 main()
 """

@@ -9,9 +9,9 @@ import numpy as np
 from promises import PATIENCE_S, within
 from stand_ins import MomentEstimator, paper_rig, vibration
 
-from daq.estimation import Estimation
-from daq.estimator_runner import BUSY_BLOCKS, Ask, EstimatorRunner
-from daq.log_codec import encode_estimate
+from daq.log.codec import encode_estimate
+from daq.session.estimation import Estimation
+from daq.session.estimator_runner import BUSY_BLOCKS, Ask, EstimatorRunner
 
 MODEL = paper_rig().model
 ROWS = vibration(0, 200_000).counts * 0.01

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from daq.cli import main
-from daq.import_child import REFUSED, refusal
-from daq.importers import power_of_two
-from daq.log_reader import read_log
+from daq.commands.cli.app import main
+from daq.commands.files.importers import power_of_two
+from daq.exchange.child import REFUSED, refusal
+from daq.log.reader import read_log
 
 RATE = 5120.0
 RIG = """schema = 1

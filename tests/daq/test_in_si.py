@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from stand_ins import MomentEstimator, Recorder, ScriptedDriver, info_of, paper_rig, vibration
 
-from daq.acquire import acquire
-from daq.cli import main
-from daq.log_reader import read_log
-from daq.units import GRAVITY
-from drivers.reading import Info, Notice
+from daq.commands.cli.app import main
+from daq.log.reader import read_log
+from daq.rig.units import GRAVITY
+from daq.session.acquire import acquire
+from drivers.contract.reading import Info, Notice
 
 RIG = """schema = 1
 [rig]

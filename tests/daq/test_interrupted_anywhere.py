@@ -14,17 +14,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq import cli_files, unfinished
-from daq.log_reader import read_log
-from daq.output import write_whole
-from daq.stop import all_or_nothing, unbroken
+from daq.base.console import unfinished
+from daq.base.console.output import write_whole
+from daq.base.console.stop import all_or_nothing, unbroken
+from daq.commands.cli import files
+from daq.log.reader import read_log
 
 RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 OURS = ("stop", "unfinished", "log_file", "log_place", "log_writer", "importers", "recover", "exporters", "cli_files")
 COMMANDS: dict[str, Callable[[str], None]] = {
-    "import": lambda name: cli_files.import_(Path("x.npz"), Path("rig.toml"), Path(f"{name}.mcap"), quiet=True),
-    "recover": lambda name: cli_files.recover(Path("l.mcap"), Path(f"{name}.mcap"), quiet=True),
-    "export": lambda name: cli_files.export(Path("l.mcap"), Path(f"{name}.npz"), quiet=True),
+    "import": lambda name: files.import_(Path("x.npz"), Path("rig.toml"), Path(f"{name}.mcap"), quiet=True),
+    "recover": lambda name: files.recover(Path("l.mcap"), Path(f"{name}.mcap"), quiet=True),
+    "export": lambda name: files.export(Path("l.mcap"), Path(f"{name}.npz"), quiet=True),
 }
 
 

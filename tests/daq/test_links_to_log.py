@@ -13,14 +13,14 @@ from promises import PATIENCE_S, least_share, until, within
 from ramp_device import PERIOD, Served, ramp_device
 from stand_ins import MomentEstimator, Recorder, paper_rig
 
-from daq.acquire import RunSummary, acquire
-from daq.log_reader import Recording, read_log
-from daq.log_writer import LogWriter
-from daq.replay import replay
-from drivers.link_config import VirtualConfig
-from drivers.links import make_driver, parse_link
-from drivers.reading import Block, Driver
-from drivers.simulated import SimulatedDevice
+from daq.log.reader import Recording, read_log
+from daq.log.writer import LogWriter
+from daq.session.acquire import RunSummary, acquire
+from daq.session.replay import replay
+from drivers.contract.link_config import VirtualConfig
+from drivers.contract.reading import Block, Driver
+from drivers.links.links import make_driver, parse_link
+from drivers.simulated.simulated import SimulatedDevice
 
 RIG = paper_rig()
 FAULTS = {"drop": 0.02, "flip": 0.02, "duplicate": 0.02, "reorder": 0.01}  # of the frames

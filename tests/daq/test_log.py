@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from sessions import CHANNELS, DBC_TEXT, RIG_TEXT, make_block, make_info, make_session, make_stream, truth, write_log
 
-from daq import log_codec as codec
-from daq.errors import LogError
-from daq.log_reader import read_log
-from daq.log_schema import message
-from daq.measurement import measure
-from daq.rig import load_rig
-from daq.sink import ClockState
-from drivers.reading import Block, Gap, Info, Notice, Signal
+from daq.base.contract.errors import LogError
+from daq.base.contract.sink import ClockState
+from daq.exchange.measurement import measure
+from daq.log import codec as codec
+from daq.log.reader import read_log
+from daq.log.schema import message
+from daq.rig.rig import load_rig
+from drivers.contract.reading import Block, Gap, Info, Notice, Signal
 
 CONFIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 

@@ -16,16 +16,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from sessions import RIG_TEXT, counts_at, make_block, make_estimate, make_info, make_session, make_stream, truth
 
-from daq import log_codec as codec
-from daq.errors import LogError
-from daq.file_kinds import LOG_MAGIC
-from daq.info import info
-from daq.log_encoder import LogEncoder
-from daq.log_file import LogFile
-from daq.log_reader import Recording, read_log
-from daq.log_scan import SIGNATURE, SIGNATURE_AT
-from daq.recover import recover
-from drivers.reading import Block, Gap, Notice
+from daq.base.console.file_kinds import LOG_MAGIC
+from daq.base.contract.errors import LogError
+from daq.log import codec as codec
+from daq.log.encoder import LogEncoder
+from daq.log.file import LogFile
+from daq.log.info import info
+from daq.log.reader import Recording, read_log
+from daq.log.recover import recover
+from daq.log.scan import SIGNATURE, SIGNATURE_AT
+from drivers.contract.reading import Block, Gap, Notice
 
 SCHEMAS = Path(__file__).parents[1] / "data" / "schemas"
 STREAM = make_stream(60, 200)

@@ -17,12 +17,12 @@ import pytest
 from promises import PATIENCE_S, within
 from sessions import RATE_HZ, counts_at, make_block, make_session
 
-from daq.errors import LogError
-from daq.log_file import LogFile
-from daq.log_reader import read_log
-from daq.log_writer import LogWriter
-from daq.recover import recover
-from drivers.reading import Notice
+from daq.base.contract.errors import LogError
+from daq.log.file import LogFile
+from daq.log.reader import read_log
+from daq.log.recover import recover
+from daq.log.writer import LogWriter
+from drivers.contract.reading import Notice
 
 ROWS = 256
 Property = Callable[[str, object], None]
@@ -378,7 +378,7 @@ class StalledFile(LogFile):
 def test_a_stalled_disk_never_makes_acquisition_wait(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, record_property: Property
 ) -> None:
-    monkeypatch.setattr("daq.log_writer.LogFile", StalledFile)
+    monkeypatch.setattr("daq.log.writer.LogFile", StalledFile)
     StalledFile.gate.clear()
     feeder = Feeder(LogWriter(tmp_path / "a.mcap", limit_bytes=1 << 20))
     end = time.monotonic() + seconds
@@ -398,7 +398,7 @@ def test_a_stalled_disk_never_makes_acquisition_wait(
 
 
 def test_a_disk_stalled_at_the_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.log_writer.LogFile", StalledFile)
+    monkeypatch.setattr("daq.log.writer.LogFile", StalledFile)
     StalledFile.gate.clear()
     feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
     feeder.feed(10)

@@ -8,7 +8,7 @@ import tracemalloc
 import numpy as np
 from sessions import make_block, make_estimate, make_session, make_status
 
-from daq.log_encoder import LogEncoder
+from daq.log.encoder import LogEncoder
 
 
 def chunks(encoder: LogEncoder, start: int, stop: int) -> None:

@@ -19,16 +19,16 @@ import pytest
 from promises import PATIENCE_S, until
 from sessions import feed, make_session, make_stream, write_log
 
-from daq import unfinished
-from daq.cli import main
-from daq.errors import LogError
-from daq.log_file import LogFile
-from daq.log_place import being_written, emptied, free_name, made, opened
-from daq.log_reader import read_log
-from daq.log_writer import LogWriter
-from daq.recover import recover
-from daq.replay import replay
-from daq.rig import Rig
+from daq.base.console import unfinished
+from daq.base.contract.errors import LogError
+from daq.commands.cli.app import main
+from daq.log.file import LogFile
+from daq.log.place import being_written, emptied, free_name, made, opened
+from daq.log.reader import read_log
+from daq.log.recover import recover
+from daq.log.writer import LogWriter
+from daq.rig.rig import Rig
+from daq.session.replay import replay
 
 ROOT = Path(__file__).parents[2]
 Row = Callable[[str, object], None]

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import LogError
-from daq.log_writer import LogWriter
-from daq.measurement import measure
-from daq.rig import Rig
-from daq.sink import Session
-from drivers.reading import Block, Gap, Info, Signal
+from daq.base.contract.errors import LogError
+from daq.base.contract.sink import Session
+from daq.exchange.measurement import measure
+from daq.log.writer import LogWriter
+from daq.rig.rig import Rig
+from drivers.contract.reading import Block, Gap, Info, Signal
 
 RATE = 5120.0
 RIG = """schema = 1

@@ -8,7 +8,7 @@ import pytest
 ARRAYS = """
 import resource
 import numpy as np
-from daq.memory import keep_freed
+from daq.base.console.memory import keep_freed
 
 if {keep}:
     keep_freed()

@@ -16,11 +16,11 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from promises import PATIENCE_S, within
 
-from daq.errors import ConfigError
-from daq.metrics import MetricsServer, MetricsSink
-from daq.metrics_http import MOST
-from daq.sink import ClockState, Session, Status
-from drivers.reading import Block, Gap, Info, LinkStats, Notice, Signal
+from daq.base.contract.errors import ConfigError
+from daq.base.contract.sink import ClockState, Session, Status
+from daq.report.metrics import MetricsServer, MetricsSink
+from daq.report.metrics_http import MOST
+from drivers.contract.reading import Block, Gap, Info, LinkStats, Notice, Signal
 from estimator.model.rig import Channel, Model
 from estimator.results import Estimate, Parameter
 

@@ -18,8 +18,8 @@ import pytest
 from cable import Cable
 from promises import PATIENCE_S
 
-from daq.cli import main
-from daq.log_reader import read_log
+from daq.commands.cli.app import main
+from daq.log.reader import read_log
 
 pytestmark = [pytest.mark.root, pytest.mark.timeout(600)]
 RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from promises import PATIENCE_S
 
-from daq.demo import truth_text
-from daq.importers import import_file
-from daq.live_table import missing_text
-from daq.log_reader import read_log
-from daq.naming import Naming, Question, answer, said
-from daq.output import Output
-from daq.replay import replay
-from daq.rig import Rig, load_rig
-from daq.sink import Session
-from drivers.reading import Block, Gap, Info, Notice, Signal
+from daq.base.console.output import Output
+from daq.base.contract.sink import Session
+from daq.commands.demo import truth_text
+from daq.commands.files.importers import import_file
+from daq.log.reader import read_log
+from daq.report.live_table import missing_text
+from daq.rig.rig import Rig, load_rig
+from daq.session.naming import Naming, Question, answer, said
+from daq.session.replay import replay
+from drivers.contract.reading import Block, Gap, Info, Notice, Signal
 from estimator.results import Estimate, Parameter, certain
 
 RATE = 1000.0
@@ -205,7 +205,7 @@ def test_the_live_table_shows_the_force_and_the_name() -> None:
 
     from rich.console import Console
 
-    from daq.live_table import LiveTable
+    from daq.report.live_table import LiveTable
 
     table = LiveTable(Console(file=StringIO(), width=120))
     table.estimate(Estimate(0, {"bearing1.x.kL": Parameter(1e7, 1e4, "N/m")}, 10.0, extra=OPEN))

@@ -16,10 +16,10 @@ import pytest
 from promises import PATIENCE_S
 from sessions import make_session, make_stream, write_log
 
-from daq.cli import main
-from daq.output import Output
-from daq.session import Operator
-from drivers.reading import Notice
+from daq.base.console.output import Output
+from daq.commands.cli.app import main
+from daq.commands.live.parts import Operator
+from drivers.contract.reading import Notice
 
 RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
 Property = Callable[[str, object], None]
@@ -122,7 +122,7 @@ def test_a_log_into_standard_output(record_property: Property) -> None:
 WORKS = """
 import os
 import time
-from daq.output import Output
+from daq.base.console.output import Output
 
 with Output().progress("working") as progress:
     progress(0.1, "a long stage")

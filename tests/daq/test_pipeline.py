@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stand_ins import FakeClock, MomentEstimator, Recorder, info_of, paper_rig, vibration
 
-from daq.errors import ConfigError
-from daq.estimation import LONGEST_GAP_S, Estimation, block_rows
-from daq.estimator_runner import EstimatorRunner
-from daq.ledger import Ledger
-from daq.log_codec import encode_estimate
-from daq.pipeline import Pipeline, Plan
-from daq.sink import Session, SinkHealth, Status
-from drivers.reading import Block, Gap, Info, LinkStats, Notice, Reading
+from daq.base.contract.errors import ConfigError
+from daq.base.contract.sink import Session, SinkHealth, Status
+from daq.log.codec import encode_estimate
+from daq.session.estimation import LONGEST_GAP_S, Estimation, block_rows
+from daq.session.estimator_runner import EstimatorRunner
+from daq.session.ledger import Ledger
+from daq.session.pipeline import Pipeline, Plan
+from drivers.contract.reading import Block, Gap, Info, LinkStats, Notice, Reading
 
 RIG = paper_rig()
 INFO = info_of(RIG)

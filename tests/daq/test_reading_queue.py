@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from promises import within
 
-from daq.reading_queue import ReadingQueue
-from drivers.reading import Block, Gap, Notice, Reading
+from daq.session.reading_queue import ReadingQueue
+from drivers.contract.reading import Block, Gap, Notice, Reading
 
 
 def block(index: int, n: int) -> Block:

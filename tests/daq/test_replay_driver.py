@@ -10,9 +10,9 @@ import pytest
 from promises import PATIENCE_S, within
 from sessions import make_block, write_log
 
-from daq.log_reader import Recording, read_log
-from daq.replay import ReplayDriver
-from drivers.reading import Block, Gap, Reading
+from daq.log.reader import Recording, read_log
+from daq.session.replay import ReplayDriver
+from drivers.contract.reading import Block, Gap, Reading
 
 
 @pytest.fixture

@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_up_results import compared, diagnosed, made_up
 
-from daq.errors import LogError
-from daq.report import render, write_report
-from daq.report_numbers import interval, number, odds, parameter, percent, prefix, unit_text
-from daq.report_words import about_diagnosis
+from daq.base.contract.errors import LogError
+from daq.report.numbers import interval, number, odds, parameter, percent, prefix, unit_text
+from daq.report.page import render, write_report
+from daq.report.words import about_diagnosis
 
 
 @functools.cache

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from daq.reproduce import reproduce
-from daq.reproduce_cases import DISC, METHODS, paper_model
+from daq.commands.study.reproduce import reproduce
+from daq.commands.study.reproduce_cases import DISC, METHODS, paper_model
 from estimator.simulation.start import stationarity
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from made_up_results import CHANNELS, made_up
 from recordings import entities
 
-from daq.rerun_comparison import log_comparison
+from daq.report.rerun.comparison import log_comparison
 
 
 def test_everything_that_the_report_draws(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import welch
 
-from daq.rerun_plane import Axis, Plane, decades, nice_step, round_up
-from daq.rerun_signal import displacement, envelope, spectrum
+from daq.report.rerun.plane import Axis, Plane, decades, nice_step, round_up
+from daq.report.rerun.signal import displacement, envelope, spectrum
 
 
 @given(st.integers(0, 1000), st.integers(1, 300), st.integers(2, 40))

@@ -16,10 +16,10 @@ import pytest
 from promises import PATIENCE_S, Late, within
 from recordings import entities
 
-from daq.errors import ConfigError
-from daq.rerun_sink import RerunSink
-from daq.sink import ClockState, Session, Status
-from drivers.reading import Block, Gap, Info, LinkStats, Notice, Signal
+from daq.base.contract.errors import ConfigError
+from daq.base.contract.sink import ClockState, Session, Status
+from daq.report.rerun.sink import RerunSink
+from drivers.contract.reading import Block, Gap, Info, LinkStats, Notice, Signal
 from estimator.model.rig import Channel, Model
 from estimator.results import Estimate, Parameter
 
@@ -132,7 +132,7 @@ def test_targets() -> None:
 def test_spawn_without_a_display_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("daq.rerun_sink.VIEWER_PORT", free_port())
+    monkeypatch.setattr("daq.report.rerun.sink.VIEWER_PORT", free_port())
     sink = RerunSink("spawn")
     sink.start(session())
     assert wait(lambda: "is there a display" in str(sink._problem))

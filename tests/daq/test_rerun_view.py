@@ -9,9 +9,9 @@ import pytest
 import rerun as rr
 from recordings import entities
 
-from daq.rerun_view import RerunView, ViewSession
-from daq.sink import Status
-from drivers.reading import Block, Gap, Info, LinkStats, Notice, Signal
+from daq.base.contract.sink import Status
+from daq.report.rerun.view import RerunView, ViewSession
+from drivers.contract.reading import Block, Gap, Info, LinkStats, Notice, Signal
 from estimator.results import Estimate, Parameter
 
 UNITS = ("m/s^2", "m/s", "rad/s", "A")

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.cli import main
-from daq.errors import ConfigError
-from daq.links import open_driver
-from daq.rig import Rig, load_rig
-from daq.rig_problems import line_numbers
-from daq.units import UNITS, canonical, factor
+from daq.base.contract.errors import ConfigError
+from daq.commands.cli.app import main
+from daq.rig.problems import line_numbers
+from daq.rig.rig import Rig, load_rig
+from daq.rig.units import UNITS, canonical, factor
+from daq.session.links import open_driver
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 CHANNELS = "".join(
@@ -304,7 +304,7 @@ def test_any_text_is_read_or_refused_in_words(text: str) -> None:
 
 @pytest.mark.parametrize(("word", "least", "most"), [("none", 0, 0), ("usual", 5, 12), ("catalogue", 15, 31)])
 def test_the_rig_says_what_the_rolling_estimator_watches_for(word: str, least: int, most: int) -> None:
-    from daq.estimators import maker
+    from daq.session.estimators import maker
     from estimator.identification.rolling.estimator import RollingSpectral
 
     rig = Rig.parse(HEAD + CHANNELS + f'[estimator]\nwatch = "{word}"\n')

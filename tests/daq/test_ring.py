@@ -8,7 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from daq.ring import Ring
+from daq.session.ring import Ring
 
 
 class RingMachine(RuleBasedStateMachine):

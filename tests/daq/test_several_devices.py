@@ -25,9 +25,9 @@ from cable import Cable
 from promises import PATIENCE_S, Late, until, within
 from ramp_device import PERIOD
 
-from daq.cli import main
-from daq.errors import LogError
-from daq.log_reader import read_log
+from daq.base.contract.errors import LogError
+from daq.commands.cli.app import main
+from daq.log.reader import read_log
 
 ROOT = Path(__file__).parents[2]
 SCHEMA = json.loads((ROOT / "tests" / "data" / "schemas" / "run.json").read_text())

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.acquire import acquire
-from daq.errors import ConfigError
-from daq.estimators import maker
-from daq.log_reader import read_log
-from daq.log_writer import LogWriter
-from daq.rig import Rig, load_rig
-from daq.simulation import at_full_speed, complete, fault_rates, machine
+from daq.base.contract.errors import ConfigError
+from daq.log.reader import read_log
+from daq.log.writer import LogWriter
+from daq.rig.rig import Rig, load_rig
+from daq.session.acquire import acquire
+from daq.session.estimators import maker
+from daq.session.simulation import at_full_speed, complete, fault_rates, machine
 from estimator.effects import CATALOGUE
 from estimator.simulation.simulator import simulate
 

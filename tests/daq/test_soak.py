@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from stand_ins import ScriptedDriver, info_of, paper_rig
 
-from daq.acquire import Device, RunSummary, acquire, acquire_all
-from daq.estimators import maker
-from daq.log_reader import read_log
-from daq.log_writer import LogWriter
-from daq.sink import Session, Status
-from drivers.reading import Block, Reading
+from daq.base.contract.sink import Session, Status
+from daq.log.reader import read_log
+from daq.log.writer import LogWriter
+from daq.session.acquire import Device, RunSummary, acquire, acquire_all
+from daq.session.estimators import maker
+from drivers.contract.reading import Block, Reading
 from estimator.results import Estimate
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600)]

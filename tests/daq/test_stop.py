@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from daq.stop import Stop
+from daq.base.console.stop import Stop
 
 
 @pytest.mark.timeout(60)

@@ -11,9 +11,9 @@ import can
 import psutil
 import pytest
 
-from drivers.blf import LARGEST_CONTAINER
-from drivers.capture_batches import Batch
-from drivers.capture_files import open_capture
+from drivers.foreign.blf import LARGEST_CONTAINER
+from drivers.foreign.capture_batches import Batch
+from drivers.foreign.capture_files import open_capture
 
 REAL = Path(__file__).parents[1] / "data" / "canedge_imu" / "canedge_imu.blf"
 Row = Callable[[str, object], None]

@@ -20,17 +20,17 @@ import pytest
 from promises import PATIENCE_S, least_share, until, within
 from ramp_device import Record, ramp_device, read_for, read_until
 
-from drivers.can_bus import BusSource
-from drivers.can_errors import describe_error
-from drivers.can_frames import EXTENDED, CanFrames
-from drivers.errors import LinkError, LinkOpenError
-from drivers.link import LinkLost
-from drivers.link_config import CanConfig, VirtualConfig
-from drivers.links import make_driver, parse_link
-from drivers.reading import Driver
-from drivers.simulated import WireFrame
-from drivers.slcan_codec import encode_line
-from drivers.socketcan import BulkReceiver
+from drivers.can.can_bus import BusSource
+from drivers.can.can_errors import describe_error
+from drivers.can.can_frames import EXTENDED, CanFrames
+from drivers.can.slcan_codec import encode_line
+from drivers.can.socketcan import BulkReceiver
+from drivers.contract.errors import LinkError, LinkOpenError
+from drivers.contract.link import LinkLost
+from drivers.contract.link_config import CanConfig, VirtualConfig
+from drivers.contract.reading import Driver
+from drivers.links.links import make_driver, parse_link
+from drivers.simulated.simulated import WireFrame
 
 
 class Socketcand:
@@ -206,7 +206,7 @@ def test_interfaces_whose_library_is_missing_are_said_in_one_line() -> None:
 def test_a_makers_library_that_is_not_there_is_said_in_one_line() -> None:
     """python-can says more through a logger, which a program that has none prints."""
     opens = """
-from drivers.links import LinkError, make_driver, parse_link
+from drivers.links.links import LinkError, make_driver, parse_link
 try:
     make_driver(parse_link("can:{}:0")).open()
 except LinkError as error:

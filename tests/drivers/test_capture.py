@@ -15,11 +15,11 @@ import pytest
 from asammdf import MDF
 from ramp_device import Record, read_all
 
-from drivers.capture_files import open_capture
-from drivers.errors import LinkError, LinkOpenError
-from drivers.link_config import CaptureConfig
-from drivers.links import make_driver
-from drivers.reading import Info
+from drivers.contract.errors import LinkError, LinkOpenError
+from drivers.contract.link_config import CaptureConfig
+from drivers.contract.reading import Info
+from drivers.foreign.capture_files import open_capture
+from drivers.links.links import make_driver
 
 DATA = Path(__file__).parents[1] / "data" / "canedge_imu"
 SIGNALS = {f"imu_{axis.lower()}": f"gnss_imu.Acceleration{axis}" for axis in "XYZ"}
@@ -99,7 +99,8 @@ def test_a_library_that_complains_of_every_frame_is_not_heard(tmp_path: Path) ->
     path = tmp_path / "a.asc"
     path.write_text("base hex timestamps absolute\n" + 9 * " 0.2 CANFD 1 Rx 301 1 0 9 2 00 01\n")
     script = (
-        f"from drivers.capture_files import open_capture; print(len(next(open_capture({str(path)!r}, None)).frames))"
+        "from drivers.foreign.capture_files import open_capture; "
+        f"print(len(next(open_capture({str(path)!r}, None)).frames))"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("9\n", "")

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from drivers import cobs
-from drivers.can_frames import EXTENDED, REMOTE
-from drivers.slcan_codec import FD_LENGTHS, MAX_LINE, SlcanCodec, encode_line
+from drivers.can.can_frames import EXTENDED, REMOTE
+from drivers.can.slcan_codec import FD_LENGTHS, MAX_LINE, SlcanCodec, encode_line
+from drivers.serial import cobs
 
 BODIES = st.lists(st.binary(min_size=1, max_size=600), min_size=1, max_size=8)
 CUTS = st.lists(st.integers(0, 3000), max_size=12)

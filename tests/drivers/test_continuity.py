@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ramp_device import PERIOD, Ramp, Record, ramp_device
 
-from drivers import cobs
-from drivers.can_decoder import CanDecoder
-from drivers.can_frames import CanFrames
-from drivers.continuity import Continuity
-from drivers.faults import Fault
-from drivers.notices import Notices
-from drivers.protocol import (
+from drivers.can.can_decoder import CanDecoder
+from drivers.can.can_frames import CanFrames
+from drivers.contract.notices import Notices
+from drivers.contract.reading import Block, Gap, Info, LinkStats, Reading
+from drivers.protocol.continuity import Continuity
+from drivers.protocol.faults import Fault
+from drivers.protocol.protocol import (
     BASE_ID,
     ID_FD16,
     ID_INFO,
@@ -27,9 +27,9 @@ from drivers.protocol import (
     pack_info,
     unpack_info,
 )
-from drivers.reading import Block, Gap, Info, LinkStats, Reading
-from drivers.serial_decoder import SerialDecoder
-from drivers.simulated import SimulatedDevice, WireFrame
+from drivers.serial import cobs
+from drivers.serial.serial_decoder import SerialDecoder
+from drivers.simulated.simulated import SimulatedDevice, WireFrame
 
 LAYOUTS = ("fd16", "fd24", "classic", "serial16", "serial24")
 SLICE_S = 0.01

@@ -6,8 +6,8 @@ import pytest
 from promises import within
 from ramp_device import Record, Served, ramp_device, read_all, read_until
 
-from drivers.link_config import VirtualConfig
-from drivers.links import make_driver
+from drivers.contract.link_config import VirtualConfig
+from drivers.links.links import make_driver
 
 
 @pytest.mark.parametrize(("layout", "rate_hz"), [("fd16", 25_600.0), ("fd24", 25_600.0), ("classic", 8_000.0)])

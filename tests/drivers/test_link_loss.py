@@ -18,13 +18,13 @@ import serial.rfc2217
 from promises import PATIENCE_S, least_share, within
 from ramp_device import Record, Served, ramp_device, read_for, read_until
 
-from drivers import cobs
-from drivers.errors import LinkOpenError
-from drivers.link_config import SerialConfig, SlcanConfig
-from drivers.links import make_driver, parse_link
-from drivers.reading import Driver
-from drivers.simulated import SimulatedDevice
-from drivers.slcan_codec import encode_line
+from drivers.can.slcan_codec import encode_line
+from drivers.contract.errors import LinkOpenError
+from drivers.contract.link_config import SerialConfig, SlcanConfig
+from drivers.contract.reading import Driver
+from drivers.links.links import make_driver, parse_link
+from drivers.serial import cobs
+from drivers.simulated.simulated import SimulatedDevice
 
 
 class Cable:

@@ -11,13 +11,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ramp_device import Record, ramp_device
 
-from drivers import cobs
-from drivers.device_info import Expected
-from drivers.errors import LinkError
-from drivers.link_config import CanConfig, CaptureConfig, ReplayConfig, SerialConfig, SlcanConfig, VirtualConfig
-from drivers.links import FORMS, make_driver, parse_link
-from drivers.reading import LinkStats
-from drivers.serial_decoder import SerialDecoder
+from drivers.contract.errors import LinkError
+from drivers.contract.link_config import (
+    CanConfig,
+    CaptureConfig,
+    ReplayConfig,
+    SerialConfig,
+    SlcanConfig,
+    VirtualConfig,
+)
+from drivers.contract.reading import LinkStats
+from drivers.links.links import FORMS, make_driver, parse_link
+from drivers.protocol.device_info import Expected
+from drivers.serial import cobs
+from drivers.serial.serial_decoder import SerialDecoder
 
 
 @pytest.mark.parametrize(
@@ -91,7 +98,7 @@ def test_combinations_that_make_no_sense() -> None:
 
 def test_no_library_is_imported_for_a_name() -> None:
     code = (
-        "import sys; from drivers.links import parse_link; parse_link('can:socketcan:can0'); "
+        "import sys; from drivers.links.links import parse_link; parse_link('can:socketcan:can0'); "
         "print([m for m in ('can', 'serial', 'numba', 'cantools', 'asammdf') if m in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"

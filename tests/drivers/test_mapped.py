@@ -12,15 +12,15 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from ramp_device import Record, read_until
 
-from drivers.can_frames import EXTENDED, CanFrames
-from drivers.device_info import Expected
-from drivers.errors import LinkError
-from drivers.link_config import CanConfig
-from drivers.links import make_driver
-from drivers.mapped import MappedDecoder
-from drivers.reading import Block, LinkStats
-from drivers.signal_plan import Bits, compile_plan
-from drivers.time_axis import TimeAxis
+from drivers.can.can_frames import EXTENDED, CanFrames
+from drivers.contract.errors import LinkError
+from drivers.contract.link_config import CanConfig
+from drivers.contract.reading import Block, LinkStats
+from drivers.foreign.mapped import MappedDecoder
+from drivers.foreign.signal_plan import Bits, compile_plan
+from drivers.links.links import make_driver
+from drivers.protocol.device_info import Expected
+from drivers.protocol.time_axis import TimeAxis
 
 MS = 1_000_000
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from ramp_device import Record, Served, ramp_device, read_until
 
-from drivers.faults import Fault
-from drivers.links import make_driver, parse_link
+from drivers.links.links import make_driver, parse_link
+from drivers.protocol.faults import Fault
 
 
 @pytest.mark.slow
@@ -14,7 +14,7 @@ from drivers.links import make_driver, parse_link
 def test_info_without_samples_is_told_and_its_gap_is_silent(
     link: str, layout: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivers.link.MUTE_S", 0.5)
+    monkeypatch.setattr("drivers.contract.link.MUTE_S", 0.5)
     device = ramp_device(layout, 2000.0, None)
     rows = device.config.frame_rows
     device = ramp_device(layout, 2000.0, None, faults=(Fault("silent", 5000 // rows, 4500 // rows),))

@@ -12,13 +12,14 @@ import vectors
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import cobs, protocol
-from drivers.protocol import LAYOUTS, InfoRecord
-from drivers.protocol_dbc import dbc_text
-from drivers.reading import Signal
-from drivers.serial_decoder import pack_samples
-from drivers.simulated import DeviceConfig
-from drivers.slcan_codec import encode_line
+from drivers.can.slcan_codec import encode_line
+from drivers.contract.reading import Signal
+from drivers.protocol import protocol
+from drivers.protocol.protocol import LAYOUTS, InfoRecord
+from drivers.protocol.protocol_dbc import dbc_text
+from drivers.serial import cobs
+from drivers.serial.serial_decoder import pack_samples
+from drivers.simulated.simulated import DeviceConfig
 
 ROOT = Path(__file__).parents[2]
 RECORD = InfoRecord(1, 4, 2, 16, 0x52530001, 25600.0, Signal("b2x", "m/s^2", 0.015625), 511.984375, epoch=3, firmware=7)

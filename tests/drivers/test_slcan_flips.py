@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from ramp_device import PERIOD, ramp_device
 
-from drivers.can_decoder import CanDecoder
-from drivers.reading import Block, Gap, LinkStats, Reading
-from drivers.simulated import WireFrame
-from drivers.slcan_codec import SlcanCodec, encode_line
+from drivers.can.can_decoder import CanDecoder
+from drivers.can.slcan_codec import SlcanCodec, encode_line
+from drivers.contract.reading import Block, Gap, LinkStats, Reading
+from drivers.simulated.simulated import WireFrame
 
 DIGITS = "0123456789ABCDEF"
 HEAD = {

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.places import places
 from estimator.effects.engine.strength import size, strengths, with_effect

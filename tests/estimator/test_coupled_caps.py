@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, ROOT
 from numpy.typing import NDArray
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.diagnosis.verdict.improve import improve
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.finding import Suspect

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, ROOT, SECONDS, one_bearing, record, schema
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.diagnosis.hypotheses import ranking
 from estimator.diagnosis.hypotheses.screen import _promising, extrapolating, ranked
 from estimator.diagnosis.verdict.diagnose import Diagnosis, _law, _verdict, diagnose, quiet
@@ -172,8 +172,8 @@ def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model) -> N
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_false_alarms_are_rare() -> None:
-    from daq.confusion import run
-    from daq.hidden import COMPLETE, Case
+    from daq.commands.study.confusion import run
+    from daq.commands.study.hidden import COMPLETE, Case
 
     model = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
     verdicts = [run(model, Case(COMPLETE, "-", "-", seed), 20.0)["verdict"] for seed in range(40)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, ROOT, one_bearing, record
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.places import places
 from estimator.effects.engine.strength import size, strengths, with_effect

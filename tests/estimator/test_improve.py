@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, ROOT, SECONDS, coupled_on_a_stiff_shaft, one_bearing
 from numpy.typing import NDArray
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.compare import compare
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict.diagnose import Diagnosis, diagnose

@@ -10,7 +10,7 @@ import pytest
 from hidden_effects import RATE, ROOT, one_bearing
 from scipy.signal import lfilter
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch.full_fit import fit_whole

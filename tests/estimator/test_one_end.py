@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from hidden_effects import RATE, ROOT
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.identification.batch import unmeasured_end
 from estimator.identification.batch.fit import fit
 from estimator.model.rig import Model

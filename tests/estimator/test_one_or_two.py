@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from hidden_effects import RATE, ROOT, one_bearing
 
-from daq.rig import Rig
+from daq.rig.rig import Rig
 from estimator.diagnosis.verdict import gate_second_law
 from estimator.diagnosis.verdict.diagnose import diagnose
 from estimator.diagnosis.verdict.improve import improve

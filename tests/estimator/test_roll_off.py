@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import optimize, signal
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.compare import compare
 from estimator.diagnosis.verdict.diagnose import diagnose
 from estimator.diagnosis.verdict.improve import improve

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from hidden_effects import RATE, ROOT, one_bearing
 
-from daq.rig import Rig, load_rig
+from daq.rig.rig import Rig, load_rig
 from estimator.diagnosis.comparison.heldout import heldout_nll
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, ROOT, one_bearing
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.compare import compare
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.structure import noisy_sensor, spectral_shape

@@ -10,7 +10,7 @@ import pytest
 from hidden_effects import ROOT
 from scipy.integrate import solve_ivp
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.diagnosis.hypotheses.trial import best_at
 from estimator.diagnosis.verdict.diagnose import diagnose
 from estimator.diagnosis.verdict.improve import improve

@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, ROOT, one_bearing
 from scipy.integrate import solve_ivp
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.identification.batch import fit

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from scipy import signal
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.identification.batch import fit
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.model.rig import EffectUse, Model, Setting

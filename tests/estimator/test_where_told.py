@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, ROOT
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.diagnosis.hypotheses import ranking
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict.gate_residual import _where_told

@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, ROOT, coupled_on_a_stiff_shaft, one_bearing, record
 from reference_rig import rig_model, rig_record
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.compare import compare
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from daq.rig import load_rig
+from daq.rig.rig import load_rig
 from estimator.diagnosis.verdict.improve import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.law_loop import force_array

@@ -33,8 +33,8 @@ from guard import guarded  # noqa: E402
 from kinds import KINDS, Kind  # noqa: E402
 from targets import PARSER, TARGETS, Target  # noqa: E402
 
-from daq import import_formats  # noqa: E402
-from daq.memory import bounded_memory  # noqa: E402
+from daq.base.console.memory import bounded_memory  # noqa: E402
+from daq.exchange import formats  # noqa: E402
 
 HANG_S = 30
 SAVE_S = 5.0
@@ -73,12 +73,12 @@ def _alarm(*_: object) -> None:
 def _bounded_once() -> Iterator[None]:
     """The bound on memory that an importer sets for each file, set for many: it is not what is tried here."""
     with bounded_memory(0) as bound:
-        before = import_formats.bounded_memory
-        import_formats.bounded_memory = lambda size: nullcontext(bound)  # type: ignore[assignment]
+        before = formats.bounded_memory
+        formats.bounded_memory = lambda size: nullcontext(bound)  # type: ignore[assignment]
         try:
             yield
         finally:
-            import_formats.bounded_memory = before
+            formats.bounded_memory = before
 
 
 def fuzz(name: str, tally: dict[str, dict[str, float]], wanted: int, save: Callable[[], None]) -> str:

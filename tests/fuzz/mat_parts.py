@@ -13,7 +13,7 @@ from mat_variables import COLUMN, FORMATS, PLACES, TIME
 from scipy.io.matlab import MatReadError
 from scipy.io.matlab._mio4 import MatFile4Reader
 
-from daq.import_child import Found, of_mat
+from daq.exchange.child import Found, of_mat
 
 
 def variables(pieces: Sequence[bytes]) -> Callable[[int], Found]:

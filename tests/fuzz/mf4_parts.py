@@ -13,7 +13,7 @@ from functools import lru_cache
 from asammdf.blocks import utils
 from asammdf.blocks.mdf_v4 import MDF4
 
-from daq.import_child import Found, of_mf4
+from daq.exchange.child import Found, of_mf4
 
 
 def files(pieces: Sequence[bytes]) -> Callable[[int], Found]:

@@ -24,7 +24,7 @@ from typing import Any, NoReturn
 
 from guard import Forbidden, guarded
 
-ENDLESS_S = 3  # of CPU time: where daq.import_child has a longer patience
+ENDLESS_S = 3  # of CPU time: where daq.exchange.child has a longer patience
 PART_ENDLESS_S, PART_BYTES = 0.02, 64 << 20  # of a part of a kilobyte: a good one takes a hundredth of them
 RESTART = 5_000  # files: what the libraries do not free must not add up to the bound on memory
 CRASHED = 99
@@ -53,7 +53,7 @@ class Parser:
         self._child: subprocess.Popen[bytes] | None = None
 
     def parse(self, path: Path, out: Path) -> int:
-        """The exit status that daq.import_child would have."""
+        """The exit status that daq.exchange.child would have."""
         return CRASHED if self._asked(path, str(out)) is not None else self._status
 
     def parse_parts(self, path: Path, parts: int) -> None:
@@ -105,8 +105,8 @@ class Parser:
 
 def _serve(folder: Path, suffix: str) -> None:
     """Workers one after the other, each until it has had many files or one kills it."""
-    from daq.import_child import answer
-    from daq.memory import bounded_memory
+    from daq.base.console.memory import bounded_memory
+    from daq.exchange.child import answer
 
     answers = os.dup(1)
     silence = os.open(os.devnull, os.O_WRONLY)
@@ -153,7 +153,7 @@ def _request() -> tuple[str, str]:
 
 
 def _work(folder: Path, answers: int) -> NoReturn:
-    from daq.import_child import main
+    from daq.exchange.child import main
 
     for _ in range(RESTART):
         path, out = _request()
@@ -168,7 +168,7 @@ def _work(folder: Path, answers: int) -> NoReturn:
 
 
 def _work_parts(folder: Path, answers: int, reading: Reading, at: mmap.mmap) -> NoReturn:
-    from daq.import_child import answer, refusal
+    from daq.exchange.child import answer, refusal
 
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + PART_BYTES

@@ -19,7 +19,11 @@ sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parents[1])]
 
 import atheris  # noqa: E402
 
-COMPILED = ["drivers.cobs", "drivers.slcan_codec", "estimator"]  # numba cannot compile what has been instrumented
+COMPILED = [
+    "drivers.serial.cobs",
+    "drivers.can.slcan_codec",
+    "estimator",
+]  # numba cannot compile what has been instrumented
 
 with atheris.instrument_imports(include=["daq", "drivers", "scipy.io", "pyuff", "can.io"], exclude=COMPILED):
     from guard import guarded

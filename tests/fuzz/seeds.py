@@ -16,12 +16,12 @@ from mf4_files import small_mf4s
 from sessions import make_block, make_estimate, make_info, make_status, make_stream, write_log
 from targets import _STARTS, ANSWER_PLACES, GOOD_ANSWER, ROOT, _chunk, _message
 
-from daq import log_codec as codec
-from daq import log_scan
-from daq.file_kinds import LOG_MAGIC
-from drivers import cobs
-from drivers.reading import Gap, Notice
-from drivers.slcan_codec import encode_line
+from daq.base.console.file_kinds import LOG_MAGIC
+from daq.log import codec as codec
+from daq.log import scan
+from drivers.can.slcan_codec import encode_line
+from drivers.contract.reading import Gap, Notice
+from drivers.serial import cobs
 
 _ROWS = np.arange(12.0).reshape(6, 2)
 _PAIR = ("b1x", "b1y")  # the rig of the importers' target
@@ -81,7 +81,7 @@ def _events(index: int) -> list[tuple[int, bytes]]:
 def small_logs() -> list[bytes]:
     """What a log begins with, and many chunks of one or two messages; all that comes before the end."""
     raw = _whole_log()
-    first = raw[len(LOG_MAGIC) : raw.index(log_scan.SIGNATURE) - log_scan.SIGNATURE_AT]
+    first = raw[len(LOG_MAGIC) : raw.index(scan.SIGNATURE) - scan.SIGNATURE_AT]
     start = [(codec.SESSION, codec.encode_session("dev", 0, {})), (codec.INFO, codec.encode_info(make_info()))]
     chunks = [start + [(codec.RAW, codec.encode_blocks([make_block(0, 4)]))]]
     for k in range(4, 400, 4):
@@ -103,20 +103,20 @@ def tiny_logs() -> list[bytes]:
     rest = _chunk(b"".join(_message(c, d) for c, d in [gap, more]))
     rig = bytes(16) + b"\x08\0\0\0rig.toml\x01\0\0\0t" + struct.pack("<Q", 10) + b"schema = 1"
     rig += struct.pack("<I", zlib.crc32(rig))
-    attached = log_scan.RECORD.pack(log_scan.ATTACHMENT, len(rig)) + rig
+    attached = scan.RECORD.pack(scan.ATTACHMENT, len(rig)) + rig
     return [_closed(LOG_HEAD + one), _closed(LOG_HEAD + attached + two + rest), LOG_HEAD + two + rest]
 
 
 def _closed(log: bytes) -> bytes:
     """With a footer, and an index that says nothing."""
-    footer = log_scan.RECORD.pack(log_scan.FOOTER, 20) + struct.pack("<QQ", len(log) - 1, 0)
+    footer = scan.RECORD.pack(scan.FOOTER, 20) + struct.pack("<QQ", len(log) - 1, 0)
     return log + footer + struct.pack("<I", zlib.crc32(footer)) + LOG_MAGIC
 
 
 def log_ends() -> list[bytes]:
     """Index and footer."""
     raw = _whole_log()
-    data_end = log_scan.RECORD.pack(0x0F, 4)
+    data_end = scan.RECORD.pack(0x0F, 4)
     return [raw[raw.index(data_end) :], raw[-37:]]
 
 

@@ -20,24 +20,25 @@ import zstandard
 from parsers import Parser, members
 from ramp_device import CHANNELS, ramp_device
 
-from daq import import_child, import_formats, log_scan
-from daq.errors import ConfigError, LogError
-from daq.file_kinds import LOG_MAGIC
-from daq.import_checks import checked
-from daq.import_formats import read
-from daq.log_reader import read_log
-from daq.recover import recover
-from daq.rig import Rig, load_rig
-from drivers import cobs
-from drivers.can_decoder import CanDecoder
-from drivers.can_frames import EXTENDED, CanFrames
-from drivers.capture_files import open_capture
-from drivers.errors import LinkError
-from drivers.mapped import MappedDecoder
-from drivers.reading import Block, Gap, LinkStats, Reading
-from drivers.serial_decoder import SerialDecoder
-from drivers.slcan import SlcanDecoder
-from drivers.slcan_codec import MAX_LINE, SlcanCodec, encode_line
+from daq.base.console.file_kinds import LOG_MAGIC
+from daq.base.contract.errors import ConfigError, LogError
+from daq.exchange import child, formats
+from daq.exchange.checks import checked
+from daq.exchange.formats import read
+from daq.log import scan
+from daq.log.reader import read_log
+from daq.log.recover import recover
+from daq.rig.rig import Rig, load_rig
+from drivers.can.can_decoder import CanDecoder
+from drivers.can.can_frames import EXTENDED, CanFrames
+from drivers.can.slcan_codec import MAX_LINE, SlcanCodec, encode_line
+from drivers.contract.errors import LinkError
+from drivers.contract.reading import Block, Gap, LinkStats, Reading
+from drivers.foreign.capture_files import open_capture
+from drivers.foreign.mapped import MappedDecoder
+from drivers.links.slcan import SlcanDecoder
+from drivers.serial import cobs
+from drivers.serial.serial_decoder import SerialDecoder
 from estimator.effects.engine.expression import compile_law
 from estimator.errors import ModelError
 
@@ -231,16 +232,16 @@ def mcap(data: bytes, folder: Path) -> None:
 
 def _chunk(records: bytes) -> bytes:
     packed = zstandard.compress(records)
-    head = log_scan.CHUNK_HEAD.pack(0, 0, len(records), zlib.crc32(records), 4, b"zstd")
-    content = head + log_scan.SIZE.pack(len(packed)) + packed
-    return log_scan.RECORD.pack(log_scan.CHUNK, len(content)) + content
+    head = scan.CHUNK_HEAD.pack(0, 0, len(records), zlib.crc32(records), 4, b"zstd")
+    content = head + scan.SIZE.pack(len(packed)) + packed
+    return scan.RECORD.pack(scan.CHUNK, len(content)) + content
 
 
 def _records(data: bytes) -> Iterator[bytes]:
     """The session's opening messages, then messages with the data's channel numbers, lengths and content."""
     from sessions import make_block, make_info
 
-    from daq import log_codec as codec
+    from daq.log import codec as codec
 
     yield _message(codec.SESSION, codec.encode_session("dev", 0, {}))
     yield _message(codec.INFO, codec.encode_info(make_info()))
@@ -252,7 +253,7 @@ def _records(data: bytes) -> Iterator[bytes]:
 
 
 def _message(channel: int, data: bytes) -> bytes:
-    return log_scan.RECORD.pack(log_scan.MESSAGE, 22 + len(data)) + struct.pack("<HIQQ", channel, 0, 0, 0) + data
+    return scan.RECORD.pack(scan.MESSAGE, 22 + len(data)) + struct.pack("<HIQQ", channel, 0, 0, 0) + data
 
 
 def rig(data: bytes, folder: Path) -> None:
@@ -306,7 +307,7 @@ def npz_members(data: bytes, folder: Path) -> None:
     """Members of an archive, each read by itself."""
     path = folder / "a.npz"
     for member in members(data):
-        _alone(path, lambda member=member: import_formats.of_npz(path, {"m": _array(member)}, ("m",)))
+        _alone(path, lambda member=member: formats.of_npz(path, {"m": _array(member)}, ("m",)))
 
 
 def answer_members(data: bytes, folder: Path) -> None:
@@ -314,7 +315,7 @@ def answer_members(data: bytes, folder: Path) -> None:
     path = folder / "a.mf4"
     for member in members(data):
         place = ANSWER_PLACES[member[0] % len(ANSWER_PLACES)] if member else "rate"
-        columns = _columns(lambda: import_formats.of_answer(path, GOOD_ANSWER | {place: _array(member[1:])}))  # noqa: B023
+        columns = _columns(lambda: formats.of_answer(path, GOOD_ANSWER | {place: _array(member[1:])}))  # noqa: B023
         if columns is not None:
             _check(path, columns, PAIR, None)
 
@@ -331,17 +332,17 @@ def uff_sets(data: bytes, folder: Path) -> None:
     except Exception:  # noqa: BLE001 - import_formats tells it, whatever it is
         return
     for k in np.flatnonzero(kinds == 58).tolist():
-        _alone(path, lambda k=k: import_formats.of_uff(path, [file.read_sets(k)], ("b1x",)))
+        _alone(path, lambda k=k: formats.of_uff(path, [file.read_sets(k)], ("b1x",)))
 
 
-def _columns(read_one: Callable[[], import_formats.Columns]) -> import_formats.Columns | None:
+def _columns(read_one: Callable[[], formats.Columns]) -> formats.Columns | None:
     try:
         return read_one()
     except Exception:  # noqa: BLE001 - import_formats.read tells it, whatever it is
         return None
 
 
-def _alone(path: Path, read_one: Callable[[], import_formats.Columns]) -> None:
+def _alone(path: Path, read_one: Callable[[], formats.Columns]) -> None:
     """The first column of what is read, as the only channel."""
     columns = _columns(read_one)
     if columns is not None:
@@ -350,21 +351,21 @@ def _alone(path: Path, read_one: Callable[[], import_formats.Columns]) -> None:
         _check(path, replace(columns, values=values, units={}), ONE, rate_hz)
 
 
-def _check(path: Path, columns: import_formats.Columns, rig: Rig, rate_hz: float | None) -> None:
+def _check(path: Path, columns: formats.Columns, rig: Rig, rate_hz: float | None) -> None:
     with contextlib.suppress(LogError):
         record = checked(path, columns, rig, rate_hz, lambda text: None)
         assert record.si().shape == (record.samples, len(rig.model.channels))
 
 
-def _answered(path: Path, names: Sequence[str]) -> import_formats.Columns:
+def _answered(path: Path, names: Sequence[str]) -> formats.Columns:
     """A file of a status, and what the process that reads .mat and .mf4 said or wrote with it."""
     data, out = path.read_bytes(), path.with_suffix(".npz")
-    status = (0, 0, 0, import_child.REFUSED, import_child.TOLD, 1, -11, 0)[data[0] % 8] if data else 0
+    status = (0, 0, 0, child.REFUSED, child.TOLD, 1, -11, 0)[data[0] % 8] if data else 0
     out.write_bytes(data[1:])
-    return import_formats.answered(path, out, status, data[1:].decode("utf-8", "replace"))
+    return formats.answered(path, out, status, data[1:].decode("utf-8", "replace"))
 
 
-import_formats.READERS[".answer"] = _answered
+formats.READERS[".answer"] = _answered
 
 
 def _parse(suffix: str) -> Target:

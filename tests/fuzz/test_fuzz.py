@@ -28,13 +28,13 @@ from scipy.io.matlab._mio4 import MatFile4Reader
 from seeds import seeds
 from targets import PARSER, TARGETS, _array, _chunk, _message, _records
 
-from daq import log_codec as codec
-from daq.errors import LogError
-from daq.file_kinds import LOG_MAGIC
-from daq.import_child import READERS, Found, answer, of_mat
-from daq.import_formats import read
-from daq.log_reader import read_log
-from drivers.reading import Gap
+from daq.base.console.file_kinds import LOG_MAGIC
+from daq.base.contract.errors import LogError
+from daq.exchange.child import READERS, Found, answer, of_mat
+from daq.exchange.formats import read
+from daq.log import codec as codec
+from daq.log.reader import read_log
+from drivers.contract.reading import Gap
 
 CASES = sorted(path for path in (Path(__file__).parent / "cases").glob("*-*"))
 EXAMPLES = {"mf4can": 2, "mf4": 3, "mat": 6, "rig": 40, "uff": 40, "mapped": 40}
@@ -89,13 +89,13 @@ def test_what_a_fuzzer_found_stays_found(case: Path, tmp_path: Path) -> None:
 REFUSED = """
 import sys
 from pathlib import Path
-import daq.memory
-from daq.errors import LogError
-from daq.import_formats import read
+import daq.base.console.memory
+from daq.base.contract.errors import LogError
+from daq.exchange.formats import read
 
 path = Path(sys.argv[1])
 read(path, ["b1x"])  # and what is lazy is imported
-daq.memory._free_bytes = lambda: 60_000_000
+daq.base.console.memory._free_bytes = lambda: 60_000_000
 try:
     read(path, ["b1x"])
 except LogError as error:
@@ -135,7 +135,7 @@ def test_a_file_without_end_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_log_of_countless_events_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.log_reader.MOST_EVENTS", 20_000)
+    monkeypatch.setattr("daq.log.reader.MOST_EVENTS", 20_000)
     data = b"".join(_records(b"")) + 30_000 * _message(codec.GAP, codec.encode_gap(Gap(4, 0, "")))
     (tmp_path / "a.mcap").write_bytes(LOG_MAGIC + _chunk(data))
     assert (tmp_path / "a.mcap").stat().st_size < 2_000

@@ -18,11 +18,11 @@ import numpy as np
 import psutil
 from ramp_device import PERIOD, ramp_device
 
-from daq.cli import main
-from daq.errors import LogError
-from daq.log_reader import Recording, read_log
-from drivers.reading import Block
-from drivers.serve import serve
+from daq.base.contract.errors import LogError
+from daq.commands.cli.app import main
+from daq.log.reader import Recording, read_log
+from drivers.contract.reading import Block
+from drivers.links.serve import serve
 
 RATE_HZ = 700.0  # 100 frames a second of fd16
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -9,7 +9,7 @@ sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
 
 from can_guest import loop_s, write_rig  # noqa: E402
 
-from daq.cli import main  # noqa: E402
+from daq.commands.cli.app import main  # noqa: E402
 
 
 def compile_ahead(folder: Path) -> int:

@@ -7,7 +7,7 @@ import time
 import pytest
 from can_guest import write_rig
 
-from daq.cli import main
+from daq.commands.cli.app import main
 
 
 @pytest.fixture(scope="session", autouse=True)

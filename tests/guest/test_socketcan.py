@@ -26,8 +26,8 @@ from can_guest import (
 )
 from promises import Late
 
-from daq.cli import main
-from daq.log_reader import Recording, read_log
+from daq.commands.cli.app import main
+from daq.log.reader import Recording, read_log
 
 pytestmark = [pytest.mark.guest, pytest.mark.timeout(600)]
 IDLE = 0.02  # of a core, what a session may use while its link is away

@@ -1,6 +1,6 @@
 """What a person looks at to see where a model fails: force against the states, with 95 % bands.
 
-Two kinds, both from the joint fit of the model's own parameters and of smooth columns of a state (identification/residual/black_box.py).
+Two kinds, both from the joint fit of the model's own parameters and of smooth columns of a state (black_box.py).
 Residual: what the model leaves over, freed from what its own parameters could take over. Law: the whole restoring
 force, model and residual together, freed from a straight line. The residual of a dead zone under a fitted cubic looks
 like a high polynomial; its law is flat in the middle with straight flanks, and is known far better than its parts.

@@ -75,7 +75,7 @@ def _left(
 
 def _damped(point: WorkingPoint, i: int, state: str) -> float:
     """N^2 of the laws of velocity that the model has at a place, less what is linear in it: where two of them make much
-    of the damping, the second order of what they do together (likelihood/response/self_energy.py) leaves a part of both, 0.5 % of the
+    of the damping, the second order of what they do together (self_energy.py) leaves a part of both, 0.5 % of the
     bearing force beside friction and a drag of 6 % each."""
     laws = damping(point, {i}) if state == "v" else []
     if not laws:

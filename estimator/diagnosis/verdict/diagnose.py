@@ -1,4 +1,4 @@
-"""Which effect is missing: what the ranking of all that could be (diagnosis/hypotheses/screen.py) comes to, with honest odds."""
+"""Which effect is missing: what the ranking of all that could be (screen.py) comes to, with honest odds."""
 
 from __future__ import annotations
 

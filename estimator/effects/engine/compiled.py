@@ -121,7 +121,7 @@ def rise(start, half, dt, alone):  # type: ignore[no-untyped-def]
 def _memory_array(rates, force, p, lin, x, v, dt, Z, out):  # type: ignore[no-untyped-def]
     """The force out (n,) and the states Z (n, states), from those in Z[0], at the mean velocity of every step.
 
-    With the velocity at its ends instead a friction at 6 kHz is 1 % too weak on the finer grid of likelihood/motion/law_smoothing.py.
+    With the velocity at its ends instead a friction at 6 kHz is 1 % too weak on the finer grid of law_smoothing.py.
     """
     states = Z.shape[1]
     row = np.uintp(8 * states)

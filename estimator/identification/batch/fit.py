@@ -107,7 +107,7 @@ def astray(solution: Solution) -> bool:
 
 
 def _whirls(solution: Solution) -> bool:
-    """Whether a mode of the mean response grows, so that only the law's bend holds it: see likelihood/path/contour.py."""
+    """Whether a mode of the mean response grows, so that only the law's bend holds it: see contour.py."""
     balance, f_hz = solution.balance, solution.start.nodes.f_hz
     B = balance.coefficients(solution.point.beta)
     A = B @ responses(balance, solution.bank.tangents, f_hz)
@@ -117,7 +117,7 @@ def _whirls(solution: Solution) -> bool:
 
 def _shared(solution: Solution) -> bool:
     """Whether noise of a sensor is much of the force that is inferred at another place, through the shaft: rows are
-    taken as independent here, and are not then (likelihood/path/sensor_noise.py)."""
+    taken as independent here, and are not then (sensor_noise.py)."""
     point, local = solution.point, solution.local
     shares = point.noise * local.floor / local.spread[:, :, None]
     return bool(np.max(shares, where=~np.eye(point.S.size, dtype=bool), initial=0.0) > SHARED)
@@ -125,7 +125,7 @@ def _shared(solution: Solution) -> bool:
 
 def _falls(solution: Solution) -> bool:
     """Whether the force seems to fall alike at all places, or those of a bearing, as behind a filter of the recorder:
-    model/recorder.py."""
+    recorder.py."""
     record, local, grid = solution.record, solution.local, solution.record.grid
     if record.force:
         return False

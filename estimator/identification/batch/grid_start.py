@@ -111,7 +111,7 @@ def _suggested(
 
 def _searched(use: Placed) -> list[int]:
     """Numbers of the free parameters that are no amplitudes, if there are amplitudes to judge them by; not of a shaft
-    order, which no grid finds (identification/machine/stiffness_order.py)."""
+    order, which no grid finds (stiffness_order.py)."""
     if not any(q.linear and free for q, free in zip(use.effect.parameters, use.free, strict=True)):
         return []
     return [

@@ -115,7 +115,7 @@ def linear_start(record: Record) -> Start:
 
 
 def calmed(record: Record, start: Start) -> tuple[Record, Start]:
-    """The same with what the laws see beside the noise of sensors (likelihood/motion/denoise.py), where no force is measured."""
+    """The same with what the laws see beside the noise of sensors (denoise.py), where no force is measured."""
     grid, kinds = record.grid, [record.model.channels[c].kind for c in motion_channels(record.model)]
     noise = as_displacement(kinds, grid.f_hz, start.noise)
     if record.force or is_little(grid.f_hz, noise, record.rms("x") ** 2):

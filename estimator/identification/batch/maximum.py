@@ -91,7 +91,7 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
 
 
 def highest(bank: Bank, start: Start, point: Point) -> tuple[Bank, Local, bool]:
-    """The maximum at held shapes and tangents, and the bank with the level of the unknown force (likelihood/path/excitation_level.py)."""
+    """The maximum at held shapes and tangents, and the bank with the level of the unknown force."""
     local, converged = maximise(Likelihood(evidence_of(bank, start.nodes)), point)
     if not bank.balance.laws or is_known(bank.balance):
         return bank, local, converged
@@ -147,7 +147,7 @@ def _move(balance: Balance, local: Local, values: dict[str, float], last: bool) 
 
 @dataclass(frozen=True, slots=True)
 class Tangents:
-    """What fluctuating tangents do (likelihood/response/second_order.py). pairs : (nodes, columns, columns); flutter : what noise does."""
+    """What fluctuating tangents do (second_order.py). pairs : (nodes, columns, columns); flutter : what noise does."""
 
     pairs: NDArray[np.complex128]
     flutter: Flutter | None

@@ -1,6 +1,6 @@
 """Score matching of a whole model: the rolling estimator of the live service, and the fit of a record.
 
-The mathematics, and the two forms of the estimating equation, are in identification/moments/plane_moments.py. Here: channels to band-limited
+The mathematics, and the two forms of the estimating equation, are in plane_moments.py. Here: channels to band-limited
 (x, v), blocks, forgetting, and what the user is told.
 """
 
@@ -142,7 +142,7 @@ def _left_out(model: Model) -> dict[str, Parameter]:
 def fit(model: Model, y: Array, rate_hz: float, form: Form = "velocity") -> Fit:
     """Linear and cubic (quadratic, quintic) stiffness of a record y (n, channels), SI, NaN where missing.
 
-    form : identification/moments/plane_moments.py; "velocity" for records, "density" is the paper's hypothesis taken literally.
+    form : plane_moments.py; "velocity" for records, "density" is the paper's hypothesis taken literally.
     Raises DataError if too few rows are valid, a channel does not move, or the band misses the resonance.
     """
     x, v, a, valid = motion_of(model, y, rate_hz)

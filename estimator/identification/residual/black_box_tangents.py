@@ -1,4 +1,4 @@
-"""Tangents along the path of the flexible columns, which a fluctuating model dresses: likelihood/response/fluctuation.py, identification/residual/black_box.py."""
+"""Tangents along the path of the flexible columns, which a fluctuating model dresses: fluctuation.py, black_box.py."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """What of the inferred force can still be predicted, state by state: the missing force.
 
-Groups of flexible columns (identification/residual/black_box.py) enter one after the other, by significance of the likelihood they gain, until
+Groups of flexible columns (black_box.py) enter one after the other, by significance of the likelihood they gain, until
 none is significant given the number of groups tried: a complete model is left with nothing, and its missing force is
 0. The power of the part found is unbiased: the square of the estimate minus its own noise,
 

@@ -7,7 +7,7 @@ row, the recent memory replaces the long one: a change is followed faster, and t
 honest.
 
 Lines that were there at the start are left out of the grid for good, those that come or move block by block
-(signals/moving_lines.py); a tacho channel gives the angle of the shaft. The candidates of identification/rolling/watch.py have a memory of their own,
+(moving_lines.py); a tacho channel gives the angle of the shaft. The candidates of watch.py have a memory of their own,
 of every third block, and are looked at every three seconds. What is computed when depends on the data alone.
 """
 
@@ -43,7 +43,7 @@ STILL = 1e-6  # of what a place usually moves, or of what the others do: it does
 class RollingSpectral:
     """OnlineEstimator by the spectral likelihood. Estimates are renewed about twice a second.
 
-    watch : catalogue effects whose force is looked for in what the model leaves over (identification/rolling/watch.py). The estimate's
+    watch : catalogue effects whose force is looked for in what the model leaves over (watch.py). The estimate's
         `extra` then holds missing_force_percent, rms of the force that all of them together would explain over the
         rms linear bearing force, and missing_force_percent_NAME for each one that is certain. None: half the cost.
     """

@@ -2,7 +2,7 @@
 
 The level of a block, common to all places, is a parameter of its own, profiled out. With F = A a the score of anything
 in A is then that of u = F / |F|, which the level leaves alone: estimates and missing force are those of an even force
-(why an uneven one misleads: likelihood/path/excitation_level.py), for one part in the number of bins of what the data tell.
+(why an uneven one misleads: excitation_level.py), for one part in the number of bins of what the data tell.
 """
 
 from __future__ import annotations

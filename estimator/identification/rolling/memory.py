@@ -18,7 +18,7 @@ SETTLED = 1e-2  # share of other self-energies that is let go
 class Memory:
     """n : blocks; n2 : sum of squared weights; tangents : of `rows` rows; motion : what FlutterSums wants to know.
 
-    level : sum of what the blocks of `gram` were weighed by (identification/rolling/level.py). pairs : self-energies (likelihood/response/second_order.py),
+    level : sum of what the blocks of `gram` were weighed by (level.py). pairs : self-energies (second_order.py),
     the mean over its blocks but for `fresh` ones. apart : share of it that may differ from those of the last block.
     """
 

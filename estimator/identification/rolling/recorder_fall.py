@@ -1,4 +1,4 @@
-"""As it rolls: the recorder's filter (model/recorder.py), kept in the shape of the force's spectrum."""
+"""As it rolls: the recorder's filter (recorder.py), kept in the shape of the force's spectrum."""
 
 from __future__ import annotations
 

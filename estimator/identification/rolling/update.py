@@ -1,4 +1,4 @@
-"""The memories of a rolling fit, and how its point is renewed from them (identification/rolling/estimator.py)."""
+"""The memories of a rolling fit, and how its point is renewed from them (estimator.py)."""
 
 from __future__ import annotations
 

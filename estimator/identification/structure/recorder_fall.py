@@ -1,5 +1,5 @@
 """Whether the spectra of all inferred forces fall alike, or those of each bearing, as behind filters of one recorder or
-of two: model/recorder.py."""
+of two: recorder.py."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ BEHIND = 12.0  # in deviance and a place, that causes of other kinds, two number
 def find(model: Model, point: WorkingPoint) -> RollOff | None:
     """None where nothing falls, or something else fits better. A place whose force has a colour in the model takes the
     filter that the others show, and so does one on a pedestal, or whose sensor's resonance is undone: what falls there
-    is within that. Where the others show none, it is sought with these shapes: identification/structure/filter_search.py. Places that cannot be
+    is within that. Where the others show none, it is sought with these shapes: filter_search.py. Places that cannot be
     judged, as behind a clipped channel, take it too."""
     data, whole = point.data, _judged(point)
     if not whole:

@@ -46,7 +46,7 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
     shaped = set(np.flatnonzero(np.ptp(seen, axis=1) > UNLIKE * seen.mean(axis=1)).tolist())
     white: list[tuple[int, Cells, float, Array, Array]] = []
     for i, place in enumerate(data.places):
-        if data.driven[i] > 0.0:  # what is left of a known force is noise: identification/structure/transfer_faults.py
+        if data.driven[i] > 0.0:  # what is left of a known force is noise: transfer_faults.py
             shaped.add(i)
             continue
         if point.kL[i] <= 0.0:  # a fit far from the rotor: no resonance to begin from

@@ -1,6 +1,6 @@
 """What bends the path from a measured force to a measured motion: a pedestal, or a sensor that is wrong.
 
-Each is tried as the A' of likelihood/fitting/transfer_function.py, stiffness and damping fitted beside it (identification/structure/transfer_bias.py). The known mass is what tells
+Each is tried as the A' of transfer_function.py, stiffness and damping fitted beside it. The known mass is what tells
 a gain: measured with the gain 1 + error, the rotor's mass seems to be m / (1 + error), and nothing else changes that.
 """
 

@@ -2,8 +2,8 @@
 
 In the band the acceleration is measured as y with noise N, and through the rotor by the force with noise S. The
 inferred force r = A y - f is noise, A n - q, and of the noise in y it says N A^H R^-1 r, R = A N A^H + S. What error
-the motion then has is independent of r, so a law along it is not bent by it (identification/batch/measured_force.py). By the motion alone
-(likelihood/motion/denoise.py) what is noise at the lower end of the band can only be left out, and the motion there with it.
+the motion then has is independent of r, so a law along it is not bent by it (measured_force.py). By the motion alone
+(denoise.py) what is noise at the lower end of the band can only be left out, and the motion there with it.
 """
 
 from __future__ import annotations

@@ -204,7 +204,7 @@ def _within(point: WorkingPoint, limits: Mapping[str, tuple[float, float]]) -> A
 
 
 def _level(point: WorkingPoint) -> Array | None:
-    """(places, blocks) how strong the unknown forces are along the record: likelihood/path/excitation_level.py."""
+    """(places, blocks) how strong the unknown forces are along the record: excitation_level.py."""
     data, weighing = point.data, point.weighing
     if data.measured_force:
         return None
@@ -250,7 +250,7 @@ def _calmed(data: MotionBlocks, nu: Array, S: Array) -> MotionBlocks:
 
 def _folded_beside(point: WorkingPoint) -> tuple[Array, NDArray[np.complex128]]:
     """(places, bins) PSD of the acceleration that is folded beside a measured force, and the force that goes with it:
-    likelihood/fitting/folded_force.py."""
+    folded_force.py."""
     data = point.data
     out, force = np.zeros_like(data.colour), np.zeros(data.colour.shape, complex)
     for i in np.flatnonzero(data.driven):

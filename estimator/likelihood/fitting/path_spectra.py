@@ -1,6 +1,6 @@
 """What is measured of the path from a force to a motion, by cells of the band, and what sampling folds into both.
 
-How they are found: likelihood/fitting/transfer_function.py and likelihood/fitting/folded_force.py.
+How they are found: transfer_function.py and folded_force.py.
 """
 
 from __future__ import annotations

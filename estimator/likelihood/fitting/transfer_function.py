@@ -11,9 +11,9 @@ from pulling A' towards zero, as p keeps that in f from pushing it up. Where a s
 the sum over all, and the Jacobian is that of their matrix: |1 + (A' - A) H|^2, H = (A^-1)_ii, for a change at one.
 Q may be a force that acts unmeasured beside f instead, the machine's own beside a shaker's: then f is what it is, and
 p = 0; or some of both. Amplitude and phase of every bin count: a thousandth of the force is seen that no power spectrum
-shows. What may bend A: identification/structure/transfer_bias.py.
+shows. What may bend A: transfer_bias.py.
 
-What sampling folds back, of density M, is n in the motion and m n in the force: (A' - m) n is left (likelihood/fitting/folded_force.py).
+What sampling folds back, of density M, is n in the motion and m n in the force: (A' - m) n is left (folded_force.py).
 The measured force tells m M / |f|^2 f of it, which is taken out of both; the rest, independent of f, adds |A' - m|^2 M.
 """
 

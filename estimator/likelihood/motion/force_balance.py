@@ -127,7 +127,7 @@ def shaft_reaction(model: Model) -> Callable[[Array | Complexes], Complexes] | N
     """Force on a cap per displacement of the cap at the other end, N/m at Hz, complex of motion that grows or decays,
     disc eliminated; None without a shaft.
 
-    Exact: what a filter cannot hold of a sharp resonance is the filter's affair (signals/band_limit.py). Raises DataError.
+    Exact: what a filter cannot hold of a sharp resonance is the filter's affair (band_limit.py). Raises DataError.
     """
     if model.shaft == "none" or model.shaft_stiffness == 0.0:
         return None

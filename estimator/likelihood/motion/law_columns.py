@@ -21,8 +21,8 @@ from .memory_law import along, remember
 class Stretch:
     """Rows in a row, MARGIN more on either side. a, v, x, u : (places, n); force : row -> (n,); valid : (n,).
 
-    slow : (places, n) displacement below the band that the laws see beside x (likelihood/response/below_band.py). calm : (places, n) what
-    they see beside x where sensors are noisy (likelihood/motion/denoise.py).
+    slow : (places, n) displacement below the band that the laws see beside x (below_band.py). calm : (places, n) what
+    they see beside x where sensors are noisy (denoise.py).
     """
 
     a: Array

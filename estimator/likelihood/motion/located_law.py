@@ -177,7 +177,7 @@ def sharp_at(effect: Effect, p: Array, data: MotionBlocks, i: int) -> bool:
 def _along(
     effect: Effect, p: Array, data: MotionBlocks, i: int, tangents: Series | None = None
 ) -> tuple[Array, Array]:  # fmt: skip
-    """(n,) N of a law along the motion of place i, and (folds, 4) its mean tangents: likelihood/motion/law_smoothing.py, as the fit has them.
+    """(n,) N of a law along the motion of place i, and (folds, 4) its mean tangents: as the fit has them.
 
     A law with a jump, or whose harmonics fold back into the band, is evaluated on a finer grid. tangents : (2, n) to
     be filled with those along x and v, on the grid of the data.

@@ -53,29 +53,21 @@ class MotionBlocks:
     rms: Array  # (3, places) of x, of v and of a, over the whole record
     driven: Array  # (places,) N^2/Hz, PSD of the measured forces; 0 without
     sharpened: Array  # (places, bins) by what undoing a response has multiplied its noise, in power
-    echoes: Array  # (images, places, bins) PSD of acceleration that sampling folds back, over S: model/recorder.py
-    folded_beside: (
-        Array  # (places, bins) the same, not over S, beside a measured force: likelihood/fitting/folded_force.py
-    )
+    echoes: Array  # (images, places, bins) PSD of acceleration that sampling folds back, over S: recorder.py
+    folded_beside: Array  # (places, bins) the same, not over S, beside a measured force: folded_force.py
     alike_beside: Complexes  # (places, bins) the force that goes with it
     passed: Complexes  # (2, places, bins) sensor_response.passed_of_images
     measured: Series | None = None  # (places, n) displacement below the band, where the sensor is one of displacement
-    slow: Series | None = None  # (places, n) all of it that the laws see: likelihood/response/below_band.py
-    calm: Series | None = (
-        None  # (places, n) what laws see of x beside it, less the noise of sensors: likelihood/motion/denoise.py
-    )
+    slow: Series | None = None  # (places, n) all of it that the laws see: below_band.py
+    calm: Series | None = None  # (places, n) what laws see of x beside it, less the noise of sensors: denoise.py
     doubt: Array | float = 0.0  # (places, 2) sd of the displacement and velocity that this leaves
     shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
     pushes: tuple[Push, ...] = ()  # the model's periodic forces below the band, which laws feel
     waves: tuple[Wave, ...] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
-    level: Array | None = (
-        None  # (places, blocks) power of the unknown force over its mean: likelihood/path/excitation_level.py
-    )
-    disc: Disc | None = None  # on its shaft, where there is one: likelihood/motion/shaft_law.py
-    shaken: Series | None = None  # (places, n) N, measured forces below the band: likelihood/response/below_band.py
-    drawn: Array | None = (
-        None  # (places,) rms by which motion drawn beyond a ceiling is off, over its own: identification/record/declip.py
-    )
+    level: Array | None = None  # (places, blocks) power of the unknown force over its mean: excitation_level.py
+    disc: Disc | None = None  # on its shaft, where there is one: shaft_law.py
+    shaken: Series | None = None  # (places, n) N, measured forces below the band: below_band.py
+    drawn: Array | None = None  # (places,) rms by which motion drawn beyond a ceiling is off, over its own: declip.py
 
     @property
     def measured_force(self) -> bool:
@@ -174,7 +166,7 @@ class MotionBlocks:
         return np.asarray(self.x[i] if self.slow is None else self.x[i] + self.slow[i])
 
     def calmed(self, i: int) -> Series:
-        """(n,) the same without the noise of sensors: likelihood/motion/denoise.py."""
+        """(n,) the same without the noise of sensors: denoise.py."""
         return self.seen(i) if self.calm is None else np.asarray(self.seen(i) + self.calm[i])
 
     def sizes(self, i: int) -> Array:
@@ -183,7 +175,7 @@ class MotionBlocks:
         return np.concatenate([self.rms[:2, i], np.zeros(2) if o is None else self.rms[:2, o]])
 
     def smoothing(self, i: int) -> Array:
-        """(4,) sqrt(3) sd of what a law sees of x, v, xo, vo beside the motion in the band: likelihood/motion/law_smoothing.py."""
+        """(4,) sqrt(3) sd of what a law sees of x, v, xo, vo beside the motion in the band: law_smoothing.py."""
         o = self.other(i)
         both = np.hypot(self.left_out, self.doubt)
         lost = np.concatenate([both[i], np.zeros(2) if o is None else both[o]])

@@ -56,9 +56,7 @@ def along(effect: Effect, p: Array, data: MotionBlocks, i: int, lin: Array) -> t
     speed = float((data.phase[-1] - data.phase[0]) / (data.t[-1] - data.t[0]))
     bins = 2 * np.pi * data.f_hz
     across[caps] = own = 0.5 * disc.changed(bins, float(turn[0].real), complex(turn[1]), speed, lin[caps])
-    if (
-        data.calm is not None
-    ):  # its mean response is to the whole displacement, as of the laws at a cap: likelihood/motion/denoise.py
+    if data.calm is not None:  # its mean response is to the whole displacement, as of the laws at a cap: denoise.py
         force -= filtered(lambda w: np.interp(w, bins, own), np.asarray(calm).sum(axis=0), data.rate_hz)
     return force, across
 

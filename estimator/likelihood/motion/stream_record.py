@@ -39,14 +39,10 @@ class Record:
     force: dict[int, Array]
     phase: Array
     grid: Layout
-    lines: tuple[
-        tuple[float, float], ...
-    ] = ()  # Hz, stretches left out of the grid (identification/batch/line_notches.py)
+    lines: tuple[tuple[float, float], ...] = ()  # Hz, stretches left out of the grid (line_notches.py)
     slow: Array | None = None  # (places, n) displacement below the band that laws see instead of what sensors measure
     calm: Calm | None = None  # what laws see of the displacement where sensors are noisy
-    weights: Array | None = (
-        None  # (blocks, bins) what each bin of each block counts for (signals/moving_lines.py); None: 1
-    )
+    weights: Array | None = None  # (blocks, bins) what each bin of each block counts for (moving_lines.py); None: 1
     _rms: dict[str, Array] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property

@@ -1,5 +1,5 @@
 """The determinant of the mean tangent in the path likelihood, taken along a line that leaves all modes to the left
-(likelihood/path/contour.py), and its derivatives.
+(contour.py), and its derivatives.
 
 Tangents of forces times a matrix, bin by bin: a force at one place is one row of places, and the rest is zero.
 """
@@ -45,7 +45,7 @@ class Jacobian:
     s : (bins,) rad/s that A0 is given at, the axis if None. On its way there and back the line also has the phase of
     det A: of 2 log det A ds / i the real part is summed. kept : (bins,) share of each that the likelihood has of its
     bin.
-    dressing : (bins, places), what of A0 comes from fluctuating tangents (likelihood/response/self_energy.py). It is quadratic in the
+    dressing : (bins, places), what of A0 comes from fluctuating tangents (self_energy.py). It is quadratic in the
     amplitudes of the laws, and a column of one of them has the half of its derivative: the value whose derivatives
     the columns have is 2 log |det A| - Re tr(A^-1 dressing), stationary in A. Models are compared by it.
     """

@@ -2,10 +2,10 @@
 
 Per block and frequency bin, in nats (constants left out):  F^H S^-1 F + log det S - log |det A|^2,  F = B Z,  A = B R,
 where R is what each column answers to the acceleration of each place: 1 for a, 1 / (i w) for v, -1 / w^2 for x, the
-mean tangents of a law times those; det A is summed where likelihood/path/contour.py says. S = diag(S_i) + sensor noise seen through A.
-The factor 1/2 in front is the redundancy of the overlapping blocks (signals/blocks.py). Where S varies within a cell, the
+mean tangents of a law times those; det A is summed where contour.py says. S = diag(S_i) + sensor noise seen through A.
+The factor 1/2 in front is the redundancy of the overlapping blocks (blocks.py). Where S varies within a cell, the
 Jacobian is weighted as the quadratic form is, so that the score stays unbiased: E[F F^H] = S at every frequency.
-Where the force is measured at every place the slopes have none of the determinant (likelihood/path/measured_force.py).
+Where the force is measured at every place the slopes have none of the determinant (measured_force.py).
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Evidence:
     blocks: float
     tangents: Array
     nodes: Nodes
-    dressing: Complexes | None = None  # (nodes, columns), see likelihood/response/second_order.py
+    dressing: Complexes | None = None  # (nodes, columns), see second_order.py
     colour: Array | None = None  # (nodes, places) shape of S
 
 
@@ -101,7 +101,7 @@ class Local:
 @dataclass(frozen=True, slots=True)
 class Line:
     """R and A along s = shift + iw; total : sum of log |det A|^2 over the bins of a block, as it is on either side of
-    the axis (likelihood/path/contour.py). ends : (ways, 2 stretches, columns, places) R between axis and line, at both ends of every
+    the axis (contour.py). ends : (ways, 2 stretches, columns, places) R between axis and line, at both ends of every
     stretch of bins; inverses : of A there."""
 
     shift: float
@@ -278,7 +278,7 @@ class Likelihood:
     def with_slope_of_dressing(self, local: Local, pairs: Complexes) -> Local:
         """The Hessian as it is when the dressing follows the parameters, which the steps to the maximum hold.
 
-        pairs : (nodes, columns, columns) self-energies, see likelihood/response/second_order.py.
+        pairs : (nodes, columns, columns) self-energies, see second_order.py.
         """
         ev, B = self.evidence, self.evidence.balance.coefficients(local.point.beta)
         line = self.line(B, B @ self.R)

@@ -6,7 +6,7 @@ the force measured, |r|^2 / S_r + log S_r - log |A|^2; but f is no random number
 round, and c comes out too large by S over the power of the force. At its most likely value it leaves |r|^2 / S_r, whose
 slope by A is 0 in the mean whatever the force was: dS_r takes back what the noise in y adds (errors in variables). So
 the gradient has dS_r / S_r in place of the determinant's slope; S and N follow from log S_r + |r|^2 / S_r, which knows
-no force. Laws act along the most likely path (identification/batch/measured_force.py), which is independent of r: nothing is taken back there.
+no force. Laws act along the most likely path, which is independent of r: nothing is taken back there.
 """
 
 from __future__ import annotations

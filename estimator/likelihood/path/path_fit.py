@@ -7,7 +7,7 @@ log-likelihood of increments delta is, in nats,
     L(delta) = sum_i [ -n_i log Q_i(delta) + sum log W ] + 2 sum log |det A(delta)|,  Q_i = (1, delta) G_i (1, delta)
 
 with G_i the Gram matrix of [force, columns] of place i: all that is needed of the data. A term may act at several
-places with one parameter. A(w) is the mean tangent of the whole model over the places, over -w^2: likelihood/path/determinant.py.
+places with one parameter. A(w) is the mean tangent of the whole model over the places, over -w^2: determinant.py.
 """
 
 from __future__ import annotations

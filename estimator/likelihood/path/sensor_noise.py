@@ -8,7 +8,7 @@ taken for a force at bearing 1 that follows bearing 2 (0.6 % of the bearing forc
 bearing, behind a Bessel filter of order 6 at 0.45 of the rate). So the response of every force is taken as that to what
 is measured, T A^-1 R W A, which is T where the rows are independent.
 
-Where a force is measured and something is folded back beside it (likelihood/fitting/folded_force.py), the mean product is known without
+Where a force is measured and something is folded back beside it (folded_force.py), the mean product is known without
 S, which is noise of the sensor of the force there and moves nothing: T (M B^H + A^-1 S), S of the other places. Rows
 are still weighed as if their noise were nu |A|^2, S: by its own density, so little near the end of the band that the
 harmonics of laws rule the fit there, a force with a jump came out 10 % too weak, by what noise does to its instants.

@@ -37,7 +37,7 @@ class Columns:
 @dataclass
 class Weighing:
     """Turns series into weighted block spectra at a working point. s : (bins,) of the determinant. measured : (bins,
-    places, places) from a response to the motion to one to what is measured: likelihood/path/sensor_noise.py."""
+    places, places) from a response to the motion to one to what is measured: sensor_noise.py."""
 
     data: MotionBlocks
     paths: NoisePaths

@@ -1,6 +1,6 @@
 """What the laws of a working point, fluctuating together, do to the mean response of any law at the same place.
 
-Beside a law that remembers it is found by a probe: likelihood/response/impulse_probe.py.
+Beside a law that remembers it is found by a probe: impulse_probe.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What fluctuating laws do to the mean response where one of them remembers: by impulses of force along the path.
 
-A law that remembers has no tangent at an instant but a response T to the displacement before. As in likelihood/response/self_energy.py the
+A law that remembers has no tangent at an instant but a response T to the displacement before. As in self_energy.py the
 likelihood needs <T_j G>, G the response of the motion linearised along the path, and the mean of a product is not the
 product of the means. Impulses of force are launched all along the path as it was measured, and what each does to the
 motion is followed through the tangents of all laws at the place. With x the answer to one of them, a time tau after it,
@@ -8,7 +8,7 @@ and x' = x - <x>, the mean over the impulses,
 
     G = FT <x>,   <T_j G> = <T_j> G + FT < T_j x' >,   so that   Sigma_j = - FT < T_j x' > / G.
 
-What T_j makes of <x> scatters about <T_j> <x>, which likelihood/motion/memory_law.py and likelihood/motion/located_law.py know from the whole path: it is
+What T_j makes of <x> scatters about <T_j> <x>, which memory_law.py and located_law.py know from the whole path: it is
 left out, and with it most of the scatter. On a stiff shaft the disc may ring twenty times as long as the cap, and an
 answer is followed as long: impulses are apart by what the cap forgets in all the same. With sixteen series, 31 of them,
 4 % of the bearing force was missing of a complete model.

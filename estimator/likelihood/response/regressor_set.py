@@ -280,7 +280,7 @@ class Term:
     tangent : (places, places, 2): mean derivative of the force at place i to x_l and to v_l. apart : (folds, places,
     places, 2) of those of each time fold less these; None for a term that is the same throughout.
     memory : by place, (places, bins) N/m per unit, more of the mean response of the force there to every x_l: of a
-    force with memory or through the disc, or of a tangent that fluctuates (likelihood/response/fluctuation.py).
+    force with memory or through the disc, or of a tangent that fluctuates (fluctuation.py).
     name : "bearing1.x.kL" and so on. scale : what the parameter is divided by in the computation. shape : (bins,) by
     which its spectra are multiplied.
     """

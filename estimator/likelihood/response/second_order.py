@@ -1,4 +1,4 @@
-"""The laws of a force balance dressed by what their tangents fluctuate (likelihood/response/self_energy.py), and by sensor noise."""
+"""The laws of a force balance dressed by what their tangents fluctuate (self_energy.py), and by sensor noise."""
 
 from __future__ import annotations
 

@@ -1,0 +1,1 @@
+"""Output of a command, files written whole, signals, memory."""

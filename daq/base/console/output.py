@@ -1,0 +1,197 @@
+"""What a command says: tables for people, JSON for programs, progress on a terminal only."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import math
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TextIO
+
+from daq.base.contract.errors import ConfigError, not_written
+
+from . import unfinished
+from .file_kinds import IMPORTED_SUFFIXES, LOG_MAGIC
+from .ticking import ticking
+
+if TYPE_CHECKING:
+    from rich.console import Console, ConsoleOptions, RenderableType
+
+PIPE_WIDTH = 160
+REDRAW_S = 0.5  # so that the time goes on where nothing is told
+CONTROL = {c: "\N{REPLACEMENT CHARACTER}" for c in (*range(32), *range(127, 160)) if chr(c) not in "\n\t"}
+GONE = (errno.EPIPE, errno.EIO)  # whoever read what we say has left: the pipe is closed, the terminal hung up
+
+
+class Progress(Protocol):
+    """Told the share that is done, 0 to 1, and perhaps what is being done now."""
+
+    def __call__(self, done: float, what: str = "", /) -> None: ...
+
+
+def quiet_progress(done: float, what: str = "", /) -> None:
+    """For callers without a terminal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """json : where the result goes as JSON, "-" for standard output (then nothing else goes there)."""
+
+    json: str | None = None
+    quiet: bool = False
+    verbose: bool = False
+
+    def __post_init__(self) -> None:
+        if self.json is not None and self.json != "-":
+            spare(Path(self.json), ".toml")
+
+    @property
+    def to_stdout(self) -> Console:
+        return _console(soft_wrap=False, highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
+
+    @property
+    def to_stderr(self) -> Console:
+        return _console(stderr=True, soft_wrap=True, highlight=False)
+
+    def prepare(self) -> None:
+        """Import what a result is said with: not at the stop of a session."""
+        if not self.quiet and self.json != "-":
+            _ = self.to_stdout
+
+    def say(self, *parts: RenderableType) -> None:
+        """For people, on standard output; on standard error if JSON goes there."""
+        if self.quiet:
+            return
+        console = self.to_stderr if self.json == "-" else self.to_stdout
+        with unheard(sys.stderr if self.json == "-" else sys.stdout):
+            for part in parts:
+                if isinstance(part, str):
+                    console.print(part, markup=False, emoji=False, soft_wrap=True)
+                else:
+                    console.print(part)
+
+    def note(self, text: str) -> None:
+        """Something the user should know that is not the result, on standard error."""
+        if not self.quiet:
+            tell(text)
+
+    def detail(self, text: str) -> None:
+        if self.verbose:
+            tell(text)
+
+    def result(self, value: dict[str, Any], *people: RenderableType) -> None:
+        """The result of the command, once: for people, and as JSON if that was asked for."""
+        if self.json != "-":
+            self.say(*people)
+        if self.json is None:
+            return
+        text = json.dumps(finite(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        if self.json == "-":
+            with unheard(sys.stdout):
+                sys.stdout.write(text)
+                sys.stdout.flush()
+        else:
+            write_whole(Path(self.json), text)
+
+    @contextlib.contextmanager
+    def progress(self, what: str) -> Iterator[Progress]:
+        """A bar on a terminal, silence in a pipe."""
+        if self.quiet or not sys.stderr.isatty():
+            yield quiet_progress
+            return
+        from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as Bar
+
+        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+        # Without a thread of its own: the estimator works in two processes where this one has one thread.
+        with Bar(*columns, TimeElapsedColumn(), console=self.to_stderr, transient=True, auto_refresh=False) as bar:
+            task = bar.add_task(what, total=None)
+            bar.refresh()
+
+            def told(done: float, now: str = "", /) -> None:
+                text = f"{what}: {now}" if now else what
+                bar.update(task, total=1.0, completed=min(max(done, 0.0), 1.0), description=text, refresh=True)
+
+            with ticking(REDRAW_S, bar.refresh):
+                yield told
+
+
+def tell(text: str) -> None:
+    """A line on standard error. That it cannot be said (a terminal that is gone, a full disk) is no reason to stop."""
+    with contextlib.suppress(OSError):
+        print(f"rotorscope: {text}".translate(CONTROL), file=sys.stderr, flush=True)  # noqa: T201
+
+
+def to_nowhere(stream: TextIO) -> None:
+    """Let a stream lead nowhere from now on, what is in its buffer included."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
+
+
+@contextlib.contextmanager
+def unheard(stream: TextIO) -> Iterator[None]:
+    """What is said to a pipe or a terminal that is gone goes nowhere from then on; the command goes on."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in GONE:
+            raise
+        to_nowhere(stream)
+
+
+def _console(**options: Any) -> Console:
+    """What devices, files and their names say cannot command the terminal."""
+    from rich.console import Console
+    from rich.segment import Segment
+
+    class Pipe(Console):
+        def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+            for text, style, control in super().render(renderable, options):
+                yield Segment(text if control else text.translate(CONTROL), style, control)
+
+        def on_broken_pipe(self) -> None:  # rich would end the process with status 1
+            raise BrokenPipeError(errno.EPIPE, "nobody reads it")
+
+    return Pipe(**options)
+
+
+def finite(value: Any) -> Any:
+    """The value with numpy's numbers as Python's, and null for what is not finite."""
+    if isinstance(value, dict):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(v) for v in value]
+    if hasattr(value, "tolist"):
+        return finite(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def spare(path: Path, *others: str) -> None:
+    """Of a result that is to be written there. Raises ConfigError if a log, a data file, or a file of another ending
+    that it is not to replace, would be lost."""
+    if not path.is_file():
+        return
+    from drivers.foreign.capture_files import SUFFIXES
+
+    kept = (".mcap", *IMPORTED_SUFFIXES, *SUFFIXES, *others)
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        if path.suffix.lower() in kept or file.read(len(LOG_MAGIC)) == LOG_MAGIC:
+            raise ConfigError(f"{path}: a result is not written over a file of this kind; choose another name")
+
+
+def write_whole(path: Path, data: str | bytes) -> None:
+    """Write a file so that nobody ever sees half of it. Raises ConfigError or LogError if it cannot be.
+
+    What no text can hold, such as a file's name that is none, is written as JSON has it.
+    """
+    spare(path)
+    try:
+        unfinished.write(path, data.encode(errors="backslashreplace") if isinstance(data, str) else data)
+    except OSError as error:
+        raise not_written(path, error) from error

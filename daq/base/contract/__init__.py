@@ -1,0 +1,1 @@
+"""The sink contract, the clock, scaling of counts, errors."""

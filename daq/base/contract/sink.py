@@ -1,0 +1,73 @@
+"""Where a session goes: the log, the viewer, the metrics (the sink seam)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+from drivers.contract.reading import Info, LinkStats, Notice, Reading
+from estimator.model.rig import Model
+from estimator.results import Estimate
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """What a sink is told before the first sample. attachments : file name -> bytes (rig file, DBC)."""
+
+    model: Model
+    info: Info
+    device: str  # name of the device in a service with several; "" if alone
+    attachments: Mapping[str, bytes]
+    metadata: Mapping[str, str]  # versions, link, command
+
+
+@dataclass(frozen=True, slots=True)
+class ClockState:
+    """Host time of device index i is offset_ns + i / rate_hz; true within +- bound_ns."""
+
+    offset_ns: int
+    rate_hz: float  # the device's true rate on the host clock
+    drift_ppm: float
+    bound_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """Once a second. lag_s : stage name -> seconds behind; queues : name -> dropped items so far."""
+
+    t_host_ns: int
+    index: int
+    rate_hz: float
+    link: LinkStats
+    clock: ClockState | None
+    lag_s: Mapping[str, float] = field(default_factory=dict)
+    dropped: Mapping[str, int] = field(default_factory=dict)
+
+
+class Sink(Protocol):
+    """Called from the core loop only, in the order of the data. An OSError is reported by the loop and survived."""
+
+    def start(self, session: Session) -> None: ...
+    def readings(self, batch: Sequence[Reading]) -> None: ...
+    def estimate(self, estimate: Estimate) -> None: ...
+    def status(self, status: Status) -> None: ...
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class SinkHealth:
+    """How a sink with a thread of its own is doing. dropped : samples not taken so far; notices : new ones; pending :
+    it was asked something, and what it will say is worth waiting for at the end of a session."""
+
+    lag_s: float
+    dropped: int
+    notices: tuple[Notice, ...] = ()
+    pending: bool = False
+
+
+@runtime_checkable
+class Reporting(Protocol):
+    """What a sink with a thread of its own has besides the methods of `Sink`; asked from the core loop, often."""
+
+    def health(self) -> SinkHealth: ...

@@ -1,0 +1,1 @@
+"""What a user types: the body of each command."""

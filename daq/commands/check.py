@@ -1,0 +1,134 @@
+"""`rotorscope check`: a summary of what a rig file says (problems come from load_rig)."""
+
+from __future__ import annotations
+
+from math import pi, sqrt
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from daq.base.console.output import Output
+from daq.base.contract.errors import ConfigError
+from daq.rig.problems import line_numbers
+from daq.rig.rig import Rig, load_rig
+from estimator.errors import ModelError
+from estimator.model.rig import Model
+
+SHAFTS = {"chain": "chain (caps joined through the disc)", "beam": "free-free beam", "none": "none: caps uncoupled"}
+
+
+def check(output: Output, path: Path) -> None:
+    rig = load_rig(path)
+    check_laws(rig, path)
+    remarks = _remarks(rig)
+    notes = [f"note: {text}" for text in remarks]
+    value = {"schema": 1, "valid": True, "summary": _facts(rig), "notes": remarks}
+    output.result(value, _summary(rig), "", *notes, f"{path}: valid")
+
+
+def check_laws(rig: Rig, path: Path) -> None:
+    """ConfigError with its line for a law of the user's that is not finite."""
+    for use in rig.model.effects:
+        if use.custom is not None:
+            from estimator.effects.engine.custom import custom_effect
+
+            try:
+                custom_effect(use)
+            except ModelError as error:
+                number = next((k for k, c in enumerate(rig.file.model.custom) if c.name == use.name), 0)
+                key = "module" if use.custom.expression is None else "expression"
+                line = line_numbers(rig.text).get(("model", "custom", number, key))
+                where = f"{path}:{line}: " if line else f"{path}: "
+                text = f"model.custom[{number}].{key}: {error}; correct it, or give values within its range"
+                raise ConfigError(where + text) from error
+
+
+def _facts(rig: Rig) -> dict[str, Any]:
+    model = rig.model
+    return {
+        "name": model.name,
+        "shaft": model.shaft,
+        "speed_rpm": model.speed_rpm,
+        "mass": dict(model.mass),
+        "band": list(model.band),
+        "channels": [
+            {"name": c.name, "node": c.node, "direction": c.direction, "kind": c.kind, "unit": rig.units[c.name]}
+            for c in model.channels
+        ],
+        "effects": [{"effect": use.name, "at": list(use.at)} for use in model.effects],
+        "unknown": unknown(model),
+        "link": rig.link.url,
+    }
+
+
+def unknown(model: Model) -> list[str]:
+    """Parameters without a value in the file; a fit estimates them."""
+    linear = [f"{place}.{k}" for place, table in model.linear.items() for k, s in table.items() if s.value is None]
+    own = [
+        f"{place}.{use.name}.{k}"
+        for use in model.effects
+        for place, table in use.parameters.items()
+        for k, s in table.items()
+        if s.value is None
+    ]
+    return [*(f"{p.split('.')[0]} mass" for p in model.places if model.cap_mass(p) is None), *linear, *own]
+
+
+def _summary(rig: Rig) -> Table:
+    model = rig.model
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    masses = ", ".join(f"{k} {v:g} kg" for k, v in model.mass.items()) or "unknown"
+    rows = [
+        ("rig", model.name),
+        ("shaft", SHAFTS[model.shaft]),
+        ("speed", "not given" if model.speed_rpm is None else f"{model.speed_rpm:g} rpm"),
+        ("masses", masses),
+        ("analysis band", f"{model.band[0]:g} to {model.band[1]:g} Hz"),
+        ("effects", ", ".join(f"{u.name} at {', '.join(u.at)}" for u in model.effects) or "linear only"),
+        ("link", rig.link.url or "not given: say --link"),
+    ]
+    rows += [
+        (f"channel {i}", f"{c.name}: {c.kind} of {c.place.rstrip('.')} in {rig.units[c.name]}")
+        for i, c in enumerate(model.channels)
+    ]
+    for heading, text in rows:
+        table.add_row(heading, Text(text))
+    return table
+
+
+def _remarks(rig: Rig) -> list[str]:
+    model = rig.model
+    remarks = []
+    if missing := unknown(model):
+        remarks.append(f"{len(missing)} values are left open, for the fit to find: {_some(missing)}")
+    if not any(model.cap_mass(p) for p in model.places):
+        text = "no cap mass is known: forces and stiffnesses then rest on the shaft alone"
+        remarks.append(text if model.shaft != "none" else "no mass is known: only ratios such as kL/m can be found")
+    remarks += _resonances(model)
+    for c in model.channels:
+        if c.direction == "z":
+            remarks.append(f"{c.name} is axial: recorded only")
+    return remarks
+
+
+def _resonances(model: Model) -> list[str]:
+    """Where the file's own values put a cap on its bearing outside the band: most often a mistake of units."""
+    out = []
+    low, high = model.band
+    for place in model.places:
+        stiffness, mass = model.linear.get(place, {}).get("kL"), model.cap_mass(place)
+        if stiffness is None or not stiffness.value or not mass:
+            continue
+        hz = sqrt(abs(stiffness.value) / mass) / (2 * pi)
+        if not low < hz < high:
+            text = f"{place}: kL = {stiffness.value:g} N/m on {mass:g} kg resonates at {hz:.3g} Hz, outside the band"
+            out.append(f"{text} of {low:g} to {high:g} Hz; are they in N/m, kg and Hz?")
+    return out
+
+
+def _some(items: list[str], most: int = 6) -> str:
+    return ", ".join(items[:most]) + (f" and {len(items) - most} more" if len(items) > most else "")

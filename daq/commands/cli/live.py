@@ -1,0 +1,136 @@
+"""run, simulate, replay: everything with a link or a clock."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import Json, Output, Quiet, RigArgument, Verbose
+
+LINKS = (
+    "virtual: | can:INTERFACE:CHANNEL?bitrate=..&fd=1 | slcan:PORT?bitrate=.. | serial:PORT?baud=.. | "
+    "capture:FILE | replay:LOG.mcap"
+)
+
+
+def _above_zero(value: float | None) -> float | None:
+    if value is not None and not 0 < value < 1e12:
+        raise typer.BadParameter(f"{value:g} is no length; give seconds above 0, or leave it out")
+    return value
+
+
+Seconds = Annotated[
+    float | None,
+    typer.Option("--seconds", metavar="S", callback=_above_zero, help="Stop after S seconds of data."),
+]
+
+
+def run(
+    rigs: Annotated[
+        list[str], typer.Argument(metavar="RIG", help="Rig file (TOML); several devices: RIG or RIG=LINK of each.")
+    ],
+    link: Annotated[str | None, typer.Option("--link", metavar="LINK", help=f"{LINKS} (default: the rig's)")] = None,
+    seconds: Seconds = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="LOG.mcap", help="Write a log; of several devices: a folder.")
+    ] = None,
+    rerun: Annotated[
+        str | None, typer.Option("--rerun", metavar="WHERE", help="FILE.rrd, spawn, or the URL of a viewer.")
+    ] = None,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 if any sample was lost.")] = False,
+    metrics: Annotated[
+        int | None, typer.Option("--metrics", metavar="PORT", help="Prometheus metrics on 127.0.0.1:PORT.")
+    ] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Live acquisition and rolling estimation.
+
+    Ctrl-C ends a run with a complete log and status 130; SIGTERM does so with status 0.
+    A measurement that lies at LOG.mcap is not overwritten: it is kept beside the new one, as LOG-1.mcap.
+    Several devices, each with its own link, clock and log: `run press.toml fan.toml=slcan:/dev/ttyACM1 --out logs`.
+    One that fails is told, tried again, and disturbs no other; the exit status is the worst of theirs.
+    """
+    from daq.commands.live.run import run as body
+
+    body(Output(json, quiet, verbose), rigs, link, seconds, out, rerun, strict, metrics)
+
+
+def simulate(
+    rig: RigArgument,
+    out: Annotated[Path | None, typer.Option("--out", metavar="LOG.mcap", help="Simulate into a log.")] = None,
+    serve: Annotated[str | None, typer.Option("--serve", metavar="LINK", help="Be a device on a link.")] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            "--seconds", metavar="S", callback=_above_zero, help="Length (default: 60 for a log, no end for a device)."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Of the random forces and noise.")] = 1,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            "--truth", metavar="TRUTH.toml", help="Simulate this rig's model instead; if it is not there, write it."
+        ),
+    ] = None,
+    speed: Annotated[
+        str | None,
+        typer.Option("--speed", metavar="X|max", help="1 is real time (default: max for a log, 1 for a device)."),
+    ] = None,
+    clock_ppm: Annotated[
+        float, typer.Option("--clock-ppm", metavar="PPM", help="How much faster than the truth its clock runs.")
+    ] = 20.0,
+    jitter_ms: Annotated[
+        float, typer.Option("--jitter-ms", metavar="MS", min=0.0, help="How late frames leave, on average.")
+    ] = 0.1,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault", metavar="KIND:RATE", help="drop, duplicate, flip, restart ...: share of frames; may be repeated."
+        ),
+    ] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """A simulated rig, into a log or as a device on a link.
+
+    LINK to serve: serial:pty, slcan:pty, serial:socket://HOST:PORT, can:INTERFACE:CHANNEL or a serial port; what to
+    give to `rotorscope run --link` is printed. What the rig file leaves open is filled in with plain values, which are
+    said and written to --truth.
+    """
+    from daq.commands.live.run import simulate as body
+
+    device = {"clock_ppm": clock_ppm, "jitter_s": 1e-3 * jitter_ms}
+    body(Output(json, quiet, verbose), rig, out, serve, seconds, seed, truth, speed, device, fault or [])
+
+
+def replay(
+    log: Annotated[Path, typer.Argument(metavar="LOG.mcap", help="A log.")],
+    speed: Annotated[str, typer.Option("--speed", metavar="X|max", help="1 is real time.")] = "max",
+    rig: Annotated[
+        Path | None, typer.Option("--rig", metavar="RIG", help="Another rig file than the one in the log.")
+    ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Exit with 1 unless the estimates equal the logged ones bit for bit.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option("--out", metavar="LOG.mcap", help="Write a new log.")] = None,
+    rerun: Annotated[
+        str | None, typer.Option("--rerun", metavar="WHERE", help="FILE.rrd, spawn, or the URL of a viewer.")
+    ] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """The same pipeline, fed from a log."""
+    from daq.commands.live.run import replay as body
+
+    body(Output(json, quiet, verbose), log, speed, rig, check, out, rerun)
+
+
+def register(app: typer.Typer) -> None:
+    for command in (run, simulate, replay):
+        app.command(rich_help_panel="Acquire")(command)

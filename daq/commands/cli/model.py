@@ -1,0 +1,86 @@
+"""add, remove, effects, check, schema: the rig file and what may stand in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import Json, Output, Quiet, RigArgument, RigOption, Verbose
+
+Rig2 = Annotated[Path, typer.Option("--out", metavar="RIG2", help="Where to write the new rig file.")]
+Nodes = Annotated[
+    list[str] | None,
+    typer.Option("--at", metavar="NODE", help="bearing1, bearing2 or a place such as bearing1.x; may be repeated."),
+]
+
+
+def add(
+    effect: Annotated[str, typer.Argument(metavar="EFFECT", help="As `rotorscope effects` names it.")],
+    rig: RigOption,
+    out: Rig2,
+    at: Nodes = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Add an effect to the model; comments and layout of the file survive."""
+    from daq.rig.edit import add as body
+
+    body(Output(json, quiet, verbose), effect, rig, out, at or [])
+
+
+def remove(
+    effect: Annotated[str, typer.Argument(metavar="EFFECT", help="An effect of the model.")],
+    rig: RigOption,
+    out: Rig2,
+    at: Nodes = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Remove an effect from the model, everywhere or at one node."""
+    from daq.rig.edit import remove as body
+
+    body(Output(json, quiet, verbose), effect, rig, out, at or [])
+
+
+def effects(
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One effect, in full.")] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """The catalogue: law, parameters, units, signature, what it is confused with, source."""
+    from daq.commands.catalogue import effects as body
+
+    body(Output(json, quiet, verbose), name)
+
+
+def check(
+    rig: RigArgument,
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Validate a rig file: every problem at once, or a summary of the rig."""
+    from daq.commands.check import check as body
+
+    body(Output(json, quiet, verbose), rig)
+
+
+def schema(
+    json: Json = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """The JSON schema of a rig file."""
+    from daq.rig.schema import schema as body
+
+    body(Output(json, quiet, verbose))
+
+
+def register(app: typer.Typer) -> None:
+    for command in (add, remove, effects, check, schema):
+        app.command(rich_help_panel="Model")(command)

@@ -1,0 +1,106 @@
+"""Where the program begins: an interrupt while Python still imports ends it quietly."""
+
+from __future__ import annotations
+
+import atexit
+import gc
+import io
+import os
+import signal
+import sys
+import threading
+from typing import NoReturn
+
+from daq.base.console.stop import interrupt
+
+INTERRUPTED = 130
+AGAIN_S = 0.05  # by then a callback of Python's has ended
+OBJECTS = 100_000  # new ones between two searches for garbage: what is imported is none (0.2 s of every command)
+
+
+def main() -> NoReturn:
+    """Run the command line, and end with its status."""
+    _fill_closed()
+    _say_anything()
+    heard = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # a background job's is ignored
+    if heard:
+        signal.signal(signal.SIGINT, _leave)
+    gc.set_threshold(OBJECTS)
+    from . import cache_place
+
+    cache_place.choose()
+    cache_place.clean()
+    from daq.commands.cli.app import main as run
+
+    sys.unraisablehook = _unless_interrupted
+    try:
+        if heard:
+            signal.signal(signal.SIGINT, interrupt)
+        status = run()
+        _drop_unsaid()
+        if heard:
+            signal.signal(signal.SIGINT, _leave)
+        _end(status)
+    except KeyboardInterrupt:
+        _leave()
+
+
+def _unless_interrupted(what: sys.UnraisableHookArgs) -> None:
+    """An interrupt that Python could not raise, in a callback of its own, comes again once that has ended."""
+    if what.exc_type is KeyboardInterrupt:
+        threading.Timer(AGAIN_S, _again).start()
+    else:
+        sys.__unraisablehook__(what)
+
+
+def _again() -> None:
+    if signal.getsignal(signal.SIGINT) is interrupt:  # else a command that has its own has seen it
+        os.kill(os.getpid(), signal.SIGINT)  # the main thread's, also where it waits
+
+
+def _say_anything() -> None:
+    """Also names of files that are no text, and what a terminal of few letters has not."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _fill_closed() -> None:
+    """A standard stream that was closed for us: the next file to be opened, a log, would get its number."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest number that is free is this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "w" if number else "r", encoding="utf-8", closefd=False))  # noqa: SIM115
+
+
+def _drop_unsaid() -> None:
+    """What could not be written is in the stream's buffer still, and Python would end with status 120 for it."""
+    from daq.base.console.output import to_nowhere
+
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            to_nowhere(stream)
+
+
+def _end(status: int) -> NoReturn:
+    """All is written and said. What threads still compute, and that Python takes apart what was imported, would hold
+    the end of a stopped session by seconds on a busy machine.
+    """
+    atexit._run_exitfuncs()
+    os._exit(status)
+
+
+def _leave(*_: object) -> NoReturn:
+    """Nothing has begun, or all has been closed, that had to be."""
+    remove_all = getattr(
+        sys.modules.get("daq.base.console.unfinished"), "remove_all", None
+    )  # none while that is imported
+    if remove_all is not None:
+        remove_all()
+    os.write(2, b"rotorscope: interrupted\n")
+    os._exit(INTERRUPTED)

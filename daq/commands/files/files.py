@@ -1,0 +1,78 @@
+"""`rotorscope info` and `rotorscope recover`: what is in a log, and mending one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.table import Table
+from rich.text import Text
+
+from daq.base.console.output import Output
+from daq.base.console.tables import gap_lines, gap_reasons
+from daq.log.reader import Recording, read_log
+from drivers.contract.reading import Notice
+
+MOST_LINES = 10
+
+
+def info(output: Output, log: Path) -> None:
+    from daq.log.info import info as facts
+
+    recording = read_log(log)
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    for heading, text in _rows(recording):
+        table.add_row(heading, Text(text))
+    output.result(facts(recording), table)
+
+
+def _rows(log: Recording) -> list[tuple[str, str]]:
+    rows = [
+        ("length", f"{log.seconds:.6g} s, {log.n_samples} samples of each channel at {log.rate_hz:g} Hz"),
+        ("channels", ", ".join(f"{s.name} [{s.unit}]" for s in log.info.signals)),
+    ]
+    if log.lost_samples:
+        rows.append(("lost", f"{log.lost_samples} samples in {gap_reasons(log.gaps)}"))
+        rows += [("", line) for line in gap_lines(log.gaps, log.first, log.rate_hz)]
+    else:
+        rows.append(("lost", "nothing"))
+    rows += [("changed", f"{other}, no continuation of the rest") for other in log.others[:MOST_LINES]]
+    if log.growing:
+        rows.append(("complete", "not yet: it is being written"))
+    else:
+        rows.append(("complete", "yes" if log.complete else "no: `rotorscope recover LOG --out LOG2` saves the rest"))
+        rows += [("damage", text) for text in log.damage[:MOST_LINES]]
+    if log.clock is not None:
+        drift, bound_ms = log.clock.drift_ppm, log.clock.bound_ns * 1e-6
+        rows.append(("clock", f"{drift:+.2f} ppm; a sample's time on the host's clock is known to {bound_ms:.3g} ms"))
+    if log.estimates:
+        last = log.estimates[-1].estimate
+        rows.append(("estimates", f"{len(log.estimates)}, the last of {len(last.parameters)} parameters"))
+    rows += _notices(log.notices)
+    rows.append(("attachments", ", ".join(log.attachments) or "none"))
+    rows.append(("made by", ", ".join(f"{k} {v}" for k, v in log.metadata.items())))
+    return rows
+
+
+def _notices(notices: Sequence[Notice]) -> list[tuple[str, str]]:
+    """Of each kind how often, and the last one's text; warnings and errors before the rest."""
+    last = {n.code: n for n in notices}
+    often = Counter(n.code for n in notices)
+    kinds = sorted(last.values(), key=lambda n: n.level == "info")
+    times = {code: f" ({count} times)" if count > 1 else "" for code, count in often.items()}
+    lines = [f"{n.level}: {n.text}{times[n.code]}" for n in kinds[:MOST_LINES]]
+    if len(kinds) > MOST_LINES:
+        lines.append(f"and {len(kinds) - MOST_LINES} other kinds: --json has them")
+    return list(zip(["notices"] + [""] * len(lines), lines, strict=False))
+
+
+def recover(output: Output, log: Path, out: Path) -> None:
+    from daq.log.recover import recover as mend
+
+    with output.progress(f"recovering {log.name}") as progress:
+        saved = mend(log, out, progress, output.note)
+    text = f"{out}: {saved.samples} samples ({saved.seconds:.3f} s) recovered; lost: {saved.lost}"
+    output.result(saved.to_json(), text)

@@ -1,0 +1,162 @@
+"""`rotorscope import`: a file of another format into a log of ours.
+
+Raw counts of a log are int32. Whole numbers go in as they are. Others are scaled by a power of two, channel by
+channel, so that the largest comes to between 2^29 and 2^30: rounding is then 2^-30 of the largest value, some 180 dB
+below it, and floats of 24 bits within a factor of 64 of the largest survive to the last bit.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.base.console.memory import bounded_memory
+from daq.base.console.output import Output, Progress, quiet_progress
+from daq.base.contract.errors import LogError
+from daq.base.contract.sink import Session
+from daq.exchange.checks import Record, checked
+from daq.exchange.formats import read
+from daq.rig.rig import Rig, load_rig
+from daq.rig.units import SI
+from drivers.contract.reading import Block, Gap, Info, Notice, Reading, Signal
+from drivers.foreign.capture_files import SUFFIXES
+
+ROWS = 8192  # in a block
+COUNT_BITS = 32
+
+
+def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: float | None, gaps: bool) -> None:
+    rig = load_rig(rig_path)
+    if out.resolve() == path.resolve():
+        raise LogError(f"{out}: is the file to import; choose another name for the log")
+    if path.suffix.lower() in SUFFIXES and (path.suffix.lower() != ".mf4" or rig.link.signals):
+        _import_capture(output, path, rig, out)
+        return
+    found: list[Notice] = []  # for the log, too: whoever has only that is to know
+
+    def say(text: str, code: str = "file_odd") -> None:
+        output.note(f"{path}: {text}")
+        found.append(Notice(time.monotonic_ns(), "warning", code, text))
+
+    with output.progress(f"reading {path.name}"):
+        record = checked(path, read(path, [c.name for c in rig.model.channels]), rig, rate_hz, say, gaps)
+    lost = 0 if record.missing is None else int(record.missing.sum())
+    for text in limited(record, rig):
+        say(text, "limited")
+    with output.progress(f"writing {out.name}") as progress:
+        write_record(record, rig, out, {"source": path.name}, progress, output.note, found)
+    value = {
+        "schema": 1,
+        "file": str(out),
+        "channels": list(record.names),
+        "samples": record.samples - lost,
+        "lost_samples": lost,
+        "rate_hz": record.rate_hz,
+        "seconds": record.samples / record.rate_hz,
+    }
+    text = f"{record.samples / record.rate_hz:.6g} s of {len(record.names)} channels at {record.rate_hz:g} Hz"
+    output.result(value, f"{out}: {text}{f', {lost} samples missing' if lost else ''}")
+
+
+def limited(record: Record, rig: Rig) -> list[str]:
+    """What to tell of motion channels whose samples pile up at a ceiling."""
+    from estimator.identification.record import clipping
+
+    out = []
+    for channel, values, factor in zip(rig.model.channels, record.values, record.factors, strict=True):
+        if channel.place in rig.model.places and channel.kind != "force":
+            found = clipping.clipping_level(values * factor)
+            if found is not None:
+                out.append(clipping.limited(channel.name, *found, record.samples))
+    return out
+
+
+def _import_capture(output: Output, path: Path, rig: Rig, out: Path) -> None:
+    """Recorded CAN traffic goes through the driver and the pipeline that live traffic takes."""
+    from daq.commands.live.run import run_rig
+
+    if not path.is_file():
+        raise LogError(f"{path}: there is no such file; check the path")
+    with bounded_memory(path.stat().st_size):  # what cannot be unpacked in it is damage of the file
+        run_rig(output, rig, f"capture:{path}", out, command="import")
+
+
+def write_record(
+    record: Record, rig: Rig, out: Path, metadata: dict[str, str], progress: Progress = quiet_progress,
+    note: Callable[[str], None] = lambda text: None, found: Sequence[Notice] = (),
+) -> None:  # fmt: skip
+    """Write a log of a record and of what was found in it: all or none. Raises LogError if it cannot be written."""
+    from daq.log.writer import LogWriter
+
+    scales = [power_of_two(v) for v in record.values]
+    kinds = [c.kind for c in rig.model.channels]
+    info = Info(
+        tuple(
+            Signal(name, SI[kind], f * scale)
+            for name, kind, f, scale in zip(record.names, kinds, record.factors, scales, strict=True)
+        ),
+        record.rate_hz,
+        count_bits=COUNT_BITS,
+    )
+    whole = False
+    writer = LogWriter(out, live=False, wanted=lambda: whole)
+    try:
+        writer.start(Session(rig.model, info, "", rig.attachments(), versions() | metadata))
+        writer.readings(found)
+        for index, readings in _blocks(record, scales):
+            writer.readings(readings)
+            progress(index / record.samples)
+        whole = True
+    finally:
+        writer.close()
+    for notice in writer.health().notices:
+        if notice.level == "error":
+            raise LogError(f"{notice.text}; make room and import again")
+        note(notice.text)
+
+
+def versions() -> dict[str, str]:
+    """What made the log."""
+    return {"command": "import", "rotorscope": version("rotorscope")}
+
+
+def _blocks(record: Record, scales: list[float]) -> Iterator[tuple[int, list[Reading]]]:
+    start_ns = time.monotonic_ns()
+    for first, stop, present in _runs(record):
+        if not present:
+            yield stop, [Gap(first, stop - first, "source")]
+            continue
+        for index in range(first, stop, ROWS):
+            end = min(index + ROWS, stop)
+            counts = np.empty((end - index, len(scales)), dtype=np.int32)
+            for k, (value, scale) in enumerate(zip(record.values, scales, strict=True)):
+                counts[:, k] = np.rint(np.asarray(value[index:end], dtype=np.float64) / scale)
+            yield end, [Block(index, counts, start_ns + round(1e9 * end / record.rate_hz))]
+
+
+def _runs(record: Record) -> Iterator[tuple[int, int, bool]]:
+    """(first, stop, present) of runs of rows that are there or not."""
+    if record.missing is None:
+        yield 0, record.samples, True
+        return
+    edges = [0, *(np.flatnonzero(np.diff(record.missing)) + 1).tolist(), record.samples]
+    for first, stop in zip(edges, edges[1:], strict=False):
+        yield first, stop, not record.missing[first]
+
+
+def power_of_two(values: NDArray[Any]) -> float:
+    """The scale of a column: value = count * scale exactly for whole numbers, else to 2^-30 of the largest."""
+    whole = values.dtype.kind in "iu"
+    if whole and (values.dtype.itemsize < 4 or (int(values.max()) < 2**31 - 1 and int(values.min()) > -(2**31))):
+        return 1.0
+    finite = values[np.isfinite(values)] if values.dtype.kind == "f" else values
+    largest = float(max(abs(float(finite.max())), abs(float(finite.min())))) if finite.size else 0.0
+    if largest == 0.0:
+        return 1.0
+    return float(2.0 ** (np.frexp(largest)[1] - 30))

@@ -1,0 +1,1 @@
+"""Acquisition from one device or several."""

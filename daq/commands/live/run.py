@@ -1,0 +1,194 @@
+"""The bodies of run, simulate and replay."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from daq.base.console.output import Output
+from daq.base.console.stop import Stop
+from daq.base.contract.errors import CheckFailed, ConfigError, LogError
+from daq.rig.rig import Rig, load_rig
+from daq.session.acquire import RunSummary, acquire
+from daq.session.links import open_driver
+
+from .parts import Operator, in_words, log_of, make_sinks, naming, serve_metrics, what_is_wrong
+
+
+def run(
+    output: Output, rigs: Sequence[str], link: str | None, seconds: float | None, out: Path | None, rerun: str | None,
+    strict: bool, metrics: int | None = None,
+) -> None:  # fmt: skip
+    """rigs : RIG or RIG=LINK, several for several devices."""
+    asked = [rig_and_link(text) for text in rigs]
+    if link is not None and (len(asked) > 1 or asked[0][1] is not None):
+        raise ConfigError("--link is for one rig without a link of its own; say RIG=LINK for each of several")
+    output.prepare()
+    options = {"seconds": seconds, "rerun": rerun, "strict": strict, "metrics": metrics}
+    if len(asked) > 1:
+        from .devices import run_devices
+
+        run_devices(output, asked, out, **options)  # type: ignore[arg-type]
+    else:
+        run_rig(output, load_rig(asked[0][0]), asked[0][1] if link is None else link, out, **options)  # type: ignore[arg-type]
+
+
+def rig_and_link(text: str) -> tuple[Path, str | None]:
+    """RIG or RIG=LINK; a file of that name is a rig, whatever is in its name."""
+    path, equals, link = text.partition("=")
+    if not equals or Path(text).exists():
+        return Path(text), None
+    if not link:
+        raise ConfigError(f"{text}: no link behind the =; say {path}=LINK, or {path} alone for the rig's own")
+    return Path(path), link
+
+
+def run_rig(
+    output: Output, rig: Rig, link: str | None, out: Path | None, *, seconds: float | None = None,
+    rerun: str | None = None, strict: bool = False, metrics: int | None = None, command: str = "run",
+) -> None:  # fmt: skip
+    """Acquire from a link into a log and a viewer, and say what came of it."""
+    driver = open_driver(link, rig)
+    operator = Operator(output)
+    server = None if metrics is None else serve_metrics(output, metrics)
+    importing = command == "import"  # all of it or none
+    with Stop() as stop:
+        live = driver.kind not in ("capture", "replay")
+        wanted = None if not importing else lambda: not stop.event.is_set()
+        sinks = [*make_sinks(output, out, rerun, live=live, wanted=wanted), *naming(rig, live)]
+        if server is not None:
+            sinks.append(server.sink())
+        metadata = {"command": command, "link": link or rig.link.url or ""}
+        summary = acquire(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=operator)
+    if importing and stop.event.is_set():
+        raise KeyboardInterrupt
+    _report(output, summary, log_of(sinks, out), {"rig": rig.model.name})
+    if stop.interrupted and not operator.lost_log:
+        raise KeyboardInterrupt
+    wrong = what_is_wrong(summary, operator, strict, link or rig.link.url or "")
+    if wrong is not None:
+        raise wrong
+
+
+def simulate(
+    output: Output, rig_path: Path, out: Path | None, serve: str | None, seconds: float | None, seed: int,
+    truth_path: Path | None, speed: str | None, device: Mapping[str, object], faults: Sequence[str],
+) -> None:  # fmt: skip
+    from daq.session.simulation import at_full_speed, fault_rates, machine
+
+    if (out is None) == (serve is None):
+        raise ConfigError("say --out LOG.mcap to simulate into a log, or --serve LINK to be a device; one of the two")
+    pace = _speed(speed) if speed is not None else None if out else 1.0
+    rig = load_rig(rig_path)
+    truth = load_rig(truth_path) if truth_path is not None and truth_path.exists() else None
+    if out is not None and seconds is None:
+        seconds = 60.0
+    layout = "serial16" if serve is not None and serve.startswith("serial:") else None
+    config = {**device, "fault_rates": fault_rates(faults)}
+    simulated = machine(rig, truth=truth, seed=seed, seconds=seconds, layout=layout, config=config)
+    if simulated.assumed:
+        names = ", ".join(simulated.assumed)
+        output.note(f"{len(simulated.assumed)} values are left open, and plain ones taken: {names}")
+    if truth_path is not None and truth is None:
+        _write_truth(rig, simulated.assumed, truth_path)
+    value: dict[str, Any] = {"schema": 1, "seed": seed}
+    if serve is not None:
+        from drivers.links.serve import serve as run_device
+
+        with Stop() as stop:
+            run_device(serve, simulated.device, pace, stop.event, lambda url: _serving(output, url))
+        made = simulated.device.samples_made
+        value |= {"samples": made, "seconds": made / simulated.device.config.rate_hz}
+        output.result(value, f"sent {value['seconds']:.3f} s")
+        if stop.interrupted:
+            raise KeyboardInterrupt
+        return
+    with Stop() as stop:
+        if pace is None:
+            driver = at_full_speed(simulated.device)
+        else:
+            from drivers.contract.link_config import VirtualConfig
+            from drivers.links.links import make_driver
+
+            driver = make_driver(VirtualConfig(pace), device=simulated.device)  # type: ignore[assignment]
+        sinks = make_sinks(output, out, None, live=pace is not None)
+        metadata = {"command": "simulate", "link": "virtual:", "seed": str(seed)}
+        operator = Operator(output)
+        summary = acquire(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=operator)
+    _report(output, summary, log_of(sinks, out), value)
+    if operator.lost_log:
+        raise LogError(operator.lost_log)
+    if stop.event.is_set():  # by whatever signal: it is shorter than was asked for
+        raise KeyboardInterrupt
+    if not summary.samples:
+        raise ConfigError(f"--seconds {seconds:g}: shorter than a frame; there is no log of it")
+
+
+def replay(
+    output: Output, log: Path, speed: str, rig_path: Path | None, check: bool, out: Path | None, rerun: str | None
+) -> None:
+    from daq.log.reader import read_log
+    from daq.session.replay import replay as replay_log
+
+    if out is not None and out.exists() and log.exists() and out.samefile(log):
+        raise ConfigError(f"{out}: is the log to be replayed; choose another --out")
+    pace = _speed(speed)
+    recording = read_log(log)
+    if check and rig_path is not None and load_rig(rig_path).text != recording.rig_text:
+        raise ConfigError("--check compares with the logged estimates, which were made with the log's own rig file: "
+                          "leave --rig out, or give that very file")  # fmt: skip
+    rig = Rig.parse(recording.rig_text, where=f"{log}: rig.toml") if rig_path is None else load_rig(rig_path)
+    operator = Operator(output)
+    with Stop() as stop:
+        sinks = make_sinks(output, out, rerun, live=False, wall_offset_ns=recording.head.wall_offset_ns)
+        sinks += naming(rig, live=False)
+        summary = replay_log(recording, rig, sinks, speed=pace, check=check, stop=stop.event, notify=operator)
+    _report(output, summary, log_of(sinks, out), {})
+    if operator.lost_log:
+        raise LogError(operator.lost_log)
+    if stop.event.is_set():
+        raise KeyboardInterrupt
+    if out is not None and not summary.samples + summary.lost_samples:
+        raise LogError(f"{log}: holds no samples, so there is no {out}")
+    if check and not summary.identical:
+        raise CheckFailed(
+            f"{log}: the estimates of the replay are not the logged ones ({summary.compared} compared); "
+            "the log was made by another version or on another kind of machine"
+        )
+    if check:
+        output.say(f"{log}: all {summary.compared} estimates are the logged ones, bit for bit")
+
+
+def _speed(text: str) -> float | None:
+    """--speed: times real time, None for max."""
+    if text == "max":
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 < value < 1e9:
+        raise ConfigError(f'--speed {text}: give "max", or how many times real time, such as 1 or 0.5')
+    return value
+
+
+def _serving(output: Output, url: str) -> None:
+    """Where the device is: on standard output at once, for whoever waits for it."""
+    if not output.quiet and output.json != "-":
+        print(f"serving {url}", flush=True)  # noqa: T201
+    else:
+        print(f"serving {url}", file=sys.stderr, flush=True)  # noqa: T201
+
+
+def _write_truth(rig: Rig, assumed: Any, path: Path) -> None:
+    from daq.base.console.output import write_whole
+    from daq.rig.edit import with_values
+
+    write_whole(path, with_values(rig, assumed, digits=17))
+
+
+def _report(output: Output, summary: RunSummary, out: Path | None, more: dict[str, Any]) -> None:
+    out = out if summary.samples or summary.lost_samples else None  # else the log was not left behind
+    output.result(summary.to_json() | more | ({"log": str(out)} if out else {}), *in_words(summary, out))

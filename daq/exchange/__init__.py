@@ -1,0 +1,1 @@
+"""Foreign files and logs as the array that the estimator takes."""

@@ -1,0 +1,181 @@
+"""A session as MCAP: which record goes where, and when a chunk ends (docs/log-format.md). No threads, no disk."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from daq.base.contract.envelope import Envelope, Extremes
+from daq.base.contract.sink import Session, Status
+from drivers.contract.reading import Block, Gap, Info, Notice, Reading
+from estimator.results import Estimate
+
+from . import codec as codec
+from .index import PackedIndex
+from .scan import LARGEST
+from .schema import FLOAT64_MULTI_ARRAY, descriptor_set
+
+PROFILE = "rotorscope"
+CHUNK_BYTES = 256 * 1024
+JOINED_ROWS = 4096  # blocks of a link are joined into messages of about this many rows
+ENVELOPE_HZ = 50.0  # least and greatest of each window: 100 preview rows a second
+MEDIA_TYPES = {".toml": "application/toml", ".dbc": "text/plain"}
+
+
+class Output(Protocol):
+    def write(self, data: bytes, /) -> int: ...
+    def tell(self) -> int: ...
+    def flush(self) -> None: ...
+
+
+class LogEncoder:
+    """Writes MCAP to `output`. Every chunk starts with session and info again, and can be read alone."""
+
+    def __init__(self, output: Output) -> None:
+        self._mcap = Writer(output, chunk_size=LARGEST, compression=CompressionType.ZSTD)
+        self._mcap._Writer__chunk_indices = PackedIndex()  # it has no way to be told
+        self._mcap.start(PROFILE)
+        self._ids = [0, *(self._register(topic) for topic in codec.TOPICS)]
+        self._wall_offset_ns = 0
+        self._session = b""
+        self._info: Info | None = None
+        self._waiting: list[Block] = []
+        self._waiting_rows = 0
+        self._envelope: Envelope | None = None
+        self._axis_ns = 0  # Unix time of sample 0 on the device's nominal time axis
+        self._last_ns = 0
+        self._chunk_bytes = 0
+        self.fresh = True  # nothing since the last flush
+
+    def start(self, session: Session, wall_offset_ns: int) -> None:
+        """wall_offset_ns : Unix time = host monotonic time + this."""
+        self._wall_offset_ns = wall_offset_ns
+        self._session = codec.encode_session(session.device, wall_offset_ns, session.metadata)
+        self.metadata("session", dict(session.metadata) | {"device": session.device})
+        for name, data in session.attachments.items():
+            media_type = MEDIA_TYPES.get(name[name.rfind(".") :], "application/octet-stream")
+            self.attachment(name, media_type, data)
+        self.reading(session.info)
+
+    def reading(self, reading: Reading) -> None:
+        if isinstance(reading, Block):
+            self._block(reading)
+        elif isinstance(reading, Gap):
+            self._join()
+            self._add(codec.GAP, self._last_ns, codec.encode_gap(reading))
+        elif isinstance(reading, Notice):
+            wall_ns = reading.t_host_ns + self._wall_offset_ns
+            self._add(codec.NOTICE, wall_ns, codec.encode_notice(reading, wall_ns))
+        elif reading != self._info:
+            self._join()
+            self._preview(self._envelope.rest() if self._envelope else [])
+            self._info = reading
+            self._envelope = Envelope(max(1, round(reading.rate_hz / ENVELOPE_HZ)))
+            self._axis_ns = 0
+            self._introduce()
+
+    def estimate(self, estimate: Estimate) -> None:
+        self._join()
+        self._add(codec.ESTIMATE, self._last_ns, codec.encode_estimate(estimate))
+
+    def status(self, status: Status) -> None:
+        self._add(codec.STATUS, status.t_host_ns + self._wall_offset_ns, codec.encode_status(status))
+
+    def raw_message(self, topic: int, log_time: int, publish_time: int, data: bytes) -> None:
+        """A message as it was in another log: for `recover`."""
+        self._last_ns = log_time
+        self._add(topic, log_time, data, publish_time)
+
+    def attachment(self, name: str, media_type: str, data: bytes) -> None:
+        self._mcap.add_attachment(0, 0, codec.text(name), media_type, data)
+
+    def metadata(self, name: str, values: dict[str, str]) -> None:
+        self._mcap.add_metadata(name, {codec.text(k): codec.text(v) for k, v in values.items()})
+
+    def flush(self) -> None:
+        """End the chunk under way and hand every byte to the output."""
+        if self.fresh:
+            return
+        self._join()
+        self._end_chunk()
+        self.fresh = True
+
+    def finish(self) -> None:
+        """The last chunk, index and footer; with them the log is complete."""
+        self._join()
+        if self._envelope:
+            self._preview(self._envelope.rest())
+        self._mcap.finish()
+
+    def _register(self, topic: codec.Topic) -> int:
+        if topic.encoding == "cdr":
+            schema = self._mcap.register_schema(topic.schema, "ros2msg", FLOAT64_MULTI_ARRAY.encode())
+        else:
+            schema = self._mcap.register_schema(topic.schema, "protobuf", descriptor_set(topic.schema))
+        return int(self._mcap.register_channel(topic.name, topic.encoding, schema))
+
+    def _introduce(self) -> None:
+        if self._session and self._info is not None:
+            self._put(codec.SESSION, self._last_ns, self._session)
+            self._put(codec.INFO, self._last_ns, codec.encode_info(self._info))
+
+    def _end_chunk(self) -> None:
+        self._mcap.flush()
+        self._introduce()
+        self._chunk_bytes = 0
+
+    def _add(self, topic: int, log_time: int, data: bytes, publish_time: int | None = None) -> None:
+        if self._chunk_bytes >= CHUNK_BYTES:
+            self._end_chunk()
+        self._chunk_bytes += len(data)
+        self._put(topic, log_time, data, publish_time)
+
+    def _put(self, topic: int, log_time: int, data: bytes, publish_time: int | None = None) -> None:
+        self.fresh = False
+        self._mcap.add_message(self._ids[topic], log_time, data, log_time if publish_time is None else publish_time)
+
+    def _block(self, block: Block) -> None:
+        if not len(block.counts):
+            return
+        if self._waiting:
+            last = self._waiting[-1]
+            follows = block.index == last.index + len(last.counts)
+            if not follows or (block.t_device_ns is None) != (last.t_device_ns is None):
+                self._join()
+        self._waiting.append(block)
+        self._waiting_rows += len(block.counts)
+        self.fresh = False
+        if self._waiting_rows >= JOINED_ROWS:
+            self._join()
+
+    def _join(self) -> None:
+        """Write the blocks that wait as one message."""
+        if not self._waiting or self._info is None:
+            return
+        blocks, self._waiting, self._waiting_rows = self._waiting, [], 0
+        last = blocks[-1]
+        wall_ns = last.t_host_ns + self._wall_offset_ns
+        if not self._axis_ns:
+            self._axis_ns = wall_ns - round((last.index + len(last.counts)) * 1e9 / self._info.rate_hz)
+        self._last_ns = wall_ns
+        self._add(codec.RAW, wall_ns, codec.encode_blocks(blocks), self._on_axis(blocks[0].index))
+        if self._envelope:
+            counts = last.counts if len(blocks) == 1 else np.concatenate([b.counts for b in blocks])
+            self._preview(self._envelope.feed(blocks[0].index, counts))
+
+    def _on_axis(self, index: int) -> int:
+        rate_hz = self._info.rate_hz if self._info else 1.0
+        return min(max(0, self._axis_ns + round(index * 1e9 / rate_hz)), 2**63)
+
+    def _preview(self, windows: list[Extremes]) -> None:
+        """The least value at the start of its window, the greatest at its middle: a plot shows the envelope."""
+        if not windows or self._info is None or self._envelope is None:
+            return
+        scale = np.array([s.scale for s in self._info.signals])
+        offset = np.array([s.offset for s in self._info.signals])
+        half = self._envelope.rows // 2
+        for index, low, high in windows:
+            for at, counts in ((index, low), (index + half, high)) if half else ((index, low),):
+                self._add(codec.PREVIEW, self._on_axis(at), codec.encode_multi_array(counts * scale + offset))

@@ -1,0 +1,226 @@
+"""A growing file on a disk that may be full, stall, or have its folder removed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+import threading
+from collections import deque
+from pathlib import Path
+
+from daq.base.console import unfinished
+from daq.base.console.stop import unbroken
+from daq.base.contract.errors import LogError
+
+from .place import being_written, emptied, free_name, locked, made, moved_aside, no_file, opened, refused, unlock
+
+COPY = 1 << 20
+WITNESS_BYTES = 64
+SYNC_WAIT_S = 0.3
+
+
+class LogFile:
+    """Bytes written here wait in memory until `push` has them on the disk; a failed push loses and damages nothing.
+
+    What lay at `path` comes back if nothing is kept. A measurement, or what is no log, is kept for good: see `kept`.
+    whole : the file gets its name only when it is kept, so that nobody ever finds half of it there.
+    Looks like a binary stream to the MCAP writer. One thread. Raises LogError if the place is not to be had.
+    """
+
+    def __init__(self, path: Path, whole: bool = False) -> None:
+        if path.is_fifo() or path.is_socket():  # /dev/stdout, too: before what it points to gets another name
+            raise no_file(path)
+        try:
+            path = unfinished.led_to(path)
+        except OSError as error:
+            raise _not_to_be_had(path, error) from error
+        self.path = path
+        self.folder = _here() / path.parent  # whatever becomes of the one that we were started in
+        self.kept: Path | None = None  # where that is which lay at `path` and cannot be made again
+        self._waiting: deque[memoryview] = deque()
+        self._stored = 0
+        self.pending = 0
+        self.restored = 0  # bytes, for whoever waits
+        self.cut = False  # by another program: what was stored is not there any more
+        self._tail = self._witness = (0, b"")  # offset and bytes: the end of the last write, and of the one before
+        self._syncing: threading.Thread | None = None
+        self._hidden = path.with_name(f".{path.name}.part") if whole and (path.is_file() or not path.exists()) else None
+        self._aside: Path | None = None
+        try:
+            if self._hidden is None:
+                self._fd, self._aside = emptied(path, opened(path, path))
+            elif being_written(path):
+                raise refused(path)
+            else:
+                with unbroken():
+                    self._fd = opened(self._hidden, path)
+                    unfinished.begin(self._hidden)
+                    os.ftruncate(self._fd, 0)  # of one that was killed
+        except OSError as error:
+            raise _not_to_be_had(path, error) from error
+
+    def write(self, data: bytes) -> int:
+        if data:
+            self._waiting.append(memoryview(data))
+            self.pending += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self._stored + self.pending
+
+    def flush(self) -> None:
+        """Nothing: the owner calls `push`."""
+
+    def push(self) -> None:
+        """Write all that waits. Raises OSError; what was not written still waits, and may be pushed again."""
+        while self._waiting:
+            head = self._waiting[0]
+            self._look_for_cut()
+            written = os.pwrite(self._fd, head, self._stored)
+            end = bytes(head[max(0, written - WITNESS_BYTES) : written])
+            self._stored += written
+            self._witness, self._tail = self._tail, (self._stored - len(end), end)
+            self.pending -= written
+            if written == len(head):
+                self._waiting.popleft()
+            else:
+                self._waiting[0] = head[written:]
+
+    def _look_for_cut(self) -> None:
+        """A cut between a look and the write that follows leaves the size right, and a hole before what was written."""
+        about = os.fstat(self._fd)
+        if stat.S_ISREG(about.st_mode) and not self.cut:
+            at, end = self._witness
+            self.cut = about.st_size < self._stored or os.pread(self._fd, len(end), at) != end
+
+    def sync(self) -> None:
+        """Ask for what was pushed to go from the operating system to the disk: for a power cut, a crash needs none.
+
+        Done by a thread, since a busy disk takes seconds; a request while one is under way is not needed and not kept.
+        """
+        if self._syncing is not None and self._syncing.is_alive():
+            return
+        try:
+            fd = os.dup(self._fd)
+        except OSError:  # no more files to be had: the system writes it when it likes
+            return
+        syncing = threading.Thread(target=_sync, args=(fd,), name="log sync", daemon=True)
+        try:
+            syncing.start()
+        except RuntimeError:  # nor threads
+            os.close(fd)
+        else:
+            self._syncing = syncing
+
+    @property
+    def removed(self) -> bool:
+        """Somebody deleted the file or its folder. The bytes live as long as we hold it open."""
+        if os.fstat(self._fd).st_nlink:
+            return False
+        return self._hidden is None or unfinished.wanted(self._hidden)  # at our exit: unwanted first, then gone
+
+    @property
+    def in_place(self) -> bool:
+        """What is found under `path` is this file; of one that was removed or has no name yet, nobody asks."""
+        return self._hidden is not None or self._aside is not None or self.removed or self._is(self.path)
+
+    def follow(self) -> bool:
+        """To the name that somebody gave it, as `path`; False if it has none, or the system does not say which."""
+        with contextlib.suppress(OSError):
+            now = Path(os.readlink(f"/proc/self/fd/{self._fd}"))
+            if self._is(now):
+                self.path, self.folder = now, now.parent
+                return True
+        return False
+
+    def _is(self, path: Path) -> bool:
+        with contextlib.suppress(OSError):
+            return os.path.samestat(os.stat(path), os.fstat(self._fd))
+        return False
+
+    def restore(self, folder: Path | None = None) -> Path:
+        """Give a removed file its name back (or one beside it, if that is taken), whole. Raises OSError.
+
+        folder : there instead.
+        """
+        wanted = (folder or self.folder) / (self._hidden or self.path).name
+        wanted.parent.mkdir(parents=True, exist_ok=True)
+        path = free_name(wanted) if wanted.exists() else wanted
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        try:
+            if not locked(fd):
+                raise OSError(f"{path} was taken while it was made")
+            for at in range(0, self._stored, COPY):
+                piece = os.pread(self._fd, min(COPY, self._stored - at), at)
+                if os.pwrite(fd, piece, at) != len(piece):
+                    raise OSError(f"disk full while restoring {path}")
+                self.restored += len(piece)
+        except OSError:
+            os.close(fd)
+            path.unlink(missing_ok=True)
+            raise
+        os.close(self._fd)
+        self._fd = fd
+        if self._hidden is None:
+            self.path = path
+        else:
+            unfinished.finish(self._hidden)
+            unfinished.begin(path)
+            self._hidden = path
+        return path
+
+    def keep(self) -> None:
+        """It holds something: what lay there before is given up, or kept for good. Raises OSError."""
+        if self._hidden is not None:
+            with unbroken():
+                if self.path.exists() and not made(self.path):
+                    self.kept = moved_aside(self.path)
+                self._hidden.replace(self.path)
+                unfinished.finish(self._hidden)
+                self._hidden = None
+        elif self._aside is not None and made(self._aside):
+            with contextlib.suppress(OSError):
+                self._aside.unlink()
+        else:
+            self.kept = self._aside
+        self._aside = None
+
+    def discard(self) -> None:
+        """It holds nothing that anybody wants: as if it had never been. Raises OSError."""
+        if self._aside is not None:
+            self._aside.replace(self.path)
+            self._aside = None
+        elif self._hidden is None and stat.S_ISREG(os.fstat(self._fd).st_mode):
+            self.path.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Wait a little for the disk; the operating system finishes the rest. What never got its name is gone."""
+        if self._hidden is not None:
+            unfinished.remove(self._hidden)
+        else:
+            self.sync()
+        if self._syncing is not None:
+            self._syncing.join(SYNC_WAIT_S)
+        unlock(self._fd)  # that thread may hold the file open for longer
+        os.close(self._fd)
+
+
+def _not_to_be_had(path: Path, error: OSError) -> LogError:
+    return LogError(f"cannot write the log {path}: {error.strerror}; choose another --out, or make the folder writable")
+
+
+def _here() -> Path:
+    try:
+        return Path.cwd()
+    except OSError:  # it was removed before we were
+        return Path()
+
+
+def _sync(fd: int) -> None:
+    try:
+        os.fdatasync(fd)
+    except OSError:
+        pass  # the next write says it again, and is reported
+    finally:
+        os.close(fd)

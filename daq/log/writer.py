@@ -1,0 +1,347 @@
+"""The MCAP sink: takes what the core loop says without ever making it wait, and writes from a thread of its own."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from daq.base.contract.clock import Clock, SystemClock
+from daq.base.contract.errors import LogError
+from daq.base.contract.sink import Session, SinkHealth, Status
+from drivers.contract.reading import Block, Gap, Notice, Reading
+from estimator.results import Estimate
+
+from .encoder import LogEncoder
+from .file import LogFile
+
+FLUSH_NS = 400_000_000  # a chunk ends and reaches the operating system this often: kill -9 costs less than 1 s
+SYNC_NS = 1_000_000_000  # and the disk itself this often: a power cut costs about 2 s
+RETRY_NS = 500_000_000
+GIVE_UP_NS = 1_000_000_000
+SMALL = 2048  # about what an estimate, a status or a notice takes
+
+Item = Session | Reading | Estimate | Status
+
+
+class LogWriter:
+    """The log at `path`. Raises LogError at once if it cannot be created.
+
+    live : acquisition must not wait. What waits for the disk is bounded by `limit_bytes`; beyond it the newest samples
+        are not stored, and a Gap of reason "storage" says which. A full or failing disk is tried again every 0.5 s
+        and the same file goes on when it recovers. False: the caller waits for the disk (import, fast replay), and a
+        fault of the disk is a LogError from any method. The log gets its name when it is complete, if `wanted` then.
+    A log without samples or gaps is not left behind; a measurement that lay there gets another name, and stays.
+    A file that was removed, alone or with its folder, is put back with all its bytes; one that was moved is followed;
+    of one that another program cut, what is gone is gone. `health` tells the operator.
+    """
+
+    def __init__(
+        self, path: str | Path, *, live: bool = True, limit_bytes: int = 64 << 20, clock: Clock | None = None,
+        wanted: Callable[[], bool] = lambda: True,
+    ) -> None:  # fmt: skip
+        self._clock: Clock = clock or SystemClock()
+        self._file = LogFile(Path(path), whole=not live)
+        self._wanted = wanted
+        self._holds_data = False
+        self._encoder = LogEncoder(self._file)
+        self._live = live
+        self._limit = limit_bytes
+        self._changed = threading.Condition()
+        self._queue: deque[Item] = deque()
+        self._queued = 0  # bytes
+        self._lost: Gap | None = None  # not yet told to the log
+        self._dropped = 0
+        self._encoded = self._safe = 0  # samples that the encoder has taken, and of those the ones that are on the disk
+        self._notices: list[Notice] = []
+        self._closing = self._abandoned = False
+        self._progress = 0
+        self._behind_since_ns: int | None = None
+        self._problem = ""
+        self._told_cut = self._told_hidden = False
+        self._failed = ""
+        self._thread = threading.Thread(target=self._run, name=f"log {path}", daemon=True)
+        self._thread.start()
+
+    @property
+    def path(self) -> Path:
+        """Where the log is; another name than asked for only if that was taken after a removal."""
+        return self._file.path
+
+    # -- core loop ------------------------------------------------------------------------------------------------
+
+    def start(self, session: Session) -> None:
+        self._put(session, sum(map(len, session.attachments.values())))
+
+    def readings(self, batch: Sequence[Reading]) -> None:
+        for reading in batch:
+            self._put(reading, reading.counts.nbytes if isinstance(reading, Block) else SMALL)
+
+    def estimate(self, estimate: Estimate) -> None:
+        self._put(estimate, SMALL)
+
+    def status(self, status: Status) -> None:
+        self._put(status, SMALL)
+
+    def health(self) -> SinkHealth:
+        """What the operator should know since the last call."""
+        with self._changed:
+            notices, self._notices = tuple(self._notices), []
+            behind = self._behind_since_ns
+        lag_s = 0.0 if behind is None else (self._clock.now_ns() - behind) / 1e9
+        return SinkHealth(lag_s, self._dropped, notices)
+
+    def close(self) -> None:
+        """Complete the log. Gives up, and says so in `health`, if the disk makes no progress for a second."""
+        with suppress(RuntimeError):  # not held: a Ctrl-C on the way out of a `with` leaves it so, and the writer waits
+            while True:
+                self._changed.release()
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        try:
+            self._wait()
+        except BaseException:  # Ctrl-C: no half of a log that can be made again
+            self._wanted = lambda: False
+            self._thread.join(0.0 if self._live else GIVE_UP_NS / 1e9)
+            raise
+        if not self._live:
+            self._raise_failure()
+
+    def _wait(self) -> None:
+        seen, since = (-1, 0), self._clock.now_ns()
+        while self._thread.is_alive():
+            self._thread.join(0.05)
+            now = (self._progress, self._file.restored)
+            if now != seen:
+                seen, since = now, self._clock.now_ns()
+            elif self._live and self._clock.now_ns() - since > GIVE_UP_NS:
+                self._abandoned = True
+                why = self._problem or "the disk stalls"
+                lacking = f"up to {self._give_up()} samples of its end are not in it"
+                text = f"{self.path} could not be completed: {why}; {lacking}; try recover on it"
+                self._tell("error", "log_incomplete", text)
+                return
+
+    def _give_up(self) -> int:
+        """Samples that are not known to be on the disk, counted as dropped from now on."""
+        with self._changed:
+            lacking = self._encoded - self._safe + sum(len(b.counts) for b in self._queue if isinstance(b, Block))
+            self._dropped += lacking
+            return lacking
+
+    def _raise_failure(self) -> None:
+        if self._failed:
+            raise LogError(self._failed)
+
+    def _put(self, item: Item, size: int) -> None:
+        with self._changed:
+            if self._closing:
+                return
+            if not self._live:
+                self._changed.wait_for(lambda: self._queued < self._limit or self._failed)
+                self._raise_failure()
+            room = self._limit if isinstance(item, Block) else self._limit + self._limit // 8
+            full = self._live and self._queued and self._queued + size > room
+            if full or self._failed:
+                self._drop(item)
+                return
+            if isinstance(item, Block | Gap):
+                self._record_lost(resumed=isinstance(item, Block))
+            self._queue.append(item)
+            self._queued += size
+            self._changed.notify_all()
+
+    def _drop(self, item: Item) -> None:
+        if not isinstance(item, Block):
+            return
+        lost = self._lost
+        if lost is None:
+            text = f"{self.path}: the disk is too slow; samples from {item.index} are not stored"
+            self._note("error", "log_overflow", text)
+            lost = Gap(item.index, 0, "storage")
+        self._lost = Gap(lost.index, item.index + len(item.counts) - lost.index, "storage")
+        self._dropped += len(item.counts)
+
+    def _record_lost(self, resumed: bool) -> None:
+        if self._lost is None:
+            return
+        self._queue.append(self._lost)
+        if resumed:
+            text = f"{self.path}: storing again; {self._lost.count} samples from {self._lost.index} were not stored"
+            self._note("warning", "log_resumed", text)
+        self._lost = None
+
+    # -- writer thread --------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            self._loop()
+        except Exception as error:  # whatever it is must not stop acquisition
+            what = str(error.strerror or error) if isinstance(error, OSError) else repr(error)
+            if not self._live:
+                self._file.close()
+            with self._changed:
+                self._give_up()
+                self._failed = f"{self.path}: the log has stopped: {what}; make room or choose another --out"
+                self._note("error", "log_failed", self._failed)
+                self._changed.notify_all()
+
+    def _loop(self) -> None:
+        flush_ns = sync_ns = self._clock.now_ns()
+        while True:
+            due = flush_ns + FLUSH_NS - self._clock.now_ns()
+            items, closing = self._take(max(due, 0) / 1e9)
+            for item in items:
+                if closing and self._unwanted():
+                    break
+                self._encode(item)
+            self._progress += len(items)
+            now = self._clock.now_ns()
+            if closing and not items:
+                break
+            if now - flush_ns >= FLUSH_NS:
+                self._encoder.flush()
+                flush_ns = now
+                self._look_after_file()
+            self._push(sync=now - sync_ns >= SYNC_NS)
+            sync_ns = now if now - sync_ns >= SYNC_NS else sync_ns
+        if self._holds_data and not self._unwanted():
+            self._encoder.finish()
+            self._look_after_file()
+            while not self._push(sync=True) and not self._abandoned:
+                self._sleep(RETRY_NS)
+            if not self._live:
+                self._keep()
+            elif self._file.removed:
+                self._rescue()
+        else:
+            self._file.discard()
+        self._file.close()
+
+    def _unwanted(self) -> bool:
+        return not self._live and not self._wanted()
+
+    def _keep(self) -> None:
+        self._file.keep()
+        if self._file.kept is not None:
+            self._tell("warning", "log_kept", f"{self.path}: what lay there is kept as {self._file.kept}")
+
+    def _take(self, timeout_s: float) -> tuple[list[Item], bool]:
+        """What waits, once the disk has room for it."""
+        with self._changed:
+            if not self._queue and not self._closing:
+                self._changed.wait(timeout_s)
+            if self._file.pending > self._limit // 4 and not self._closing:
+                return [], False
+            if self._closing:
+                self._record_lost(resumed=False)
+            items = list(self._queue)
+            self._queue.clear()
+            self._queued = 0
+            self._behind_since_ns = self._behind_since_ns or (self._clock.now_ns() if items else None)
+            self._changed.notify_all()
+            return items, self._closing
+
+    def _encode(self, item: Item) -> None:
+        if isinstance(item, Session):
+            self._encoder.start(item, self._clock.wall_offset_ns())
+        elif isinstance(item, Estimate):
+            self._encoder.estimate(item)
+        elif isinstance(item, Status):
+            self._encoder.status(item)
+        else:
+            self._encoder.reading(item)
+            self._encoded += len(item.counts) if isinstance(item, Block) else 0
+            if not self._holds_data and (isinstance(item, Block) or (isinstance(item, Gap) and item.count)):
+                self._holds_data = True
+                if self._live:
+                    self._keep()
+
+    def _push(self, sync: bool) -> bool:
+        """Bytes to the disk; True if none are left."""
+        before = self._file.pending
+        try:
+            self._file.push()
+            if sync:
+                self._file.sync()
+        except OSError as error:
+            if not self._live:
+                raise
+            self._fault(f"{error.strerror or error}")
+            if not self._closing:
+                self._sleep(RETRY_NS)
+            return False
+        if before:
+            self._progress += 1
+            self._behind_since_ns = None
+        if self._encoder.fresh:
+            self._safe = self._encoded
+        self._well()
+        if self._file.cut and not self._told_cut:
+            self._told_cut = True
+            text = "another program cut or overwrote the log: what it held is lost; it goes on, and recover reads it"
+            self._tell("error", "log_cut", f"{self.path}: {text}")
+        return True
+
+    def _look_after_file(self) -> None:
+        if not self._file.in_place:
+            self._look_for_file()
+        if not self._file.removed:
+            return
+        try:
+            path = self._file.restore()
+        except OSError as error:
+            self._fault(f"removed, and cannot be put back: {error.strerror or error}")
+        else:
+            self._tell("warning", "log_restored", f"the log was removed; it is back, whole, as {path}")
+
+    def _look_for_file(self) -> None:
+        before = self._file.path
+        if self._file.follow():
+            self._tell("warning", "log_moved", f"{before}: the log was moved; it goes on as {self._file.path}")
+        elif not self._told_hidden:
+            self._told_hidden = True
+            text = (
+                "the disk of the log was unmounted, or another mounted over it; the log goes on there, and is not to be"
+            )
+            self._tell("error", "log_hidden", f"{before}: {text} found under this name until that disk is back")
+
+    def _rescue(self) -> None:
+        """At the end the log has no name, and cannot have its own: in the nearest other folder, rather than nowhere."""
+        before = self._file.path
+        for folder in (*self._file.folder.parents, Path(tempfile.gettempdir())):
+            try:
+                path = self._file.restore(folder)
+            except OSError:
+                continue
+            self._tell("warning", "log_restored", f"{before} was removed and cannot be put back; the log is {path}")
+            return
+        self._safe = 0
+        self._give_up()
+        self._tell("error", "log_incomplete", f"{before} was removed and cannot be put back anywhere; it is lost")
+
+    def _fault(self, problem: str) -> None:
+        if problem != self._problem:
+            self._problem = problem
+            text = f"{self.path}: {problem}; acquisition goes on, make room or reconnect the disk"
+            self._tell("error", "log_fault", text)
+
+    def _well(self) -> None:
+        if self._problem and not self._file.removed:
+            self._problem = ""
+            self._tell("info", "log_recovered", f"{self.path}: written again")
+
+    def _sleep(self, ns: int) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: False, ns / 1e9)
+
+    def _tell(self, level: str, code: str, text: str) -> None:
+        with self._changed:
+            self._note(level, code, text)
+
+    def _note(self, level: str, code: str, text: str) -> None:
+        self._notices.append(Notice(self._clock.now_ns(), level, code, text))

@@ -1,0 +1,67 @@
+"""What a run shows on a terminal while it goes on: one line of status and the estimates, redrawn twice a second."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.text import Text
+
+from daq.base.console.tables import parameters_table
+from daq.base.contract.sink import Session
+from drivers.contract.reading import Notice, Reading
+from estimator.results import MISSING, certain
+
+from .live_state import LiveState
+
+NAMED = ("missing_force", "effect_named", "effect_unknown", "model_complete")  # notices of naming.py
+
+
+def missing_text(extra: Mapping[str, float]) -> str:
+    """The rolling missing force in a line: how much, and what it is most like; "" before there is one."""
+    total = extra.get(MISSING)
+    if total is None:
+        return ""
+    like = ", ".join(f"{name} {extra[f'{MISSING}_{name}']:.2f} %" for name in certain(extra))
+    return f"missing force {total:.2f} % of the bearing force" + (f"   most like {like}" if like else "")
+
+
+class LiveTable(LiveState):
+    """A sink. Draws at most twice a second, in a thread of rich's."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__()
+        self._named = ""
+        self._started = False
+        # last: it draws at once
+        self._live = Live(console=console, refresh_per_second=2, transient=True, get_renderable=self._draw)
+
+    def start(self, session: Session) -> None:
+        super().start(session)
+        self._live.start()
+        self._started = True
+
+    def readings(self, batch: Sequence[Reading]) -> None:
+        super().readings(batch)
+        for reading in batch:
+            if isinstance(reading, Notice) and reading.code in NAMED:
+                self._named = reading.text
+
+    def close(self) -> None:
+        if self._started:
+            self._live.stop()
+
+    def _draw(self) -> Group:
+        text = f"{self.samples / (self.rate_hz or 1.0):8.1f} s   lost {self.lost}"
+        if self.last_status is not None:
+            text += f"   {self.last_status.rate_hz:.0f} samples/s"
+        parts: list[object] = [Text(text)]
+        if self.last_estimate is not None:
+            shown = self.last_estimate.parameters
+            if text := missing_text(self.last_estimate.extra or {}):
+                parts.append(Text(text))
+            if self._named:
+                parts.append(Text(self._named, style="bold"))
+            parts.append(parameters_table(shown) if shown else Text(self.last_estimate.status))
+        return Group(*parts)  # type: ignore[arg-type]

@@ -1,0 +1,152 @@
+"""One self-contained HTML page of a comparison, a diagnosis, an improvement: to send to a colleague.
+
+The page needs no network and no script; pictures are inline SVG. It works from the `to_json()` of the results
+(contract.md), whose further keys it draws where they are there, all in SI units:
+
+comparison
+    curves : [{channel, against, at, force, band_low, band_high}], residual force in N with its 95 % band, `at` in m,
+        m/s, deg ... (report_figures.AGAINST)
+    laws : [{channel, against, at, measured, band_low, band_high, model}], restoring force without a straight line
+    spectra : {channel: {frequency_hz, measured, model}}, one-sided PSD in the channel's unit squared per Hz
+    densities : {channel: {at, measured, model}}, of the displacement in m, 1/m
+    orbits : {bearing: {measured: [x, y], model: [x, y]}}, displacements in m
+    parameters : as in `fit`; messages : [text]
+diagnosis
+    shape : with band_low, band_high; separates : text, what tells the verdict from the runner-up; messages : [text]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from daq.base.console import unfinished
+from daq.base.contract.errors import LogError
+
+from . import curves as curves
+from . import figures as figures
+from . import numbers as numbers
+from . import words as words
+
+Json = Mapping[str, Any]
+NOTHING: Json = {}
+FEWEST, MOST = 3, 10  # rows of the ranking that are shown
+
+
+def write_report(path: Path, title: str, **parts: Any) -> None:
+    """Write the page that `render` makes of the same arguments. Raises LogError if the file cannot be written."""
+    page = render(title, **parts)
+    try:
+        unfinished.write(path, page.encode())
+    except OSError as problem:
+        raise LogError(f"report {path}: {problem.strerror or problem}; choose another --html file") from problem
+
+
+def render(
+    title: str,
+    *,
+    facts: Mapping[str, str] = NOTHING,
+    comparison: Json | None = None,
+    before: Json | None = None,
+    diagnoses: Sequence[Json] = (),
+    ladder: Sequence[Json] = (),
+    notes: Sequence[str] = (),
+    rig_text: str = "",
+) -> str:
+    """The page as text.
+
+    comparison : of the model as it is now; before : of the model before anything was added; diagnoses : of every model
+    of the ladder, in order; notes : what the improvement said; facts : log, rig, length of the record ... as the head
+    of the page shows them.
+    """
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.globals |= {
+        "number": numbers.number,
+        "fixed": numbers.fixed,
+        "odds": numbers.odds,
+        "percent": numbers.percent,
+        "parameter": numbers.parameter,
+        "listed": words.listed,
+        "detectable": words.detectable,
+        "model_name": figures.model_name,
+    }
+    template = environment.from_string(Path(__file__).with_name("report.html").read_text(encoding="utf-8"))
+    now, old = comparison or NOTHING, before or NOTHING
+    said = [*now.get("messages", ()), *notes, *(m for d in diagnoses for m in d.get("messages", ()))]
+    return template.render(
+        title=title,
+        facts=dict(facts) | {"made by": f"rotorscope {version()}, {datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"},
+        summary=words.summary(comparison, diagnoses, ladder),
+        pictures=pictures(now, old, ladder, before is not None),
+        comparison=comparison,
+        where=words.regions(before, comparison),
+        findings=[finding(d, k, len(diagnoses), ladder) for k, d in enumerate(diagnoses)],
+        ladder=ladder,
+        messages=list(dict.fromkeys(said)),
+        parameters=now.get("parameters", {}),
+        rig_text=rig_text,
+    )
+
+
+def pictures(now: Json, old: Json, ladder: Sequence[Json], two: bool) -> dict[str, str | None]:
+    """SVG by name, None where there is nothing to show. two : whether there is a model before."""
+    return {
+        "ladder": figures.ladder(ladder) if ladder else None,
+        "laws": curves.laws(now.get("laws", ()), old.get("laws", ())),
+        "residuals": curves.residuals(now.get("curves", ()), old.get("curves", ())),
+        "where": figures.where_map(now.get("where", ()), old.get("where", ()) if two else None, looked_at(old, now)),
+        "spectra": figures.spectra(now.get("spectra", {}), old.get("spectra", {}), now.get("psd_distance_db", {})),
+        "densities": figures.densities(now.get("densities", {}), old.get("densities", {}), now.get("pdf_distance", {})),
+        "orbits": figures.orbits(now.get("orbits", {})),
+    }
+
+
+def looked_at(*comparisons: Json) -> list[str]:
+    """The channels of comparisons; of a clipped one a model with the fault draws no laws."""
+    return list(dict.fromkeys(c["channel"] for one in comparisons for c in one.get("curves", ())))
+
+
+def finding(diagnosis: Json, number: int, of: int, ladder: Sequence[Json]) -> dict[str, Any]:
+    """What the page shows of one diagnosis. number : on the ladder, from 0."""
+    past = number + 1 < len(ladder)
+    rows = worth_showing(diagnosis)
+    headings = {True: "What was missing", False: "What is left" if number else "What is missing"}
+    return {
+        "heading": headings[past] + (f": step {number + 1}" if past and of > 2 else ""),
+        "model": figures.model_name(ladder[number]["effects"]) if number < len(ladder) else "",
+        "past": past,
+        "diagnosis": diagnosis,
+        "verdict": diagnosis["verdict"],
+        "effect": described(diagnosis["verdict"]),
+        "ranking": rows,
+        "runner_up": words.runner_up(diagnosis) if diagnosis["ranking"] else None,
+        # of an improvement, those of the last model: the others may have hidden them
+        "limits": [r for r in diagnosis["ranking"] if r.get("detectable_from")] if number == of - 1 else [],
+        "picture": figures.ranking(rows, number) if rows else None,
+        "shape": curves.shape(diagnosis["shape"], number) if diagnosis.get("shape") else None,
+    }
+
+
+def worth_showing(diagnosis: Json) -> list[Json]:
+    """The first few effects of the ranking, and those after them that gain anything."""
+    rows = list(diagnosis["ranking"])[:MOST]
+    return [r for k, r in enumerate(rows) if k < FEWEST or r["heldout_gain"] > 1.0]
+
+
+def described(verdict: str) -> Any:
+    """The catalogue's entry of a verdict; None if it is not an effect of the catalogue."""
+    from estimator.effects import CATALOGUE
+
+    return CATALOGUE.get(verdict)
+
+
+def version() -> str:
+    try:
+        return metadata.version("rotorscope")
+    except metadata.PackageNotFoundError:
+        return "(not installed)"

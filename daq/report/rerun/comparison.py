@@ -1,0 +1,272 @@
+"""The comparison in Rerun: the report's pictures as planes, the ladder as a time line to scrub along.
+
+Takes the same results as the report (page.py names their keys). On the time line "model", 0 is the model before and
+the last step the model now.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.report.curves import force_reach, scaled
+from daq.report.figures import AGAINST, FIRST, floats
+from daq.report.numbers import unit_text
+from drivers.contract.errors import LinkError
+
+from . import plane as plane
+from .layout import part
+from .text import documents
+
+Json = Mapping[str, Any]
+Series = tuple[NDArray[np.float64], NDArray[np.float64], tuple[int, int, int]]
+MEASURED, MODEL, BEFORE = (200, 200, 200), (86, 180, 233), (230, 159, 0)
+DARK = (95, 95, 95)
+BAND = {MODEL: (45, 85, 110), BEFORE: (105, 80, 25)}
+STEP = "model"
+
+
+class Picture(NamedTuple):
+    """A plane of one step: what is drawn in it, and the name of its view."""
+
+    frame: plane.Plane
+    series: list[Series]
+    title: str
+
+
+def log_comparison(
+    target: str,
+    comparison: Json,
+    before: Json | None = None,
+    diagnoses: Sequence[Json] = (),
+    ladder: Sequence[Json] = (),
+    title: str = "comparison",
+    notes: Sequence[str] = (),
+) -> None:
+    """Show the comparison with its layout. target : an .rrd file, "spawn" or a viewer's URL (viewer_target); before :
+    of the model before anything was added. Raises LinkError if there is no viewer at the URL."""
+    import rerun as rr
+
+    recording = rr.RecordingStream("rotorscope_comparison")
+    _connect(recording, target)
+    rr.set_log_time_enabled(False, recording=recording)
+    rr.set_log_tick_enabled(False, recording=recording)
+    recording.send_recording_name(title)
+    steps = [before, comparison] if before is not None else [comparison]
+    drawn: dict[str, str] = {}
+    for k in range(len(steps)):
+        recording.set_time(STEP, sequence=k)
+        for entity, picture in planes(steps, k).items():
+            drawn[entity] = picture.title
+            for name, drawing in picture.frame.frame():
+                recording.log(f"{entity}/{name}", drawing)
+            recording.log(f"{entity}/curves", plane.curves(picture.frame, picture.series))
+    for entity, picture in unknown(diagnoses).items():
+        drawn[entity] = picture.title
+        for name, drawing in picture.frame.frame():
+            recording.log(f"{entity}/{name}", drawing, static=True)
+        recording.log(f"{entity}/curves", plane.curves(picture.frame, picture.series), static=True)
+    texts = documents(title, comparison, before, diagnoses, ladder, notes)
+    for name, text in texts.items():
+        page = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+        recording.log(name.lower(), page, static=True)
+    recording.send_blueprint(layout(drawn, list(texts)))
+    recording.flush(timeout_sec=10)
+    recording.disconnect()
+
+
+def _connect(recording: Any, target: str) -> None:
+    """To a file, or to a viewer that is there or is started."""
+    import time
+
+    from .process import START_S, VIEWER_PORT, answers, start_viewer
+
+    url = target
+    if target == "spawn":
+        url = f"rerun+http://127.0.0.1:{VIEWER_PORT}/proxy"
+        if not answers(url):
+            start_viewer()
+            until = time.monotonic() + START_S
+            while not answers(url) and time.monotonic() < until:
+                time.sleep(0.2)
+    if "://" not in url:
+        recording.save(url)
+    elif answers(url):
+        recording.connect_grpc(url)
+    else:
+        raise LinkError(f"--rerun {target}: no viewer answers at {url}; start one with `rerun`, or give FILE.rrd")
+
+
+def planes(steps: Sequence[Json], now: int) -> dict[str, Picture]:
+    """Entity path -> frame and curves of step `now`, those of the step before it faintly underneath.
+
+    Frames fit all the steps, so that scrubbing moves the curves and not the axes.
+    """
+    return (
+        laws(steps, now)
+        | residuals(steps, now)
+        | spectra(steps, now)
+        | densities(steps, now)
+        | orbits(steps[now], tone(steps, now))
+    )
+
+
+def tone(steps: Sequence[Json], k: int) -> tuple[int, int, int]:
+    return MODEL if k == len(steps) - 1 else BEFORE
+
+
+def laws(steps: Sequence[Json], now: int) -> dict[str, Picture]:
+    """Restoring force beyond a straight line: measured with its band, the model's, and that of the step before."""
+    found: dict[str, Picture] = {}
+    for law in steps[now].get("laws", ()):
+        channel, against = law["channel"], law["against"]
+        alike = [k for s in steps for k in s.get("laws", ()) if (k["channel"], k["against"]) == (channel, against)]
+        name, base = AGAINST[against]
+        x_gain, x_unit = scaled((k["at"] for k in alike), base)
+        as_curves = [{**k, "force": k[key]} for k in alike for key in ("measured", "model")]
+        reach = force_reach(as_curves)
+        y_gain, y_unit = scaled([[reach]], "N")
+        high = plane.round_up(reach * y_gain)
+        frame = plane.Plane(
+            span((k["at"] for k in alike), x_gain, f"{name}, {x_unit}"), plane.Axis(-high, high, y_unit)
+        )
+        at = floats(law["at"]) * x_gain
+        series: list[Series] = [(at, floats(law[key]) * y_gain, DARK) for key in ("band_low", "band_high")]
+        series.append((at, floats(law["measured"]) * y_gain, MEASURED))
+        for k in range(now + 1):
+            for c in steps[k].get("laws", ()):
+                if (c["channel"], c["against"]) == (channel, against):
+                    series.append((floats(c["at"]) * x_gain, floats(c["model"]) * y_gain, tone(steps, k)))
+        found[f"law/{part(channel)}/{part(against)}"] = Picture(frame, series, f"{channel} against {name} [{y_unit}]")
+    return found
+
+
+def residuals(steps: Sequence[Json], now: int) -> dict[str, Picture]:
+    found: dict[str, Picture] = {}
+    every = [c for s in steps for c in s.get("curves", ()) if c["against"] in FIRST]
+    for channel, against in dict.fromkeys((c["channel"], c["against"]) for c in steps[now].get("curves", ())):
+        row = [c for c in every if c["channel"] == channel]
+        column = [c for c in every if c["against"] == against]
+        if not column:
+            continue
+        name, base = AGAINST[against]
+        x_gain, x_unit = scaled((c["at"] for c in column), base)
+        y_gain, y_unit = scaled((c["force"] for c in row), "N")
+        x = span((c["at"] for c in column), x_gain, f"{name}, {x_unit}")
+        high = plane.round_up(force_reach(row) * y_gain)
+        y = plane.Axis(-high, high, y_unit)
+        series: list[Series] = []
+        for k in range(now + 1):
+            for c in steps[k].get("curves", ()):
+                if (c["channel"], c["against"]) == (channel, against):
+                    at = floats(c["at"]) * x_gain
+                    for key in ("band_low", "band_high") if k == now else ():
+                        series.append((at, floats(c[key]) * y_gain, BAND[tone(steps, k)]))
+                    series.append((at, floats(c["force"]) * y_gain, tone(steps, k)))
+        found[f"residual/{part(channel)}/{part(against)}"] = Picture(
+            plane.Plane(x, y), series, f"{channel} against {name} [{y_unit}]"
+        )
+    return found
+
+
+def unknown(diagnoses: Sequence[Json]) -> dict[str, Picture]:
+    """The shape of what no effect explains, of the last diagnosis that found one."""
+    shape = next((d["shape"] for d in reversed(diagnoses) if d.get("shape")), None)
+    if shape is None:
+        return {}
+    name, base = AGAINST.get(shape["against"], (shape["against"], ""))
+    x_gain, x_unit = scaled([shape["at"]], base)
+    reach = force_reach([shape])
+    y_gain, y_unit = scaled([[reach]], "N")
+    high = plane.round_up(reach * y_gain)
+    frame = plane.Plane(span([shape["at"]], x_gain, f"{name}, {x_unit}"), plane.Axis(-high, high, y_unit))
+    at = floats(shape["at"]) * x_gain
+    bands = [key for key in ("band_low", "band_high") if shape.get(key)]
+    series: list[Series] = [(at, floats(shape[key]) * y_gain, BAND[BEFORE]) for key in bands]
+    series.append((at, floats(shape["force"]) * y_gain, BEFORE))
+    channel = str(shape.get("channel", ""))
+    return {f"unknown/{part(channel)}": Picture(frame, series, f"{channel} against {name} [{y_unit}]")}
+
+
+def spectra(steps: Sequence[Json], now: int) -> dict[str, Picture]:
+    found: dict[str, Picture] = {}
+    for channel, s in steps[now].get("spectra", {}).items():
+        alike = [o["spectra"][channel] for o in steps if channel in o.get("spectra", {})]
+        values = np.concatenate([floats(o[key]) for o in alike for key in ("measured", "model")])
+        f = floats(s["frequency_hz"])
+        x = plane.Axis(float(f.min()), float(f.max()), "frequency, Hz", log=True)
+        y = plane.Axis(*plane.decades(values), f"({unit_text(s.get('unit', 'm/s^2'))})²/Hz", log=True)
+        series = [(f, floats(s["measured"]), MEASURED), (f, floats(s["model"]), tone(steps, now))]
+        found[f"spectrum/{part(channel)}"] = Picture(plane.Plane(x, y), series, f"{channel} [{y.label}]")
+    return found
+
+
+def densities(steps: Sequence[Json], now: int) -> dict[str, Picture]:
+    found: dict[str, Picture] = {}
+    for channel, d in steps[now].get("densities", {}).items():
+        alike = [o["densities"][channel] for o in steps if channel in o.get("densities", {})]
+        gain, unit = scaled((o["at"] for o in alike), "m")
+        values = np.concatenate([floats(o[key]) / gain for o in alike for key in ("measured", "model")])
+        x = span((o["at"] for o in alike), gain, f"displacement, {unit}")
+        y = plane.Axis(*plane.decades(values, at_most=5), f"1/{unit}", log=True)
+        at = floats(d["at"]) * gain
+        series = [(at, floats(d["measured"]) / gain, MEASURED), (at, floats(d["model"]) / gain, tone(steps, now))]
+        found[f"density/{part(channel)}"] = Picture(plane.Plane(x, y), series, f"{channel} [{y.label}]")
+    return found
+
+
+def orbits(step: Json, colour: tuple[int, int, int]) -> dict[str, Picture]:
+    found: dict[str, Picture] = {}
+    for bearing, o in step.get("orbits", {}).items():
+        both = [values for key in ("measured", "model") for values in o[key]]
+        gain, unit = scaled(both, "m")
+        side = span(both, gain, unit)
+        for key, shade in (("measured", MEASURED), ("model", colour)):
+            series = [(floats(o[key][0]) * gain, floats(o[key][1]) * gain, shade)]
+            frame = plane.Plane(side, side, plane.HEIGHT)
+            found[f"orbit/{part(bearing)}/{key}"] = Picture(frame, series, f"{bearing}, {key} [{unit}]")
+    return found
+
+
+def span(many: Iterable[Sequence[float]], gain: float, label: str) -> plane.Axis:
+    """An axis that holds all the values: symmetric if they have both signs."""
+    values = np.concatenate([floats(v) for v in many] or [np.zeros(1)]) * gain
+    values = values[np.isfinite(values)]
+    high = plane.round_up(float(np.abs(values).max(initial=0)) or 1.0)
+    return plane.Axis(-high if (values < 0).any() else 0.0, high, label)
+
+
+def layout(drawn: Mapping[str, str], texts: Sequence[str] = ("Summary",)) -> Any:
+    """Tabs of planes beside tabs of words."""
+    import rerun.blueprint as rrb
+
+    def view(entity: str, name: str) -> rrb.Spatial2DView:
+        width = plane.HEIGHT if entity.startswith("orbit") else plane.WIDTH
+        bounds = rrb.VisualBounds2D(x_range=(-130, width + 40), y_range=(-30, plane.HEIGHT + 130))
+        return rrb.Spatial2DView(origin=entity, name=name, visual_bounds=bounds)
+
+    per_row = len({entity.rsplit("/", 1)[1] for entity in drawn if entity.startswith("residual/")})
+    kinds = {
+        "law": "Law",
+        "residual": "Residual force",
+        "unknown": "Unknown",
+        "spectrum": "Spectra",
+        "density": "Densities",
+        "orbit": "Orbits",
+    }
+    tabs = []
+    for kind, name in kinds.items():
+        views = [view(entity, text) for entity, text in drawn.items() if entity.startswith(kind + "/")]
+        if views:
+            tabs.append(rrb.Grid(*views, grid_columns=per_row if kind == "residual" else 2, name=name))
+    pages = [rrb.TextDocumentView(origin=name.lower(), name=name) for name in texts]
+    words = rrb.Tabs(*pages, active_tab=0)
+    return rrb.Blueprint(
+        rrb.Horizontal(words, rrb.Tabs(*tabs, active_tab=0), column_shares=[2, 5]) if tabs else words,
+        rrb.TimePanel(timeline=STEP, state="collapsed", play_state="following"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="hidden"),
+    )

@@ -1,0 +1,1 @@
+"""The rig file: parsed, checked, edited in place."""

@@ -1,0 +1,278 @@
+"""The rig file: TOML in, an `estimator.model.rig.Model` in SI out, every problem reported at once."""
+
+from __future__ import annotations
+
+import tomllib
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from math import radians
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
+
+from daq.base.contract.errors import ConfigError
+from estimator.effects import NAMED
+from estimator.model.rig import MOTION, NODES, BearingGeometry, Channel, Model, Setting, Shaft
+
+from .effects import effects_of, setting
+from .problems import Problem, did_you_mean, line_numbers, of_validation
+from .rig_file import AcquisitionTable, BearingTable, ChannelTable, EstimatorTable, LinkTable, RigFile
+from .units import SI, factor
+
+LARGEST, DEEPEST = 200_000, 100  # characters of a file; dots in a line
+CAPS = ("bearing1.x", "bearing1.y", "bearing2.x", "bearing2.y")
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A checked rig file. base : the folder that paths in it start from; path : None if it came out of a log."""
+
+    text: str
+    base: Path
+    path: Path | None
+    file: RigFile
+    model: Model
+
+    @classmethod
+    def parse(cls, text: str, base: Path | None = None, path: Path | None = None, where: str = "rig file") -> Rig:
+        """The rig that a TOML text describes. Raises ConfigError with one line for each problem.
+
+        Of a text that came out of a log, no Python file is run.
+        """
+        base = base or Path()
+        modules = None if path is None else base
+        data = _toml(text, where)
+        problems = _tables(data, modules)
+        if not problems:
+            try:
+                file = RigFile.model_validate(data)
+                model, problems = _model(file, modules, path)
+            except ValidationError as error:
+                problems = of_validation(error, RigFile)
+        if problems:
+            lines = line_numbers(text)
+            problems.sort(key=lambda problem: problem.line_number(lines))
+            raise ConfigError("\n".join(dict.fromkeys(problem.line(where, lines) for problem in problems)))
+        return cls(text, base, path, file, model)
+
+    @property
+    def acquisition(self) -> AcquisitionTable | None:
+        return self.file.acquisition
+
+    @property
+    def estimator(self) -> EstimatorTable:
+        return self.file.estimator
+
+    @property
+    def link(self) -> LinkTable:
+        return self.file.link
+
+    @cached_property
+    def units(self) -> MappingProxyType[str, str]:
+        """Channel name -> its unit in the file."""
+        return MappingProxyType({c.name: c.unit for c in self.file.channel})
+
+    @cached_property
+    def factors(self) -> NDArray[np.float64]:
+        """(channels,) SI value of one of each channel's unit."""
+        return np.array([factor(c.kind, c.unit) for c in self.file.channel])
+
+    @cached_property
+    def si_units(self) -> tuple[str, ...]:
+        return tuple(SI[c.kind] for c in self.file.channel)
+
+    @property
+    def dbc(self) -> Path | None:
+        """Where the DBC of [link] is."""
+        return None if self.link.dbc is None else self.base / self.link.dbc
+
+    def attachments(self) -> dict[str, bytes]:
+        """What a log must hold to be replayed alone: the rig file, the DBC, modules of laws of the user's own.
+
+        What a log says of files here is not followed.
+        """
+        files = {"rig.toml": self.text.encode()}
+        if self.path is None:
+            return files
+        modules = {c.module.rpartition(":")[0] for c in self.file.model.custom if c.module}
+        for path in [*([self.dbc] if self.dbc else []), *(self.base / m for m in sorted(modules))]:
+            if path.is_file():
+                files[path.name] = path.read_bytes()
+        return files
+
+
+def _toml(text: str, where: str) -> dict[str, Any]:
+    """The tables of a text. What no rig file needs is refused: the library takes long over it, or trips."""
+    if len(text) > LARGEST:
+        raise ConfigError(f"{where}: larger than {LARGEST / 1e3:g} kB; a rig file has a few: check the path")
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.count(".") > DEEPEST and not line.lstrip().startswith("#"):
+            raise ConfigError(
+                f"{where}:{number}: a key of more than {DEEPEST} levels, or much in one line; simplify it"
+            )
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise ConfigError(f"{where}: lists or tables nested too deeply; a rig file needs a few levels") from error
+    except ValueError as error:  # of TOML, or a whole number of thousands of digits
+        raise ConfigError(f"{where}: not a TOML file: {error}; correct that line first") from error
+
+
+def load_rig(path: str | Path) -> Rig:
+    """The rig file at `path`. Raises ConfigError: missing, not text, not TOML, or any number of problems."""
+    path = Path(path)
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            text = file.read(LARGEST + 1)
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: no such rig file; check the path, or begin from one of configs/") from error
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not a UTF-8 text"
+        raise ConfigError(f"{path}: cannot be read as a rig file: {reason}; give a TOML file") from error
+    return Rig.parse(text, path.parent, path, str(path))
+
+
+def _tables(data: dict[str, Any], base: Path | None) -> list[Problem]:
+    """Each table by itself, so that a mistake in one hides none in another; and what the tables say together."""
+    problems: list[Problem] = []
+    parts: dict[str, Any] = {}
+    for name, field in RigFile.model_fields.items():
+        key = field.alias or name
+        if key not in data:
+            if field.is_required():
+                problems.append(Problem((key,), _MISSING[key]))
+            continue
+        table = _adapter(name)
+        try:
+            parts[key] = table.validate_python(data[key])
+        except ValidationError as error:
+            problems += of_validation(error, RigFile, (key,), (key,))
+            wrong = {e["loc"][0] for e in error.errors() if e["loc"]}
+            if isinstance(data[key], dict):  # what is right in it still takes part in the checks across tables
+                with suppress(ValidationError):
+                    parts[key] = table.validate_python({k: v for k, v in data[key].items() if k not in wrong})
+    known = [f.alias or name for name, f in RigFile.model_fields.items()]
+    for key in data:
+        if key not in known:
+            problems.append(Problem((key,), f"unknown key; {did_you_mean(key, known, 'the keys here are')}"))
+    return problems + _together(data, parts, base)
+
+
+@cache
+def _adapter(name: str) -> TypeAdapter[Any]:
+    """Of one table; building one takes longer than checking with it."""
+    return TypeAdapter(RigFile.model_fields[name].rebuild_annotation())
+
+
+_MISSING = {
+    "schema": "schema = 1 is missing; add it as the first line",
+    "band": "the [band] table is missing; add low and high, in Hz, of the analysis band",
+    "channel": "there is no [[channel]] table; add one for each measured channel",
+}
+
+
+def _together(data: dict[str, Any], parts: dict[str, Any], base: Path | None) -> list[Problem]:
+    problems: list[Problem] = []
+    channels: list[ChannelTable] = parts.get("channel", [])
+    seen: dict[Any, int] = {}
+    for i, c in enumerate(channels):
+        key = (c.node, c.direction, c.kind)
+        if c.name in (names := [other.name for other in channels[:i]]):
+            text = f'"{c.name}" is also the name of channel[{names.index(c.name)}]; rename one'
+            problems.append(Problem(("channel", i, "name"), text))
+        elif key in seen:
+            what = "is a tacho" if c.kind == "tacho" else f"measures {c.kind} of {c.node}.{c.direction}"
+            problems.append(Problem(("channel", i, "node"), f"channel[{seen[key]}] {what} already; correct one"))
+        if c.kind in ("velocity", "displacement", "acceleration") and c.direction in ("x", "y"):
+            other = next((k for k in seen if k[:2] == key[:2] and k[2] not in ("force", "tacho", c.kind)), None)
+            if other is not None:
+                text = f"channel[{seen[other]}] measures the motion of {c.node}.{c.direction} already; keep one of them"
+                problems.append(Problem(("channel", i, "kind"), text))
+        seen.setdefault(key, i)
+    motions = [c for c in channels if c.kind in MOTION and c.direction != "z"]
+    if channels and not motions:
+        text = "no channel measures the motion of a bearing in x or y; nothing can be estimated without one"
+        problems.append(Problem(("channel",), text))
+    band, acquisition = parts.get("band"), parts.get("acquisition")
+    if band is not None and band.low == 0 and any(c.kind != "displacement" for c in motions):
+        text = "0 Hz: acceleration and velocity cannot be integrated from 0 Hz; choose low well below the resonance"
+        problems.append(Problem(("band", "low"), text))
+    if band is not None and acquisition is not None and band.high >= acquisition.rate_hz / 2:
+        text = f"{band.high:g} Hz is not below half of acquisition.rate_hz = {acquisition.rate_hz:g} Hz; lower it"
+        problems.append(Problem(("band", "high"), text))
+    link: LinkTable | None = parts.get("link")
+    for name in link.signals if link and channels else ():
+        if name not in (names := [c.name for c in channels]):
+            text = f"there is no channel of this name; {did_you_mean(name, names, 'there are')}"
+            problems.append(Problem(("link", "signals", name), text))
+    if "model" in parts:
+        shaft: Shaft = parts["rig"].shaft if "rig" in parts else "none" if "rig" not in data else "chain"
+        rpm = parts["rig"].speed_rpm if "rig" in parts else None if "rig" not in data else 1.0
+        known = _channels(channels) if motions else tuple(Channel(p, *p.split(".")) for p in CAPS)
+        problems += effects_of(parts["model"], NAMED, Model(known, (1.0, 2.0), shaft, speed_rpm=rpm), base)[1]
+    return problems
+
+
+def _model(file: RigFile, base: Path | None, path: Path | None) -> tuple[Model, list[Problem]]:
+    rig, spring = file.rig, file.rig.shaft_spring
+    model = Model(
+        channels=_channels(file.channel),
+        band=(file.band.low, file.band.high),
+        shaft=rig.shaft,
+        mass=_masses(file),
+        shaft_stiffness=spring.stiffness if spring else 0.0,
+        shaft_damping=spring.damping if spring else 0.0,
+        speed_rpm=rig.speed_rpm or None,  # a shaft at rest has no angle
+        ball_pass_order=rig.ball_pass_order,
+        bearing=_bearing(rig.bearing),
+        name=rig.name or (path.stem if path else "rig"),
+    )
+    effects, problems = effects_of(file.model, NAMED, model, base)
+    linear = {p: dict.fromkeys(("kL", "c", "S"), Setting()) for p in model.places}
+    for node in NODES:
+        for direction in ("x", "y"):
+            table = getattr(getattr(file.model.linear, node), direction, None)
+            if table is not None:
+                given = {k: setting(s) for k in ("kL", "c", "S") if (s := getattr(table, k)) is not None}
+                place = f"{node}.{direction}"
+                linear[place] = linear.get(place, dict.fromkeys(("kL", "c", "S"), Setting())) | given
+    waiting = {c.name for c in file.model.custom if c.candidate} - set(file.model.effects)
+    candidates = tuple(use for use in effects if use.name in waiting)
+    effects = tuple(use for use in effects if use.name not in waiting)
+    return replace(model, linear=linear, effects=effects, candidates=candidates), problems
+
+
+def _channels(tables: list[ChannelTable]) -> tuple[Channel, ...]:
+    return tuple(Channel(c.name, c.node or "shaft", c.direction or "", c.kind) for c in tables)
+
+
+def _masses(file: RigFile) -> dict[str, float]:
+    mass = file.rig.mass
+    out = {} if mass.disc is None else {"disc": mass.disc}
+    for node in NODES:
+        cap = getattr(mass, node)
+        if cap is None:
+            continue
+        if cap.x is not None and cap.x == cap.y:
+            out[node] = cap.x
+        else:
+            out |= {f"{node}.{d}": m for d, m in (("x", cap.x), ("y", cap.y)) if m is not None}
+    return out
+
+
+def _bearing(table: BearingTable | None) -> BearingGeometry | None:
+    if table is None:
+        return None
+    return BearingGeometry(
+        table.balls,
+        1e-3 * table.ball_diameter_mm,
+        1e-3 * table.pitch_diameter_mm,
+        1e-3 * table.groove_radius_mm,
+        None if table.preload_um is None else 1e-6 * table.preload_um,
+        radians(table.contact_angle_deg),
+    )

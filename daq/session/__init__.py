@@ -1,0 +1,1 @@
+"""One core loop per device: readings in, ring, estimator, sinks."""

@@ -1,0 +1,263 @@
+"""A session from the opening of a link to the closing of its log; several at once, apart from each other."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import platform
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+
+from daq.base.console.memory import keep_freed
+from daq.base.contract.clock import Clock, SystemClock
+from daq.base.contract.sink import Sink
+from daq.rig.rig import Rig
+from drivers.contract.reading import Driver, Gap, LinkStats, Notice
+from estimator.results import Estimate
+
+from .estimation import block_rows
+from .estimators import MakeEstimator, maker, warm_up
+from .pipeline import Pipeline, Plan
+from .reading_queue import ReadingQueue
+
+FINITE = ("capture", "replay", "simulated")  # kinds of link that wait for us; all others are live
+READ_S = 0.1
+LINK_S = 0.5  # a link that is closed wakes whoever reads it
+GRACE_S = 2.0  # a live link may take this much longer than the seconds asked for, from its first sample on
+OPEN_S = 0.05  # a stop is looked for this often while the link is opened
+STOP_S = 0.6  # after a stop, this long for the reader to end, and for the estimator to finish
+ESTIMATOR_S = 10.0  # at the end of the seconds or of the source, this long
+ANSWER_S = 30.0  # and this long for a diagnosis that is under way, unless stopped
+BUSY_S = 0.01
+VERSIONS = ("rotorscope", "numpy", "scipy", "numba", "mcap", "protobuf")
+
+Notify = Callable[[Notice], None]
+
+
+@dataclass(frozen=True, slots=True)
+class RunSummary:
+    """What came of a session. problems : what an operator must know, one line each; identical : of replay --check;
+    not_logged : samples that were acquired, and are not in the log for want of its disk."""
+
+    seconds: float
+    samples: int
+    lost_samples: int
+    gaps: tuple[Gap, ...]
+    kind: str
+    stats: LinkStats
+    last_estimate: Estimate | None
+    clipped: int = 0
+    problems: tuple[str, ...] = ()
+    device: str = ""
+    identical: bool | None = None
+    compared: int = 0
+    not_logged: int = 0
+
+    def to_json(self) -> dict[str, Any]:
+        """As schemas/run.json."""
+        s = self.stats
+        counters = ("frames", "bytes", "crc_errors", "resyncs", "reconnects", "restarts", "duplicates")
+        link: dict[str, Any] = {"kind": self.kind} | {name: getattr(s, name) for name in counters} | {"other": s.other}
+        estimate = self.last_estimate
+        out: dict[str, Any] = {
+            "schema": 1,
+            "seconds": self.seconds,
+            "samples": self.samples,
+            "lost_samples": self.lost_samples,
+            "gaps": [{"index": g.index, "count": g.count, "reason": g.reason} for g in self.gaps],
+            "not_logged": self.not_logged,
+            "clipped_values": self.clipped,
+            "link": link,
+            "estimates": {n: p.to_json() for n, p in estimate.parameters.items()} if estimate else {},
+            "estimate_status": estimate.status if estimate else "no estimate",
+            "problems": list(self.problems),
+        }
+        if self.device:
+            out["device"] = self.device
+        if self.identical is not None:
+            out |= {"identical": self.identical, "estimates_compared": self.compared}
+        return out
+
+
+def acquire(
+    rig: Rig,
+    driver: Driver,
+    sinks: Sequence[Sink],
+    seconds: float | None = None,
+    stop: threading.Event | None = None,
+    *,
+    device: str = "",
+    metadata: Mapping[str, str] | None = None,
+    notify: Notify | None = None,
+    clock: Clock | None = None,
+    make: MakeEstimator | None = None,
+) -> RunSummary:
+    """Acquire until `seconds` of data have come, the source ends or `stop` is set. Sinks are closed in any case.
+
+    notify : called from this thread with everything an operator should read.
+    make : instead of the rig's estimator. metadata : into the log, beside versions and link kind.
+    Raises LinkError if the link cannot be opened, ConfigError if it does not have the rig's channels, and whatever a
+    driver raised against its contract, after the sinks are closed.
+    """
+    keep_freed()  # with a heap for each thread what lies free in them grows for hours
+    clock, stop = clock or SystemClock(), stop or threading.Event()
+    live = driver.kind not in FINITE
+    make = make or maker(rig.estimator.method, rig.estimator.time_constant_s, rig.estimator.watch)
+    rate_hz = rig.acquisition.rate_hz if rig.acquisition else None
+    about = _about(driver, clock) | dict(metadata or {})
+    plan = Plan(rig.model, make, rate_hz, device, rig.attachments(), about, seconds)
+    queue = ReadingQueue(live=live)
+    pipeline = Pipeline(plan, sinks, clock, live=live, notify=notify, wake=queue.wake if live else None)
+    try:
+        if live:
+            _open_unless_stopped(driver, stop, lambda: _warm_up(make, rig, rate_hz))
+        else:
+            driver.open()
+        reader = threading.Thread(target=_read, args=(driver, queue, stop), name=f"read {driver.kind}", daemon=True)
+        reader.start()
+        begin_ns, flowing = clock.now_ns(), False
+        try:
+            while not (stop.is_set() or pipeline.done or queue.ended):
+                if pipeline.busy:
+                    stop.wait(BUSY_S)
+                else:
+                    pipeline.step(queue.take(READ_S))
+                pipeline.tick(driver.stats, {"reader": queue.dropped})
+                if not flowing and pipeline.ledger.first is not None:
+                    begin_ns, flowing = clock.now_ns(), True
+                if live and seconds is not None and clock.now_ns() > begin_ns + (seconds + GRACE_S) * 1e9:
+                    if flowing:
+                        pipeline.step([_short(pipeline, seconds, clock)])
+                    break
+        finally:
+            queue.close()
+            driver.close()
+            reader.join(STOP_S)
+        # what was read before the stop is logged in any case; of a file it can be read again
+        while not pipeline.done and (live or not stop.is_set()) and (rest := queue.take(0.0)):
+            pipeline.step(rest)
+        until_ns = clock.now_ns() + ANSWER_S * 1e9
+        pipeline.tick(driver.stats, {"reader": queue.dropped})
+        while pipeline.pending and not stop.is_set() and clock.now_ns() < until_ns:
+            stop.wait(READ_S)
+            pipeline.tick(driver.stats, {"reader": queue.dropped})
+    finally:
+        pipeline.finish(driver.stats, {"reader": queue.dropped}, STOP_S if stop.is_set() else ESTIMATOR_S)
+    return _summary(pipeline, driver, device)
+
+
+def _short(pipeline: Pipeline, seconds: float, clock: Clock) -> Notice:
+    text = f"{pipeline.seconds:.4g} s of data came in {seconds + GRACE_S:g} s, where {seconds:g} s were asked for"
+    return Notice(clock.now_ns(), "warning", "short", f"{text}: the run ends here; is the device silent, or too slow?")
+
+
+def _read(driver: Driver, queue: ReadingQueue, stop: threading.Event) -> None:
+    """The reader thread."""
+    failure: BaseException | None = None
+    try:
+        while queue.open and not stop.is_set():
+            readings = driver.read(LINK_S)
+            if readings:
+                queue.put(readings)
+            elif driver.exhausted:
+                break
+    except BaseException as error:  # raised again in the core loop
+        failure = error
+    queue.end(failure)
+
+
+def _open_unless_stopped(driver: Driver, stop: threading.Event, before: Callable[[], None]) -> None:
+    """Open the link, after what is done before, in a thread: a host that does not answer must not hold a stop."""
+    failures: list[BaseException] = []
+    left, done = threading.Event(), threading.Event()
+
+    def begin() -> None:
+        try:
+            before()
+            if not left.is_set():
+                driver.open()
+        except BaseException as error:  # raised again below
+            failures.append(error)
+        done.set()
+        if left.is_set():
+            driver.close()
+
+    threading.Thread(target=begin, name=f"open {driver.kind}", daemon=True).start()
+    while not done.wait(OPEN_S):
+        if stop.is_set():
+            left.set()
+            return
+    if failures:
+        raise failures[0]
+
+
+def _warm_up(make: MakeEstimator, rig: Rig, rate_hz: float | None) -> None:
+    """Before a live session: what it compiles and loads must not hold it later."""
+    with contextlib.suppress(ValueError):  # the pipeline meets it again, and says so
+        if rate_hz:
+            warm_up(make, rig.model, rate_hz, block_rows(rate_hz))
+    gc.freeze()  # to go through all that is loaded by now holds every thread for 0.1 s
+
+
+def _about(driver: Driver, clock: Clock) -> dict[str, str]:
+    started = datetime.fromtimestamp((clock.now_ns() + clock.wall_offset_ns()) / 1e9, UTC)
+    versions = {name: version(name) for name in VERSIONS}
+    return versions | {
+        "python": platform.python_version(), "link_kind": driver.kind, "started": started.isoformat(timespec="seconds"),
+    }  # fmt: skip
+
+
+def _summary(pipeline: Pipeline, driver: Driver, device: str) -> RunSummary:
+    ledger = pipeline.ledger
+    return RunSummary(
+        pipeline.seconds, ledger.samples, ledger.lost, tuple(ledger.gaps),
+        driver.kind, driver.stats, pipeline.last_estimate, pipeline.clipped, tuple(pipeline.problems), device,
+        not_logged=pipeline.dropped.get("LogWriter", 0),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Device:
+    """One of several devices of a service: its own rig file, link and log."""
+
+    name: str
+    rig: Rig
+    driver: Driver
+    sinks: Sequence[Sink]
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+def acquire_all(
+    devices: Sequence[Device], seconds: float | None = None, stop: threading.Event | None = None,
+    *, notify: Callable[[str, Notice], None] | None = None, make: MakeEstimator | None = None,
+) -> dict[str, RunSummary | Exception]:  # fmt: skip
+    """Each device in a core loop of its own, so that none waits for another; the outcome by name of the device.
+
+    An exception is the outcome of the device that it happened to, and ends no other.
+    """
+    outcome: dict[str, RunSummary | Exception] = {}
+    stop = stop or threading.Event()
+
+    def run(device: Device) -> None:
+        tell = None if notify is None else lambda notice: notify(device.name, notice)
+        try:
+            outcome[device.name] = acquire(
+                device.rig, device.driver, device.sinks, seconds, stop,
+                device=device.name, metadata=device.metadata, notify=tell, make=make,
+            )  # fmt: skip
+        except Exception as error:
+            outcome[device.name] = error
+            if tell is not None:
+                tell(Notice(SystemClock().now_ns(), "error", "device_failed", str(error) or repr(error)))
+
+    threads = [threading.Thread(target=run, args=(d,), name=f"core {d.name}", daemon=True) for d in devices]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        while thread.is_alive():  # with a timeout, so that a signal handler gets its turn
+            thread.join(READ_S)
+    return outcome

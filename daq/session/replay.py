@@ -1,0 +1,152 @@
+"""A log as a link, and the check that a log replayed gives its own estimates."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from daq.base.contract.clock import Clock, SystemClock
+from daq.base.contract.errors import LogError
+from daq.base.contract.sink import Session, Sink, Status
+from daq.log import codec as codec
+from daq.log.reader import Recording
+from daq.rig.rig import Rig
+from drivers.contract.reading import Block, Gap, LinkStats, Notice, Reading
+from estimator.results import Estimate
+
+from .acquire import Notify, RunSummary, acquire
+from .estimators import MakeEstimator
+from .pipeline import OWN_CODES
+
+ROWS = 1 << 16  # per read
+OPEN_END = ("recovered", "stopped_behind")  # notices of logs whose last samples were not estimated from
+
+
+class ReplayDriver:
+    """The readings of a log, in order. speed : times real time, by the samples' own time axis; None: at once.
+
+    What the service itself had said (clipping, trouble with the disk) is left out: it will say it again if it is so.
+    A log that somebody is writing is said to be one: it ends where it did as it was read.
+    """
+
+    kind = "replay"
+
+    def __init__(self, recording: Recording, speed: float | None = None, clock: Clock | None = None) -> None:
+        if speed is not None and not speed > 0:
+            raise ValueError(f"a speed of {speed} times real time is not above 0")
+        self.stats = LinkStats()
+        self._recording = recording
+        self._speed = speed
+        self._clock: Clock = clock or SystemClock()
+        self._closed = threading.Event()
+        self._source: Iterator[Reading] | None = None
+        self._next: Reading | None = None
+        self._told = not recording.growing
+        self._start_ns = 0
+        self.exhausted = False
+
+    def open(self) -> None:
+        self._source = self._recording.readings(joined=self._speed is None)
+        self._start_ns = self._clock.now_ns()
+
+    def close(self) -> None:
+        self._closed.set()
+        self.exhausted = True
+
+    def read(self, timeout_s: float) -> list[Reading]:
+        out: list[Reading] = []
+        rows = 0
+        deadline_ns = self._clock.now_ns() + round(timeout_s * 1e9)
+        while rows < ROWS and not self._closed.is_set():
+            reading = self._next or next(self._source or iter(()), None)
+            self._next = None
+            if reading is None:
+                self.exhausted = True
+                break
+            if isinstance(reading, Block) and not self._due(reading, deadline_ns, bool(out)):
+                self._next = reading
+                break
+            if isinstance(reading, Notice) and (reading.code in OWN_CODES or reading.code.startswith("log_")):
+                continue
+            if isinstance(reading, Block) and not self._told:
+                self._told = True
+                out.append(self._growing(reading.t_host_ns))
+            out.append(reading)
+            self._count(reading)
+            rows += len(reading.counts) if isinstance(reading, Block) else 1
+        return out
+
+    def _due(self, block: Block, deadline_ns: int, have_some: bool) -> bool:
+        """Wait until the block's last sample is due; False if that is after the deadline or others should go first."""
+        if self._speed is None:
+            return True
+        end_s = (block.index + len(block.counts) - self._recording.first) / self._recording.rate_hz / self._speed
+        due_ns = self._start_ns + round(end_s * 1e9)
+        wait_ns = due_ns - self._clock.now_ns()
+        if wait_ns <= 0:
+            return True
+        if have_some:
+            return False
+        self._closed.wait(min(due_ns, deadline_ns) / 1e9 - self._clock.now_ns() / 1e9)
+        return due_ns <= deadline_ns
+
+    def _growing(self, t_host_ns: int) -> Notice:
+        path, stop = self._recording.path, self._recording.stop
+        text = f"{path}: is being written; replayed up to sample {stop - 1}"
+        return Notice(t_host_ns, "warning", "log_growing", text)
+
+    def _count(self, reading: Reading) -> None:
+        if isinstance(reading, Block):
+            self.stats.frames += 1
+            self.stats.bytes += reading.counts.nbytes
+        elif isinstance(reading, Gap):
+            self.stats.lost_samples += reading.count
+
+
+class EstimateCheck:
+    """A sink that compares every estimate with the logged ones, byte for byte, NaN included."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._logged = [e.data for e in recording.estimates]
+        self._open_end = not recording.complete or any(n.code in OPEN_END for n in recording.notices)
+        self.compared = 0
+        self._extra = 0
+        self._equal = True
+
+    @property
+    def identical(self) -> bool:
+        """All logged estimates came again, and no others; a log that was cut may give more at its end."""
+        all_seen = self.compared == len(self._logged)
+        return self._equal and all_seen and (self._extra == 0 or self._open_end)
+
+    def start(self, session: Session) -> None: ...
+    def readings(self, batch: Sequence[Reading]) -> None: ...
+    def status(self, status: Status) -> None: ...
+    def close(self) -> None: ...
+
+    def estimate(self, estimate: Estimate) -> None:
+        if self.compared >= len(self._logged):
+            self._extra += 1
+            return
+        self._equal &= codec.encode_estimate(estimate) == self._logged[self.compared]
+        self.compared += 1
+
+
+def replay(
+    log: Recording, rig: Rig | None = None, sinks: Sequence[Sink] = (), *,
+    speed: float | None = None, check: bool = False, seconds: float | None = None,
+    stop: threading.Event | None = None, notify: Notify | None = None, make: MakeEstimator | None = None,
+) -> RunSummary:  # fmt: skip
+    """The same pipeline from a log; speed None is as fast as it goes. check : the summary says whether `identical`.
+
+    Raises LogError if the log has no rig file and none is given, or if there is nothing to check.
+    """
+    if rig is None:
+        rig = Rig.parse(log.rig_text, where=f"{log.path}: rig.toml")
+    if check and not log.estimates:
+        raise LogError(f"{log.path}: holds no estimates to check; replay it without --check")
+    checker = EstimateCheck(log)
+    driver = ReplayDriver(log, speed)
+    outcome = acquire(rig, driver, [*sinks, *([checker] if check else [])], seconds, stop, notify=notify, make=make)
+    return replace(outcome, identical=checker.identical, compared=checker.compared) if check else outcome

@@ -1,0 +1,89 @@
+"""What an operator is told of beside the readings: time, rate and samples that are not as they should be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from daq.base.contract.clock import OFF, Clock, DeviceClock
+from daq.base.contract.sink import ClockState
+from drivers.contract.reading import Gap
+
+EVERY_NS = 10_000_000_000  # what goes on and on is told this often
+WALL_STEP_NS = 500_000_000
+STILL_NS = 5_000_000_000
+UNSAID = {  # reasons of gaps that no driver has a notice for
+    "sequence": "on the way",
+    "device_lost": "by the device itself",
+    "source": "that the device did not send, or not at the rate of the rig file",
+}
+
+
+class Watch:
+    """Of one session. say : level, code, text. Called from the core loop only."""
+
+    def __init__(self, clock: Clock, say: Callable[[str, str, str], None]) -> None:
+        self._clock = clock
+        self._say = say
+        now = clock.now_ns()
+        self._seen_ns: int | None = None
+        self._wall_ns = 0  # Unix time minus host time as the log began
+        self._overflowed = 0  # samples, as last told
+        self._overflow_ns = self._lost_ns = now - EVERY_NS
+        self._lost: dict[str, int] = {}  # samples by reason, untold
+        self._rate_told = False
+
+    def begin(self) -> None:
+        """The log begins."""
+        self._seen_ns = self._clock.now_ns()
+        self._wall_ns = self._clock.wall_offset_ns()
+
+    def standstill(self) -> None:
+        """The core loop comes by ten times a second."""
+        now = self._clock.now_ns()
+        if self._seen_ns is None:
+            return
+        still_ns, self._seen_ns = now - self._seen_ns, now
+        if still_ns > STILL_NS:
+            text = f"this program stood still for {still_ns / 1e9:.1f} s (stopped, or this computer had no time for it)"
+            self._say("warning", "stood_still", f"{text}: what the link could not keep so long is lost")
+
+    def lost(self, gap: Gap) -> None:
+        if gap.reason in UNSAID:
+            self._lost[gap.reason] = self._lost.get(gap.reason, 0) + gap.count
+
+    def losses(self, final: bool) -> None:
+        """At once, then every ten seconds while it goes on."""
+        now = self._clock.now_ns()
+        if self._lost and (final or now - self._lost_ns >= EVERY_NS):
+            text = ", ".join(f"{count} {UNSAID[reason]} ({reason})" for reason, count in self._lost.items())
+            self._say("warning", "samples_lost", f"samples lost: {text}; rotorscope info says where in the log")
+            self._lost, self._lost_ns = {}, now
+
+    def wall_clock(self) -> None:
+        """The log's times go by the steady clock and its offset at the start; what is set later leaves them alone."""
+        if self._seen_ns is None:  # a session that ends before its log began
+            return
+        moved = self._clock.wall_offset_ns() - self._wall_ns
+        if abs(moved) > WALL_STEP_NS:
+            self._wall_ns += moved
+            text = f"this computer's clock moved by {moved / 1e9:+.3f} s (set, or asleep); times in the log go on"
+            self._say("warning", "wall_clock_set", text)
+
+    def rate(self, device: DeviceClock, state: ClockState | None) -> None:
+        """Once in a session: what the device counts as a second is none. state : what is stated of its clock now."""
+        if self._rate_told or (state is not None and abs(state.drift_ppm) < 1e6 * OFF):
+            return
+        true_hz = device.true_rate_hz()
+        if true_hz is not None:
+            self._rate_told = True
+            text = f"samples come at {true_hz:.6g} Hz by this computer's clock, not at {device.rate_hz:g} Hz"
+            more = "frequencies are off by as much, stiffness by twice that; correct what device or rig file gives"
+            self._say("warning", "rate_untrue", f"{text}: {more}")
+
+    def overflow(self, dropped: int, final: bool) -> None:
+        """At once, then every ten seconds while it goes on: the gaps themselves come when the core loop gets there."""
+        new, now = dropped - self._overflowed, self._clock.now_ns()
+        if new and (final or now - self._overflow_ns >= EVERY_NS):
+            self._overflowed, self._overflow_ns = dropped, now
+            text = f"samples come faster than they are taken in: {new} of the oldest that waited are dropped"
+            self._say("error", "overflow", f"{text}; leave this computer less to do, or lower the rate")

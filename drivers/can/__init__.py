@@ -1,0 +1,1 @@
+"""CAN frames in all their forms."""

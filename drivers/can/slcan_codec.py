@@ -1,0 +1,197 @@
+"""slcan (LAWICEL, with CAN FD lines): bytes in, CAN frames out, a whole buffer at once. Pure; never raises.
+
+A line is exact or it is nothing: a digit missing anywhere makes it a damaged line, because a frame one byte short
+would otherwise pass. Adapters that append time stamps append them to every line, so the first good lines decide
+whether a line ends with one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from .can_frames import EXTENDED, REMOTE, CanFrames
+
+MAX_LINE = 160  # the longest is 1 + 8 + 1 + 128 + 8
+FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+_LENGTHS = np.array(FD_LENGTHS, np.int64)
+_HEX = np.full(256, 255, np.uint8)
+for _digit, _character in enumerate("0123456789ABCDEF"):
+    _HEX[ord(_character)] = _HEX[ord(_character.lower())] = _digit
+
+_GOOD, _DAMAGED, _REPLY, _REFUSED = 0, 1, 2, 3
+
+
+@nb.njit(cache=True)
+def _number(data: NDArray[np.uint8], start: int, digits: int, hexadecimal: NDArray[np.uint8]) -> int:
+    """Value of a run of hexadecimal digits, -1 if one is none."""
+    value = 0
+    for i in range(start, start + digits):
+        digit = hexadecimal[data[i]]
+        if digit > 15:
+            return -1
+        value = value * 16 + int(digit)
+    return value
+
+
+@nb.njit(cache=True)
+def _parse(
+    data: NDArray[np.uint8], stamp_digits: int, damaged_run: int, hexadecimal: NDArray[np.uint8],
+    lengths_of: NDArray[np.int64], ids: NDArray[np.uint32], lengths: NDArray[np.uint8], payload: NDArray[np.uint8],
+    stamps: NDArray[np.int64], damaged: NDArray[np.int64], first_bad: int,
+) -> tuple[int, int, int, int, int, int]:  # fmt: skip
+    """Returns frames, bytes consumed, refusals (BEL), other replies, stamp digits, damaged lines in a row.
+
+    damaged[k] : damaged lines just before frame k (k = frames: after the last).
+    """
+    frames, consumed, refused, replies = 0, 0, 0, 0
+    damaged[0] = 0
+    for end in range(data.size):
+        byte = data[end]
+        if byte == 7:
+            refused += 1
+            if end > consumed:
+                damaged[frames] += 1
+            consumed = end + 1
+            continue
+        if byte != 13:
+            continue
+        begin = consumed
+        consumed = end + 1
+        length = end - begin
+        if length == 0:
+            continue
+        kind = data[begin]
+        extended = kind == 84 or kind == 82 or kind == 68 or kind == 66  # T R D B
+        standard = kind == 116 or kind == 114 or kind == 100 or kind == 98  # t r d b
+        good = first_bad == 0 or begin > 0
+        if good and not extended and not standard:
+            sent = length == 1 and (kind == 122 or kind == 90)
+            if sent or (length <= 5 and (kind == 86 or kind == 78 or kind == 70)):
+                replies += 1  # z Z: sent; V N F: version, number, status
+                continue
+            good = False
+        head = 10 if extended else 5
+        identifier, code, size, tail = 0, 0, 0, 0
+        if good and length >= head:
+            identifier = _number(data, begin + 1, head - 2, hexadecimal)
+            code = _number(data, begin + head - 1, 1, hexadecimal)
+            remote = kind == 82 or kind == 114
+            fd = kind == 68 or kind == 100 or kind == 66 or kind == 98
+            good = identifier >= 0 and code >= 0 and (fd or code <= 8)
+            good = good and identifier <= (0x1FFFFFFF if extended else 0x7FF)
+            if good:
+                size = 0 if remote else lengths_of[code]
+                tail = length - head - 2 * size
+                good = tail == 0 or tail == 4 or tail == 8
+                good = good and (stamp_digits < 0 or tail == stamp_digits)
+        else:
+            good = False
+        if good:
+            for k in range(size):
+                high = hexadecimal[data[begin + head + 2 * k]]
+                low = hexadecimal[data[begin + head + 2 * k + 1]]
+                if high > 15 or low > 15:
+                    good = False
+                    break
+                payload[frames, k] = high * 16 + low
+        stamp = -1
+        if good and tail > 0:
+            stamp = _number(data, end - tail, tail, hexadecimal)
+            good = stamp >= 0
+        if not good:
+            for k in range(64):
+                payload[frames, k] = 0
+            damaged[frames] += 1
+            damaged_run += 1
+            if damaged_run >= 8:
+                stamp_digits = -1
+            continue
+        damaged_run = 0
+        stamp_digits = tail
+        flags = (0x80000000 if extended else 0) | (0x40000000 if kind == 82 or kind == 114 else 0)
+        ids[frames] = identifier | flags
+        lengths[frames] = size
+        stamps[frames] = stamp
+        frames += 1
+        damaged[frames] = 0
+    return frames, consumed, refused, replies, stamp_digits, damaged_run
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """What one feed decoded. damaged[k] : damaged lines before frame k; the last entry: after all frames."""
+
+    frames: CanFrames
+    damaged: NDArray[np.int64]
+    refused: int
+    replies: int
+
+
+class SlcanCodec:
+    """Keeps at most MAX_LINE bytes of an unfinished line."""
+
+    def __init__(self) -> None:
+        self._tail = b""
+        self._overlong = False
+        self._stamp_digits = -1
+        self._damaged_run = 0
+        self._stamp_ms: int | None = None
+        self._stamp_ns = 0
+
+    def reset(self) -> None:
+        self._tail, self._overlong, self._stamp_digits, self._damaged_run = b"", False, -1, 0
+        self._stamp_ms = None
+
+    def warm(self) -> None:
+        """Compile now (or load the compiled code), not when the first bytes wait."""
+        SlcanCodec().feed(b"\r", 0)
+
+    def feed(self, chunk: bytes, t_host_ns: int) -> Lines:
+        raw = self._tail + chunk
+        n = raw.count(b"\r")
+        ids, lengths = np.empty(n + 1, np.uint32), np.empty(n + 1, np.uint8)
+        payload, stamps = np.zeros((n + 1, 64), np.uint8), np.empty(n + 1, np.int64)
+        damaged = np.empty(n + 2, np.int64)
+        frames, consumed, refused, replies, self._stamp_digits, self._damaged_run = _parse(
+            np.frombuffer(raw, np.uint8), self._stamp_digits, self._damaged_run, _HEX, _LENGTHS, ids, lengths, payload,
+            stamps, damaged, int(self._overlong),
+        )  # fmt: skip
+        if consumed:
+            self._overlong = False
+        self._tail = raw[consumed:]
+        if len(self._tail) > MAX_LINE:
+            self._tail, self._overlong = b"?", True
+        times = self._times(stamps[:frames], t_host_ns)
+        found = CanFrames(ids[:frames], lengths[:frames], payload[:frames], times)
+        return Lines(found, damaged[: frames + 1], refused, replies)
+
+    def _times(self, stamps: NDArray[np.int64], t_host_ns: int) -> NDArray[np.int64]:
+        """The adapter's milliseconds (modulo one minute) on the host's clock, or the host's own."""
+        if len(stamps) == 0 or self._stamp_digits != 4:
+            return np.full(len(stamps), t_host_ns, np.int64)
+        if self._stamp_ms is None:
+            self._stamp_ms, self._stamp_ns = int(stamps[0]), t_host_ns
+        steps = np.diff(stamps, prepend=self._stamp_ms) % 60_000
+        missed_ms = (t_host_ns - self._stamp_ns) / 1e6 - float(steps.sum())
+        steps[0] += 60_000 * max(0, round(missed_ms / 60_000))  # silent for minutes
+        times = self._stamp_ns + np.cumsum(steps) * 1_000_000
+        self._stamp_ms, self._stamp_ns = int(stamps[-1]), int(times[-1])
+        return np.asarray(times)
+
+
+def encode_line(identifier: int, data: bytes, fd: bool, brs: bool = True, stamp_ms: int | None = None) -> bytes:
+    """One frame as a line; EXTENDED and REMOTE may be set in the identifier.
+
+    >>> encode_line(0x300, bytes(8), fd=False)
+    b't30080000000000000000\\r'
+    """
+    extended, remote = bool(identifier & EXTENDED), bool(identifier & REMOTE)
+    kind = "r" if remote else "t" if not fd else "b" if brs else "d"
+    code = FD_LENGTHS.index(len(data))
+    number = f"{identifier & 0x1FFFFFFF:08X}" if extended else f"{identifier & 0x7FF:03X}"
+    stamp = "" if stamp_ms is None else f"{stamp_ms % 60_000:04X}"
+    return f"{kind.upper() if extended else kind}{number}{code:X}{data.hex().upper()}{stamp}\r".encode()

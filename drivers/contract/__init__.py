@@ -1,0 +1,1 @@
+"""The driver contract: readings, notices, errors, the link base class."""

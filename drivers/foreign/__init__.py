@@ -1,0 +1,1 @@
+"""Devices of others by a DBC, and recorded CAN traffic."""

@@ -1,0 +1,174 @@
+"""CAN traffic in .mf4 files, read in a process of its own: python -m drivers.foreign.mf4_capture FILE
+
+Compiled parts of asammdf crash on some damaged files; there that is a message, and here it would end the service.
+The process writes parts to standard output: a letter, a length, a content. OPENED | UNAVAILABLE | REFUSED first, then
+BATCH for each batch, END.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import struct
+import subprocess
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar
+
+import numpy as np
+
+from drivers.can.can_frames import CanFrames
+from drivers.contract.errors import LinkOpenError, LinkUnavailable
+
+from .capture_batches import Batch, batches_of
+
+OPENED, UNAVAILABLE, REFUSED, BATCH, END = (bytes((letter,)) for letter in b"OURBZ")
+_PART = struct.Struct("<cI")
+_COUNTS = struct.Struct("<III")  # frames, damaged records, bytes of the reason
+LEAST_BYTES, FACTOR = 2 << 30, 100  # memory that the process may take: this, and so many times the file's size
+LEAST_S, BYTES_PER_S = 20, 100_000  # and CPU time: on some damaged files asammdf does not come to an end
+
+Opened = TypeVar("Opened")
+
+
+class Mf4Batches:
+    """The batches of a file, as open_capture gives them. Raises LinkOpenError | LinkUnavailable when it is made."""
+
+    def __init__(self, file: Path, bus: str | None) -> None:
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            "drivers.foreign.mf4_capture",
+            str(file.resolve()),
+            *([bus] if bus else []),
+        ]
+        self._child = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C is for us: we close it
+        )  # fmt: skip
+        self._out: Any = self._child.stdout
+        kind, content = self._part()
+        if kind == OPENED:
+            return
+        self.close()
+        text = content.decode("utf-8", "replace") or _ended(self._child.returncode)
+        if kind == UNAVAILABLE:
+            raise LinkUnavailable(f"capture:{file}: {text}: install the missing library")
+        raise LinkOpenError(f"capture:{file}: not a .mf4 file ({text}): check the file")
+
+    def __iter__(self) -> Mf4Batches:
+        return self
+
+    def __next__(self) -> Batch:
+        if self._out.closed:
+            raise StopIteration
+        kind, content = self._part()
+        if kind == BATCH:
+            return _unpacked(content)
+        self.close()
+        if kind == END:
+            raise StopIteration
+        return Batch(CanFrames.build([]), 1, _ended(self._child.returncode))
+
+    def close(self) -> None:
+        """End the process, whatever it is doing."""
+        self._out.close()
+        if self._child.poll() is None:
+            try:
+                self._child.wait(0.2)  # it has ended, or is about to
+            except subprocess.TimeoutExpired:
+                self._child.kill()
+                self._child.wait()
+
+    def _part(self) -> tuple[bytes, bytes]:
+        """The next part; two empty ones if the process ended without END."""
+        head = self._out.read(_PART.size)
+        if len(head) < _PART.size:
+            return b"", b""
+        kind, size = _PART.unpack(head)
+        content = self._out.read(size)
+        return (kind, content) if len(content) == size else (b"", b"")
+
+
+def _packed(batch: Batch) -> bytes:
+    f, why = batch.frames, batch.why.encode()
+    arrays = (f.ids, f.lengths, f.t_ns, f.payload)
+    return _COUNTS.pack(len(f), batch.damaged, len(why)) + why + b"".join(array.tobytes() for array in arrays)
+
+
+def _unpacked(content: bytes) -> Batch:
+    n, damaged, size = _COUNTS.unpack_from(content)
+    at, arrays = _COUNTS.size + size, list[Any]()
+    for kind, width in ((np.uint32, 1), (np.uint8, 1), (np.int64, 1), (np.uint8, 64)):
+        arrays.append(np.frombuffer(content, kind, n * width, at))
+        at += arrays[-1].nbytes
+    ids, lengths, t_ns, payload = arrays
+    why = content[_COUNTS.size : _COUNTS.size + size].decode("utf-8", "replace")
+    return Batch(CanFrames(ids, lengths, payload.reshape(n, 64), t_ns), damaged, why)
+
+
+def _opened_quietly(make: Callable[[], Opened]) -> Opened:
+    """asammdf's half-made object of a damaged file complains in its destructor: let it do so unheard."""
+    try:
+        return make()
+    except ImportError:
+        raise
+    except Exception as error:
+        text = " ".join(str(error).split()) or type(error).__name__
+        traceback.clear_frames(error.__traceback__)
+        del error
+        gc.collect()
+    raise ValueError(text)
+
+
+def _ended(status: int) -> str:
+    if status == -getattr(signal, "SIGXCPU", 0):
+        return "the library that reads it comes to no end"
+    return f"the library that reads it crashed, status {status}"
+
+
+def _bounded(file_bytes: int) -> None:
+    try:
+        import resource
+    except ImportError:  # not on this system
+        return
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    seconds = LEAST_S + file_bytes // BYTES_PER_S
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    wanted = LEAST_BYTES + FACTOR * file_bytes
+    resource.setrlimit(resource.RLIMIT_AS, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
+
+
+def _serve(out: BinaryIO, path: Path, bus: str | None) -> None:
+    def say(kind: bytes, content: bytes = b"") -> None:
+        out.write(_PART.pack(kind, len(content)) + content)
+        out.flush()
+
+    try:
+        import can
+
+        _bounded(path.stat().st_size)
+        reader = _opened_quietly(lambda: can.MF4Reader(path))
+    except ImportError as error:
+        say(UNAVAILABLE, str(error).encode())
+    except Exception as error:  # a damaged file may raise anything in the library
+        say(REFUSED, str(error).encode())
+    else:
+        say(OPENED)
+        for batch in batches_of(reader, bus, path):
+            say(BATCH, _packed(batch))
+        say(END)
+
+
+if __name__ == "__main__":
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints is no answer
+    try:
+        _serve(answers, Path(sys.argv[1]), sys.argv[2] if len(sys.argv) > 2 else None)
+    except BrokenPipeError:
+        os._exit(0)  # nobody wants the rest

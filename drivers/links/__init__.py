@@ -1,0 +1,1 @@
+"""A link's name turned into a driver."""

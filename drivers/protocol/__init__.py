@@ -1,0 +1,1 @@
+"""Protocol version 1: frames, device information, one absolute sample index."""

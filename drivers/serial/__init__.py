@@ -1,0 +1,1 @@
+"""Our frames on a byte stream."""
