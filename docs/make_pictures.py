@@ -17,7 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
-RIG = DOCS.parent / "daq" / "demo_rig.toml"
+RIG = DOCS.parent / "daq" / "commands" / "demo_rig.toml"
 SIZE = (1600, 1000)
 SECONDS = 24.0
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from rich.table import Table
@@ -16,7 +15,7 @@ from estimator.effects import CATALOGUE, MORE_LINES
 from estimator.results import Fit, Parameter, shared
 
 if TYPE_CHECKING:
-    from estimator.diagnosis.verdict.improve import Ladder
+    from estimator.diagnosis.verdict import Improvement
 
 from daq.base.console.ahead import loaded
 from daq.base.console.memory import keep_freed
@@ -35,16 +34,11 @@ BELOW_DETECTION = (
     'weaker than "detectable from", an effect cannot be told in a record of this length and level; one four times as '
     "long halves the limit"
 )
-METHODS = {  # --method of `rotorscope fit` -> its module
-    "spectral": "estimator.identification.batch.fit",
-    "fokker-planck": "estimator.identification.moments.fokker_planck",
-    "score-matching": "estimator.identification.moments.score_matching",
-    "volterra": "estimator.identification.moments.volterra",
-}
+Method = Literal["spectral", "fokker-planck", "score-matching", "volterra"]
 NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is missing"
 
 
-def fit(output: Output, log: Path, rig_path: Path, method: str, out: Path | None) -> None:
+def fit(output: Output, log: Path, rig_path: Path, method: Method, out: Path | None) -> None:
     if out is not None:
         spare(out)
     rig, data = given(output, log, rig_path)
@@ -96,21 +90,11 @@ def about(log: Path, data: Measurement) -> Iterator[None]:
         raise LogError(f"{log}: {problem}{why if holes > BROKEN else ''}") from problem
 
 
-def fitted(rig: Rig, data: Measurement, method: str) -> Fit:
-    """The fit of a record by the method's name; clipped channels are restored, and it is said."""
-    from importlib import import_module
+def fitted(rig: Rig, data: Measurement, method: Method) -> Fit:
+    """The fit of a record by the method's name."""
+    import estimator
 
-    from estimator.identification.record import clipping, declip
-    from estimator.signals.shaft_angle import measured_phase
-
-    clipped = clipping.find(rig.model, data.y)
-    y, off = declip.restored(rig.model, data.y, frozenset(place for s in clipped for place in s.at))
-    module = import_module(METHODS[method])
-    phase = measured_phase(rig.model, y, data.rate_hz) if method == "spectral" else None
-    result: Fit = module.fit(rig.model, y, data.rate_hz, **({} if phase is None else {"phase": phase}))
-    drawn = {place for place, error in off.items() if error < np.inf}
-    said = [f"{s.region}: {declip.RESTORED}" if s.at[0] in drawn else clipping.said(s) for s in clipped]
-    return replace(result, messages=(*result.messages, *said))
+    return estimator.fit(rig.model, data.y, data.rate_hz, method=method)
 
 
 def _likelihood(result: Fit) -> str:
@@ -119,7 +103,7 @@ def _likelihood(result: Fit) -> str:
 
 def compare(output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None) -> None:
     pages = Pages(html, rerun)
-    rig, data = given(output, log, rig_path, ("estimator.diagnosis.comparison.compare", *IN_USE))
+    rig, data = given(output, log, rig_path, ("estimator.diagnosis.comparison.comparison", *IN_USE))
     with about(log, data):
         value = _compared(output, rig, data)
     pages.write(rig, data, comparison=value)
@@ -127,7 +111,7 @@ def compare(output: Output, log: Path, rig_path: Path, html: Path | None, rerun:
 
 
 def _compared(output: Output, rig: Rig, data: Measurement) -> dict[str, Any]:
-    from estimator.diagnosis.comparison.compare import compare as compare_model
+    from estimator.diagnosis.comparison import compare as compare_model
 
     with output.progress("comparing") as progress:
         return compare_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
@@ -135,7 +119,7 @@ def _compared(output: Output, rig: Rig, data: Measurement) -> dict[str, Any]:
 
 def comparison_text(value: Mapping[str, Any]) -> list[Any]:
     """A comparison for people."""
-    from estimator.identification.residual.missing_force import UNJUDGED
+    from estimator.identification.residual import UNJUDGED
 
     missing = value["missing_force_percent"]
     interval = f"{missing['low']:.2f} to {missing['high']:.2f}"
@@ -164,8 +148,8 @@ def comparison_text(value: Mapping[str, Any]) -> list[Any]:
 
 def diagnose(output: Output, log: Path, rig_path: Path, html: Path | None, rerun: str | None) -> None:
     pages = Pages(html, rerun)
-    rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict.diagnose", *IN_USE))
-    from estimator.diagnosis.verdict.diagnose import diagnose as diagnose_model
+    rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict.diagnosis", *IN_USE))
+    from estimator.diagnosis.verdict import diagnose as diagnose_model
 
     with output.progress("diagnosing") as progress, about(log, data):
         value = diagnose_model(rig.model, data.y, data.rate_hz, progress=progress).to_json()
@@ -210,8 +194,8 @@ def step(rig: Rig, comparison: Mapping[str, Any]) -> dict[str, Any]:
 
 def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     """A diagnosis for people."""
-    from estimator.diagnosis.verdict.diagnose import no_law
-    from estimator.identification.residual.missing_force import UNJUDGED
+    from estimator.diagnosis.verdict import no_law
+    from estimator.identification.residual import UNJUDGED
 
     table = Table(box=None, header_style="bold", pad_edge=False)
     for heading in ("effect", "at", "held-out gain", "p-value", "missing there [%]", "parameters", "detectable from"):
@@ -253,8 +237,8 @@ def _p(value: float) -> str:
 def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | None, rerun: str | None) -> None:
     pages = Pages(html, rerun)
     spare(out)
-    rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict.improve", *IN_USE))
-    from estimator.diagnosis.verdict.improve import improve as improve_model
+    rig, data = given(output, log, rig_path, ("estimator.diagnosis.verdict.improvement", *IN_USE))
+    from estimator.diagnosis.verdict import improve as improve_model
 
     with output.progress("improving") as progress, about(log, data):
         ladder = improve_model(rig.model, data.y, data.rate_hz, progress=progress)
@@ -277,8 +261,8 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
 
 def ending(last: Mapping[str, Any], added: Sequence[str] = ()) -> str:
     """Why an improvement stops, from its last diagnosis and what was added."""
-    from estimator.diagnosis.verdict.diagnose import no_law
-    from estimator.identification.residual.missing_force import UNJUDGED
+    from estimator.diagnosis.verdict import no_law
+    from estimator.identification.residual import UNJUDGED
 
     verdict = last["verdict"]
     if verdict == "complete":
@@ -293,7 +277,7 @@ def ending(last: Mapping[str, Any], added: Sequence[str] = ()) -> str:
     return f"the last diagnosis names {verdict}, which was not added"
 
 
-def improved(rig: Rig, ladder: Ladder) -> tuple[str, Rig]:
+def improved(rig: Rig, ladder: Improvement) -> tuple[str, Rig]:
     """The rig file of a ladder's last model with its fitted values."""
     now = rig
     for use in ladder.model.effects:
@@ -305,7 +289,7 @@ def improved(rig: Rig, ladder: Ladder) -> tuple[str, Rig]:
 
 
 def theory(output: Output, rig_path: Path) -> None:
-    from estimator.model.bearing_theory import theory as hertz
+    from estimator.model import theory as hertz
 
     rig = load_rig(rig_path)
     if rig.model.bearing is None:

@@ -10,7 +10,7 @@ from daq.base.console.output import Output
 from daq.base.contract.errors import ConfigError
 from daq.rig.problems import did_you_mean
 from estimator.effects import CATALOGUE
-from estimator.model.effect import Effect
+from estimator.model import Effect
 
 
 def effects(output: Output, name: str | None) -> None:

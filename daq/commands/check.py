@@ -14,7 +14,7 @@ from daq.base.contract.errors import ConfigError
 from daq.rig.problems import line_numbers
 from daq.rig.rig import Rig, load_rig
 from estimator.errors import ModelError
-from estimator.model.rig import Model
+from estimator.model import Model
 
 SHAFTS = {"chain": "chain (caps joined through the disc)", "beam": "free-free beam", "none": "none: caps uncoupled"}
 
@@ -32,7 +32,7 @@ def check_laws(rig: Rig, path: Path) -> None:
     """ConfigError with its line for a law of the user's that is not finite."""
     for use in rig.model.effects:
         if use.custom is not None:
-            from estimator.effects.engine.custom import custom_effect
+            from estimator.effects.engine import custom_effect
 
             try:
                 custom_effect(use)

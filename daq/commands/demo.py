@@ -21,11 +21,11 @@ from daq.exchange.measurement import Measurement
 from daq.report.live_table import missing_text
 from daq.rig.edit import with_effect, with_values
 from daq.rig.rig import Rig, load_rig
-from drivers.contract.reading import Reading
+from drivers.contract import Reading
 from estimator.results import Estimate, Parameter
 
 if TYPE_CHECKING:
-    from estimator.diagnosis.comparison.compare import Comparison
+    from estimator.diagnosis.comparison import Comparison
 
 SECONDS = 20.0
 SEED = 7
@@ -94,8 +94,8 @@ def _acquire(output: Output, rig: Rig, truth: Rig, log: Path, recording: Path) -
     from daq.report.rerun.sink import RerunSink
     from daq.session.acquire import acquire
     from daq.session.simulation import machine
-    from drivers.contract.link_config import VirtualConfig
-    from drivers.links.links import make_driver
+    from drivers.contract import VirtualConfig
+    from drivers.links import make_driver
 
     device = machine(rig, truth=truth, seed=SEED, seconds=SECONDS).device
     driver = make_driver(VirtualConfig(None), device=device)
@@ -161,8 +161,8 @@ def _improve(output: Output, rig: Rig, truth: Rig, log: Path, out: Path) -> tupl
     from daq.exchange.measurement import measure
     from daq.report.page import write_report
     from daq.report.rerun.comparison import log_comparison
-    from estimator.diagnosis.comparison.compare import compare
-    from estimator.diagnosis.verdict.diagnose import diagnose
+    from estimator.diagnosis.comparison import compare
+    from estimator.diagnosis.verdict import diagnose
 
     from .analyse import comparison_text, diagnosis_text, step
 

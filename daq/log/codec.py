@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.base.contract.sink import ClockState, Status
-from drivers.contract.reading import Block, Gap, Info, LinkStats, Notice, Signal
+from drivers.contract import Block, Gap, Info, LinkStats, Notice, Signal
 from estimator.results import Estimate, Parameter
 
 from .schema import message

@@ -9,7 +9,7 @@ from mcap.writer import CompressionType, Writer
 
 from daq.base.contract.envelope import Envelope, Extremes
 from daq.base.contract.sink import Session, Status
-from drivers.contract.reading import Block, Gap, Info, Notice, Reading
+from drivers.contract import Block, Gap, Info, Notice, Reading
 from estimator.results import Estimate
 
 from . import codec as codec

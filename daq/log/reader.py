@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from daq.base.contract.errors import LogError
 from daq.base.contract.scaling import Scaling, now_at
 from daq.base.contract.sink import ClockState, Status
-from drivers.contract.reading import Gap, Info, Notice, Reading
+from drivers.contract import Gap, Info, Notice, Reading
 from estimator.results import Estimate
 
 from . import codec as codec

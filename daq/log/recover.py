@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.base.contract.errors import LogError
-from drivers.contract.reading import Gap, Notice
+from drivers.contract import Gap, Notice
 
 from . import codec as codec
 from .encoder import LogEncoder

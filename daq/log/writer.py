@@ -12,7 +12,7 @@ from pathlib import Path
 from daq.base.contract.clock import Clock, SystemClock
 from daq.base.contract.errors import LogError
 from daq.base.contract.sink import Session, SinkHealth, Status
-from drivers.contract.reading import Block, Gap, Notice, Reading
+from drivers.contract import Block, Gap, Notice, Reading
 from estimator.results import Estimate
 
 from .encoder import LogEncoder

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from daq.base.contract.sink import Session, Status
-from drivers.contract.reading import Block, Gap, Reading
+from drivers.contract import Block, Gap, Reading
 from estimator.results import Estimate
 
 

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from daq.base.console.tables import parameters_table
 from daq.base.contract.sink import Session
-from drivers.contract.reading import Notice, Reading
+from drivers.contract import Notice, Reading
 from estimator.results import MISSING, certain
 
 from .live_state import LiveState

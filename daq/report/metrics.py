@@ -18,7 +18,7 @@ from prometheus_client.registry import Collector
 
 from daq.base.contract.errors import ConfigError
 from daq.base.contract.sink import Session, Status
-from drivers.contract.reading import Block, Gap, LinkStats, Notice, Reading
+from drivers.contract import Block, Gap, LinkStats, Notice, Reading
 from estimator.results import Estimate
 
 from .metrics_http import serve

@@ -42,7 +42,7 @@ def regions(before: Json | None, now: Json | None) -> list[tuple[str, Json]]:
 def about_comparison(comparison: Json) -> list[str]:
     missing = comparison["missing_force_percent"]
     span = f"{percent(missing['value'])} (95 % interval {percent(missing['low'])} to {percent(missing['high'])})"
-    from estimator.identification.residual.missing_force import UNJUDGED
+    from estimator.identification.residual import UNJUDGED
 
     if UNJUDGED in comparison.get("messages", ()):
         said = [f"{UNJUDGED[0].upper()}{UNJUDGED[1:]}."]
@@ -75,8 +75,8 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
     if verdict == "complete":
         return ["Diagnosis: complete. No effect of the catalogue improves the prediction by more than chance would."]
     if verdict == "unknown":
-        from estimator.diagnosis.verdict.diagnose import no_law
-        from estimator.identification.residual.missing_force import UNJUDGED
+        from estimator.diagnosis.verdict import no_law
+        from estimator.identification.residual import UNJUDGED
 
         if UNJUDGED in diagnosis.get("messages", ()):
             return [f"Diagnosis: unknown. {UNJUDGED[0].upper()}{UNJUDGED[1:]}."]

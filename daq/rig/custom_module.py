@@ -7,7 +7,7 @@ import importlib.util
 import sys
 from pathlib import Path
 
-from estimator.model.effect import Effect
+from estimator.model import Effect
 
 
 def load_effect(module: str, base: Path) -> Effect:

@@ -13,8 +13,7 @@ from tomlkit.items import Float, InlineTable, Trivia
 
 from daq.base.console.output import Output, write_whole
 from daq.base.contract.errors import ConfigError
-from estimator.effects import CATALOGUE, MORE_LINES, NAMED
-from estimator.effects.engine.places import places
+from estimator.effects import CATALOGUE, MORE_LINES, NAMED, places
 from estimator.results import Parameter
 
 from .effects import at_places

@@ -9,10 +9,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from estimator.effects import CATALOGUE
-from estimator.effects.engine.places import places
-from estimator.model.effect import Effect
-from estimator.model.rig import DIRECTIONS, NODES, CustomLaw, EffectUse, Model, Setting
+from estimator.effects import CATALOGUE, places
+from estimator.model import DIRECTIONS, NODES, CustomLaw, Effect, EffectUse, Model, Setting
 
 from .problems import Path, Problem, did_you_mean, of_validation
 from .rig_file import CustomTable, ModelTable, SettingTable
@@ -127,7 +125,7 @@ def _law(
         if effect.turns and not _turning(model):
             wrong.append(("module", f"{own.module} {_ANGLE}"))
         return CustomLaw(None, own.module, known, effect), places(effect, model), wrong
-    from estimator.effects.engine.expression import ExpressionError, compile_law
+    from estimator.effects.engine import ExpressionError, compile_law
 
     law = CustomLaw(own.expression, None, units)
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from drivers.contract.reading import Driver, Gap, Info, LinkStats, Notice, Reading, Signal
+from drivers.contract import Driver, Gap, Info, LinkStats, Notice, Reading, Signal
 
 from .units import SI, UNITS, canonical
 

@@ -17,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from daq.base.contract.errors import ConfigError
 from estimator.effects import NAMED
-from estimator.model.rig import MOTION, NODES, BearingGeometry, Channel, Model, Setting, Shaft
+from estimator.model import MOTION, NODES, BearingGeometry, Channel, Model, Setting, Shaft
 
 from .effects import effects_of, setting
 from .problems import Problem, did_you_mean, line_numbers, of_validation

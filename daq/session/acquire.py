@@ -16,7 +16,7 @@ from daq.base.console.memory import keep_freed
 from daq.base.contract.clock import Clock, SystemClock
 from daq.base.contract.sink import Sink
 from daq.rig.rig import Rig
-from drivers.contract.reading import Driver, Gap, LinkStats, Notice
+from drivers.contract import Driver, Gap, LinkStats, Notice
 from estimator.results import Estimate
 
 from .estimation import block_rows

@@ -7,12 +7,12 @@ from importlib import import_module
 
 import numpy as np
 
-from estimator.model.rig import Model
+from estimator.model import Model
 from estimator.results import OnlineEstimator
 
 METHODS = {
-    "spectral": ("estimator.identification.rolling.estimator", "RollingSpectral"),
-    "score-matching": ("estimator.identification.moments.score_matching", "RollingScoreMatching"),
+    "spectral": ("estimator.identification.rolling", "RollingEstimator"),
+    "score-matching": ("estimator.identification.moments", "RollingScoreMatching"),
 }
 LONGEST_WARM_UP_S = 10.0  # of made-up data
 
@@ -29,9 +29,7 @@ def maker(method: str, time_constant_s: float, watch: str = "usual") -> MakeEsti
     def make(model: Model, rate_hz: float) -> OnlineEstimator:
         made, more = getattr(import_module(module), name), {}
         if method == "spectral" and watch != "usual":
-            more["watch"] = (
-                import_module("estimator.identification.rolling.watch").every() if watch == "catalogue" else ()
-            )
+            more["watch"] = import_module("estimator.identification.rolling").every() if watch == "catalogue" else ()
         estimator: OnlineEstimator = made(model, rate_hz, time_constant_s, **more)
         return estimator
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from drivers.contract.reading import Block, Gap, Reading
+from drivers.contract import Block, Gap, Reading
 
 MOST_GAPS = 100_000  # kept for the summary; the log has all of them
 

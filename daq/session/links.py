@@ -9,11 +9,9 @@ from pathlib import Path
 from daq.base.contract.errors import ConfigError
 from daq.rig.in_si import InSI
 from daq.rig.rig import Rig
-from drivers.contract.errors import LinkError
-from drivers.contract.link_config import CaptureConfig, ReplayConfig, VirtualConfig
-from drivers.contract.reading import Driver
-from drivers.links.links import make_driver, parse_link
-from drivers.protocol.device_info import Expected
+from drivers.contract import CaptureConfig, Driver, LinkError, ReplayConfig, VirtualConfig
+from drivers.links import make_driver, parse_link
+from drivers.protocol import Expected
 
 LARGEST_DBC = 64 << 20  # bytes; a whole vehicle's has some
 _DBC = re.compile(r"([?&])dbc=([^&]*)&?")

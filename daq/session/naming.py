@@ -28,7 +28,7 @@ from daq.base.contract.errors import RotorscopeError
 from daq.base.contract.scaling import Scaling
 from daq.base.contract.sink import Session, SinkHealth, Status
 from daq.rig.rig import Rig
-from drivers.contract.reading import Block, Gap, Info, Notice, Reading
+from drivers.contract import Block, Gap, Info, Notice, Reading
 from estimator.results import MISSING, Estimate, certain
 
 KEPT_S = 30.0  # of samples
@@ -57,7 +57,7 @@ class Question:
 def answer(question: Question) -> dict[str, Any]:
     """The diagnosis as JSON, or {"error": one line}."""
     from daq.rig.edit import with_effect
-    from estimator.diagnosis.verdict.diagnose import diagnose
+    from estimator.diagnosis.verdict import diagnose
     from estimator.errors import DataError, ModelError
 
     try:

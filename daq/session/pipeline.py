@@ -14,8 +14,8 @@ from daq.base.contract.errors import ConfigError, LogError
 from daq.base.contract.scaling import Scaling
 from daq.base.contract.sink import Reporting, Session, Sink, Status
 from daq.rig.units import UNITS, canonical
-from drivers.contract.reading import Block, Gap, Info, LinkStats, Notice, Reading
-from estimator.model.rig import Model
+from drivers.contract import Block, Gap, Info, LinkStats, Notice, Reading
+from estimator.model import Model
 from estimator.results import Estimate
 
 from .estimation import Estimation

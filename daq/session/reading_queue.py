@@ -6,7 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 
-from drivers.contract.reading import Block, Gap, Reading
+from drivers.contract import Block, Gap, Reading
 
 SMALL = 256  # bytes that a reading without samples is counted as
 OLDEST = "overflow"

@@ -12,7 +12,7 @@ from daq.base.contract.sink import Session, Sink, Status
 from daq.log import codec as codec
 from daq.log.reader import Recording
 from daq.rig.rig import Rig
-from drivers.contract.reading import Block, Gap, LinkStats, Notice, Reading
+from drivers.contract import Block, Gap, LinkStats, Notice, Reading
 from estimator.results import Estimate
 
 from .acquire import Notify, RunSummary, acquire

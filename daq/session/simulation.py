@@ -12,15 +12,12 @@ from numpy.typing import NDArray
 from daq.base.contract.clock import Clock, SystemClock
 from daq.base.contract.errors import ConfigError
 from daq.rig.rig import Rig
-from drivers.can.can_decoder import CanDecoder
-from drivers.can.can_frames import CanFrames
-from drivers.contract.link import Event, Link
-from drivers.contract.reading import LinkStats, Reading
-from drivers.protocol.faults import KINDS
-from drivers.simulated.simulated import DeviceConfig, SimulatedDevice
+from drivers.can import CanDecoder, CanFrames
+from drivers.contract import Event, Link, LinkStats, Reading
+from drivers.protocol import KINDS
+from drivers.simulated import DeviceConfig, SimulatedDevice
 from estimator.effects import NAMED
-from estimator.model.effect import Effect
-from estimator.model.rig import UNITS, EffectUse, Model, Setting
+from estimator.model import UNITS, Effect, EffectUse, Model, Setting
 from estimator.results import Parameter
 
 CAP_KG, DISC_KG = 0.2, 0.5
@@ -79,7 +76,7 @@ def _complete_use(model: Model, use: EffectUse, rate_hz: float, assumed: dict[st
     if use.custom is not None:
         missing = next(k for table in use.parameters.values() for k, s in table.items() if s.value is None)
         raise ConfigError(f"model.custom: {use.name} has no value for {missing}; give one to simulate it")
-    from estimator.effects.engine.strength import size, strengths
+    from estimator.effects.engine import size, strengths
 
     effect: Effect = NAMED[use.name]
     units = {p.name: p.unit for p in effect.parameters}
@@ -101,7 +98,7 @@ class Analogue:
     """
 
     def __init__(self, model: Model, columns: list[int], noise: NDArray[np.float64], rate_hz: float, seed: int) -> None:
-        from estimator.simulation.simulator import Simulator
+        from estimator.simulation import Simulator
 
         moving = [i for i, c in enumerate(model.channels) if c.direction != "z"]
         self._simulator = Simulator(replace(model, channels=tuple(model.channels[i] for i in moving)), rate_hz, seed)

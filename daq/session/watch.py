@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from daq.base.contract.clock import OFF, Clock, DeviceClock
 from daq.base.contract.sink import ClockState
-from drivers.contract.reading import Gap
+from drivers.contract import Gap
 
 EVERY_NS = 10_000_000_000  # what goes on and on is told this often
 WALL_STEP_NS = 500_000_000

@@ -1,1 +1,6 @@
 """CAN frames in all their forms."""
+
+from .can_decoder import CanDecoder
+from .can_frames import CanFrames
+
+__all__ = ["CanDecoder", "CanFrames"]

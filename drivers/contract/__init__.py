@@ -1,1 +1,26 @@
 """The driver contract: readings, notices, errors, the link base class."""
+
+from .errors import LinkError, LinkOpenError
+from .link import Event, Link
+from .link_config import CaptureConfig, ReplayConfig, VirtualConfig
+from .patient import Patient
+from .reading import Block, Driver, Gap, Info, LinkStats, Notice, Reading, Signal
+
+__all__ = [
+    "Block",
+    "CaptureConfig",
+    "Driver",
+    "Event",
+    "Gap",
+    "Info",
+    "Link",
+    "LinkError",
+    "LinkOpenError",
+    "LinkStats",
+    "Notice",
+    "Patient",
+    "Reading",
+    "ReplayConfig",
+    "Signal",
+    "VirtualConfig",
+]

@@ -34,6 +34,10 @@ from estimator.effects.stiffness.stiffness_drift import STIFFNESS_DRIFT
 from estimator.effects.stiffness.stop import STOP
 from estimator.model.effect import Effect
 
+from .places import places
+
+__all__ = ["CATALOGUE", "MORE_LINES", "NAMED", "places"]
+
 CATALOGUE: dict[str, Effect] = {
     "cubic": CUBIC,
     "quintic": QUINTIC,

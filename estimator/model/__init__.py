@@ -1,1 +1,24 @@
 """A rig as frozen data in SI units, and the linear algebra and bearing theory that follow from it."""
+
+from .bearing_theory import Theory, taylor, theory
+from .effect import Effect, EffectParameter
+from .rig import DIRECTIONS, MOTION, NODES, UNITS, BearingGeometry, Channel, CustomLaw, EffectUse, Model, Setting, Shaft
+
+__all__ = [
+    "BearingGeometry",
+    "Channel",
+    "CustomLaw",
+    "DIRECTIONS",
+    "Effect",
+    "EffectParameter",
+    "EffectUse",
+    "MOTION",
+    "Model",
+    "NODES",
+    "Setting",
+    "Shaft",
+    "Theory",
+    "UNITS",
+    "taylor",
+    "theory",
+]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 from estimator.effects.engine.custom import effect_of
-from estimator.effects.engine.places import at, values
+from estimator.effects.places import at, values
 from estimator.errors import ModelError
 from estimator.model.effect import Effect
 from estimator.model.rig import DIRECTIONS, NODES, Model

@@ -32,7 +32,7 @@ from kept_records import kept
 from reference_rig import MASS, PLACES, RATE, SHAFT, SHAFT_DAMPING, TRUTH, rig_model
 
 from estimator.errors import DataError
-from estimator.identification.batch import fit
+from estimator.identification.batch import spectral
 from estimator.identification.moments import fokker_planck, score_matching
 from estimator.model.rig import Channel, EffectUse, Model
 from estimator.signals.band_limit import Motion, band_limit
@@ -44,7 +44,7 @@ KNL = 1.3e18
 BAND = (150.0, 8000.0)  # Hz, of the rig
 KEYS = ("kL", "c", "kNL", "S")
 EXACT = "(exact path)"  # the whole path without noise: the luck of the record
-OURS = {"spectral": fit, "score matching": score_matching, "eq. (36), response form": fokker_planck}
+OURS = {"spectral": spectral, "score matching": score_matching, "eq. (36), response form": fokker_planck}
 SLOW = {"SFI": int(os.environ.get("ROTORSCOPE_SLOW_SEEDS", "1"))}
 
 Result = dict[str, dict[str, float]]  # place -> errors in %
@@ -179,7 +179,7 @@ def test_ten_seconds_of_one_place_of_the_rig() -> None:
         y = kept("cubic", seed)[: int(10 * RATE)]
         run(
             f"{test}/spectral/{seed}",
-            lambda y=y: plain(dict(fit.fit(rig_model("cubic"), y, RATE).parameters)),
+            lambda y=y: plain(dict(spectral.fit(rig_model("cubic"), y, RATE).parameters)),
             truth,
         )
         motion = band_limit(y, ["acceleration"] * 4, RATE, BAND)

@@ -17,8 +17,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "estimator"))
 
 from reference_rig import RATE, rig_model, rig_record
 
-from estimator.identification.batch import fit
-from estimator.identification.rolling.estimator import RollingSpectral
+from estimator.identification.batch import spectral
+from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.identification.rolling.watch import CANDIDATES, PASSING, every
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
@@ -34,7 +34,7 @@ COLUMNS = (*every(), *PASSING, "bouc_wen")  # every effect of the catalogue that
 )
 def test_share_of_a_core(watch: tuple[str, ...], limit: float) -> None:
     y = rig_record(32.0, seed=1)
-    rolling = RollingSpectral(rig_model("cubic"), RATE, 10.0, watch=watch)
+    rolling = RollingEstimator(rig_model("cubic"), RATE, 10.0, watch=watch)
     blocks = np.split(y, np.arange(1280, len(y), 1280))
     warm = int(8 * RATE / 1280)  # start and compilation
     worst = 0.0
@@ -56,7 +56,7 @@ def test_share_of_a_core(watch: tuple[str, ...], limit: float) -> None:
 @pytest.mark.parametrize("seconds", [15.0, 30.0, 60.0])
 def test_time_of_a_fit(seconds: float) -> None:
     y = rig_record(seconds, seed=1)
-    fit.fit(rig_model("cubic"), y[: int(8 * RATE)], RATE)
+    spectral.fit(rig_model("cubic"), y[: int(8 * RATE)], RATE)
     begin, cpu = time.perf_counter(), time.process_time()
-    fit.fit(rig_model("cubic"), y, RATE)
+    spectral.fit(rig_model("cubic"), y, RATE)
     print(f"\nfit of {seconds:g} s: {time.perf_counter() - begin:.2f} s, {time.process_time() - cpu:.2f} s of CPU")

@@ -17,7 +17,7 @@ loaded(["scipy.ndimage"])
 for thread in threading.enumerate():
     if thread is not threading.main_thread():
         thread.join()
-from estimator.effects import compiled
+from estimator.effects.engine import compiled
 print("scipy.ndimage" in sys.modules, bool(compiled.rise.stats.cache_hits) or bool(compiled.rise.stats.cache_misses))
 """
 

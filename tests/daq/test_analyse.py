@@ -12,7 +12,7 @@ from daq.commands.cli.app import main
 from daq.exchange.measurement import Measurement
 from daq.rig.edit import with_effect, with_values
 from daq.rig.rig import Rig, load_rig
-from estimator.diagnosis.verdict.diagnose import OTHERWISE
+from estimator.diagnosis.verdict.diagnosis import OTHERWISE
 from estimator.results import Parameter
 from estimator.simulation.simulator import simulate
 

@@ -16,8 +16,8 @@ from daq.commands.study.hidden import Case, cases, with_hidden
 from daq.commands.study.hidden_pairs import NOBODY_TELLS, Pair, pairs
 from daq.rig.rig import load_rig
 from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.diagnosis.verdict.diagnose import Diagnosis
-from estimator.diagnosis.verdict.improve import Ladder, Rung
+from estimator.diagnosis.verdict.diagnosis import Diagnosis
+from estimator.diagnosis.verdict.improvement import Improvement, Rung
 from estimator.effects import CATALOGUE
 from estimator.model.rig import Model
 
@@ -147,9 +147,9 @@ def test_what_improve_adds_of_a_pair_is_told(seconds: float, stands_in: bool, mo
     assert found["after_percent"] < 0.2
 
 
-def _ladder_to_truth(known: Model, pair: Pair, model: Model, seconds: float) -> Ladder:
+def _ladder_to_truth(known: Model, pair: Pair, model: Model, seconds: float) -> Improvement:
     assert not set(pair.at) & {u.name for u in known.effects}
     truth, _ = with_hidden(model, pair.at, 0.06, seconds)
     rungs = tuple(Rung((), 0.0, (p, p, p)) for p in (6.0, 3.0, 0.0))
     said = tuple(Diagnosis(v, ()) for v in (*pair.at, "complete"))
-    return Ladder(rungs, truth, {}, said[-1], (), said)
+    return Improvement(rungs, truth, {}, said[-1], (), said)

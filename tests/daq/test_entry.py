@@ -65,7 +65,7 @@ def test_an_interrupt_while_python_imports_ends_quietly(
 UNRAISABLE = """
 import signal, sys, time, weakref
 from daq.commands.entry import main
-from daq import cli
+from daq.commands.cli import app
 from daq.base.console.stop import Stop
 class Lock: pass
 def command(*_):
@@ -78,7 +78,7 @@ def command(*_):
         with Stop():
             raise AssertionError("begun")
     time.sleep(600)
-cli.application = command
+app.application = command
 main()
 """
 

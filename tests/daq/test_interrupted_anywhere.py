@@ -21,7 +21,15 @@ from daq.commands.cli import files
 from daq.log.reader import read_log
 
 RIG = Path(__file__).parents[2] / "configs" / "tiwari_vyas_1997.toml"
-OURS = ("stop", "unfinished", "log_file", "log_place", "log_writer", "importers", "recover", "exporters", "cli_files")
+OPCODE_BY_OPCODE = ("base/console/stop", "base/console/unfinished", "log/file", "log/place")
+LINE_BY_LINE = (
+    "log/writer",
+    "commands/files/importers",
+    "log/recover",
+    "commands/files/exporters",
+    "commands/cli/files",
+)
+PACKAGE = Path(unfinished.__file__).parents[2]
 COMMANDS: dict[str, Callable[[str], None]] = {
     "import": lambda name: files.import_(Path("x.npz"), Path("rig.toml"), Path(f"{name}.mcap"), quiet=True),
     "recover": lambda name: files.recover(Path("l.mcap"), Path(f"{name}.mcap"), quiet=True),
@@ -60,9 +68,10 @@ class Interrupter:
 
     def _called(self, frame: FrameType, _event: str, _what: Any) -> Any:
         path = Path(frame.f_code.co_filename)
-        if path.parent.name != "daq" or path.stem not in OURS:
+        own = str(path.relative_to(PACKAGE).with_suffix("")) if path.is_relative_to(PACKAGE) else ""
+        if own not in (*OPCODE_BY_OPCODE, *LINE_BY_LINE):
             return None
-        frame.f_trace_opcodes = path.stem in OURS[:4]  # a signal acts between two of them, not only between lines
+        frame.f_trace_opcodes = own in OPCODE_BY_OPCODE  # a signal acts between two of them, not only between lines
         frame.f_trace_lines = not frame.f_trace_opcodes
         return self._step
 

@@ -24,7 +24,7 @@ from drivers.contract.reading import Block, Gap, Info, Notice, Signal
 from estimator.results import Estimate, Parameter, certain
 
 RATE = 1000.0
-RIG = Rig.parse(Path(__file__).parents[2].joinpath("daq", "demo_rig.toml").read_text("utf-8"))
+RIG = Rig.parse(Path(__file__).parents[2].joinpath("daq", "commands", "demo_rig.toml").read_text("utf-8"))
 NAMES = tuple(c.name for c in RIG.model.channels)
 INFO = Info(tuple(Signal(n, "m/s^2", 0.5, 0.0) for n in reversed(NAMES)), RATE)
 

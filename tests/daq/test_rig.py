@@ -305,12 +305,12 @@ def test_any_text_is_read_or_refused_in_words(text: str) -> None:
 @pytest.mark.parametrize(("word", "least", "most"), [("none", 0, 0), ("usual", 5, 12), ("catalogue", 15, 31)])
 def test_the_rig_says_what_the_rolling_estimator_watches_for(word: str, least: int, most: int) -> None:
     from daq.session.estimators import maker
-    from estimator.identification.rolling.estimator import RollingSpectral
+    from estimator.identification.rolling.estimator import RollingEstimator
 
     rig = Rig.parse(HEAD + CHANNELS + f'[estimator]\nwatch = "{word}"\n')
     table = rig.estimator
     made = maker(table.method, table.time_constant_s, table.watch)(rig.model, 25_600.0)
-    assert isinstance(made, RollingSpectral)
+    assert isinstance(made, RollingEstimator)
     assert least <= len(made.watch) <= most
     maker("score-matching", 10.0, table.watch)(rig.model, 25_600.0)
 

@@ -12,10 +12,10 @@ from exact_path import KL, MASS, RATE, RIG, C, S, record
 from numpy.typing import NDArray
 
 from estimator.diagnosis.comparison.heldout import heldout_rmse
-from estimator.diagnosis.verdict.diagnose import diagnose
-from estimator.diagnosis.verdict.improve import improve
+from estimator.diagnosis.verdict.diagnosis import diagnose
+from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
-from estimator.identification.batch import fit as spectral
+from estimator.identification.batch import spectral as spectral
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.search import suspects
 from estimator.identification.structure import transfer_bias, transfer_faults

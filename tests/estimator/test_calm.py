@@ -13,7 +13,7 @@ from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.batch.line_notches import begin
 from estimator.identification.batch.measured_force import analyse
 from estimator.identification.batch.report import report
-from estimator.identification.rolling.estimator import RollingSpectral
+from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.law_smoothing import MARGIN
 from estimator.likelihood.motion.prepare import cut
@@ -110,7 +110,7 @@ def test_and_a_cubic_as_it_rolls() -> None:
     """It was 16 % low."""
     found = []
     for seed in range(3):
-        rolling = RollingSpectral(rig_model("cubic"), RIG_RATE, 1e5, watch=())
+        rolling = RollingEstimator(rig_model("cubic"), RIG_RATE, 1e5, watch=())
         for part in np.split(noisy(seed), np.arange(2560, 20 * int(RIG_RATE), 2560)):
             rolling.update(part)
         found.append(mean_of(rolling.snapshot().parameters, "cubic.kNL"))

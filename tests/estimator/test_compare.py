@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing, record, schema
 
-from estimator.diagnosis.comparison.compare import compare
+from estimator.diagnosis.comparison.comparison import compare
 from estimator.identification.record import clipping
 from estimator.identification.record.clipping import clipping_level
 from estimator.likelihood.path.determinant import Jacobian

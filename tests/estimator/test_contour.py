@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from reference_rig import CROSS, PLACES, RATE, TRUTH, rig_model, rig_record
 
-from estimator.identification.batch.fit import fit
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.batch.line_notches import begin
 from estimator.identification.batch.linear_start import LEAST_DAMPING, linear_start
-from estimator.identification.rolling.estimator import RollingSpectral
+from estimator.identification.batch.spectral import fit
+from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.motion.force_balance import build
 from estimator.likelihood.motion.stream_record import gather, prepare
 from estimator.likelihood.path.contour import FED, MARGIN, along, contour
@@ -196,7 +196,7 @@ def test_cross_coupling_near_whirl_and_beyond_is_fitted(k: float) -> None:
     use = EffectUse("cross_coupling", {"bearing1": {}})
     whole = replace(model, effects=(*model.effects, use))
     true = {"bearing1.cross_coupling.k": k, "bearing1.x.c": TRUTH["c"][0], "bearing1.y.c": TRUTH["c"][1]}
-    rolling = RollingSpectral(whole, RATE, 1e4, watch=())
+    rolling = RollingEstimator(whole, RATE, 1e4, watch=())
     for part in np.split(y, np.arange(1280, len(y), 1280)):
         rolling.update(part)
     fits = (fit_whole(whole, y, RATE).parameters, fit(whole, y, RATE).parameters, rolling.snapshot().parameters)

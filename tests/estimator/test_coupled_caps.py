@@ -10,7 +10,7 @@ from hidden_effects import RATE, ROOT
 from numpy.typing import NDArray
 
 from daq.rig.rig import load_rig
-from estimator.diagnosis.verdict.improve import improve
+from estimator.diagnosis.verdict.improvement import improve
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.finding import Suspect
 from estimator.identification.structure import coupled_caps

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing, record
 
-from estimator.diagnosis.comparison.compare import compare
+from estimator.diagnosis.comparison.comparison import compare
 from estimator.diagnosis.comparison.curves import STATES, on_hats
 
 

@@ -10,7 +10,7 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing, record
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimator.diagnosis.verdict.diagnose import diagnose, diagnose_point
+from estimator.diagnosis.verdict.diagnosis import diagnose, diagnose_point
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.record.declip import ceilings, restored
 from estimator.identification.residual import missing_force

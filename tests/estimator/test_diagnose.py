@@ -13,9 +13,9 @@ from hidden_effects import RATE, ROOT, SECONDS, one_bearing, record, schema
 from daq.rig.rig import load_rig
 from estimator.diagnosis.hypotheses import ranking
 from estimator.diagnosis.hypotheses.screen import _promising, extrapolating, ranked
-from estimator.diagnosis.verdict.diagnose import Diagnosis, _law, _verdict, diagnose, quiet
+from estimator.diagnosis.verdict.diagnosis import Diagnosis, _law, _verdict, diagnose, quiet
 from estimator.diagnosis.verdict.gate_second_law import another_explains
-from estimator.diagnosis.verdict.improve import improve
+from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
 from estimator.errors import DataError

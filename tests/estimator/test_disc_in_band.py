@@ -10,8 +10,8 @@ from hidden_effects import RATE, ROOT
 from numpy.typing import NDArray
 
 from daq.rig.rig import load_rig
-from estimator.diagnosis.comparison.compare import compare
-from estimator.identification.batch import fit
+from estimator.diagnosis.comparison.comparison import compare
+from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.structure import spectral_cells, spectral_models, spectral_shape
 from estimator.likelihood.motion.force_balance import build
@@ -48,7 +48,7 @@ def test_noise_through_the_shaft_moves_no_stiffness_of_a_fit() -> None:
     rig = ringing()
     y = simulate(rig, RATE, 20.0, seed=1, noise=0.02)
     y[:, 0] += 2.0 * np.random.default_rng(101).standard_normal(len(y))
-    found = fit.fit(rig, y, RATE)
+    found = spectral.fit(rig, y, RATE)
     assert found.messages == ()
     for place in rig.places:
         for name in ("kL", "c"):

@@ -9,7 +9,7 @@ from scipy.signal import csd, welch
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.compiled import memory_array
 from estimator.effects.engine.law_loop import force_array
-from estimator.effects.engine.places import orders
+from estimator.effects.places import orders
 from estimator.model.rig import BearingGeometry, Model
 
 A, W = 2e-7, 2 * np.pi * 1100.0

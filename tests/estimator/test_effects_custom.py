@@ -18,7 +18,7 @@ from estimator.effects.engine.custom import custom_effect
 from estimator.effects.engine.expression import FUNCTIONS, ExpressionError, compile_law
 from estimator.effects.engine.law_loop import force_array
 from estimator.errors import DataError, ModelError
-from estimator.identification.batch import fit
+from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.batch.measured_force import analyse
 from estimator.likelihood.fitting.gauss_newton import fit_model
@@ -255,7 +255,7 @@ def test_a_law_typed_with_a_length_in_metres_is_fitted() -> None:
     y = simulate(replace(rig, effects=(hidden,)), RATE, 4.0, seed=1, noise=0.02)
     law = CustomLaw("k*(maximum(x - g, 0) + minimum(x + g, 0))", None, {"k": "N/m", "g": "m"})
     typed = EffectUse("mine", {place: {"k": Setting(2e6), "g": Setting(1.5e-7)}}, law)
-    found = fit.fit(replace(rig, effects=(typed,)), y, RATE).parameters
+    found = spectral.fit(replace(rig, effects=(typed,)), y, RATE).parameters
     for name, true in (("mine.k", 3e6), ("mine.g", gap)):
         p = found[f"{place}.{name}"]
         assert p.value is not None
@@ -273,10 +273,10 @@ def test_a_search_that_has_left_for_where_its_numbers_do_nothing_is_not_believed
     (searched,) = [k for k, f in enumerate(found.balance.free) if f.searched]
     far = found.covariance.copy()
     far[searched, searched] = np.inf
-    assert fit.astray(replace(found, covariance=far))
-    assert fit.astray(replace(found, converged=False))
-    assert not fit.astray(replace(found, converged=True, covariance=np.eye(len(far))))
-    assert not fit.astray(replace(analyse(rig, y, RATE), converged=False))
+    assert spectral.astray(replace(found, covariance=far))
+    assert spectral.astray(replace(found, converged=False))
+    assert not spectral.astray(replace(found, converged=True, covariance=np.eye(len(far))))
+    assert not spectral.astray(replace(analyse(rig, y, RATE), converged=False))
 
 
 def test_a_law_that_grows_beyond_all_measure_at_a_value_on_trial_is_passed_over() -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from estimator.effects import CATALOGUE
-from estimator.effects.engine.places import at, kinematic, places, values, written
 from estimator.effects.engine.strength import Size, search_range, size, strengths, with_effect
+from estimator.effects.places import at, kinematic, places, values, written
 from estimator.errors import ModelError
 from estimator.likelihood.motion.force_balance import build
 from estimator.model.rig import BearingGeometry, Channel, EffectUse, Model, Setting

@@ -10,7 +10,7 @@ from hidden_effects import RATE, one_bearing
 
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict import gate_residual, gate_second_law
-from estimator.diagnosis.verdict.diagnose import _nothing, diagnose, quiet
+from estimator.diagnosis.verdict.diagnosis import _nothing, diagnose, quiet
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import NotFiniteError

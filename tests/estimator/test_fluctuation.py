@@ -10,7 +10,7 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing, record, 
 
 from estimator.diagnosis.hypotheses import gate_shape
 from estimator.effects import CATALOGUE
-from estimator.identification.batch import fit
+from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.gauss_newton import fit_model
@@ -41,7 +41,7 @@ def strong(request: pytest.FixtureRequest) -> Case:
 @pytest.mark.slow
 def test_diagnosis_and_fit_estimate_the_same(strong: Case) -> None:
     name, model, y, point = strong
-    fitted = fit.fit(model, y, RATE).parameters
+    fitted = spectral.fit(model, y, RATE).parameters
     for place in model.places:
         key = f"{place}.{name}.{CATALOGUE[name].parameters[0].name}"
         parameter = fitted[key]

@@ -10,7 +10,7 @@ from scipy.signal import lfilter, welch
 from estimator.identification.batch.maximum import Tangents, without_flutter
 from estimator.identification.batch.measured_force import analyse
 from estimator.identification.batch.report import report
-from estimator.identification.rolling.estimator import RollingSpectral
+from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.identification.rolling.memory import FlutterSums
 from estimator.likelihood.motion.force_balance import build
 from estimator.likelihood.motion.law_columns import Columns
@@ -94,7 +94,7 @@ def test_the_rolling_estimate_has_no_other_bias_than_the_fit() -> None:
         x, _ = langevin(one, 0.06 * w * one, k, k, np.zeros((1, 1)), 0.12 * w**3 * one, RATE, 60000, seed)
         y = x + 0.05 * x.std() * np.random.default_rng(seed).normal(size=x.shape)
         wide = replace(model, band=(10.0, 450.0))
-        rolling = RollingSpectral(wide, RATE, 1e5, watch=())
+        rolling = RollingEstimator(wide, RATE, 1e5, watch=())
         for part in np.split(y, np.arange(100, len(y), 100)):
             rolling.update(part)
         a, b = rolling.snapshot().parameters, report(analyse(wide, y, RATE))

@@ -6,8 +6,8 @@ from reference_samples import langevin
 from scipy.signal import firwin, oaconvolve
 
 from estimator.effects import CATALOGUE
-from estimator.identification.batch.fit import fit
 from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.spectral import fit
 from estimator.likelihood.motion.law_smoothing import folds, highest
 from estimator.model.rig import Channel, EffectUse, Model
 

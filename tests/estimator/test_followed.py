@@ -10,9 +10,9 @@ from hidden_effects import RATE, ROOT, one_bearing, record
 
 from daq.rig.rig import load_rig
 from estimator.effects import CATALOGUE
-from estimator.effects.engine.places import places
 from estimator.effects.engine.strength import size, strengths, with_effect
-from estimator.identification.rolling.estimator import RollingSpectral
+from estimator.effects.places import places
+from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.identification.rolling.scope import followed
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Estimate
@@ -26,7 +26,7 @@ def rig() -> Model:
 
 
 def rolled(model: Model, y: np.ndarray) -> Estimate:
-    rolling = RollingSpectral(model, RATE, 1e4, watch=())
+    rolling = RollingEstimator(model, RATE, 1e4, watch=())
     for part in np.split(y, np.arange(1280, len(y), 1280)):
         rolling.update(part)
     return rolling.snapshot()

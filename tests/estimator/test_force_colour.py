@@ -10,8 +10,8 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import bilinear, butter, iirpeak, lfilter
 
 from estimator.diagnosis.hypotheses.screen import ranked
-from estimator.diagnosis.verdict.diagnose import diagnose, no_law, quiet
-from estimator.diagnosis.verdict.improve import improve
+from estimator.diagnosis.verdict.diagnosis import diagnose, no_law, quiet
+from estimator.diagnosis.verdict.improvement import improve
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.residual.missing_force import survey

@@ -13,7 +13,7 @@ from reference_rig import RATE as RIG_RATE
 from estimator.diagnosis.hypotheses import trial as screen
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
-from estimator.identification.batch import fit
+from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.residual import missing_force
 from estimator.likelihood.motion.located_law import Placed, evaluate
@@ -113,5 +113,5 @@ def test_damping_of_a_fit_is_without_bias_beside_a_growing_force() -> None:
     hidden = np.zeros((4, 7))
     hidden[:, QUADRATIC_DAMPING] = 1200.0
     model = rig_model("cubic", "quadratic_damping")
-    found = fit.fit(model, rig_record(20.0, seed=900, hidden=hidden, growth=2.5), RIG_RATE).parameters
+    found = spectral.fit(model, rig_record(20.0, seed=900, hidden=hidden, growth=2.5), RIG_RATE).parameters
     assert np.mean([found[f"{p}.c"].value for p in PLACES]) == pytest.approx(TRUTH["c"].mean(), rel=0.1)

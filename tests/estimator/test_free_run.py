@@ -7,7 +7,7 @@ import pytest
 
 from estimator.diagnosis.comparison.free_run import resampled
 from estimator.diagnosis.comparison.heldout import heldout_rmse
-from estimator.identification.batch import fit
+from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.batch.measured_force import analyse
 from estimator.identification.batch.report import report
@@ -59,7 +59,7 @@ def test_friction_under_a_measured_force(truth: Model) -> None:
     dry = EffectUse("coulomb", {p: {"fc": Setting(0.07)} for p in PLACES})
     y = simulate(replace(truth, effects=(dry,)), RATE, 6.0, seed=6)
     blank = replace(truth, effects=(EffectUse("coulomb", {p: {} for p in PLACES}),))
-    for found in (fit.fit(blank, y, RATE).parameters, fit_whole(blank, y, RATE).parameters):
+    for found in (spectral.fit(blank, y, RATE).parameters, fit_whole(blank, y, RATE).parameters):
         for place in PLACES:
             assert found[f"{place}.coulomb.fc"].value == pytest.approx(0.07, rel=0.015)
             assert found[f"{place}.c"].value == pytest.approx(60.0, rel=0.02)

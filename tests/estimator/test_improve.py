@@ -10,13 +10,13 @@ from hidden_effects import RATE, ROOT, SECONDS, coupled_on_a_stiff_shaft, one_be
 from numpy.typing import NDArray
 
 from daq.rig.rig import load_rig
-from estimator.diagnosis.comparison.compare import compare
+from estimator.diagnosis.comparison.comparison import compare
 from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.diagnosis.verdict.diagnose import Diagnosis, diagnose
-from estimator.diagnosis.verdict.improve import _with_found, improve
+from estimator.diagnosis.verdict.diagnosis import Diagnosis, diagnose
+from estimator.diagnosis.verdict.improvement import _with_found, improve
 from estimator.effects import CATALOGUE
-from estimator.effects.engine.places import places
 from estimator.effects.engine.strength import size, strengths, with_effect
+from estimator.effects.places import places
 from estimator.errors import DataError
 from estimator.identification.batch.full_fit import Whole, fit_whole
 from estimator.likelihood.motion.located_law import Placed
@@ -58,7 +58,7 @@ def test_what_is_named_and_not_told_from_zero_is_not_added(rig: Model, monkeypat
     law = Placed(CATALOGUE["quadratic_damping"], "bearing1.x.quadratic_damping", (0,), np.zeros(1), (True,))
     ahead = Entry("quadratic_damping", ("bearing1",), 9.0, 8.0, 1e-4, 0.3, 0.0, {}, 7.0, placed=(law,))
     wrong = Diagnosis("quadratic_damping", (ahead,))
-    monkeypatch.setattr("estimator.diagnosis.verdict.improve.diagnose_point", lambda *_: wrong)
+    monkeypatch.setattr("estimator.diagnosis.verdict.improvement.diagnose_point", lambda *_: wrong)
     ladder = improve(rig, simulate(rig, RATE, 4.0, seed=4, noise=NOISE), RATE)
     assert len(ladder.rungs) == 1
     assert f"{ahead.effect} was named but is not told from zero when fitted: not added" in ladder.messages
@@ -76,7 +76,7 @@ def test_a_law_that_is_not_upheld_where_something_is_missing_is_no_name_for_it(
     law = Placed(CATALOGUE["quadratic"], "bearing1.x.quadratic", (0,), np.zeros(1), (True,))
     wrong = Entry("quadratic", ("bearing1",), 9.0, 8.0, 1e-4, 0.3, 0.0, {}, 7.0, placed=(law,))
     monkeypatch.setattr(
-        "estimator.diagnosis.verdict.improve.diagnose_point", lambda *_: Diagnosis("quadratic", (wrong,))
+        "estimator.diagnosis.verdict.improvement.diagnose_point", lambda *_: Diagnosis("quadratic", (wrong,))
     )
     ladder = improve(rig, simulate(hidden, RATE, 4.0, seed=4, noise=NOISE), RATE)
     assert len(ladder.rungs) == 1
@@ -101,7 +101,7 @@ def test_where_a_faulty_sensor_led_the_fit_astray_it_begins_from_what_was_given(
             raise DataError("no resonance of bearing1.x inside the band")
         return fit_whole(model, y, rate_hz)
 
-    monkeypatch.setattr("estimator.diagnosis.verdict.improve.fit_whole", fitted)
+    monkeypatch.setattr("estimator.diagnosis.verdict.improvement.fit_whole", fitted)
     found = {"sensor_noise": {"bearing1.x": {"rms": Parameter(NOISE, 1e-3, "m/s^2")}}}
     whole = _with_found(astray, given, found, y, RATE)
     assert [sound for _, sound in begun] == [False, True]
@@ -124,7 +124,7 @@ def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(
     law = Placed(cubic, "bearing1.x.cubic", (0,), np.array([own["kNL"]]), (True,))
     named = Entry("cubic", ("bearing1",), 9.0, 8.0, 1e-4, 6.0, 0.0, {}, 7.0, placed=(law,))
     said = iter([Diagnosis("cubic", (named,)), Diagnosis("complete", ())])
-    monkeypatch.setattr("estimator.diagnosis.verdict.improve.diagnose_point", lambda *_: next(said))
+    monkeypatch.setattr("estimator.diagnosis.verdict.improvement.diagnose_point", lambda *_: next(said))
     # where all places have the wrong colour it passes for the recorder's filter, which is sought again anyway
     monkeypatch.setattr("estimator.identification.structure.recorder_fall.find", lambda *_: {})
     ladder = improve(known, y, RATE)
@@ -201,7 +201,7 @@ def test_a_law_of_no_catalogue_is_unknown_and_explained_when_the_user_types_it(r
 def test_a_law_that_the_user_types_as_a_candidate_is_tried_like_one_of_the_catalogue(
     rig: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("estimator.diagnosis.verdict.improve.MOST", 1)
+    monkeypatch.setattr("estimator.diagnosis.verdict.improvement.MOST", 1)
     true, typed = unlisted(rig, "tanh")
     y = simulate(having(rig, true), RATE, SECONDS, seed=6, noise=NOISE, full_scale=FULL_SCALE)
     ladder = improve(replace(rig, candidates=(typed,)), y, RATE)

@@ -7,7 +7,7 @@ import pytest
 from hidden_effects import one_bearing
 from reference_rig import PLACES, RATE, TRUTH, rig_model, rig_record
 
-from estimator.identification.batch import fit as spectral
+from estimator.identification.batch import spectral as spectral
 from estimator.identification.batch.line_notches import find_lines
 from estimator.simulation.simulator import simulate
 

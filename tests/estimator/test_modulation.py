@@ -13,7 +13,7 @@ from estimator.diagnosis.hypotheses import ranking
 from estimator.diagnosis.hypotheses import trial as screen
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
-from estimator.identification.batch import fit as spectral
+from estimator.identification.batch import spectral as spectral
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.machine import stiffness_order
 from estimator.identification.residual.missing_force import Survey

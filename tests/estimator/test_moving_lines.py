@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from reference_rig import PLACES, RATE, rig_model, rig_record, run_up_angle
 
-from estimator.identification.rolling.estimator import RollingSpectral
+from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.model.rig import Channel, Model
 from estimator.results import Estimate
 from estimator.signals.blocks import layout, spectra
@@ -121,7 +121,7 @@ def test_the_angle_of_a_stream_is_that_of_the_record() -> None:
 
 
 def rolled(model: Model, y: np.ndarray) -> list[Estimate]:
-    rolling, out = RollingSpectral(model, RATE, 10.0, watch=()), []
+    rolling, out = RollingEstimator(model, RATE, 10.0, watch=()), []
     for part in np.split(y, np.arange(1024, len(y), 1024)):
         rolling.update(part)
         out.append(rolling.snapshot())

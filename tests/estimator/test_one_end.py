@@ -9,7 +9,7 @@ from hidden_effects import RATE, ROOT
 
 from daq.rig.rig import load_rig
 from estimator.identification.batch import unmeasured_end
-from estimator.identification.batch.fit import fit
+from estimator.identification.batch.spectral import fit
 from estimator.model.rig import Model
 from estimator.simulation.simulator import simulate
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.diagnosis.comparison.compare import compare
+from estimator.diagnosis.comparison.comparison import compare
 from estimator.errors import DataError
-from estimator.identification.batch import fit
+from estimator.identification.batch import spectral
 from estimator.model.rig import Channel, Model
 
 MODEL = Model(channels=(Channel("a", "bearing1", "x"), Channel("b", "bearing1", "y")), band=(100.0, 1000.0))
@@ -26,6 +26,6 @@ MODEL = Model(channels=(Channel("a", "bearing1", "x"), Channel("b", "bearing1", 
 def test_a_channel_that_is_no_motion(make: object, said: str) -> None:
     y = np.random.default_rng(1).standard_normal((100_000, 2))
     y[:, 1] = make(y[:, 1])  # type: ignore[operator]
-    for ask in (compare, fit.fit):
+    for ask in (compare, spectral.fit):
         with pytest.raises(DataError, match=said):
             ask(MODEL, y, 5000.0)  # type: ignore[operator]

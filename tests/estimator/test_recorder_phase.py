@@ -9,8 +9,8 @@ import pytest
 from hidden_effects import RATE, one_bearing, record
 from numpy.typing import NDArray
 
-from estimator.diagnosis.comparison.compare import compare
-from estimator.diagnosis.verdict.improve import improve
+from estimator.diagnosis.comparison.comparison import compare
+from estimator.diagnosis.verdict.improvement import improve
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.structure.recorder_phase import excess, found
 from estimator.model.recorder import POWERS, Filter

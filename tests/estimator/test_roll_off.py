@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from scipy import optimize, signal
 
 from daq.rig.rig import load_rig
-from estimator.diagnosis.comparison.compare import compare
-from estimator.diagnosis.verdict.diagnose import diagnose
-from estimator.diagnosis.verdict.improve import improve
-from estimator.identification.batch import fit as spectral
+from estimator.diagnosis.comparison.comparison import compare
+from estimator.diagnosis.verdict.diagnosis import diagnose
+from estimator.diagnosis.verdict.improvement import improve
+from estimator.identification.batch import spectral as spectral
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.batch.grid_start import fit_record
-from estimator.identification.rolling.estimator import RollingSpectral
+from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.identification.structure import recorder_fall
 from estimator.likelihood.motion.prepare import prepare
 from estimator.model import recorder as roll_off
@@ -430,7 +430,7 @@ def test_no_shape_of_a_rotor_passes_for_a_filter(effect: str, strength: float) -
 def test_as_it_rolls_the_force_is_that_of_the_rotor() -> None:
     """c was 5 and S 30 standard deviations low."""
     rig = one_bearing()
-    rolling = RollingSpectral(rig, RATE, 10.0)
+    rolling = RollingEstimator(rig, RATE, 10.0)
     for part in np.array_split(through(simulate(rig, RATE, 20.0, seed=7, noise=0.02), "bessel"), 80):
         rolling.update(part)
     estimate = rolling.snapshot()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from reference_rig import COULOMB, PLACES, RATE, TRUTH, rig_model, rig_record
 
-from estimator.identification.batch import fit as spectral
-from estimator.identification.rolling.estimator import RollingSpectral
+from estimator.identification.batch import spectral as spectral
+from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.identification.rolling.watch import CANDIDATES, every
 from estimator.results import Estimate
 
@@ -17,7 +17,7 @@ def record() -> np.ndarray:
     return rig_record(14.0, seed=4)
 
 
-def run(rolling: RollingSpectral, y: np.ndarray, block: int = BLOCK) -> list[Estimate]:
+def run(rolling: RollingEstimator, y: np.ndarray, block: int = BLOCK) -> list[Estimate]:
     out: list[Estimate] = []
     for part in np.split(y, np.arange(block, len(y), block)):
         rolling.update(part)
@@ -27,7 +27,7 @@ def run(rolling: RollingSpectral, y: np.ndarray, block: int = BLOCK) -> list[Est
 
 @pytest.mark.slow
 def test_nothing_is_shown_until_it_means_something_then_twice_a_second(record: np.ndarray) -> None:
-    estimates = run(RollingSpectral(rig_model("cubic"), RATE, 10.0), record)
+    estimates = run(RollingEstimator(rig_model("cubic"), RATE, 10.0), record)
     shown = [bool(e.parameters) for e in estimates]
     first = shown.index(True)
     assert all(e.status == "warming up" for e in estimates[:first])
@@ -40,7 +40,7 @@ def test_nothing_is_shown_until_it_means_something_then_twice_a_second(record: n
 
 @pytest.mark.slow
 def test_with_a_long_memory_it_agrees_with_the_fit(record: np.ndarray) -> None:
-    last = run(RollingSpectral(rig_model("cubic"), RATE, 1e4), record)[-1]
+    last = run(RollingEstimator(rig_model("cubic"), RATE, 1e4), record)[-1]
     fit = spectral.fit(rig_model("cubic"), record, RATE)
     for place in PLACES:
         for key in ("kL", "c"):
@@ -51,8 +51,8 @@ def test_with_a_long_memory_it_agrees_with_the_fit(record: np.ndarray) -> None:
 
 def test_the_same_rows_in_other_chunks_give_the_same_bits(record: np.ndarray) -> None:
     y = record[: int(8 * RATE)]
-    a = run(RollingSpectral(rig_model("cubic"), RATE, 5.0), y)
-    b = run(RollingSpectral(rig_model("cubic"), RATE, 5.0), y)
+    a = run(RollingEstimator(rig_model("cubic"), RATE, 5.0), y)
+    b = run(RollingEstimator(rig_model("cubic"), RATE, 5.0), y)
     assert [e.parameters for e in a] == [e.parameters for e in b]
 
 
@@ -60,7 +60,7 @@ def test_gaps_are_left_out(record: np.ndarray) -> None:
     holed = record.copy()
     holed[180000:180700] = np.nan
     holed[250000:250001, 1] = np.nan
-    last = run(RollingSpectral(rig_model("cubic"), RATE, 10.0), holed)[-1]
+    last = run(RollingEstimator(rig_model("cubic"), RATE, 10.0), holed)[-1]
     for i, place in enumerate(PLACES):
         p = last.parameters[f"{place}.kL"]
         assert abs(p.value - TRUTH["kL"][i]) < 4 * p.sd
@@ -71,7 +71,7 @@ def test_a_start_without_a_whole_block_says_so_and_goes_on(record: np.ndarray, e
     """A loose cable: no block of the warm-up is whole, or no row has the support of the filters."""
     holed = record.copy()
     holed[: int(4.3 * RATE) : every] = np.nan
-    estimates = run(RollingSpectral(rig_model("cubic"), RATE, 10.0), holed)
+    estimates = run(RollingEstimator(rig_model("cubic"), RATE, 10.0), holed)
     assert any(e.status.startswith("nowhere 0.32 s of samples without a gap") for e in estimates)
     for i, place in enumerate(PLACES):
         p = estimates[-1].parameters[f"{place}.kL"]
@@ -80,7 +80,7 @@ def test_a_start_without_a_whole_block_says_so_and_goes_on(record: np.ndarray, e
 
 def test_noise_without_a_resonance_says_why_there_is_no_estimate() -> None:
     y = np.random.default_rng(0).normal(size=(int(9 * RATE), 4))
-    last = run(RollingSpectral(rig_model(), RATE, 5.0), y)[-1]
+    last = run(RollingEstimator(rig_model(), RATE, 5.0), y)[-1]
     assert not last.parameters
     assert "resonance" in last.status
 
@@ -89,7 +89,7 @@ def test_noise_without_a_resonance_says_why_there_is_no_estimate() -> None:
 def test_a_change_of_two_per_cent_is_followed_within_two_time_constants() -> None:
     tau, changed = 5.0, TRUTH["kL"] * np.array([1.02, 1.0, 1.0, 1.0])
     record = rig_record(45.0, seed=1, change=(20.0, changed))
-    estimates = run(RollingSpectral(rig_model("cubic"), RATE, tau), record)
+    estimates = run(RollingEstimator(rig_model("cubic"), RATE, tau), record)
     at = [e for e in estimates if e.index / RATE > 20.0 + 2 * tau]
     z = [(e.parameters["bearing1.x.kL"].value - changed[0]) / e.parameters["bearing1.x.kL"].sd for e in at]
     assert np.mean(np.abs(z) < 2.5) > 0.9
@@ -101,7 +101,7 @@ def test_a_force_of_another_level_moves_its_own_level_alone() -> None:
     """Taken as even, what is missing was not known for ten seconds after it, as too much of the memory was let go."""
     tau, before, after = 5.0, 0.6, 1.5
     parts = [rig_record(10.0, seed=6, level=before), np.full((200, 4), np.nan), rig_record(10.0, seed=7, level=after)]
-    estimates = run(RollingSpectral(rig_model("cubic"), RATE, tau), np.concatenate(parts))
+    estimates = run(RollingEstimator(rig_model("cubic"), RATE, tau), np.concatenate(parts))
     later = [e for e in estimates if e.index / RATE > 9.0]
     missing = [0.0 if e.extra is None else e.extra["missing_force_percent"] for e in later]
     assert all(e.extra is not None for e in later)
@@ -121,7 +121,7 @@ def test_what_dresses_the_laws_goes_with_the_level_of_the_force() -> None:
         rig_record(s, seed=8 + k, hidden=friction, level=z) for k, (s, z) in enumerate([(7, 0.7), (14, 1.75)])
     )
     y = np.concatenate([first, np.full((200, 4), np.nan), second])
-    last = run(RollingSpectral(rig_model("cubic", "coulomb"), RATE, 6.0), y)[-1]
+    last = run(RollingEstimator(rig_model("cubic", "coulomb"), RATE, 6.0), y)[-1]
     assert last.extra is not None
     assert last.extra["missing_force_percent"] < 0.3
     for key, truth in (("c", TRUTH["c"]), ("coulomb.fc", np.full(4, 0.07))):
@@ -134,8 +134,8 @@ def test_what_dresses_the_laws_goes_with_the_level_of_the_force() -> None:
 def test_what_is_missing_is_seen_and_named_as_it_rolls(record: np.ndarray, watch: tuple[str, ...]) -> None:
     model, friction = rig_model("cubic"), np.zeros((4, 7))
     friction[:, COULOMB] = 0.06
-    complete = run(RollingSpectral(model, RATE, 10.0, watch), record[: int(8 * RATE)])[-1].extra
-    lacking = run(RollingSpectral(model, RATE, 10.0, watch), rig_record(8.0, seed=5, hidden=friction))[-1].extra
+    complete = run(RollingEstimator(model, RATE, 10.0, watch), record[: int(8 * RATE)])[-1].extra
+    lacking = run(RollingEstimator(model, RATE, 10.0, watch), rig_record(8.0, seed=5, hidden=friction))[-1].extra
     assert complete is not None
     assert lacking is not None
     assert complete["missing_force_percent"] < 0.5
@@ -147,7 +147,7 @@ def test_what_is_missing_is_seen_and_named_as_it_rolls(record: np.ndarray, watch
 
 
 def test_without_candidates_nothing_is_said_of_what_is_missing(record: np.ndarray) -> None:
-    assert run(RollingSpectral(rig_model("cubic"), RATE, 10.0, watch=()), record[: int(6 * RATE)])[-1].extra is None
+    assert run(RollingEstimator(rig_model("cubic"), RATE, 10.0, watch=()), record[: int(6 * RATE)])[-1].extra is None
 
 
 @pytest.mark.parametrize("dead", ["all", "one", "later"])
@@ -159,6 +159,6 @@ def test_a_place_that_does_not_move_is_named(record: np.ndarray, dead: str) -> N
         y[:, 1] = 9.81
     else:
         y[int(6 * RATE) :, 1] = 0.0
-    last = run(RollingSpectral(rig_model(), RATE, 5.0, watch=()), y)[-1]
+    last = run(RollingEstimator(rig_model(), RATE, 5.0, watch=()), y)[-1]
     assert not last.parameters
     assert f"{PLACES[0 if dead == 'all' else 1]} does not move" in last.status

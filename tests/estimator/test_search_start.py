@@ -11,7 +11,7 @@ from daq.rig.rig import Rig, load_rig
 from estimator.diagnosis.comparison.heldout import heldout_nll
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
-from estimator.identification.batch import fit
+from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.model.rig import EffectUse
 from estimator.simulation.simulator import simulate
@@ -55,7 +55,7 @@ def test_a_stop_added_without_numbers_is_found_on_the_other_side() -> None:
     at = replace(rig, channels=rig.channels[:1], effects=())
     hidden = {"k": 2e6, "gap": -1.5e-7}
     y = simulate(with_effect(at, CATALOGUE["stop"], hidden), RATE, 2.0, seed=0, noise=0.02)
-    found = fit.fit(replace(at, effects=(EffectUse("stop", {"bearing1.x": {}}),)), y, RATE).parameters
+    found = spectral.fit(replace(at, effects=(EffectUse("stop", {"bearing1.x": {}}),)), y, RATE).parameters
     for name, value in hidden.items():
         got = found[f"bearing1.x.stop.{name}"]
         assert got.value == pytest.approx(value, abs=4 * got.sd)
@@ -68,7 +68,7 @@ def test_fit_finds_a_gap_of_twice_the_rms_beside_a_cubic_law() -> None:
     truth = with_effect(rig, CATALOGUE["clearance"], {"k": 3e6, "gap": 4e-7}, *rig.places)
     y = simulate(truth, RATE, 8.0, seed=0, noise=0.02, full_scale=490.5)
     added = replace(rig, effects=(*rig.effects, EffectUse("clearance", {p: {} for p in rig.places})))
-    found = fit.fit(added, y, RATE).parameters
+    found = spectral.fit(added, y, RATE).parameters
     for place in rig.places:
         for name, true in (("k", 3e6), ("gap", 4e-7)):
             p = found[f"{place}.clearance.{name}"]

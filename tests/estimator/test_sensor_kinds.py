@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, ROOT, one_bearing
 
 from daq.rig.rig import load_rig
-from estimator.diagnosis.comparison.compare import compare
+from estimator.diagnosis.comparison.comparison import compare
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.structure import noisy_sensor, spectral_shape
 from estimator.model.rig import EffectUse, Setting

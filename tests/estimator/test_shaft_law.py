@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 
 from daq.rig.rig import load_rig
 from estimator.diagnosis.hypotheses.trial import best_at
-from estimator.diagnosis.verdict.diagnose import diagnose
-from estimator.diagnosis.verdict.improve import improve
+from estimator.diagnosis.verdict.diagnosis import diagnose
+from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.identification.batch.grid_start import fit_record

@@ -13,10 +13,10 @@ from estimator.diagnosis.hypotheses import gate_shape
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.custom import custom_effect
 from estimator.effects.engine.strength import size, strengths, with_effect
-from estimator.identification.batch import fit as spectral
+from estimator.identification.batch import spectral as spectral
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.residual import missing_force
-from estimator.identification.rolling.estimator import RollingSpectral
+from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import placed_of
 from estimator.likelihood.motion.prepare import prepare
@@ -127,7 +127,7 @@ def test_a_quadratic_law_and_the_cubic_one_beside_it_come_out_right(truth: Model
 def test_the_rolling_estimate_sees_it_too(truth: Model) -> None:
     """As the fit of the same record has them: without it kNL was 2.8 and 3.5 standard deviations below, kL 2."""
     y = simulate(truth, RATE, SECONDS, seed=1, noise=0.02, full_scale=490.5)
-    rolling = RollingSpectral(truth, RATE, 1e4, watch=())
+    rolling = RollingEstimator(truth, RATE, 1e4, watch=())
     for part in np.split(y, np.arange(1280, len(y), 1280)):
         rolling.update(part)
     found, fit = rolling.snapshot().parameters, spectral.fit(truth, y, RATE).parameters
@@ -143,7 +143,7 @@ def test_gaps_and_chunks_change_nothing_else(truth: Model) -> None:
     y[110000:110300] = np.nan
     last = []
     for _ in range(2):
-        rolling = RollingSpectral(truth, RATE, 10.0, watch=())
+        rolling = RollingEstimator(truth, RATE, 10.0, watch=())
         for part in np.split(y, np.arange(1280, len(y), 1280)):
             rolling.update(part)
         last.append(rolling.snapshot().parameters)

@@ -10,7 +10,7 @@ import pytest
 from numba import njit
 from scipy.signal import resample
 
-from estimator.diagnosis.comparison.compare import compare
+from estimator.diagnosis.comparison.comparison import compare
 from estimator.effects import CATALOGUE
 from estimator.likelihood.motion.located_law import Placed
 from estimator.likelihood.motion.prepare import prepare

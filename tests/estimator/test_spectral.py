@@ -5,7 +5,7 @@ import pytest
 from reference_rig import DISC, MASS, PLACES, RATE, TRUTH, rig_model, rig_record
 
 from estimator.errors import DataError
-from estimator.identification.batch import fit as spectral
+from estimator.identification.batch import spectral as spectral
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model.rotor import shaft_at_caps
 from estimator.simulation.simulator import simulate

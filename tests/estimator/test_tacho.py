@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from daq.rig.rig import load_rig
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
-from estimator.identification.batch import fit
+from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.machine import lines
 from estimator.identification.machine.stiffness_order import turning
@@ -126,7 +126,7 @@ def test_a_line_that_the_speed_carries_along_is_left_out_of_a_fit(rig: Model) ->
     y = simulate(
         with_effect(rig, CATALOGUE["imbalance"], {"a": 19.0, "b": 0.0}, "disc"), RATE, 12.0, seed=3, speed=ramp
     )
-    found = fit.fit(rig, y, RATE, measured_phase(rig, y, RATE))
+    found = spectral.fit(rig, y, RATE, measured_phase(rig, y, RATE))
     assert not [m for m in found.messages if "not white" in m]
     for place in rig.places:
         for key in ("kL", "c", "S"):

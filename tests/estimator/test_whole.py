@@ -10,11 +10,11 @@ from hidden_effects import RATE, ROOT, coupled_on_a_stiff_shaft, one_bearing, re
 from reference_rig import rig_model, rig_record
 
 from daq.rig.rig import load_rig
-from estimator.diagnosis.comparison.compare import compare
+from estimator.diagnosis.comparison.comparison import compare
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import DataError
-from estimator.identification.batch import fit as spectral
+from estimator.identification.batch import spectral as spectral
 from estimator.identification.batch.full_fit import fit_whole
 from estimator.identification.search import suspects
 from estimator.model.rig import EffectUse, Model, Setting

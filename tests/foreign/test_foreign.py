@@ -9,7 +9,7 @@ import pytest
 from scipy import signal
 
 from daq.rig.rig import load_rig
-from estimator.diagnosis.verdict.improve import improve
+from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.law_loop import force_array
 

@@ -16,10 +16,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from estimator.diagnosis.comparison.compare import compare
-from estimator.diagnosis.verdict.diagnose import diagnose
-from estimator.diagnosis.verdict.improve import improve
-from estimator.identification.batch.fit import fit
+from estimator.diagnosis.comparison.comparison import compare
+from estimator.diagnosis.verdict.diagnosis import diagnose
+from estimator.diagnosis.verdict.improvement import improve
+from estimator.identification.batch.spectral import fit
 
 from .records import RECORDS, GoldenRecord
 

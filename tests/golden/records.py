@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from daq.rig.rig import load_rig
 from estimator.effects import CATALOGUE
-from estimator.effects.engine.places import places
 from estimator.effects.engine.strength import size, strengths, with_effect
+from estimator.effects.places import places
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
 

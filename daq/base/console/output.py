@@ -177,7 +177,7 @@ def spare(path: Path, *others: str) -> None:
     that it is not to replace, would be lost."""
     if not path.is_file():
         return
-    from drivers.foreign.capture_files import SUFFIXES
+    from drivers.foreign import SUFFIXES
 
     kept = (".mcap", *IMPORTED_SUFFIXES, *SUFFIXES, *others)
     with contextlib.suppress(OSError), path.open("rb") as file:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from rich.table import Table
 from rich.text import Text
 
-from drivers.contract.reading import Gap
+from drivers.contract import Gap
 from estimator.results import Parameter
 
 

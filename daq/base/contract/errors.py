@@ -39,7 +39,7 @@ def not_written(path: Path, error: OSError) -> RotorscopeError:
 
 def exit_status(error: Exception) -> int | None:
     """Of an error that says one line; also of the parts below, which know no command line. None: a defect."""
-    from drivers.contract.errors import LinkError
+    from drivers.contract import LinkError
     from estimator.errors import DataError, ModelError
 
     if isinstance(error, RotorscopeError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.contract.reading import Info
+from drivers.contract import Info
 
 Counts = NDArray[np.int16] | NDArray[np.int32]
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
-from drivers.contract.reading import Info, LinkStats, Notice, Reading
-from estimator.model.rig import Model
+from drivers.contract import Info, LinkStats, Notice, Reading
+from estimator.model import Model
 from estimator.results import Estimate
 
 

@@ -12,7 +12,7 @@ from rich.text import Text
 from daq.base.console.output import Output
 from daq.base.console.tables import gap_lines, gap_reasons
 from daq.log.reader import Recording, read_log
-from drivers.contract.reading import Notice
+from drivers.contract import Notice
 
 MOST_LINES = 10
 

@@ -24,8 +24,8 @@ from daq.exchange.checks import Record, checked
 from daq.exchange.formats import read
 from daq.rig.rig import Rig, load_rig
 from daq.rig.units import SI
-from drivers.contract.reading import Block, Gap, Info, Notice, Reading, Signal
-from drivers.foreign.capture_files import SUFFIXES
+from drivers.contract import Block, Gap, Info, Notice, Reading, Signal
+from drivers.foreign import SUFFIXES
 
 ROWS = 8192  # in a block
 COUNT_BITS = 32

@@ -17,8 +17,7 @@ from daq.report.rerun.process import VIEWER_PORT
 from daq.rig.rig import load_rig
 from daq.session.acquire import FINITE, Device, RunSummary, acquire_all
 from daq.session.links import open_driver
-from drivers.contract.patient import Patient
-from drivers.contract.reading import Notice
+from drivers.contract import Notice, Patient
 
 from .parts import Operator, in_words, log_of, make_sinks, naming, serve_metrics, what_is_wrong
 

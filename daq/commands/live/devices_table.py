@@ -11,7 +11,7 @@ from rich.text import Text
 
 from daq.report.live_state import LiveState
 from daq.report.live_table import NAMED, missing_text
-from drivers.contract.reading import Notice
+from drivers.contract import Notice
 
 COLUMNS = ("device", "seconds", "samples/s", "gaps", "lost", "CRC errors", "lag", "estimate")
 _DOWN = {"link_missing": "waits for its link", "link_lost": "its link is lost", "device_failed": "failed"}

@@ -15,7 +15,7 @@ from daq.base.contract.errors import CheckFailed, LogError
 from daq.base.contract.sink import Sink
 from daq.rig.rig import Rig
 from daq.session.acquire import RunSummary
-from drivers.contract.reading import Notice
+from drivers.contract import Notice
 
 if TYPE_CHECKING:
     from daq.report.metrics import MetricsServer
@@ -103,7 +103,7 @@ def what_is_wrong(summary: RunSummary, operator: Operator, strict: bool, link: s
 
 
 def _nothing(summary: RunSummary, link: str) -> Exception:
-    from drivers.contract.errors import LinkOpenError
+    from drivers.contract import LinkOpenError
 
     if summary.stats.frames:
         what = "frames came, but none of the rig's channels; check the device, and [link] of the rig file"

@@ -109,8 +109,8 @@ def simulate(
         if pace is None:
             driver = at_full_speed(simulated.device)
         else:
-            from drivers.contract.link_config import VirtualConfig
-            from drivers.links.links import make_driver
+            from drivers.contract import VirtualConfig
+            from drivers.links import make_driver
 
             driver = make_driver(VirtualConfig(pace), device=simulated.device)  # type: ignore[assignment]
         sinks = make_sinks(output, out, None, live=pace is not None)

@@ -26,13 +26,12 @@ from daq.base.console.output import Output, write_whole
 from daq.base.contract.errors import ConfigError
 from daq.rig.problems import did_you_mean
 from daq.rig.rig import load_rig
-from estimator.diagnosis.comparison.heldout import heldout_nll
-from estimator.diagnosis.verdict.diagnose import diagnose_point
-from estimator.diagnosis.verdict.improve import rung
+from estimator.diagnosis.comparison import heldout_nll
+from estimator.diagnosis.verdict import diagnose_point, rung
 from estimator.effects import CATALOGUE
 from estimator.errors import ModelError
-from estimator.identification.batch.full_fit import Whole, fit_whole
-from estimator.model.rig import EffectUse, Model
+from estimator.identification.batch import Whole, fit_whole
+from estimator.model import EffectUse, Model
 
 from . import hidden_pairs
 from .hidden import AT, COMPLETE, FRACTIONS, RATE_HZ, Case, cases, hidden, numbers, record

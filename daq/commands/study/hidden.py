@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.effects import CATALOGUE
-from estimator.effects.engine.places import places
-from estimator.effects.engine.strength import size, strengths, with_effect
-from estimator.model.rig import Model, Setting
+from estimator.effects import CATALOGUE, places
+from estimator.effects.engine import size, strengths, with_effect
+from estimator.model import Model, Setting
 from estimator.results import Parameter
-from estimator.simulation.simulator import simulate
+from estimator.simulation import simulate
 
 RATE_HZ = 25600.0
 FULL_SCALE = 490.5  # m/s^2, of the simulated counts

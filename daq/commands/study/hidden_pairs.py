@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from estimator.diagnosis.verdict.improve import improve
-from estimator.effects import CATALOGUE
-from estimator.effects.engine.places import places
-from estimator.model.rig import Model
+from estimator.diagnosis.verdict import improve
+from estimator.effects import CATALOGUE, places
+from estimator.model import Model
 
 from .hidden import AT, COMPLETE, FRACTIONS, NOISE, RATE_HZ, has_one_place, numbers, record, with_hidden
 

@@ -13,10 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from estimator.identification.moments.stationary import plane_diagnostics
-from estimator.model.bearing_theory import Theory, theory
+from estimator.identification.moments import plane_diagnostics
+from estimator.model import Theory, theory
 from estimator.results import Fit
-from estimator.simulation.start import stationarity
+from estimator.simulation import stationarity
 
 from .reproduce_cases import (
     CAPS,

@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.identification.moments import fokker_planck
-from estimator.identification.moments.plane_moments import PlaneMoments
-from estimator.identification.moments.planes import Cap, Plane
-from estimator.model.rig import BearingGeometry, Channel, EffectUse, Model, Setting
-from estimator.simulation.simulator import Simulator
+from estimator.identification.moments import Cap, Plane, PlaneMoments, fokker_planck
+from estimator.model import BearingGeometry, Channel, EffectUse, Model, Setting
+from estimator.simulation import Simulator
 
 Array = NDArray[np.float64]
 RATE_HZ = 12800.0

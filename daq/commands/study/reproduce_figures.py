@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.model.bearing_theory import Theory, taylor
+from estimator.model import Theory, taylor
 
 from .reproduce_cases import KNL, METHODS, RATE_HZ, STIFFNESS, Case, Row
 

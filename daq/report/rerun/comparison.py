@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from daq.report.curves import force_reach, scaled
 from daq.report.figures import AGAINST, FIRST, floats
 from daq.report.numbers import unit_text
-from drivers.contract.errors import LinkError
+from drivers.contract import LinkError
 
 from . import plane as plane
 from .layout import part

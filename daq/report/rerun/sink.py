@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from daq.base.contract.sink import Session, SinkHealth, Status
-from drivers.contract.reading import Block, Notice, Reading
+from drivers.contract import Block, Notice, Reading
 from estimator.results import Estimate
 
 from .process import VIEWER_PORT, ViewerGone, ViewerProcess, answers, start_viewer, viewer_target

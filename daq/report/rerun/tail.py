@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.contract.reading import Info, Signal
+from drivers.contract import Info, Signal
 
 from . import plane as plane
 from .layout import colour, part

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from daq.base.contract.sink import ClockState, Status
 from daq.report.numbers import unit_text
-from drivers.contract.reading import Block, Gap, Info, Notice, Reading, Signal
+from drivers.contract import Block, Gap, Info, Notice, Reading, Signal
 from estimator.results import MISSING, Estimate, certain
 
 from .layout import BAD, DEVICE_TIME, GOOD, HOST_TIME, IDLE, colour, layout, part

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.effects import CATALOGUE, NAMED
-from estimator.effects.engine.places import at
+from estimator.effects.places import at
 from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.identification.finding import CLAIMED, UNKNOWN, Suspect
 from estimator.identification.machine import stiffness_order

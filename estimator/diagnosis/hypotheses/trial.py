@@ -10,9 +10,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.arrays import Array
-from estimator.effects.engine.places import kinematic
-from estimator.effects.engine.places import places as canonical_places
 from estimator.effects.engine.strength import search_range
+from estimator.effects.places import kinematic
+from estimator.effects.places import places as canonical_places
 from estimator.likelihood.motion.harmonics import PERIODIC
 from estimator.likelihood.motion.located_law import FORCES, Placed, acting, searched, size, start
 from estimator.likelihood.path.law_gain import DIFFERENT, Assessed, _freed, alone, assess

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.effects.places import kinematic, places
 from estimator.model.effect import Effect, EffectParameter
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model.rotor import assemble, linear_covariance
 
 from .compiled import memory_array
 from .law_loop import force_array
-from .places import kinematic, places
 
 STATES = 4096  # Gaussian states that the rms of a law is taken over
 

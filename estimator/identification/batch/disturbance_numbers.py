@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.effects import NAMED
-from estimator.effects.engine.places import at, written
+from estimator.effects.places import at, written
 from estimator.identification.finding import Suspect, as_use
 from estimator.identification.structure import noisy_sensor
 from estimator.likelihood.motion import harmonics

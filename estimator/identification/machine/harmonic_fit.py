@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes, Series
-from estimator.effects.engine.places import written
+from estimator.effects.places import written
 from estimator.identification.finding import as_use
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import (

@@ -16,7 +16,7 @@ from scipy.special import gammaincc
 
 from estimator.arrays import Array
 from estimator.effects import CATALOGUE
-from estimator.effects.engine.places import kinematic, orders
+from estimator.effects.places import kinematic, orders
 from estimator.identification.finding import Suspect
 from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
 from estimator.model.rig import Model

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array
-from estimator.effects.engine.places import at, kinematic, written
+from estimator.effects.places import at, kinematic, written
 from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model, Setting

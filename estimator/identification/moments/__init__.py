@@ -1,1 +1,9 @@
 """The paper's own methods: Fokker-Planck density, score matching, Volterra series."""
+
+from .fokker_planck import Form, estimate
+from .plane_moments import PlaneMoments
+from .planes import Cap, Plane
+from .score_matching import RollingScoreMatching
+from .stationary import plane_diagnostics
+
+__all__ = ["Cap", "Form", "Plane", "PlaneMoments", "RollingScoreMatching", "estimate", "plane_diagnostics"]

@@ -23,7 +23,7 @@ from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
 from estimator.arrays import Array
-from estimator.effects.engine.places import kinematic
+from estimator.effects.places import kinematic
 from estimator.identification.finding import SHAPES, Share, Suspect, shares
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.subproblem import Subproblem

@@ -40,7 +40,7 @@ CATCH_UP = 2  # times as many blocks in a call until the first ones have been ta
 STILL = 1e-6  # of what a place usually moves, or of what the others do: it does not move
 
 
-class RollingSpectral:
+class RollingEstimator:
     """OnlineEstimator by the spectral likelihood. Estimates are renewed about twice a second.
 
     watch : catalogue effects whose force is looked for in what the model leaves over (watch.py). The estimate's

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from estimator.effects.engine.custom import effect_of
-from estimator.effects.engine.places import at, kinematic, written
+from estimator.effects.places import at, kinematic, written
 from estimator.likelihood.motion.harmonics import PERIODIC
 from estimator.likelihood.motion.known_spectra import COLOURS
 from estimator.model.disc import disc_of

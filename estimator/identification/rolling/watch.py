@@ -48,7 +48,7 @@ def every() -> tuple[str, ...]:
 
 def with_candidates(model: Model, names: tuple[str, ...]) -> Model:
     """The model and every candidate that it does not have, wherever that can act."""
-    from estimator.effects.engine.places import places
+    from estimator.effects.places import places
 
     have = {use.name for use in model.effects}
     added = []

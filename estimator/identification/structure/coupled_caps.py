@@ -16,7 +16,7 @@ from scipy.special import chdtrc
 
 from estimator.arrays import Array, Complexes
 from estimator.effects import CATALOGUE
-from estimator.effects.engine.places import at, written
+from estimator.effects.places import at, written
 from estimator.identification.finding import Suspect
 from estimator.likelihood.motion.force_balance import shaft_notch
 from estimator.likelihood.path.subproblem import Subproblem, subproblem

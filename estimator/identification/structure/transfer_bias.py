@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.arrays import Array, Complexes
 from estimator.effects import CATALOGUE
-from estimator.effects.engine.places import at, written
+from estimator.effects.places import at, written
 from estimator.likelihood.fitting.folded_force import images, of_late_sensor
 from estimator.likelihood.fitting.path_spectra import Response
 from estimator.likelihood.fitting.transfer_function import Peak, highest, linear, noises, plain, response_of

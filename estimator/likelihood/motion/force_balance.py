@@ -14,7 +14,7 @@ import numpy as np
 
 from estimator.arrays import Array, Complexes
 from estimator.effects.engine.custom import effect_of
-from estimator.effects.engine.places import at, kinematic, written
+from estimator.effects.places import at, kinematic, written
 from estimator.errors import DataError
 from estimator.model.disc import Disc, disc_of
 from estimator.model.effect import Effect

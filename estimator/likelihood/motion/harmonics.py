@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Complexes, Series
 from estimator.effects import MORE_LINES, NAMED
 from estimator.effects.engine.law_loop import force_array
-from estimator.effects.engine.places import at, kinematic, values, written
+from estimator.effects.places import at, kinematic, values, written
 from estimator.errors import ModelError
 from estimator.model.effect import Effect
 from estimator.model.rig import Model, Setting

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Series
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.custom import effect_of
-from estimator.effects.engine.places import at, kinematic, written
 from estimator.effects.engine.strength import Size
+from estimator.effects.places import at, kinematic, written
 from estimator.errors import NotFiniteError
 from estimator.model.effect import Effect, EffectParameter
 from estimator.model.rig import Model

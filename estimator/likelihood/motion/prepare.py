@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Series
 from estimator.effects.engine.custom import effect_of
-from estimator.effects.engine.places import at
+from estimator.effects.places import at
 from estimator.errors import DataError
 from estimator.model.disc import disc_of
 from estimator.model.rig import MOTION, Model

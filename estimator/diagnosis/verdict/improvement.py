@@ -22,7 +22,7 @@ from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
 from estimator.results import Parameter
 
-from .diagnose import Diagnosis, diagnose_point
+from .diagnosis import Diagnosis, diagnose_point
 from .gate_residual import EARNED
 
 Progress = Callable[[float, str], None]
@@ -58,7 +58,7 @@ class Rung:
 
 
 @dataclass(frozen=True, slots=True)
-class Ladder:
+class Improvement:
     """rungs : the model as it was, and after each effect added. model : the last, with fitted values.
 
     diagnoses : what was said of every model, in order; last : the one that ended it.
@@ -82,7 +82,7 @@ class Ladder:
         }
 
 
-def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = None) -> Ladder:
+def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = None) -> Improvement:
     """Add what the diagnosis names, as long as the held-out likelihood improves. y : (n, channels), SI."""
     say = progress or (lambda fraction, text: None)
     given = model
@@ -154,7 +154,9 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             found = replace(found, verdict="unknown", messages=())
     messages = [*whole.messages, *messages, *idle(point), *(found.messages if found.verdict in ENDED else ())]
     say(1.0, "done")
-    return Ladder(tuple(rungs), fitted_model(model, point), whole.parameters, found, tuple(messages), tuple(diagnoses))
+    return Improvement(
+        tuple(rungs), fitted_model(model, point), whole.parameters, found, tuple(messages), tuple(diagnoses)
+    )
 
 
 def _with_found(before: Model, given: Model, settings: dict[str, Settings], y: Array, rate_hz: float) -> Whole:

@@ -1,0 +1,98 @@
+"""Fit of a record by any method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from estimator.arrays import Array
+from estimator.model.rig import Model
+from estimator.results import Fit
+from estimator.signals.shaft_angle import measured_phase
+
+from .record import clipping, declip
+
+Method = Literal["spectral", "fokker-planck", "score-matching", "volterra"]
+
+
+def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") -> Fit:
+    """Estimate the parameters of a rig from a record.
+
+    Parameters
+    ----------
+    model : Model
+        The rig. Linear values and parameters of effects may be unknown (None); they are fitted.
+    y : (n, channels) float64
+        Samples in SI units, columns in the order of ``model.channels``. NaN where a sample is missing or clipped.
+    rate_hz : float
+        Sampling rate, Hz.
+    method : {"spectral", "fokker-planck", "score-matching", "volterra"}
+        ``spectral`` is the path likelihood of the force balance and the most precise. The others are the independent
+        methods of the literature; they need white excitation and known masses.
+
+    Returns
+    -------
+    Fit
+        Parameters by full name such as ``bearing1.x.kL``, each with its standard deviation and unit.
+
+    Raises
+    ------
+    DataError
+        The record cannot answer: too short, a dead channel, no resonance in the band.
+
+    References
+    ----------
+    Tiwari and Vyas, J. Sound Vib. 203 (1997) 389.
+
+    Examples
+    --------
+    >>> from estimator import Channel, Model, Setting, fit, simulate
+    >>> cap = {"bearing1.x": {"kL": Setting(1.0e7), "c": Setting(60.0), "S": Setting(1.0e-4)}}
+    >>> rig = Model((Channel("b1x", "bearing1", "x"),), band=(150.0, 8000.0), mass={"bearing1": 0.2}, linear=cap)
+    >>> record = simulate(rig, rate_hz=25600.0, seconds=4.0, seed=1)
+    >>> stiffness = fit(rig, record, 25600.0).parameters["bearing1.x.kL"]
+    >>> abs(stiffness.value - 1.0e7) < 4.0 * stiffness.sd
+    True
+    """
+    clipped = clipping.find(model, y)
+    y, off = declip.restored(model, y, frozenset(place for s in clipped for place in s.at))
+    result = _METHODS[method](model, y, rate_hz)
+    drawn = {place for place, error in off.items() if error < np.inf}
+    said = [f"{s.region}: {declip.RESTORED}" if s.at[0] in drawn else clipping.said(s) for s in clipped]
+    return replace(result, messages=(*result.messages, *said))
+
+
+def _spectral(model: Model, y: Array, rate_hz: float) -> Fit:
+    from .batch import spectral
+
+    phase = measured_phase(model, y, rate_hz)
+    return spectral.fit(model, y, rate_hz) if phase is None else spectral.fit(model, y, rate_hz, phase)
+
+
+def _fokker_planck(model: Model, y: Array, rate_hz: float) -> Fit:
+    from .moments import fokker_planck
+
+    return fokker_planck.fit(model, y, rate_hz)
+
+
+def _score_matching(model: Model, y: Array, rate_hz: float) -> Fit:
+    from .moments import score_matching
+
+    return score_matching.fit(model, y, rate_hz)
+
+
+def _volterra(model: Model, y: Array, rate_hz: float) -> Fit:
+    from .moments import volterra
+
+    return volterra.fit(model, y, rate_hz)
+
+
+_METHODS: Mapping[str, Callable[[Model, Array, float], Fit]] = {
+    "spectral": _spectral,
+    "fokker-planck": _fokker_planck,
+    "score-matching": _score_matching,
+    "volterra": _volterra,
+}
