@@ -13,7 +13,7 @@ from promises import PATIENCE_S
 
 from drivers.contract.reading import REASONS, Block, Driver, Gap, Info, Notice, Reading
 from drivers.links.links import make_driver, parse_link
-from drivers.links.serve import serve
+from drivers.served.serve import serve
 from drivers.simulated.simulated import DeviceConfig, SimulatedDevice
 
 PERIOD = 16_000  # the ramp's, in counts; fits 15 bits

@@ -88,7 +88,7 @@ def nodes(grid: Layout, peaks_hz: Array | None = None, widths_hz: Array | None =
     """Every bin; or, with the resonances and their half-power widths, few where the response is smooth.
 
     Nodes are no farther apart than a sixth of the width at a resonance and a fifteenth of the distance from it: the
-    midpoint rule is then good to 1e-3 of a standard deviation of the parameters (tests/estimator/test_likelihood.py).
+    midpoint rule is then good to 1e-3 of a standard deviation of the parameters (tested).
     """
     f, cell = grid.f_hz, grid.cell_of_bin
     if peaks_hz is None or widths_hz is None:

@@ -13,16 +13,11 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "estimator"))
-
-sys.path.insert(0, str(Path(__file__).parent))
 from kept_records import KNL, kept
 from reference_rig import MASS, PLACES, RATE, TRUTH, rig_model
 

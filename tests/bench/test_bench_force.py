@@ -13,19 +13,14 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import time
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import forced_rig as rig
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "estimator"))
-sys.path.insert(0, str(Path(__file__).parent))
-
-import forced_rig as rig
 from reference_rig import DISC, MASS, PLACES, RATE, SHAFT, SHAFT_DAMPING, rig_model
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline

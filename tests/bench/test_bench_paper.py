@@ -5,15 +5,12 @@ pytest tests/bench/test_bench_paper.py -m bench -s
 
 from __future__ import annotations
 
-import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "estimator"))
 from reference_samples import boltzmann  # noqa: E402
 
 from estimator.identification.moments import fokker_planck  # noqa: E402

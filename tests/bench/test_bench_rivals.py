@@ -15,17 +15,12 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "estimator"))
-sys.path.insert(0, str(Path(__file__).parent))
-
 import rivals
 import test_bench_duffing as duffing
 from kept_records import kept

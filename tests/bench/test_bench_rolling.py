@@ -6,15 +6,10 @@ OPENBLAS_NUM_THREADS=1 pytest -m bench -s tests/bench/test_bench_rolling.py
 from __future__ import annotations
 
 import os
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "estimator"))
-
 from reference_rig import RATE, rig_model, rig_record
 
 from estimator.identification.batch import spectral

@@ -81,10 +81,11 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="compare with the stored results, write nothing")
     parser.add_argument("--exact", action="store_true", help="with --check: every number bit by bit")
     parser.add_argument("--only", default="", metavar="NAME", help="records whose name contains this")
+    parser.add_argument("--skip", default="\0", metavar="NAME", help="leave out records whose name contains this")
     given = parser.parse_args()
     bad = 0
     RESULTS.mkdir(exist_ok=True)
-    for record in (r for r in RECORDS if given.only in r.name):
+    for record in (r for r in RECORDS if given.only in r.name and given.skip not in r.name):
         begun = time.monotonic()
         now = answers(record)
         path = RESULTS / f"{record.name}.json"

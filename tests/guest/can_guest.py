@@ -22,7 +22,7 @@ from daq.base.contract.errors import LogError
 from daq.commands.cli.app import main
 from daq.log.reader import Recording, read_log
 from drivers.contract.reading import Block
-from drivers.links.serve import serve
+from drivers.served.serve import serve
 
 RATE_HZ = 700.0  # 100 frames a second of fd16
 CONFIGS = Path(__file__).parents[2] / "configs"

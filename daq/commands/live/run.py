@@ -95,7 +95,7 @@ def simulate(
         _write_truth(rig, simulated.assumed, truth_path)
     value: dict[str, Any] = {"schema": 1, "seed": seed}
     if serve is not None:
-        from drivers.links.serve import serve as run_device
+        from drivers.served import serve as run_device
 
         with Stop() as stop:
             run_device(serve, simulated.device, pace, stop.event, lambda url: _serving(output, url))

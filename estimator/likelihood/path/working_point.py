@@ -204,7 +204,7 @@ def point_at(
 
 def _means(data: MotionBlocks, D: Array, uses: list[Placed], made: list[list[Term]], lin: Array) -> list[Mean]:
     """Mean response of each place. Of laws that remember, those at other caps answer as stiffness and damping of their
-    mean response at the resonance there; what is fed back at the place itself is followed by the probe. made : the terms
+    mean response at the resonance there; what is fed back at the place itself is followed by the probe. made : terms
     of each use."""
     linear = [
         (i, own) for use in uses if use.effect.kind == "memory" for i in use.at

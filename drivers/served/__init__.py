@@ -1,0 +1,5 @@
+"""A device of ours served on a link, for other programs to read."""
+
+from .serve import serve
+
+__all__ = ["serve"]

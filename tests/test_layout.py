@@ -1,0 +1,198 @@
+"""The house in order: sizes, names and imports of the source, asked of the files themselves (docs/decisions/0001)."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import Counter
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from estimator.effects import CATALOGUE
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("estimator", "daq", "drivers")
+FILE_LINES = 400
+FUNCTION_LINES = 60
+LONG_FUNCTIONS = {"improve", "build", "layout", "acquire", "_parse"}  # to be cut
+FOLDER_ENTRIES = 16  # twelve after the two engines are one
+ROOMS = {"model", "effects", "signals", "likelihood", "simulation", "identification", "diagnosis"}
+ROOT_FILES = {"__init__.py", "arrays.py", "errors.py", "parallel.py", "results.py", "py.typed"}
+# Ratchets: a change may lower these numbers and never raise them.
+EFFECT_NAMING_FILES = 36  # files of estimator/ outside effects/ with an effect's name in a string: six is the aim
+ONE_WORD_CONSTANTS = {"estimator": 457, "daq": 169, "drivers": 70}  # upper-case, at module level: none is the aim
+SAME_OPENINGS = 40  # docstrings in estimator/ that open with "The same": none is the aim
+POSITIONAL_CALLS = 200  # constructions of classes in estimator/ with more than four positional arguments: none
+REPEATED_FUNCTIONS = {
+    "find", "left", "own", "seen", "judged", "moved", "alike", "told", "said", "plain", "at", "of", "along", "build",
+    "gain", "response",
+}  # fmt: skip
+REPEATED = 25  # how many modules define one of these beyond the first of each name: none is the aim
+
+
+@cache
+def sources(package: str) -> dict[Path, ast.Module]:
+    """The parsed files of a package."""
+    return {path: ast.parse(path.read_text("utf-8")) for path in sorted((ROOT / package).rglob("*.py"))}
+
+
+def functions(tree: ast.Module) -> Iterator[ast.FunctionDef]:
+    """Every function and method."""
+    return (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef))
+
+
+def constants(tree: ast.Module) -> Iterator[str]:
+    """Upper-case names assigned at module level."""
+    for node in tree.body:
+        targets = (
+            node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+        )
+        for target in targets:
+            for name in ast.walk(target):
+                if isinstance(name, ast.Name) and name.id.isupper():
+                    yield name.id
+
+
+def one_word(package: str) -> list[str]:
+    """Constants of one word: a name has to say quantity and unit. Names of effects' objects are no constants."""
+    objects = {name.upper() for name in CATALOGUE} | {"CATALOGUE", "NAMED"}
+    return [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path, tree in sources(package).items()
+        for name in dict.fromkeys(constants(tree))
+        if "_" not in name.strip("_") and name not in objects and len(name) > 1
+    ]
+
+
+def naming_effects() -> list[str]:
+    """Files outside effects/ that hold the name of an effect as a string."""
+    return [
+        str(path.relative_to(ROOT))
+        for path, tree in sources("estimator").items()
+        if "effects" not in path.relative_to(ROOT).parts
+        and any(
+            isinstance(n, ast.Constant) and isinstance(n.value, str) and n.value in CATALOGUE for n in ast.walk(tree)
+        )
+    ]
+
+
+def same_openings() -> list[str]:
+    """Docstrings that open with "The same", in place of what the thing is."""
+    return [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path, tree in sources("estimator").items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and (ast.get_docstring(node) or "").startswith("The same")
+    ]
+
+
+def positional_calls() -> list[str]:
+    """Constructions of classes with more than four positional arguments."""
+    return [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path, tree in sources("estimator").items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and re.fullmatch(r"[A-Z][a-z]\w*", node.func.id)
+        and len(node.args) > 4
+    ]
+
+
+def repeated() -> list[str]:
+    """Module-level functions of a name that says nothing, beyond the first of each name."""
+    found = [
+        node.name
+        for tree in sources("estimator").values()
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef) and node.name in REPEATED_FUNCTIONS
+    ]
+    return [f"{name}: {count}" for name, count in Counter(found).items() for _ in range(count - 1)]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_file_is_long(package: str) -> None:
+    long = {
+        str(p.relative_to(ROOT)): n
+        for p in sources(package)
+        if (n := len(p.read_text("utf-8").splitlines())) > FILE_LINES
+    }
+    assert not long
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_function_is_long(package: str) -> None:
+    long = [
+        f"{path.relative_to(ROOT)}: {node.name} {length}"
+        for path, tree in sources(package).items()
+        for node in functions(tree)
+        if (length := (node.end_lineno or 0) - node.lineno + 1) > FUNCTION_LINES and node.name not in LONG_FUNCTIONS
+    ]
+    assert not long
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_folder_is_crowded(package: str) -> None:
+    folders = {path.parent for path in sources(package)}
+    crowded = {
+        str(f.relative_to(ROOT)): n
+        for f in folders
+        if (n := sum(entry.name != "__pycache__" for entry in f.iterdir())) > FOLDER_ENTRIES
+    }
+    assert not crowded
+
+
+def test_the_estimator_has_seven_rooms_and_five_files() -> None:
+    entries = {entry.name for entry in (ROOT / "estimator").iterdir() if entry.name != "__pycache__"}
+    assert entries == ROOMS | ROOT_FILES
+
+
+def test_other_packages_import_only_public_names_of_a_room() -> None:
+    inner = []
+    for path, tree in sources("daq").items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in ("estimator", "drivers"):
+                place = ROOT / str(node.module).replace(".", "/")
+                if not place.is_dir() and place.with_suffix(".py").parent.name not in ("estimator", "drivers"):
+                    inner.append(f"{path.relative_to(ROOT)}:{node.lineno} {node.module}")
+    assert not inner
+
+
+def test_array_types_come_from_one_file() -> None:
+    own = [
+        str(path.relative_to(ROOT))
+        for path, tree in sources("estimator").items()
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Name)
+        and node.targets[0].id in ("Array", "Floats", "Complexes", "Series")
+        and path.name != "arrays.py"
+    ]
+    assert not own
+
+
+SHRINKING = {
+    "files that name an effect": (naming_effects, EFFECT_NAMING_FILES),
+    "constants of one word in estimator": (lambda: one_word("estimator"), ONE_WORD_CONSTANTS["estimator"]),
+    "constants of one word in daq": (lambda: one_word("daq"), ONE_WORD_CONSTANTS["daq"]),
+    "constants of one word in drivers": (lambda: one_word("drivers"), ONE_WORD_CONSTANTS["drivers"]),
+    "openings with 'The same'": (same_openings, SAME_OPENINGS),
+    "more than four positional arguments": (positional_calls, POSITIONAL_CALLS),
+    "repeated functions": (repeated, REPEATED),
+}
+
+
+@pytest.mark.parametrize("what", SHRINKING)
+def test_what_is_to_shrink_does_not_grow(what: str) -> None:
+    found, most = SHRINKING[what]
+    here = found()
+    assert len(here) <= most, here
+
+
+if __name__ == "__main__":
+    for title, (found, _) in SHRINKING.items():
+        rows = found()
+        print(f"\n{title}: {len(rows)}", *rows, sep="\n  ")
