@@ -29,7 +29,9 @@ def maker(method: str, time_constant_s: float, watch: str = "usual") -> MakeEsti
     def make(model: Model, rate_hz: float) -> OnlineEstimator:
         made, more = getattr(import_module(module), name), {}
         if method == "spectral" and watch != "usual":
-            more["watch"] = import_module("estimator.identification.rolling").every() if watch == "catalogue" else ()
+            more["watch"] = (
+                import_module("estimator.identification.rolling").watchable_effects() if watch == "catalogue" else ()
+            )
         estimator: OnlineEstimator = made(model, rate_hz, time_constant_s, **more)
         return estimator
 

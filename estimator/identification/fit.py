@@ -59,7 +59,7 @@ def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") 
     """
     clipped = clipping.find(model, y)
     y, off = declip.restored(model, y, frozenset(place for s in clipped for place in s.at))
-    result = _METHODS[method](model, y, rate_hz)
+    result = _FIT_METHODS[method](model, y, rate_hz)
     drawn = {place for place, error in off.items() if error < np.inf}
     said = [f"{s.region}: {declip.RESTORED}" if s.at[0] in drawn else clipping.said(s) for s in clipped]
     return replace(result, messages=(*result.messages, *said))
@@ -69,28 +69,30 @@ def _spectral(model: Model, y: Array, rate_hz: float) -> Fit:
     from .batch import spectral
 
     phase = measured_phase(model, y, rate_hz)
-    return spectral.fit(model, y, rate_hz) if phase is None else spectral.fit(model, y, rate_hz, phase)
+    return (
+        spectral.fit_spectral(model, y, rate_hz) if phase is None else spectral.fit_spectral(model, y, rate_hz, phase)
+    )
 
 
 def _fokker_planck(model: Model, y: Array, rate_hz: float) -> Fit:
     from .moments import fokker_planck
 
-    return fokker_planck.fit(model, y, rate_hz)
+    return fokker_planck.fit_fokker_planck(model, y, rate_hz)
 
 
 def _score_matching(model: Model, y: Array, rate_hz: float) -> Fit:
     from .moments import score_matching
 
-    return score_matching.fit(model, y, rate_hz)
+    return score_matching.fit_score_matching(model, y, rate_hz)
 
 
 def _volterra(model: Model, y: Array, rate_hz: float) -> Fit:
     from .moments import volterra
 
-    return volterra.fit(model, y, rate_hz)
+    return volterra.fit_volterra(model, y, rate_hz)
 
 
-_METHODS: Mapping[str, Callable[[Model, Array, float], Fit]] = {
+_FIT_METHODS: Mapping[str, Callable[[Model, Array, float], Fit]] = {
     "spectral": _spectral,
     "fokker-planck": _fokker_planck,
     "score-matching": _score_matching,

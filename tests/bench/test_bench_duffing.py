@@ -88,7 +88,7 @@ def test_one_degree_of_freedom(noise: float, sigma: float) -> None:
     begin = time.perf_counter()
     for seed in range(SEEDS):
         y, S = record(1000 + seed, noise, sigma)
-        p = spectral.fit(model, y[:, None], RATE).parameters
+        p = spectral.fit_spectral(model, y[:, None], RATE).parameters
         for key, true in (TRUTH | {"S": S}).items():
             found = p[f"bearing1.x.{key}"]
             value = (np.nan, np.nan) if found.value is None else (100 * (found.value / true - 1), 100 * found.sd / true)

@@ -16,7 +16,7 @@ from reference_samples import boltzmann  # noqa: E402
 from estimator.identification.moments import fokker_planck  # noqa: E402
 from estimator.identification.moments.band_edge import BandEdge  # noqa: E402
 from estimator.identification.moments.plane_moments import PlaneMoments  # noqa: E402
-from estimator.identification.moments.planes import Cap, Plane, density_band, planes  # noqa: E402
+from estimator.identification.moments.planes import Cap, Plane, density_band, planes_of  # noqa: E402
 from estimator.model.rig import Channel, EffectUse, Model, Setting  # noqa: E402
 from estimator.signals.band_limit import band_limit  # noqa: E402
 
@@ -60,8 +60,8 @@ def test_strong_shaft_at_a_million_samples(nonlinearity: float) -> None:
     plane = Plane("x", caps, ks=KL, a=0.5, b=-0.5, disc=M3)
     coupling = 0.5 * KL * np.array([[1.0, -1.0], [-1.0, 1.0]])
     methods: dict[str, Callable[[np.ndarray, np.ndarray], Result]] = {
-        "eq. (36) midpoint": lambda x, v: fokker_planck.estimate(plane, x, v, "midpoint", 30),
-        "eq. (36) response": lambda x, v: fokker_planck.estimate(plane, x, v, "response", 100),
+        "eq. (36) midpoint": lambda x, v: fokker_planck.fokker_planck_parameters(plane, x, v, "midpoint", 30),
+        "eq. (36) response": lambda x, v: fokker_planck.fokker_planck_parameters(plane, x, v, "response", 100),
         "score, density form": lambda x, v: score(plane, x, v, "density"),
         "score, velocity form": lambda x, v: score(plane, x, v, "velocity"),
     }
@@ -124,13 +124,15 @@ def test_records_of_the_rig() -> None:
         motion = band_limit(y, ["acceleration"] * 4, 25600.0, band)
         x, v, a = (z.T[motion.valid] for z in (motion.x, motion.v, motion.a))
         edge = BandEdge.of(25600.0, band)
-        for plane in planes(model):
+        for plane in planes_of(model):
             columns = [i for i, p in enumerate(model.places) if p.endswith(plane.direction)]
             kL = np.array([model.linear[cap.place]["kL"].value for cap in plane.caps], float)
             truth = np.concatenate([[k, 1.3e18, 1.3e18 / k] for k in kL])
             for method in methods:
                 if method.startswith("eq"):
-                    values, cov = fokker_planck.estimate(plane, x[:, columns], v[:, columns], "response", 60)
+                    values, cov = fokker_planck.fokker_planck_parameters(
+                        plane, x[:, columns], v[:, columns], "response", 60
+                    )
                 else:
                     values, cov = score(plane, x[:, columns], v[:, columns], method.split()[1], a[:, columns], edge)
                 found = np.array(list(values.values()))

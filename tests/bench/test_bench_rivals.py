@@ -174,7 +174,7 @@ def test_ten_seconds_of_one_place_of_the_rig() -> None:
         y = kept("cubic", seed)[: int(10 * RATE)]
         run(
             f"{test}/spectral/{seed}",
-            lambda y=y: plain(dict(spectral.fit(rig_model("cubic"), y, RATE).parameters)),
+            lambda y=y: plain(dict(spectral.fit_spectral(rig_model("cubic"), y, RATE).parameters)),
             truth,
         )
         motion = band_limit(y, ["acceleration"] * 4, RATE, BAND)

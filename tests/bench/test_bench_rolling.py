@@ -14,17 +14,21 @@ from reference_rig import RATE, rig_model, rig_record
 
 from estimator.identification.batch import spectral
 from estimator.identification.rolling.estimator import RollingEstimator
-from estimator.identification.rolling.watch import CANDIDATES, PASSING, every
+from estimator.identification.rolling.watch import DEFAULT_CANDIDATES, UNWATCHABLE_EFFECTS, watchable_effects
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
 
 
-COLUMNS = (*every(), *PASSING, "bouc_wen")  # every effect of the catalogue that is an amplitude times a column
+COLUMNS = (
+    *watchable_effects(),
+    *UNWATCHABLE_EFFECTS,
+    "bouc_wen",
+)  # every effect of the catalogue that is an amplitude times a column
 
 
 @pytest.mark.parametrize(
     ("watch", "limit"),
-    [((), 0.05), (CANDIDATES, 0.25), (every(), 0.25), (COLUMNS, 0.25)],
+    [((), 0.05), (DEFAULT_CANDIDATES, 0.25), (watchable_effects(), 0.25), (COLUMNS, 0.25)],
     ids=["own effects", "with candidates", "with the catalogue", "with every column"],
 )
 def test_share_of_a_core(watch: tuple[str, ...], limit: float) -> None:
@@ -51,7 +55,7 @@ def test_share_of_a_core(watch: tuple[str, ...], limit: float) -> None:
 @pytest.mark.parametrize("seconds", [15.0, 30.0, 60.0])
 def test_time_of_a_fit(seconds: float) -> None:
     y = rig_record(seconds, seed=1)
-    spectral.fit(rig_model("cubic"), y[: int(8 * RATE)], RATE)
+    spectral.fit_spectral(rig_model("cubic"), y[: int(8 * RATE)], RATE)
     begin, cpu = time.perf_counter(), time.process_time()
-    spectral.fit(rig_model("cubic"), y, RATE)
+    spectral.fit_spectral(rig_model("cubic"), y, RATE)
     print(f"\nfit of {seconds:g} s: {time.perf_counter() - begin:.2f} s, {time.process_time() - cpu:.2f} s of CPU")

@@ -19,12 +19,12 @@ from typing import Any
 from estimator.diagnosis.comparison.comparison import compare
 from estimator.diagnosis.verdict.diagnosis import diagnose
 from estimator.diagnosis.verdict.improvement import improve
-from estimator.identification.batch.spectral import fit
+from estimator.identification.batch.spectral import fit_spectral
 
 from .records import RECORDS, GoldenRecord
 
 RESULTS = Path(__file__).parent / "results"
-COMMANDS = {"fit": fit, "compare": compare, "diagnose": diagnose, "improve": improve}
+COMMANDS = {"fit": fit_spectral, "compare": compare, "diagnose": diagnose, "improve": improve}
 TEXTS = {"messages", "separates", "reason"}  # wording is free
 DRAWN = {"curves", "laws", "spectra", "densities", "orbits", "shape"}  # long series: in the digest alone
 

@@ -30,7 +30,7 @@ from estimator.diagnosis.comparison import heldout_nll
 from estimator.diagnosis.verdict import diagnose_point, rung
 from estimator.effects import CATALOGUE
 from estimator.errors import ModelError
-from estimator.identification.batch import Whole, fit_whole
+from estimator.identification.batch import FullFit, fit_all_effects
 from estimator.model import EffectUse, Model
 
 from . import hidden_pairs
@@ -45,7 +45,7 @@ def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
     truth, known, noise = hidden(model, case, seconds)
     y = record(truth, seconds, case.seed, noise)
     begin = time.process_time()
-    fitted = fit_whole(known, y, RATE_HZ)
+    fitted = fit_all_effects(known, y, RATE_HZ)
     found = diagnose_point(fitted.model, fitted.point, y)
     spent = time.process_time() - begin
     top = found.ranking[0] if found.ranking else None
@@ -71,15 +71,15 @@ def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
 
 
 def added(
-    fitted: Whole, known: Model, truth: Model, effect: str, at: Sequence[str], y: NDArray[np.float64]
+    fitted: FullFit, known: Model, truth: Model, effect: str, at: Sequence[str], y: NDArray[np.float64]
 ) -> dict[str, float]:
     """What adding an effect to a model at places without a number brings: missing force left, %, and nats to_go.
 
     to_go, of `gap` between the model as it was and the true one, is what the likelihood still lacks after it.
     """
     grown = replace(known, effects=(*known.effects, EffectUse(effect, {place: {} for place in at})))
-    after = fit_whole(grown, y, RATE_HZ)
-    before, best = heldout_nll(fitted.point), heldout_nll(fit_whole(truth, y, RATE_HZ).point)
+    after = fit_all_effects(grown, y, RATE_HZ)
+    before, best = heldout_nll(fitted.point), heldout_nll(fit_all_effects(truth, y, RATE_HZ).point)
     end = rung(after.model, after.point, y)
     return {
         "missing_percent": end.missing[0],

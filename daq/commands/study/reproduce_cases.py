@@ -138,7 +138,7 @@ def estimates(case: Case, direction: str, masses_known: bool, replicates: int = 
     for method in METHODS:
         if method.startswith("eq"):
             form: fokker_planck.Form = "midpoint" if "midpoint" in method else "response"
-            values, cov = fokker_planck.estimate(plane, x, v, form, replicates)
+            values, cov = fokker_planck.fokker_planck_parameters(plane, x, v, form, replicates)
         else:
             values, cov = _score(plane, x, v, "velocity" in method)
         sds = np.sqrt(np.diag(cov))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from estimator.arrays import Array
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.record import clipping
 from estimator.identification.residual import missing_force
 from estimator.identification.search import suspects
@@ -78,7 +78,7 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     """
     say = progress or (lambda fraction, text: None)
     say(0.0, "fit")
-    whole = fit_whole(model, y, rate_hz)
+    whole = fit_all_effects(model, y, rate_hz)
     model, point = whole.model, whole.point
     say(0.4, "what can still be predicted")
     part = thinned(point, missing_force.SURVEY_SECONDS)

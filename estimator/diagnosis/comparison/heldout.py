@@ -29,12 +29,12 @@ def heldout_rmse(model: Model, y: Array, rate_hz: float) -> dict[str, float]:
     forced = {c.place for c in model.channels if c.kind == "force"}
     if not model.places or not forced.issuperset(model.places):
         return {}
-    from estimator.identification.batch.full_fit import fit_whole
+    from estimator.identification.batch.full_fit import fit_all_effects
 
     from .free_run import simulation_rmse
 
     try:
-        found = fit_whole(model, y[: int(FITTED * len(y))], rate_hz)
+        found = fit_all_effects(model, y[: int(FITTED * len(y))], rate_hz)
         filled = _known(fitted_model(found.model, found.point))
         damping = np.einsum("iik->ik", found.point.slopes)[:, 1]
         decay_s = float(np.max(2 * found.point.data.mass / damping))

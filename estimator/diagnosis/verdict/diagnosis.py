@@ -16,8 +16,8 @@ from estimator.diagnosis.hypotheses import ranking as evidence
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import FOREMOST, SIGNIFICANT, Progress, extrapolating, on_whole, ranked
 from estimator.errors import DataError, NotFiniteError
-from estimator.identification.batch.disturbance_numbers import with_found
-from estimator.identification.batch.full_fit import Whole, fit_whole
+from estimator.identification.batch.disturbance_numbers import with_found_effects
+from estimator.identification.batch.full_fit import FullFit, fit_all_effects
 from estimator.identification.finding import Suspect
 from estimator.identification.machine.harmonic_fit import found_beside
 from estimator.identification.residual import missing_force
@@ -77,7 +77,7 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
     """
     say = progress or quiet
     say(0.0, "fit of the model as it is")
-    whole = fit_whole(model, y, rate_hz)
+    whole = fit_all_effects(model, y, rate_hz)
     found = diagnose_point(whole.model, whole.point, y, say)
     return replace(found, messages=(*found.messages, *whole.messages))
 
@@ -132,12 +132,12 @@ def _verdict(
     return _law(model, point, before, entries, say, known)
 
 
-def _added(model: Model, y: Array, rate_hz: float, best: Entry) -> tuple[Whole, Array] | None:
+def _added(model: Model, y: Array, rate_hz: float, best: Entry) -> tuple[FullFit, Array] | None:
     """The model with what was found, fitted to the first part of the record, and that; None where too little of it is
     whole."""
     part = y[: int(missing_force.SURVEY_SECONDS * rate_hz)]
     try:
-        return fit_whole(with_found(model, best.settings), part, rate_hz), part
+        return fit_all_effects(with_found_effects(model, best.settings), part, rate_hz), part
     except DataError:
         return None
 

@@ -10,8 +10,8 @@ from estimator.arrays import Array
 from estimator.diagnosis.comparison.heldout import heldout_nll, heldout_rmse
 from estimator.diagnosis.hypotheses.ranking import Settings
 from estimator.errors import DataError
-from estimator.identification.batch.disturbance_numbers import with_found
-from estimator.identification.batch.full_fit import SHAPING, Whole, fit_whole
+from estimator.identification.batch.disturbance_numbers import with_found_effects
+from estimator.identification.batch.full_fit import SPECTRAL_AND_SENSOR_EFFECTS, FullFit, fit_all_effects
 from estimator.identification.residual.missing_force import NEGLIGIBLE, SURVEY_SECONDS, surveyed
 from estimator.identification.search import suspects
 from estimator.identification.structure import recorder_fall, recorder_phase
@@ -86,7 +86,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     """Add what the diagnosis names, as long as the held-out likelihood improves. y : (n, channels), SI."""
     say = progress or (lambda fraction, text: None)
     given = model
-    whole = fit_whole(model, y, rate_hz)
+    whole = fit_all_effects(model, y, rate_hz)
     model, point = whole.model, whole.point
     rungs = [rung(model, point, y)]
     messages: list[str] = []
@@ -112,7 +112,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                 new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
                 # masses, shapes of spectra, and what the recorder takes and delays, were sought beside what was missing
                 taken = model.roll_off is not given.roll_off or recorder_fall.find(new_whole.model, richer)
-                shaped = any(use.name in SHAPING for use in model.effects)
+                shaped = any(use.name in SPECTRAL_AND_SENSOR_EFFECTS for use in model.effects)
                 if whole.masses or shaped or taken or recorder_phase.found(new_whole.model, richer):
                     again = replace(new_whole.model, mass=given.mass, roll_off=given.roll_off)
                     del richer, new_whole  # large, as is the last one, and the next is larger while it is made
@@ -159,22 +159,22 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     )
 
 
-def _with_found(before: Model, given: Model, settings: dict[str, Settings], y: Array, rate_hz: float) -> Whole:
+def _with_found(before: Model, given: Model, settings: dict[str, Settings], y: Array, rate_hz: float) -> FullFit:
     """The whole of a model with what was found, begun from its fit without it; where that ended too far from the rotor,
     as of a sensor that is clipped much, from the numbers that were given. Raises DataError if neither is sound."""
     try:
-        return _refitted(with_found(before, settings), y, rate_hz)
+        return _refitted(with_found_effects(before, settings), y, rate_hz)
     except DataError:
         own = {use.name: use for use in given.effects}
         afresh = replace(
             before, linear=given.linear, effects=tuple(own.get(use.name, use) for use in before.effects)
         )  # fmt: skip
-        return _refitted(with_found(afresh, settings), y, rate_hz)
+        return _refitted(with_found_effects(afresh, settings), y, rate_hz)
 
 
-def _refitted(model: Model, y: Array, rate_hz: float) -> Whole:
+def _refitted(model: Model, y: Array, rate_hz: float) -> FullFit:
     """The whole of a model that begins from a fit, and the masses that the rig file leaves out with it."""
-    whole = fit_whole(model, y, rate_hz)
+    whole = fit_all_effects(model, y, rate_hz)
     return replace(whole, model=fitted_model(whole.model, whole.point))
 
 

@@ -1,6 +1,6 @@
 """Fit of a whole record."""
 
-from .full_fit import Whole, fit_whole
-from .spectral import fit
+from .full_fit import FullFit, fit_all_effects
+from .spectral import fit_spectral
 
-__all__ = ["Whole", "fit", "fit_whole"]
+__all__ = ["FullFit", "fit_spectral", "fit_all_effects"]

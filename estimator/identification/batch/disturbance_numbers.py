@@ -18,10 +18,10 @@ from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.signals.channel_response import BLIND, LINEAR, forced
 
-SETTLED = 0.5  # standard deviations by which a colour may still move
+MAX_SETTLED_CHANGE_SD = 0.5  # standard deviations by which a colour may still move
 
 
-def with_uses(model: Model, further: Mapping[str, Mapping[str, Mapping[str, Setting]]]) -> Model:
+def with_further_effects(model: Model, further: Mapping[str, Mapping[str, Mapping[str, Setting]]]) -> Model:
     """The model with effects at further places. further : name -> canonical place -> parameter name -> Setting."""
     uses = {use.name: use for use in model.effects}
     for name, own in further.items():
@@ -30,12 +30,12 @@ def with_uses(model: Model, further: Mapping[str, Mapping[str, Mapping[str, Sett
     return replace(model, effects=tuple(uses.values()))
 
 
-def with_found(model: Model, found: Mapping[str, Mapping[str, Mapping[str, Parameter]]]) -> Model:
+def with_found_effects(model: Model, found: Mapping[str, Mapping[str, Mapping[str, Parameter]]]) -> Model:
     """The model with effects that are no force laws, at the values found. found : by the name of the effect."""
-    return with_uses(model, {name: as_use(name, own).parameters for name, own in found.items()})
+    return with_further_effects(model, {name: as_use(name, own).parameters for name, own in found.items()})
 
 
-def further_lines(model: Model, seen: list[Suspect]) -> dict[str, dict[str, dict[str, Setting]]]:
+def further_lines_found(model: Model, seen: list[Suspect]) -> dict[str, dict[str, dict[str, Setting]]]:
     """Name -> place -> no numbers, of lines seen that the model has no name for: at a place where it has one without a
     frequency, which is as many lines as there are."""
     out: dict[str, dict[str, dict[str, Setting]]] = {}
@@ -51,20 +51,20 @@ def further_lines(model: Model, seen: list[Suspect]) -> dict[str, dict[str, dict
     return {name: out[name] for name in harmonics.LINE_NAMES if name in out}
 
 
-def told_by_force(use: EffectUse, model: Model) -> bool:
+def is_identifiable_by_force(use: EffectUse, model: Model) -> bool:
     """Whether it is a sensor's response beside a measured force, which tells it."""
     return use.name in LINEAR and bool(forced(model).intersection(at(NAMED[use.name], use, model)))
 
 
-def undone_as_given(use: EffectUse, model: Model) -> bool:
+def is_undone_as_given(use: EffectUse, model: Model) -> bool:
     """Whether it is a sensor's response that is undone before anything is known of it: as the rig file gives it."""
-    if not told_by_force(use, model):
+    if not is_identifiable_by_force(use, model):
         return use.name in BLIND
     names = [q.name for q in NAMED[use.name].parameters]
     return all(own.get(n, Setting()).value is not None for own in use.parameters.values() for n in names)
 
 
-def with_numbers(
+def with_resolved_parameters(
     model: Model, names: set[str], seen: list[Suspect], point: WorkingPoint
 ) -> tuple[Model, dict[str, Parameter]]:
     """The model with what was found for the effects of these names, and that as parameters."""
@@ -72,21 +72,23 @@ def with_numbers(
     effects = []
     for use in model.effects:
         if use.name in names:
-            use, own = _numbered(use, model, seen, point)
+            use, own = _with_resolved_use(use, model, seen, point)
             found |= own
         effects.append(use)
     return replace(model, effects=tuple(effects)), found
 
 
-def moved(before: Mapping[str, Parameter], now: Mapping[str, Parameter]) -> bool:
+def parameters_have_moved(before: Mapping[str, Parameter], now: Mapping[str, Parameter]) -> bool:
     """Whether numbers that were found both times differ by more than a part of a standard deviation."""
     pairs = [(before[name], p) for name, p in now.items()]
     if any(p.value is None or q.value is None for p, q in pairs):
         return False
-    return any(abs((p.value or 0.0) - (q.value or 0.0)) > SETTLED * (q.sd or 0.0) for p, q in pairs if q.sd)
+    return any(
+        abs((p.value or 0.0) - (q.value or 0.0)) > MAX_SETTLED_CHANGE_SD * (q.sd or 0.0) for p, q in pairs if q.sd
+    )
 
 
-def _numbered(
+def _with_resolved_use(
     use: EffectUse, model: Model, seen: list[Suspect], point: WorkingPoint
 ) -> tuple[EffectUse, dict[str, Parameter]]:
     """The use with what was found for it at each of its places, and that as parameters."""
@@ -95,7 +97,7 @@ def _numbered(
     new: dict[str, dict[str, Setting]] = {}
     for key in at(effect, use, model):
         old = written(effect, use, model, key)
-        own = _found(use, key, old, model, seen, point)
+        own = _found_at_location(use, key, old, model, seen, point)
         new[key] = {}
         for q in effect.parameters:
             setting, name = old.get(q.name, Setting()), f"{key}.{use.name}.{q.name}"
@@ -105,27 +107,29 @@ def _numbered(
                 found[name] = own[q.name]
                 setting = replace(setting, value=own[q.name].value)
             else:
-                blind = use.name in BLIND and not told_by_force(use, model)
-                found[name] = _unseen(blind, q)
+                blind = use.name in BLIND and not is_identifiable_by_force(use, model)
+                found[name] = _not_found(blind, q)
                 setting = setting if blind else replace(setting, value=None)
             new[key][q.name] = setting
     return replace(use, parameters=new), found
 
 
-def _found(
+def _found_at_location(
     use: EffectUse, key: str, old: Mapping[str, Setting], model: Model, seen: list[Suspect], point: WorkingPoint
 ) -> dict[str, Parameter]:
     """Name -> number of a use at a canonical place; of several lines the one nearest to the frequency written."""
     if use.name == "sensor_noise" and key in point.data.places:
         return {"rms": noisy_sensor.sensor_noise(point, point.data.places.index(key))}
     if use.name == "bow":
-        return _bow(model, [s.settings[key] for s in seen if s.effect == "imbalance"])
+        return _bow_of_imbalance(model, [s.settings[key] for s in seen if s.effect == "imbalance"])
     if use.name in harmonics.LINE_NAMES:
-        return _line(use, key, model, [s.settings[key] for s in seen if s.effect == "line" and key in s.settings])
+        return _line_at_location(
+            use, key, model, [s.settings[key] for s in seen if s.effect == "line" and key in s.settings]
+        )
     return next((s.settings[key] for s in seen if s.effect == use.name and key in s.settings), {})
 
 
-def _line(use: EffectUse, key: str, model: Model, seen: list[dict[str, Parameter]]) -> dict[str, Parameter]:
+def _line_at_location(use: EffectUse, key: str, model: Model, seen: list[dict[str, Parameter]]) -> dict[str, Parameter]:
     """Of the lines seen at a place the one nearest to the frequency written; without one the strongest that no other
     line of the model has."""
     lines = {
@@ -143,7 +147,7 @@ def _line(use: EffectUse, key: str, model: Model, seen: list[dict[str, Parameter
     return {}
 
 
-def _bow(model: Model, seen: list[dict[str, Parameter]]) -> dict[str, Parameter]:
+def _bow_of_imbalance(model: Model, seen: list[dict[str, Parameter]]) -> dict[str, Parameter]:
     """The line at the shaft's speed as the work of a bow, where it was found as that of an imbalance."""
     if not seen:
         return {}
@@ -156,7 +160,7 @@ def _bow(model: Model, seen: list[dict[str, Parameter]]) -> dict[str, Parameter]
     return {"a": Parameter(force.real, sd, "N"), "b": Parameter(force.imag, sd, "N")}
 
 
-def _unseen(blind: bool, q: EffectParameter) -> Parameter:
+def _not_found(blind: bool, q: EffectParameter) -> Parameter:
     if blind:
         why = "bearings that hardly feel each other say nothing of it: measure the force, or give it with fixed = true"
     else:

@@ -41,92 +41,122 @@ from estimator.signals.channel_response import BLIND, LINEAR
 from estimator.signals.shaft_angle import timed
 
 from . import unknown_mass, unmeasured_end
-from .disturbance_numbers import further_lines, moved, told_by_force, undone_as_given, with_numbers, with_uses
+from .disturbance_numbers import (
+    further_lines_found,
+    is_identifiable_by_force,
+    is_undone_as_given,
+    parameters_have_moved,
+    with_further_effects,
+    with_resolved_parameters,
+)
 from .grid_start import fit_record
 from .linear_start import refuse_without_resonance, resonates
 
-SHAPING = (*COLOURS, "correlated_force", "sensor_clipping", "sensor_noise")
-ROUNDS = 2  # of the numbers of periodic forces and colours, which the rest of the fit depends on
-MOST_ROUNDS = 6  # while the answers of two caps to each other still move
+SPECTRAL_AND_SENSOR_EFFECTS = (*COLOURS, "correlated_force", "sensor_clipping", "sensor_noise")
+MIN_RESOLVING_ROUNDS = 2  # of the numbers of periodic forces and colours, which the rest of the fit depends on
+MAX_RESOLVING_ROUNDS = 6  # while the answers of two caps to each other still move
 
 
 @dataclass(frozen=True, slots=True)
-class Whole:
-    """model : with the numbers found for what is no law of the states. beside : these, by full name.
-    messages : what was found on the way, for the user. masses : those that the rig file leaves out, by full name.
-    doubt : relative standard deviation of S by a filter that is not seen."""
+class FullFit:
+    """A model fitted with all of its effects.
+
+    model : the model with the numbers found for its disturbances.
+    point : the working point of the fit.
+    disturbances : parameters of the disturbances, by full name.
+    messages : one line each, for the user.
+    masses : cap masses that the rig file leaves out and the shaft gives, kg, by full name.
+    S_sd_rel : relative standard deviation of S by an anti-alias roll-off that is too weak to be found.
+    """
 
     model: Model
     point: WorkingPoint
-    beside: dict[str, Parameter]
+    disturbances: dict[str, Parameter]
     messages: tuple[str, ...] = ()
     masses: dict[str, Parameter] = field(default_factory=dict)
-    doubt: float = 0.0
+    S_sd_rel: float = 0.0
 
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
-        found = untold_at(self.point.data.lost, SPOILED, parameters(self.point)) | self.beside
+        found = untold_at(self.point.data.lost, SPOILED, parameters(self.point)) | self.disturbances
         seen = {place: off.doubt for place, off in (self.model.roll_off or {}).items()}
-        found = recorder.doubted(seen or dict.fromkeys(self.point.data.places, self.doubt), found)
-        found = unknown_mass.widened(self.model, found, self.masses)
-        return untold_at(unknown_mass.unknown(self.model), unknown_mass.FREE, found, "N") | self.masses
+        found = recorder.doubted(seen or dict.fromkeys(self.point.data.places, self.S_sd_rel), found)
+        found = unknown_mass.with_mass_uncertainty(self.model, found, self.masses)
+        scaleless = unknown_mass.places_without_mass(self.model)
+        return untold_at(scaleless, unknown_mass.NO_MASS_REASON, found, "N") | self.masses
+
+    def to_fit(self) -> Fit:
+        """The result of `fit`, without the model and the working point."""
+        return Fit(
+            parameters=self.parameters,
+            log_likelihood=self.point.fit.log_likelihood,
+            samples=self.point.data.blocks * self.point.data.block,
+            method="spectral",
+            messages=self.messages,
+        )
 
 
-def beside_the_laws(use: EffectUse) -> bool:
+def is_disturbance(use: EffectUse) -> bool:
     """Whether an effect is none of the laws that a fit of the states has columns for."""
-    return use.name in (*harmonics.PERIODIC, *SHAPING, *BLIND)
+    return use.name in (*harmonics.PERIODIC, *SPECTRAL_AND_SENSOR_EFFECTS, *BLIND)
 
 
-def fit_whole(model: Model, y: Array, rate_hz: float) -> Whole:
+def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
     """Fit everything in a model to (n, channels) rows, SI, NaN where missing. A tacho channel gives the speed.
 
     Raises DataError, also where no force is measured and a place does not resonate in the band: nothing is told of its
     stiffness and damping then, and so of what is missing beside them.
     """
     given = timed(model, y, rate_hz)
-    model, masses = unknown_mass.weighed(given, y, rate_hz)
-    begun = _glanced(model, y, rate_hz)
-    off = recorder_fall.find(model, begun) if begun and all(starmap(resonates, _means(begun).values())) else None
-    if off and unknown_mass.of_shaft(given):  # what the shaft tells of them is told without the filter
-        return fit_whole(replace(given, roll_off=off), y, rate_hz)
+    model, masses = unknown_mass.with_masses_of_shaft(given, y, rate_hz)
+    begun = _coarse_fit(model, y, rate_hz)
+    off = (
+        recorder_fall.find(model, begun)
+        if begun and all(starmap(resonates, _mean_oscillators(begun).values()))
+        else None
+    )
+    if off and unknown_mass.places_scaled_by_shaft(given):  # what the shaft tells of them is told without the filter
+        return fit_all_effects(replace(given, roll_off=off), y, rate_hz)
     if off and begun:
         begun = begun.rowless()
-    whole = _turning(replace(model, roll_off=off) if off else model, y, rate_hz, begun)
+    whole = _fit_with_stiffness_order(replace(model, roll_off=off) if off else model, y, rate_hz, begun)
     if not begun and not model.roll_off and (off := recorder_fall.find(whole.model, whole.point)):
         begun = whole.point.rowless()
         del whole  # two at once would be much memory
-        whole = _turning(replace(model, roll_off=off), y, rate_hz, begun)
-    _refuse(whole.point)
+        whole = _fit_with_stiffness_order(replace(model, roll_off=off), y, rate_hz, begun)
+    _refuse_without_resonance(whole.point)
     if not model.roll_off and (late := recorder_phase.found(whole.model, whole.point)):
         begun = whole.point.rowless()
         del whole
-        whole = _turning(replace(model, roll_off=late), y, rate_hz, begun)
-    if whole.model.roll_off != model.roll_off and unknown_mass.of_shaft(given):
-        return fit_whole(replace(given, roll_off=whole.model.roll_off), y, rate_hz)
+        whole = _fit_with_stiffness_order(replace(model, roll_off=late), y, rate_hz, begun)
+    if whole.model.roll_off != model.roll_off and unknown_mass.places_scaled_by_shaft(given):
+        return fit_all_effects(replace(given, roll_off=whole.model.roll_off), y, rate_hz)
     data = whole.point.data
-    doubt = 0.0 if whole.model.roll_off else recorder_fall.doubt(whole.model, whole.point)
+    S_sd_rel = 0.0 if whole.model.roll_off else recorder_fall.doubt(whole.model, whole.point)
     said = (
         *shortened(data, y),
-        *unknown_mass.said(masses),
-        *unknown_mass.ratios(whole.model, whole.point),
+        *unknown_mass.mass_messages(masses),
+        *unknown_mass.ratio_messages(whole.model, whole.point),
         *recorder.said(whole.model.roll_off, data.places),
         *excitation_level.said(data.level),
-        *unmeasured_end.said(whole.model, dict(zip(data.places, whole.point.kL.tolist(), strict=True))),
+        *unmeasured_end.unmeasured_end_messages(
+            whole.model, dict(zip(data.places, whole.point.kL.tolist(), strict=True))
+        ),
         *shaft_law.said(data, [use.effect for use in whole.point.placed]),
     )
-    return replace(whole, messages=(*said, *whole.messages), masses=masses, doubt=doubt)
+    return replace(whole, messages=(*said, *whole.messages), masses=masses, S_sd_rel=S_sd_rel)
 
 
-def _glanced(model: Model, y: Array, rate_hz: float) -> WorkingPoint | None:
+def _coarse_fit(model: Model, y: Array, rate_hz: float) -> WorkingPoint | None:
     """The model's laws near enough to see a filter, which is undone before they are fitted in earnest. None where the
     model has more than laws of the states, or a filter."""
-    if model.roll_off or stiffness_order.laws(model) or any(beside_the_laws(u) for u in model.effects):
+    if model.roll_off or stiffness_order.laws(model) or any(is_disturbance(u) for u in model.effects):
         return None
     return fit_record(model, prepare(model, y, rate_hz), glance=True)
 
 
-def _means(point: WorkingPoint) -> dict[str, tuple[float, float, float, tuple[float, float]]]:
+def _mean_oscillators(point: WorkingPoint) -> dict[str, tuple[float, float, float, tuple[float, float]]]:
     """By place m, c and k of the mean response while the disc stands still, and the band; of places that are judged and
     have no measured force."""
     data = point.data
@@ -135,62 +165,66 @@ def _means(point: WorkingPoint) -> dict[str, tuple[float, float, float, tuple[fl
     return {data.places[i]: (float(data.mass[i]), float(c[i]), float(k[i]), data.band) for i in own}
 
 
-def _refuse(point: WorkingPoint) -> None:
+def _refuse_without_resonance(point: WorkingPoint) -> None:
     """Refuses places that do not resonate in the band."""
-    for place, mean in _means(point).items():
+    for place, mean in _mean_oscillators(point).items():
         refuse_without_resonance(place, *mean)
 
 
-def _turning(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None = None) -> Whole:
+def _fit_with_stiffness_order(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None = None) -> FullFit:
     """The same at the speed that the model gives, the ball-pass order from the record where the model leaves it.
     begun : the same nearly fitted, or before a filter was undone."""
     if not stiffness_order.sought(model):
-        return _fitted(model, y, rate_hz, begun)
+        return _fit_at_given_order(model, y, rate_hz, begun)
     if laws := stiffness_order.laws(model):
         bare = replace(model, effects=tuple(u for u in model.effects if u not in laws))
-        model, said = stiffness_order.turned(model, _fitted(bare, y, rate_hz).point)
-        return replace(_fitted(stiffness_order.begun(model) if said else model, y, rate_hz), messages=said)
-    whole = _fitted(model, y, rate_hz, begun)
+        model, said = stiffness_order.turned(model, _fit_at_given_order(bare, y, rate_hz).point)
+        return replace(_fit_at_given_order(stiffness_order.begun(model) if said else model, y, rate_hz), messages=said)
+    whole = _fit_at_given_order(model, y, rate_hz, begun)
     model, said = stiffness_order.turned(whole.model, whole.point)
     return replace(whole, model=model, messages=(*whole.messages, *said))
 
 
-def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None = None) -> Whole:
+def _fit_at_given_order(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None = None) -> FullFit:
     """The same at the ball-pass order that the model gives."""
-    uses = [u for u in model.effects if beside_the_laws(u)]
+    uses = [u for u in model.effects if is_disturbance(u)]
     if not uses:
         data = replace(begun.data) if begun and not model.roll_off else prepare(model, y, rate_hz)  # seen anew
-        return Whole(model, fit_record(model, data, begun), {})
+        return FullFit(model, fit_record(model, data, begun), {})
     limited, (y, off) = y, restored(model, y, clipped(model))
 
     def prepared(model: Model) -> MotionBlocks:
         data = prepare(model, y, rate_hz)
         return replace(data, drawn=data.passed_on(off)) if off else data
 
-    undone = [u for u in uses if undone_as_given(u, model)]
+    undone = [u for u in uses if is_undone_as_given(u, model)]
     bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u in undone))
     point = fit_record(bare, prepared(bare))
-    numbered = {u.name for u in uses if u not in undone or not told_by_force(u, model)}
+    numbered = {u.name for u in uses if u not in undone or not is_identifiable_by_force(u, model)}
     seen = suspects(bare, point, y, everywhere=True)
     seen += clipping.find(bare, limited) if limited is not y else []
-    further = further_lines(model, seen)
-    model, found = with_numbers(with_uses(model, further), numbered | further.keys(), seen, point)
+    further = further_lines_found(model, seen)
+    model, found = with_resolved_parameters(
+        with_further_effects(model, further), numbered | further.keys(), seen, point
+    )
     point = fit_record(model, prepared(model))
     colours = {u.name for u in uses if u.name in OF_FORCE}
-    for _ in range(ROUNDS if colours else 0):  # found among laws that they distort
+    for _ in range(MIN_RESOLVING_ROUNDS if colours else 0):  # found among laws that they distort
         data = point.data
         flat = replace(point, data=replace(data, colour=colours_of(bare, data.places, data.f_hz, OF_FORCE)))
-        renewed, again = with_numbers(model, colours, spectral_shape.find(bare, flat), flat)
-        if not moved(found, again):
+        renewed, again = with_resolved_parameters(model, colours, spectral_shape.find(bare, flat), flat)
+        if not parameters_have_moved(found, again):
             break
         model, found = renewed, found | again
         point = fit_record(model, prepared(model))
-    for done in range(MOST_ROUNDS if any(u.name in (*harmonics.PERIODIC, *LINEAR) for u in uses) else 0):
+    for done in range(MAX_RESOLVING_ROUNDS if any(u.name in (*harmonics.PERIODIC, *LINEAR) for u in uses) else 0):
         model, bent = transfer_bias.refined(model, point)
         model, mutual = coupled_caps.refined(model, point)
         model, stepped = harmonic_fit.settled(model, point)
         stepped |= bent | mutual
-        last = done + 1 >= ROUNDS and not moved(found, mutual)  # a late cap far from its number is not linear
+        last = done + 1 >= MIN_RESOLVING_ROUNDS and not parameters_have_moved(
+            found, mutual
+        )  # a late cap far from its number is not linear
         found |= stepped
         if stepped:
             point = fit_record(model, prepared(model))
@@ -198,17 +232,17 @@ def _fitted(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None =
             break
     told = [f"{place}: {RESTORED if error < np.inf else LOST}" for place, error in sorted(off.items())]
     told += [f"{place}: nothing is told of it: {SPOILED}" for place in sorted(point.data.lost.difference(off))]
-    messages = (*_several(model, further), *told)
-    return Whole(model, point, found | _levels(model, found, point), messages)
+    messages = (*_several_lines_message(model, further), *told)
+    return FullFit(model, point, found | _coloured_levels(model, found, point), messages)
 
 
-def _several(model: Model, further: Mapping[str, Mapping[str, Mapping[str, Setting]]]) -> tuple[str, ...]:
+def _several_lines_message(model: Model, further: Mapping[str, Mapping[str, Mapping[str, Setting]]]) -> tuple[str, ...]:
     """What to tell the user of a line that is several."""
     names = [u.name for u in model.effects if u.name in further]
     return (f"line stands for several lines, {', '.join(['line', *names])}: fit --out writes them",) if names else ()
 
 
-def _levels(model: Model, found: Mapping[str, Parameter], point: WorkingPoint) -> dict[str, Parameter]:
+def _coloured_levels(model: Model, found: Mapping[str, Parameter], point: WorkingPoint) -> dict[str, Parameter]:
     """S of the places whose excitation has a colour that was found."""
     out = {}
     for i, place in enumerate(point.data.places):
@@ -216,10 +250,3 @@ def _levels(model: Model, found: Mapping[str, Parameter], point: WorkingPoint) -
         if gain and corner and gain.value is not None and corner.value is not None and (gain.sd or corner.sd):
             out[f"{place}.S"] = spectral_models.level(point, i, gain.value, corner.value)
     return out
-
-
-def as_fit(whole: Whole) -> Fit:
-    """The same as the result of a fit."""
-    data = whole.point.data
-    samples = data.blocks * data.block
-    return Fit(whole.parameters, whole.point.fit.log_likelihood, samples, "spectral", whole.messages)

@@ -26,12 +26,14 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model, Setting
 from estimator.parallel import each
 
-SECONDS = 6.0
-SHAPE_SECONDS = 20.0  # for the spectrum of the force
-FACTORS = {1: np.geomspace(0.1, 10.0, 13), 2: np.geomspace(0.1, 10.0, 5)}
-COARSE = np.array([0.3, 1.0, 3.0])
-BELOW = 0.1  # of a damping without a pedestal: a fit with one may end as far below zero, on its way to a light one
-CLOSER = np.array([0.56, 1.0, 1.8])  # about the best node of a grid of several numbers, whose steps are wide
+GRID_S = 6.0
+PEDESTAL_START_S = 20.0  # for the spectrum of the force
+GRID_FACTORS = {1: np.geomspace(0.1, 10.0, 13), 2: np.geomspace(0.1, 10.0, 5)}
+COARSE_FACTORS = np.array([0.3, 1.0, 3.0])
+MAX_NEGATIVE_DAMPING_REL = (
+    0.1  # of a damping without a pedestal: a fit with one may end as far below zero, on its way to a light one
+)
+FINE_FACTORS = np.array([0.56, 1.0, 1.8])  # about the best node of a grid of several numbers, whose steps are wide
 
 
 def fit_record(
@@ -39,25 +41,25 @@ def fit_record(
 ) -> WorkingPoint:
     """The model fitted to a record, whatever values its rig file starts from. begun : the same fitted to nearly the
     same record, to begin from where only amplitudes are sought. glance : there, near enough to look at the force."""
-    uses, near = _suggested(data, placed_of(model, data), placed_of(_unnumbered(model), data))
-    loose = [k for k, use in enumerate(uses) if _searched(use)]
+    uses, near = _with_pedestal_starts(data, placed_of(model, data), placed_of(_without_pedestal_values(model), data))
+    loose = [k for k, use in enumerate(uses) if _searched_parameters(use)]
     if not loose and near:
         return fit_model(data, uses, near)
     if not loose and begun:
         return fit_model(data, list(begun.placed), begun)
     if not loose:
         return glanced(data, uses) if glance else fit_model(data, uses)
-    part = part_of(data, SECONDS)
-    kinds = {k: (uses[k].effect.name, *_searched(uses[k])) for k in loose}
+    part = part_of(data, GRID_S)
+    kinds = {k: (uses[k].effect.name, *_searched_parameters(uses[k])) for k in loose}
     for kind in dict.fromkeys(kinds.values()):
         own = [k for k in loose if kinds[k] == kind]
         point = fit_model(part, [u for j, u in enumerate(uses) if j not in loose or j < own[0]])
-        for k, use in zip(own, _started(point, [uses[k] for k in own]), strict=True):
+        for k, use in zip(own, _best_of_grids(point, [uses[k] for k in own]), strict=True):
             uses[k] = use
     return fit_model(data, uses, near)
 
 
-def _unnumbered(model: Model) -> Model:
+def _without_pedestal_values(model: Model) -> Model:
     """The model with no values for the free numbers of its pedestals."""
 
     def bare(own: Mapping[str, Setting]) -> dict[str, Setting]:
@@ -70,7 +72,7 @@ def _unnumbered(model: Model) -> Model:
     return replace(model, effects=tuple(uses))
 
 
-def _suggested(
+def _with_pedestal_starts(
     data: MotionBlocks, uses: list[Placed], natural: list[Placed]
 ) -> tuple[list[Placed], WorkingPoint | None]:  # fmt: skip
     """The uses with their pedestals begun where the force of a model without them suggests, or at the natural size, if
@@ -80,10 +82,10 @@ def _suggested(
     a stiffness a hundred times too small; the natural size led to the rotor.
     """
     shaped = [k for k, use in enumerate(uses) if use.effect.name == "pedestal" and any(use.free)]
-    others = [use for k, use in enumerate(uses) if k not in shaped and not _searched(use)]
+    others = [use for k, use in enumerate(uses) if k not in shaped and not _searched_parameters(use)]
     if not shaped:
         return uses, None
-    part = part_of(data, SHAPE_SECONDS)
+    part = part_of(data, PEDESTAL_START_S)
     without = fit_model(part, others)
     begun = {}
     kL, c = without.kL.copy(), without.c.copy()
@@ -102,14 +104,14 @@ def _suggested(
             fit_model(part, [*others, *own], beside),
             *(fit_model(part, [*others, *(given[k] for k in shaped)]) for given in (uses, natural)),
         ]
-        least = -BELOW * np.abs(without.c)
+        least = -MAX_NEGATIVE_DAMPING_REL * np.abs(without.c)
         sound = [point for point in points if np.all(point.kL > 0.0) and np.all(point.c > least)]
         best = max(sound or points, key=lambda point: point.fit.log_likelihood)
     fitted = {use.key: use for use in best.placed}
     return [fitted.get(use.key, use) for use in uses], best
 
 
-def _searched(use: Placed) -> list[int]:
+def _searched_parameters(use: Placed) -> list[int]:
     """Numbers of the free parameters that are no amplitudes, if there are amplitudes to judge them by; not of a shaft
     order, which no grid finds (stiffness_order.py)."""
     if not any(q.linear and free for q, free in zip(use.effect.parameters, use.free, strict=True)):
@@ -120,18 +122,18 @@ def _searched(use: Placed) -> list[int]:
     ]  # fmt: skip
 
 
-def _started(point: WorkingPoint, uses: list[Placed]) -> list[Placed]:
+def _best_of_grids(point: WorkingPoint, uses: list[Placed]) -> list[Placed]:
     """The uses of one effect at the best of a grid about their values, amplitudes as they fit there; of several numbers
     also of a closer one about that."""
-    loose = len(_searched(uses[0]))
-    begun = _best(point, uses, FACTORS.get(loose, COARSE), turned=True)
-    return begun if loose == 1 else _best(point, begun, CLOSER)
+    loose = len(_searched_parameters(uses[0]))
+    begun = _best_of_grid(point, uses, GRID_FACTORS.get(loose, COARSE_FACTORS), turned=True)
+    return begun if loose == 1 else _best_of_grid(point, begun, FINE_FACTORS)
 
 
-def _best(point: WorkingPoint, uses: list[Placed], factors: Array, turned: bool = False) -> list[Placed]:
+def _best_of_grid(point: WorkingPoint, uses: list[Placed], factors: Array, turned: bool = False) -> list[Placed]:
     """The same of the grid of these factors. Places are alike unless the record says otherwise: one has a node of its
     own where that is worth law_gain.DIFFERENT nats."""
-    nodes = [_grid(use, factors, turned) for use in uses]
+    nodes = [_grid_nodes(use, factors, turned) for use in uses]
     pairs = [use for own in nodes for use in own]
     found = each(lambda use: law_gain.assess(point, use), pairs)
     tried = [found[k : k + len(nodes[0])] for k in range(0, len(pairs), len(nodes[0]))]
@@ -142,14 +144,14 @@ def _best(point: WorkingPoint, uses: list[Placed], factors: Array, turned: bool 
         best = int(np.argmax(gained))
         best = best if gained[best] > gained[shared] + law_gain.DIFFERENT else shared
         got = results[best]
-        out.append(use if got is None or got.gain <= 0.0 else _amplitudes(own[best], got.problem, got.fit))
+        out.append(use if got is None or got.gain <= 0.0 else _with_fitted_amplitudes(own[best], got.problem, got.fit))
     return out
 
 
-def _grid(use: Placed, factors: Array, turned: bool) -> list[Placed]:
+def _grid_nodes(use: Placed, factors: Array, turned: bool) -> list[Placed]:
     """The use at every node, its free amplitudes 1. turned : also with the other sign, where the effect has numbers of
     both: the side that a stop is on, preload or clearance."""
-    loose = _searched(use)
+    loose = _searched_parameters(use)
     limits = [(use.effect.parameters[k].low, use.effect.parameters[k].high) for k in loose]
     both = [turned and -np.inf < low < 0.0 < high < np.inf for low, high in limits]
     axes = [np.append(factors, -factors) if signed else factors for signed in both]
@@ -162,7 +164,7 @@ def _grid(use: Placed, factors: Array, turned: bool) -> list[Placed]:
     return nodes
 
 
-def _amplitudes(use: Placed, problem: Subproblem, fit: PathFit) -> Placed:
+def _with_fitted_amplitudes(use: Placed, problem: Subproblem, fit: PathFit) -> Placed:
     """The use with the amplitudes of its fit, 0 for those that would be out of their limits."""
     p = use.p.copy()
     for k, q in enumerate(use.effect.parameters):

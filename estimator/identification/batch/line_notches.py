@@ -22,17 +22,19 @@ from estimator.parallel import each
 from estimator.signals.blocks import CELLS, layout, spectra, valid_blocks
 from estimator.signals.moving_lines import MovingLines
 
-from .linear_start import Start, calmed, fed, linear_start
+from .linear_start import LinearStart, linear_start, may_be_fed_energy, with_denoised_displacement
 from .maximum import initial
 
-FALSE_ALARM = 1e-5  # of a record
-LONGER, FEWEST = 4, 60  # blocks as much longer as leave this many, to resolve lines
-STRONG = 8.0  # over its surroundings, of a tone that is taken out before anything is known of the rotor
-CONSTANT = 3e-3  # of the speed, by which it changes where its lines stand still
-STEADY = 1.5  # mean square over squared mean of a bin's powers, block by block: 1 of a tone, 2 of random motion
+FALSE_ALARMS_PER_RECORD = 1e-5  # of a record
+MAX_BLOCK_LENGTHENING, MIN_LONG_BLOCKS = 4, 60  # blocks as much longer as leave this many, to resolve lines
+STRONG_LINE_RATIO = 8.0  # over its surroundings, of a tone that is taken out before anything is known of the rotor
+CONSTANT_SPEED_REL = 3e-3  # of the speed, by which it changes where its lines stand still
+MAX_TONE_FOURTH_MOMENT = (
+    1.5  # mean square over squared mean of a bin's powers, block by block: 1 of a tone, 2 of random motion
+)
 
 
-def spectrum_by_bin(record: Record, B: Array | None, start: Start | None) -> tuple[Array, Array, float]:
+def spectrum_by_bin(record: Record, B: Array | None, start: LinearStart | None) -> tuple[Array, Array, float]:
     """(bins, places) mean |F|^2 and |F|^4 of the force of the linear balance B, and the number of blocks; without B: of
     a."""
     columns = None
@@ -55,7 +57,7 @@ def spectrum_by_bin(record: Record, B: Array | None, start: Start | None) -> tup
     return power.T / blocks.size, fourth.T / blocks.size, float(blocks.size)
 
 
-def linear_balance(record: Record, start: Start) -> Array:
+def linear_coefficients(record: Record, start: LinearStart) -> Array:
     """(places, columns) coefficients of the linear start."""
     balance = build(replace(record.model, effects=()))
     return balance.coefficients(initial(balance, start, {}).beta)
@@ -65,7 +67,7 @@ def strong_lines(record: Record) -> tuple[tuple[float, float], ...]:
     """Those that stand out of the acceleration, in Hz. A resonance of light damping does too in bins of its width, but
     its motion comes and goes from block to block."""
     power, fourth, blocks = spectrum_by_bin(record, None, None)
-    return find_lines(power, blocks, record.grid.f_hz, STRONG, fourth < STEADY * power**2)
+    return find_lines(power, blocks, record.grid.f_hz, STRONG_LINE_RATIO, fourth < MAX_TONE_FOURTH_MOMENT * power**2)
 
 
 def find_lines(
@@ -78,7 +80,7 @@ def find_lines(
     from scipy.special import betaincinv  # scipy.stats would take 0.7 s to import
 
     n, independent = power.shape[0], max(blocks * 0.75, 1.0)  # neighbouring blocks share half their rows
-    tail = betaincinv(4 * independent, independent, FALSE_ALARM / power.size)
+    tail = betaincinv(4 * independent, independent, FALSE_ALARMS_PER_RECORD / power.size)
     limit = max(4.0 * (1.0 - tail) / tail, least)  # of an F ratio with 2 and 8 degrees of freedom per block
     padded = np.pad(power, ((5, 5), (0, 0)), mode="reflect")
     around = np.stack([padded[5 + d : 5 + d + n] for d in (-5, -4, 4, 5)])
@@ -98,7 +100,9 @@ def find_lines(
     return tuple(found)
 
 
-def begin(record: Record, longest: int = LONGER, known: tuple[tuple[float, float], ...] = ()) -> tuple[Record, Start]:
+def start_without_lines(
+    record: Record, longest: int = MAX_BLOCK_LENGTHENING, known: tuple[tuple[float, float], ...] = ()
+) -> tuple[Record, LinearStart]:
     """The record with its lines left out, and its linear start. Raises DataError as `linear_start` does.
 
     Strong lines are taken out of the acceleration first, so that the start is sound; then what stands out of the force.
@@ -108,28 +112,32 @@ def begin(record: Record, longest: int = LONGER, known: tuple[tuple[float, float
         length = record.grid.size / record.rate_hz
         raise DataError(f"nowhere {length:.2g} s of samples without a gap; look after the link, or record for longer")
     if known:
-        record = _leave_out(record, known, record.grid.longer)
+        record = _without_lines(record, known, record.grid.longer)
     strong = strong_lines(record)
     if strong:
         blocks, longer = valid_blocks(record.motion.valid, record.grid).size, 1
-        while 2 * longer <= longest and blocks / (2 * longer) >= FEWEST:
+        while 2 * longer <= longest and blocks / (2 * longer) >= MIN_LONG_BLOCKS:
             longer *= 2
         if longer > 1:
-            record = _leave_out(record, known, longer)
+            record = _without_lines(record, known, longer)
             strong = strong_lines(record)
-        record = _leave_out(record, (*known, *strong), longer)
+        record = _without_lines(record, (*known, *strong), longer)
     start = linear_start(record)
-    power, fourth, count = spectrum_by_bin(record, linear_balance(record, start), start)
+    power, fourth, count = spectrum_by_bin(record, linear_coefficients(record, start), start)
     # what feeds a rotor makes resonances that the start knows nothing of
-    steady = fourth < STEADY * power**2 if any(fed(record.model, p) for p in record.model.places) else None
+    steady = (
+        fourth < MAX_TONE_FOURTH_MOMENT * power**2
+        if any(may_be_fed_energy(record.model, p) for p in record.model.places)
+        else None
+    )
     more = find_lines(power, count, record.grid.f_hz, steady=steady)
     if more:
-        record = _leave_out(record, tuple(sorted((*known, *strong, *more))), record.grid.longer)
+        record = _without_lines(record, tuple(sorted((*known, *strong, *more))), record.grid.longer)
         start = linear_start(record)
-    return calmed(record, start)
+    return with_denoised_displacement(record, start)
 
 
-def swept(record: Record, start: Start) -> tuple[Record, Start]:
+def start_without_moving_lines(record: Record, start: LinearStart) -> tuple[Record, LinearStart]:
     """The same without the lines that a changing speed carries along, where a tacho tells it: block by block, as the
     rolling estimate leaves them out. Raises DataError as `linear_start` does."""
     grid, model = record.grid, record.model
@@ -139,9 +147,9 @@ def swept(record: Record, start: Start) -> tuple[Record, Start]:
     turned = record.phase[begins + grid.size - 1] - record.phase[begins]
     speed_hz = turned * record.rate_hz / (2 * np.pi * (grid.size - 1))
     blocks = valid_blocks(record.motion.valid, grid)
-    if np.ptp(speed_hz[blocks]) <= CONSTANT * np.abs(speed_hz[blocks]).max():
+    if np.ptp(speed_hz[blocks]) <= CONSTANT_SPEED_REL * np.abs(speed_hz[blocks]).max():
         return record, start
-    B, lines = linear_balance(record, start), MovingLines(grid.f_hz, orders=True)
+    B, lines = linear_coefficients(record, start), MovingLines(grid.f_hz, orders=True)
     columns = record.columns(build(replace(model, effects=())), start.widths)
     weights, before = np.ones((begins.size, grid.bins.size)), -1
     for group in stretches(blocks, 12):
@@ -159,13 +167,13 @@ def swept(record: Record, start: Start) -> tuple[Record, Start]:
     return record, linear_start(record)
 
 
-def _leave_out(record: Record, lines: tuple[tuple[float, float], ...], longer: int) -> Record:
+def _without_lines(record: Record, lines: tuple[tuple[float, float], ...], longer: int) -> Record:
     cells = CELLS_WITH_FORCE if record.force else CELLS
     grid = layout(record.rate_hz, record.model.band, (*notches(record.model), *lines), cells, longer)
     return replace(record, grid=grid, lines=lines)
 
 
-def describe(lines: tuple[tuple[float, float], ...], speed_rpm: float | None, most: int = 6) -> str:
+def lines_in_words(lines: tuple[tuple[float, float], ...], speed_rpm: float | None, most: int = 6) -> str:
     """The middles of the stretches, as orders of the shaft where they are."""
     words = []
     for a, b in lines[:most]:

@@ -26,14 +26,14 @@ from estimator.model.rig import Model
 from estimator.signals.band_limit import half_length, left_out
 from estimator.signals.blocks import Nodes, nodes, spectra, valid_blocks
 
-SECONDS = 20.0  # of the record that the start is taken from
-LEAST_DAMPING = 0.002  # of critical: where the scan begins
-FEEDING = ("cross_coupling", "rub")  # do work on the rotor: without them it may seem to lose nothing
-MASSES = np.array([0.05, 0.15, 0.5, 1.5])  # of the disc, that unknown cap masses are started from
+LINEAR_START_S = 20.0  # of the record that the start is taken from
+MIN_DAMPING_RATIO = 0.002  # of critical: where the scan begins
+ENERGY_FEEDING_EFFECTS = ("cross_coupling", "rub")  # do work on the rotor: without them it may seem to lose nothing
+START_MASSES_REL = np.array([0.05, 0.15, 0.5, 1.5])  # of the disc, that unknown cap masses are started from
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class LinearStart:
     """Linear point and natural sizes. m, c, kL, S, noise : (places,). widths : (places, 2) sd left out of x and v.
 
     nodes : where the Jacobian of these resonances is evaluated.
@@ -53,12 +53,12 @@ class Start:
         return np.stack([self.m, self.kL, self.c], axis=1)
 
 
-def scan(evidence: Evidence, row: int, mass: float, band: tuple[float, float]) -> tuple[float, float, float]:
+def best_oscillator(evidence: Evidence, row: int, mass: float, band: tuple[float, float]) -> tuple[float, float, float]:
     """(c, kL, S) of the best single oscillator at a place, over resonances in the band and dampings of 0.2 to 80 %."""
     P, grid = len(evidence.balance.places), evidence.grid
     G = evidence.gram.sum(axis=0)[np.ix_([row, P + row, 2 * P + row], [row, P + row, 2 * P + row])]
     w0 = 2 * np.pi * np.geomspace(band[0], band[1], 240)
-    zeta = np.geomspace(LEAST_DAMPING, 0.8, 14)
+    zeta = np.geomspace(MIN_DAMPING_RATIO, 0.8, 14)
     c, k = mass * 2 * zeta[None, :] * w0[:, None], np.broadcast_to((mass * w0**2)[:, None], (w0.size, zeta.size))
     Q = (
         mass * mass * G[0, 0] + c * c * G[1, 1] + k * k * G[2, 2]
@@ -79,30 +79,30 @@ def _mean_logs(w0: bytes, zeta: bytes, f_hz: bytes) -> Array:
     return np.stack([np.log((1 - r) ** 2 + 4 * z * z * r).mean(axis=1) for z in np.frombuffer(zeta)], axis=1)
 
 
-def linear_start(record: Record) -> Start:
+def linear_start(record: Record) -> LinearStart:
     """The linear fit from a scan. Raises DataError if the band holds no resonance or the record is too short."""
     model = replace(record.model, effects=())
     balance = build(model)
     P = len(balance.places)
-    bank = gather(record, balance, np.zeros((P, 2)), seconds=SECONDS)
+    bank = gather(record, balance, np.zeros((P, 2)), seconds=LINEAR_START_S)
     evidence = evidence_of(bank)
     beta = np.array([f.start for f in balance.free])
     S = np.empty(P)
     for i, place in enumerate(balance.places):
         mass = model.cap_mass(place)
-        scanned = scan(evidence, i, 1.0 if mass is None else mass, model.band)
+        scanned = best_oscillator(evidence, i, 1.0 if mass is None else mass, model.band)
         S[i] = scanned[2]
         for j, f in enumerate(balance.free):
             beta[j] = {f"{place}.m": 1.0, f"{place}.c": scanned[0], f"{place}.kL": scanned[1]}.get(f.name, beta[j])
-    local = _best(Likelihood(evidence), Point(beta, S, np.zeros(P)), model)
+    local = _highest_maximum(Likelihood(evidence), Point(beta, S, np.zeros(P)), model)
     B = balance.coefficients(local.point.beta)
-    m, c, kL = _diagonals(B)
+    m, c, kL = _mean_oscillators(B)
     for i, place in enumerate(balance.places):
-        if fed(record.model, place):
-            c[i] = B[i, P + i] = max(c[i], 2 * LEAST_DAMPING * np.sqrt(max(kL[i] * m[i], 0.0)))
+        if may_be_fed_energy(record.model, place):
+            c[i] = B[i, P + i] = max(c[i], 2 * MIN_DAMPING_RATIO * np.sqrt(max(kL[i] * m[i], 0.0)))
     x, v, a = record.rms("x"), record.rms("v"), record.rms("a")
     for i, place in enumerate(balance.places):
-        _judge(place, m[i], c[i], kL[i], record)
+        _refuse_bad_start(place, m[i], c[i], kL[i], record)
     sizes = {
         place: {
             "x": x[i], "v": v[i], "a": a[i], "m": m[i], "hz_peak": float(np.sqrt(kL[i] / m[i]) / (2 * np.pi)),
@@ -110,18 +110,18 @@ def linear_start(record: Record) -> Start:
         }
         for i, place in enumerate(balance.places)
     }  # fmt: skip
-    widths, at = _about(record, evidence, B, local.point.S)
-    return Start(m, c, kL, local.point.S, local.point.noise, widths, sizes, at)
+    widths, at = _widths_and_nodes(record, evidence, B, local.point.S)
+    return LinearStart(m, c, kL, local.point.S, local.point.noise, widths, sizes, at)
 
 
-def calmed(record: Record, start: Start) -> tuple[Record, Start]:
+def with_denoised_displacement(record: Record, start: LinearStart) -> tuple[Record, LinearStart]:
     """The same with what the laws see beside the noise of sensors (denoise.py), where no force is measured."""
     grid, kinds = record.grid, [record.model.channels[c].kind for c in motion_channels(record.model)]
     noise = as_displacement(kinds, grid.f_hz, start.noise)
     if record.force or is_little(grid.f_hz, noise, record.rms("x") ** 2):
         return record, start
     blocks = valid_blocks(record.motion.valid, grid)[::2]
-    blocks = blocks[: max(1, int(SECONDS * record.rate_hz / grid.size))]
+    blocks = blocks[: max(1, int(LINEAR_START_S * record.rate_hz / grid.size))]
     seen = np.zeros_like(noise)
     for block in blocks.tolist():
         stretch = record.stretch(block * grid.hop, block * grid.hop + grid.size)
@@ -130,17 +130,17 @@ def calmed(record: Record, start: Start) -> tuple[Record, Start]:
     return replace(record, calm=calm), replace(start, widths=np.hypot(start.widths, calm.doubt))
 
 
-def renewed(start: Start, record: Record, evidence: Evidence, point: Point) -> Start:
+def restarted_about(start: LinearStart, record: Record, evidence: Evidence, point: Point) -> LinearStart:
     """The start about a better point, where the first one was blind to what shapes the force."""
     B = evidence.balance.coefficients(point.beta)
-    m, c, kL = _diagonals(B)
-    widths, at = _about(record, evidence, B, point.S)
-    return Start(m, c, kL, point.S, point.noise, widths, start.sizes, at)
+    m, c, kL = _mean_oscillators(B)
+    widths, at = _widths_and_nodes(record, evidence, B, point.S)
+    return LinearStart(m, c, kL, point.S, point.noise, widths, start.sizes, at)
 
 
-def _about(record: Record, evidence: Evidence, B: Array, S: Array) -> tuple[Array, Nodes]:
+def _widths_and_nodes(record: Record, evidence: Evidence, B: Array, S: Array) -> tuple[Array, Nodes]:
     """`widths` and `nodes` of a start about coefficients B."""
-    m, c, kL = _diagonals(B)
+    m, c, kL = _mean_oscillators(B)
     coupled = resonances(evidence, B)  # with a stiff shaft far from those of each place alone
     alone = np.sqrt(kL / m) / (2 * np.pi), c / m / (2 * np.pi)
     middle = [0.5 * (low + high) for low, high in notches(record.model)]  # what the shaft answers is steep beside them
@@ -151,14 +151,14 @@ def _about(record: Record, evidence: Evidence, B: Array, S: Array) -> tuple[Arra
     return np.maximum(np.hypot(widths, doubt), NEAREST * record.scales), at
 
 
-def _diagonals(B: Array) -> tuple[Array, Array, Array]:
+def _mean_oscillators(B: Array) -> tuple[Array, Array, Array]:
     """(places,) m, c, kL, the shaft's part included."""
     P = len(B)
     m, c, kL = (np.diag(B[:, i * P : (i + 1) * P]).copy() for i in range(3))
     return m, c, kL
 
 
-def _best(likelihood: Likelihood, first: Point, model: Model) -> Local:
+def _highest_maximum(likelihood: Likelihood, first: Point, model: Model) -> Local:
     """The highest of the maxima found. Where the shaft is to set the scale of unknown masses there are several."""
     balance = likelihood.evidence.balance
     unknown = {p for p in balance.places if model.cap_mass(p) is None}
@@ -167,7 +167,7 @@ def _best(likelihood: Likelihood, first: Point, model: Model) -> Local:
     scaled = np.array([f.name.rsplit(".", 1)[0] in unknown for f in balance.free])
     power = np.array([p in unknown for p in balance.places])
     found = []
-    for mass in MASSES * model.mass["disc"]:
+    for mass in START_MASSES_REL * model.mass["disc"]:
         beta, S = np.where(scaled, mass * first.beta, first.beta), np.where(power, mass**2 * first.S, first.S)
         local, _ = maximise(likelihood, Point(beta, S, first.noise))
         if np.isfinite(local.nll):
@@ -208,7 +208,7 @@ def refuse_without_resonance(place: str, m: float, c: float, kL: float, band: tu
         )
 
 
-def _judge(place: str, m: float, c: float, kL: float, record: Record) -> None:
+def _refuse_bad_start(place: str, m: float, c: float, kL: float, record: Record) -> None:
     refuse_without_resonance(place, m, c if c > 0 else np.inf, kL, record.model.band)
     correlation = 2 * m / c
     if correlation > record.seconds:
@@ -223,7 +223,7 @@ def _judge(place: str, m: float, c: float, kL: float, record: Record) -> None:
         )
 
 
-def fed(model: Model, place: str) -> bool:
+def may_be_fed_energy(model: Model, place: str) -> bool:
     """Whether the model has an effect there that may give back what damping takes."""
     own = (place, place.split(".")[0])
-    return any(p in own for u in model.effects if u.name in FEEDING or u.custom for p in u.parameters)
+    return any(p in own for u in model.effects if u.name in ENERGY_FEEDING_EFFECTS or u.custom for p in u.parameters)

@@ -19,13 +19,13 @@ from estimator.likelihood.response.second_order import Flutter, dressed, flutter
 from estimator.model.rig import Model
 from estimator.signals.band_limit import passband
 
-from .linear_start import Start
+from .linear_start import LinearStart
 
-SECONDS = 12.0  # of the record that shapes are sought on before all of it is used
-ROUGH_ROUNDS, ROUNDS = 8, 5
-DRESSINGS = 10
-SETTLED = 0.1  # of a standard deviation: a step that no longer matters
-REACH = 0.3  # largest step in a shape, of its value
+SHAPE_SEARCH_S = 12.0  # of the record that shapes are sought on before all of it is used
+ROUGH_ROUNDS, FINE_ROUNDS = 8, 5
+MAX_CORRECTION_ROUNDS = 10
+MAX_SETTLED_STEP_SD = 0.1  # of a standard deviation: a step that no longer matters
+MAX_SHAPE_STEP_REL = 0.3  # largest step in a shape, of its value
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Maximum:
     converged: bool
 
 
-def initial(balance: Balance, start: Start, values: Mapping[str, float]) -> Point:
+def initial(balance: Balance, start: LinearStart, values: Mapping[str, float]) -> Point:
     """The point that the linear start gives; effects at their given values."""
     at: dict[str, float] = {}
     for i, place in enumerate(balance.places):
@@ -50,7 +50,7 @@ def initial(balance: Balance, start: Start, values: Mapping[str, float]) -> Poin
     return Point(np.array(beta, float), start.S.copy(), start.noise.copy())
 
 
-def maximum(record: Record, start: Start, model: Model, values: Mapping[str, float] | None = None) -> Maximum:
+def maximum(record: Record, start: LinearStart, model: Model, values: Mapping[str, float] | None = None) -> Maximum:
     """Fit a model to a prepared record from a linear start. values : known ones by name, before the model's own.
 
     The parameters that a law is linear in are solved for at held shapes first. Then its shape is searched by
@@ -60,7 +60,7 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
     known = dict(values or {})
     held = build(model, start.sizes, known, search=False)
     searching = len(build(model, start.sizes, known).free) > len(held.free)
-    bank = gather(record, held, start.widths, start.linear, seconds=SECONDS if searching else np.inf)
+    bank = gather(record, held, start.widths, start.linear, seconds=SHAPE_SEARCH_S if searching else np.inf)
     first = initial(held, start, known)
     if values is None:
         _refuse_unstable(held, bank, first)
@@ -73,7 +73,7 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
         return Maximum(held, bank, likelihood, local, known, converged)
     known |= dict(zip(held.names, local.point.beta.tolist(), strict=True))
     tangents = None
-    for rounds, seconds in ((ROUGH_ROUNDS, SECONDS), (ROUNDS, np.inf)):
+    for rounds, seconds in ((ROUGH_ROUNDS, SHAPE_SEARCH_S), (FINE_ROUNDS, np.inf)):
         whole = not np.isfinite(seconds)
         for _ in range(rounds):
             balance = build(model, start.sizes, known)
@@ -85,12 +85,12 @@ def maximum(record: Record, start: Start, model: Model, values: Mapping[str, flo
                 bank = without_flutter(record, bank, local, tangents)
                 likelihood, local, converged = dress(bank, start, local, tangents, converged)
             moved = _move(balance, local, known, last=whole)
-            if moved < SETTLED:
+            if moved < MAX_SETTLED_STEP_SD:
                 break
-    return Maximum(balance, bank, likelihood, local, known, converged and moved < SETTLED)
+    return Maximum(balance, bank, likelihood, local, known, converged and moved < MAX_SETTLED_STEP_SD)
 
 
-def highest(bank: Bank, start: Start, point: Point) -> tuple[Bank, Local, bool]:
+def highest(bank: Bank, start: LinearStart, point: Point) -> tuple[Bank, Local, bool]:
     """The maximum at held shapes and tangents, and the bank with the level of the unknown force."""
     local, converged = maximise(Likelihood(evidence_of(bank, start.nodes)), point)
     if not bank.balance.laws or is_known(bank.balance):
@@ -133,12 +133,12 @@ def _move(balance: Balance, local: Local, values: dict[str, float], last: bool) 
         if not f.searched:
             new[f.name] = b
             continue
-        reach = REACH * max(abs(f.start), 1e-12)
+        reach = MAX_SHAPE_STEP_REL * max(abs(f.start), 1e-12)
         to = float(np.clip(f.start + np.clip(b, -reach, reach), f.low, f.high))
         # a shape that the data do not tell at all need not settle
         moved = max(moved, abs(to - f.start) / s if np.isfinite(s) and s < abs(f.start) else 0.0)
         new[f.name] = to
-    if moved >= SETTLED or not last:
+    if moved >= MAX_SETTLED_STEP_SD or not last:
         values |= new
     else:
         values |= {f.name: new[f.name] for f in balance.free if not f.searched}
@@ -153,7 +153,7 @@ class Tangents:
     flutter: Flutter | None
 
 
-def tangents_of(record: Record, start: Start, bank: Bank, local: Local) -> Tangents | None:
+def tangents_of(record: Record, start: LinearStart, bank: Bank, local: Local) -> Tangents | None:
     """What the fluctuating tangents of the laws do at a point; None if no law has any, or the force is known."""
     if is_known(bank.balance):  # no determinant, and a path without the sensors' noise
         return None
@@ -196,7 +196,7 @@ def without_noise(
 
 
 def dress(
-    bank: Bank, start: Start, local: Local, tangents: Tangents | None, converged: bool
+    bank: Bank, start: LinearStart, local: Local, tangents: Tangents | None, converged: bool
 ) -> tuple[Likelihood, Local, bool]:
     """The maximum with the responses of the laws dressed, which depends on the parameters a little.
 
@@ -213,15 +213,15 @@ def dress(
     sd = np.sqrt(np.diag(inverse(local))[: local.point.beta.size])
     moves = []
     likelihood = bare[0]
-    for _ in range(DRESSINGS):
+    for _ in range(MAX_CORRECTION_ROUNDS):
         B = bank.balance.coefficients(local.point.beta)
         likelihood = Likelihood(replace(evidence, dressing=dressed(pairs, bank.balance, B, start.nodes.f_hz)))
         before = local.point.beta
         local, converged = maximise(likelihood, local.point)
         moves.append(float(np.nanmax(np.abs(local.point.beta - before) / sd)))
-        if moves[-1] < SETTLED:
+        if moves[-1] < MAX_SETTLED_STEP_SD:
             break
-    if moves[-1] >= max(0.5 * moves[0], SETTLED):
+    if moves[-1] >= max(0.5 * moves[0], MAX_SETTLED_STEP_SD):
         return bare
     return likelihood, likelihood.with_slope_of_dressing(local, pairs), converged
 

@@ -26,39 +26,39 @@ from estimator.parallel import each
 from estimator.signals.band_limit import FORCE_DRIFT, noise_shape, passband, to_acceleration
 from estimator.signals.blocks import taper
 
-from .line_notches import begin, swept
-from .linear_start import Start
-from .maximum import SETTLED
-from .report import Solution, solve
+from .line_notches import start_without_lines, start_without_moving_lines
+from .linear_start import LinearStart
+from .maximum import MAX_SETTLED_STEP_SD
+from .report import SpectralFit, fit_from_start
 
 FRAME_S = 4.0  # at least
-NEAREST = 1e-4  # least smoothing, in standard deviations of the displacement
-ROUNDS = 3  # each leaves a tangent over the stiffness of the error
-PIECE = 1 << 16  # rows
-PATHS = 4  # that a law is fitted along, each from the last fit
+MIN_SMOOTHING_SD = 1e-4  # least smoothing, in standard deviations of the displacement
+PATH_ROUNDS = 3  # each leaves a tangent over the stiffness of the error
+PIECE_ROWS = 1 << 16  # rows
+MAX_PATHS = 4  # that a law is fitted along, each from the last fit
 
 
 def analyse(
     model: Model, y: Array, rate_hz: float, phase: Array | None = None, values: Mapping[str, float] | None = None
-) -> Solution:
+) -> SpectralFit:
     """Fit a model to (n, channels) rows in SI, with a force measured at every place again along the most likely path.
 
     values : to begin from, by name. Raises DataError.
     """
     y = check_record(model, y, rate_hz)
-    record, start = swept(*begin(prepare(model, y, rate_hz, phase)))
-    solution = solve(record, start, model, values)
+    record, start = start_without_moving_lines(*start_without_lines(prepare(model, y, rate_hz, phase)))
+    solution = fit_from_start(record, start, model, values)
     if not (is_known(solution.balance) and solution.balance.laws):
         return solution
-    for _ in range(PATHS):
+    for _ in range(MAX_PATHS):
         before, sd = solution.point.beta, np.sqrt(np.diag(solution.covariance))
-        solution = solve(*along_likely_path(solution, y), model, solution.values)
-        if np.nanmax(np.abs(solution.point.beta - before) / sd[: before.size]) < SETTLED:
+        solution = fit_from_start(*along_likely_path(solution, y), model, solution.values)
+        if np.nanmax(np.abs(solution.point.beta - before) / sd[: before.size]) < MAX_SETTLED_STEP_SD:
             break
     return solution
 
 
-def along_likely_path(solution: Solution, y: Array) -> tuple[Record, Start]:
+def along_likely_path(solution: SpectralFit, y: Array) -> tuple[Record, LinearStart]:
     """The record, and the start, with the displacement that the laws see beside the measured one.
 
     y : (n, channels) rows in SI, as measured. The force must be measured at every place.
@@ -70,17 +70,17 @@ def along_likely_path(solution: Solution, y: Array) -> tuple[Record, Start]:
     size = 1 << int(np.ceil(np.log2(FRAME_S * record.rate_hz)))
     path, sd = _filters(solution, size)
     widths = start.widths.copy()
-    widths[:, 0] = np.maximum(sd, NEAREST * record.scales[:, 0])
+    widths[:, 0] = np.maximum(sd, MIN_SMOOTHING_SD * record.scales[:, 0])
     start = replace(start, widths=widths)
     columns = record.columns(balance, start.widths, start.linear)
     B = balance.coefficients(solution.point.beta)
-    for _ in range(ROUNDS):
+    for _ in range(PATH_ROUNDS):
         signals = np.concatenate([motion, force, -_laws(record, columns, B)])
         record = replace(record, slow=_filtered(signals, path, size))
     return record, start
 
 
-def _filters(solution: Solution, size: int) -> tuple[Complexes, Array]:
+def _filters(solution: SpectralFit, size: int) -> tuple[Complexes, Array]:
     """(f, P, 3 P) from what is measured of the motion, the force, and minus that of the laws, to the displacement that
     is to be added; (P,) m, sd of what is not known of it."""
     record, balance, point = solution.record, solution.balance, solution.point
@@ -119,13 +119,13 @@ def _laws(record: Record, columns: Columns, B: Array) -> Array:
     balance, out = columns.balance, np.zeros((len(B), record.motion.rows))
 
     def part(first: int) -> None:
-        last = min(first + PIECE, out.shape[1])
+        last = min(first + PIECE_ROWS, out.shape[1])
         stretch, states = record.stretch(first, last), {}  # type: ignore[var-annotated]
         for k, column in enumerate(balance.columns):
             if column.kind == "law":
                 out[column.row, first:last] += B[column.row, k] * columns.law(k, stretch, states)[0]
 
-    each(part, range(0, out.shape[1], PIECE))
+    each(part, range(0, out.shape[1], PIECE_ROWS))
     return np.where(record.motion.valid, out, 0.0)
 
 

@@ -16,22 +16,24 @@ from estimator.model.rig import UNITS, Model
 from estimator.results import Parameter, untold_at
 from estimator.signals.blocks import spectra, taper, valid_blocks
 
-from .linear_start import Start
+from .linear_start import LinearStart
 from .maximum import inverse, maximum
 
-SCALELESS = "the data leave it free: nothing in the model sets its scale"
-OVERLAP = 0.106  # correlation of the energies of neighbouring blocks (sums of w^2 w'^2 over w^4, gram.taper)
+NO_SCALE_REASON = "the data leave it free: nothing in the model sets its scale"
+BLOCK_ENERGY_CORRELATION = (
+    0.106  # correlation of the energies of neighbouring blocks (sums of w^2 w'^2 over w^4, gram.taper)
+)
 
 
 @dataclass(frozen=True, slots=True)
-class Solution:
+class SpectralFit:
     """A fitted model: the record, the balance and its Gram matrices, the point and its uncertainty.
 
     covariance : (p + 2 P, p + 2 P) of beta, log S, noise (see likelihood.Local); inf where the data leave it free.
     """
 
     record: Record
-    start: Start
+    start: LinearStart
     balance: Balance
     bank: Bank
     local: Local
@@ -51,14 +53,16 @@ class Solution:
         }
 
 
-def solve(record: Record, start: Start, model: Model, values: Mapping[str, float] | None = None) -> Solution:
+def fit_from_start(
+    record: Record, start: LinearStart, model: Model, values: Mapping[str, float] | None = None
+) -> SpectralFit:
     """Fit a model to a prepared record from a linear start. values : known ones by name, before the model's own."""
     best = maximum(record, start, model, values)
-    covariance = sandwich(best.likelihood, best.local, best.bank)
-    return Solution(record, start, best.balance, best.bank, best.local, covariance, best.converged)
+    covariance = sandwich_covariance(best.likelihood, best.local, best.bank)
+    return SpectralFit(record, start, best.balance, best.bank, best.local, covariance, best.converged)
 
 
-def sandwich(likelihood: Likelihood, local: Local, bank: Bank) -> Array:
+def sandwich_covariance(likelihood: Likelihood, local: Local, bank: Bank) -> Array:
     """Covariance H^-1 J H^-1 with J from the scores of the folds of time; H^-1 alone if they are too few."""
     bread, used, folds = inverse(local), active(local.point), bank.blocks.size
     if folds < 3 * used.size:
@@ -68,7 +72,9 @@ def sandwich(likelihood: Likelihood, local: Local, bank: Bank) -> Array:
         g[:, : local.point.beta.size] -= excess(likelihood, local, bank)
     g = g[:, used]
     m = float(bank.blocks.mean())
-    lost = (1 + 2 * OVERLAP) / (1 + 2 * OVERLAP * (m - 1) / m)  # neighbouring folds share half a block
+    lost = (1 + 2 * BLOCK_ENERGY_CORRELATION) / (
+        1 + 2 * BLOCK_ENERGY_CORRELATION * (m - 1) / m
+    )  # neighbouring folds share half a block
     J = (g.T @ g) * lost * folds / (folds - used.size)
     H = bread[np.ix_(used, used)]
     loose = ~np.isfinite(np.diag(H))
@@ -79,7 +85,7 @@ def sandwich(likelihood: Likelihood, local: Local, bank: Bank) -> Array:
     return bread
 
 
-def inferred_force(solution: Solution) -> Array:
+def residual_force(solution: SpectralFit) -> Array:
     """(places, n) N: the force that the model does not explain, in the band, NaN where nothing is known.
 
     Synthesised from the same blocks as the likelihood: window, bins of the band, window, overlap and add.
@@ -104,12 +110,12 @@ def inferred_force(solution: Solution) -> Array:
     return out
 
 
-def report(solution: Solution) -> dict[str, Parameter]:
+def fitted_parameters(solution: SpectralFit) -> dict[str, Parameter]:
     """Every parameter by full name, judged."""
-    return judged(solution.balance, solution.point, solution.covariance, solution.record.model)
+    return judged_parameters(solution.balance, solution.point, solution.covariance, solution.record.model)
 
 
-def judged(balance: Balance, point: Point, covariance: Array, model: Model) -> dict[str, Parameter]:
+def judged_parameters(balance: Balance, point: Point, covariance: Array, model: Model) -> dict[str, Parameter]:
     """Parameters by full name: kL, c, m and S of each place, then those of the effects."""
     sd = np.sqrt(np.diag(covariance))
     free = {
@@ -123,25 +129,25 @@ def judged(balance: Balance, point: Point, covariance: Array, model: Model) -> d
             setting = model.linear.get(place, {}).get(key)
             given = model.cap_mass(place) if key == "m" else None if setting is None else setting.value
             if name in free:
-                out[name] = _judged(free[name][1], free[name][2], UNITS[key])
+                out[name] = _judged_parameter(free[name][1], free[name][2], UNITS[key])
             elif given is not None:
                 out[name] = Parameter(given, 0.0, UNITS[key], True, "given")
-        out[f"{place}.S"] = _judged(point.S[i], point.S[i] * sd[point.beta.size + i], UNITS["S"])
-    out |= {name: _judged(value, s, f.unit) for name, (f, value, s) in free.items() if name not in out}
+        out[f"{place}.S"] = _judged_parameter(point.S[i], point.S[i] * sd[point.beta.size + i], UNITS["S"])
+    out |= {name: _judged_parameter(value, s, f.unit) for name, (f, value, s) in free.items() if name not in out}
     adrift = [p for p in balance.places if f"{p}.m" in free and not np.isfinite(free[f"{p}.m"][2])]
-    return untold_at(adrift, SCALELESS, out, "N")
+    return untold_at(adrift, NO_SCALE_REASON, out, "N")
 
 
-def _judged(value: float, sd: float, unit: str) -> Parameter:
+def _judged_parameter(value: float, sd: float, unit: str) -> Parameter:
     judged = Parameter.judged(value, sd, unit)
     if judged.identifiable:
         return judged
     if not np.isfinite(sd):
-        return Parameter(None, None, unit, False, SCALELESS)
+        return Parameter(None, None, unit, False, NO_SCALE_REASON)
     return Parameter(None, None, unit, False, f"{value:.3g} +- {sd:.2g}: not told from zero by this record")
 
 
-def ratios_only(place: str, kL: float, c: float, m: float) -> str:
+def ratios_only_message(place: str, kL: float, c: float, m: float) -> str:
     """What to tell of a place whose mass is not known."""
     hz, zeta = np.sqrt(kL / m) / (2 * np.pi), c / (2 * np.sqrt(kL * m))
     return (

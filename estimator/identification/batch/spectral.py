@@ -25,18 +25,22 @@ from estimator.results import Fit
 from estimator.signals.channel_response import forced
 
 from . import full_fit, unknown_mass, unmeasured_end
-from .full_fit import Whole
+from .full_fit import FullFit
 from .grid_start import fit_record
-from .line_notches import describe
+from .line_notches import lines_in_words
 from .measured_force import analyse
-from .report import Solution, ratios_only, report
+from .report import SpectralFit, fitted_parameters, ratios_only_message
 
-START_SECONDS = 20.0  # of a record, for where a gap is begun
-UNMEASURED = 1e-3  # of the measured force, in power, from which on it matters whether the rest is noise or a force
-SHARED = 0.03  # of the PSD of an inferred force in a cell: with 0.17, kL was one standard deviation high, with 0.9 five
+COARSE_FIT_S = 20.0  # of a record, for where a gap is begun
+MAX_UNMEASURED_POWER_REL = (
+    1e-3  # of the measured force, in power, from which on it matters whether the rest is noise or a force
+)
+MAX_SHARED_NOISE_REL = (
+    0.03  # of the PSD of an inferred force in a cell: with 0.17, kL was one standard deviation high, with 0.9 five
+)
 
 
-def fit(model: Model, y: Array, rate_hz: float, phase: Array | None = None) -> Fit:
+def fit_spectral(model: Model, y: Array, rate_hz: float, phase: Array | None = None) -> Fit:
     """Parameters with standard deviations from (n, channels) rows in SI. Raises DataError.
 
     A model with more than laws of the states of a cap, with a force that remembers, or with a law that moves the cap
@@ -44,22 +48,26 @@ def fit(model: Model, y: Array, rate_hz: float, phase: Array | None = None) -> F
     a force beside those measured, noise of a sensor that comes through the shaft into the force at another, and a law
     with searched numbers whose likelihood is not brought to its maximum here.
     """
-    known = not unknown_mass.unknown(model) or bool(unknown_mass.of_shaft(model))
-    solution: Solution | None = None
-    if not (known and _more_than_laws(model)):
-        solution = analyse(model, y, rate_hz, phase, _begun(model, y, rate_hz) if known else None)
-    lost = solution is not None and known and (astray(solution) or _whirls(solution) or _shared(solution))
-    if solution is None or lost or (known and _falls(solution)):
-        found = full_fit.fit_whole(model, check_record(model, y, rate_hz), rate_hz)
+    known = not unknown_mass.places_without_mass(model) or bool(unknown_mass.places_scaled_by_shaft(model))
+    solution: SpectralFit | None = None
+    if not (known and _has_more_than_laws(model)):
+        solution = analyse(model, y, rate_hz, phase, _coarse_values(model, y, rate_hz) if known else None)
+    lost = (
+        solution is not None
+        and known
+        and (search_has_failed(solution) or _has_growing_mode(solution) or _shares_sensor_noise(solution))
+    )
+    if solution is None or lost or (known and _shows_roll_off(solution)):
+        found = full_fit.fit_all_effects(model, check_record(model, y, rate_hz), rate_hz)
         if solution is None or lost or found.model.roll_off:
-            return full_fit.as_fit(found)
-    if (beside := _pushed(solution, y)) is not None:
-        return full_fit.as_fit(beside)
+            return found.to_fit()
+    if (beside := _full_fit_with_unmeasured_force(solution, y)) is not None:
+        return beside.to_fit()
     samples = int(solution.record.motion.valid.sum())
-    return Fit(report(solution), -solution.local.nll, samples, "spectral", messages(solution))
+    return Fit(fitted_parameters(solution), -solution.local.nll, samples, "spectral", spectral_messages(solution))
 
 
-def _pushed(solution: Solution, y: Array) -> Whole | None:
+def _full_fit_with_unmeasured_force(solution: SpectralFit, y: Array) -> FullFit | None:
     """The model fitted as compare fits it, where the force is measured everywhere, yet not all of it: another acts
     beside it. Such a fit takes what is left for noise of the sensors, and c comes out too small by its share."""
     model, rate_hz = solution.record.model, solution.record.rate_hz
@@ -67,18 +75,18 @@ def _pushed(solution: Solution, y: Array) -> Whole | None:
         return None
     forces = np.array([np.nanvar(y[:, k]) for _, k in sorted(force_channels(model).items())]) / (0.5 * rate_hz)
     shares = solution.point.S / forces
-    if (shares < UNMEASURED).all():
+    if (shares < MAX_UNMEASURED_POWER_REL).all():
         return None
-    found = full_fit.fit_whole(model, check_record(model, y, rate_hz), rate_hz)
+    found = full_fit.fit_all_effects(model, check_record(model, y, rate_hz), rate_hz)
     return found if transfer_faults.pushed(found.model, found.point) else None
 
 
-def _begun(model: Model, y: Array, rate_hz: float) -> dict[str, float] | None:
+def _coarse_values(model: Model, y: Array, rate_hz: float) -> dict[str, float] | None:
     """Values by name to begin from, where a law has numbers that no linear fit finds, as compare finds them: from a
     gap of another size Gauss-Newton ends at a maximum of its own. None without such a law."""
     if not any(searched(effect_of(use), model) for use in model.effects):
         return None
-    part = y[: int(START_SECONDS * rate_hz)]
+    part = y[: int(COARSE_FIT_S * rate_hz)]
     try:
         point = fit_record(model, prepare(model, part, rate_hz))
     except DataError:
@@ -86,7 +94,7 @@ def _begun(model: Model, y: Array, rate_hz: float) -> dict[str, float] | None:
     return {use.name(k): float(v) for use in point.placed for k, v in enumerate(use.p)}
 
 
-def _more_than_laws(model: Model) -> bool:
+def _has_more_than_laws(model: Model) -> bool:
     """Whether the model has effects that the Gram matrices do not hold; those that move a cap off its centre they hold
     where the force is measured."""
     effects = [effect_of(use) for use in model.effects]
@@ -98,7 +106,7 @@ def _more_than_laws(model: Model) -> bool:
     return more
 
 
-def astray(solution: Solution) -> bool:
+def search_has_failed(solution: SpectralFit) -> bool:
     """Whether the search for a law's numbers has not come to rest, or has left for where they do nothing: of two that
     nearly do the same, say."""
     sd = np.sqrt(np.diag(solution.covariance))
@@ -106,7 +114,7 @@ def astray(solution: Solution) -> bool:
     return bool(told) and not (solution.converged and all(told))
 
 
-def _whirls(solution: Solution) -> bool:
+def _has_growing_mode(solution: SpectralFit) -> bool:
     """Whether a mode of the mean response grows, so that only the law's bend holds it: see contour.py."""
     balance, f_hz = solution.balance, solution.start.nodes.f_hz
     B = balance.coefficients(solution.point.beta)
@@ -115,15 +123,15 @@ def _whirls(solution: Solution) -> bool:
     return bool(np.any(modes.real > 0.0))
 
 
-def _shared(solution: Solution) -> bool:
+def _shares_sensor_noise(solution: SpectralFit) -> bool:
     """Whether noise of a sensor is much of the force that is inferred at another place, through the shaft: rows are
     taken as independent here, and are not then (sensor_noise.py)."""
     point, local = solution.point, solution.local
     shares = point.noise * local.floor / local.spread[:, :, None]
-    return bool(np.max(shares, where=~np.eye(point.S.size, dtype=bool), initial=0.0) > SHARED)
+    return bool(np.max(shares, where=~np.eye(point.S.size, dtype=bool), initial=0.0) > MAX_SHARED_NOISE_REL)
 
 
-def _falls(solution: Solution) -> bool:
+def _shows_roll_off(solution: SpectralFit) -> bool:
     """Whether the force seems to fall alike at all places, or those of a bearing, as behind a filter of the recorder:
     recorder.py."""
     record, local, grid = solution.record, solution.local, solution.record.grid
@@ -135,7 +143,7 @@ def _falls(solution: Solution) -> bool:
     return any(suspected(ratio[:, own], f_hz, count, max(peaks)) for own in ([*range(len(places))], *devices(places)))
 
 
-def messages(solution: Solution) -> tuple[str, ...]:
+def spectral_messages(solution: SpectralFit) -> tuple[str, ...]:
     """What the user should know beside the numbers: what was assumed and does not hold, what sets no scale."""
     out = []
     point, places = solution.point, solution.balance.places
@@ -143,14 +151,16 @@ def messages(solution: Solution) -> tuple[str, ...]:
         out.append("the likelihood was not brought to its maximum: values are provisional")
     out += excitation_level.said(solution.bank.level)
     record = solution.record
-    out += unmeasured_end.said(record.model, {p: solution.values.get(f"{p}.kL", 0.0) for p in places})
+    out += unmeasured_end.unmeasured_end_messages(
+        record.model, {p: solution.values.get(f"{p}.kL", 0.0) for p in places}
+    )
     if record.lines:
-        out.append(f"left out as lines: {describe(record.lines, record.model.speed_rpm)}")
+        out.append(f"left out as lines: {lines_in_words(record.lines, record.model.speed_rpm)}")
     values, sd = solution.values, np.sqrt(np.diag(solution.covariance))
     for i, place in enumerate(places):
         name = f"{place}.m"
         if name in values and not np.isfinite(sd[solution.balance.names.index(name)]):
-            out.append(ratios_only(place, values[f"{place}.kL"], values[f"{place}.c"], values[name]))
+            out.append(ratios_only_message(place, values[f"{place}.kL"], values[f"{place}.c"], values[name]))
         if solution.record.force:  # what is left is the sensor's noise, not a force
             continue
         excess = solution.local.power[:, i] / (solution.local.spread[:, i] * record.counted) - 1.0

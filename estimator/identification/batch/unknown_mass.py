@@ -22,19 +22,19 @@ from estimator.results import Parameter, belongs
 from estimator.signals.channel_response import forced, undone
 
 from .measured_force import analyse
-from .report import ratios_only, report
+from .report import fitted_parameters, ratios_only_message
 
-FREE = "no mass is known, so only ratios are: give [rig.mass]"
+NO_MASS_REASON = "no mass is known, so only ratios are: give [rig.mass]"
 
 
-def weighed(model: Model, y: Array, rate_hz: float) -> tuple[Model, dict[str, Parameter]]:
+def with_masses_of_shaft(model: Model, y: Array, rate_hz: float) -> tuple[Model, dict[str, Parameter]]:
     """The model with the masses that its shaft and a record (n, channels) tell, and these as parameters by name."""
-    left_out = of_shaft(model)
+    left_out = places_scaled_by_shaft(model)
     if not left_out:
         return model, {}
     laws = tuple(u for u in model.effects if effect_of(u).kind == "force" and u.name not in PERIODIC)
     try:
-        fitted = report(analyse(replace(model, effects=laws), undone(model, y, rate_hz), rate_hz))
+        fitted = fitted_parameters(analyse(replace(model, effects=laws), undone(model, y, rate_hz), rate_hz))
     except DataError:  # the fit that follows says what is wrong
         return model, {}
     told = {f"{p}.m": fitted[f"{p}.m"] for p in left_out}
@@ -42,27 +42,29 @@ def weighed(model: Model, y: Array, rate_hz: float) -> tuple[Model, dict[str, Pa
     return replace(model, mass={**model.mass, **found}), {f"{p}.m": told[f"{p}.m"] for p in found}
 
 
-def of_shaft(model: Model) -> list[str]:
+def places_scaled_by_shaft(model: Model) -> list[str]:
     """Places whose mass the shaft tells. Where a force is measured it sets the scale, and the mass is left to it."""
     coupled = model.shaft != "none" and model.shaft_stiffness > 0.0 and "disc" in model.mass
-    return unknown(model) if coupled else []
+    return places_without_mass(model) if coupled else []
 
 
-def unknown(model: Model) -> list[str]:
+def places_without_mass(model: Model) -> list[str]:
     """Places whose mass nothing tells."""
     return [p for p in model.places if model.cap_mass(p) is None and p not in forced(model)]
 
 
-def ratios(model: Model, point: WorkingPoint) -> tuple[str, ...]:
+def ratio_messages(model: Model, point: WorkingPoint) -> tuple[str, ...]:
     """What to tell the user of places whose mass nothing tells."""
-    at = [point.data.places.index(p) for p in unknown(model)]
+    at = [point.data.places.index(p) for p in places_without_mass(model)]
     return tuple(
-        ratios_only(point.data.places[i], point.kL[i], point.c[i], point.data.mass[i])
+        ratios_only_message(point.data.places[i], point.kL[i], point.c[i], point.data.mass[i])
         for i in at if point.kL[i] > 0.0
     )  # fmt: skip
 
 
-def widened(model: Model, found: Mapping[str, Parameter], masses: Mapping[str, Parameter]) -> dict[str, Parameter]:
+def with_mass_uncertainty(
+    model: Model, found: Mapping[str, Parameter], masses: Mapping[str, Parameter]
+) -> dict[str, Parameter]:
     """Numbers by full name with the standard deviations that those of the masses add.
 
     What a fit beside given masses says in newtons goes with the mass of its cap, S with its square; kL and c together
@@ -74,19 +76,19 @@ def widened(model: Model, found: Mapping[str, Parameter], masses: Mapping[str, P
         power = 2 if p.unit.startswith("N^2") else int(p.unit.startswith(("N", "kg")))
         if not (own and power and p.identifiable and p.value is not None and p.sd is not None):
             continue
-        value = p.value + _held(model, name)
+        value = p.value + _shaft_part(model, name)
         share = max((q.sd or 0.0) / (q.value or np.inf) for q in own)
         out[name] = replace(p, sd=float(np.hypot(p.sd, power * share * value)))
     return out
 
 
-def _held(model: Model, name: str) -> float:
+def _shaft_part(model: Model, name: str) -> float:
     """What the shaft adds to kL or c of a place, as these are in the motion of its cap above the disc's resonance."""
     added = {"kL": model.shaft_stiffness, "c": model.shaft_damping}
     return float(shaft_matrix(model.shaft, added.get(name.rsplit(".", 1)[1], 0.0))[0, 0])
 
 
-def said(told: dict[str, Parameter]) -> tuple[str, ...]:
+def mass_messages(told: dict[str, Parameter]) -> tuple[str, ...]:
     """What to tell the user of them."""
     if not told:
         return ()

@@ -10,10 +10,10 @@ from estimator.errors import DataError
 from estimator.likelihood.motion.force_balance import shaft_reaction
 from estimator.model.rig import NODES, Model
 
-MATTERS = 0.01  # of the stiffness at a place: what comes through the shaft at the resonance there
+MIN_SHAFT_STIFFNESS_REL = 0.01  # of the stiffness at a place: what comes through the shaft at the resonance there
 
 
-def said(model: Model, kL: Mapping[str, float]) -> tuple[str, ...]:
+def unmeasured_end_messages(model: Model, kL: Mapping[str, float]) -> tuple[str, ...]:
     """What to tell of it. kL : by place, N/m."""
     try:
         reaction = shaft_reaction(model)
@@ -28,7 +28,7 @@ def said(model: Model, kL: Mapping[str, float]) -> tuple[str, ...]:
             continue
         f_hz = np.array([np.sqrt(stiffness / mass) / (2 * np.pi)])
         share = float(np.abs(reaction(f_hz))[0]) / stiffness
-        if share > max(most, MATTERS):
+        if share > max(most, MIN_SHAFT_STIFFNESS_REL):
             most, lacking = share, other
     if not lacking:
         return ()

@@ -1,9 +1,17 @@
 """The paper's own methods: Fokker-Planck density, score matching, Volterra series."""
 
-from .fokker_planck import Form, estimate
+from .fokker_planck import Form, fokker_planck_parameters
 from .plane_moments import PlaneMoments
 from .planes import Cap, Plane
 from .score_matching import RollingScoreMatching
 from .stationary import plane_diagnostics
 
-__all__ = ["Cap", "Form", "Plane", "PlaneMoments", "RollingScoreMatching", "estimate", "plane_diagnostics"]
+__all__ = [
+    "Cap",
+    "Form",
+    "Plane",
+    "PlaneMoments",
+    "RollingScoreMatching",
+    "fokker_planck_parameters",
+    "plane_diagnostics",
+]

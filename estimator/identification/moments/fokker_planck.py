@@ -30,17 +30,20 @@ from estimator.errors import DataError
 from estimator.model.rig import Model
 from estimator.results import Fit, Parameter
 
-from .planes import Cap, Plane, ignored_effects, planes
-from .score_matching import motion_of, place_columns
-from .stationary import messages, softening_message
+from .planes import Cap, Plane, ignored_effects, planes_of
+from .score_matching import density_motion, place_columns
+from .stationary import density_messages, softening_message
 from .synchronous import synchronous_message
 
 Form = Literal["literal", "midpoint", "response"]
-BLOCKS = 64
-FEWEST_COUNTS = 30
-REACH = 4.5  # half-width of the grid in rms
-CELL = {1: 0.15, 2: 0.3}  # cell in rms, for one and two caps
-GAUSS = (np.array([-(0.6**0.5), 0.0, 0.6**0.5]), np.array([5.0, 8.0, 5.0]) / 18.0)  # nodes of [-1, 1], weights to 1
+BOOTSTRAP_BLOCKS = 64
+MIN_COUNTS = 30
+GRID_HALF_WIDTH_RMS = 4.5  # half-width of the grid in rms
+CELL_WIDTH_RMS = {1: 0.15, 2: 0.3}  # cell in rms, for one and two caps
+GAUSS_QUADRATURE = (
+    np.array([-(0.6**0.5), 0.0, 0.6**0.5]),
+    np.array([5.0, 8.0, 5.0]) / 18.0,
+)  # nodes of [-1, 1], weights to 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +61,12 @@ class Histogram:
     rows: Array
 
 
-def histogram(x: Array, v: Array, cell: float | None = None, blocks: int = BLOCKS) -> Histogram:
+def histogram(x: Array, v: Array, cell: float | None = None, blocks: int = BOOTSTRAP_BLOCKS) -> Histogram:
     """Histogram of (n, caps) displacements, m, over +- 4.5 rms, cells of `cell` rms; velocities in m/s."""
     n, caps = x.shape
     sigma = np.std(x, axis=0)
-    width = (CELL[caps] if cell is None else cell) * float(sigma.min())
-    half = np.minimum(np.ceil(REACH * sigma / width).astype(np.int64), 60)
+    width = (CELL_WIDTH_RMS[caps] if cell is None else cell) * float(sigma.min())
+    half = np.minimum(np.ceil(GRID_HALF_WIDTH_RMS * sigma / width).astype(np.int64), 60)
     widths = np.full(caps, width)  # one width for both axes, as in the paper
     at = np.floor(x / widths).astype(np.int64) + half
     inside = ((at >= 0) & (at < 2 * half)).all(axis=1)
@@ -88,7 +91,7 @@ def potentials(plane: Plane, x: Array) -> tuple[Array, Array]:
     return np.stack(terms, axis=-1), shaft
 
 
-def steps(shape: tuple[int, ...], diagonal: bool = False) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def neighbouring_cells(shape: tuple[int, ...], diagonal: bool = False) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Flat indices (from, to) of neighbouring cells: along each axis, or along the diagonal only."""
     index = np.arange(int(np.prod(shape))).reshape(shape)
     if diagonal:
@@ -102,7 +105,7 @@ def steps(shape: tuple[int, ...], diagonal: bool = False) -> tuple[NDArray[np.in
 
 
 def _refuse_literal(plane: Plane, grid: Histogram) -> None:
-    here, there = steps(grid.shape, diagonal=True)
+    here, there = neighbouring_cells(grid.shape, diagonal=True)
     if len(plane.caps) == 2:
         step = grid.centres[there] - grid.centres[here]
         if np.allclose(step[:, 0], step[:, 1], rtol=1e-9):
@@ -115,23 +118,23 @@ def _refuse_literal(plane: Plane, grid: Histogram) -> None:
     )
 
 
-def _columns(plane: Plane, grid: Histogram) -> tuple[Array, Array, Array]:
+def _potential_differences(plane: Plane, grid: Histogram) -> tuple[Array, Array, Array]:
     """Differences over every axis step of the bearing terms (r, p) and the shaft term (r,); scales (p,)."""
     phi, shaft = potentials(plane, grid.centres)
-    here, there = steps(grid.shape)
-    sigma = grid.widths * np.array(grid.shape) / (2.0 * REACH)
+    here, there = neighbouring_cells(grid.shape)
+    sigma = grid.widths * np.array(grid.shape) / (2.0 * GRID_HALF_WIDTH_RMS)
     scale = np.array([sigma[i] ** (q + 1) for i, cap in enumerate(plane.caps) for q in cap.powers])
     return phi[there] - phi[here], shaft[there] - shaft[here], scale
 
 
-def _weighted(design: Array, response: Array, weight: Array) -> Array:
+def _weighted_least_squares(design: Array, response: Array, weight: Array) -> Array:
     root = np.sqrt(weight)
     return np.asarray(np.linalg.lstsq(design * root[:, None], response * root, rcond=None)[0])
 
 
-def _cell_mean(plane: Plane, grid: Histogram, theta: Array, shaft: float) -> Array:
+def _log_cell_mean(plane: Plane, grid: Histogram, theta: Array, shaft: float) -> Array:
     """ln of the mean of exp(-V/T) over each cell relative to its centre, (cells,), by 3-point Gauss quadrature."""
-    nodes, weights = GAUSS
+    nodes, weights = GAUSS_QUADRATURE
     caps = len(plane.caps)
     offsets = np.stack(np.meshgrid(*(nodes,) * caps, indexing="ij"), axis=-1).reshape(-1, caps) * grid.widths / 2.0
     weight = np.prod(np.stack(np.meshgrid(*(weights,) * caps, indexing="ij"), axis=-1).reshape(-1, caps), axis=1)
@@ -144,22 +147,24 @@ def _cell_mean(plane: Plane, grid: Histogram, theta: Array, shaft: float) -> Arr
     return np.log(total)
 
 
-def _model_counts(plane: Plane, grid: Histogram, theta: Array, shaft: float, total: float) -> tuple[Array, Array]:
+def _expected_counts(plane: Plane, grid: Histogram, theta: Array, shaft: float, total: float) -> tuple[Array, Array]:
     """Expected counts (cells,) of a fitted density, and ln of its mean over each cell relative to the centre."""
-    mean = _cell_mean(plane, grid, theta, shaft)
+    mean = _log_cell_mean(plane, grid, theta, shaft)
     phi, spring = potentials(plane, grid.centres)
     log_p = mean - phi @ theta - shaft * spring
     p = np.exp(np.minimum(log_p - np.median(log_p), 300.0))
     return np.asarray(total * p / p.sum()), mean
 
 
-def _slopes(plane: Plane, grid: Histogram, counts: Array, temperature: float | None, form: Form) -> tuple[Array, float]:
+def _density_slopes(
+    plane: Plane, grid: Histogram, counts: Array, temperature: float | None, form: Form
+) -> tuple[Array, float]:
     """theta/T of every coefficient (p,) and of the shaft, from total counts (cells,).
 
     temperature : J, if known: the shaft's coefficient is then ks/T and not fitted.
     """
-    here, there = steps(grid.shape)
-    terms, spring, scale = _columns(plane, grid)
+    here, there = neighbouring_cells(grid.shape)
+    terms, spring, scale = _potential_differences(plane, grid)
     terms = terms / scale
     unit = scale[0]  # of the shaft term
     free = temperature is None and plane.scale_from_shaft
@@ -168,10 +173,10 @@ def _slopes(plane: Plane, grid: Histogram, counts: Array, temperature: float | N
     drop = logs[here] - logs[there]  # = (V' - V)/T
 
     def kept(expected: Array) -> NDArray[np.bool_]:
-        keep = (np.minimum(expected[here], expected[there]) >= FEWEST_COUNTS) & (counts[here] > 0) & (counts[there] > 0)
+        keep = (np.minimum(expected[here], expected[there]) >= MIN_COUNTS) & (counts[here] > 0) & (counts[there] > 0)
         if keep.sum() < 4 * (terms.shape[1] + 1):
             raise DataError(
-                f"direction {plane.direction}: only {keep.sum()} pairs of histogram cells hold {FEWEST_COUNTS} counts: "
+                f"direction {plane.direction}: only {keep.sum()} pairs of histogram cells hold {MIN_COUNTS} counts: "
                 "record longer"
             )
         return keep
@@ -179,10 +184,12 @@ def _slopes(plane: Plane, grid: Histogram, counts: Array, temperature: float | N
     keep = kept(counts)
     if form == "midpoint" and free:  # as printed: unknowns (T/ks, k/ks), the noisy logarithm among the regressors
         one = np.ones(int(keep.sum()))
-        solution = _weighted(np.column_stack([-drop, terms])[keep], -spring[keep] / unit, one)
+        solution = _weighted_least_squares(np.column_stack([-drop, terms])[keep], -spring[keep] / unit, one)
         return solution[1:] / solution[0] / scale, float(1.0 / (solution[0] * unit))
     if form == "midpoint":
-        return _weighted(terms[keep], (drop - known * spring)[keep], np.ones(int(keep.sum()))) / scale, known
+        return _weighted_least_squares(
+            terms[keep], (drop - known * spring)[keep], np.ones(int(keep.sum()))
+        ) / scale, known
     design = np.column_stack([terms, spring / unit]) if free else terms
     expected, mean = counts, np.zeros(len(counts))
     for _ in range(4):  # cells chosen by their counts at first, then by the fitted density: no selection
@@ -190,20 +197,20 @@ def _slopes(plane: Plane, grid: Histogram, counts: Array, temperature: float | N
         with np.errstate(divide="ignore"):
             weight = 1.0 / (1.0 / expected[here] + 1.0 / expected[there])
         response = drop - mean[here] + mean[there] - known * spring
-        solution = _weighted(design[keep], response[keep], weight[keep])
+        solution = _weighted_least_squares(design[keep], response[keep], weight[keep])
         theta = solution[: len(scale)] / scale
         shaft = float(solution[-1] / unit) if free else known
-        expected, mean = _model_counts(plane, grid, theta, shaft, counts.sum())
+        expected, mean = _expected_counts(plane, grid, theta, shaft, counts.sum())
     return theta, shaft
 
 
-def _values(plane: Plane, grid: Histogram, weights: Array, form: Form) -> Array:
+def _parameter_values(plane: Plane, grid: Histogram, weights: Array, form: Form) -> Array:
     """Parameters in the order of plane.names() for weights (blocks,) of the blocks of the record."""
     square = weights @ grid.squares / (weights @ grid.rows)
     temperature = None
     if plane.masses_known:
         temperature = float(np.mean([cap.mass * s for cap, s in zip(plane.caps, square, strict=True) if cap.mass]))
-    theta, shaft = _slopes(plane, grid, weights @ grid.counts, temperature, form)
+    theta, shaft = _density_slopes(plane, grid, weights @ grid.counts, temperature, form)
     joint = plane.ks / shaft if plane.scale_from_shaft and temperature is None else None
     out: list[float] = []
     at = 0
@@ -220,7 +227,7 @@ def _values(plane: Plane, grid: Histogram, weights: Array, form: Form) -> Array:
     return np.array(out)
 
 
-def estimate(
+def fokker_planck_parameters(
     plane: Plane, x: Array, v: Array, form: Form = "response", replicates: int = 200, seed: int = 0
 ) -> tuple[dict[str, float], Array]:
     """Parameters of one direction and their covariance in the order of plane.names(), by block bootstrap.
@@ -230,24 +237,24 @@ def estimate(
     if form == "literal":
         _refuse_literal(plane, histogram(x, v))
     if len(plane.caps) == 2 and not plane.scale_from_shaft:
-        return _separately(plane, x, v, form, replicates, seed)
+        return _uncoupled_parameters(plane, x, v, form, replicates, seed)
     grid = histogram(x, v)
-    values = _values(plane, grid, np.ones(BLOCKS), form)
+    values = _parameter_values(plane, grid, np.ones(BOOTSTRAP_BLOCKS), form)
     rng = np.random.default_rng(seed)
     draws = []
     for _ in range(replicates):
-        weights = rng.multinomial(BLOCKS, np.full(BLOCKS, 1.0 / BLOCKS)).astype(float)
-        draws.append(_values(plane, grid, weights, form))
+        weights = rng.multinomial(BOOTSTRAP_BLOCKS, np.full(BOOTSTRAP_BLOCKS, 1.0 / BOOTSTRAP_BLOCKS)).astype(float)
+        draws.append(_parameter_values(plane, grid, weights, form))
     covariance = np.atleast_2d(np.cov(np.array(draws).T)) if replicates > 1 else np.full((len(values),) * 2, np.nan)
     if form == "midpoint" and plane.scale_from_shaft and not plane.masses_known:
         # attenuated to a steady wrong value, its own scatter says nothing: the response form tells if there is a scale
-        honest, spread = estimate(plane, x, v, "response", replicates, seed)
+        honest, spread = fokker_planck_parameters(plane, x, v, "response", replicates, seed)
         if any(np.sqrt(s) > 0.5 * abs(q) for q, s in zip(honest.values(), np.diag(spread), strict=True)):
             covariance = np.full_like(covariance, np.inf)
     return dict(zip(plane.names(), values.tolist(), strict=True)), covariance
 
 
-def _separately(
+def _uncoupled_parameters(
     plane: Plane, x: Array, v: Array, form: Form, replicates: int, seed: int
 ) -> tuple[dict[str, float], Array]:
     """Caps that the shaft does not join: each from its own one-dimensional histogram."""
@@ -255,7 +262,7 @@ def _separately(
     parts = []
     for i, cap in enumerate(plane.caps):
         alone = Plane(plane.direction, (cap,), plane.ks, plane.a, 0.0, plane.disc)
-        found, cov = estimate(alone, x[:, i : i + 1], v[:, i : i + 1], form, replicates, seed)
+        found, cov = fokker_planck_parameters(alone, x[:, i : i + 1], v[:, i : i + 1], form, replicates, seed)
         values |= found
         parts.append(cov)
     size = sum(len(c) for c in parts)
@@ -267,23 +274,23 @@ def _separately(
     return values, covariance
 
 
-def fit(model: Model, y: Array, rate_hz: float, form: Form = "response", replicates: int = 200) -> Fit:
+def fit_fokker_planck(model: Model, y: Array, rate_hz: float, form: Form = "response", replicates: int = 200) -> Fit:
     """Eq. (36) on a record y (n, channels), SI, NaN where missing; both directions.
 
     Raises DataError if the form is literal, too few rows are valid, a channel is constant or the band misses the
     resonance.
     """
-    x, v, _, valid = motion_of(model, y, rate_hz)
+    x, v, _, valid = density_motion(model, y, rate_hz)
     found: dict[str, Parameter] = {}
     notes: list[str] = []
-    for plane in planes(model):
+    for plane in planes_of(model):
         columns = place_columns(model, plane.direction)
         here, speed = x[valid][:, columns], v[valid][:, columns]
-        values, covariance = estimate(plane, here, speed, form, replicates)
+        values, covariance = fokker_planck_parameters(plane, here, speed, form, replicates)
         sds = np.sqrt(np.diag(covariance))
         found |= plane.judged({n: (values[n], float(sd)) for n, sd in zip(values, sds, strict=True)})
-        notes += messages(plane, here, speed) + softening_message(plane, found, speed)
-        notes += _silent_assumptions(plane)
+        notes += density_messages(plane, here, speed) + softening_message(plane, found, speed)
+        notes += _assumption_messages(plane)
     for k, place in enumerate(model.places):
         notes += synchronous_message(model, place, x[valid, k], v[valid, k], rate_hz)
     ignored = ignored_effects(model)
@@ -292,7 +299,7 @@ def fit(model: Model, y: Array, rate_hz: float, form: Form = "response", replica
     return Fit(found, None, int(valid.sum()), "fokker-planck", tuple(dict.fromkeys(notes)))
 
 
-def _silent_assumptions(plane: Plane) -> list[str]:
+def _assumption_messages(plane: Plane) -> list[str]:
     def unknown(cap: Cap) -> bool:
         return cap.mass is None
 

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from estimator.model.rig import DIRECTIONS, Model
 from estimator.results import Parameter
 
-SHAFT_LIMIT = 0.25  # relative sd above which the shaft does not give a mass
-POWERS = {"quadratic": (2, "kq"), "cubic": (3, "kNL"), "quintic": (5, "k5")}
+MAX_SHAFT_MASS_SD_REL = 0.25  # relative sd above which the shaft does not give a mass
+POWER_EFFECTS = {"quadratic": (2, "kq"), "cubic": (3, "kNL"), "quintic": (5, "k5")}
 POWER_UNITS = {1: "N/m", 2: "N/m^2", 3: "N/m^3", 5: "N/m^5"}
 
 
@@ -37,7 +37,7 @@ class Cap:
         """Full name of the coefficient of x^power, as in the contract."""
         if power == 1:
             return f"{self.place}.kL"
-        effect, parameter = next((e, p) for e, (k, p) in POWERS.items() if k == power)
+        effect, parameter = next((e, p) for e, (k, p) in POWER_EFFECTS.items() if k == power)
         return f"{self.place}.{effect}.{parameter}"
 
 
@@ -84,7 +84,7 @@ class Plane:
         denominator happens to be small, and two sd would let one in twenty through.
         """
         masses = [found[f"{cap.place}.m"] for cap in self.caps if f"{cap.place}.m" in found]
-        weak = any(not (value > 0.0 and sd <= SHAFT_LIMIT * value) for value, sd in masses)
+        weak = any(not (value > 0.0 and sd <= MAX_SHAFT_MASS_SD_REL * value) for value, sd in masses)
         out = {}
         for name in self.names(solved_only=False):
             if name not in found:
@@ -153,7 +153,7 @@ def _shaft_term(model: Model, caps: int) -> tuple[float, float]:
     return (a, b) if caps == 2 else (a, 0.0)
 
 
-def planes(model: Model) -> tuple[Plane, ...]:
+def planes_of(model: Model) -> tuple[Plane, ...]:
     """One `Plane` per measured direction, caps in the order of `model.places`."""
     out = []
     for direction in DIRECTIONS:
@@ -162,7 +162,7 @@ def planes(model: Model) -> tuple[Plane, ...]:
             continue
         caps = []
         for place in places:
-            extra = [POWERS[e.name][0] for e in model.effects if e.name in POWERS and place in e.at]
+            extra = [POWER_EFFECTS[e.name][0] for e in model.effects if e.name in POWER_EFFECTS and place in e.at]
             caps.append(Cap(place, (1, *sorted(set(extra))), model.cap_mass(place)))
         a, b = _shaft_term(model, len(places))
         out.append(Plane(direction, tuple(caps), model.shaft_stiffness, a, b, model.mass.get("disc")))
@@ -171,6 +171,6 @@ def planes(model: Model) -> tuple[Plane, ...]:
 
 def ignored_effects(model: Model) -> tuple[str, ...]:
     """Effects of the model that a density method leaves out: all but powers of the displacement and removed lines."""
-    from .synchronous import ORDERS
+    from .synchronous import ORDERS_BY_EFFECT
 
-    return tuple(e.name for e in model.effects if e.name not in POWERS and e.name not in ORDERS)
+    return tuple(e.name for e in model.effects if e.name not in POWER_EFFECTS and e.name not in ORDERS_BY_EFFECT)

@@ -22,13 +22,13 @@ from estimator.signals.band_limit import BandLimit, band_limit
 
 from .band_edge import BandEdge
 from .plane_moments import Form, PlaneMoments
-from .planes import density_band, ignored_effects, planes
-from .stationary import check_resonance, messages, softening_message
-from .synchronous import lines, synchronous_message, synchronous_orders
+from .planes import density_band, ignored_effects, planes_of
+from .stationary import check_resonance, density_messages, softening_message
+from .synchronous import synchronous_lines, synchronous_message, synchronous_orders
 
-LEFT_OUT = "score matching leaves it out: use the spectral method"
-FEWEST_ROWS = 4096
-CHECKED_S = 0.5  # of motion, for a resonance
+LEFT_OUT_REASON = "score matching leaves it out: use the spectral method"
+MIN_ROWS = 4096
+RESONANCE_CHECK_S = 0.5  # of motion, for a resonance
 FIT_BLOCKS = 64  # the sd of a fit is itself known to 9 %
 
 
@@ -57,15 +57,15 @@ class RollingScoreMatching:
         kinds = [model.channels[i].kind for i in self._columns]
         self._stream = BandLimit(kinds, rate_hz, density_band(model)[0])
         edge = BandEdge.of(rate_hz, density_band(model)[0])
-        self._planes = [(PlaneMoments(p, edge=edge), place_columns(model, p.direction)) for p in planes(model)]
+        self._planes = [(PlaneMoments(p, edge=edge), place_columns(model, p.direction)) for p in planes_of(model)]
         self._rows = max(256, round(time_constant_s * rate_hz / 100.0))
         self._forget = math.exp(-self._rows / (time_constant_s * rate_hz))
         self._held = np.empty((3, len(kinds), 0))
-        self._recent: deque[Array] = deque(maxlen=max(1, round(CHECKED_S * rate_hz / self._rows)))
+        self._recent: deque[Array] = deque(maxlen=max(1, round(RESONANCE_CHECK_S * rate_hz / self._rows)))
         self._missing = "warming up"  # what is said while no resonance has been seen
         self._rate_hz, self._orders = rate_hz, synchronous_orders(model)
         self._index = 0
-        self._beside = _left_out(model)
+        self._beside = _ignored_parameters(model)
 
     def update(self, block: Array) -> None:
         """Take the next rows, (n, channels of the model), SI; NaN where missing or clipped."""
@@ -110,14 +110,14 @@ class RollingScoreMatching:
             return block
         flat = block.reshape(-1, block.shape[-1]).T
         hz = self.model.speed_rpm / 60.0
-        flat = flat - lines(flat, self._rate_hz, hz, self._orders, len(flat) / self._rate_hz)
+        flat = flat - synchronous_lines(flat, self._rate_hz, hz, self._orders, len(flat) / self._rate_hz)
         return flat.T.reshape(block.shape)
 
     def snapshot(self) -> Estimate:
         """The estimate as of the last complete internal block."""
         parameters: dict[str, Parameter] = {}
         rows = min((m.moments.rows for m, _ in self._planes), default=0.0)
-        if min((m.moments.blocks for m, _ in self._planes), default=0.0) < 8.0 or rows < FEWEST_ROWS / 4:
+        if min((m.moments.blocks for m, _ in self._planes), default=0.0) < 8.0 or rows < MIN_ROWS / 4:
             return Estimate(self._index, parameters, rows, status="warming up")
         if self._missing:
             return Estimate(self._index, parameters, rows, status=self._missing)
@@ -128,29 +128,29 @@ class RollingScoreMatching:
         return Estimate(self._index, parameters, rows, status=stopped[0] if stopped else "ok")
 
 
-def _left_out(model: Model) -> dict[str, Parameter]:
+def _ignored_parameters(model: Model) -> dict[str, Parameter]:
     """Parameters of the effects that the method leaves out, with the reason."""
     out: dict[str, Parameter] = {}
     for use in (u for u in model.effects if u.name in ignored_effects(model)):
         effect = effect_of(use)
         for key in at(effect, use, model):
             for q in effect.parameters:
-                out[f"{key}.{use.name}.{q.name}"] = Parameter(None, None, q.unit, False, LEFT_OUT)
+                out[f"{key}.{use.name}.{q.name}"] = Parameter(None, None, q.unit, False, LEFT_OUT_REASON)
     return out
 
 
-def fit(model: Model, y: Array, rate_hz: float, form: Form = "velocity") -> Fit:
+def fit_score_matching(model: Model, y: Array, rate_hz: float, form: Form = "velocity") -> Fit:
     """Linear and cubic (quadratic, quintic) stiffness of a record y (n, channels), SI, NaN where missing.
 
     form : plane_moments.py; "velocity" for records, "density" is the paper's hypothesis taken literally.
     Raises DataError if too few rows are valid, a channel does not move, or the band misses the resonance.
     """
-    x, v, a, valid = motion_of(model, y, rate_hz)
+    x, v, a, valid = density_motion(model, y, rate_hz)
     found: dict[str, Parameter] = {}
     notes: list[str] = []
     size = max(1, int(valid.sum()) // FIT_BLOCKS)
     edge = BandEdge.of(rate_hz, density_band(model)[0])
-    for plane in planes(model):
+    for plane in planes_of(model):
         columns = place_columns(model, plane.direction)
         here, speed, shaken = (z[valid][:, columns] for z in (x, v, a))
         moments = PlaneMoments(plane, form, edge)
@@ -158,7 +158,7 @@ def fit(model: Model, y: Array, rate_hz: float, form: Form = "velocity") -> Fit:
             part = slice(first, first + size)
             moments.add(here[part], speed[part], shaken[part])
         found |= moments.parameters()
-        notes += messages(plane, here, speed) + softening_message(plane, found, speed)
+        notes += density_messages(plane, here, speed) + softening_message(plane, found, speed)
     for k, place in enumerate(model.places):
         notes += synchronous_message(model, place, x[valid, k], v[valid, k], rate_hz)
     ignored = ignored_effects(model)
@@ -167,7 +167,7 @@ def fit(model: Model, y: Array, rate_hz: float, form: Form = "velocity") -> Fit:
     return Fit(found, None, int(valid.sum()), "score-matching", tuple(notes))
 
 
-def motion_of(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+def density_motion(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Band-limited displacement, velocity, acceleration (n, places) of a record and the rows (n,) that may be used.
 
     Raises DataError as `fit`.
@@ -185,16 +185,16 @@ def motion_of(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array, Arr
     band, _ = density_band(model)
     motion = band_limit(y[:, columns], kinds, rate_hz, band)
     usable = int(motion.valid.sum())
-    if usable < FEWEST_ROWS:
+    if usable < MIN_ROWS:
         raise DataError(
-            f"{usable} usable samples of {len(y)} (band filter and gaps take the rest), {FEWEST_ROWS} needed: "
+            f"{usable} usable samples of {len(y)} (band filter and gaps take the rest), {MIN_ROWS} needed: "
             "record longer, or widen the band at its low end"
         )
     parts = np.concatenate([motion.x, motion.v, motion.a]).T
     orders = synchronous_orders(model)
     if orders and model.speed_rpm is not None:
         parts = np.where(motion.valid[:, None], parts, np.nan)
-        parts = parts - lines(parts, rate_hz, model.speed_rpm / 60.0, orders)
+        parts = parts - synchronous_lines(parts, rate_hz, model.speed_rpm / 60.0, orders)
     x, v, a = np.split(parts, 3, axis=1)
     for k, i in enumerate(columns):
         check_resonance(v[motion.valid, k], rate_hz, band, model.channels[i].name)

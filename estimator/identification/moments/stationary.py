@@ -20,7 +20,7 @@ from estimator.results import Parameter
 from .batch_means import BlockMoments, propagate
 from .planes import Cap, Plane
 
-BLOCKS = 64
+DIAGNOSTIC_BLOCKS = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Density:
         for cap, terms in zip(self.plane.caps, self.stiffness, strict=True):
             kL, kNL = terms[1], terms.get(3, 0.0)
             if kNL < 0.0 and 5 not in terms and barrier(kL, kNL, self.temperature) < 20.0:
-                raise DataError(_softens(cap.place, kL, kNL, self.temperature))
+                raise DataError(_softening_text(cap.place, kL, kNL, self.temperature))
 
 
 def barrier(kL: float, kNL: float, temperature: float) -> float:
@@ -65,7 +65,7 @@ def barrier(kL: float, kNL: float, temperature: float) -> float:
     return kL**2 / (4.0 * abs(kNL) * temperature)
 
 
-def _softens(place: str, kL: float, kNL: float, temperature: float) -> str:
+def _softening_text(place: str, kL: float, kNL: float, temperature: float) -> str:
     return (
         f"{place}: softening cubic kNL = {kNL:.3g} N/m^3 has no stationary density (barrier "
         f"{barrier(kL, kNL, temperature):.1f} T, 20 needed): use the hertz effect, or a lower level of excitation"
@@ -81,7 +81,7 @@ def softening_message(plane: Plane, found: Mapping[str, Parameter], v: Array) ->
             continue
         temperature = cap.mass * float(np.mean(v[:, i] ** 2))
         if kNL.value < -3.0 * (kNL.sd or 0.0) and barrier(kL.value, kNL.value, temperature) < 20.0:
-            out.append(_softens(cap.place, kL.value, kNL.value, temperature))
+            out.append(_softening_text(cap.place, kL.value, kNL.value, temperature))
     return out
 
 
@@ -101,7 +101,7 @@ class Diagnostic:
         return (self.value - self.expected) / self.sd if self.sd > 0.0 else 0.0
 
 
-def _blocks(rows: Array, blocks: int = BLOCKS) -> BlockMoments:
+def _block_moments(rows: Array, blocks: int = DIAGNOSTIC_BLOCKS) -> BlockMoments:
     moments = BlockMoments(rows.shape[1])
     size = max(1, len(rows) // blocks)
     for at in range(0, len(rows), size):
@@ -114,7 +114,7 @@ def _statistic(
     rows: Array, function: Callable[[Complexes], Complexes], name: str, expected: float, meaning: str
 ) -> Diagnostic:
     """function : of the means of the columns of rows (n, K), each an array of any shape."""
-    (value,), covariance = propagate(lambda u: function(np.moveaxis(u, -1, 0))[..., None], _blocks(rows))
+    (value,), covariance = propagate(lambda u: function(np.moveaxis(u, -1, 0))[..., None], _block_moments(rows))
     return Diagnostic(name, float(value), expected, float(np.sqrt(max(covariance[0, 0], 0.0))), meaning)
 
 
@@ -173,7 +173,7 @@ def circulation(node: str, x: Array, y: Array, vx: Array, vy: Array) -> Diagnost
     return _statistic(rows / scale, lambda u: u[0] / np.sqrt(u[1] * u[2]), name, 0.0, meaning)
 
 
-def messages(plane: Plane, x: Array, v: Array, limit: float = 4.0) -> list[str]:
+def density_messages(plane: Plane, x: Array, v: Array, limit: float = 4.0) -> list[str]:
     """One line for each diagnostic that the record contradicts by more than `limit` standard deviations."""
     out = []
     for d in plane_diagnostics(plane, x, v):

@@ -19,7 +19,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.model.rig import Model
 
-ORDERS = {"imbalance": (1,), "bow": (1,), "misalignment": (1, 2)}
+ORDERS_BY_EFFECT = {"imbalance": (1,), "bow": (1,), "misalignment": (1, 2)}
 WINDOW_S = 1.0
 
 
@@ -27,10 +27,12 @@ def synchronous_orders(model: Model) -> tuple[int, ...]:
     """Shaft orders that the model's effects put into a record; empty if none or if the speed is not known."""
     if model.speed_rpm is None or model.speed_rpm <= 0.0:
         return ()
-    return tuple(sorted({k for e in model.effects for k in ORDERS.get(e.name, ())}))
+    return tuple(sorted({k for e in model.effects for k in ORDERS_BY_EFFECT.get(e.name, ())}))
 
 
-def lines(x: Array, rate_hz: float, hz: float, orders: tuple[int, ...], window_s: float = WINDOW_S) -> Array:
+def synchronous_lines(
+    x: Array, rate_hz: float, hz: float, orders: tuple[int, ...], window_s: float = WINDOW_S
+) -> Array:
     """The lines at orders of `hz` in x (n, channels), NaN rows ignored: (n, channels), to be subtracted.
 
     Least squares on cos and sin in windows of `window_s` (a last shorter one joins its neighbour).
@@ -51,7 +53,7 @@ def lines(x: Array, rate_hz: float, hz: float, orders: tuple[int, ...], window_s
     return out
 
 
-def amplitude(x: Array, rate_hz: float, hz: float) -> Array:
+def line_amplitude(x: Array, rate_hz: float, hz: float) -> Array:
     """Zero-to-peak amplitude (channels,) of the line at `hz` in x (n, channels) without NaN."""
     n = len(x)
     carrier = np.exp(-2j * np.pi * hz * np.arange(n) / rate_hz)
@@ -69,7 +71,7 @@ def synchronous_message(model: Model, place: str, x: Array, v: Array, rate_hz: f
     if model.speed_rpm is None or model.speed_rpm <= 0.0 or synchronous_orders(model):
         return []
     hz = model.speed_rpm / 60.0
-    line = float(amplitude(x[:, None], rate_hz, hz)[0])
+    line = float(line_amplitude(x[:, None], rate_hz, hz)[0])
     total = float(np.mean(x**2))
     rms = math.sqrt(max(total - 0.5 * line**2, 1e-3 * total))
     resonance = math.sqrt(float(np.mean(v**2)) / total) / (2.0 * math.pi)

@@ -28,10 +28,10 @@ from estimator.results import Fit, Parameter
 from estimator.signals.band_limit import band_limit
 
 from .batch_means import BlockMoments
-from .planes import Plane, density_band, planes
+from .planes import Plane, density_band, planes_of
 
 FIT_BLOCKS = 64
-FEWEST_ROWS = 8192
+MIN_ROWS = 8192
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,18 +59,18 @@ class Kernels:
     def linear(self, force: Array, rate_hz: float) -> Array:
         """force (n,) N through H1, from rest: (n,) m."""
         n = len(force)
-        size = _fast(n + int(min(n, 40.0 * self.m / self.c * rate_hz)))  # room for the tail: no wrap
+        size = _fast_length(n + int(min(n, 40.0 * self.m / self.c * rate_hz)))  # room for the tail: no wrap
         w: Array = 2.0 * np.pi * np.arange(size // 2 + 1, dtype=np.float64) * (rate_hz / size)
         return np.asarray(np.fft.irfft(self.h1(w) * np.fft.rfft(force, size), size)[:n])
 
 
-def _fast(n: int) -> int:
+def _fast_length(n: int) -> int:
     from scipy.fft import next_fast_len
 
     return int(next_fast_len(n, real=True))
 
 
-def wiener_first(x: Array, force: Array, rate_hz: float, segment: int = 4096) -> tuple[Array, Complexes]:
+def first_wiener_kernel(x: Array, force: Array, rate_hz: float, segment: int = 4096) -> tuple[Array, Complexes]:
     """First-order Wiener kernel in frequency: (f Hz, x over F m/N), by cross-spectra of x and force (n,)."""
     from scipy.signal import csd, welch
 
@@ -79,9 +79,9 @@ def wiener_first(x: Array, force: Array, rate_hz: float, segment: int = 4096) ->
     return f, np.asarray(cross / power)
 
 
-def _start(x: Array, force: Array, rate_hz: float, band: tuple[float, float], mass: float | None) -> Kernels:
+def _start_kernels(x: Array, force: Array, rate_hz: float, band: tuple[float, float], mass: float | None) -> Kernels:
     """A start for the search: straight lines through 1/H of the measured first kernel, weighted by the response."""
-    f, h = wiener_first(x, force, rate_hz)
+    f, h = first_wiener_kernel(x, force, rate_hz)
     inside = (f > band[0]) & (f < band[1])
     w, h = 2.0 * np.pi * f[inside], h[inside]
     weight = np.abs(h)
@@ -99,7 +99,7 @@ def _start(x: Array, force: Array, rate_hz: float, band: tuple[float, float], ma
     return Kernels(float(m), c, float(k), 0.0)
 
 
-def identify(
+def nearest_kernels(
     x: Array, force: Array, rate_hz: float, band: tuple[float, float], mass: float | None, valid: NDArray[np.bool_]
 ) -> tuple[Kernels, Array, float]:
     """Kernels nearest the record, covariance of (k, c, kNL[, m]), and the unexplained share of the rms of x.
@@ -108,13 +108,13 @@ def identify(
     covariance is the sandwich over blocks, honest for a coloured residual.
     """
     force = np.where(valid, force, 0.0)
-    kernels = _start(x[valid], force[valid], rate_hz, band, mass)
+    kernels = _start_kernels(x[valid], force[valid], rate_hz, band, mass)
     after = int(rate_hz * min(1.0, 24.0 * kernels.m / kernels.c))  # what happened before a gap is forgotten by then
     bad = np.concatenate([[True], ~valid])
     last_bad = np.maximum.accumulate(np.where(bad, np.arange(len(bad)), 0))[1:]
     use = valid & (np.arange(1, len(bad)) - last_bad > after)
-    if use.sum() < FEWEST_ROWS:
-        raise DataError(f"{int(use.sum())} samples far enough from a gap, {FEWEST_ROWS} needed: record longer")
+    if use.sum() < MIN_ROWS:
+        raise DataError(f"{int(use.sum())} samples far enough from a gap, {MIN_ROWS} needed: record longer")
     square = float(np.mean(x[use] ** 2))
     theta = np.array([kernels.k, kernels.c, 0.0] + ([kernels.m] if mass is None else []))
     scale = np.array([kernels.k, kernels.c, kernels.k / square] + ([kernels.m] if mass is None else []))
@@ -147,7 +147,7 @@ def identify(
     return built(theta), bread @ blocks.covariance() @ bread.T, float(np.sqrt(np.mean(residual**2) / square))
 
 
-def fit(model: Model, y: Array, rate_hz: float) -> Fit:
+def fit_volterra(model: Model, y: Array, rate_hz: float) -> Fit:
     """kL, c and kNL of every cap whose force is measured, from a record y (n, channels), SI, NaN where missing.
 
     Raises DataError if no force channel lies at a measured cap, or the record is too short.
@@ -156,7 +156,7 @@ def fit(model: Model, y: Array, rate_hz: float) -> Fit:
     found: dict[str, Parameter] = {}
     notes: list[str] = []
     rows = 0
-    for plane in planes(model):
+    for plane in planes_of(model):
         for cap in plane.caps:
             at = {c.kind: i for i, c in reversed(list(enumerate(model.channels))) if c.place == cap.place}
             motion = next((k for k in MOTION if k in at), None)
@@ -165,11 +165,11 @@ def fit(model: Model, y: Array, rate_hz: float) -> Fit:
             pair = y[:, [at[motion], at["force"]]]
             part = band_limit(pair, (motion, "force"), rate_hz, band)
             rows = max(rows, int(part.valid.sum()))
-            if int(part.valid.sum()) < FEWEST_ROWS:
+            if int(part.valid.sum()) < MIN_ROWS:
                 few = f"{int(part.valid.sum())} usable samples at {cap.place}"
-                raise DataError(f"{few}, {FEWEST_ROWS} needed: record longer")
-            kernels, cov, left = identify(part.x[0], part.a[1], rate_hz, band, cap.mass, part.valid)
-            found |= _named(plane, cap.place, cap.mass, kernels, cov, model.shaft_damping)
+                raise DataError(f"{few}, {MIN_ROWS} needed: record longer")
+            kernels, cov, left = nearest_kernels(part.x[0], part.a[1], rate_hz, band, cap.mass, part.valid)
+            found |= _named_parameters(plane, cap.place, cap.mass, kernels, cov, model.shaft_damping)
             notes.append(f"{cap.place}: {100.0 * left:.2g} % of the rms displacement is left unexplained")
     if not found:
         raise DataError('no channel of kind "force" at a measured cap: volterra needs one; use another method')
@@ -179,7 +179,7 @@ def fit(model: Model, y: Array, rate_hz: float) -> Fit:
     return Fit(found, None, rows, "volterra", tuple(notes))
 
 
-def _named(
+def _named_parameters(
     plane: Plane, place: str, mass: float | None, kernels: Kernels, cov: Array, shaft_damping: float
 ) -> dict[str, Parameter]:
     sd = np.sqrt(np.diag(cov))

@@ -1,6 +1,6 @@
 """The same fit while samples arrive."""
 
 from .estimator import RollingEstimator
-from .watch import every
+from .watch import watchable_effects
 
-__all__ = ["RollingEstimator", "every"]
+__all__ = ["RollingEstimator", "watchable_effects"]

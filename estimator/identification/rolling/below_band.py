@@ -15,7 +15,7 @@ from estimator.likelihood.response.below_band import below, lopsided, moved, usu
 from estimator.likelihood.response.modal_response import yields
 from estimator.signals.band_limit import half_length
 
-ROUNDS = 2  # the law is evaluated about the centre, then about the one that it makes: off by its slope squared
+CENTRE_ROUNDS = 2  # the law is evaluated about the centre, then about the one that it makes: off by its slope squared
 
 
 class SlowMotion:
@@ -62,7 +62,7 @@ class SlowMotion:
         own = partial(yields, mass=np.diag(B), D=balance.by_itself(D), places=balance.places, disc=balance.disc)
         response = below(own, self._rate_hz, self._band, balance.kinds)
         rest = response(np.zeros(1))[0].real
-        for _ in range(ROUNDS):
+        for _ in range(CENTRE_ROUNDS):
             seen = replace(stretch, slow=measured + np.pad(out, [(0, 0), (MARGIN, MARGIN)], mode="edge"))
             states: dict[tuple[int, bool], State] = {}
             push, out = {}, np.zeros_like(out)

@@ -19,8 +19,8 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.errors import DataError
-from estimator.identification.batch.line_notches import begin
-from estimator.identification.batch.report import judged
+from estimator.identification.batch.line_notches import start_without_lines
+from estimator.identification.batch.report import judged_parameters
 from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_reaction
 from estimator.likelihood.motion.harmonics import known_lines
 from estimator.likelihood.motion.stream_record import Record, as_record, notches
@@ -30,14 +30,14 @@ from estimator.signals.band_limit import BandLimit, Motion
 from estimator.signals.blocks import Layout, layout
 from estimator.signals.shaft_angle import ShaftAngle
 
-from .scope import followed
+from .scope import rolling_scope
 from .update import WARM_UP_S, RollingFit
-from .watch import CANDIDATES
+from .watch import DEFAULT_CANDIDATES
 
 SHOW_EVERY_S = 0.45
-FEWEST_BLOCKS = 6
-CATCH_UP = 2  # times as many blocks in a call until the first ones have been taken
-STILL = 1e-6  # of what a place usually moves, or of what the others do: it does not move
+MIN_BLOCKS = 6
+CATCH_UP_FACTOR = 2  # times as many blocks in a call until the first ones have been taken
+MAX_STILL_RMS_REL = 1e-6  # of what a place usually moves, or of what the others do: it does not move
 
 
 class RollingEstimator:
@@ -49,11 +49,11 @@ class RollingEstimator:
     """
 
     def __init__(
-        self, model: Model, rate_hz: float, time_constant_s: float, watch: tuple[str, ...] = CANDIDATES
+        self, model: Model, rate_hz: float, time_constant_s: float, watch: tuple[str, ...] = DEFAULT_CANDIDATES
     ) -> None:
         if time_constant_s <= 0:
             raise ValueError(f"time constant {time_constant_s} s: it must be positive")
-        self._followed = followed(model)
+        self._followed = rolling_scope(model)
         self.model, self.rate_hz, self.time_constant_s = self._followed.model, rate_hz, time_constant_s
         self.watch = () if self._followed.lacking else watch  # where the model lacks what is known, no more is sought
         motions, forces = motion_channels(model), force_channels(model)
@@ -61,7 +61,7 @@ class RollingEstimator:
         kinds = [model.channels[c].kind for c in self._used]
         self._filter = BandLimit(kinds, rate_hz, model.band, shaft_reaction(model), slow=True)
         self._grid: Layout = layout(rate_hz, model.band, notches(model))
-        self._lines = _lines(model, self._grid)
+        self._lines = _known_line_stretches(model, self._grid)
         self._kept: list[Motion] = []  # what the next blocks and a new start need
         self._shaft = ShaftAngle(model, rate_hz)
         self._seen = 0  # rows taken in
@@ -73,7 +73,7 @@ class RollingEstimator:
         self._retry_at = 0
         self._moves = np.zeros(0)  # (places,) rms acceleration at the start, m/s^2
         self._still = ""  # the place that does not move of late
-        gains = _gains(self.model)[self._used]
+        gains = _sensor_gains(self.model)[self._used]
         self._gain = None if (gains == 1.0).all() else gains
         self._estimate = Estimate(0, {}, 0.0, status="warming up")
         reasons = [self._followed.lacking.get(place, "") for place in model.places]
@@ -130,7 +130,10 @@ class RollingEstimator:
         is late. A whole record given at once is worked through at once."""
         grid, end = self._grid, self._kept[-1].start + self._kept[-1].rows
         at_once, taken = most > 1, 0
-        while taken < (most if fitted.settled else CATCH_UP * most) and self._next + grid.size + fitted.margin <= end:
+        while (
+            taken < (most if fitted.settled else CATCH_UP_FACTOR * most)
+            and self._next + grid.size + fitted.margin <= end
+        ):
             record = self._ahead = self._ahead or self._record(self._next - fitted.margin)
             at = self._next - record.motion.start
             fitted.forget()
@@ -157,7 +160,7 @@ class RollingEstimator:
             return ""
         rms = np.sqrt(np.einsum("cn,cn->c", a, a) / a.shape[1])
         usual = self._moves if self._moves.any() else np.full(len(a), rms.max(initial=0.0))
-        still = np.flatnonzero(rms <= STILL * usual)
+        still = np.flatnonzero(rms <= MAX_STILL_RMS_REL * usual)
         return (
             f"{self.model.places[still[0]]} does not move in the band: check the sensor and the band"
             if len(still)
@@ -178,7 +181,7 @@ class RollingEstimator:
             self._estimate = Estimate(self._seen, {}, 0.0, status=self._still)
             return
         try:
-            record, start = begin(record, 1, self._lines)
+            record, start = start_without_lines(record, 1, self._lines)
             self._grid = record.grid
             self._fitted = RollingFit.begin(record, start, self.model, self.time_constant_s, self.watch)
         except DataError as e:
@@ -188,7 +191,7 @@ class RollingEstimator:
 
     def _settle(self, fitted: RollingFit) -> bool:
         """All of the first rows have been taken; False if too little of them was of use, and a new start is due."""
-        if fitted.slow.n < FEWEST_BLOCKS:
+        if fitted.slow.n < MIN_BLOCKS:
             self._fitted = None
             return False
         fitted.settle(self._record())
@@ -204,17 +207,17 @@ class RollingEstimator:
         if self._still:
             self._estimate = Estimate(self._seen, {}, 0.0, status=self._still)
             return
-        if fitted.slow.n < FEWEST_BLOCKS or fitted.slow.n * hop_s < 0.1 * min(self.time_constant_s, WARM_UP_S):
+        if fitted.slow.n < MIN_BLOCKS or fitted.slow.n * hop_s < 0.1 * min(self.time_constant_s, WARM_UP_S):
             self._estimate = Estimate(self._seen, {}, 0.0, status="too few valid samples of late")
             return
         fitted.solve(self._record)
-        parameters = judged(fitted.balance, *fitted.shown(), self.model)
+        parameters = judged_parameters(fitted.balance, *fitted.shown(), self.model)
         samples = fitted.slow.n**2 / fitted.slow.n2 * self._grid.hop
         shown = self._followed.shown(parameters | fitted.held)
         self._estimate = Estimate(self._seen, shown, samples, -fitted.local.nll, extra=fitted.missing)
 
 
-def _lines(model: Model, grid: Layout) -> tuple[tuple[float, float], ...]:
+def _known_line_stretches(model: Model, grid: Layout) -> tuple[tuple[float, float], ...]:
     """Hz, about the lines that the model's periodic effects make, too weak to stand out perhaps.
 
     None where a tacho follows the speed: they move then; nor where they would take half of the band.
@@ -226,7 +229,7 @@ def _lines(model: Model, grid: Layout) -> tuple[tuple[float, float], ...]:
     return tuple((hz - half, hz + half) for hz in sorted(lines))
 
 
-def _gains(model: Model) -> Array:
+def _sensor_gains(model: Model) -> Array:
     """(channels,) by which each reads too much, as far as the model gives it."""
     out = np.ones(len(model.channels))
     for use in model.effects:

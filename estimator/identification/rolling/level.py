@@ -18,11 +18,11 @@ from estimator.likelihood.path.gram_likelihood import Point
 
 from .memory import Memory
 
-MOVED = 1.1  # of the power of the force, from which it has moved: a twentieth in rms
+MIN_LEVEL_RATIO = 1.1  # of the power of the force, from which it has moved: a twentieth in rms
 
 
 @dataclass(frozen=True, slots=True)
-class Level:
+class ExcitationLevel:
     """usual : (places,) sum over the bins of a block of |F|^2, N^2/Hz, that counts as level 1. bins : that are summed.
     known : the force is measured, and what is left of it is noise, not weighed."""
 
@@ -31,7 +31,7 @@ class Level:
     known: bool
 
     @classmethod
-    def of_first(cls, power: Array, per_cell: NDArray[np.intp], known: bool) -> Level:
+    def of_first(cls, power: Array, per_cell: NDArray[np.intp], known: bool) -> ExcitationLevel:
         """power : (cells, places) mean |F|^2 of the first seconds."""
         return cls(np.asarray(per_cell @ power), int(per_cell.sum()), known)
 
@@ -54,7 +54,7 @@ class Level:
         return replace(point, S=np.asarray(point.S * (recent.level / recent.n))), out
 
 
-class Moves:
+class LevelHistory:
     """Whether the level of the last `blocks` blocks has moved since somebody last followed it.
 
     To follow takes a second of a core for some models, so that a small move waits: the sooner after the last time, the
@@ -74,7 +74,7 @@ class Moves:
 
     def moved(self) -> bool:
         share = min(1.0, self._waited / len(self._last))
-        return bool(abs(np.log(np.mean(self._last) / self._at)) * share > np.log(MOVED))
+        return bool(abs(np.log(np.mean(self._last) / self._at)) * share > np.log(MIN_LEVEL_RATIO))
 
     def follow(self) -> float:
         """By how much the level has moved, in power."""

@@ -11,7 +11,7 @@ from estimator.likelihood.motion.law_columns import Columns, Stretch
 from estimator.likelihood.motion.law_smoothing import MARGIN
 from estimator.likelihood.response.second_order import Flutter
 
-SETTLED = 1e-2  # share of other self-energies that is let go
+MAX_STALE_SHARE = 1e-2  # share of other self-energies that is let go
 
 
 @dataclass(slots=True)
@@ -60,7 +60,7 @@ class Memory:
         """Let the blocks since the last call have these self-energies."""
         share = self.fresh / self.n if self.n > 0.0 else 1.0
         self.apart *= 1.0 - share
-        if pairs is None or self.pairs is None or self.apart < SETTLED:
+        if pairs is None or self.pairs is None or self.apart < MAX_STALE_SHARE:
             self.pairs = pairs
         else:
             self.pairs = self.pairs + share * (pairs - self.pairs)
@@ -77,7 +77,7 @@ class Memory:
         self.n = self.n2 = self.rows = self.level = self.fresh = self.apart = 0.0
 
 
-class FlutterSums:
+class TangentNoiseSums:
     """dressing.flutter from sums over blocks: of the tangents of the laws where the sensor is one of displacement, of
     the square of that, and of all their products. `size` is 0 where no such law is."""
 

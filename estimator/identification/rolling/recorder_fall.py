@@ -6,16 +6,16 @@ import numpy as np
 from scipy.optimize import nnls
 
 from estimator.arrays import Array
-from estimator.identification.batch.linear_start import Start
+from estimator.identification.batch.linear_start import LinearStart
 from estimator.likelihood.motion.stream_record import Record
 from estimator.likelihood.path.gram_likelihood import Local
 from estimator.model.recorder import POWERS, gain, suspected
 
 
-class Fall:
+class RollingRollOff:
     """colour : (nodes, places) shape of S that the model gives, times the roll-off once one is seen; None: flat."""
 
-    def __init__(self, record: Record, start: Start, colour: Array | None) -> None:
+    def __init__(self, record: Record, start: LinearStart, colour: Array | None) -> None:
         self.colour = self._own = colour
         grid, top_hz, self._forced = record.grid, record.model.band[1], bool(record.force)
         self._top, self._nodes, self._per_cell = top_hz, start.nodes.f_hz, grid.per_cell

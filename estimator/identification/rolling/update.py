@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array
-from estimator.identification.batch.linear_start import Start, renewed
+from estimator.identification.batch.linear_start import LinearStart, restarted_about
 from estimator.identification.batch.maximum import Maximum, initial, inverse, maximum, without_noise
-from estimator.identification.batch.report import OVERLAP
+from estimator.identification.batch.report import BLOCK_ENERGY_CORRELATION
 from estimator.likelihood.motion.force_balance import Balance, build, restrict
 from estimator.likelihood.motion.known_spectra import colours
 from estimator.likelihood.motion.law_columns import Columns
@@ -28,22 +28,24 @@ from estimator.signals.blocks import valid_blocks
 from estimator.signals.moving_lines import MovingLines
 
 from .below_band import SlowMotion
-from .level import Level, Moves
-from .memory import FlutterSums, Memory
+from .level import ExcitationLevel, LevelHistory
+from .memory import Memory, TangentNoiseSums
 from .memory_laws import HiddenStates, linear_of
-from .recorder_fall import Fall
-from .watch import look, with_candidates
+from .recorder_fall import RollingRollOff
+from .watch import watched_force, with_candidates
 
 WARM_UP_S = 4.0
-FAST = 0.25  # time constant of the watching memory over that of the long one
-CHANGE = 5.0  # standard deviations
-CHECKED_EVERY = 2  # solutions, for a change
-WATCHED_EVERY = 3  # blocks: every other one at most, so that no two share rows
-LOOKED_EVERY = 8  # solutions
-FEWEST_WATCHED = 6  # blocks
-FALLS = 4  # fits of the first blocks, each with the roll-off that the last one left
-CENTRINGS = 4  # fits of the first seconds, each about the centre that the last one's lopsided laws make
-CLOSE = 10.0  # nats: a standard deviation or so of each parameter; one Newton step from there leaves a few per cent
+FAST_TIME_CONSTANT_REL = 0.25  # time constant of the watching memory over that of the long one
+MIN_CHANGE_SD = 5.0  # standard deviations
+SOLUTIONS_PER_CHECK = 2  # solutions, for a change
+BLOCKS_PER_WATCH = 3  # blocks: every other one at most, so that no two share rows
+SOLUTIONS_PER_LOOK = 8  # solutions
+MIN_WATCHED_BLOCKS = 6  # blocks
+MAX_ROLL_OFF_FITS = 4  # fits of the first blocks, each with the roll-off that the last one left
+MAX_CENTRE_FITS = 4  # fits of the first seconds, each about the centre that the last one's lopsided laws make
+MAX_NEWTON_NATS = (
+    10.0  # nats: a standard deviation or so of each parameter; one Newton step from there leaves a few per cent
+)
 
 
 class RollingFit:
@@ -52,7 +54,7 @@ class RollingFit:
     `wide`."""
 
     def __init__(
-        self, record: Record, start: Start, wide: Balance, laws: int, time_constant_s: float, columns: Columns
+        self, record: Record, start: LinearStart, wide: Balance, laws: int, time_constant_s: float, columns: Columns
     ) -> None:
         grid = record.grid
         if wide.common is not None:  # it depends on frequency alone
@@ -64,11 +66,11 @@ class RollingFit:
         self.own = np.array(own, dtype=np.intp)
         self.columns = record.columns(self.balance, columns.widths, columns.linear)
         self.states = HiddenStates(self.columns, start.nodes.f_hz)
-        self.fall = Fall(record, start, _colour(record, start))
+        self.fall = RollingRollOff(record, start, _spectral_shape(record, start))
         self.spectra = BlockSpectra(columns, self.own, grid)
         hop_s = grid.hop / record.rate_hz
-        watching = max(FAST * time_constant_s, 10 * hop_s)
-        self.own_flutter, self.wide_flutter = FlutterSums(self.columns), FlutterSums(columns)
+        watching = max(FAST_TIME_CONSTANT_REL * time_constant_s, 10 * hop_s)
+        self.own_flutter, self.wide_flutter = TangentNoiseSums(self.columns), TangentNoiseSums(columns)
         sizes = (len(own), self.own_flutter.size), (len(wide.columns), self.wide_flutter.size)
         self.slow, self.fast, self.seen = (
             Memory(float(np.exp(-hop_s / t)), np.zeros((grid.starts.size, k, k)), np.zeros((k, 4)), np.zeros(m))
@@ -80,8 +82,8 @@ class RollingFit:
         self.lines = MovingLines(grid.f_hz, record.model.tacho is not None)
         self.pairs: NDArray[np.complex128] | None = None
         self.local: Local
-        self.level: Level
-        self.moves = Moves(max(2, int(WARM_UP_S / hop_s)))
+        self.level: ExcitationLevel
+        self.moves = LevelHistory(max(2, int(WARM_UP_S / hop_s)))
         self.suspicions = 0
         self.shared = 0.0  # sum of the products of the two memories' weights
         self.turn = 0  # blocks taken
@@ -92,17 +94,17 @@ class RollingFit:
 
     @classmethod
     def begin(
-        cls, record: Record, start: Start, model: Model, time_constant_s: float, watch: tuple[str, ...]
+        cls, record: Record, start: LinearStart, model: Model, time_constant_s: float, watch: tuple[str, ...]
     ) -> RollingFit:
         values: dict[str, float] = {}
         held: dict[str, Parameter] = {}
         linear = start.linear.copy()
         searched = len(build(model, start.sizes).free) > len(build(model, start.sizes, search=False).free)
         point: Point | None = None
-        for _ in range(CENTRINGS):
+        for _ in range(MAX_CENTRE_FITS):
             if searched:
                 best = maximum(record, start, model)  # the shapes as the first seconds have them
-                values, held = best.values, _held(best)
+                values, held = best.values, _held_parameters(best)
             own = build(model, start.sizes, values, search=False)
             point = point or initial(own, start, values)
             B = own.coefficients(point.beta)
@@ -113,24 +115,24 @@ class RollingFit:
             bank = gather(record, own, start.widths, linear)
             bank.tangents[states.columns] = 0.0
             gram, blocks = bank.grams.sum(axis=0), float(bank.blocks.sum())
-            colour = _colour(record, start)
+            colour = _spectral_shape(record, start)
             first = Evidence(own, record.grid, gram, blocks, bank.tangents, start.nodes, states.dressing, colour)
             local, _ = maximise(Likelihood(first), point)
             point = local.point
             if not centre.reach and not states.columns.size and colour is None:
                 break
-            start = renewed(start, record, first, point)
+            start = restarted_about(start, record, first, point)
             record = centre.whole(record, own.coefficients(point.beta))
         wide = build(with_candidates(model, watch), start.sizes, values, search=False)
         columns = record.columns(wide, start.widths.copy(), linear, fine=len(own.laws))
         fitted = cls(record, start, wide, len(own.laws), time_constant_s, columns)
         fitted.local, fitted.held = local, held
-        fitted.level = Level.of_first(local.power, record.grid.per_cell, is_known(own))
+        fitted.level = ExcitationLevel.of_first(local.power, record.grid.per_cell, is_known(own))
         return fitted
 
     def settle(self, record: Record) -> None:
         """The first blocks have been taken (once more, now that the force is known in which moving lines are seen)."""
-        for _ in range(FALLS):
+        for _ in range(MAX_ROLL_OFF_FITS):
             self.local, _ = maximise(self._likelihood(self.slow, None), self.local.point)
             if not self.fall.follow(self.local, self.slow.n):
                 break
@@ -177,7 +179,7 @@ class RollingFit:
 
     def take(self, record: Record, at: int, measured: bool) -> None:
         """Add the block that begins at row `at`, its lines left out. measured : the angle is that of a tacho."""
-        watches = len(self.wide.laws) > len(self.balance.laws) and self.turn % WATCHED_EVERY == 0
+        watches = len(self.wide.laws) > len(self.balance.laws) and self.turn % BLOCKS_PER_WATCH == 0
         B = self.balance.coefficients(self.local.point.beta)
         stretch = self.centre.stretch(record, at, at + self.grid.size, B)
         Z, tangents = self.spectra.take(stretch, watches)
@@ -232,11 +234,11 @@ class RollingFit:
         self._renew()
         if self.states.columns.size:
             self.states.follow(self.balance.coefficients(self.local.point.beta))
-        if self.solved % CHECKED_EVERY == 0:
+        if self.solved % SOLUTIONS_PER_CHECK == 0:
             self.suspicions = self.suspicions + 1 if self._changed() else 0
             if self.suspicions >= 2:
                 self._replace()
-        if self.solved % LOOKED_EVERY == 1:
+        if self.solved % SOLUTIONS_PER_LOOK == 1:
             self.missing = self._look()
         self.solved += 1
 
@@ -247,10 +249,10 @@ class RollingFit:
         count = np.asarray(0.5 * self.slow.n * self.grid.per_cell, np.float64)
         S, noise = levels(*likelihood.power(point.beta), count, point.S, point.noise)
         local = likelihood.at(Point(point.beta, S, noise))
-        step, decrement = _newton(local)[::2]
+        step, decrement = _newton_step(local)[::2]
         p, P = point.beta.size, S.size
         beta = point.beta + step[:p]
-        if decrement < CLOSE and likelihood.damping(beta).min() > 0.0:
+        if decrement < MAX_NEWTON_NATS and likelihood.damping(beta).min() > 0.0:
             # S and noise are best for the old beta: along the step they fall as a parabola, half its first slope
             level = np.asarray(S * np.exp(0.5 * step[p : p + P]), np.float64)
             self.local = replace(local, point=Point(beta, level, np.maximum(noise + 0.5 * step[p + P :], 0.0)))
@@ -261,10 +263,10 @@ class RollingFit:
     def _changed(self) -> bool:
         """Whether one Newton step on the recent memory leads away from the point of the long one."""
         recent = self._likelihood(self.fast, self.local.point.beta).at(self.local.point)
-        step, variance, _ = _newton(recent)
+        step, variance, _ = _newton_step(recent)
         f, s = self.fast, self.slow
         spread = f.n2 / f.n**2 + s.n2 / s.n**2 - 2 * self.shared / (f.n * s.n)  # the memories share recent blocks
-        return bool(np.any(np.abs(step) > CHANGE * np.sqrt(variance * f.n * max(spread, 1e-9))))
+        return bool(np.any(np.abs(step) > MIN_CHANGE_SD * np.sqrt(variance * f.n * max(spread, 1e-9))))
 
     def _replace(self) -> None:
         """The recent memory in place of the long one; of the candidates nothing recent enough is kept."""
@@ -277,7 +279,7 @@ class RollingFit:
     def _look(self) -> dict[str, float] | None:
         """Force that candidates would explain, per cent of the rms linear bearing force; None if it is not known."""
         seen, beta = self.seen, self.local.point.beta
-        if len(self.wide.laws) == len(self.balance.laws) or seen.n < FEWEST_WATCHED:
+        if len(self.wide.laws) == len(self.balance.laws) or seen.n < MIN_WATCHED_BLOCKS:
             return None
         dressing = self._dressing(seen, beta)
         if dressing is not None:
@@ -288,14 +290,14 @@ class RollingFit:
         colour = self.fall.colour
         wide = Likelihood(Evidence(self.wide, self.grid, gram, seen.n, mean, self.start.nodes, dressing, colour))
         # blocks that share no rows vary less than the likelihood's count of them says
-        redundancy = seen.n2 / seen.n / (1.0 + 2.0 * OVERLAP)
+        redundancy = seen.n2 / seen.n / (1.0 + 2.0 * BLOCK_ENERGY_CORRELATION)
         own = self._likelihood(seen, beta)
         count = np.asarray(0.5 * seen.n * self.grid.per_cell, np.float64)
         point = Point(beta, *levels(*own.power(beta), count, self.local.point.S, self.local.point.noise))
-        found = look(wide, self.balance, point, redundancy)
+        found = watched_force(wide, self.balance, point, redundancy)
         if found is None:
             point = maximise(own, self.local.point, iterations=4, tolerance=1e-2)[0].point
-            found = look(wide, self.balance, point, redundancy)
+            found = watched_force(wide, self.balance, point, redundancy)
         if found is None:
             return None
         sure = {f"missing_force_percent_{name}": percent for name, percent in found.sure.items()}
@@ -308,7 +310,7 @@ class RollingFit:
         return self.level.shown(self.local.point, covariance, self.slow, self.fast)
 
 
-def _colour(record: Record, start: Start) -> Array | None:
+def _spectral_shape(record: Record, start: LinearStart) -> Array | None:
     """(nodes, places) shape of S that the model gives, each the mean of the bins that a node stands for; None: flat."""
     by_bin, weight = colours(record.model, record.model.places, record.grid.f_hz).T, start.nodes.weight
     if (by_bin == 1.0).all():
@@ -317,7 +319,7 @@ def _colour(record: Record, start: Start) -> Array | None:
     return np.asarray(np.add.reduceat(by_bin, first, axis=0) / weight[:, None])
 
 
-def _held(best: Maximum) -> dict[str, Parameter]:
+def _held_parameters(best: Maximum) -> dict[str, Parameter]:
     """The searched numbers by name."""
     spread = np.sqrt(np.diag(inverse(best.local)))
     return {
@@ -327,7 +329,7 @@ def _held(best: Maximum) -> dict[str, Parameter]:
     }
 
 
-def _newton(local: Local) -> tuple[Array, Array, float]:
+def _newton_step(local: Local) -> tuple[Array, Array, float]:
     """Newton step and variances (p + 2 P,) as in `Local`, zero for what the data leave free; decrement in nats."""
     V, used = inverse(local), active(local.point)
     used = used[np.isfinite(np.diag(V)[used])]

@@ -19,17 +19,17 @@ from estimator.likelihood.path.gram_likelihood import Likelihood, Point
 from estimator.model.rig import EffectUse, Model
 
 # one of each kind of state dependence; shapes at their defaults
-CANDIDATES = (
+DEFAULT_CANDIDATES = (
     "cubic", "quintic", "quadratic", "clearance", "coulomb", "quadratic_damping", "displacement_damping",
     "cross_coupling", "anisotropy",
 )  # fmt: skip
-PASSING = ("line", "stiffness_drift")  # a frequency or a time scale would have to be searched first
-SURE = 1e-6  # of a false alarm, per look and candidate
-CLOSE = 10.0  # nats, as far as one Newton step is good
+UNWATCHABLE_EFFECTS = ("line", "stiffness_drift")  # a frequency or a time scale would have to be searched first
+MAX_FALSE_ALARM_P = 1e-6  # of a false alarm, per look and candidate
+MAX_STEP_NATS = 10.0  # nats, as far as one Newton step is good
 
 
 @dataclass(frozen=True, slots=True)
-class Missing:
+class WatchedForce:
     """Per cent of the rms linear bearing force. total : by all candidates together, at least by the certain ones
     together; sure : by those that are certain, strongest first."""
 
@@ -37,12 +37,12 @@ class Missing:
     sure: dict[str, float]
 
 
-def every() -> tuple[str, ...]:
+def watchable_effects() -> tuple[str, ...]:
     """All effects of the catalogue whose force is an amplitude times a law of the state or the shaft angle."""
     return tuple(
         name
         for name, effect in CATALOGUE.items()
-        if effect.kind == "force" and name not in PASSING and any(p.linear for p in effect.parameters)
+        if effect.kind == "force" and name not in UNWATCHABLE_EFFECTS and any(p.linear for p in effect.parameters)
     )
 
 
@@ -59,7 +59,7 @@ def with_candidates(model: Model, names: tuple[str, ...]) -> Model:
     return replace(model, effects=model.effects + tuple(added))
 
 
-def look(wide: Likelihood, own: Balance, point: Point, redundancy: float) -> Missing | None:
+def watched_force(wide: Likelihood, own: Balance, point: Point, redundancy: float) -> WatchedForce | None:
     """What the candidates of `wide`, of a balance that holds all of `own`, would explain near own's fitted point.
 
     The step to own's maximum on the same evidence is taken along. None if that is more than `CLOSE` nats away.
@@ -75,8 +75,8 @@ def look(wide: Likelihood, own: Balance, point: Point, redundancy: float) -> Mis
     scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(local.hessian)[:p]), 1e-300))
     H, g = local.hessian[:p, :p] * scale * scale[:, None], local.gradient[:p] * scale
     mine = np.array([f.name in at for f in balance.free])
-    inverse = _inverse(H[np.ix_(mine, mine)])
-    if g[mine] @ inverse @ g[mine] > CLOSE:
+    inverse = _pseudo_inverse(H[np.ix_(mine, mine)])
+    if g[mine] @ inverse @ g[mine] > MAX_STEP_NATS:
         return None
     follow = -inverse @ H[np.ix_(mine, ~mine)]  # what own's parameters do when a candidate's is moved
     H = H[np.ix_(~mine, ~mine)] + H[np.ix_(~mine, mine)] @ follow
@@ -87,7 +87,7 @@ def look(wide: Likelihood, own: Balance, point: Point, redundancy: float) -> Mis
 
     def explained(members: NDArray[np.intp]) -> tuple[float, float]:
         """Chi-squared of these candidates and their share of force, less what chance explains."""
-        step = -_inverse(H[np.ix_(members, members)]) @ g[members]
+        step = -_pseudo_inverse(H[np.ix_(members, members)]) @ g[members]
         statistic = float(-step @ g[members]) / redundancy
         moved = np.zeros(p)
         moved[np.flatnonzero(~mine)[members]] = step
@@ -101,14 +101,14 @@ def look(wide: Likelihood, own: Balance, point: Point, redundancy: float) -> Mis
     for effect in dict.fromkeys(names):
         members = np.flatnonzero([name == effect for name in names])
         statistic, share = explained(members)
-        if statistic > chdtri(members.size, SURE):
+        if statistic > chdtri(members.size, MAX_FALSE_ALARM_P):
             sure[effect] = 100.0 * float(np.sqrt(share))
     certain = np.flatnonzero([name in sure for name in names])  # chance does not eat these up, however many others
     total = 100.0 * float(np.sqrt(max(explained(m)[1] for m in (np.arange(len(names)), certain) if m.size)))
-    return Missing(total, dict(sorted(sure.items(), key=lambda item: -item[1])))
+    return WatchedForce(total, dict(sorted(sure.items(), key=lambda item: -item[1])))
 
 
-def _inverse(H: Array) -> Array:
+def _pseudo_inverse(H: Array) -> Array:
     """Of a symmetric matrix of unit diagonal, or smaller; zero along what the data do not tell."""
     w, V = np.linalg.eigh(H)
     keep = w > 1e-7 * max(float(w.max()), 1.0)

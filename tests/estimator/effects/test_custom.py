@@ -19,7 +19,7 @@ from estimator.effects.engine.expression import FUNCTIONS, ExpressionError, comp
 from estimator.effects.engine.law_loop import force_array
 from estimator.errors import DataError, ModelError
 from estimator.identification.batch import spectral
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.batch.measured_force import analyse
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import Placed, placed_of
@@ -245,7 +245,7 @@ def test_a_law_that_the_motion_leaves_is_said_by_name() -> None:
     use = EffectUse("mine", {"bearing1.x": {"k": Setting(1e6), "g": Setting(1e-9)}}, law)
     y = simulate(rig, RATE, 3.0, seed=1, noise=0.02)
     with pytest.raises(DataError, match=r"effect mine at bearing1.x is not finite along the measured motion"):
-        fit_whole(replace(rig, effects=(use,)), y, RATE)
+        fit_all_effects(replace(rig, effects=(use,)), y, RATE)
 
 
 def test_a_law_typed_with_a_length_in_metres_is_fitted() -> None:
@@ -255,7 +255,7 @@ def test_a_law_typed_with_a_length_in_metres_is_fitted() -> None:
     y = simulate(replace(rig, effects=(hidden,)), RATE, 4.0, seed=1, noise=0.02)
     law = CustomLaw("k*(maximum(x - g, 0) + minimum(x + g, 0))", None, {"k": "N/m", "g": "m"})
     typed = EffectUse("mine", {place: {"k": Setting(2e6), "g": Setting(1.5e-7)}}, law)
-    found = spectral.fit(replace(rig, effects=(typed,)), y, RATE).parameters
+    found = spectral.fit_spectral(replace(rig, effects=(typed,)), y, RATE).parameters
     for name, true in (("mine.k", 3e6), ("mine.g", gap)):
         p = found[f"{place}.{name}"]
         assert p.value is not None
@@ -273,10 +273,10 @@ def test_a_search_that_has_left_for_where_its_numbers_do_nothing_is_not_believed
     (searched,) = [k for k, f in enumerate(found.balance.free) if f.searched]
     far = found.covariance.copy()
     far[searched, searched] = np.inf
-    assert spectral.astray(replace(found, covariance=far))
-    assert spectral.astray(replace(found, converged=False))
-    assert not spectral.astray(replace(found, converged=True, covariance=np.eye(len(far))))
-    assert not spectral.astray(replace(analyse(rig, y, RATE), converged=False))
+    assert spectral.search_has_failed(replace(found, covariance=far))
+    assert spectral.search_has_failed(replace(found, converged=False))
+    assert not spectral.search_has_failed(replace(found, converged=True, covariance=np.eye(len(far))))
+    assert not spectral.search_has_failed(replace(analyse(rig, y, RATE), converged=False))
 
 
 def test_a_law_that_grows_beyond_all_measure_at_a_value_on_trial_is_passed_over() -> None:

@@ -14,7 +14,7 @@ from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict.gate_residual import _where_told
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import Placed
 from estimator.model.rig import Model, Setting
@@ -41,7 +41,7 @@ def test_a_bearing_that_only_shares_the_force_of_the_other_is_not_named(hidden: 
     truth = with_effect(rig, drift, {"rate": 1.2e5, "curvature": 0.0}, *[f"{n}.x" for n in hidden])
     model = replace(rig, effects=(replace(rig.effects[0], parameters={"bearing1.x": {"rho": Setting(0.4)}}),))
     y = simulate(truth, RATE, SECONDS, seed=3, noise=0.02, full_scale=490.5)
-    point = fit_whole(model, y, RATE).point
+    point = fit_all_effects(model, y, RATE).point
     laws = tuple(
         Placed(drift, f"{n}.x.stiffness_drift", (i,), np.array([1e5 * (n in hidden), 0.0]), (True, False))
         for i, n in enumerate(NODES)

@@ -8,9 +8,9 @@ import pytest
 from estimator.diagnosis.comparison.free_run import resampled
 from estimator.diagnosis.comparison.heldout import heldout_rmse
 from estimator.identification.batch import spectral
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.batch.measured_force import analyse
-from estimator.identification.batch.report import report
+from estimator.identification.batch.report import fitted_parameters
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
 
@@ -32,7 +32,7 @@ def test_a_measured_force_brings_the_parameters_to_its_own_bound(truth: Model) -
     y = simulate(truth, RATE, 8.0, seed=1)
     blank = replace(truth, linear={}, effects=(EffectUse("cubic", {p: {} for p in PLACES}),))
     solution = analyse(blank, y[: int(6 * RATE)], RATE)
-    parameters = report(solution)
+    parameters = fitted_parameters(solution)
     for place in PLACES:
         assert parameters[f"{place}.kL"].value == pytest.approx(1e7, rel=5e-4)
         assert parameters[f"{place}.c"].value == pytest.approx(60.0, rel=5e-3)
@@ -59,7 +59,7 @@ def test_friction_under_a_measured_force(truth: Model) -> None:
     dry = EffectUse("coulomb", {p: {"fc": Setting(0.07)} for p in PLACES})
     y = simulate(replace(truth, effects=(dry,)), RATE, 6.0, seed=6)
     blank = replace(truth, effects=(EffectUse("coulomb", {p: {} for p in PLACES}),))
-    for found in (spectral.fit(blank, y, RATE).parameters, fit_whole(blank, y, RATE).parameters):
+    for found in (spectral.fit_spectral(blank, y, RATE).parameters, fit_all_effects(blank, y, RATE).parameters):
         for place in PLACES:
             assert found[f"{place}.coulomb.fc"].value == pytest.approx(0.07, rel=0.015)
             assert found[f"{place}.c"].value == pytest.approx(60.0, rel=0.02)

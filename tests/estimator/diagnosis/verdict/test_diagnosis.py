@@ -19,7 +19,7 @@ from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
 from estimator.errors import DataError
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.likelihood.motion.located_law import Placed
 from estimator.model.rig import Model
 from estimator.simulation.simulator import simulate
@@ -113,7 +113,7 @@ def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
         "estimator.likelihood.motion.located_law.CATALOGUE", {name: CATALOGUE[name] for name in (right, wrong)}
     )
     y = record(rig, right, 0.06)
-    fitted = fit_whole(rig, y, RATE)
+    fitted = fit_all_effects(rig, y, RATE)
     found = ranked(fitted.model, fitted.point, y, quiet)
     before, entries = found.before, extrapolating(found)
     there, ahead = (next(e for e in entries if e.effect == name) for name in (right, wrong))
@@ -141,7 +141,7 @@ def test_a_law_that_is_nothing_once_it_is_fitted_with_the_model_is_not_named(
         {name: CATALOGUE[name] for name in ("quadratic", "coulomb")},
     )
     y = simulate(rig, RATE, 3.0, seed=6, noise=0.02)
-    fitted = fit_whole(rig, y, RATE)
+    fitted = fit_all_effects(rig, y, RATE)
     found = ranked(fitted.model, fitted.point, y, quiet)
     before, entries = found.before, extrapolating(found)
     assert not before.places_found()
@@ -157,7 +157,7 @@ def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model) -> N
     """The odd half of a one-sided stop takes a part of what an odd law of the wrong shape leaves (|x|^1.5, another
     simulator): that made a cubic and a stop of one law that is neither."""
     bare = replace(rig, effects=())
-    point = fit_whole(bare, record(rig, "cubic", 0.0), RATE).point  # the cubic of the rig is what is left
+    point = fit_all_effects(bare, record(rig, "cubic", 0.0), RATE).point  # the cubic of the rig is what is left
     left = SimpleNamespace(residuals=[SimpleNamespace(place=0, found=[SimpleNamespace(gain=16.0)])])
     best = SimpleNamespace(effect="quintic", places={0, 1})
 

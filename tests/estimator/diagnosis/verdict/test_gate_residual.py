@@ -14,7 +14,7 @@ from estimator.diagnosis.verdict.diagnosis import _nothing, diagnose, quiet
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import NotFiniteError
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual import missing_force
 from estimator.likelihood.motion.located_law import Placed
 from estimator.model.rig import CustomLaw, EffectUse, Setting
@@ -26,7 +26,7 @@ QUINTIC = Placed(CATALOGUE["quintic"], "bearing1.x.quintic", (0,), np.array([1e6
 def test_a_law_whose_fit_goes_astray_is_nothing() -> None:
     """A pair of laws once went to a stiffness of 4e16 N/m: numpy's warnings came through to the user."""
     rig = replace(one_bearing(), effects=())
-    point = fit_whole(rig, simulate(rig, RATE, 5.0, seed=2), RATE).point
+    point = fit_all_effects(rig, simulate(rig, RATE, 5.0, seed=2), RATE).point
     entry = Entry("quintic", ("bearing1",), 9.0, 9.0, 1e-9, 3.0, 0.0, {}, 9.0, placed=(QUINTIC,))
     before = missing_force.survey(point, rig)
     with pytest.raises(NotFiniteError, match=r"quintic at bearing1\.x"):
@@ -41,7 +41,7 @@ def test_what_may_be_nothing_by_its_interval_makes_no_model_unknown() -> None:
     """A quintic that was found left 0.12 (0.00 to 0.33) % and the verdict unknown."""
     rig = replace(one_bearing(), effects=())
     truth = with_effect(rig, CATALOGUE["cubic"], {"kNL": 2e19}, "bearing1.x")
-    point = fit_whole(rig, simulate(truth, RATE, 5.0, seed=2), RATE).point
+    point = fit_all_effects(rig, simulate(truth, RATE, 5.0, seed=2), RATE).point
     found = missing_force.survey(point, rig)
     assert found.interval()[1] > 0.0
     assert _nothing(point, found, ()).verdict == "unknown"

@@ -18,7 +18,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.effects.places import places
 from estimator.errors import DataError
-from estimator.identification.batch.full_fit import Whole, fit_whole
+from estimator.identification.batch.full_fit import FullFit, fit_all_effects
 from estimator.likelihood.motion.located_law import Placed
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
 from estimator.results import Parameter
@@ -95,13 +95,13 @@ def test_where_a_faulty_sensor_led_the_fit_astray_it_begins_from_what_was_given(
     astray = having(replace(given, linear=soft), EffectUse("cubic", {"bearing1.x": {"kNL": Setting(-1e20)}}))
     begun: list[tuple[Model, bool]] = []
 
-    def fitted(model: Model, y: NDArray[np.float64], rate_hz: float) -> Whole:
+    def fitted(model: Model, y: NDArray[np.float64], rate_hz: float) -> FullFit:
         begun.append((model, model.linear == given.linear))
         if not begun[-1][1]:
             raise DataError("no resonance of bearing1.x inside the band")
-        return fit_whole(model, y, rate_hz)
+        return fit_all_effects(model, y, rate_hz)
 
-    monkeypatch.setattr("estimator.diagnosis.verdict.improvement.fit_whole", fitted)
+    monkeypatch.setattr("estimator.diagnosis.verdict.improvement.fit_all_effects", fitted)
     found = {"sensor_noise": {"bearing1.x": {"rms": Parameter(NOISE, 1e-3, "m/s^2")}}}
     whole = _with_found(astray, given, found, y, RATE)
     assert [sound for _, sound in begun] == [False, True]
@@ -129,7 +129,7 @@ def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(
     monkeypatch.setattr("estimator.identification.structure.recorder_fall.find", lambda *_: {})
     ladder = improve(known, y, RATE)
     assert ladder.rungs[-1].effects == ("coloured_excitation", "cubic")
-    alone = fit_whole(having(known, EffectUse("cubic", {"bearing1.x": {}})), y, RATE).parameters
+    alone = fit_all_effects(having(known, EffectUse("cubic", {"bearing1.x": {}})), y, RATE).parameters
     for name in colour:
         found, best = (p[f"bearing1.x.coloured_excitation.{name}"] for p in (ladder.parameters, alone))
         assert abs(found.value - best.value) < 0.5 * best.sd, (found, best)
@@ -217,7 +217,7 @@ def test_masses_that_are_left_out_are_found_again_with_what_was_missing() -> Non
     y = simulate(known, RATE, 12.0, seed=1, noise=0.02)
     found = improve(replace(rig, effects=()), y, RATE)
     assert found.rungs[1].effects == ("cross_coupling",)
-    again = fit_whole(replace(found.model, mass=rig.mass), y, RATE).masses
+    again = fit_all_effects(replace(found.model, mass=rig.mass), y, RATE).masses
     for place in rig.places:
         m, value = found.parameters[f"{place}.m"], known.cap_mass(place)
         assert abs((m.value or 0.0) - (value or 0.0)) < 4.0 * (m.sd or 0.0), (place, m)

@@ -15,7 +15,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import DataError
 from estimator.identification.batch import spectral as spectral
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.search import suspects
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
@@ -49,7 +49,7 @@ def test_an_effect_added_without_numbers_is_fitted(
     y = record(rig, name, 0.06)
     truth = strengths(CATALOGUE[name], size(rig, "bearing1.x", RATE), 0.06, rig, len(y) / RATE)
     added = replace(rig, effects=(*rig.effects, EffectUse(name, {place: {} for place in where})))
-    fit = spectral.fit(added, y, RATE)
+    fit = spectral.fit_spectral(added, y, RATE)
     for key in numbers:
         p = fit.parameters[f"{where[0]}.{name}.{key}"]
         assert p.identifiable, (key, p.reason)
@@ -61,7 +61,7 @@ def test_what_a_colour_is_uncertain_by_its_level_is_too(rig: Model) -> None:
     """It was given as if the colour were known: errors were up to five of its standard deviations (10 places)."""
     y = record(rig, "coloured_excitation", 0.06)
     added = replace(rig, effects=(*rig.effects, EffectUse("coloured_excitation", {"bearing1.x": {}, "bearing1.y": {}})))
-    fit = spectral.fit(added, y, RATE)
+    fit = spectral.fit_spectral(added, y, RATE)
     known = np.sqrt(1.0 / ((rig.band[1] - rig.band[0]) * len(y) / RATE))
     for place in ("bearing1.x", "bearing1.y"):
         S, true = fit.parameters[f"{place}.S"], rig.linear[place]["S"].value or 0.0
@@ -85,7 +85,7 @@ def test_what_a_record_does_not_have_is_said(rig: Model) -> None:
         EffectUse("sensor_gain", {"bearing1.x": {"error": Setting()}}),
         EffectUse("coloured_excitation", {"bearing1.y": {"corner": Setting(500.0, fixed=True)}}),
     )
-    fit = spectral.fit(replace(rig, effects=(*rig.effects, *uses)), y, RATE)
+    fit = spectral.fit_spectral(replace(rig, effects=(*rig.effects, *uses)), y, RATE)
     assert fit.parameters["bearing1.x.line.frequency"].reason == "not told from zero by this record"
     assert "fixed = true" in fit.parameters["bearing1.x.sensor_gain.error"].reason
     assert fit.parameters["bearing1.y.coloured_excitation.gain"].value is None
@@ -121,7 +121,7 @@ def test_a_coloured_force_and_a_pedestal_do_not_take_from_each_other(rig: Model)
         )
     y = simulate(truth, RATE, 12.0, seed=3, noise=0.02, full_scale=490.5)
     empty = tuple(replace(use, parameters={key: {} for key in use.parameters}) for use in truth.effects)
-    fit = spectral.fit(replace(rig, effects=empty), y, RATE).parameters
+    fit = spectral.fit_spectral(replace(rig, effects=empty), y, RATE).parameters
     true = {f"{p}.{u.name}.{k}": s.value for u in truth.effects for p, own in u.parameters.items()
             for k, s in own.items()}  # fmt: skip
     true |= {f"{p}.{k}": s.value for p, own in rig.linear.items() for k, s in own.items()}
@@ -149,15 +149,15 @@ def test_a_line_of_the_model_is_fitted_everywhere_though_one_channel_is_clipped(
     y[:, 0] = np.clip(y[:, 0], -level, level)
     line = EffectUse("line", {"bearing1.x": {}, "bearing1.y": {}})
     with pytest.raises(DataError, match="clipped"):
-        spectral.fit(replace(rig, effects=(*rig.effects, line)), y, RATE)
+        spectral.fit_spectral(replace(rig, effects=(*rig.effects, line)), y, RATE)
     clipped = EffectUse("sensor_clipping", {"bearing1.x": {}})
-    fit = spectral.fit(replace(rig, effects=(*rig.effects, line, clipped)), y, RATE)
+    fit = spectral.fit_spectral(replace(rig, effects=(*rig.effects, line, clipped)), y, RATE)
     assert any("clipped" in m for m in fit.messages)
     for name, truth in (("kL", 9.2e6), ("c", 55.0)):
         p = fit.parameters[f"bearing1.y.{name}"]
         assert abs((p.value or 0.0) - truth) < 4 * (p.sd or 0.0), (name, p)
     assert fit.parameters["bearing1.x.line.frequency"].identifiable
-    whole = fit_whole(rig, y, RATE)
+    whole = fit_all_effects(rig, y, RATE)
     seen = suspects(rig, whole.point, y)
     assert [(s.effect, s.at) for s in seen][:2] == [("sensor_clipping", ("bearing1.x",)), ("line", ("bearing1.y",))]
 
@@ -165,9 +165,9 @@ def test_a_line_of_the_model_is_fitted_everywhere_though_one_channel_is_clipped(
 def test_of_a_long_record_six_stretches_are_judged_and_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = one_bearing()
     y = simulate(rig, RATE, 16.0, seed=5, noise=0.02, full_scale=490.5)
-    whole = fit_whole(rig, y, RATE)
+    whole = fit_all_effects(rig, y, RATE)
     monkeypatch.setattr("estimator.likelihood.motion.prepare.LONGEST", 4.0)
-    part = fit_whole(rig, y, RATE)
+    part = fit_all_effects(rig, y, RATE)
     assert whole.messages == ()
     assert part.messages == ("of the record's 16 s 4 are judged, in six stretches spread over it",)
     assert part.point.data.t[-1] > 13.0
@@ -185,7 +185,7 @@ def test_without_a_resonance_in_the_band_nothing_is_said(what: str) -> None:
     y = np.random.default_rng(0).normal(size=(int(3 * RATE), 4)) if what == "noise" else rig_record(3.0, seed=1)
     model = rig_model() if what == "noise" else rig_model("cubic", band=(3000.0, 8000.0))
     with pytest.raises(DataError, match="no resonance of bearing1.x inside the band"):
-        fit_whole(model, y, RATE)
+        fit_all_effects(model, y, RATE)
 
 
 def test_a_law_that_the_motion_does_not_reach_is_said_and_breaks_nothing() -> None:
@@ -194,7 +194,7 @@ def test_a_law_that_the_motion_does_not_reach_is_said_and_breaks_nothing() -> No
     far = {"k": Setting(1e6), "gap": Setting(1e-3, fixed=True)}
     model = replace(rig, effects=(*rig.effects, EffectUse("clearance", {"bearing1.x": far})))
     y = simulate(rig, RATE, 2.0, seed=0, noise=0.02)
-    found = fit_whole(model, y, RATE).parameters
+    found = fit_all_effects(model, y, RATE).parameters
     k = found["bearing1.x.clearance.k"]
     assert (k.value, k.identifiable) == (None, False)
     assert "does not reach" in k.reason
@@ -206,8 +206,8 @@ def test_without_a_mass_nothing_is_said_in_newtons() -> None:
     rig = one_bearing()
     bare = replace(rig, mass={k: m for k, m in rig.mass.items() if not k.startswith("bearing")})
     y = simulate(rig, RATE, 4.0, seed=0, noise=0.02)
-    whole = fit_whole(bare, y, RATE)
-    for found in (whole.parameters, spectral.fit(bare, y, RATE).parameters):
+    whole = fit_all_effects(bare, y, RATE)
+    for found in (whole.parameters, spectral.fit_spectral(bare, y, RATE).parameters):
         assert {"bearing1.x.kL", "bearing1.y.cubic.kNL"} <= found.keys()
         assert not any(p.identifiable for p in found.values())
     assert [m.split(":")[0] for m in whole.messages] == ["bearing1.x", "bearing1.y"]
@@ -246,7 +246,7 @@ def test_a_complete_rotor_on_a_stiff_beam_lacks_nothing() -> None:
 def test_numbers_beside_a_stiff_shaft_are_those_of_the_rotor() -> None:
     """With the determinant of every third bin k of the coupling was 4.9 and 3.6 standard deviations high, kL 4 low."""
     known = coupled_on_a_stiff_shaft()
-    found = fit_whole(known, simulate(known, RATE, 30.0, seed=1, noise=0.02), RATE).parameters
+    found = fit_all_effects(known, simulate(known, RATE, 30.0, seed=1, noise=0.02), RATE).parameters
     wanted = {f"{p}.{q}": v for p in known.places for q, v in (("kL", 1e7), ("c", 40.0))}
     for name, value in (wanted | {f"{n}.cross_coupling.k": 1e5 for n in ("bearing1", "bearing2")}).items():
         assert abs((found[name].value or 0.0) - value) < 3.0 * (found[name].sd or 0.0), name

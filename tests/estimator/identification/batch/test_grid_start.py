@@ -12,7 +12,7 @@ from estimator.diagnosis.comparison.heldout import heldout_nll
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch import spectral
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.model.rig import EffectUse
 from estimator.simulation.simulator import simulate
 
@@ -34,7 +34,7 @@ def test_a_weak_law_at_two_bearings_from_nothing() -> None:
     truth = with_effect(rig, hertz, strengths(hertz, size(rig, "bearing1.x", RATE), 0.02, rig, SECONDS))
     y = simulate(truth, RATE, SECONDS, seed=7000, noise=0.02, full_scale=490.5)
     added = replace(rig, effects=(*rig.effects, EffectUse("hertz", {"bearing1": {}, "bearing2": {}})))
-    found, best = (fit_whole(model, y, RATE).point.fit.log_likelihood for model in (added, truth))
+    found, best = (fit_all_effects(model, y, RATE).point.fit.log_likelihood for model in (added, truth))
     assert abs(found - best) < 0.5
 
 
@@ -45,7 +45,9 @@ def test_a_law_that_the_record_does_not_tell_costs_little_on_held_out_data() -> 
     rig = one_bearing()
     law = Rig.parse((ROOT / "configs/tiwari_vyas_1997.toml").read_text() + WAVY).model.effects[-1]
     y = simulate(rig, RATE, 6.0, seed=1, noise=0.02, full_scale=490.5)
-    plain, grown = (heldout_nll(fit_whole(m, y, RATE).point) for m in (rig, replace(rig, effects=(*rig.effects, law))))
+    plain, grown = (
+        heldout_nll(fit_all_effects(m, y, RATE).point) for m in (rig, replace(rig, effects=(*rig.effects, law)))
+    )
     assert len(y) * (grown - plain) < 60.0
 
 
@@ -55,7 +57,7 @@ def test_a_stop_added_without_numbers_is_found_on_the_other_side() -> None:
     at = replace(rig, channels=rig.channels[:1], effects=())
     hidden = {"k": 2e6, "gap": -1.5e-7}
     y = simulate(with_effect(at, CATALOGUE["stop"], hidden), RATE, 2.0, seed=0, noise=0.02)
-    found = spectral.fit(replace(at, effects=(EffectUse("stop", {"bearing1.x": {}}),)), y, RATE).parameters
+    found = spectral.fit_spectral(replace(at, effects=(EffectUse("stop", {"bearing1.x": {}}),)), y, RATE).parameters
     for name, value in hidden.items():
         got = found[f"bearing1.x.stop.{name}"]
         assert got.value == pytest.approx(value, abs=4 * got.sd)
@@ -68,7 +70,7 @@ def test_fit_finds_a_gap_of_twice_the_rms_beside_a_cubic_law() -> None:
     truth = with_effect(rig, CATALOGUE["clearance"], {"k": 3e6, "gap": 4e-7}, *rig.places)
     y = simulate(truth, RATE, 8.0, seed=0, noise=0.02, full_scale=490.5)
     added = replace(rig, effects=(*rig.effects, EffectUse("clearance", {p: {} for p in rig.places})))
-    found = spectral.fit(added, y, RATE).parameters
+    found = spectral.fit_spectral(added, y, RATE).parameters
     for place in rig.places:
         for name, true in (("k", 3e6), ("gap", 4e-7)):
             p = found[f"{place}.clearance.{name}"]
@@ -95,5 +97,5 @@ def test_a_typed_law_of_three_searched_numbers_may_be_far_off() -> None:
     y = simulate(truth, RATE, 6.0, seed=5, noise=0.02, full_scale=490.5)
     typed = HUMP.replace("3e6", "1e6").replace("3e-7", "1.5e-6").replace("1.2e-7", "0.6e-7").replace("2e-3", "6e-3")
     begun = replace(rig, effects=(*rig.effects, Rig.parse(text + typed).model.effects[-1]))
-    found, best = (fit_whole(model, y, RATE).point.fit.log_likelihood for model in (begun, truth))
+    found, best = (fit_all_effects(model, y, RATE).point.fit.log_likelihood for model in (begun, truth))
     assert abs(found - best) < 2.0

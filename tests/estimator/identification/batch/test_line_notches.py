@@ -16,7 +16,7 @@ from estimator.simulation.simulator import simulate
 def test_tones_on_the_resonance_do_not_disturb_the_fit() -> None:
     tones = tuple((35.0 * n, 0.2) for n in (5, 10, 31, 32, 33))
     model = rig_model("cubic", speed_rpm=2100.0)
-    fit = spectral.fit(model, rig_record(12.0, seed=6, tones=tones), RATE)
+    fit = spectral.fit_spectral(model, rig_record(12.0, seed=6, tones=tones), RATE)
     said = next(m for m in fit.messages if "lines" in m)
     assert "175 Hz" in said
     z = [
@@ -51,7 +51,7 @@ def test_a_resonance_as_narrow_as_a_bin_is_no_line() -> None:
         for place, own in rig.linear.items()
     }
     light = replace(rig, effects=(), linear=linear)
-    found = spectral.fit(light, simulate(light, RATE, 5.0, seed=2), RATE).parameters
+    found = spectral.fit_spectral(light, simulate(light, RATE, 5.0, seed=2), RATE).parameters
     for place, own in linear.items():
         c, true = found[f"{place}.c"], own["c"].value
         assert c.value is not None

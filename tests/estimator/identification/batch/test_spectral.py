@@ -17,7 +17,7 @@ def record() -> np.ndarray:
 
 
 def test_linear_and_cubic_parameters_come_back_within_their_intervals(record: np.ndarray) -> None:
-    fit = spectral.fit(rig_model("cubic"), record, RATE)
+    fit = spectral.fit_spectral(rig_model("cubic"), record, RATE)
     z = []
     for i, place in enumerate(PLACES):
         for key in ("kL", "c", "S"):
@@ -37,7 +37,7 @@ def test_linear_and_cubic_parameters_come_back_within_their_intervals(record: np
 def test_results_are_the_same_with_a_gap_as_without_its_samples(record: np.ndarray) -> None:
     holed = record.copy()
     holed[200000:200050, 2] = np.nan
-    a, b = (spectral.fit(rig_model("cubic"), y, RATE).parameters for y in (record, holed))
+    a, b = (spectral.fit_spectral(rig_model("cubic"), y, RATE).parameters for y in (record, holed))
     for name, p in a.items():
         if p.value is not None and p.sd:
             assert abs(p.value - b[name].value) < 1.0 * p.sd
@@ -66,7 +66,7 @@ def test_what_cannot_be_estimated_is_refused_in_one_line(record: np.ndarray) -> 
     ]
     for m, y, word in cases:
         with pytest.raises(DataError, match=word) as e:
-            spectral.fit(m, y, RATE)
+            spectral.fit_spectral(m, y, RATE)
         assert "\n" not in str(e.value)
 
 
@@ -74,9 +74,9 @@ def test_a_record_in_pieces_is_told_from_a_short_one(record: np.ndarray) -> None
     holed = record.copy()
     holed[::6000] = np.nan
     with pytest.raises(DataError, match=r"but only 0 stretches of 0.32 s without a .* 8 are needed"):
-        spectral.fit(rig_model(), holed, RATE)
+        spectral.fit_spectral(rig_model(), holed, RATE)
     with pytest.raises(DataError, match=r"s of valid samples, at least 1.9 s are needed .* record longer"):
-        spectral.fit(rig_model(), record[: int(1.5 * RATE)], RATE)
+        spectral.fit_spectral(rig_model(), record[: int(1.5 * RATE)], RATE)
 
 
 def exact_record(model: Model, n: int = 1 << 19) -> np.ndarray:
@@ -97,7 +97,7 @@ def exact_record(model: Model, n: int = 1 << 19) -> np.ndarray:
 def test_a_disc_that_rings_beside_or_in_the_band_biases_nothing(hz: float, low: float) -> None:
     stiffness, damping = 0.5 * DISC * (2 * np.pi * hz) ** 2, DISC * 2 * np.pi * hz / 400 / 2  # Q 400
     model = rig_model(band=(low, 8000.0), shaft_stiffness=stiffness, shaft_damping=damping)
-    fit = spectral.fit(model, exact_record(model), RATE)
+    fit = spectral.fit_spectral(model, exact_record(model), RATE)
     assert not any("not white" in message for message in fit.messages)
     found = [(fit.parameters[f"{p}.{q}"], TRUTH[q][i]) for i, p in enumerate(PLACES) for q in ("kL", "c", "S")]
     z = np.array([(p.value - true) / p.sd for p, true in found])
@@ -111,7 +111,7 @@ def test_a_stiff_shaft_moves_the_resonances_and_biases_nothing() -> None:
     known = {"disc": DISC, "bearing1": MASS, "bearing2": MASS}
     for stiffness, mass in ((1e7, known), (1e6, {"disc": DISC})):  # the shaft sets the scale of unknown masses
         y = simulate(rig_model(shaft_stiffness=stiffness, linear=linear), RATE, 15.0, seed=5)
-        fit = spectral.fit(rig_model(shaft_stiffness=stiffness, mass=mass), y, RATE)
+        fit = spectral.fit_spectral(rig_model(shaft_stiffness=stiffness, mass=mass), y, RATE)
         assert not any("not white" in message for message in fit.messages)
         z = []
         for i, place in enumerate(PLACES):

@@ -10,7 +10,7 @@ from scipy import signal
 
 from daq.rig.rig import load_rig
 from estimator.identification.batch import spectral
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import belongs
 from estimator.simulation.simulator import simulate
@@ -32,7 +32,7 @@ def test_standard_deviations_hold_those_of_the_masses() -> None:
     """Beside given masses those of kL and S were 30 times too small; a fit that has the masses free is the check."""
     rig, known = rotors()
     y = simulate(known, RATE, 6.0, seed=4, noise=0.02)
-    found, free = fit_whole(rig, y, RATE).parameters, spectral.fit(rig, y, RATE).parameters
+    found, free = fit_all_effects(rig, y, RATE).parameters, spectral.fit_spectral(rig, y, RATE).parameters
     for name, p in found.items():
         assert 0.6 < (p.sd or 0.0) / (free[name].sd or 0.0) < 1.7, name
 
@@ -49,9 +49,9 @@ def test_masses_are_told_behind_a_filter() -> None:
     rig, known = rotors()
     sos = signal.bessel(4, 10000.0, fs=4 * RATE, norm="mag", output="sos")
     y = signal.sosfilt(sos, simulate(known, 4 * RATE, 20.0, seed=1, noise=0.02), axis=0)[::4]
-    found = fit_whole(rig, y, RATE).parameters
+    found = fit_all_effects(rig, y, RATE).parameters
     for place in rig.places:
         m = found[f"{place}.m"]
         assert m.identifiable
         assert abs((m.value or 0.0) - (known.cap_mass(place) or 0.0)) < 3.0 * (m.sd or 0.0)
-    assert any("fall alike" in m for m in spectral.fit(rig, y, RATE).messages)
+    assert any("fall alike" in m for m in spectral.fit_spectral(rig, y, RATE).messages)

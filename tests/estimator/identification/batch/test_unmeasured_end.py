@@ -9,7 +9,7 @@ from hidden_effects import RATE, ROOT
 
 from daq.rig.rig import load_rig
 from estimator.identification.batch import unmeasured_end
-from estimator.identification.batch.spectral import fit
+from estimator.identification.batch.spectral import fit_spectral
 from estimator.model.rig import Model
 from estimator.simulation.simulator import simulate
 
@@ -25,13 +25,13 @@ def test_only_a_stiff_shaft_with_one_end_measured_is_told(rig: Model) -> None:
     own = {place: kL[place] for place in first.places}
     stiff = {"shaft_stiffness": 1e7}
     assert (
-        unmeasured_end.said(rig, kL)
-        == unmeasured_end.said(first, own)
-        == unmeasured_end.said(replace(rig, **stiff), kL)
+        unmeasured_end.unmeasured_end_messages(rig, kL)
+        == unmeasured_end.unmeasured_end_messages(first, own)
+        == unmeasured_end.unmeasured_end_messages(replace(rig, **stiff), kL)
         == ()
     )
-    assert unmeasured_end.said(replace(first, shaft="none", **stiff), own) == ()
-    (text,) = unmeasured_end.said(replace(first, **stiff), own)
+    assert unmeasured_end.unmeasured_end_messages(replace(first, shaft="none", **stiff), own) == ()
+    (text,) = unmeasured_end.unmeasured_end_messages(replace(first, **stiff), own)
     assert text.startswith("bearing2 is not measured")
 
 
@@ -40,5 +40,5 @@ def test_a_fit_says_so(rig: Model) -> None:
     stiff = replace(rig, shaft_stiffness=1e7, effects=())
     keep = [k for k, c in enumerate(rig.channels) if c.node == "bearing1"]
     y = simulate(stiff, RATE, 8.0, seed=1, noise=0.02, full_scale=490.5)[:, keep]
-    found = fit(replace(stiff, channels=tuple(rig.channels[k] for k in keep)), y, RATE)
+    found = fit_spectral(replace(stiff, channels=tuple(rig.channels[k] for k in keep)), y, RATE)
     assert any(m.startswith("bearing2 is not measured") for m in found.messages)

@@ -24,7 +24,9 @@ def test_a_fit_takes_the_order_from_the_record_and_says_how_sure_it_is_of_the_ph
     hidden = {"k_cos": 5e5, "k_sin": -4e5, "order": 5.0932}
     truth = with_effect(replace(rig, speed_rpm=2850.0), CATALOGUE["ball_pass"], hidden, "bearing1.x")
     y = simulate(truth, RATE, 4.0, seed=1, noise=0.02, speed=Speed(2850.0))
-    found = spectral.fit(replace(rig, effects=(EffectUse("ball_pass", {"bearing1.x": {}}),)), y, RATE).parameters
+    found = spectral.fit_spectral(
+        replace(rig, effects=(EffectUse("ball_pass", {"bearing1.x": {}}),)), y, RATE
+    ).parameters
     for name, value in hidden.items():
         got = found[f"bearing1.x.ball_pass.{name}"]
         assert got.value == pytest.approx(value, abs=4 * got.sd)

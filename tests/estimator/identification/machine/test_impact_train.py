@@ -10,7 +10,7 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 
 from estimator.diagnosis.hypotheses import ranking
 from estimator.diagnosis.hypotheses.ranking import Settings
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.finding import Suspect
 from estimator.identification.machine import impact_train as strikes
 from estimator.identification.machine import lines as line_forces
@@ -28,7 +28,7 @@ def rig() -> Model:
 
 
 def found(rig: Model, y: np.ndarray) -> dict[str, Suspect]:
-    return {s.effect: s for s in line_forces.find(rig, fit_whole(rig, y, RATE).point, y, RATE)}
+    return {s.effect: s for s in line_forces.find(rig, fit_all_effects(rig, y, RATE).point, y, RATE)}
 
 
 def test_a_train_is_found_that_no_geometry_and_no_single_line_announces(rig: Model) -> None:
@@ -71,7 +71,7 @@ def test_without_a_speed_strikes_are_lines_of_one_fundamental(rig: Model) -> Non
     truth = replace(rig, effects=(*rig.effects, EffectUse("local_defect", {"bearing1.x": values})))
     y = simulate(truth, RATE, SECONDS, seed=5, noise=0.02, full_scale=490.5)
     still = replace(rig, speed_rpm=None)
-    lines = line_forces.find(still, fit_whole(still, y, RATE).point, y, RATE)
+    lines = line_forces.find(still, fit_all_effects(still, y, RATE).point, y, RATE)
     assert {line.effect for line in lines} == {"line"}
     hz = 4.6527 * (rig.speed_rpm or 0.0) / 60.0
     said = [line.note.split("multiples of ")[1] for line in lines if "multiples of" in line.note]
@@ -98,7 +98,7 @@ def test_the_force_beside_harmonics_is_as_white_near_the_discs_resonance_as_else
     """Read of one cap alone it was 0.4 to 1.9 of its mean there, and a weak train seemed to leave harmonics out."""
     rig = coupled_on_a_stiff_shaft()
     y = simulate(rig, RATE, SECONDS, seed=5, noise=0.02)
-    point = fit_whole(rig, y, RATE).point
+    point = fit_all_effects(rig, y, RATE).point
     s = line_forces._searched(rig, point, y, RATE)
     notch = shaft_notch(rig)
     assert notch is not None

@@ -14,7 +14,7 @@ from estimator.diagnosis.hypotheses import trial as screen
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch import spectral as spectral
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.machine import stiffness_order
 from estimator.identification.residual.missing_force import Survey
 from estimator.model.rig import EffectUse, Model, Setting
@@ -36,11 +36,11 @@ def test_an_order_that_slips_is_found_and_fitted(rig: Model, name: str, order: f
     law = CATALOGUE[name]
     truth = strengths(law, size(rig, "bearing1.x", RATE), 0.03, rig, SECONDS) | {"order": order}
     y = simulate(with_effect(rig, law, truth, *WHERE), RATE, SECONDS, seed=2, noise=0.02, full_scale=490.5)
-    before = fit_whole(rig, y, RATE)
+    before = fit_all_effects(rig, y, RATE)
     assert before.model.ball_pass_order == pytest.approx(order, abs=3e-4)
     assert "the geometry says 2.1000" in before.messages[0] if geometry else "geometry" not in before.messages[0]
     added = replace(rig, effects=(*rig.effects, EffectUse(name, {"bearing1": {}})))
-    fit = spectral.fit(added, y, RATE)
+    fit = spectral.fit_spectral(added, y, RATE)
     for key, value in truth.items():
         p = fit.parameters[f"bearing1.x.{name}.{key}"]
         assert abs((p.value or 0.0) - value) < 4.0 * (p.sd or 0.0), (key, p, value)
@@ -48,7 +48,7 @@ def test_an_order_that_slips_is_found_and_fitted(rig: Model, name: str, order: f
 
 def test_nothing_turns_in_a_complete_record(rig: Model) -> None:
     y = simulate(rig, RATE, SECONDS, seed=3, noise=0.02, full_scale=490.5)
-    whole = fit_whole(rig, y, RATE)
+    whole = fit_all_effects(rig, y, RATE)
     assert stiffness_order.turning(whole.point) is None
     assert whole.model.ball_pass_order is None
     assert not whole.messages
@@ -82,7 +82,7 @@ def test_the_order_is_as_certain_as_it_says() -> None:
 
 def test_an_order_taken_from_the_record_pays_for_all_that_were_looked_at(rig: Model) -> None:
     """One of 78 complete models had a line of 35 nats among its products, one of 62,000, and a ball pass of 21."""
-    point = fit_whole(rig, simulate(rig, RATE, 4.0, seed=2, noise=0.02, full_scale=490.5), RATE).point
+    point = fit_all_effects(rig, simulate(rig, RATE, 4.0, seed=2, noise=0.02, full_scale=490.5), RATE).point
     trial = screen.best_at(point, rig, CATALOGUE["ball_pass"], "bearing1.x")
     assert trial is not None
     some = replace(trial, gain=25.0)

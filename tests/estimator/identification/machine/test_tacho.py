@@ -13,7 +13,7 @@ from daq.rig.rig import load_rig
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.identification.batch import spectral
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.machine import lines
 from estimator.identification.machine.stiffness_order import turning
 from estimator.likelihood.motion.harmonics import series, whole_waves
@@ -56,7 +56,7 @@ def test_strikes_are_as_strong_as_they_are_although_the_speed_wanders() -> None:
     )
     y = simulate(truth, RATE, SECONDS, seed=1, noise=0.02, speed=Speed(2100.0, fluctuation=0.03, fluctuation_hz=2.0))
     free = replace(truth, effects=(EffectUse("local_defect", {"bearing1.x": {}}),))
-    found = fit_whole(free, y, RATE).parameters
+    found = fit_all_effects(free, y, RATE).parameters
     for name in ("strike", "width"):
         got = found[f"bearing1.x.local_defect.{name}"]
         assert got.sd < 0.08 * got.value
@@ -65,7 +65,7 @@ def test_strikes_are_as_strong_as_they_are_although_the_speed_wanders() -> None:
 
 @pytest.mark.slow
 def test_orders_are_found_although_the_speed_wanders(rig: Model, record: np.ndarray) -> None:
-    whole = fit_whole(replace(rig, speed_rpm=None), record, RATE)
+    whole = fit_all_effects(replace(rig, speed_rpm=None), record, RATE)
     found = lines.find(whole.model, whole.point, record, RATE)
     assert {s.effect for s in found} == {"imbalance", "local_defect"}
     for name, value in HIDDEN["imbalance"][0].items():
@@ -126,7 +126,7 @@ def test_a_line_that_the_speed_carries_along_is_left_out_of_a_fit(rig: Model) ->
     y = simulate(
         with_effect(rig, CATALOGUE["imbalance"], {"a": 19.0, "b": 0.0}, "disc"), RATE, 12.0, seed=3, speed=ramp
     )
-    found = spectral.fit(rig, y, RATE, measured_phase(rig, y, RATE))
+    found = spectral.fit_spectral(rig, y, RATE, measured_phase(rig, y, RATE))
     assert not [m for m in found.messages if "not white" in m]
     for place in rig.places:
         for key in ("kL", "c", "S"):

@@ -6,7 +6,12 @@ from reference_samples import boltzmann, langevin
 
 from estimator.errors import DataError
 from estimator.identification.moments import fokker_planck
-from estimator.identification.moments.fokker_planck import estimate, histogram, potentials, steps
+from estimator.identification.moments.fokker_planck import (
+    fokker_planck_parameters,
+    histogram,
+    neighbouring_cells,
+    potentials,
+)
 from estimator.identification.moments.planes import Cap, Plane
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 
@@ -32,7 +37,7 @@ def strong() -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_response_form_recovers_masses_and_stiffness(strong: tuple[np.ndarray, np.ndarray]) -> None:
-    values, cov = estimate(strong_shaft(), *strong, replicates=60)
+    values, cov = fokker_planck_parameters(strong_shaft(), *strong, replicates=60)
     truth = {"kL": KL, "kNL": LAMBDA * KL, "lambda": LAMBDA, "m": MASS}
     for (name, value), sd in zip(values.items(), np.sqrt(np.diag(cov)), strict=True):
         true = truth[name.rsplit(".", 1)[1]]
@@ -43,13 +48,13 @@ def test_response_form_recovers_masses_and_stiffness(strong: tuple[np.ndarray, n
 
 def test_midpoint_form_is_attenuated(strong: tuple[np.ndarray, np.ndarray]) -> None:
     """The printed unknowns make the noisy logarithm a regressor: the mass ratio comes out too large."""
-    values, _ = estimate(strong_shaft(), *strong, form="midpoint", replicates=2)
+    values, _ = fokker_planck_parameters(strong_shaft(), *strong, form="midpoint", replicates=2)
     assert 2.2 < M3 / values["bearing1.x.m"] < 3.2
 
 
 def test_literal_form_is_refused_with_its_reason(strong: tuple[np.ndarray, np.ndarray]) -> None:
     with pytest.raises(DataError, match="D1 = D2"):
-        estimate(strong_shaft(), *strong, form="literal")
+        fokker_planck_parameters(strong_shaft(), *strong, form="literal")
 
 
 def test_literal_rows_are_indeed_singular() -> None:
@@ -58,11 +63,11 @@ def test_literal_rows_are_indeed_singular() -> None:
     grid = histogram(x, v)
     plane = strong_shaft()
     _, shaft = potentials(plane, grid.centres)
-    here, there = steps(grid.shape, diagonal=True)
+    here, there = neighbouring_cells(grid.shape, diagonal=True)
     d = grid.centres[there] - grid.centres[here]
     right = (grid.centres[here, 0] - grid.centres[here, 1]) * (d[:, 0] - d[:, 1])
     assert np.max(np.abs(right)) < 1e-12 * np.max(np.abs(shaft))
-    here, there = steps(grid.shape)
+    here, there = neighbouring_cells(grid.shape)
     assert np.ptp(shaft[there] - shaft[here]) > 0.0
 
 
@@ -91,7 +96,7 @@ def test_soft_shaft_gives_no_mass() -> None:
     """ks/kL = 1e-3, the rig's order: lambda is found, mass and stiffness are not shown."""
     plane = strong_shaft(ks=1e-3 * KL)
     x, v = samples(200_000, 5, ks=1e-3 * KL)
-    values, cov = estimate(plane, x, v, replicates=40)
+    values, cov = fokker_planck_parameters(plane, x, v, replicates=40)
     found = plane.judged({n: (values[n], float(s)) for n, s in zip(values, np.sqrt(np.diag(cov)), strict=True)})
     assert not found["bearing1.x.m"].identifiable
     assert not found["bearing2.x.kL"].identifiable
@@ -102,7 +107,7 @@ def test_single_degree_of_freedom_of_the_rigid_rotor() -> None:
     """The companion paper's case: one cap, its own histogram; kL from the known mass, within 1 % at 1e6 samples."""
     x = boltzmann(1_000_000, np.array([KL]), np.array([LAMBDA * KL]), np.zeros((1, 1)), T, 6)
     v = np.random.default_rng(6).standard_normal(x.shape) * np.sqrt(T / MASS)
-    values, cov = estimate(Plane("x", (Cap("bearing1.x", (1, 3), MASS),)), x, v, replicates=60)
+    values, cov = fokker_planck_parameters(Plane("x", (Cap("bearing1.x", (1, 3), MASS),)), x, v, replicates=60)
     sd = np.sqrt(np.diag(cov))
     assert values["bearing1.x.kL"] == pytest.approx(KL, rel=0.015)
     assert abs(values["bearing1.x.kL"] - KL) < 4.0 * sd[0]
@@ -113,9 +118,9 @@ def test_bootstrap_sd_of_correlated_samples() -> None:
     """On a record the samples hang together: the block bootstrap says so, a multinomial error would not."""
     x, v = langevin([0.2], [60.0], [1e7], [1.3e18], np.zeros((1, 1)), [4.5e-5], 25600.0, 8 * 25600, seed=3)
     plane = Plane("x", (Cap("bearing1.x", (1, 3), 0.2),))
-    _, correlated = estimate(plane, x, v, replicates=60)
+    _, correlated = fokker_planck_parameters(plane, x, v, replicates=60)
     order = np.random.default_rng(1).permutation(len(x))
-    _, shuffled = estimate(plane, x[order], v[order], replicates=60)
+    _, shuffled = fokker_planck_parameters(plane, x[order], v[order], replicates=60)
     assert correlated[0, 0] > 9.0 * shuffled[0, 0]
 
 
@@ -129,7 +134,7 @@ def test_fit_of_a_record_in_both_directions() -> None:
     """20 s of two directions: the linear stiffness within 4 sd and 8 %, the cubic (2 % of the force) not shown."""
     x, _ = langevin([0.2, 0.2], [60.0, 55.0], [1e7, 9.2e6], [1.3e18] * 2, np.zeros((2, 2)), [4.5e-5] * 2, 25600.0,
                     10 * 25600, seed=9)  # fmt: skip
-    found = fokker_planck.fit(rig(("bearing1.x", "bearing1.y")), x, 25600.0, replicates=60)
+    found = fokker_planck.fit_fokker_planck(rig(("bearing1.x", "bearing1.y")), x, 25600.0, replicates=60)
     assert found.method == "fokker-planck"
     for place, kL in (("bearing1.x", 1e7), ("bearing1.y", 9.2e6)):
         p = found.parameters[f"{place}.kL"]
@@ -141,4 +146,4 @@ def test_fit_of_a_record_in_both_directions() -> None:
 def test_too_few_counts_are_said() -> None:
     x, v = samples(300, 1)
     with pytest.raises(DataError, match="record longer"):
-        estimate(strong_shaft(MASS), x, v)
+        fokker_planck_parameters(strong_shaft(MASS), x, v)

@@ -5,7 +5,7 @@ import pytest
 from reference_samples import langevin
 
 from estimator.errors import DataError
-from estimator.identification.moments.score_matching import RollingScoreMatching, fit
+from estimator.identification.moments.score_matching import RollingScoreMatching, fit_score_matching
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 
 RATE = 25600.0
@@ -34,7 +34,7 @@ def record() -> np.ndarray:
 
 def test_fit_of_a_record_recovers_the_rig(record: np.ndarray) -> None:
     """Band-limited displacement of a flexible rotor whose disc is not measured."""
-    found = fit(rig(), record, RATE)
+    found = fit_score_matching(rig(), record, RATE)
     assert found.method == "score-matching"
     assert found.log_likelihood is None
     for i, node in enumerate(("bearing1", "bearing2")):
@@ -106,26 +106,26 @@ def test_rolling_never_raises_on_data() -> None:
 
 def test_bad_records_are_named(record: np.ndarray) -> None:
     with pytest.raises(DataError, match="usable samples"):
-        fit(rig(), record[:5000], RATE)
+        fit_score_matching(rig(), record[:5000], RATE)
     dead = record.copy()
     dead[:, 1] = 3.0
     with pytest.raises(DataError, match="b2x is constant"):
-        fit(rig(), dead, RATE)
+        fit_score_matching(rig(), dead, RATE)
     with pytest.raises(DataError, match="no resonance inside the band"):
-        fit(rig(band=(2500.0, 8000.0)), record, RATE)
+        fit_score_matching(rig(band=(2500.0, 8000.0)), record, RATE)
     with pytest.raises(DataError, match="2 channels"):
-        fit(rig(), record[:, :1], RATE)
+        fit_score_matching(rig(), record[:, :1], RATE)
     with pytest.raises(DataError, match="usable samples"):
-        fit(rig(), np.full_like(record, np.nan), RATE)
+        fit_score_matching(rig(), np.full_like(record, np.nan), RATE)
     holes = record.copy()
     holes[::500] = np.nan
     with pytest.raises(DataError, match="gaps"):
-        fit(rig(), holes, RATE)
+        fit_score_matching(rig(), holes, RATE)
 
 
 def test_a_gaussian_record_has_no_cubic_to_show() -> None:
     x, _ = langevin([0.2], [60.0], [1e7], [0.0], np.zeros((1, 1)), [4.5e-5], RATE, 6 * 25600, seed=13)
-    found = fit(rig(("bearing1.x",), shaft="none"), x, RATE)
+    found = fit_score_matching(rig(("bearing1.x",), shaft="none"), x, RATE)
     kNL = found.parameters["bearing1.x.cubic.kNL"]
     assert not kNL.identifiable
     assert kNL.value is None
@@ -133,10 +133,10 @@ def test_a_gaussian_record_has_no_cubic_to_show() -> None:
 
 def test_what_the_method_cannot_know_is_said(record: np.ndarray) -> None:
     stop = EffectUse("stop", {"bearing1.x": {}})
-    found = fit(rig(effects=(stop,)), record, RATE)
+    found = fit_score_matching(rig(effects=(stop,)), record, RATE)
     assert any("left out: stop" in message for message in found.messages)
     unequal = record * [1.0, 1.3]  # a wrong gain looks like unequal temperatures
-    assert any("m v^2" in message for message in fit(rig(), unequal, RATE).messages)
+    assert any("m v^2" in message for message in fit_score_matching(rig(), unequal, RATE).messages)
 
 
 def test_noise_without_a_resonance_gives_no_rolling_estimate() -> None:

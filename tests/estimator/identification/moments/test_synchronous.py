@@ -7,7 +7,12 @@ import pytest
 from reference_samples import langevin
 
 from estimator.identification.moments import fokker_planck, score_matching
-from estimator.identification.moments.synchronous import amplitude, lines, stiffness_bias, synchronous_orders
+from estimator.identification.moments.synchronous import (
+    line_amplitude,
+    stiffness_bias,
+    synchronous_lines,
+    synchronous_orders,
+)
 from estimator.model.rig import Channel, EffectUse, Model
 
 RATE = 25600.0
@@ -33,16 +38,16 @@ def with_line(x: np.ndarray, factor: float) -> tuple[np.ndarray, float]:
 def test_line_is_removed_and_its_amplitude_known(random_part: tuple[np.ndarray, np.ndarray]) -> None:
     x = random_part[0]
     y, line = with_line(x, 1.5)
-    assert amplitude(y, RATE, HZ)[0] == pytest.approx(line, rel=0.01)
-    left = y - lines(y, RATE, HZ, (1,))
-    assert amplitude(left, RATE, HZ)[0] < 1e-9 * line + 1e-3 * np.std(x)
+    assert line_amplitude(y, RATE, HZ)[0] == pytest.approx(line, rel=0.01)
+    left = y - synchronous_lines(y, RATE, HZ, (1,))
+    assert line_amplitude(left, RATE, HZ)[0] < 1e-9 * line + 1e-3 * np.std(x)
     assert np.var(left) == pytest.approx(np.var(x), rel=2e-3)
 
 
 def test_gaps_do_not_stop_the_removal(random_part: tuple[np.ndarray, np.ndarray]) -> None:
     y, line = with_line(random_part[0][:60_000], 1.5)
     y[5000:9000] = np.nan
-    left = y - lines(y, RATE, HZ, (1,))
+    left = y - synchronous_lines(y, RATE, HZ, (1,))
     good = np.isfinite(left[:, 0])
     assert good.sum() == 56_000
     assert np.std(left[good]) < 0.8 * np.std(y[good])
@@ -51,9 +56,9 @@ def test_gaps_do_not_stop_the_removal(random_part: tuple[np.ndarray, np.ndarray]
 def test_bias_of_the_density_stiffness_is_the_formula(random_part: tuple[np.ndarray, np.ndarray]) -> None:
     """1X of 1.5 rms at 400 Hz pulls kL down by 45 %; with imbalance in the model the line is taken out."""
     y, line = with_line(random_part[0], 1.5)
-    clean = score_matching.fit(rig(), random_part[0], RATE, "density").parameters["bearing1.x.kL"].value
-    biased = score_matching.fit(rig(), y, RATE, "density")
-    cured = score_matching.fit(rig("imbalance"), y, RATE, "density").parameters["bearing1.x.kL"].value
+    clean = score_matching.fit_score_matching(rig(), random_part[0], RATE, "density").parameters["bearing1.x.kL"].value
+    biased = score_matching.fit_score_matching(rig(), y, RATE, "density")
+    cured = score_matching.fit_score_matching(rig("imbalance"), y, RATE, "density").parameters["bearing1.x.kL"].value
     expected = stiffness_bias(line, float(np.std(random_part[0])), HZ, 1125.4)
     assert expected < -0.4
     assert biased.parameters["bearing1.x.kL"].value / clean - 1.0 == pytest.approx(expected, abs=0.02)
@@ -63,7 +68,7 @@ def test_bias_of_the_density_stiffness_is_the_formula(random_part: tuple[np.ndar
 
 def test_fokker_planck_with_imbalance_removed(random_part: tuple[np.ndarray, np.ndarray]) -> None:
     y, _ = with_line(random_part[0], 1.0)
-    found = fokker_planck.fit(rig("imbalance"), y, RATE, replicates=40)
+    found = fokker_planck.fit_fokker_planck(rig("imbalance"), y, RATE, replicates=40)
     kL = found.parameters["bearing1.x.kL"]
     assert abs(kL.value - 1e7) < 4.0 * kL.sd
     assert not any("left out" in m for m in found.messages)

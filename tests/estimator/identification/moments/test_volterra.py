@@ -5,7 +5,7 @@ import pytest
 
 from estimator.errors import DataError
 from estimator.identification.moments import volterra
-from estimator.identification.moments.volterra import Kernels, identify, wiener_first
+from estimator.identification.moments.volterra import Kernels, first_wiener_kernel, nearest_kernels
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 
 RATE = 25600.0
@@ -75,7 +75,7 @@ def test_identify_from_a_measured_white_force() -> None:
     x = x + 0.01 * np.std(x) * np.random.default_rng(2).standard_normal(len(x))
     # the record holds F over each sample: half a sample of delay, which the band-limited force must share
     shifted = np.fft.irfft(np.fft.rfft(force) * np.exp(-1j * np.pi * np.fft.rfftfreq(len(force))), len(force))
-    found, cov, left = identify(x, shifted, RATE, (150.0, 8000.0), None, np.ones(len(x), bool))
+    found, cov, left = nearest_kernels(x, shifted, RATE, (150.0, 8000.0), None, np.ones(len(x), bool))
     sd = np.sqrt(np.diag(cov))
     truth = [TRUE.k, TRUE.c, TRUE.kNL, TRUE.m]
     for value, true, s in zip([found.k, found.c, found.kNL, found.m], truth, sd, strict=True):
@@ -91,7 +91,7 @@ def test_the_first_wiener_kernel_is_stiffer_than_the_volterra_one() -> None:
     strong = Kernels(0.2, 60.0, 1.0e7, 1.2e19)
     force = smooth_force(12 * 25600, 3, 0.6)
     x = driven(force, strong)[:, 0]
-    f, h = wiener_first(x, force, RATE)
+    f, h = first_wiener_kernel(x, force, RATE)
     near = (f > 500.0) & (f < 1000.0)  # below the resonance, where 1/H is k - m w^2
     stiff = np.mean((1.0 / h[near]).real + strong.m * (2 * np.pi * f[near]) ** 2)
     expected = strong.k + 3.0 * strong.kNL * np.mean(x**2)
@@ -116,7 +116,7 @@ def test_fit_with_a_force_channel_and_a_gap(mass: bool) -> None:
     )  # fmt: skip
     y = Simulator(truth, RATE, seed=4).next(6 * 25600)
     y[70_000:70_005] = np.nan
-    found = volterra.fit(rig(mass=mass), y, RATE)
+    found = volterra.fit_volterra(rig(mass=mass), y, RATE)
     assert found.method == "volterra"
     p = found.parameters
     assert p["bearing1.x.kL"].value == pytest.approx(1e7, rel=5e-3)
@@ -130,10 +130,10 @@ def test_fit_with_a_force_channel_and_a_gap(mass: bool) -> None:
 def test_bad_records_are_named() -> None:
     y = np.random.default_rng(1).standard_normal((60_000, 2))
     with pytest.raises(DataError, match='kind "force"'):
-        volterra.fit(rig(("acceleration", "velocity")), y, RATE)
+        volterra.fit_volterra(rig(("acceleration", "velocity")), y, RATE)
     with pytest.raises(DataError, match="usable samples"):
-        volterra.fit(rig(), y[:9000], RATE)
+        volterra.fit_volterra(rig(), y[:9000], RATE)
     force = smooth_force(60_000, 5, 0.6)
     a = driven(force, TRUE)[:, 2]
     with pytest.raises(DataError, match="sign"):
-        volterra.fit(rig(mass=False), np.stack([-a, force], axis=1), RATE)
+        volterra.fit_volterra(rig(mass=False), np.stack([-a, force], axis=1), RATE)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimator.diagnosis.verdict.diagnosis import diagnose, diagnose_point
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.record.declip import ceilings, restored
 from estimator.identification.residual import missing_force
 from estimator.likelihood.motion.prepare import prepare
@@ -79,11 +79,11 @@ def test_a_model_with_the_clipping_has_the_numbers_of_the_rotor(share: float) ->
     z = y.copy()
     z[:, 0] = np.clip(y[:, 0], -top, top)
     known = replace(rig, effects=(*rig.effects, EffectUse("sensor_clipping", {"bearing1.x": {}})))
-    whole = fit_whole(known, z, RATE)
+    whole = fit_all_effects(known, z, RATE)
     assert "drawn from the samples beside it" in whole.messages[0]
     level = whole.parameters["bearing1.x.sensor_clipping.level"]
     assert level.value == pytest.approx(top, rel=1e-9)
-    exact, bare = fit_whole(rig, y, RATE).parameters, fit_whole(rig, z, RATE).parameters
+    exact, bare = fit_all_effects(rig, y, RATE).parameters, fit_all_effects(rig, z, RATE).parameters
     for name in ("kL", "c", "cubic.kNL"):
         p, q = whole.parameters[f"bearing1.x.{name}"], exact[f"bearing1.x.{name}"]
         assert p.value is not None
@@ -101,7 +101,7 @@ def test_nothing_is_told_of_a_bearing_whose_motion_cannot_be_restored() -> None:
     rig = one_bearing()
     y = np.clip(simulate(rig, RATE, 8.0, seed=5), -3.0, 3.0)
     known = replace(rig, effects=(*rig.effects, EffectUse("sensor_clipping", {p: {} for p in rig.places})))
-    whole = fit_whole(known, y, RATE)
+    whole = fit_all_effects(known, y, RATE)
     assert not whole.parameters["bearing1.x.kL"].identifiable
     assert "cannot be restored" in whole.parameters["bearing1.x.kL"].reason
     assert whole.parameters["bearing1.x.sensor_clipping.level"].value == pytest.approx(3.0)

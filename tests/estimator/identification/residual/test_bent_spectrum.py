@@ -11,7 +11,7 @@ from hidden_effects import RATE, one_bearing
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict.gate_residual import _bends_a_spectrum
 from estimator.effects import CATALOGUE
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.finding import Share
 from estimator.identification.residual.missing_force import Survey
 from estimator.likelihood.motion.located_law import Placed
@@ -24,7 +24,7 @@ SECONDS = 6.0
 def test_hysteresis_much_smaller_than_the_spectrum_is_not_its_cause(percent: float, bends: bool) -> None:
     """Of two foreign records with a peak in the force it took 28 and 24 nats, and 4.5 % of the force stayed 4.5 %."""
     rig = one_bearing()
-    point = fit_whole(rig, simulate(rig, RATE, SECONDS, seed=5, noise=0.02, full_scale=490.5), RATE).point
+    point = fit_all_effects(rig, simulate(rig, RATE, SECONDS, seed=5, noise=0.02, full_scale=490.5), RATE).point
     share = Share(0, "frequency", "force spectrum above the model", float((0.08 * point.bearing_force[0]) ** 2))
     before = Survey((), point.bearing_force, (share,))
     law = Placed(CATALOGUE["bouc_wen"], "bearing1.x.bouc_wen", (0,), np.array([1e5, 1e-8]), (True, True))

@@ -8,7 +8,7 @@ from hidden_effects import RATE, one_bearing
 
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual.black_box import VISITED, knots_of, pool
 from estimator.simulation.simulator import simulate
 
@@ -23,7 +23,7 @@ def test_a_law_of_the_model_is_no_column_of_its_own_in_noise(name: str, column: 
     rig, effect = one_bearing(), CATALOGUE[name]
     values = strengths(effect, size(rig, "bearing1.x", RATE), 0.06, rig, 4.0)
     model = with_effect(rig, effect, values, "bearing1.x")
-    point = fit_whole(model, simulate(model, RATE, 4.0, seed=2, noise=0.6), RATE).point
+    point = fit_all_effects(model, simulate(model, RATE, 4.0, seed=2, noise=0.6), RATE).point
     assert point.data.calm is not None
     problem, _ = pool(point, 0, (1.0,))
     names = ["", *problem.base, *problem.extra]

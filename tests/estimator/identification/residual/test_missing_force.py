@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing, record
 
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual import black_box, missing_force
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import placed_of
@@ -68,7 +68,7 @@ def test_a_force_that_the_model_has_wins_nothing_again(effect: str, values: dict
     7 nats: complete models were left with 0.1 to 0.2 % of missing force against the shaft's angle, time or level."""
     own = {name: Setting(value) for name, value in values.items()}
     rig = replace(one_bearing(), effects=(EffectUse(effect, {"bearing1.x": own}),))
-    point = fit_whole(rig, simulate(rig, RATE, 6.0, seed=2), RATE).point
+    point = fit_all_effects(rig, simulate(rig, RATE, 6.0, seed=2), RATE).point
     pool, _ = black_box.pool(point, 0, (1.0, 2.0, 2.1))
     trial = pool.only(tuple(n for n in pool.extra if n.split(".")[0] == group))
     plain, everything = pool.without_extra(), np.arange(point.data.fold_blocks.size)
@@ -87,7 +87,7 @@ def test_hats_of_the_velocity_win_no_more_than_their_number() -> None:
     rig = replace(rig, channels=rig.channels[:1], effects=(), band=(300.0, 7349.0), linear={"bearing1.x": linear})
     won, free = [], []
     for seed in range(10):
-        point = fit_whole(rig, simulate(rig, RATE, 6.0, seed=seed), RATE).point
+        point = fit_all_effects(rig, simulate(rig, RATE, 6.0, seed=seed), RATE).point
         pool, _ = black_box.pool(point, 0, (1.0, 2.0))
         trial = pool.only(tuple(n for n in pool.extra if n.startswith("velocity")))
         plain, everything = pool.without_extra(), np.arange(point.data.fold_blocks.size)

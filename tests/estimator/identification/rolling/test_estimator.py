@@ -6,7 +6,7 @@ from reference_rig import COULOMB, PLACES, RATE, TRUTH, rig_model, rig_record
 
 from estimator.identification.batch import spectral as spectral
 from estimator.identification.rolling.estimator import RollingEstimator
-from estimator.identification.rolling.watch import CANDIDATES, every
+from estimator.identification.rolling.watch import DEFAULT_CANDIDATES, watchable_effects
 from estimator.results import Estimate
 
 BLOCK = 1280
@@ -41,7 +41,7 @@ def test_nothing_is_shown_until_it_means_something_then_twice_a_second(record: n
 @pytest.mark.slow
 def test_with_a_long_memory_it_agrees_with_the_fit(record: np.ndarray) -> None:
     last = run(RollingEstimator(rig_model("cubic"), RATE, 1e4), record)[-1]
-    fit = spectral.fit(rig_model("cubic"), record, RATE)
+    fit = spectral.fit_spectral(rig_model("cubic"), record, RATE)
     for place in PLACES:
         for key in ("kL", "c"):
             a, b = last.parameters[f"{place}.{key}"], fit.parameters[f"{place}.{key}"]
@@ -130,7 +130,7 @@ def test_what_dresses_the_laws_goes_with_the_level_of_the_force() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("watch", [CANDIDATES, every()], ids=["usual", "catalogue"])
+@pytest.mark.parametrize("watch", [DEFAULT_CANDIDATES, watchable_effects()], ids=["usual", "catalogue"])
 def test_what_is_missing_is_seen_and_named_as_it_rolls(record: np.ndarray, watch: tuple[str, ...]) -> None:
     model, friction = rig_model("cubic"), np.zeros((4, 7))
     friction[:, COULOMB] = 0.06

@@ -13,7 +13,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.effects.places import places
 from estimator.identification.rolling.estimator import RollingEstimator
-from estimator.identification.rolling.scope import followed
+from estimator.identification.rolling.scope import rolling_scope
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Estimate
 
@@ -90,7 +90,7 @@ def test_beside_a_crack_that_the_caps_feel_nothing_is_said_but_why() -> None:
     for ks, felt in ((soft.shaft_stiffness, False), (1e7, True)):
         model = replace(soft, shaft_stiffness=ks)
         values = {"loss": 0.01 * ks, "loss_cos": 0.01 * ks, "loss_sin": 0.0}
-        lacking = followed(with_effect(model, CATALOGUE["crack"], values, "disc")).lacking
+        lacking = rolling_scope(with_effect(model, CATALOGUE["crack"], values, "disc")).lacking
         assert set(lacking) == (set(model.places) if felt else set())
 
 
@@ -98,11 +98,11 @@ def test_every_number_of_every_effect_is_shown_or_the_reason_why_not() -> None:
     rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
     for effect in CATALOGUE.values():
         at = places(effect, rig)
-        sorted_out = followed(replace(rig, effects=(EffectUse(effect.name, {p: {} for p in at}),)))
+        sorted_out = rolling_scope(replace(rig, effects=(EffectUse(effect.name, {p: {} for p in at}),)))
         kept = {use.name for use in sorted_out.model.effects}
         for place in at:
             for q in effect.parameters:
-                p = sorted_out.beside.get(f"{place}.{effect.name}.{q.name}")
+                p = sorted_out.not_estimated.get(f"{place}.{effect.name}.{q.name}")
                 assert effect.name in kept or (p is not None and p.value is None and p.reason), (effect.name, q.name)
         assert effect.kind == "force" or not kept
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from daq.rig.rig import load_rig
 from estimator.diagnosis.verdict.improvement import improve
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.finding import Suspect
 from estimator.identification.structure import coupled_caps
 from estimator.model.rig import EffectUse, Model, Setting
@@ -55,7 +55,7 @@ def record(rig: Model, gain: float = 1.0, late_s: float = 0.0) -> Array:
 
 
 def found(rig: Model, y: Array) -> list[Suspect]:
-    whole = fit_whole(rig, y, RATE)
+    whole = fit_all_effects(rig, y, RATE)
     return coupled_caps.find(whole.model, whole.point)
 
 
@@ -90,12 +90,12 @@ def test_the_number_is_fitted_unless_it_is_fixed(rig: Model) -> None:
     def with_gain(setting: Setting) -> Model:
         return replace(rig, effects=(EffectUse("sensor_gain", {"bearing1.x": {"error": setting}}),))
 
-    free = fit_whole(with_gain(Setting()), y, RATE)
-    number = free.beside["bearing1.x.sensor_gain.error"]
+    free = fit_all_effects(with_gain(Setting()), y, RATE)
+    number = free.disturbances["bearing1.x.sensor_gain.error"]
     assert number.value == pytest.approx(0.1, abs=4 * (number.sd or 0.0))
     kL = free.parameters["bearing2.x.kL"]
     assert kL.value == pytest.approx(rig.linear["bearing2.x"]["kL"].value, abs=4 * (kL.sd or 0.0))
-    kept = fit_whole(with_gain(Setting(0.08, fixed=True)), y, RATE).beside["bearing1.x.sensor_gain.error"]
+    kept = fit_all_effects(with_gain(Setting(0.08, fixed=True)), y, RATE).disturbances["bearing1.x.sensor_gain.error"]
     assert (kept.value, kept.sd) == (0.08, 0.0)
 
 
@@ -117,5 +117,5 @@ def test_a_delay_beyond_the_next_sample_is_fitted(rig: Model) -> None:
     late = 3.0 / RATE
     y = record(stiff, late_s=late)
     with_delay = replace(stiff, effects=(EffectUse("sensor_skew", {"bearing1.x": {"delay": Setting()}}),))
-    number = fit_whole(with_delay, y, RATE).beside["bearing1.x.sensor_skew.delay"]
+    number = fit_all_effects(with_delay, y, RATE).disturbances["bearing1.x.sensor_skew.delay"]
     assert number.value == pytest.approx(late, abs=4 * (number.sd or 0.0))

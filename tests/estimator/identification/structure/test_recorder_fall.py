@@ -17,7 +17,7 @@ from estimator.diagnosis.comparison.comparison import compare
 from estimator.diagnosis.verdict.diagnosis import diagnose
 from estimator.diagnosis.verdict.improvement import improve
 from estimator.identification.batch import spectral as spectral
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.identification.structure import recorder_fall
@@ -115,13 +115,13 @@ def test_a_fit_behind_a_filter_has_the_force_of_the_rotor() -> None:
     """S was 5 % low, 30 standard deviations."""
     rig = replace(one_bearing(), effects=())
     y = simulate(rig, RATE, 10.0, seed=4, noise=0.02)
-    fit = spectral.fit(rig, through(y, "butterworth"), RATE)
+    fit = spectral.fit_spectral(rig, through(y, "butterworth"), RATE)
     truth = rig.linear["bearing1.x"]
     assert any("recorder's filter" in message for message in fit.messages)
     for name in ("kL", "c", "S"):
         p = fit.parameters[f"bearing1.x.{name}"]
         assert p.value == pytest.approx(truth[name].value, abs=4 * (p.sd or 0.0)), name
-    assert not spectral.fit(rig, y, RATE).messages
+    assert not spectral.fit_spectral(rig, y, RATE).messages
 
 
 def test_ripples_that_the_deviance_hardly_shows_are_the_recorders() -> None:
@@ -239,7 +239,7 @@ def test_the_psd_is_in_doubt_by_a_mean_over_a_sample_that_is_not_seen() -> None:
     rig = replace(one_bearing(), effects=())
     rig = replace(rig, linear={place: {**own, "kL": Setting(3e6)} for place, own in rig.linear.items()})
     f = fine(10.0)
-    behind = {name: fit_whole(rig, linear_behind(rig, 10.0, H), RATE)
+    behind = {name: fit_all_effects(rig, linear_behind(rig, 10.0, H), RATE)
               for name, H in {"mean": np.sinc(f / RATE), "none": (f < RATE / 2).astype(float)}.items()}  # fmt: skip
     for whole in behind.values():
         assert not whole.model.roll_off
@@ -256,7 +256,7 @@ def test_what_a_resonant_sensor_shuts_out_is_not_folded_back() -> None:
     rig, true = replace(one_bearing(), effects=()), (5600.0, 12.0)
     y = linear_behind(rig, 12.0, np.sinc(fine(12.0) / RATE), true)
     sensor = EffectUse("sensor_resonance", {"bearing1.x": {}})
-    whole = fit_whole(replace(rig, effects=(sensor,)), y, RATE)
+    whole = fit_all_effects(replace(rig, effects=(sensor,)), y, RATE)
     assert whole.model.roll_off is not None
     assert {round(off.means, 1) for off in whole.model.roll_off.values()} == {1.0}
     wanted = dict(zip(("sensor_resonance.frequency", "sensor_resonance.quality"), true, strict=True))
@@ -312,7 +312,7 @@ DESIGNS = {
 def test_a_complete_model_behind_a_filter_that_folds_is_complete(design: str) -> None:
     """In a band from a ninth of the resonance, and S is that of the rotor."""
     rig = replace(one_bearing(), band=(120.0, TOP))
-    whole = fit_whole(rig, y := folding(rig, 20.0, DESIGNS[design]), RATE)
+    whole = fit_all_effects(rig, y := folding(rig, 20.0, DESIGNS[design]), RATE)
     assert any("recorder's filter" in message for message in whole.messages)
     for place in rig.places:
         S = whole.parameters[f"{place}.S"]
@@ -332,7 +332,7 @@ def test_the_colours_of_all_forces_do_not_hide_the_filter(order: int) -> None:
     H = signal.freqs(b, a, f)[1] if order else 1.0 * (f < RATE / 2)
     y = linear_behind(rig, seconds, H, colour=(12.0, 800.0))
     sought = {p: {"gain": Setting(), "corner": Setting()} for p in rig.places}
-    whole = fit_whole(replace(rig, effects=(EffectUse("coloured_excitation", sought),)), y, RATE)
+    whole = fit_all_effects(replace(rig, effects=(EffectUse("coloured_excitation", sought),)), y, RATE)
     assert bool(whole.model.roll_off) == bool(order)
     for place in rig.places:
         for name, value in (("gain", 12.0), ("corner", 800.0)):
@@ -421,7 +421,7 @@ def test_lines_do_not_hide_the_filter() -> None:
 @pytest.mark.parametrize("strength", [0.02, 0.06])
 def test_no_shape_of_a_rotor_passes_for_a_filter(effect: str, strength: float) -> None:
     rig = one_bearing()
-    whole = fit_whole(rig, record(rig, effect, strength, seconds=30.0), RATE)
+    whole = fit_all_effects(rig, record(rig, effect, strength, seconds=30.0), RATE)
     assert not recorder_fall.find(whole.model, whole.point)
     assert not whole.model.roll_off
 
@@ -462,7 +462,7 @@ def two_devices(seconds: float, one: str, two: str = "") -> tuple[Model, Array]:
 def test_each_bearing_may_have_a_recorder_of_its_own() -> None:
     """One fall for all left S 45 standard deviations low at the bearing behind the filter."""
     rig, y = two_devices(4.0, "bessel")
-    whole = fit_whole(rig, y, RATE)
+    whole = fit_all_effects(rig, y, RATE)
     assert whole.model.roll_off is not None
     assert set(whole.model.roll_off) == {"bearing1.x", "bearing1.y"}
     assert [m.startswith("bearing1: all channels fall alike") for m in whole.messages] == [True]
@@ -494,5 +494,5 @@ def test_a_complete_model_behind_two_recorders_is_complete(two: str) -> None:
 def test_one_channel_that_falls_at_one_of_two_bearings_is_its_sensor() -> None:
     rig, y = two_devices(20.0, "")
     y[:, 0] = through(y[:, :1], "bessel")[:, 0]
-    whole = fit_whole(rig, y, RATE)
+    whole = fit_all_effects(rig, y, RATE)
     assert whole.model.roll_off is None

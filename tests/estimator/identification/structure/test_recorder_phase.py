@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimator.diagnosis.comparison.comparison import compare
 from estimator.diagnosis.verdict.improvement import improve
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.structure.recorder_phase import excess, found
 from estimator.model.recorder import POWERS, Filter
 from estimator.model.rig import Model, Setting
@@ -41,7 +41,7 @@ def test_the_delay_of_the_end_of_the_band_is_found() -> None:
     y = simulate(rig, RATE, 4.0, seed=3)
     known = {"roll_off": dict.fromkeys(rig.places, Filter(RATE, top, nepers=(0.0,) * POWERS.size))}
     for rad in (0.0, LATE):
-        seen = excess(fit_whole(replace(rig, **known), late(y, rad, top), RATE).point, lambda f: (f / top) ** 3)
+        seen = excess(fit_all_effects(replace(rig, **known), late(y, rad, top), RATE).point, lambda f: (f / top) ** 3)
         assert seen is not None
         assert seen[0] == pytest.approx(rad, abs=4 * seen[1])
         assert seen[1] < 0.25
@@ -54,13 +54,13 @@ def test_beside_a_measured_force_it_is_undone_in_both() -> None:
     rig = replace(rig, channels=(*rig.channels, *forces))
     top = rig.band[1]
     y = simulate(rig, RATE, 6.0, seed=3, noise=1e-3)
-    whole = fit_whole(rig, late(y, LATE, top), RATE)
+    whole = fit_all_effects(rig, late(y, LATE, top), RATE)
     assert whole.model.roll_off is not None
     for place in rig.places:
         assert whole.model.roll_off[place].late == pytest.approx(LATE, abs=0.05)
         true = rig.effects[0].parameters[place]["kNL"].value
         assert whole.parameters[f"{place}.cubic.kNL"].value == pytest.approx(true, rel=2e-3)
-    assert fit_whole(rig, y, RATE).model.roll_off is None
+    assert fit_all_effects(rig, y, RATE).model.roll_off is None
 
 
 def test_no_recorder_is_ahead_of_the_motion() -> None:
@@ -69,7 +69,7 @@ def test_no_recorder_is_ahead_of_the_motion() -> None:
     rig = bent()
     flat = dict.fromkeys(rig.places, Filter(RATE, rig.band[1], nepers=(0.0,) * POWERS.size))
     model = replace(rig, roll_off=flat)
-    point = fit_whole(model, record(rig, "displacement_damping", 0.06, seconds=6.0), RATE).point
+    point = fit_all_effects(model, record(rig, "displacement_damping", 0.06, seconds=6.0), RATE).point
     seen = excess(point, lambda f: (f / rig.band[1]) ** 3)
     assert seen is not None
     assert seen[0] < -5.0 * seen[1]
@@ -90,7 +90,7 @@ def test_a_complete_model_behind_a_filter_that_takes_nothing_is_complete() -> No
 @pytest.mark.parametrize("effect", ["bouc_wen", "clearance", "quadratic", "coulomb", "ball_pass", "quadratic_damping"])
 def test_no_law_passes_for_a_delay(effect: str) -> None:
     rig = bent()
-    assert not fit_whole(rig, record(rig, effect, 0.06, seconds=30.0), RATE).model.roll_off
+    assert not fit_all_effects(rig, record(rig, effect, 0.06, seconds=30.0), RATE).model.roll_off
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from scipy.signal import bilinear, butter, iirpeak, lfilter
 from estimator.diagnosis.hypotheses.screen import ranked
 from estimator.diagnosis.verdict.diagnosis import diagnose, no_law, quiet
 from estimator.diagnosis.verdict.improvement import improve
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.residual.missing_force import survey
 from estimator.identification.structure import spectral_cells, spectral_models, spectral_shape
@@ -28,7 +28,7 @@ def test_a_fall_without_a_peak_may_be_an_anti_alias_filter() -> None:
     said = {}
     filtered = np.stack([lfilter(*butter(3, 8500.0, fs=RATE), y[:, 0]), y[:, 1]], axis=1)
     for name, seen in (("whole", y), ("filtered", filtered)):
-        whole = fit_whole(rig, seen, RATE)
+        whole = fit_all_effects(rig, seen, RATE)
         found = [s for s in spectral_shape.find(rig, whole.point) if s.effect == "sensor_resonance"]
         said[name] = [s.note for s in found]
     assert not any(said["whole"])
@@ -81,7 +81,7 @@ def test_noise_stands_out_only_of_neighbours_whose_own_is_known(noise: float) ->
     y = simulate(rig, RATE, 6.0, seed=0, noise=0.0)
     y += noise * np.array([0.2, 1.0]) * y.std(axis=0) * np.random.default_rng(1).standard_normal(y.shape)
     peaked = np.stack([y[:, 0] + 2.0 * lfilter(*iirpeak(2800.0, 2.0, fs=RATE), y[:, 0]), y[:, 1]], axis=1)
-    whole, other = (fit_whole(rig, seen, RATE) for seen in (y, peaked))
+    whole, other = (fit_all_effects(rig, seen, RATE) for seen in (y, peaked))
     seen = spectral_shape.as_it_is(rig, other.point, 0.0)
     assert seen is not None
     named = [{s.effect for s in spectral_shape.find(rig, point)} for point in (whole.point, other.point, seen)]
@@ -95,7 +95,7 @@ def test_noise_is_held_against_what_is_folded_where_it_is_loudest(rms: float, na
     rig = replace(one_bearing(), effects=(), band=(220.0, 8000.0), mass={"bearing1": 0.1, "bearing2": 0.1, "disc": 0.5})
     y = simulate(rig, 8 * RATE, 8.0, seed=1, oversample=2).reshape(-1, 8, 2).mean(axis=1)
     y += np.random.default_rng(3).normal(size=y.shape) * [rms, 0.002]
-    whole = fit_whole(rig, y, RATE)
+    whole = fit_all_effects(rig, y, RATE)
     assert [s.effect for s in spectral_shape.find(whole.model, whole.point)] == named
 
 
@@ -125,7 +125,7 @@ def test_a_spectrum_that_a_missing_law_bends_is_not_taken_as_it_is() -> None:
             EffectUse("cross_coupling", {"bearing1": {"k": Setting(k)}}),
         ),
     )
-    whole = fit_whole(rig, y := simulate(truth, RATE, 10.0, seed=3, noise=0.0), RATE)
+    whole = fit_all_effects(rig, y := simulate(truth, RATE, 10.0, seed=3, noise=0.0), RATE)
     entries = ranked(whole.model, whole.point, y, quiet).entries
     assert entries[0].effect == "cross_coupling"
     assert spectral_shape.as_it_is(rig, whole.point, 0.0) is not None, "no cause of the catalogue makes this spectrum"
@@ -189,7 +189,7 @@ def test_a_pedestal_is_found_where_it_does_not_stand_out_by_itself() -> None:
         for p, factor in (("bearing1.x", 1.7), ("bearing1.y", 2.6))
     }
     y = simulate(replace(rig, effects=(*rig.effects, EffectUse("pedestal", own))), RATE, 8.0, seed=2, noise=0.02)
-    found = {s.at[0]: s for s in spectral_shape.find(rig, fit_whole(rig, y, RATE).point)}
+    found = {s.at[0]: s for s in spectral_shape.find(rig, fit_all_effects(rig, y, RATE).point)}
     assert {s.effect for s in found.values()} == {"pedestal"}
     assert set(found) == {"bearing1.x", "bearing1.y"}
     frequency = found["bearing1.y"].settings["bearing1.y"]["frequency"]
@@ -201,7 +201,7 @@ def test_one_noisy_sensor_beside_a_stiff_shaft_is_found() -> None:
     rig = coupled_on_a_stiff_shaft()
     noise = EffectUse("sensor_noise", {"bearing1.x": {"rms": Setting(0.4)}})
     y = simulate(replace(rig, effects=(*rig.effects, noise)), RATE, 8.0, seed=7, noise=0.02, full_scale=490.5)
-    whole = fit_whole(rig, y, RATE)
+    whole = fit_all_effects(rig, y, RATE)
     (one,) = [s for s in spectral_shape.find(whole.model, whole.point) if s.p_value < 1e-3]
     assert (one.effect, one.at) == ("sensor_noise", ("bearing1.x",))
     rms = one.settings["bearing1.x"]["rms"]
@@ -230,7 +230,7 @@ def test_a_resonance_is_undone_in_what_the_other_cap_answers() -> None:
         {"bearing1": m, "bearing2": m, "disc": disc}, ks, 2.0,
         effects=(EffectUse("sensor_resonance", {"bearing1.x": {}}),),
     )  # fmt: skip
-    whole = fit_whole(rig, y, RATE)
+    whole = fit_all_effects(rig, y, RATE)
     for name, true in (("kL", k), ("c", c)):
         for place in rig.places:
             p = whole.parameters[f"{place}.{name}"]

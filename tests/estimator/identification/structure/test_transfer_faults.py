@@ -16,7 +16,7 @@ from estimator.diagnosis.verdict.diagnosis import diagnose
 from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
 from estimator.identification.batch import spectral as spectral
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.search import suspects
 from estimator.identification.structure import transfer_bias, transfer_faults
 from estimator.likelihood.fitting.gauss_newton import fit_model
@@ -57,7 +57,7 @@ def given(name: str) -> Model:
 @pytest.mark.parametrize("name", HIDDEN)
 def test_what_bends_the_path_is_found_first_and_its_numbers_are_right(name: str) -> None:
     y = made(name)
-    first = suspects(RIG, fit_whole(RIG, y, RATE).point, y)[0]
+    first = suspects(RIG, fit_all_effects(RIG, y, RATE).point, y)[0]
     assert (first.effect, first.at) == (name, (PLACE,))
     assert first.p_value < 1e-6
     for p, true in zip(first.settings[PLACE].values(), HIDDEN[name], strict=True):
@@ -76,7 +76,7 @@ def test_added_without_numbers_it_is_fitted_and_the_free_run_error_is_the_noise(
     before, after = heldout_rmse(RIG, y, RATE)["a"], heldout_rmse(given(name), y, RATE)["a"]
     assert before > 5 * noise
     assert after - noise < 0.05 * (before - noise)
-    fit = spectral.fit(given(name), y, RATE).parameters
+    fit = spectral.fit_spectral(given(name), y, RATE).parameters
     for (key, p), true in zip(
         ((k, fit[f"{PLACE}.{name}.{k.name}"]) for k in CATALOGUE[name].parameters), HIDDEN[name], strict=True
     ):
@@ -109,7 +109,7 @@ def test_stiffness_and_damping_by_the_path_alone() -> None:
 def test_a_complete_model_has_no_suspect(seed: int) -> None:
     noise = [(0.02, 1e-3), (0.3, 1e-3), (0.02, 0.03), (2.0, 0.1)][seed]
     y = record(seed=seed, noise=noise)
-    assert suspects(RIG, fit_whole(RIG, y, RATE).point, y) == []
+    assert suspects(RIG, fit_all_effects(RIG, y, RATE).point, y) == []
 
 
 def test_a_gain_that_no_calibration_would_show_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,7 +117,7 @@ def test_a_gain_that_no_calibration_would_show_is_not_claimed(monkeypatch: pytes
     monkeypatch.setattr(transfer_faults, "NEGLIGIBLE", 1e-4)
     for error, claimed in ((1.5e-3, False), (3e-3, True)):
         y = record(seed=3, sensor=heard("sensor_gain", error))
-        found = suspects(RIG, fit_whole(RIG, y, RATE).point, y)
+        found = suspects(RIG, fit_all_effects(RIG, y, RATE).point, y)
         assert [s.effect for s in found][:1] == ["sensor_gain"] * claimed
 
 
@@ -130,10 +130,10 @@ def test_a_force_beside_the_measured_one_is_no_fault_of_a_sensor() -> None:
     """A machine runs beside the shaker. Read as noise of the force sensor it looked like a gain of 12 %, and c came out
     11 % too small by `fit`."""
     y = record(seed=3, unseen=unseen)
-    whole = fit_whole(RIG, y, RATE)
+    whole = fit_all_effects(RIG, y, RATE)
     assert suspects(RIG, whole.point, y) == []
     assert transfer_faults.pushed(RIG, whole.point)
-    found = spectral.fit(RIG, y, RATE).parameters
+    found = spectral.fit_spectral(RIG, y, RATE).parameters
     for name, true in (("kL", KL), ("c", C)):
         p = found[f"{PLACE}.{name}"]
         assert abs((p.value or 0.0) - true) < 3 * (p.sd or 0.0)
@@ -141,14 +141,14 @@ def test_a_force_beside_the_measured_one_is_no_fault_of_a_sensor() -> None:
 
 def test_as_much_noise_of_the_force_sensor_is_told_from_it() -> None:
     y = record(seed=3, noise=(0.02, float(np.sqrt(S / 8 * RATE / 2))))
-    point = fit_whole(RIG, y, RATE).point
+    point = fit_all_effects(RIG, y, RATE).point
     assert suspects(RIG, point, y) == []
     assert not transfer_faults.pushed(RIG, point)
 
 
 def test_a_gain_beside_a_force_that_is_not_measured() -> None:
     y = record(seed=3, unseen=unseen, sensor=heard("sensor_gain", 0.05))
-    first = suspects(RIG, fit_whole(RIG, y, RATE).point, y)[0]
+    first = suspects(RIG, fit_all_effects(RIG, y, RATE).point, y)[0]
     assert first.effect == "sensor_gain"
     error = first.settings[PLACE]["error"]
     assert abs((error.value or 0.0) - 0.05) < 4 * (error.sd or 0.0)
@@ -158,7 +158,7 @@ def test_what_a_cap_mass_hides_is_not_claimed() -> None:
     """Without a known mass the force gives the scale, and a sensor's gain is within it."""
     y = made("sensor_gain")
     free = replace(RIG, mass={})
-    point = fit_whole(free, y, RATE).point
+    point = fit_all_effects(free, y, RATE).point
     assert point.data.mass[0] == pytest.approx(MASS / 1.05, rel=1e-3)
     assert suspects(free, point, y) == []
 
@@ -170,7 +170,7 @@ def test_a_line_of_the_measured_force_is_no_finding() -> None:
 
     for sensor in (heard("sensor_gain", 0.0), heard("sensor_gain", 0.05)):
         y = record(seed=1, force=tone, sensor=sensor)
-        assert "line" not in [s.effect for s in suspects(RIG, fit_whole(RIG, y, RATE).point, y)]
+        assert "line" not in [s.effect for s in suspects(RIG, fit_all_effects(RIG, y, RATE).point, y)]
 
 
 @pytest.mark.slow
@@ -210,7 +210,7 @@ def test_where_only_one_force_is_measured_the_other_place_is_judged_as_without()
     channels = (*RIG.channels, replace(RIG.channels[0], name="a2", node="bearing2"))
     both = replace(RIG, channels=channels, mass={"bearing1": MASS, "bearing2": MASS})
     y = np.column_stack([one, other])
-    point = fit_whole(both, y, RATE).point
+    point = fit_all_effects(both, y, RATE).point
     found = {s.at: s.effect for s in reversed(suspects(both, point, y))}
     assert found == {("bearing1.x",): "sensor_skew", ("bearing2.x",): "coloured_excitation"}
     said = diagnose(both, np.column_stack([record(seed=4), white[:, 0]]), RATE)
@@ -249,7 +249,7 @@ def test_a_heavy_pedestal_at_the_resonance_is_fitted() -> None:
     """It takes a third of the stiffness with it: from that of the rest of the model the first step went astray."""
     true = (1.0, 1006.0, 0.016)
     y = record(pedestal=true, noise=(0.3, 0.01))
-    fit = spectral.fit(given("pedestal"), y, RATE).parameters
+    fit = spectral.fit_spectral(given("pedestal"), y, RATE).parameters
     for name, value in zip(("mass", "frequency", "damping"), true, strict=True):
         p = fit[f"{PLACE}.pedestal.{name}"]
         assert abs((p.value or 0.0) - value) < 4 * (p.sd or 0.0) + 1e-3 * value, (name, p)
@@ -279,7 +279,7 @@ def made_both(pair: tuple[str, str]) -> Array:
 def test_two_at_one_place_are_told_apart(pair: tuple[str, str]) -> None:
     """Neither by itself explains half of what is left at 1 / 40 of it."""
     y = made_both(pair)
-    found = {s.effect: s.settings[PLACE] for s in suspects(RIG, fit_whole(RIG, y, RATE).point, y)}
+    found = {s.effect: s.settings[PLACE] for s in suspects(RIG, fit_all_effects(RIG, y, RATE).point, y)}
     assert set(found) == set(pair)
     for name in pair:
         for p, true in zip(found[name].values(), HIDDEN[name], strict=True):
@@ -306,7 +306,7 @@ def rippled() -> Array:
 @pytest.mark.slow
 def test_a_path_that_is_bent_by_nothing_of_the_catalogue_is_unknown() -> None:
     y = rippled()
-    assert [s.effect for s in suspects(RIG, fit_whole(RIG, y, RATE).point, y)] == ["unknown"]
+    assert [s.effect for s in suspects(RIG, fit_all_effects(RIG, y, RATE).point, y)] == ["unknown"]
 
 
 @pytest.mark.slow
@@ -321,7 +321,7 @@ def test_noise_of_the_force_and_a_force_beside_it_are_told_in_their_shares() -> 
     noise, beside, rms, rng = 0.05, 0.1, np.sqrt(S * RATE / 2), np.random.default_rng(5)
     y = record(4.0, 4, noise=(0.02, rms * np.sqrt(noise)),
                unseen=lambda t: rms * np.sqrt(beside) * rng.normal(size=t.size))  # fmt: skip
-    point = fit_whole(RIG, y, RATE).point
+    point = fit_all_effects(RIG, y, RATE).point
     found = transfer_faults._likeliest(RIG, point, 0, response_of(point, 0))
     assert found.response.unmeasured == pytest.approx(beside / (noise + beside), abs=0.05)
     assert point.c[0] + found.base.u[3] == pytest.approx(C, abs=4 * float(np.sqrt(found.base.covariance[3, 3])))

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import bessel, sosfreqz
 
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual.missing_force import survey
 from estimator.identification.structure import transfer_faults
 from estimator.likelihood.fitting.folded_force import alike
@@ -83,7 +83,7 @@ def test_what_is_folded_into_the_force_is_as_that_into_the_acceleration() -> Non
 
 def test_it_bends_no_path_and_its_density_is_seen() -> None:
     record = sampled()
-    whole = fit_whole(RIG, record.y, RATE)
+    whole = fit_all_effects(RIG, record.y, RATE)
     for name, true in (("kL", K), ("c", C)):
         p = whole.parameters[f"bearing1.x.{name}"]
         assert p.value == pytest.approx(true, abs=4 * (p.sd or 0.0))
@@ -101,7 +101,7 @@ def test_what_is_folded_was_late_at_its_image(samples: float) -> None:
     a sample both sides of the rate turn alike, and nothing held their difference: kL was 0.2 % low, 14 sd."""
     delay = samples / RATE
     skew = EffectUse("sensor_skew", {"bearing1.x": {"delay": Setting(delay, fixed=True)}})
-    whole = fit_whole(replace(RIG, effects=(skew,)), sampled(delay=delay).y, RATE)
+    whole = fit_all_effects(replace(RIG, effects=(skew,)), sampled(delay=delay).y, RATE)
     for name, true in (("kL", K), ("c", C)):
         p = whole.parameters[f"bearing1.x.{name}"]
         assert p.value == pytest.approx(true, abs=4 * (p.sd or 0.0))
@@ -112,14 +112,14 @@ def test_what_is_folded_was_late_at_its_image(samples: float) -> None:
 def test_a_delay_that_nobody_knows_of_is_told_beside_it(samples: float) -> None:
     """A fold was sought behind a sensor in time only: "bouc_wen" was said, or of 0.05 samples a resonance."""
     y = sampled(delay=samples / RATE).y
-    found = max(transfer_faults.find(RIG, fit_whole(RIG, y, RATE).point), key=lambda s: s.gain)
+    found = max(transfer_faults.find(RIG, fit_all_effects(RIG, y, RATE).point), key=lambda s: s.gain)
     assert found.effect == "sensor_skew"
     assert RATE * (found.settings["bearing1.x"]["delay"].value or 0.0) == pytest.approx(samples, abs=0.01)
 
 
 def test_an_unknown_delay_beside_it_costs_no_stiffness() -> None:
     skew = replace(RIG, effects=(EffectUse("sensor_skew", {"bearing1.x": {}}),))
-    found = fit_whole(skew, sampled(delay=0.2 / RATE).y, RATE).parameters
+    found = fit_all_effects(skew, sampled(delay=0.2 / RATE).y, RATE).parameters
     for name, true in (("kL", K), ("c", C)):
         p = found[f"bearing1.x.{name}"]
         assert p.value == pytest.approx(true, abs=4 * (p.sd or 0.0))
@@ -128,7 +128,7 @@ def test_an_unknown_delay_beside_it_costs_no_stiffness() -> None:
 def test_all_of_the_record_is_looked_at_where_a_part_is_not_enough() -> None:
     """In doubt the fold was left out, by turns of a fit: a cubic was 9 % too weak, 26 standard deviations."""
     record = sampled(noise=0.05)
-    point = fit_whole(RIG, record.y, RATE).point
+    point = fit_all_effects(RIG, record.y, RATE).point
     assert all(np.any(response_of(point, 0, every=every).folded) for every in (1, 2, 4, 8))
 
 
@@ -138,7 +138,7 @@ def test_another_sensor_of_motion_hears_less_of_it(kind: str) -> None:
     both are in the force: damping was 2 to 4 % too high, and the path to the motion seemed to bend.
     """
     rig = replace(RIG, channels=(replace(RIG.channels[0], kind=kind), RIG.channels[1]))
-    whole = fit_whole(rig, sampled(kind=kind).y, RATE)
+    whole = fit_all_effects(rig, sampled(kind=kind).y, RATE)
     for name, true in (("kL", K), ("c", C)):
         found = whole.parameters[f"bearing1.x.{name}"]
         assert found.value == pytest.approx(true, abs=3.5 * (found.sd or 0.0)), name
@@ -156,12 +156,12 @@ def test_nor_does_its_path_bend_where_shape_or_noise_make_it_hard_to_see(
     channels = (replace(RIG.channels[0], kind="velocity"), RIG.channels[1])
     rig = replace(RIG, channels=channels, band=(BAND[0], top))
     y = sampled(kind="velocity", mean=mean, hz=hz, zeta=zeta, noise=noise, seconds=60.0).y
-    assert not transfer_faults.find(rig, fit_whole(rig, y, RATE).point)
+    assert not transfer_faults.find(rig, fit_all_effects(rig, y, RATE).point)
 
 
 @pytest.mark.parametrize("noise", [1e-3, 0.03])
 def test_noise_of_sensors_is_no_fold(noise: float) -> None:
-    r = response_of(fit_whole(RIG, sampled(filtered=False, noise=noise).y, RATE).point, 0)
+    r = response_of(fit_all_effects(RIG, sampled(filtered=False, noise=noise).y, RATE).point, 0)
     assert not np.any(r.folded)
 
 
@@ -180,7 +180,7 @@ def clearance(x: Floats, v: Floats) -> Floats:
 @pytest.mark.parametrize(("law", "share"), [(cubic, 0.2), (coulomb, 0.01), (coulomb, 0.2), (clearance, 0.01)])
 def test_no_law_that_is_missing_passes_for_it(law: Law, share: float) -> None:
     record = sampled(law, share)
-    point = fit_whole(RIG, record.y, RATE).point
+    point = fit_all_effects(RIG, record.y, RATE).point
     found = survey(point, RIG)
     assert found.residuals[0].found
     assert found.percent(point) > 25 * share
@@ -188,7 +188,7 @@ def test_no_law_that_is_missing_passes_for_it(law: Law, share: float) -> None:
 
 def test_a_gain_is_told_beside_it() -> None:
     y = sampled().y * [1.01, 1.0]
-    found = transfer_faults.find(RIG, fit_whole(RIG, y, RATE).point)
+    found = transfer_faults.find(RIG, fit_all_effects(RIG, y, RATE).point)
     assert max(found, key=lambda s: s.gain).effect == "sensor_gain"
 
 
@@ -198,6 +198,6 @@ def test_laws_do_not_see_it(law: Law) -> None:
     record = sampled(law, 0.05)
     name, of = ("cubic", "kNL") if law is cubic else ("coulomb", "fc")
     model = replace(RIG, effects=(EffectUse(name, {"bearing1.x": {}}),))
-    whole = fit_whole(model, record.y, RATE)
+    whole = fit_all_effects(model, record.y, RATE)
     p = whole.parameters[f"bearing1.x.{name}.{of}"]
     assert p.value == pytest.approx(record.coefficient, rel=0.03)

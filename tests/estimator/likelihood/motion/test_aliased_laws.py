@@ -6,8 +6,8 @@ from reference_samples import langevin
 from scipy.signal import firwin, oaconvolve
 
 from estimator.effects import CATALOGUE
-from estimator.identification.batch.full_fit import fit_whole
-from estimator.identification.batch.spectral import fit
+from estimator.identification.batch.full_fit import fit_all_effects
+from estimator.identification.batch.spectral import fit_spectral
 from estimator.likelihood.motion.law_smoothing import folds, highest
 from estimator.model.rig import Channel, EffectUse, Model
 
@@ -39,7 +39,10 @@ def test_a_cubic_at_a_resonance_near_a_third_of_the_rate() -> None:
     x = oaconvolve(fine[:, 0], taps, mode="same")[::FINER]
     channel = (Channel("d", "bearing1", "x", "displacement"),)
     model = Model(channel, BAND, "none", {"bearing1": m}, effects=(EffectUse("cubic", {"bearing1.x": {}}),))
-    for found in (fit(model, x[:, None], RATE).parameters, fit_whole(model, x[:, None], RATE).parameters):
+    for found in (
+        fit_spectral(model, x[:, None], RATE).parameters,
+        fit_all_effects(model, x[:, None], RATE).parameters,
+    ):
         for name, true in (("kL", k), ("c", c), ("cubic.kNL", kNL)):
             p = found[f"bearing1.x.{name}"]
             assert p.value is not None

@@ -26,6 +26,6 @@ MODEL = Model(channels=(Channel("a", "bearing1", "x"), Channel("b", "bearing1", 
 def test_a_channel_that_is_no_motion(make: object, said: str) -> None:
     y = np.random.default_rng(1).standard_normal((100_000, 2))
     y[:, 1] = make(y[:, 1])  # type: ignore[operator]
-    for ask in (compare, spectral.fit):
+    for ask in (compare, spectral.fit_spectral):
         with pytest.raises(DataError, match=said):
             ask(MODEL, y, 5000.0)  # type: ignore[operator]

@@ -9,10 +9,10 @@ from reference_rig import CLEARANCE, GAP, PLACES, rig_model, rig_record
 from reference_rig import RATE as RIG_RATE
 from reference_samples import langevin
 
-from estimator.identification.batch.full_fit import fit_whole
-from estimator.identification.batch.line_notches import begin
+from estimator.identification.batch.full_fit import fit_all_effects
+from estimator.identification.batch.line_notches import start_without_lines
 from estimator.identification.batch.measured_force import analyse
-from estimator.identification.batch.report import report
+from estimator.identification.batch.report import fitted_parameters
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.law_smoothing import MARGIN
@@ -58,7 +58,7 @@ def test_the_fit_sees_the_same_as_compare() -> None:
     measured = measured_by("acceleration", x)
     y = measured + 0.3 * measured.std() * np.random.default_rng(3).normal(size=x.size)
     data = fit_model(cut(model, y[:, None], RATE), []).data
-    record, start = begin(prepare(model, y[:, None], RATE))
+    record, start = start_without_lines(prepare(model, y[:, None], RATE))
     assert record.calm is not None
     assert np.asarray(data.doubt)[0] == pytest.approx(record.calm.doubt[0], rel=0.2)
     assert (start.widths >= record.calm.doubt).all()
@@ -78,7 +78,7 @@ def test_little_noise_and_that_of_displacement_sensors_leave_the_motion_as_it_is
     data = fit_model(cut(model, y[:, None], RATE), []).data
     assert data.calm is None
     assert np.array_equal(data.calmed(0), data.seen(0))
-    assert begin(prepare(model, y[:, None], RATE))[0].calm is None
+    assert start_without_lines(prepare(model, y[:, None], RATE))[0].calm is None
 
 
 def noisy(seed: int, **hidden: float) -> np.ndarray:
@@ -99,8 +99,8 @@ def test_noisy_accelerometers_leave_a_clearance_as_it_is() -> None:
     compared, fitted = [], []
     for seed in range(2):
         y, model = noisy(seed, k=1.5e6, gap=1.9e-7), rig_model("cubic", "clearance")
-        compared.append(mean_of(fit_whole(model, y, RIG_RATE).parameters, "clearance.k"))
-        fitted.append(mean_of(report(analyse(model, y, RIG_RATE)), "clearance.k"))
+        compared.append(mean_of(fit_all_effects(model, y, RIG_RATE).parameters, "clearance.k"))
+        fitted.append(mean_of(fitted_parameters(analyse(model, y, RIG_RATE)), "clearance.k"))
     for found in (compared, fitted):
         assert np.mean(found) == pytest.approx(1.5e6, rel=3.0 * 0.08 / np.sqrt(8))
 
@@ -126,7 +126,7 @@ def test_beside_a_measured_force_a_law_acts_along_the_likeliest_motion() -> None
     blank = Model(channels, (60.0, 8000.0), "none", {"bearing1": 0.2}, effects=(EffectUse("cubic", {place: {}}),))
     y = simulate(replace(blank, linear=linear, effects=(EffectUse("cubic", law),)), RIG_RATE, 20.0, seed=5)
     noise = np.random.default_rng(0).normal(size=y.shape) * np.array([0.05, 0.002])
-    whole = fit_whole(blank, y + noise, RIG_RATE)
+    whole = fit_all_effects(blank, y + noise, RIG_RATE)
     data, clean = whole.point.data, cut(blank, y, RIG_RATE).x[0]
     assert data.calm is not None
     off = np.std(data.x[0] + data.calm[0] - clean)

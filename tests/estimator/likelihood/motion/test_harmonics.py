@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from estimator.diagnosis.hypotheses import ranking
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
-from estimator.identification.batch.disturbance_numbers import with_found
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.disturbance_numbers import with_found_effects
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.machine import lines
 from estimator.identification.machine.harmonic_fit import PIECES, found_beside, refined
 from estimator.identification.residual.missing_force import survey
@@ -158,7 +158,7 @@ def test_a_line_about_the_resonance_does_not_move_the_rotor() -> None:
     hum = {"a": 0.16, "b": 0.16, "frequency": 1.03 * resonance / (2 * np.pi)}
     y = simulate(with_use(rig, "line", hum), RATE, 20.0, seed=7, noise=0.02, full_scale=490.5)
     model = replace(rig, effects=(*rig.effects, EffectUse("line", {"bearing1.x": {}})))
-    found = fit_whole(model, y, RATE).parameters
+    found = fit_all_effects(model, y, RATE).parameters
     for name, value in hum.items():
         p = found[f"bearing1.x.line.{name}"]
         assert p.sd is not None
@@ -171,7 +171,7 @@ def test_strikes_that_are_found_are_as_strong_as_they_are() -> None:
     deviations."""
     rig = one_bearing()
     y = record(rig, "local_defect", 0.06)
-    point = fit_whole(rig, y, RATE).point
+    point = fit_all_effects(rig, y, RATE).point
     (seen,) = (s for s in lines.find(rig, point, y, RATE) if s.effect == "local_defect")
     found = found_beside(rig, point, {"local_defect": seen.settings})[0]["local_defect"]
     truth = strengths(CATALOGUE["local_defect"], size(rig, "bearing1.x", RATE), 0.06, rig, SECONDS)
@@ -190,11 +190,11 @@ def test_a_place_may_have_more_than_one_line(rig: Model) -> None:
     for name, (hz, force) in hums.items():
         truth = with_use(truth, name, {"a": force, "b": -0.3 * force, "frequency": hz})
     y = simulate(truth, RATE, 8.0, seed=5, noise=0.02, full_scale=490.5)
-    whole = fit_whole(rig, y, RATE)
+    whole = fit_all_effects(rig, y, RATE)
     seen = suspects(rig, whole.point, y)
     entry = ranking.entries(rig, whole.point, [], survey(whole.point, rig, only=()), seen)[0]
     assert [*entry.settings] == [*hums]
-    added = fit_whole(with_found(rig, entry.settings), y, RATE)
+    added = fit_all_effects(with_found_effects(rig, entry.settings), y, RATE)
     assert suspects(added.model, added.point, y) == []
     for name, (hz, force) in hums.items():
         for key, value in {"a": force, "b": -0.3 * force, "frequency": hz}.items():
@@ -213,7 +213,7 @@ def test_a_line_without_a_frequency_is_as_many_as_there_are(rig: Model) -> None:
     truth = with_use(rig, "line", {"a": 0.6, "b": 0.1, "frequency": 350.0})
     truth = with_use(truth, "line_2", {"a": -0.2, "b": 0.3, "frequency": 850.0})
     y = simulate(truth, RATE, 6.0, seed=5, noise=0.02, full_scale=490.5)
-    whole = fit_whole(with_use(rig, "line", {}), y, RATE)
+    whole = fit_all_effects(with_use(rig, "line", {}), y, RATE)
     assert [use.name for use in whole.model.effects] == ["cubic", "line", "line_2"]
     assert whole.messages == ("line stands for several lines, line, line_2: fit --out writes them",)
     for use in truth.effects[1:]:
@@ -221,7 +221,7 @@ def test_a_line_without_a_frequency_is_as_many_as_there_are(rig: Model) -> None:
             p = whole.parameters[f"bearing1.x.{use.name}.{key}"]
             assert p.sd is not None
             assert abs((p.value or 0.0) - (setting.value or 0.0)) < 4 * p.sd, (use.name, key)
-    one = fit_whole(with_use(rig, "line", {"frequency": 850.0}), y, RATE)
+    one = fit_all_effects(with_use(rig, "line", {"frequency": 850.0}), y, RATE)
     assert [use.name for use in one.model.effects] == ["cubic", "line"]
     assert one.parameters["bearing1.x.line.frequency"].value == pytest.approx(850.0, abs=0.01)
 
@@ -233,7 +233,7 @@ def test_what_a_law_makes_of_lines_is_no_force(rig: Model) -> None:
     for k, hz in enumerate((300.0, 450.0, 1050.0, 1500.0)):
         truth = with_use(truth, "line" if k == 0 else f"line_{k + 1}", {"a": 0.6, "b": 0.3, "frequency": hz})
     y = simulate(truth, RATE, 8.0, seed=3, noise=0.02, full_scale=490.5)
-    whole = fit_whole(with_use(rig, "line", {}), y, RATE)
+    whole = fit_all_effects(with_use(rig, "line", {}), y, RATE)
     assert [use.name for use in whole.model.effects] == ["cubic", "line", "line_2", "line_3", "line_4"]
     assert suspects(whole.model, whole.point, y) == []
 

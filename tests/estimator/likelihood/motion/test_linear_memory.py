@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, one_bearing
 
 from estimator.effects import CATALOGUE
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.likelihood.motion.linear_memory import response, slope
 from estimator.model.rig import EffectUse, Setting
 from estimator.simulation.simulator import simulate
@@ -51,7 +51,7 @@ def test_beside_a_pedestal_numbers_are_as_uncertain_as_they_are() -> None:
     own = {"mass": Setting(M), "frequency": Setting(f0), "damping": Setting(zeta)}
     rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
     rig = replace(rig, effects=(EffectUse("pedestal", {"bearing1.x": own}),))
-    found = fit_whole(rig, simulate(rig, RATE, seconds, seed=1), RATE).parameters
+    found = fit_all_effects(rig, simulate(rig, RATE, seconds, seed=1), RATE).parameters
 
     f = np.arange(rig.band[0], rig.band[1], 0.25)
 

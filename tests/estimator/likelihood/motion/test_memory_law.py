@@ -11,7 +11,7 @@ from hidden_effects import RATE, one_bearing, record
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.compiled import memory_array
 from estimator.effects.engine.strength import size, strengths, with_effect
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import Placed, placed_of
 from estimator.likelihood.motion.memory_law import along, passed, together
@@ -179,7 +179,7 @@ def test_hysteresis_is_fitted_from_nothing() -> None:
     rig = one_bearing()
     y = record(rig, "bouc_wen", 0.06, seed=3, seconds=20.0)
     model = replace(rig, effects=(*rig.effects, EffectUse("bouc_wen", {p: {} for p in rig.places})))
-    found = fit_whole(model, y, RATE).parameters
+    found = fit_all_effects(model, y, RATE).parameters
     true = strengths(BOUC_WEN, size(rig, "bearing1.x", RATE), 0.06, rig, 20.0)
     for place in rig.places:
         for name, value in true.items():
@@ -201,7 +201,7 @@ def test_part_of_a_record_has_the_response_of_the_values_it_is_at() -> None:
     at = size(rig, "bearing1.x", RATE)
     y = simulate(with_effect(rig, BOUC_WEN, {"k": 0.05 * at.kL, "slip": 3.0 * at.x}, "bearing1.x"), RATE, 10.0, seed=3)
     model = replace(rig, effects=(*rig.effects, EffectUse("bouc_wen", {"bearing1.x": {}})))
-    point = fit_whole(model, y, RATE).point
+    point = fit_all_effects(model, y, RATE).point
     law = next(u for u in point.placed if u.effect is BOUC_WEN)
     moved = law.with_values(law.p * np.array([1.0, 1.1]))
     after = replace(point, placed=tuple(moved if u is law else u for u in point.placed))

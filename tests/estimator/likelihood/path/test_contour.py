@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from reference_rig import CROSS, PLACES, RATE, TRUTH, rig_model, rig_record
 
-from estimator.identification.batch.full_fit import fit_whole
-from estimator.identification.batch.line_notches import begin
-from estimator.identification.batch.linear_start import LEAST_DAMPING, linear_start
-from estimator.identification.batch.spectral import fit
+from estimator.identification.batch.full_fit import fit_all_effects
+from estimator.identification.batch.line_notches import start_without_lines
+from estimator.identification.batch.linear_start import MIN_DAMPING_RATIO, linear_start
+from estimator.identification.batch.spectral import fit_spectral
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.motion.force_balance import build
 from estimator.likelihood.motion.stream_record import gather, prepare
@@ -199,7 +199,11 @@ def test_cross_coupling_near_whirl_and_beyond_is_fitted(k: float) -> None:
     rolling = RollingEstimator(whole, RATE, 1e4, watch=())
     for part in np.split(y, np.arange(1280, len(y), 1280)):
         rolling.update(part)
-    fits = (fit_whole(whole, y, RATE).parameters, fit(whole, y, RATE).parameters, rolling.snapshot().parameters)
+    fits = (
+        fit_all_effects(whole, y, RATE).parameters,
+        fit_spectral(whole, y, RATE).parameters,
+        rolling.snapshot().parameters,
+    )
     for found in fits:
         for name, wanted in true.items():
             p = found[name]
@@ -216,7 +220,7 @@ def test_near_whirl_the_resonance_and_its_third_harmonic_are_not_left_out_as_lin
     hidden = np.zeros((4, 7))
     hidden[:2, CROSS] = k
     model = replace(rig_model("cubic"), effects=(EffectUse("cross_coupling", {"bearing1": {}}),))
-    record, _ = begin(prepare(model, rig_record(20.0, seed=seed, hidden=hidden), RATE))
+    record, _ = start_without_lines(prepare(model, rig_record(20.0, seed=seed, hidden=hidden), RATE))
     assert not record.lines
 
 
@@ -230,8 +234,8 @@ def test_beyond_whirl_the_start_has_the_damping_that_the_effect_feeds() -> None:
     use = EffectUse("cross_coupling", {"bearing1": {}, "bearing2": {}})
     whole = replace(model, effects=(*model.effects, use))
     start = linear_start(prepare(whole, y, RATE))
-    assert (start.c >= 2 * LEAST_DAMPING * np.sqrt(start.kL * start.m)).all()
-    found = fit(whole, y, RATE).parameters
+    assert (start.c >= 2 * MIN_DAMPING_RATIO * np.sqrt(start.kL * start.m)).all()
+    found = fit_spectral(whole, y, RATE).parameters
     for node in ("bearing1", "bearing2"):
         p = found[f"{node}.cross_coupling.k"]
         assert p.value is not None

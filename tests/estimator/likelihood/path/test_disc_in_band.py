@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.comparison import compare
 from estimator.identification.batch import spectral
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.structure import spectral_cells, spectral_models, spectral_shape
 from estimator.likelihood.motion.force_balance import build
 from estimator.likelihood.motion.stream_record import gather, prepare
@@ -48,7 +48,7 @@ def test_noise_through_the_shaft_moves_no_stiffness_of_a_fit() -> None:
     rig = ringing()
     y = simulate(rig, RATE, 20.0, seed=1, noise=0.02)
     y[:, 0] += 2.0 * np.random.default_rng(101).standard_normal(len(y))
-    found = spectral.fit(rig, y, RATE)
+    found = spectral.fit_spectral(rig, y, RATE)
     assert found.messages == ()
     for place in rig.places:
         for name in ("kL", "c"):
@@ -86,7 +86,7 @@ def test_what_rings_from_block_to_block_is_no_force_beside_the_bins_left_out() -
     rig = ringing()
     y = simulate(rig, RATE, 20.0, seed=3)
     y[:, 0] += 2.0 * np.random.default_rng(1).standard_normal(len(y))
-    point = fit_whole(rig, y, RATE).point
+    point = fit_all_effects(rig, y, RATE).point
     cells = spectral_cells.cells_of(point, 0)
     level, u, _ = spectral_models.plain(point, 0, cells)
     df = cells.n.size - 4
@@ -104,7 +104,7 @@ def test_a_bearing_whose_cap_resonates_by_its_shaft_alone_is_not_refused() -> No
     rig = replace(ringing(), shaft_stiffness=1e7, mass={"disc": 0.7, "bearing1": 0.2, "bearing2": 0.2})
     soft = {p: {**rig.linear[p], "kL": Setting(1.2e5 if p == "bearing1.x" else 9e6)} for p in rig.places}
     rig = replace(rig, linear=soft)
-    found = fit_whole(rig, simulate(rig, RATE, 6.0, seed=2, noise=0.002), RATE).parameters["bearing1.x.kL"]
+    found = fit_all_effects(rig, simulate(rig, RATE, 6.0, seed=2, noise=0.002), RATE).parameters["bearing1.x.kL"]
     assert abs((found.value or 0.0) - 1.2e5) < 4.0 * (found.sd or 0.0)
 
 

@@ -14,7 +14,7 @@ from estimator.diagnosis.hypotheses import trial as screen
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch import spectral
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual import missing_force
 from estimator.likelihood.motion.located_law import Placed, evaluate
 from estimator.likelihood.motion.motion_record import FOLDS, fold_of
@@ -27,10 +27,10 @@ def test_the_level_follows_the_force_and_an_even_force_has_none() -> None:
     """The slow envelope of a linear bearing's force is that of its motion."""
     rig = replace(one_bearing(), effects=())
     y = simulate(rig, RATE, 6.0, seed=0, noise=0.0)
-    even = fit_whole(rig, y, RATE)
+    even = fit_all_effects(rig, y, RATE)
     assert (even.point.data.level, even.messages) == (None, ())
     ramp = np.linspace(1.0, 2.0, len(y))[:, None]
-    whole = fit_whole(rig, y * ramp, RATE)
+    whole = fit_all_effects(rig, y * ramp, RATE)
     grown = whole.point
     at = grown.data.start + grown.data.block // 2
     for level in grown.data.level:
@@ -46,7 +46,7 @@ def test_noise_does_not_rise_with_the_force() -> None:
     ramp = np.geomspace(1.0, 3.0, round(8.0 * RATE))[:, None]
     y = simulate(rig, RATE, 8.0, seed=1, noise=0.0) * ramp
     rms = 0.02 * y.std()
-    whole = fit_whole(rig, y + np.random.default_rng(0).normal(0.0, rms, y.shape), RATE)
+    whole = fit_all_effects(rig, y + np.random.default_rng(0).normal(0.0, rms, y.shape), RATE)
     point = whole.point
     np.testing.assert_allclose(point.nu * point.S * RATE / 2, rms**2, rtol=0.05)
     assert point.data.level is not None
@@ -74,7 +74,7 @@ def test_a_handful_of_parts_is_even() -> None:
 def test_a_complete_model_under_a_growing_force_lacks_nothing() -> None:
     """With the force taken as even 2.1 % of the bearing force seemed missing, against time; with more motion 17 %."""
     y = rig_record(8.0, seed=2, level=0.6, growth=2.5)
-    whole = fit_whole(rig_model("cubic"), y, RIG_RATE)
+    whole = fit_all_effects(rig_model("cubic"), y, RIG_RATE)
     assert not missing_force.survey(whole.point, whole.model, seconds=8.0).any_found()
     taken = replace(whole.point, data=replace(whole.point.data, level=None))
     assert missing_force.survey(taken, whole.model, seconds=6.0).any_found()
@@ -90,7 +90,7 @@ def test_friction_under_a_growing_force_gains_on_every_fold() -> None:
         n * simulate(with_effect(rig, coulomb, {"fc": fc["fc"] / n}, "bearing1.x"), RATE, 8.0, seed=int(n), noise=0.0)
         for n in (1.0, 3.0)
     ]
-    point = fit_whole(rig, np.concatenate(parts), RATE).point
+    point = fit_all_effects(rig, np.concatenate(parts), RATE).point
     placed = Placed(coulomb, "bearing1.x.coulomb", (0,), np.array([fc["fc"]]), (True,))
     term = terms(placed, point.data, point.lin)[0]
     assert term.apart is not None
@@ -113,5 +113,5 @@ def test_damping_of_a_fit_is_without_bias_beside_a_growing_force() -> None:
     hidden = np.zeros((4, 7))
     hidden[:, QUADRATIC_DAMPING] = 1200.0
     model = rig_model("cubic", "quadratic_damping")
-    found = spectral.fit(model, rig_record(20.0, seed=900, hidden=hidden, growth=2.5), RIG_RATE).parameters
+    found = spectral.fit_spectral(model, rig_record(20.0, seed=900, hidden=hidden, growth=2.5), RIG_RATE).parameters
     assert np.mean([found[f"{p}.c"].value for p in PLACES]) == pytest.approx(TRUTH["c"].mean(), rel=0.1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from reference_rig import RATE, rig_model, rig_record
 
-from estimator.identification.batch.linear_start import Start, linear_start
+from estimator.identification.batch.linear_start import LinearStart, linear_start
 from estimator.identification.batch.maximum import initial, inverse
 from estimator.likelihood.motion.force_balance import Balance, build, restrict
 from estimator.likelihood.motion.stream_record import Bank, Record, gather, prepare
@@ -17,14 +17,14 @@ from estimator.likelihood.response.second_order import pair_energies
 
 
 @pytest.fixture(scope="module")
-def fitted() -> tuple[Record, Start, Balance, Bank]:
+def fitted() -> tuple[Record, LinearStart, Balance, Bank]:
     record = prepare(rig_model("cubic", "cross_coupling"), rig_record(8.0, seed=3), RATE)
     start = linear_start(record)
     balance = build(record.model, start.sizes)
     return record, start, balance, gather(record, balance, start.widths, start.linear)
 
 
-def test_gradient_and_hessian_are_those_of_the_likelihood(fitted: tuple[Record, Start, Balance, Bank]) -> None:
+def test_gradient_and_hessian_are_those_of_the_likelihood(fitted: tuple[Record, LinearStart, Balance, Bank]) -> None:
     _, start, balance, bank = fitted
     likelihood = Likelihood(evidence_of(bank, start.nodes))
     # sensor noise of one part in a thousand at the lower edge: S hardly varies within a cell, where it is averaged
@@ -46,7 +46,7 @@ def test_gradient_and_hessian_are_those_of_the_likelihood(fitted: tuple[Record, 
         assert (values[0] - values[2]) / 0.02 == pytest.approx(local.gradient[p + i], rel=1e-2, abs=1.0)
 
 
-def test_few_nodes_do_what_every_bin_does(fitted: tuple[Record, Start, Balance, Bank]) -> None:
+def test_few_nodes_do_what_every_bin_does(fitted: tuple[Record, LinearStart, Balance, Bank]) -> None:
     _, start, balance, bank = fitted
     point = initial(balance, start, {})
     full, _ = maximise(Likelihood(evidence_of(bank)), point)
@@ -58,7 +58,7 @@ def test_few_nodes_do_what_every_bin_does(fitted: tuple[Record, Start, Balance, 
 
 
 def test_a_bank_restricted_to_fewer_laws_is_the_bank_of_the_smaller_model(
-    fitted: tuple[Record, Start, Balance, Bank],
+    fitted: tuple[Record, LinearStart, Balance, Bank],
 ) -> None:
     record, start, balance, bank = fitted
     cubic = {i for i, law in enumerate(balance.laws) if law.effect.name == "cubic"}

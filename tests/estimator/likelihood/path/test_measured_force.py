@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from estimator.identification.batch import spectral
-from estimator.identification.batch.line_notches import begin
+from estimator.identification.batch.line_notches import start_without_lines
 from estimator.identification.batch.linear_start import linear_start
 from estimator.identification.batch.maximum import initial
 from estimator.identification.batch.measured_force import along_likely_path
-from estimator.identification.batch.report import solve
+from estimator.identification.batch.report import fit_from_start
 from estimator.likelihood.motion.force_balance import build
 from estimator.likelihood.motion.stream_record import gather, prepare
 from estimator.likelihood.path.gram_likelihood import Likelihood, Point, evidence_of
@@ -70,7 +70,7 @@ def test_the_slope_is_that_of_what_is_left_at_held_noise(noisy: Floats) -> None:
 def test_noise_of_the_force_sensors_pulls_nothing(noisy: Floats) -> None:
     """Another quarter of the force: with the determinant c was 6.6 % too large, nine standard deviations."""
     y = noisy + [0.0, 0.0, 0.25, 0.25] * np.random.default_rng(1).normal(size=noisy.shape)
-    found = spectral.fit(rig(*MOTION, *FORCE), y, RATE).parameters
+    found = spectral.fit_spectral(rig(*MOTION, *FORCE), y, RATE).parameters
     for place in PLACES:
         for key, true in TRUTH.items():
             p = found[f"{place}.{key}"]
@@ -84,7 +84,7 @@ def test_noise_of_the_force_sensors_pulls_nothing(noisy: Floats) -> None:
 def test_beside_a_gap_too(noisy: Floats) -> None:
     y = noisy.copy()
     y[int(3.1 * RATE) : int(3.15 * RATE)] = np.nan
-    whole, broken = (spectral.fit(rig(*MOTION, *FORCE), z, RATE).parameters for z in (noisy, y))
+    whole, broken = (spectral.fit_spectral(rig(*MOTION, *FORCE), z, RATE).parameters for z in (noisy, y))
     for place in PLACES:
         for key in TRUTH:
             p, q = whole[f"{place}.{key}"], broken[f"{place}.{key}"]
@@ -99,7 +99,7 @@ def test_an_offset_of_the_sensors_is_nothing_to_the_laws(noisy: Floats) -> None:
     with 126 N, the next round diverged and `fit` ended with an error of the linear algebra."""
     free = rig(*MOTION, *FORCE)
     with np.errstate(over="raise"):
-        plain, lifted = (spectral.fit(free, noisy + [z, z, 0.0, 0.0], RATE).parameters for z in (0.0, 300.0))
+        plain, lifted = (spectral.fit_spectral(free, noisy + [z, z, 0.0, 0.0], RATE).parameters for z in (0.0, 300.0))
     for key, p in plain.items():
         assert lifted[key].value == pytest.approx(p.value, abs=0.3 * p.sd)
 
@@ -110,7 +110,7 @@ def test_a_law_that_pushes_the_cap_off_its_centre() -> None:
     kq = ("kq", 3e12)
     y = simulate(rig(*MOTION, *FORCE, known=True, quadratic=kq), RATE, 6.0, seed=3)
     y += [0.02, 0.02, 0.001, 0.001] * np.random.default_rng(0).normal(size=y.shape)
-    found = spectral.fit(rig(*MOTION, *FORCE, quadratic=kq), y, RATE).parameters
+    found = spectral.fit_spectral(rig(*MOTION, *FORCE, quadratic=kq), y, RATE).parameters
     for place in PLACES:
         assert found[f"{place}.kL"].value == pytest.approx(1e7, rel=5e-4)
         assert found[f"{place}.cubic.kNL"].value == pytest.approx(1.3e18, rel=0.015)
@@ -122,7 +122,7 @@ def test_the_most_likely_path_is_that_of_the_cap(noisy: Floats) -> None:
     blank = rig(*MOTION, *FORCE)
     seen = tuple(replace(c, kind="displacement") for c in MOTION)
     true = simulate(rig(*seen, known=True), RATE, SECONDS, seed=5).T
-    solution = solve(*begin(prepare(blank, noisy, RATE)), blank)
+    solution = fit_from_start(*start_without_lines(prepare(blank, noisy, RATE)), blank)
     record, start = along_likely_path(solution, noisy)
     assert record.slow is not None
     valid = record.motion.valid.copy()

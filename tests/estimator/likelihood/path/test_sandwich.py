@@ -10,21 +10,21 @@ from reference_rig import COULOMB, RATE, rig_model, rig_record
 
 from estimator.identification.batch.maximum import inverse
 from estimator.identification.batch.measured_force import analyse
-from estimator.identification.batch.report import Solution
+from estimator.identification.batch.report import SpectralFit
 from estimator.likelihood.motion.law_columns import Columns
 from estimator.likelihood.path.gram_likelihood import Likelihood, evidence_of
 from estimator.likelihood.path.sandwich import excess
 
 
 @pytest.fixture(scope="module")
-def solution() -> Solution:
+def solution() -> SpectralFit:
     friction = np.zeros((4, 7))
     friction[:, COULOMB] = 0.07
     return analyse(rig_model("cubic", "coulomb", "cross_coupling"), rig_record(16.0, seed=8, hidden=friction), RATE)
 
 
 @pytest.mark.slow
-def test_it_is_the_gradient_with_the_tangents_of_the_fold_less_that_with_the_mean(solution: Solution) -> None:
+def test_it_is_the_gradient_with_the_tangents_of_the_fold_less_that_with_the_mean(solution: SpectralFit) -> None:
     bank, local = solution.bank, solution.local
     evidence = evidence_of(bank, solution.start.nodes)
     mean = np.average(bank.fold_tangents, axis=0, weights=bank.blocks)
@@ -42,7 +42,7 @@ def test_it_is_the_gradient_with_the_tangents_of_the_fold_less_that_with_the_mea
 
 
 @pytest.mark.slow
-def test_tangents_of_the_folds_are_those_of_their_rows(solution: Solution) -> None:
+def test_tangents_of_the_folds_are_those_of_their_rows(solution: SpectralFit) -> None:
     bank, record, grid = solution.bank, solution.record, solution.record.grid
     columns = Columns(solution.balance, record.scales, solution.start.widths, solution.start.linear)
     start = round(bank.start[1] * record.rate_hz)
@@ -52,7 +52,7 @@ def test_tangents_of_the_folds_are_those_of_their_rows(solution: Solution) -> No
     assert bank.fold_tangents.mean(axis=0) == pytest.approx(bank.tangents, rel=0.05)
 
 
-def test_the_interval_of_damping_beside_friction_is_hardly_wider_than_the_hessian_says(solution: Solution) -> None:
+def test_the_interval_of_damping_beside_friction_is_hardly_wider_than_the_hessian_says(solution: SpectralFit) -> None:
     sd, bare = np.sqrt(np.diag(solution.covariance)), np.sqrt(np.diag(inverse(solution.local)))
     ratio = sd / bare
     c = [j for j, name in enumerate(solution.balance.names) if name.endswith(".c")]

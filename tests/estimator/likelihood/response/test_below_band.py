@@ -14,7 +14,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.custom import custom_effect
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch import spectral as spectral
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual import missing_force
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.fitting.gauss_newton import fit_model
@@ -111,7 +111,7 @@ def test_a_quadratic_law_and_the_cubic_one_beside_it_come_out_right(truth: Model
     rows = []
     for seed in (1, 2, 3):
         y = simulate(truth, RATE, SECONDS, seed=seed, noise=0.02, full_scale=490.5)
-        fit = spectral.fit(truth, y, RATE).parameters
+        fit = spectral.fit_spectral(truth, y, RATE).parameters
         for use in truth.effects:
             for place, settings in use.parameters.items():
                 for name, setting in settings.items():
@@ -130,7 +130,7 @@ def test_the_rolling_estimate_sees_it_too(truth: Model) -> None:
     rolling = RollingEstimator(truth, RATE, 1e4, watch=())
     for part in np.split(y, np.arange(1280, len(y), 1280)):
         rolling.update(part)
-    found, fit = rolling.snapshot().parameters, spectral.fit(truth, y, RATE).parameters
+    found, fit = rolling.snapshot().parameters, spectral.fit_spectral(truth, y, RATE).parameters
     for name, p in fit.items():
         if p.sd:
             q = found[name]
@@ -165,7 +165,7 @@ def test_a_law_feels_a_line_below_the_band() -> None:
     truth = with_effect(rig, stop, strengths(stop, natural, 0.06, rig, 8.0), *rig.places)
     line = {"a": Setting(0.3 * np.sqrt(2.0) * natural.force), "b": Setting(0.0), "frequency": Setting(100.0)}
     truth = replace(truth, effects=(*truth.effects, EffectUse("line", dict.fromkeys(rig.places, line))))
-    whole = fit_whole(truth, simulate(truth, RATE, 8.0, seed=1, noise=0.002), RATE)
+    whole = fit_all_effects(truth, simulate(truth, RATE, 8.0, seed=1, noise=0.002), RATE)
     assert not missing_force.survey(whole.point, whole.model).any_found()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimator.identification.batch.line_notches import begin
+from estimator.identification.batch.line_notches import start_without_lines
 from estimator.likelihood.motion import prepare as cut_record
 from estimator.likelihood.motion.stream_record import prepare
 from estimator.likelihood.response.below_band import with_slow
@@ -38,7 +38,7 @@ def probed() -> tuple[np.ndarray, np.ndarray]:
 
 def test_laws_see_what_a_displacement_sensor_measures_below_the_band() -> None:
     x, y = probed()
-    record, start = begin(prepare(rig("displacement"), y, RATE))
+    record, start = start_without_lines(prepare(rig("displacement"), y, RATE))
     valid, stretch = record.motion.valid, record.stretch(0, record.motion.rows)
     left = (x - record.motion.x[0])[valid]
     now = (x - stretch.seen(0)[24:-24])[valid]

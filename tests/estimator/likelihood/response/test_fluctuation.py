@@ -11,7 +11,7 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing, record, 
 from estimator.diagnosis.hypotheses import gate_shape
 from estimator.effects import CATALOGUE
 from estimator.identification.batch import spectral
-from estimator.identification.batch.full_fit import fit_whole
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import placed_of, tangent_series
@@ -41,7 +41,7 @@ def strong(request: pytest.FixtureRequest) -> Case:
 @pytest.mark.slow
 def test_diagnosis_and_fit_estimate_the_same(strong: Case) -> None:
     name, model, y, point = strong
-    fitted = spectral.fit(model, y, RATE).parameters
+    fitted = spectral.fit_spectral(model, y, RATE).parameters
     for place in model.places:
         key = f"{place}.{name}.{CATALOGUE[name].parameters[0].name}"
         parameter = fitted[key]
@@ -152,7 +152,7 @@ def friction_and_drag() -> tuple[Model, np.ndarray, WorkingPoint]:
         values = strengths(law, size(model, "bearing1.x", SLOW), 0.06, model, 20.0)
         model = with_effect(model, law, values, "bearing1.x")
     y = simulate(model, SLOW, 20.0, seed=1, oversample=16, noise=0.001)
-    return model, y, fit_whole(model, y, SLOW).point
+    return model, y, fit_all_effects(model, y, SLOW).point
 
 
 @pytest.mark.slow
@@ -173,7 +173,7 @@ def test_models_are_compared_by_the_value_whose_derivatives_their_columns_have(
     """What drag beside friction is worth, by the two fits and by its column beside friction alone. With 2 log |det A|
     of the dressed A for the value it was -13 nats for 10, and `improve` would not have added what is there."""
     model, y, both = friction_and_drag
-    alone = fit_whole(replace(model, effects=model.effects[:1]), y, SLOW).point
+    alone = fit_all_effects(replace(model, effects=model.effects[:1]), y, SLOW).point
     trial = assess(alone, both.placed[1])
     assert trial is not None
     assert trial.gain > 5.0
@@ -203,7 +203,7 @@ def test_laws_at_a_cap_on_a_stiff_shaft_are_dressed_by_the_cap_on_its_shaft(name
     true = truth.effects[-1].parameters["bearing1.x"][amplitude].value or 0.0
     scores = []
     for seed in (1, 2):
-        whole = fit_whole(truth, simulate(truth, RATE, 20.0, seed=seed, noise=0.002), RATE)
+        whole = fit_all_effects(truth, simulate(truth, RATE, 20.0, seed=seed, noise=0.002), RATE)
         assert not missing_force.survey(whole.point, whole.model).any_found()
         found = whole.parameters[f"bearing1.x.{name}.{amplitude}"]
         scores.append(((found.value or 0.0) - true) / (found.sd or 1.0))
@@ -224,7 +224,7 @@ def test_a_mode_that_rings_on_with_little_of_the_motion_does_not_keep_friction_f
         },
     )  # fmt: skip
     truth = with_effect(rig, CATALOGUE["coulomb"], {"fc": 0.22}, "bearing2.x")
-    found = fit_whole(truth, simulate(truth, RATE, 20.0, seed=1, noise=0.001), RATE).parameters
+    found = fit_all_effects(truth, simulate(truth, RATE, 20.0, seed=1, noise=0.001), RATE).parameters
     for name, true in (("coulomb.fc", 0.22), ("c", 41.0)):
         own = found[f"bearing2.x.{name}"]
         assert own.value == pytest.approx(true, abs=2.5 * (own.sd or 0.0))

@@ -9,9 +9,9 @@ from scipy.signal import lfilter, welch
 
 from estimator.identification.batch.maximum import Tangents, without_flutter
 from estimator.identification.batch.measured_force import analyse
-from estimator.identification.batch.report import report
+from estimator.identification.batch.report import fitted_parameters
 from estimator.identification.rolling.estimator import RollingEstimator
-from estimator.identification.rolling.memory import FlutterSums
+from estimator.identification.rolling.memory import TangentNoiseSums
 from estimator.likelihood.motion.force_balance import build
 from estimator.likelihood.motion.law_columns import Columns
 from estimator.likelihood.motion.law_smoothing import MARGIN
@@ -72,7 +72,7 @@ def test_sums_over_blocks_say_the_same() -> None:
     model, x = oscillation("displacement")
     record = prepare(model, x[:, None], RATE)
     columns = Columns(build(model), record.scales, record.scales * 0.01)
-    sums = FlutterSums(columns)
+    sums = TangentNoiseSums(columns)
     grid = record.grid
     blocks = [2 * b for b in range(2, int(len(x) / grid.size) - 2)]
     total = np.sum([sums.of(record.stretch(b * grid.hop, b * grid.hop + grid.size)) for b in blocks], axis=0)
@@ -81,7 +81,7 @@ def test_sums_over_blocks_say_the_same() -> None:
     assert found.covariance == pytest.approx(exact.covariance, rel=0.05)
     assert found.bend == pytest.approx(exact.bend, rel=0.02)
     other = oscillation("acceleration")[0]
-    assert FlutterSums(Columns(build(other), record.scales, record.scales)).size == 0
+    assert TangentNoiseSums(Columns(build(other), record.scales, record.scales)).size == 0
 
 
 def test_the_rolling_estimate_has_no_other_bias_than_the_fit() -> None:
@@ -97,7 +97,7 @@ def test_the_rolling_estimate_has_no_other_bias_than_the_fit() -> None:
         rolling = RollingEstimator(wide, RATE, 1e5, watch=())
         for part in np.split(y, np.arange(100, len(y), 100)):
             rolling.update(part)
-        a, b = rolling.snapshot().parameters, report(analyse(wide, y, RATE))
+        a, b = rolling.snapshot().parameters, fitted_parameters(analyse(wide, y, RATE))
         keys = [f"bearing1.x.{key}" for key in ("kL", "c", "cubic.kNL", "S")]
         apart.append([(a[key].value - b[key].value) / b[key].sd for key in keys])  # type: ignore[operator]
     assert np.abs(np.mean(apart, axis=0)).max() < 0.3, apart
