@@ -1,7 +1,7 @@
 """Golden results: fit, compare, diagnose and improve of twelve records.
 
 python -m tests.golden.make                # write tests/golden/results/*.json
-python -m tests.golden.make --check        # compare: verdicts equal, numbers within tests/golden/tolerance
+python -m tests.golden.make --check        # compare: verdicts equal, numbers within the tolerance of `differences`
 python -m tests.golden.make --check --exact   # compare every number bit by bit: same machine, same libraries
 """
 
@@ -16,15 +16,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from estimator.diagnosis.comparison.comparison import compare
-from estimator.diagnosis.verdict.diagnosis import diagnose
-from estimator.diagnosis.verdict.improvement import improve
-from estimator.identification.batch.spectral import fit_spectral
+from estimator import compare, diagnose, fit, improve
 
 from .records import RECORDS, GoldenRecord
 
 RESULTS = Path(__file__).parent / "results"
-COMMANDS = {"fit": fit_spectral, "compare": compare, "diagnose": diagnose, "improve": improve}
+COMMANDS = {"fit": fit, "compare": compare, "diagnose": diagnose, "improve": improve}
 TEXTS = {"messages", "separates", "reason"}  # wording is free
 DRAWN = {"curves", "laws", "spectra", "densities", "orbits", "shape"}  # long series: in the digest alone
 
