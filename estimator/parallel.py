@@ -17,7 +17,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-def each(function: Callable[[T], R], items: Iterable[T], done: Callable[[int], None] | None = None) -> list[R]:
+def map_threads(function: Callable[[T], R], items: Iterable[T], done: Callable[[int], None] | None = None) -> list[R]:
     """function of every item, in order, two at a time; `done` hears in this thread how many there are so far.
 
     The first exception is raised.
@@ -31,7 +31,7 @@ def each(function: Callable[[T], R], items: Iterable[T], done: Callable[[int], N
     return out
 
 
-def answers(
+def map_processes(
     questions: Sequence[Callable[[], R]], kept: Sequence[object] = (), done: Callable[[int], None] | None = None
 ) -> list[R]:
     """The answers, in order, of two processes that take one question after the other; `done` hears about how far they
@@ -41,7 +41,7 @@ def answers(
     objects `kept`: laws and the like, which cannot be. What it cannot answer is asked here, and raises here.
     """
     if len(questions) < 2 or not _alone():
-        return each(lambda question: question(), questions, done)
+        return map_threads(lambda question: question(), questions, done)
     todo, supply = os.pipe()
     os.write(supply, b"".join(k.to_bytes(2, "little") for k in range(len(questions))))
     os.close(supply)

@@ -9,11 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-DIFFERENT = 0.01  # p-value under which the places are said to differ
+MAX_P_VALUE_DIFFERENT = 0.01  # p-value under which the places are said to differ
 
 
 @dataclass(frozen=True, slots=True)
-class Shared:
+class SharedValue:
     """The mean by precision and its standard deviation. p_equal : of chi^2 of the places about it."""
 
     value: float
@@ -27,9 +27,9 @@ class Shared:
         own = ("value", "sd", "unit", "p_equal")
         return {name: getattr(self, name) for name in own} | {"places": list(self.places)}
 
-    def said(self, name: str) -> str:
+    def sentence(self, name: str) -> str:
         """In one line."""
-        if self.p_equal < DIFFERENT:
+        if self.p_equal < MAX_P_VALUE_DIFFERENT:
             return f"{name}: the {len(self.places)} places differ (p = {self.p_equal:.2g} that one value holds)"
         per_cent = f" ({100 * self.sd / abs(self.value):.2g} %)" if self.value else ""
         return (
@@ -38,7 +38,7 @@ class Shared:
         )
 
 
-def shared(parameters: Mapping[str, Parameter]) -> dict[str, Shared]:
+def shared(parameters: Mapping[str, Parameter]) -> dict[str, SharedValue]:
     """By "EFFECT.PARAMETER", where it was estimated at two places or more and is identifiable at all of them.
 
     Places are taken as independent, which they nearly are: a force balance is of one place, and the disc's force is
@@ -56,7 +56,7 @@ def shared(parameters: Mapping[str, Parameter]) -> dict[str, Shared]:
     }
 
 
-def _mean(group: Mapping[str, Parameter]) -> Shared:
+def _mean(group: Mapping[str, Parameter]) -> SharedValue:
     from scipy.special import chdtrc  # scipy takes longer to import than all of this file
 
     value = np.array([p.value for p in group.values()], float)
@@ -64,7 +64,7 @@ def _mean(group: Mapping[str, Parameter]) -> Shared:
     mean = float(weight @ value / weight.sum())
     chi2 = float(weight @ (value - mean) ** 2)
     unit = next(iter(group.values())).unit
-    return Shared(mean, float(weight.sum() ** -0.5), unit, tuple(group), float(chdtrc(len(value) - 1, chi2)))
+    return SharedValue(mean, float(weight.sum() ** -0.5), unit, tuple(group), float(chdtrc(len(value) - 1, chi2)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ class Parameter:
     reason: str = ""
 
     @classmethod
-    def judged(cls, value: float, sd: float, unit: str, limit: float = 0.5) -> Parameter:
+    def from_estimate(cls, value: float, sd: float, unit: str, limit: float = 0.5) -> Parameter:
         """The parameter, or "not identifiable" if sd exceeds `limit` of the value (physics.md section 3)."""
         if np.isfinite(value) and np.isfinite(sd) and sd <= limit * abs(value):
             return cls(float(value), float(sd), unit)
@@ -119,14 +119,14 @@ class Parameter:
         return out | ({"reason": self.reason} if self.reason else {})
 
 
-def untold_at(
+def with_unidentifiable_at(
     places: Collection[str], reason: str, numbers: Mapping[str, Parameter], unit: str = ""
 ) -> dict[str, Parameter]:
     """Numbers by full name without those at some places, and of laws at their nodes, in units that begin so: "N" where
     nothing tells the mass of a cap."""
 
     def adrift(name: str) -> bool:
-        return any(belongs(name, place) for place in places)
+        return any(is_of_place(name, place) for place in places)
 
     return {
         name: Parameter(None, None, q.unit, False, reason) if q.unit.startswith(unit) and adrift(name) else q
@@ -134,7 +134,7 @@ def untold_at(
     }
 
 
-def belongs(name: str, place: str) -> bool:
+def is_of_place(name: str, place: str) -> bool:
     """Whether a number by its full name is of a place, or of a law at the node of the place."""
     node, direction = name.split(".")[:2]
     return place == f"{node}.{direction}" if direction in ("x", "y") else place.split(".")[0] == node
@@ -152,13 +152,15 @@ class Estimate:
     extra: Mapping[str, float] | None = None  # e.g. missing_force_percent of the rolling comparison
 
 
-MISSING = "missing_force_percent"  # in `extra`: of all candidates; with _NAME behind it: of one that is certain
+MISSING_FORCE_KEY = (
+    "missing_force_percent"  # in `extra`: of all candidates; with _NAME behind it: of one that is certain
+)
 
 
-def certain(extra: Mapping[str, float]) -> list[str]:
+def certain_missing_effects(extra: Mapping[str, float]) -> list[str]:
     """The candidate effects that an estimate is certain to be missing, strongest first."""
-    names = [n for n in extra if n.startswith(MISSING + "_")]
-    return [n.removeprefix(MISSING + "_") for n in sorted(names, key=lambda n: -extra[n])]
+    names = [n for n in extra if n.startswith(MISSING_FORCE_KEY + "_")]
+    return [n.removeprefix(MISSING_FORCE_KEY + "_") for n in sorted(names, key=lambda n: -extra[n])]
 
 
 class OnlineEstimator(Protocol):

@@ -47,7 +47,7 @@ def fit(output: Output, log: Path, rig_path: Path, method: Method, out: Path | N
     if out is not None:
         write_whole(out, with_values(with_lines(rig, result.parameters), result.parameters))
     people: list[Any] = [parameters_table(result.parameters), ""]
-    people += [value.said(name) for name, value in shared(result.parameters).items()]
+    people += [value.sentence(name) for name, value in shared(result.parameters).items()]
     people += [f"note: {message}" for message in result.messages]
     people.append(f"{result.samples} samples, method {result.method}" + _likelihood(result))
     if out is not None:

@@ -11,7 +11,7 @@ from rich.text import Text
 from daq.base.console.tables import parameters_table
 from daq.base.contract.sink import Session
 from drivers.contract import Notice, Reading
-from estimator.results import MISSING, certain
+from estimator.results import MISSING_FORCE_KEY, certain_missing_effects
 
 from .live_state import LiveState
 
@@ -20,10 +20,10 @@ NAMED = ("missing_force", "effect_named", "effect_unknown", "model_complete")  #
 
 def missing_text(extra: Mapping[str, float]) -> str:
     """The rolling missing force in a line: how much, and what it is most like; "" before there is one."""
-    total = extra.get(MISSING)
+    total = extra.get(MISSING_FORCE_KEY)
     if total is None:
         return ""
-    like = ", ".join(f"{name} {extra[f'{MISSING}_{name}']:.2f} %" for name in certain(extra))
+    like = ", ".join(f"{name} {extra[f'{MISSING_FORCE_KEY}_{name}']:.2f} %" for name in certain_missing_effects(extra))
     return f"missing force {total:.2f} % of the bearing force" + (f"   most like {like}" if like else "")
 
 

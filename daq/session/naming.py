@@ -29,7 +29,7 @@ from daq.base.contract.scaling import Scaling
 from daq.base.contract.sink import Session, SinkHealth, Status
 from daq.rig.rig import Rig
 from drivers.contract import Block, Gap, Info, Notice, Reading
-from estimator.results import MISSING, Estimate, certain
+from estimator.results import MISSING_FORCE_KEY, Estimate, certain_missing_effects
 
 KEPT_S = 30.0  # of samples
 ENOUGH_S = 7.0  # of the new state, to try the catalogue on
@@ -111,7 +111,7 @@ class Naming:
     def estimate(self, estimate: Estimate) -> None:
         extra = estimate.extra or {}
         self._look_for_a_jump(estimate)
-        if MISSING in extra:
+        if MISSING_FORCE_KEY in extra:
             self._look_for_a_force(estimate, extra)
         second, at = self._rate_hz, estimate.index
         waited = self._asked is None or at - self._asked >= EVERY_S * second
@@ -161,21 +161,22 @@ class Naming:
             self._say("warning", "parameters_changed", text)
 
     def _look_for_a_force(self, now: Estimate, extra: Mapping[str, float]) -> None:
-        sure = certain(extra)
+        sure = certain_missing_effects(extra)
         if not sure:
             self._level = None
             return
-        if self._level is not None and (extra[MISSING] <= GROWN * self._level or self._since is not None):
+        if self._level is not None and (extra[MISSING_FORCE_KEY] <= GROWN * self._level or self._since is not None):
             if self._since is not None:  # still settling
-                self._level = max(self._level, extra[MISSING])
+                self._level = max(self._level, extra[MISSING_FORCE_KEY])
             return
-        self._level = extra[MISSING]
+        self._level = extra[MISSING_FORCE_KEY]
         if self._asked is not None and now.index - self._asked < CALM_S * self._rate_hz:
             return  # the diagnosis after a jump has just told of it
         if self._since is None:
             self._since = now.index  # what is before may be of a time when nothing was missing
         best, *others = sure
-        text = f"a force is missing from the model at {self._s(now.index)}: {extra[MISSING]:.2f} % of the bearing force"
+        percent = extra[MISSING_FORCE_KEY]
+        text = f"a force is missing from the model at {self._s(now.index)}: {percent:.2f} % of the bearing force"
         text += f", most like {best}" + (f" (or {', '.join(others)})" if others else "")
         self._say("warning", "missing_force", text)
 

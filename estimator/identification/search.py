@@ -10,7 +10,7 @@ from estimator.likelihood.motion.located_law import clipped as clipped_by
 from estimator.likelihood.path.whitening import Spectrum
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 from .finding import Suspect, as_use
 from .machine import lines as line_forces
@@ -59,10 +59,10 @@ def _without(found: list[Suspect], model: Model, point: WorkingPoint) -> Working
         for wave in made:
             if (own := wave.at(i, data.t, data.phase)) is not None:
                 force -= own
-        return point.weighing.spectrum(i, force)
+        return point.whitening.spectrum(i, force)
 
     hit = sorted({i for wave in made for i in wave.tables})
-    return replace(point, spectra=point.spectra | dict(zip(hit, each(left, hit), strict=True)))
+    return replace(point, spectra=point.spectra | dict(zip(hit, map_threads(left, hit), strict=True)))
 
 
 def _elsewhere(s: Suspect, bad: set[str], point: WorkingPoint) -> Suspect | None:

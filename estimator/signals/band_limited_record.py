@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 from .band_limit import BandLimit, Motion
 
@@ -79,7 +79,7 @@ class Filtered(BandLimit):
             for whole, part in zip(out, z[:, :, : self.rows - first], strict=True):
                 whole[:, first : first + self._hop] = part
 
-        each(fill, range(-(-self.rows // self._hop)))
+        map_threads(fill, range(-(-self.rows // self._hop)))
         return self.motion(0, out, self.valid)
 
     @cached_property
@@ -91,7 +91,7 @@ class Filtered(BandLimit):
             z = self._filtered(b)[:, :, : valid.size] * valid
             return np.asarray(np.einsum("ocn,ocn->oc", z, z))
 
-        total = np.sum(each(squares, range(-(-self.rows // self._hop))), axis=0)
+        total = np.sum(map_threads(squares, range(-(-self.rows // self._hop))), axis=0)
         return np.asarray(np.sqrt(total / max(int(self.valid.sum()), 1)))
 
     @property

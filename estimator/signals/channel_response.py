@@ -15,7 +15,7 @@ import numpy as np
 from estimator.arrays import Array, Complexes
 from estimator.model.recorder import Filter, images
 from estimator.model.rig import MOTION, EffectUse, Model
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 from .band_limit import to_acceleration
 
@@ -126,6 +126,6 @@ def undone(model: Model, y: Array, rate_hz: float) -> Array:
         return np.where(gap, np.nan, np.fft.irfft(np.fft.rfft(np.where(gap, 0.0, z)) / H, len(z)))
 
     out = y.copy()
-    for k, z in zip(heard, each(column, heard), strict=True):
+    for k, z in zip(heard, map_threads(column, heard), strict=True):
         out[:, k] = z
     return out

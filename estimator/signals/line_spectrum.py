@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.model.rig import MOTION, Model
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 from .band_limit import to_acceleration
 from .shaft_angle import measured_phase
@@ -138,7 +138,7 @@ def residual_spectrum(
     from scipy.fft import irfft, rfft
 
     P, n = s.windowed.shape
-    Y = np.stack(each(lambda z: rfft(z.astype(np.float64)), s.windowed))
+    Y = np.stack(map_threads(lambda z: rfft(z.astype(np.float64)), s.windowed))
     R = np.zeros_like(Y)
     for a in range(max(1, int(LEAST_HZ * s.seconds)), Y.shape[1], CHUNK):
         here = slice(a, a + CHUNK)
@@ -183,7 +183,9 @@ def _spectrum(
 
     n = windowed.shape[1]
     f: Array = np.asarray(np.fft.rfftfreq(n, 1 / rate_hz), dtype=np.float64)
-    Y = np.stack(each(rfft, windowed))  # scipy's own workers would stay, and no second process could be had: answers
+    Y = np.stack(
+        map_threads(rfft, windowed)
+    )  # scipy's own workers would stay: map_processes then has no second process
     Y *= 2 / (0.5 * (n - 1))
     noise = np.stack([surroundings(z.real**2 + z.imag**2, NEIGHBOURS) for z in Y])
     return Spectrum(f, Y, noise, n / rate_hz, windowed, kinds, rate_hz, model, phase)

@@ -14,14 +14,14 @@ from typing import Any
 
 import pytest
 
-from estimator.parallel import answers
+from estimator.parallel import map_processes
 
 BEGIN = """
 import json, os, signal, sys, time
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 from functools import partial
 import numpy as np
-from estimator.parallel import answers
+from estimator.parallel import map_processes
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a test run in the background ignores it
 me = os.getpid()
 def slow(k, do=lambda: None):
@@ -44,7 +44,7 @@ def test_two_processes_answer_in_order_and_leave_nothing() -> None:
         """
 law = lambda x: x  # cannot be pickled
 before = len(os.listdir("/proc/self/fd"))
-out = answers([partial(slow, (k, law, np.full(3, k))) for k in range(40)], [law])
+out = map_processes([partial(slow, (k, law, np.full(3, k))) for k in range(40)], [law])
 said = [(int(array[0]), one is law, pid) for (k, one, array), pid in out]
 try:
     children = os.waitpid(-1, os.WNOHANG)
@@ -65,12 +65,14 @@ print(json.dumps([said, len(os.listdir("/proc/self/fd")) - before, children]))
     "do", ["os.kill(os.getpid(), signal.SIGKILL)", "os._exit(0)", "sys.exit(3)", "1 / 0", "open('/none')"]
 )
 def test_what_the_second_process_cannot_answer_the_first_does(do: str) -> None:
-    found = run(f"print(json.dumps(answers([partial(slow, k, lambda: {do}) for k in range(10)])))")
+    found = run(f"print(json.dumps(map_processes([partial(slow, k, lambda: {do}) for k in range(10)])))")
     assert [k for k, _ in found] == list(range(10))
 
 
 def test_an_answer_that_cannot_be_pickled_is_given_here() -> None:
-    assert run("print(json.dumps([f() for f in answers([lambda: (lambda: os.getpid() == me)] * 9)]))") == [True] * 9
+    assert (
+        run("print(json.dumps([f() for f in map_processes([lambda: (lambda: os.getpid() == me)] * 9)]))") == [True] * 9
+    )
 
 
 def test_an_error_is_raised_as_it_is() -> None:
@@ -83,7 +85,7 @@ def bad(k):
         raise DataError(f"no {k}")
     return k
 try:
-    answers([partial(bad, k) for k in range(8)])
+    map_processes([partial(bad, k) for k in range(8)])
 except DataError as error:
     print(json.dumps(str(error)))
 """
@@ -93,7 +95,9 @@ except DataError as error:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
 def test_a_stop_ends_both_processes(number: signal.Signals) -> None:
-    text = BEGIN + "answers([lambda: os.write(1, b'%d\\n' % os.getpid()) and time.sleep(0.2) or bytes(10**6)] * 100)"
+    text = (
+        BEGIN + "map_processes([lambda: os.write(1, b'%d\\n' % os.getpid()) and time.sleep(0.2) or bytes(10**6)] * 100)"
+    )
     with subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
         assert child.stdout is not None
         pids = {int(child.stdout.readline()) for _ in range(4)}
@@ -111,7 +115,7 @@ def test_beside_other_threads_there_is_one_process() -> None:
     other.start()
     heard: list[int] = []
     try:
-        assert set(answers([os.getpid] * 5, done=heard.append)) == {os.getpid()}
+        assert set(map_processes([os.getpid] * 5, done=heard.append)) == {os.getpid()}
     finally:
         wait.set()
         other.join()
@@ -120,9 +124,9 @@ def test_beside_other_threads_there_is_one_process() -> None:
 
 def test_progress_is_told() -> None:
     heard = run(
-        "heard = []; answers([partial(slow, k) for k in range(20)], done=heard.append); print(json.dumps(heard))"
+        "heard = []; map_processes([partial(slow, k) for k in range(20)], done=heard.append); print(json.dumps(heard))"
     )
     assert heard == sorted(heard)
     assert heard[-1] >= 18
-    assert answers([], done=heard.append) == []
-    assert answers([partial(int, "7")]) == [7]
+    assert map_processes([], done=heard.append) == []
+    assert map_processes([partial(int, "7")]) == [7]

@@ -24,9 +24,9 @@ def test_of_equal_places_the_mean_covers_and_p_is_calibrated() -> None:
 
 def test_places_that_differ_are_said_to() -> None:
     one = shared(parameters(np.array([1.0, 1.0, 1.0, 2.0]), np.full(4, 0.1)))["cubic.kNL"]
-    assert "differ" in one.said("cubic.kNL")
+    assert "differ" in one.sentence("cubic.kNL")
     same = shared(parameters(np.array([1.0, 1.1, 0.9, 1.0]), np.full(4, 0.1)))["cubic.kNL"]
-    assert same.said("cubic.kNL").endswith("one value for all of them would be 1 +- 0.05 N/m^3 (5 %)")
+    assert same.sentence("cubic.kNL").endswith("one value for all of them would be 1 +- 0.05 N/m^3 (5 %)")
 
 
 def test_a_place_that_cannot_tell_or_stands_alone_gives_no_shared_value() -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from daq.base.contract.sink import ClockState, Status
 from daq.report.numbers import unit_text
 from drivers.contract import Block, Gap, Info, Notice, Reading, Signal
-from estimator.results import MISSING, Estimate, certain
+from estimator.results import MISSING_FORCE_KEY, Estimate, certain_missing_effects
 
 from .layout import BAD, DEVICE_TIME, GOOD, HOST_TIME, IDLE, colour, layout, part
 from .signal import envelope
@@ -227,13 +227,13 @@ class RerunView:
             band = rr.Measurements(values=[value], variances=[sd * sd], names=[place], colors=[self._tint(place)])
             self._to.log(f"estimate/{part(kind)}/{part(place)}", band)
         extra = estimate.extra or {}
-        if MISSING in extra:
+        if MISSING_FORCE_KEY in extra:
             new |= not self._missing_force
             self._missing_force = True
-            sure = certain(extra)
+            sure = certain_missing_effects(extra)
             for k, name in enumerate(dict.fromkeys(["all candidates", *sorted(self._sure), *sure])):
                 value = extra.get(
-                    MISSING if not k else f"{MISSING}_{name}", math.nan
+                    MISSING_FORCE_KEY if not k else f"{MISSING_FORCE_KEY}_{name}", math.nan
                 )  # NaN ends the line of what is over
                 style = rr.SeriesLines(names=name, colors=[self._series_colour(name)])
                 self._to.log(f"missing_force/{part(name)}", rr.Scalars(value), style)

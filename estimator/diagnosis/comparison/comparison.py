@@ -14,7 +14,7 @@ from estimator.identification.search import suspects
 from estimator.likelihood.fitting.fitted_values import fitted_model
 from estimator.likelihood.path.working_point import thinned
 from estimator.model.rig import Model
-from estimator.parallel import answers
+from estimator.parallel import map_processes
 from estimator.results import Parameter
 
 from .curves import Law, curves
@@ -94,7 +94,7 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         lambda: reference_nll(point, found, nll),
         lambda: where_of(point, found, channel),
     ]
-    (drawn, laws), reference, where = answers(asked)
+    (drawn, laws), reference, where = map_processes(asked)
     say(1.0, "done")
     return Comparison(
         heldout_nll=nll,

@@ -19,7 +19,7 @@ from estimator.identification.residual.missing_force import Residual, Survey, ri
 from estimator.likelihood.motion.motion_record import part_of
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 from .shape import Shape
 
@@ -79,7 +79,7 @@ def curves(
                     shapes.append(_against_other(fit, names, group, data.x[o], name))
         return shapes, laws
 
-    drawn = each(at, found.residuals)
+    drawn = map_threads(at, found.residuals)
     return tuple(s for shapes, _ in drawn for s in shapes), tuple(law for _, laws in drawn for law in laws)
 
 

@@ -26,7 +26,7 @@ from estimator.likelihood.path.path_fit import Gram, PathFit, fit, log_likelihoo
 from estimator.likelihood.path.subproblem import component
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.likelihood.response.regressor_set import Term, dressed, linear_terms, term_response, terms
-from estimator.parallel import answers
+from estimator.parallel import map_processes
 
 from .gate_shape import STATES
 
@@ -65,7 +65,7 @@ def extrapolated(point: WorkingPoint, placed: tuple[Placed, ...]) -> Extrapolati
     """How laws with given searched parameters do on the largest amplitudes. None if the lower part says nothing."""
     point = thinned(point, SECONDS)
     total, allowed = 0.0, MARGIN
-    for found in answers([partial(_one, point, one) for one in placed]):
+    for found in map_processes([partial(_one, point, one) for one in placed]):
         if found is None:
             return None
         total, allowed = total + found[0], allowed + found[1]
@@ -112,7 +112,7 @@ def _gram(
     tangents: dict[str, Array] = {}
     for row, (i, mask) in enumerate(zip(at, masks, strict=True)):
         own = [j for j, t in enumerate(all_terms) if i in t.series]
-        spectra = [point.spectra[i], *(point.weighing.spectrum(i, all_terms[j].series[i], all_terms[j].scale)
+        spectra = [point.spectra[i], *(point.whitening.spectrum(i, all_terms[j].series[i], all_terms[j].scale)
                                        for j in own)]  # fmt: skip
         Z = np.stack([_in_band(point, z)[mask] for z in spectra])
         rows = np.array([0] + [1 + j for j in own])
@@ -126,12 +126,12 @@ def _gram(
             tangents[t.name] = tangents.get(t.name, 0.0) + t.tangent
     index = np.array(at)
     responses = [
-        term_response(replace(t, tangent=tangents.get(t.name, t.tangent)), point.weighing.s) for t in all_terms
+        term_response(replace(t, tangent=tangents.get(t.name, t.tangent)), point.whitening.s) for t in all_terms
     ]
     names, scales = tuple(t.name for t in all_terms), np.array([t.scale for t in all_terms])
     units = tuple(t.unit for t in all_terms)
     blocks = float(np.mean([m.mean() for m in masks])) * data.blocks
-    stacked = point.jacobian.tangents(point.weighing.seen(np.stack(responses)), index)
+    stacked = point.jacobian.tangents(point.whitening.seen(np.stack(responses)), index)
     return Gram(G, n, np.zeros_like(n), stacked, scales, names, units), blocks
 
 

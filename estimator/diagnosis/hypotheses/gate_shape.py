@@ -17,7 +17,7 @@ from estimator.likelihood.motion.located_law import Placed, at_home, evaluate
 from estimator.likelihood.path.subproblem import gain, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response.regressor_set import Term, light, orthogonal
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 ODD = (3, 5, 7, 9)
 EVEN = ("v", (2, 4, 6))  # no law is: what is passes for a drag, or for a law of x that is not odd either
@@ -124,10 +124,10 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
         made = orthogonal(own, point.spans, least=1e-3)
         return None if made is None else light(made)
 
-    terms = [t for t in each(lambda one: term(*one), _hermite(u, orders)) if t is not None]
+    terms = [t for t in map_threads(lambda one: term(*one), _hermite(u, orders)) if t is not None]
     if not terms:
         return 0.0, 0.0, 0
-    problem = subproblem(point, (i,), point.weighing.columns(terms))
+    problem = subproblem(point, (i,), point.whitening.columns(terms))
     nats, fit = gain(problem, steps=6)
     return power_of(point, problem, fit, i)[0], nats, len(terms)
 

@@ -265,14 +265,14 @@ def _parameters(point: WorkingPoint, t: Trial) -> dict[str, Parameter]:
             if q.name not in t.values:
                 out[name] = Parameter(None, None, q.unit, False, "at its limit: not needed")
                 continue
-            out[name] = Parameter.judged(value, sd, q.unit)
+            out[name] = Parameter.from_estimate(value, sd, q.unit)
         elif not t.placed.free[k]:
             out[name] = Parameter(float(t.placed.p[k]), 0.0, q.unit, True, "given")
         else:
             # found by search: the width over which the gain falls by 1/2, from the strength of the evidence
             value = float(t.placed.p[k])
             sd = abs(value) / max(np.sqrt(2 * max(t.gain, 0.0)), 1e-6) * 0.5
-            out[name] = Parameter.judged(value, sd, q.unit)
+            out[name] = Parameter.from_estimate(value, sd, q.unit)
     return out
 
 

@@ -14,7 +14,7 @@ from estimator.likelihood.motion.law_smoothing import ready
 from estimator.likelihood.motion.located_law import on_trial, searched
 from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
 from estimator.model.rig import Model
-from estimator.parallel import answers
+from estimator.parallel import map_processes
 
 from . import gate_amplitude, ranking
 from . import trial as screen
@@ -59,7 +59,7 @@ def on_whole(model: Model, point: WorkingPoint, found: Ranking, say: Progress) -
 
     worth = zip(screen.contenders(found.trials), _with_promise(model, found.trials), strict=True)
     asked = [partial(whole, trial, more, promising) for more, (trial, promising) in worth]
-    trials = answers(asked, [t.effect for t in found.trials])
+    trials = map_processes(asked, [t.effect for t in found.trials])
     entries = ranking.entries(model, point, trials, found.before, found.suspects)
     return replace(found, trials=trials, entries=entries)
 
@@ -95,7 +95,7 @@ def _trials(model: Model, part: WorkingPoint, say: Progress) -> list[screen.Tria
         say(0.25 + 0.3 * done / len(pairs), f"{effect.name} at {spot}")
 
     effects = [e for e, _ in pairs]
-    tried = answers([partial(screen.tried, small, part, model, *pair) for pair in pairs], effects, said)
+    tried = map_processes([partial(screen.tried, small, part, model, *pair) for pair in pairs], effects, said)
     by_effect: dict[str, list[screen.Trial]] = {}
     for t in tried:
         if t is not None:
@@ -108,9 +108,9 @@ def _trials(model: Model, part: WorkingPoint, say: Progress) -> list[screen.Tria
             return by_effect[name]
         return screen.borrowed(part, model, by_effect[name], [s for e, s in pairs if e.name == name])
 
-    trials = [t for own in answers([partial(lent, name) for name in by_effect], effects) for t in own]
+    trials = [t for own in map_processes([partial(lent, name) for name in by_effect], effects) for t in own]
     trials.sort(key=lambda t: -t.gain)
-    return answers([partial(_judged, part, model, *pair) for pair in _with_promise(model, trials)], effects)
+    return map_processes([partial(_judged, part, model, *pair) for pair in _with_promise(model, trials)], effects)
 
 
 def _judged(point: WorkingPoint, model: Model, trial: screen.Trial, promising: bool) -> screen.Trial:

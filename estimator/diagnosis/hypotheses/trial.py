@@ -15,7 +15,13 @@ from estimator.effects.places import kinematic
 from estimator.effects.places import places as canonical_places
 from estimator.likelihood.motion.harmonics import PERIODIC
 from estimator.likelihood.motion.located_law import FORCES, Placed, acting, searched, size, start
-from estimator.likelihood.path.law_gain import DIFFERENT, Assessed, _freed, alone, assess
+from estimator.likelihood.path.law_gain import (
+    MIN_OWN_VALUES_GAIN_NATS,
+    LawGain,
+    base_fit,
+    fitted_gain,
+    independent_regressors,
+)
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.subproblem import Subproblem, heldout_gain, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -103,11 +109,11 @@ def best_at(point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Tri
     loose = searched(effect, model)
     unknown = [k for k in loose if kinematic(effect.parameters[k].scale, model) is None]
     free = _amplitudes(effect, point)
-    best: tuple[Assessed, Placed] | None = None
-    base = alone(point, where)
+    best: tuple[LawGain, Placed] | None = None
+    base = base_fit(point, where)
     for p in grid(effect, model, point, where[0], unknown):
         placed = Placed(effect, f"{spot}.{effect.name}", where, p, free)
-        got = assess(point, placed, against=base)
+        got = fitted_gain(point, placed, against=base)
         if got is not None and (best is None or got.gain > best[0].gain):
             best = (got, placed)
     return None if best is None else _trial(effect, spot, *best, loose)
@@ -120,7 +126,7 @@ def _amplitudes(effect: Effect, point: WorkingPoint) -> tuple[bool, ...]:
     return tuple(q.linear and (turns or not q.name.endswith(TURNING)) for q in effect.parameters)
 
 
-def _trial(effect: Effect, spot: str, found: Assessed, placed: Placed, loose: list[int]) -> Trial:
+def _trial(effect: Effect, spot: str, found: LawGain, placed: Placed, loose: list[int]) -> Trial:
     gained, problem, fit, spread = found
     values = {n.rsplit(".", 1)[1]: fit.value(n) for n in problem.extra}
     p = placed.p.copy()
@@ -167,12 +173,12 @@ def judged(trial: Trial) -> Trial:
 def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
     """The trial after a Gauss-Newton step in its searched parameters; None where it would bring nothing."""
     placed = trial.placed
-    kept = _freed(point, placed)
+    kept = independent_regressors(point, placed)
     names = {t.name for t in kept}
     loose = [k for k in searched(trial.effect, model) if placed.name(k) in names]
     if not loose:
         return None
-    fit = subproblem(point, placed.at, point.weighing.columns(kept)).fit(steps=3)
+    fit = subproblem(point, placed.at, point.whitening.columns(kept)).fit(steps=3)
     if sum(np.divide(*fit.value(placed.name(k))) ** 2 for k in loose) < 2 * LEAST:
         return None  # there already, as far as the nats go
     p = placed.p.copy()
@@ -188,7 +194,7 @@ def again(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:
     linear = [q.linear for q in found.effect.parameters]
     p = np.where(linear, 1.0, found.placed.p)
     placed = Placed(found.effect, found.placed.key, found.placed.at, p, _amplitudes(found.effect, point))
-    got = assess(point, placed)
+    got = fitted_gain(point, placed)
     return None if got is None else _trial(found.effect, found.spot, got, placed, searched(found.effect, model))
 
 
@@ -221,7 +227,7 @@ def borrowed(point: WorkingPoint, model: Model, trials: Sequence[Trial], spots: 
         if own is not None and alike(own, best):
             return own
         new = moved(best, spot)
-        return own if new is None or (own is not None and new.gain <= own.gain - DIFFERENT) else new
+        return own if new is None or (own is not None and new.gain <= own.gain - MIN_OWN_VALUES_GAIN_NATS) else new
 
     return [t for t in map(lent, spots) if t is not None]
 

@@ -12,7 +12,7 @@ from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import Progress
 from estimator.errors import NotFiniteError
 from estimator.identification.residual import missing_force
-from estimator.likelihood.fitting.fitted_values import parameters, untold
+from estimator.likelihood.fitting.fitted_values import parameters, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
@@ -159,7 +159,7 @@ def _told(
     """The entry and its fit where it is told; None where it is nothing."""
     samples = point.data.blocks * point.data.block
     if not missing and (
-        {use.key for use in entry.placed}.issubset(untold(after_point))
+        {use.key for use in entry.placed}.issubset(unidentifiable_laws(after_point))
         or heldout_nll(after_point) > heldout_nll(point) - EARNED / samples
     ):
         return None
@@ -170,7 +170,7 @@ def _where_told(point: WorkingPoint, entry: Entry, after_point: WorkingPoint) ->
     """The entry and its fit without bearings where the law, fitted at all of them together, is not told from zero and
     predicts no better: on trial by themselves they win by what they share with the one that has it, as where the
     forces at the two are coherent."""
-    silent = set(untold(after_point))
+    silent = set(unidentifiable_laws(after_point))
     idle = [n for n in entry.at if all(use.key in silent for use in entry.placed if use.key.split(".")[0] == n)]
     if not idle or len(idle) == len(entry.at):
         return entry, after_point

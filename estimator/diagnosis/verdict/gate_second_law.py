@@ -19,7 +19,7 @@ from estimator.likelihood.fitting.gauss_newton import FIRST_SECONDS, fit_model
 from estimator.likelihood.motion.located_law import Placed, acting, on_trial
 from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
 from estimator.model.rig import Model
-from estimator.parallel import answers
+from estimator.parallel import map_processes
 
 Trials = dict[str, list[Trial]]
 EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
@@ -49,7 +49,7 @@ def others(model: Model, after: WorkingPoint, left: missing_force.Survey, best: 
     ]
     questions = [partial(screen.tried, small, after, model, *pair) for pair in pairs]
     found: Trials = {}
-    for trial in answers(questions, [effect for effect, _ in pairs]):
+    for trial in map_processes(questions, [effect for effect, _ in pairs]):
         if trial is not None:
             found.setdefault(trial.effect.name, []).append(trial)
     return found
@@ -97,7 +97,7 @@ def of_one_state(
     places = set().union(*(entry.places for entry in sure))
     short, kept = thinned(part, FIRST_SECONDS), on_trial(model)
     begun: dict[frozenset[str], Begun] = {}
-    for starts in answers([partial(_begun, model, short, entry, alike) for entry in sure], kept):
+    for starts in map_processes([partial(_begun, model, short, entry, alike) for entry in sure], kept):
         for start in starts:
             if own in (FAMILY[name] for name in start.names) and start.nats > begun.get(start.names, NONE).nats:
                 begun[start.names] = start
@@ -113,7 +113,7 @@ def of_one_state(
         left = gate_shape.left(point, both, state, places, DOUBT) or 0.0
         return Begun(start.names, both.fit.log_likelihood, [u for u in both.placed if u.key not in base], left)
 
-    fitted = answers([partial(by, short, start) for start in likeliest], kept)
+    fitted = map_processes([partial(by, short, start) for start in likeliest], kept)
     for both in sorted(fitted, key=lambda one: one.left):
         for point in (part,) if part is whole else (part, whole):
             both = by(point, both) if both.left <= NEGLIGIBLE else both

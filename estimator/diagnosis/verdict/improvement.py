@@ -15,7 +15,7 @@ from estimator.identification.batch.full_fit import SPECTRAL_AND_SENSOR_EFFECTS,
 from estimator.identification.residual.missing_force import NEGLIGIBLE, SURVEY_SECONDS, surveyed
 from estimator.identification.search import suspects
 from estimator.identification.structure import recorder_fall, recorder_phase
-from estimator.likelihood.fitting.fitted_values import fitted_model, untold
+from estimator.likelihood.fitting.fitted_values import fitted_model, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
@@ -106,7 +106,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         try:
             if best.placed:
                 richer = fit_model(point.data, [*point.placed, *best.placed], start=point)
-                if set(untold(richer)).issuperset(use.key for use in best.placed):
+                if set(unidentifiable_laws(richer)).issuperset(use.key for use in best.placed):
                     messages.append(f"{found.verdict} was named but is not told from zero when fitted: not added")
                     break
                 new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
@@ -189,4 +189,4 @@ def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:
 
 def idle(point: WorkingPoint) -> list[str]:
     """Effects of the model that earn nothing: said, never removed."""
-    return [f"{key} is not told from zero in this record" for key in untold(point)]
+    return [f"{key} is not told from zero in this record" for key in unidentifiable_laws(point)]

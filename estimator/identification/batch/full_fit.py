@@ -36,7 +36,7 @@ from estimator.likelihood.path import excitation_level
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model import recorder
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.results import Fit, Parameter, untold_at
+from estimator.results import Fit, Parameter, with_unidentifiable_at
 from estimator.signals.channel_response import BLIND, LINEAR
 from estimator.signals.shaft_angle import timed
 
@@ -79,12 +79,12 @@ class FullFit:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
-        found = untold_at(self.point.data.lost, SPOILED, parameters(self.point)) | self.disturbances
+        found = with_unidentifiable_at(self.point.data.lost, SPOILED, parameters(self.point)) | self.disturbances
         seen = {place: off.doubt for place, off in (self.model.roll_off or {}).items()}
         found = recorder.doubted(seen or dict.fromkeys(self.point.data.places, self.S_sd_rel), found)
         found = unknown_mass.with_mass_uncertainty(self.model, found, self.masses)
         scaleless = unknown_mass.places_without_mass(self.model)
-        return untold_at(scaleless, unknown_mass.NO_MASS_REASON, found, "N") | self.masses
+        return with_unidentifiable_at(scaleless, unknown_mass.NO_MASS_REASON, found, "N") | self.masses
 
     def to_fit(self) -> Fit:
         """The result of `fit`, without the model and the working point."""

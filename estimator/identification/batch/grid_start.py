@@ -24,7 +24,7 @@ from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.subproblem import Subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model, Setting
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 GRID_S = 6.0
 PEDESTAL_START_S = 20.0  # for the spectrum of the force
@@ -132,17 +132,17 @@ def _best_of_grids(point: WorkingPoint, uses: list[Placed]) -> list[Placed]:
 
 def _best_of_grid(point: WorkingPoint, uses: list[Placed], factors: Array, turned: bool = False) -> list[Placed]:
     """The same of the grid of these factors. Places are alike unless the record says otherwise: one has a node of its
-    own where that is worth law_gain.DIFFERENT nats."""
+    own where that is worth MIN_OWN_VALUES_GAIN_NATS."""
     nodes = [_grid_nodes(use, factors, turned) for use in uses]
     pairs = [use for own in nodes for use in own]
-    found = each(lambda use: law_gain.assess(point, use), pairs)
+    found = map_threads(lambda use: law_gain.fitted_gain(point, use), pairs)
     tried = [found[k : k + len(nodes[0])] for k in range(0, len(pairs), len(nodes[0]))]
     gains = np.array([[0.0 if got is None else max(got.gain, 0.0) for got in own] for own in tried])
     shared = int(np.argmax(gains.sum(axis=0)))
     out = []
     for use, own, results, gained in zip(uses, nodes, tried, gains, strict=True):
         best = int(np.argmax(gained))
-        best = best if gained[best] > gained[shared] + law_gain.DIFFERENT else shared
+        best = best if gained[best] > gained[shared] + law_gain.MIN_OWN_VALUES_GAIN_NATS else shared
         got = results[best]
         out.append(use if got is None or got.gain <= 0.0 else _with_fitted_amplitudes(own[best], got.problem, got.fit))
     return out

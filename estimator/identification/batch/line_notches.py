@@ -18,7 +18,7 @@ from estimator.errors import DataError
 from estimator.likelihood.motion.force_balance import build
 from estimator.likelihood.motion.law_smoothing import MARGIN
 from estimator.likelihood.motion.stream_record import CELLS_WITH_FORCE, Record, notches, stretches
-from estimator.parallel import each
+from estimator.parallel import map_threads
 from estimator.signals.blocks import CELLS, layout, spectra, valid_blocks
 from estimator.signals.moving_lines import MovingLines
 
@@ -53,7 +53,7 @@ def spectrum_by_bin(record: Record, B: Array | None, start: LinearStart | None) 
         power = F.real**2 + F.imag**2
         return np.stack([power.sum(axis=1), np.einsum("pbf,pbf->pf", power, power)])
 
-    power, fourth = np.sum(each(part, stretches(blocks, 12)), axis=0)
+    power, fourth = np.sum(map_threads(part, stretches(blocks, 12)), axis=0)
     return power.T / blocks.size, fourth.T / blocks.size, float(blocks.size)
 
 

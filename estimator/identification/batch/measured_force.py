@@ -22,7 +22,7 @@ from estimator.likelihood.motion.stream_record import Record, prepare
 from estimator.likelihood.path.gram_likelihood import responses
 from estimator.likelihood.path.measured_force import is_known
 from estimator.model.rig import Model
-from estimator.parallel import each
+from estimator.parallel import map_threads
 from estimator.signals.band_limit import FORCE_DRIFT, noise_shape, passband, to_acceleration
 from estimator.signals.blocks import taper
 
@@ -125,7 +125,7 @@ def _laws(record: Record, columns: Columns, B: Array) -> Array:
             if column.kind == "law":
                 out[column.row, first:last] += B[column.row, k] * columns.law(k, stretch, states)[0]
 
-    each(part, range(0, out.shape[1], PIECE_ROWS))
+    map_threads(part, range(0, out.shape[1], PIECE_ROWS))
     return np.where(record.motion.valid, out, 0.0)
 
 

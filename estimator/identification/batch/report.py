@@ -13,7 +13,7 @@ from estimator.likelihood.motion.stream_record import Bank, Record, stretches
 from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, active
 from estimator.likelihood.path.sandwich import excess
 from estimator.model.rig import UNITS, Model
-from estimator.results import Parameter, untold_at
+from estimator.results import Parameter, with_unidentifiable_at
 from estimator.signals.blocks import spectra, taper, valid_blocks
 
 from .linear_start import LinearStart
@@ -135,11 +135,11 @@ def judged_parameters(balance: Balance, point: Point, covariance: Array, model: 
         out[f"{place}.S"] = _judged_parameter(point.S[i], point.S[i] * sd[point.beta.size + i], UNITS["S"])
     out |= {name: _judged_parameter(value, s, f.unit) for name, (f, value, s) in free.items() if name not in out}
     adrift = [p for p in balance.places if f"{p}.m" in free and not np.isfinite(free[f"{p}.m"][2])]
-    return untold_at(adrift, NO_SCALE_REASON, out, "N")
+    return with_unidentifiable_at(adrift, NO_SCALE_REASON, out, "N")
 
 
 def _judged_parameter(value: float, sd: float, unit: str) -> Parameter:
-    judged = Parameter.judged(value, sd, unit)
+    judged = Parameter.from_estimate(value, sd, unit)
     if judged.identifiable:
         return judged
     if not np.isfinite(sd):

@@ -18,7 +18,7 @@ from estimator.likelihood.motion.harmonics import PERIODIC
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.model.rotor import shaft_matrix
-from estimator.results import Parameter, belongs
+from estimator.results import Parameter, is_of_place
 from estimator.signals.channel_response import forced, undone
 
 from .measured_force import analyse
@@ -72,7 +72,7 @@ def with_mass_uncertainty(
     """
     out = dict(found)
     for name, p in found.items():
-        own = [q for mass, q in masses.items() if belongs(name, mass.removesuffix(".m"))]
+        own = [q for mass, q in masses.items() if is_of_place(name, mass.removesuffix(".m"))]
         power = 2 if p.unit.startswith("N^2") else int(p.unit.startswith(("N", "kg")))
         if not (own and power and p.identifiable and p.value is not None and p.sd is not None):
             continue

@@ -164,7 +164,7 @@ def _step(model: Model, one: Periodic, point: WorkingPoint, force: Series) -> tu
                 slopes[j] = _slope(model, one, place, count, k)[inside]
                 if (swinging := swing(model, one, place)) is not None:
                     slopes[j] *= swung(swinging, ratio)[:, None]
-        psd = point.S[i] / np.interp(one.hz * (1 + inside), data.f_hz, point.weighing.weight[i])
+        psd = point.S[i] / np.interp(one.hz * (1 + inside), data.f_hz, point.whitening.weight[i])
         scale = np.sqrt(data.t.size / PIECES / (psd * data.rate_hz))  # 1 / sd of a real part, by order
         rows.append((slopes * scale).reshape(len(loose), -1))
         right.append((seen * scale).ravel())

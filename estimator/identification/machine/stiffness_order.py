@@ -18,7 +18,7 @@ from estimator.effects.places import at, kinematic, written
 from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.parallel import each
+from estimator.parallel import map_threads
 from estimator.signals.line_spectrum import surroundings
 
 from .lines import LEVEL, SURE
@@ -113,7 +113,7 @@ def turning(point: WorkingPoint) -> Turning | None:
         k = int(np.argmax(np.where(usable, nats, 0.0)))
         return float(nats[k]), float(f[k] + _between(power[k - 1 : k + 2]) * f[1])  # its floor may step
 
-    nats, hz = max(each(clearest, range(len(data.places))))
+    nats, hz = max(map_threads(clearest, range(len(data.places))))
     if nats < SURE * np.log(np.count_nonzero(usable) * len(data.places) / LEVEL):
         return None
     return Turning(hz / rotation, float(np.sqrt(6.0 / nats) / (2 * np.pi * seconds)) / rotation)

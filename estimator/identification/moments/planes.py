@@ -94,7 +94,7 @@ class Plane:
                 reason = "the shaft couples the caps too weakly to set the mass: give rig.mass"
                 out[name] = Parameter(None, None, unit_of(name), False, reason)
             else:
-                out[name] = Parameter.judged(*found[name], unit_of(name))
+                out[name] = Parameter.from_estimate(*found[name], unit_of(name))
         return out
 
     def undetermined(self, reason: str) -> dict[str, Parameter]:

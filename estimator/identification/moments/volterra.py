@@ -185,10 +185,10 @@ def _named_parameters(
     sd = np.sqrt(np.diag(cov))
     # the shaft, seen from one cap: its diagonal term; the motion of the other cap enters as noise
     out = {
-        f"{place}.kL": Parameter.judged(kernels.k - plane.a * plane.ks, float(sd[0]), "N/m"),
-        f"{place}.c": Parameter.judged(kernels.c - plane.a * shaft_damping, float(sd[1]), "N s/m"),
-        f"{place}.cubic.kNL": Parameter.judged(kernels.kNL, float(sd[2]), "N/m^3"),
+        f"{place}.kL": Parameter.from_estimate(kernels.k - plane.a * plane.ks, float(sd[0]), "N/m"),
+        f"{place}.c": Parameter.from_estimate(kernels.c - plane.a * shaft_damping, float(sd[1]), "N s/m"),
+        f"{place}.cubic.kNL": Parameter.from_estimate(kernels.kNL, float(sd[2]), "N/m^3"),
     }
     if mass is None:
-        out[f"{place}.m"] = Parameter.judged(kernels.m, float(sd[3]), "kg")
+        out[f"{place}.m"] = Parameter.from_estimate(kernels.m, float(sd[3]), "kg")
     return out

@@ -256,7 +256,7 @@ def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subpro
         found = []
         spectra: list[Singles] = []
         for g in groups(part, i, orders, ends, times):
-            spectra += [point.weighing.spectrum(i, z, first=first) for z in g.series]
+            spectra += [point.whitening.spectrum(i, z, first=first) for z in g.series]
             found.append(Group(g.name, [], g.tangents, g.knots))
         if not room.size:  # the same for all folds: memory that is new takes longer than what is computed in it
             room = np.empty(len(spectra) * -(-data.blocks // FOLDS) * spectra[0].shape[1], np.float32)
@@ -313,9 +313,9 @@ def _tangents(
     P = len(point.data.places)
     out = np.zeros((len(group.tangents), P, P, point.columns.tangents.shape[-1]), complex)
     for k, t in enumerate(group.tangents):
-        out[k, i] = response(t, point.weighing.s)
+        out[k, i] = response(t, point.whitening.s)
     if here is not None:
-        s2 = point.weighing.s**2
+        s2 = point.whitening.s**2
         for k, sigma in enumerate(dressings(group.name, here, point.data.rms[:2, i], group.knots, orders, times)):
             out[k, i, i] -= sigma / s2
-    return point.weighing.seen(out)
+    return point.whitening.seen(out)

@@ -29,7 +29,7 @@ from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.subproblem import Subproblem
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
-from estimator.parallel import answers
+from estimator.parallel import map_processes
 
 from . import black_box
 
@@ -279,7 +279,7 @@ def survey(
     seconds : of the record to look at.
     """
     point = thinned(point, seconds)
-    found = answers(_questions(point, model, only))
+    found = map_processes(_questions(point, model, only))
     return Survey(tuple(found), _judged(point)).beside(others)
 
 
@@ -289,7 +289,7 @@ def surveyed(
     """The survey of every place, on all of `point`, beside what `others` finds; that; and the answers to what else is
     asked: by two processes."""
     asked: list[Callable[[], Any]] = [others, *more, *_questions(point, model)]  # the longest, as they are, first
-    suspects, *found = answers(asked)
+    suspects, *found = map_processes(asked)
     own = Survey(tuple(found[len(more) :]), _judged(point))
     return own.beside(suspects), suspects, *found[: len(more)]
 

@@ -24,7 +24,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response.regressor_set import Term
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model.rotor import between_caps, shaft_matrix
-from estimator.parallel import each
+from estimator.parallel import map_threads
 from estimator.results import Parameter
 from estimator.signals.channel_response import BLIND, LINEAR
 
@@ -216,7 +216,7 @@ def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
         """Of the size and of the delay of B in the force on the first cap, or the second, whose delay is an advance."""
         (here, there), sign = ((i, j), (j, i))[row], (1.0, -1.0)[row]
         pulled = rfft(data.x[there], size) * whole
-        s = point.weighing.s
+        s = point.whitening.s
         out = []
         for k, series, own in (
             (row, irfft(pulled, size)[:n], both_ways(s / 1j)),
@@ -228,8 +228,8 @@ def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
             out.append(Term(str(k), "1", {here: series}, np.zeros((P, P, 2)), scale, {here: memory}))
         return out
 
-    terms = [term for pair in zip(*each(terms_of, range(2)), strict=True) for term in pair]
-    problem = subproblem(point, (i, j), point.weighing.columns(terms))
+    terms = [term for pair in zip(*map_threads(terms_of, range(2)), strict=True) for term in pair]
+    problem = subproblem(point, (i, j), point.whitening.columns(terms))
     begun = (problem.fit(steps=STEPS, start=start) for start in (None, _damped(point, problem)))
     fitted = max(begun, key=lambda fit: fit.log_likelihood)
     at_end = [fitted.names.index(str(k)) for k in range(4)]

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.model.recorder import POWERS, Filter, images
-from estimator.parallel import answers
+from estimator.parallel import map_processes
 from estimator.signals.filter_designs import chebyshev, designs
 
 from . import pedestal_form
@@ -136,9 +136,9 @@ def likeliest(seen: Sequence[Seen], blank: Filter) -> tuple[float, Filter]:
         lambda z: replace(blank, nepers=tuple(z.tolist())), ((0.01,) * count,), (0.0,) * count, (np.inf,) * count
     )
     ways = [any_form, *_ways(blank)]
-    tried = sorted(answers([partial(_tried, seen, way) for way in ways], ways), key=lambda one: one.information)
+    tried = sorted(map_processes([partial(_tried, seen, way) for way in ways], ways), key=lambda one: one.information)
     digital = [one.more("kept", 0.1, 0.0, MOST_KEPT) for one in tried if one.way.made(one.numbers).poles][:DIGITAL]
-    tried += answers([partial(_tried, seen, way) for way in digital], digital)
+    tried += map_processes([partial(_tried, seen, way) for way in digital], digital)
     for further in _further(min(tried, key=lambda one: one.information)):
         tried.append(_tried(seen, further))
     best = min(tried, key=lambda one: one.information)

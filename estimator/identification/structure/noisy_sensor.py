@@ -66,7 +66,7 @@ def sensor_noise(point: WorkingPoint, i: int) -> Parameter:
     share = floor / (point.S[i] * data.colour[i] + floor)
     sd = 1.0 / np.sqrt(max(data.blocks * float(np.sum(share**2)), 1e-300))  # of ln(density), by the Whittle likelihood
     rms = float(np.sqrt(density * data.rate_hz / 2))
-    return Parameter.judged(rms, 0.5 * rms * sd, MOTION[data.kinds[i]])
+    return Parameter.from_estimate(rms, 0.5 * rms * sd, MOTION[data.kinds[i]])
 
 
 UNEVEN = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor

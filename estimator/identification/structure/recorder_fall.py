@@ -14,7 +14,7 @@ from estimator.arrays import Array
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.recorder import POWERS, Filter, RollOff, devices, images
 from estimator.model.rig import Model
-from estimator.parallel import answers
+from estimator.parallel import map_processes
 from estimator.signals.channel_response import SHAPES, shape
 
 from . import spectral_models
@@ -137,7 +137,7 @@ def _fall(
         return before, None
     if after - df > max((1 - explained) * (before - df), CHANCE * np.sqrt(2 * df)):
         return before, None
-    other = sum(answers([partial(spectral_models.otherwise, point, i, c, *fit) for i, c, fit in own]))
+    other = sum(map_processes([partial(spectral_models.otherwise, point, i, c, *fit) for i, c, fit in own]))
     return (after, found) if after < other + BEHIND * len(own) else (before, None)
 
 

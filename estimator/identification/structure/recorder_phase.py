@@ -24,7 +24,7 @@ from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.likelihood.response.regressor_set import Term, orthogonal
 from estimator.model.recorder import LATE, POWERS, Filter, RollOff
 from estimator.model.rig import Model
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 SMALL = 0.05  # rad at psi = 1, of the difference that the derivative is taken from
 ELSE = 2.0  # times the nats of a phase, that columns of the states win where a law is missing: 4 and more; 1 if none is
@@ -79,11 +79,11 @@ def excess(point: WorkingPoint, psi: Callable[[Array], Array]) -> tuple[float, f
     felt = [i for i in places if any(i in use.at for use in uses)]
     if not felt:
         return None
-    there = data.states(lambda z: np.array(each(turned, z)))
-    series = dict(zip(felt, each(left, felt), strict=True))
+    there = data.states(lambda z: np.array(map_threads(turned, z)))
+    series = dict(zip(felt, map_threads(left, felt), strict=True))
     rms = float(np.sqrt(np.mean([np.mean(z**2) for z in series.values()])))
     P = len(places)
     term = orthogonal(Term("phase", "1", series, np.zeros((P, P, 2)), 1.0 / max(rms, 1e-300)), point.spans)
     if term is None:
         return None
-    return subproblem(point, places, point.weighing.columns([term])).fit(steps=6).value("phase")
+    return subproblem(point, places, point.whitening.columns([term])).fit(steps=6).value("phase")

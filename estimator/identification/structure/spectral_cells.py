@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array
-from estimator.likelihood.path.sensor_noise import beyond, heard_of_all
+from estimator.likelihood.path.sensor_noise import aliased_psd, referred_psd
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.recorder import images
 
@@ -56,7 +56,7 @@ def _heard(point: WorkingPoint, i: int) -> Array:
     """(bins,) as Cells.heard: sensors are as noisy to each other as the fit has them, alike where it has none."""
     N = point.nu * point.S
     N = np.maximum(N, LEAST_SHARE * N.max()) if N.any() else np.ones(N.size)
-    return np.asarray(heard_of_all(point.data, point.A, N)[i] / N[i])
+    return np.asarray(referred_psd(point.data, point.A, N)[i] / N[i])
 
 
 def cells_of(point: WorkingPoint, i: int) -> Cells:
@@ -77,7 +77,7 @@ def cells_of(point: WorkingPoint, i: int) -> Cells:
     echoes = through[i] * data.echoes[:, i]
     return Cells(
         mean(power), width * data.blocks, mean(w), mean(A.real) + 1j * mean(A.imag), mean(data.colour[i]),
-        mean(_heard(point, i)), mean(others), mean(beyond(data, point.A, point.S)[i]), white,
+        mean(_heard(point, i)), mean(others), mean(aliased_psd(data, point.A, point.S)[i]), white,
         mean(echoes), mean(images(data.rate_hz, data.f_hz)[: len(echoes)]),
     )  # fmt: skip
 
@@ -93,8 +93,8 @@ def answered(A: NDArray[np.complex128], S: Array, i: int) -> tuple[NDArray[np.co
 def mean_power(point: WorkingPoint, i: int) -> Array:
     """(bins,) mean |F|^2 of the force at a place, N^2/Hz."""
     Z = point.spectra[i].reshape(point.data.blocks, -1, 2)
-    power = np.einsum("bkc,bkc->k", Z, Z).astype(np.float64) / point.data.blocks / point.weighing.weight[i]
-    return np.asarray(power if point.weighing.rings is None else power / point.weighing.rings.kept[i])
+    power = np.einsum("bkc,bkc->k", Z, Z).astype(np.float64) / point.data.blocks / point.whitening.weight[i]
+    return np.asarray(power if point.whitening.rings is None else power / point.whitening.rings.kept[i])
 
 
 def finite_exp(z: Array) -> Array:

@@ -179,7 +179,7 @@ def level(point: WorkingPoint, i: int, gain: float, corner: float) -> Parameter:
     u[0] = np.log(point.S[i])
     begun = replace(shape, starts=((float(np.log(gain + DARKEST)), float(np.log(corner))),))
     sd = with_shape(c, begun, u, scale)[2][0]  # of ln S
-    return Parameter.judged(float(point.S[i]), float(point.S[i] * sd), "N^2/Hz")
+    return Parameter.from_estimate(float(point.S[i]), float(point.S[i] * sd), "N^2/Hz")
 
 
 def resonance_hz(point: WorkingPoint, i: int) -> float:

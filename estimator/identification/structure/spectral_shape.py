@@ -17,7 +17,7 @@ from estimator.effects import CATALOGUE
 from estimator.identification.finding import UNKNOWN, Suspect
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.known_spectra import OF_FORCE, colours
-from estimator.likelihood.path.sensor_noise import together
+from estimator.likelihood.path.sensor_noise import force_correlation
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import Parameter
@@ -135,7 +135,7 @@ def _shapes(
         values = shape.values(z[4:])
         spread = np.abs(shape.values(z[4:] + 1e-3) - values) / 1e-3 * sd[4:]
         settings = {
-            n: replace(Parameter.judged(float(v), float(s), unit), value=float(v), sd=float(s))
+            n: replace(Parameter.from_estimate(float(v), float(s), unit), value=float(v), sd=float(s))
             for n, v, s, unit in zip(shape.names, values, spread, shape.units, strict=True)
         }
         p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 3 * len(data.places) * len(shape.starts)))
@@ -198,11 +198,11 @@ def _shared(model: Model, point: WorkingPoint) -> list[Suspect]:
         j = data.opposite(i)
         if j is None or j < i or place in have or data.driven[i] > 0.0 or data.driven[j] > 0.0:
             continue
-        paths, (a, b) = point.weighing.paths, (point.spectra[k].view(np.complex64) for k in (i, j))
-        shape = together(data, point.A, paths.weight, i, j)
+        noise, (a, b) = point.whitening.noise, (point.spectra[k].view(np.complex64) for k in (i, j))
+        shape = force_correlation(data, point.A, noise.weight, i, j)
         both = np.einsum("bk,bk->k", a, b.conj()) / np.sqrt(np.vdot(a, a).real * np.vdot(b, b).real) * shape.size
         square = float(np.vdot(shape, shape).real)
-        rho = float(np.vdot(shape, both - paths.coherent(i, j)).real) / square
+        rho = float(np.vdot(shape, both - noise.correlation(i, j)).real) / square
         n = len(a) * square
         gain = -n * float(np.log(max(1 - rho**2, 1e-12)))
         p = float(min(1.0, chdtrc(1, 2 * gain) * len(data.places)))

@@ -160,7 +160,7 @@ def refined(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Paramet
             new.pop(key.split(".")[0], None)
             new[key] = {n: s if s.fixed else replace(s, value=best[n].value) for n, s in own.items()}
             for n, q in best.items():
-                judged = Parameter.judged(q.value or 0.0, q.sd or 0.0, q.unit)
+                judged = Parameter.from_estimate(q.value or 0.0, q.sd or 0.0, q.unit)
                 found[f"{key}.{use.name}.{n}"] = Parameter(own[n].value, 0.0, q.unit) if own[n].fixed else judged
         uses.append(replace(use, parameters=new))
     return replace(model, effects=tuple(uses)), found

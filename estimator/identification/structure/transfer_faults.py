@@ -24,7 +24,7 @@ from estimator.likelihood.fitting.transfer_function import Peak, exp, expected, 
 from estimator.likelihood.motion.harmonics import known_lines
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
-from estimator.parallel import answers
+from estimator.parallel import map_processes
 from estimator.signals.channel_response import forced
 
 from .noisy_sensor import noisy_beside_forces
@@ -56,7 +56,7 @@ def find(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> li
     lines : Hz of what is periodic in the residual, which is left out.
     """
     at = [i for i, place in enumerate(point.data.places) if place in forced(model) and point.kL[i] > 0.0]
-    seen = answers([partial(_at_place, model, point, i, lines) for i in at])
+    seen = map_processes([partial(_at_place, model, point, i, lines) for i in at])
     heard = {i: own for i, (_, own) in zip(at, seen, strict=True) if own is not None}
     return [s for found, _ in seen for s in found] + noisy_beside_forces(model, point, heard)
 
@@ -158,7 +158,7 @@ def pushed(model: Model, point: WorkingPoint) -> bool:
 
     places = [i for i, place in enumerate(point.data.places)
               if place in forced(model) and model.cap_mass(place) is not None and point.kL[i] > 0.0]  # fmt: skip
-    return any(answers([partial(at, i) for i in places]))
+    return any(map_processes([partial(at, i) for i in places]))
 
 
 def _tried(

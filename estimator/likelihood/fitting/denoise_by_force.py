@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estimator.arrays import Array
 from estimator.likelihood.motion.denoise import as_displacement, is_little
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 SETTLED = 1e-3  # of the displacement, in power of what laws see beside it, that moves no number
 
@@ -39,14 +39,14 @@ def calm_of(point: WorkingPoint, nu: Array) -> tuple[NDArray[np.float32] | None,
     size = next_fast_len(n, real=True)
     there: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(size, 1 / data.rate_hz), dtype=np.float64)
     inferred = point.force if data.slow is None else point.force - _on_slow(point) @ data.slow
-    forces = each(lambda force: rfft(force, size), inferred)
+    forces = map_threads(lambda force: rfft(force, size), inferred)
     inside = there > np.pi * data.band[0]  # below half of it nothing is measured
 
     def at(i: int) -> Array:
         heard = np.sum([np.interp(there, w, known[:, i, j] / w**2) * F for j, F in enumerate(forces)], axis=0)
         return np.asarray(irfft(heard * inside, size)[:n])
 
-    return np.array(each(at, range(len(N))), np.float32), doubt
+    return np.array(map_threads(at, range(len(N))), np.float32), doubt
 
 
 def _on_slow(point: WorkingPoint) -> NDArray[np.float32]:

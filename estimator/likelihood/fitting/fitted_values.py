@@ -12,7 +12,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
 
-UNSEEN = "the motion of this record does not reach this law"
+LAW_NOT_REACHED = "the motion of this record does not reach this law"
 
 
 def fitted_model(model: Model, point: WorkingPoint) -> Model:
@@ -55,23 +55,23 @@ def parameters(point: WorkingPoint) -> dict[str, Parameter]:
     sd = dict(zip(point.fit.names, np.sqrt(np.diag(point.fit.covariance)) * point.fit.scales, strict=True))
     out: dict[str, Parameter] = {}
     for i, place in enumerate(places):
-        out[f"{place}.kL"] = Parameter.judged(float(point.kL[i]), sd[f"{place}.kL"], "N/m")
-        out[f"{place}.c"] = Parameter.judged(float(point.c[i]), sd[f"{place}.c"], "N s/m")
+        out[f"{place}.kL"] = Parameter.from_estimate(float(point.kL[i]), sd[f"{place}.kL"], "N/m")
+        out[f"{place}.c"] = Parameter.from_estimate(float(point.c[i]), sd[f"{place}.c"], "N s/m")
         bins = float(point.gram.n[i].sum())
-        out[f"{place}.S"] = Parameter.judged(float(point.S[i]), float(point.S[i] / np.sqrt(bins)), "N^2/Hz")
+        out[f"{place}.S"] = Parameter.from_estimate(float(point.S[i]), float(point.S[i] / np.sqrt(bins)), "N^2/Hz")
     for use in point.placed:
         for k, q in enumerate(use.effect.parameters):
             name = use.name(k)
             if name in sd:
-                out[name] = Parameter.judged(float(use.p[k]), sd[name], q.unit)
+                out[name] = Parameter.from_estimate(float(use.p[k]), sd[name], q.unit)
             elif use.free[k]:
-                out[name] = Parameter(None, None, q.unit, False, UNSEEN)
+                out[name] = Parameter(None, None, q.unit, False, LAW_NOT_REACHED)
             else:
                 out[name] = Parameter(float(use.p[k]), 0.0, q.unit)
     return out
 
 
-def untold(point: WorkingPoint) -> list[str]:
+def unidentifiable_laws(point: WorkingPoint) -> list[str]:
     """Laws, by place and name, none of whose amplitudes is told from zero."""
     out = []
     values = parameters(point)

@@ -17,7 +17,7 @@ from estimator.likelihood.motion.shaft_law import without_comb
 from estimator.likelihood.path.excitation_level import alike, level_of
 from estimator.likelihood.path.working_point import WorkingPoint, point_at
 from estimator.likelihood.response.below_band import with_slow
-from estimator.parallel import each
+from estimator.parallel import map_threads
 from estimator.signals.band_limit import left_out
 
 from . import denoise_by_force
@@ -205,15 +205,15 @@ def _within(point: WorkingPoint, limits: Mapping[str, tuple[float, float]]) -> A
 
 def _level(point: WorkingPoint) -> Array | None:
     """(places, blocks) how strong the unknown forces are along the record: excitation_level.py."""
-    data, weighing = point.data, point.weighing
+    data, whitening = point.data, point.whitening
     if data.measured_force:
         return None
 
     def power(i: int) -> Array:
-        own, noise = weighing.power(i, point.spectra[i]), point.S[i] * weighing.paths.noise[i].sum()
+        own, noise = whitening.power(i, point.spectra[i]), point.S[i] * whitening.noise.share[i].sum()
         return np.asarray(np.maximum(own - noise, 0.1 * own))
 
-    return level_of(np.array(each(power, range(len(data.places)))), data.start / data.rate_hz, data.bins.size)
+    return level_of(np.array(map_threads(power, range(len(data.places)))), data.start / data.rate_hz, data.bins.size)
 
 
 def _left_out(point: WorkingPoint) -> Array:

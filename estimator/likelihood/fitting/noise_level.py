@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.likelihood.path.sensor_noise import beyond, heard_of_all
+from estimator.likelihood.path.sensor_noise import aliased_psd, referred_psd
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 LEAST_NOISE = 1e-4  # of a sensor, over the force noise, that is looked for
 
@@ -17,22 +17,22 @@ def noise_of(point: WorkingPoint) -> tuple[Array, Array]:
     noise, in the mean over the band."""
     data = point.data
     own = data.heard(point.A)
-    noise = heard_of_all(data, point.A, point.nu * point.S) / point.S[:, None]
-    known = data.colour + beyond(data, point.A, point.S) + noise - point.nu[:, None] * own
+    noise = referred_psd(data, point.A, point.nu * point.S) / point.S[:, None]
+    known = data.colour + aliased_psd(data, point.A, point.S) + noise - point.nu[:, None] * own
     weight = own.mean(axis=1)
 
     def at(i: int) -> float:
         step = point.fit.delta[point.columns.index[i]].astype(np.float32)  # the noise is of the values after it
         Z = point.spectra[i] + np.tensordot(step, point.columns.spectra[i], 1)
         Z = Z.reshape(data.blocks, -1, 2)
-        power = np.einsum("bkc,bkc->k", Z, Z) / data.blocks / point.weighing.weight[i]
+        power = np.einsum("bkc,bkc->k", Z, Z) / data.blocks / point.whitening.weight[i]
         grid = np.concatenate([[0.0], np.geomspace(LEAST_NOISE, 1e3, 61) / weight[i]])
         shape = known[i] + grid[:, None] * own[i]
         S = np.mean(power / shape, axis=1)
         cost = np.log(S) + np.mean(np.log(shape), axis=1)
         return _least(grid, cost)
 
-    return np.array(each(at, range(len(data.places)))), weight
+    return np.array(map_threads(at, range(len(data.places)))), weight
 
 
 def _least(grid: Array, cost: Array) -> float:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array
-from estimator.parallel import each
+from estimator.parallel import map_threads
 from estimator.signals.band_limit import noise_shape
 
 from .linear_memory import filtered
@@ -48,7 +48,7 @@ class Calm:
         def one(i: int) -> Array:
             return filtered(lambda at: np.interp(at, w, self.less[i]).astype(x.dtype), x[i], rate_hz)
 
-        return np.array(each(one, range(len(x))))
+        return np.array(map_threads(one, range(len(x))))
 
 
 def as_displacement(kinds: Sequence[str], f_hz: Array, noise: Array) -> Array:

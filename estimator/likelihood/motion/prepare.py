@@ -11,7 +11,7 @@ from estimator.effects.places import at
 from estimator.errors import DataError
 from estimator.model.disc import disc_of
 from estimator.model.rig import MOTION, Model
-from estimator.parallel import each
+from estimator.parallel import map_threads
 from estimator.signals.band_limit import below_band
 from estimator.signals.band_limited_record import Filtered
 from estimator.signals.channel_response import passed_of_images, undone
@@ -83,7 +83,7 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     for i, force in measured.items():
         known[i] -= force
         driven[i] = np.mean(force**2) / (model.band[1] - model.band[0])
-    rms = np.array([each(np.std, z) for z in (x, v, a[:P])])
+    rms = np.array([map_threads(np.std, z) for z in (x, v, a[:P])])
     periodic = series(model, places, t, phase, rate_hz)
     if periodic is not None:
         known -= periodic

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estimator.arrays import Array
 from estimator.errors import DataError
 from estimator.model.rig import Model
-from estimator.parallel import each
+from estimator.parallel import map_threads
 from estimator.signals.band_limit import Motion
 from estimator.signals.band_limited_record import Filtered
 from estimator.signals.blocks import CELLS, Layout, gram, layout, spectra, valid_blocks
@@ -261,7 +261,7 @@ def gather(
             folds.append((G, f.size, f[0] * grid.hop / record.rate_hz, mean))
         return folds, sums.sum(axis=0), last - first
 
-    parts = each(part, stretches(usable, most))
+    parts = map_threads(part, stretches(usable, most))
     grams, counts, starts, means = zip(*(fold for folds, _, _ in parts for fold in folds), strict=True)
     tangents = np.sum([sums for _, sums, _ in parts], axis=0) / sum(rows for _, _, rows in parts)
     blocks = np.array(counts, float)

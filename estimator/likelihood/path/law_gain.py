@@ -10,6 +10,7 @@ import numpy as np
 
 from estimator.errors import NotFiniteError
 from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.motion.motion_record import FOLDS
 from estimator.likelihood.response.regressor_set import Term, dressed, orthogonal, terms
 
 from .path_fit import PathFit
@@ -17,17 +18,17 @@ from .subproblem import Subproblem, subproblem
 from .whitening import Columns
 from .working_point import WorkingPoint
 
-EVERYTHING = np.arange(6)
-DIFFERENT = 2.0  # nats, about the price of a parameter, that a spot's own searched parameters are to be worth
+ALL_FOLDS = np.arange(FOLDS)
+MIN_OWN_VALUES_GAIN_NATS = 2.0  # about the price of a parameter: by searched parameters of one location
 
 
 def trial_columns(point: WorkingPoint, placed: Placed) -> Columns | None:
     """Columns of the amplitudes, freed from the base; None if nothing is left of one of them."""
-    kept = _freed(point, placed, linear_only=True)
-    return point.weighing.columns(kept) if kept else None
+    kept = independent_regressors(point, placed, linear_only=True)
+    return point.whitening.columns(kept) if kept else None
 
 
-def _freed(point: WorkingPoint, placed: Placed, linear_only: bool = False) -> list[Term]:
+def independent_regressors(point: WorkingPoint, placed: Placed, linear_only: bool = False) -> list[Term]:
     """The terms of a law on trial, freed from the base."""
     linear = [q.linear for q in placed.effect.parameters]
 
@@ -43,7 +44,7 @@ def _freed(point: WorkingPoint, placed: Placed, linear_only: bool = False) -> li
     return [t for t in (orthogonal(t, point.spans) for t in found) if t is not None]
 
 
-class Assessed(NamedTuple):
+class LawGain(NamedTuple):
     """gain : nats, 0 where every amplitude is at its limit; problem, fit : with those that are not; spread : name ->
     standard deviation of every amplitude, limits or not."""
 
@@ -53,7 +54,7 @@ class Assessed(NamedTuple):
     spread: dict[str, float]
 
 
-class Alone(NamedTuple):
+class BaseFit(NamedTuple):
     """The model by itself at some places, fitted. level : nats."""
 
     problem: Subproblem
@@ -61,18 +62,18 @@ class Alone(NamedTuple):
     level: float
 
 
-def alone(point: WorkingPoint, places: tuple[int, ...], steps: int = 3) -> Alone:
+def base_fit(point: WorkingPoint, places: tuple[int, ...], steps: int = 3) -> BaseFit:
     """What an effect at these places is judged against."""
     plain = subproblem(point, places)
     fit = plain.fit(steps=steps)
-    return Alone(plain, fit, plain.likelihood(fit, EVERYTHING))
+    return BaseFit(plain, fit, plain.likelihood(fit, ALL_FOLDS))
 
 
-def assess(point: WorkingPoint, placed: Placed, steps: int = 3, against: Alone | None = None) -> Assessed | None:
+def fitted_gain(point: WorkingPoint, placed: Placed, steps: int = 3, against: BaseFit | None = None) -> LawGain | None:
     """Gain of the amplitudes within their limits, at given searched parameters; None if the model has such columns, or
     the law is no number there.
 
-    against : `alone`, if it is known.
+    against : `base_fit`, if it is known.
     """
     try:
         extra = trial_columns(point, placed)
@@ -81,7 +82,7 @@ def assess(point: WorkingPoint, placed: Placed, steps: int = 3, against: Alone |
     if extra is None:
         return None
     problem = subproblem(point, placed.at, extra)
-    plain, base, level = against or alone(point, placed.at, steps)
+    plain, base, level = against or base_fit(point, placed.at, steps)
     limits = {placed.name(k): (q.low, q.high) for k, q in enumerate(placed.effect.parameters)}
     spread: dict[str, float] = {}
     while problem.extra:
@@ -89,6 +90,6 @@ def assess(point: WorkingPoint, placed: Placed, steps: int = 3, against: Alone |
         spread = spread or {n.rsplit(".", 1)[1]: fit.value(n)[1] for n in problem.extra}
         inside = tuple(n for n in problem.extra if limits[n][0] <= fit.value(n)[0] <= limits[n][1])
         if inside == problem.extra:
-            return Assessed(problem.likelihood(fit, EVERYTHING) - level, problem, fit, spread)
+            return LawGain(problem.likelihood(fit, ALL_FOLDS) - level, problem, fit, spread)
         problem = problem.only(inside)
-    return Assessed(0.0, plain, base, spread)
+    return LawGain(0.0, plain, base, spread)

@@ -21,14 +21,14 @@ from scipy.linalg import block_diag
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.motion_record import FOLDS
 from estimator.likelihood.response.regressor_set import response
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 from .determinant import Jacobian
-from .whitening import Columns, Spectrum, Weighing
+from .whitening import Columns, Spectrum, Whitening
 
 # Mean tangents are known to about a part in a hundred. Where columns of a law of many parameters cancel to a part in
 # ten thousand of their power, what is left of the tangents is that error, and the determinant follows it anywhere.
-TOLD = 1e-5
+MIN_INFORMATION_SHARE = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,14 +76,14 @@ class Gram:
         return Gram(G, self.n, self.log_weight, tangents, scales, self.names[:first] + names, units, apart, self.s)
 
 
-def gram(weighing: Weighing, force: dict[int, Spectrum], *columns: Columns) -> Gram:
+def gram(whitening: Whitening, force: dict[int, Spectrum], *columns: Columns) -> Gram:
     """Gram matrices of the force and all columns, by place and time fold."""
-    data = weighing.data
+    data = whitening.data
     P = len(data.places)
     total = sum(len(c.names) for c in columns)
     G = np.zeros((P, FOLDS, 1 + total, 1 + total))
     n = np.zeros((P, FOLDS))
-    kept = np.ones_like(weighing.weight) if weighing.rings is None else weighing.rings.kept
+    kept = np.ones_like(whitening.weight) if whitening.rings is None else whitening.rings.kept
     log_weight = np.zeros((P, FOLDS))
 
     def at_place(i: int) -> None:
@@ -102,15 +102,15 @@ def gram(weighing: Weighing, force: dict[int, Spectrum], *columns: Columns) -> G
             Z = np.concatenate([s[:, span].reshape(len(s), -1) for s in stacks])
             G[i, f][at[:, None], at] = Z @ Z.T
             n[i, f] = here.size * kept[i].sum()
-            log_weight[i, f] = here.size * (kept[i] @ np.log(weighing.weight[i]))
+            log_weight[i, f] = here.size * (kept[i] @ np.log(whitening.weight[i]))
             if data.level is not None:
-                log_weight[i, f] -= (np.log(weighing.rise(i, data.level[i, here])) @ kept[i]).sum()
+                log_weight[i, f] -= (np.log(whitening.rise(i, data.level[i, here])) @ kept[i]).sum()
 
-    each(at_place, range(P))
+    map_threads(at_place, range(P))
     return Gram(
         G, n, log_weight, np.concatenate([c.tangents for c in columns]), np.concatenate([c.scales for c in columns]),
         tuple(k for c in columns for k in c.names), tuple(u for c in columns for u in c.units),
-        np.concatenate([c.apart for c in columns]), weighing.s,
+        np.concatenate([c.apart for c in columns]), whitening.s,
     )  # fmt: skip
 
 
@@ -150,11 +150,11 @@ def fit(
     start: Array | None = None,
     ridge: Array | None = None,
     steps: int = 30,
-    told: float = 0.0,
+    min_information: float = 0.0,
 ) -> PathFit:
     """Maximise L over all terms by Newton's method with halving; ridge : (terms,) added to the information.
 
-    told : nothing moves along sums of terms that have less than this share of the information of the terms.
+    min_information : nothing moves along sums of terms that have less than this share of the information of the terms.
     """
     G, n = gram.G[:, folds].sum(axis=1), gram.n[:, folds].sum(axis=1)
     B = blocks[folds].sum()
@@ -179,7 +179,7 @@ def fit(
         j1, j2 = jacobian.derivatives(tangents, delta)
         gradient = -2 * (GB[:, 1:] / S[:, None]).sum(axis=0) + B * j1 - penalty * delta
         H = 2 * (G[:, 1:, 1:] / S[:, None, None]).sum(axis=0) - B * j2 + np.diag(penalty)
-        step = _solve(H, gradient, told)
+        step = _solve(H, gradient, min_information)
         size, new = 1.0, -np.inf
         while size > 1e-3:
             new = objective(delta + size * step)
@@ -198,11 +198,11 @@ def fit(
     return PathFit(gram.names, delta, _inverse(H), S, value, gram.scales)
 
 
-def _solve(H: Array, g: Array, told: float = 0.0) -> Array:
-    """H^-1 g with eigenvalues kept away from zero (relative to the diagonal); those under `told` count as infinite."""
+def _solve(H: Array, g: Array, min_information: float = 0.0) -> Array:
+    """H^-1 g with eigenvalues kept away from zero (relative to the diagonal); those under it count as infinite."""
     d = 1 / np.sqrt(np.maximum(np.abs(np.diag(H)), 1e-300))
     e, U = np.linalg.eigh(H * np.multiply.outer(d, d))
-    e = np.where(np.abs(e) < told, np.inf, np.maximum(np.abs(e), 1e-6))
+    e = np.where(np.abs(e) < min_information, np.inf, np.maximum(np.abs(e), 1e-6))
     return np.asarray(d * (U @ ((U.T @ (d * g)) / e)))
 
 

@@ -23,28 +23,28 @@ import numpy as np
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.motion_record import MotionBlocks
 
-LITTLE = 1e-4  # correlation of two rows, anywhere in the band, that moves nothing
+MIN_CORRELATION = 1e-4  # correlation of two rows, anywhere in the band, that moves nothing
 
 
 @dataclass(frozen=True, slots=True)
-class NoisePaths:
-    """weight : (places, bins), S over the PSD of each inferred force; root : (bins, places) one over its root. noise :
+class SensorNoise:
+    """weight : (places, bins), S over the PSD of each inferred force; root : (bins, places) one over its root. share :
     (places, bins) what of that PSD is noise of sensors, which does not rise with the force. shared : (bins, places,
     places) correlations of these forces by noise; None where they are independent. folded : (bins, places, places)
     M B^H W; alone : (bins, places) S W of places without a measured force; None where nothing is folded beside one."""
 
     weight: Array
-    noise: Array
+    share: Array
     root: Array
     shared: Complexes | None
     folded: Complexes | None = None
     alone: Array | None = None
 
-    def coherent(self, i: int, j: int) -> Complexes | float:
+    def correlation(self, i: int, j: int) -> Complexes | float:
         """(bins,) correlation of two inferred forces by noise."""
         return 0.0 if self.shared is None else np.asarray(self.shared[:, i, j])
 
-    def measured(self, A: Complexes) -> Complexes | None:
+    def to_measured(self, A: Complexes) -> Complexes | None:
         """(bins, places, places) from the response to the motion to that to what is measured; A as the determinant has
         it."""
         if self.folded is not None and self.alone is not None:
@@ -55,28 +55,29 @@ class NoisePaths:
         return np.asarray(np.eye(A.shape[1]) + np.linalg.solve(A, apart @ A))
 
 
-def noise_paths(data: MotionBlocks, A: Complexes, nu: Array, S: Array) -> NoisePaths:
+def referred_noise(data: MotionBlocks, A: Complexes, nu: Array, S: Array) -> SensorNoise:
     """A : (bins, places, places). nu : (places,) noise of the sensors over S. S : (places,)."""
-    heard = heard_of_all(data, A, nu * S) / S[:, None]
-    weight = 1.0 / (data.colour + beyond(data, A, S) + heard)
+    referred = referred_psd(data, A, nu * S) / S[:, None]
+    weight = 1.0 / (data.colour + aliased_psd(data, A, S) + referred)
     P = len(data.places)
     noise = (data.noise_shape * nu[:, None] + data.folded) * S[:, None]
     R = np.einsum("kil,lk,kjl->kij", A, noise, A.conj())
     R[:, range(P), range(P)] = 0.0
     root = np.sqrt(weight / S[:, None]).T
     shared = R * root[:, :, None] * root[:, None, :]
-    paths = NoisePaths(weight, heard * weight, root, shared if np.abs(shared).max(initial=0.0) > LITTLE else None)
+    correlated = np.abs(shared).max(initial=0.0) > MIN_CORRELATION
+    found = SensorNoise(weight, referred * weight, root, shared if correlated else None)
     if not data.folded_beside.any():
-        return paths
+        return found
     B = A.copy()
     for i in np.flatnonzero(data.folded_beside.any(axis=1)):
         B[:, i, i] -= data.alike_beside[i]
         noise[i] = data.folded_beside[i]
     folded = np.einsum("lk,kjl->klj", noise, B.conj()) * root[:, None, :] ** 2
-    return replace(paths, folded=folded, alone=(data.colour * weight * (data.driven == 0.0)[:, None]).T)
+    return replace(found, folded=folded, alone=(data.colour * weight * (data.driven == 0.0)[:, None]).T)
 
 
-def together(data: MotionBlocks, A: Complexes, weight: Array, i: int, j: int) -> Complexes:
+def force_correlation(data: MotionBlocks, A: Complexes, weight: Array, i: int, j: int) -> Complexes:
     """(bins,) correlation of two inferred forces over that of the forces that there are: what sampling folds back of a
     common force is common too, noise of sensors is not."""
     own, back = np.sqrt(weight[i] * weight[j]), np.sqrt(data.folded[i] * data.folded[j])
@@ -84,12 +85,12 @@ def together(data: MotionBlocks, A: Complexes, weight: Array, i: int, j: int) ->
     return np.asarray(own * (np.sqrt(data.colour[i] * data.colour[j]) + back * through))
 
 
-def beyond(data: MotionBlocks, A: Complexes, S: Array) -> Array:
+def aliased_psd(data: MotionBlocks, A: Complexes, S: Array) -> Array:
     """(places, bins) PSD over S of each inferred force of what is folded back at all places."""
     return _through(A, data.folded * S[:, None]) / S[:, None]
 
 
-def heard_of_all(data: MotionBlocks, A: Complexes, N: Array) -> Array:
+def referred_psd(data: MotionBlocks, A: Complexes, N: Array) -> Array:
     """(places, bins) the same, not over S, of white noise N (places,) of all sensors."""
     return _through(A, data.noise_shape * N[:, None])
 

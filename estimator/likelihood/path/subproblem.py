@@ -12,7 +12,7 @@ from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.motion_record import FOLDS
 
 from .determinant import Jacobian
-from .path_fit import TOLD, Gram, PathFit, fit, log_likelihood
+from .path_fit import MIN_INFORMATION_SHARE, Gram, PathFit, fit, log_likelihood
 from .whitening import Columns, Spectrum
 from .working_point import WorkingPoint
 
@@ -49,7 +49,7 @@ class Subproblem:
         """Maximum likelihood; `ridge` is a prior information on the scaled extra terms. start : (terms,) scaled."""
         penalty = np.concatenate([self.caution, np.full(len(self.extra), ridge)])
         folds = np.arange(FOLDS) if folds is None else folds
-        return fit(self.gram, self.jacobian, folds, self.blocks, start, penalty, steps, TOLD)
+        return fit(self.gram, self.jacobian, folds, self.blocks, start, penalty, steps, MIN_INFORMATION_SHARE)
 
     def likelihood(self, found: PathFit, folds: NDArray[np.int64]) -> float:
         return log_likelihood(self.gram, self.jacobian, found.delta, found.S, folds, self.blocks)
@@ -94,7 +94,7 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: Columns | No
     new = () if extra is None else extra.names
     merged = Gram(
         G, point.gram.n[at], point.gram.log_weight[at], tangents, scales, names + new,
-        units + (() if extra is None else extra.units), _among(apart, at), point.weighing.s,
+        units + (() if extra is None else extra.units), _among(apart, at), point.whitening.s,
     )  # fmt: skip
     inside = tuple(int(i) for i in at)
     return Subproblem(inside, merged, point.jacobian.at(at), point.data.fold_blocks, names, new, point.caution[base])

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.motion_record import FOLDS, MotionBlocks
 from estimator.likelihood.response.regressor_set import Term, term_response
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 from .determinant import times
 from .disc_ringing import Ringing, ringing
-from .sensor_noise import NoisePaths
+from .sensor_noise import SensorNoise
 
 Spectrum = NDArray[np.float32]
 TOGETHER = 32  # blocks at a time: more do not stay in the cache
@@ -35,12 +35,12 @@ class Columns:
 
 
 @dataclass
-class Weighing:
+class Whitening:
     """Turns series into weighted block spectra at a working point. s : (bins,) of the determinant. measured : (bins,
     places, places) from a response to the motion to one to what is measured: sensor_noise.py."""
 
     data: MotionBlocks
-    paths: NoisePaths
+    noise: SensorNoise
     s: Complexes
     measured: Complexes | None = None
     _root: NDArray[np.float32] = field(init=False)  # (places, 2 bins), of real and imaginary parts
@@ -63,7 +63,7 @@ class Weighing:
     @property
     def weight(self) -> Array:
         """(places, bins)"""
-        return self.paths.weight
+        return self.noise.weight
 
     def spectrum(
         self, i: int, series: Array | Spectrum, scale: float = 1.0, out: Spectrum | None = None, first: int = 0
@@ -96,7 +96,7 @@ class Weighing:
     def rise(self, i: int, level: Array) -> Array:
         """(blocks, bins) PSD of the inferred force at place i in blocks of a level (blocks,), over that of the record:
         the level of the force but for noise of sensors, which does not rise with it."""
-        return np.asarray(level[:, None] + (1.0 - level[:, None]) * self.paths.noise[i])
+        return np.asarray(level[:, None] + (1.0 - level[:, None]) * self.noise.share[i])
 
     def power(self, i: int, Z: Spectrum) -> Array:
         """(blocks,) power of a spectrum seen at place i (blocks, 2 bins), as it was before blocks were weighed by the
@@ -125,7 +125,7 @@ class Weighing:
                     row.view(np.complex64)[...] *= shape.astype(np.complex64)
             return out
 
-        spectra = dict(zip(index, each(at, index), strict=True))
+        spectra = dict(zip(index, map_threads(at, index), strict=True))
         tangents = self.seen(np.array([term_response(t, self.s) for t in terms]))
         return Columns(
             tuple(t.name for t in terms), tuple(t.unit for t in terms), np.array([t.scale for t in terms]), tangents,

@@ -28,13 +28,13 @@ from estimator.likelihood.response.regressor_set import (
     terms,
 )
 from estimator.model.rig import Model
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 from .contour import along, contour
 from .determinant import Jacobian
 from .path_fit import Gram, PathFit, fit, gram
-from .sensor_noise import noise_paths, together
-from .whitening import Columns, Spectrum, Weighing
+from .sensor_noise import force_correlation, referred_noise
+from .whitening import Columns, Spectrum, Whitening
 
 STRIDE = 0.3  # of the reach of a searched parameter: one standard deviation of the step that is taken at once
 
@@ -53,7 +53,7 @@ class WorkingPoint:
     nu: Array
     placed: tuple[Placed, ...]
     force: Series  # (places, n) N, inferred excitation
-    weighing: Weighing
+    whitening: Whitening
     spectra: dict[int, Spectrum]  # of the force
     terms: tuple[Term, ...]
     columns: Columns
@@ -85,7 +85,7 @@ class WorkingPoint:
         """Itself without rows, which are large: for a fit of another record to begin from."""
         none = np.zeros(self.data.x.shape[1], bool)
         data, still = self.data.at(none), (None,) * len(self.fluctuations)
-        return replace(self, data=data, force=self.force[:, none], weighing=replace(self.weighing, data=data),
+        return replace(self, data=data, force=self.force[:, none], whitening=replace(self.whitening, data=data),
                        fluctuations=still)  # fmt: skip
 
 
@@ -144,7 +144,7 @@ def _forces(
             if memory is not None:
                 M[:, i] += memory.T
 
-    each(add, range(P))
+    map_threads(add, range(P))
     w = 2 * np.pi * data.f_hz[:, None, None]
     return F, np.diag(data.mass)[None] - (data.shaft + M + D[..., 0]) / w**2 + D[..., 1] / (1j * w), D
 
@@ -164,40 +164,40 @@ def point_at(
     """The point at these values. longer : the same model on more of the record: what its laws fluctuate is kept."""
     P = len(data.places)
     lin = np.stack([data.mass, kL, c], axis=1)
-    own = each(lambda use: terms(use, data, lin), uses)
+    own = map_threads(lambda use: terms(use, data, lin), uses)
     F, A, D = _forces(data, kL, c, uses, own)
     s = contour(A, data.mass, D, data.f_hz, data.disc, data.places)
 
     def along_line(A: NDArray[np.complex128]) -> NDArray[np.complex128]:
         return along(s, A, data.mass, D, data.disc, data.places)
 
-    paths = noise_paths(data, A, nu, S)
-    weighing = Weighing(data, paths, s, paths.measured(along_line(A)))
-    spectra = dict(enumerate(each(lambda i: weighing.spectrum(i, F[i]), range(P))))
+    noise = referred_noise(data, A, nu, S)
+    whitening = Whitening(data, noise, s, noise.to_measured(along_line(A)))
+    spectra = dict(enumerate(map_threads(lambda i: whitening.spectrum(i, F[i]), range(P))))
     mean = _means(data, D, uses, own, lin)
     around = fluctuations(data, uses, mean, lin) if longer is None else longer.fluctuations
     if longer is None:
-        own = each(lambda k: dressed(own[k], uses[k], around), range(len(uses)))
+        own = map_threads(lambda k: dressed(own[k], uses[k], around), range(len(uses)))
     else:
-        own = each(lambda k: _as_longer(own[k], uses[k], longer), range(len(uses)))
-    common = {(i, j): together(data, A, paths.weight, i, j) for i, j in data.shared}
-    made = _all_terms(data, lin, uses, own) + _in_common(data, F, paths.weight, common)
-    columns = weighing.columns(made)
-    G = gram(weighing, spectra, columns)
+        own = map_threads(lambda k: _as_longer(own[k], uses[k], longer), range(len(uses)))
+    common = {(i, j): force_correlation(data, A, noise.weight, i, j) for i, j in data.shared}
+    made = _all_terms(data, lin, uses, own) + _in_common(data, F, noise.weight, common)
+    columns = whitening.columns(made)
+    G = gram(whitening, spectra, columns)
     dressing = np.zeros((len(A), P), complex)
     for i, here in enumerate(around):
         if here is not None:
             dressing[:, i] = here.whole / (2 * np.pi * data.f_hz) ** 2
             A[:, i, i] += dressing[:, i]
     there = (1j * s.imag / s) ** 2  # over -w^2 becomes over s^2
-    kept = None if weighing.rings is None else weighing.rings.kept.mean(axis=0)
+    kept = None if whitening.rings is None else whitening.rings.kept.mean(axis=0)
     jacobian = Jacobian(along_line(A), s, dressing * there[:, None], kept)
     caution = _caution(data, G, uses)
     result = _cautious(G, jacobian, data.fold_blocks, caution)
     own_terms = tuple(light(t) for t in made)
     coarse = tuple(here and here.coarse(data.rate_hz, about) for here, about in zip(around, mean, strict=True))
     return WorkingPoint(
-        data, kL, c, _whole_power(data, result, common), nu, tuple(uses), F, weighing, spectra, own_terms, columns, G,
+        data, kL, c, _whole_power(data, result, common), nu, tuple(uses), F, whitening, spectra, own_terms, columns, G,
         jacobian, result, caution, A, D, coarse, Spans(own_terms), Units(),
     )  # fmt: skip
 
@@ -234,7 +234,7 @@ def _all_terms(data: MotionBlocks, lin: Array, uses: list[Placed], own: list[lis
     """Of stiffness and damping, of the laws, and of periodic forces. own : those of each use."""
     made = [t for i in range(len(data.places)) for t in linear_terms(data, i, lin[i], uses)]
     made += [t for ts in own for t in ts]
-    return made + each(lambda wave: _wave(data, wave), data.waves)
+    return made + map_threads(lambda wave: _wave(data, wave), data.waves)
 
 
 def _as_longer(own: list[Term], use: Placed, longer: WorkingPoint) -> list[Term]:

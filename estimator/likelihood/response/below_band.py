@@ -25,7 +25,7 @@ from estimator.effects.engine.law_loop import force_array
 from estimator.likelihood.motion.located_law import Placed, evaluate, remembers
 from estimator.likelihood.motion.motion_record import MotionBlocks
 from estimator.model.effect import Effect
-from estimator.parallel import each
+from estimator.parallel import map_threads
 from estimator.signals.band_limit import unseen
 
 from .modal_response import yields
@@ -152,7 +152,7 @@ def _pushed(data: MotionBlocks, own: Sequence[Sequence[Placed]], lin: Array) -> 
         return np.asarray(np.sum(forces, axis=0)), np.asarray(np.sum(slopes, axis=0))
 
     there = [i for i, laws in enumerate(own) if laws]
-    found = dict(zip(there, each(at, there), strict=True))
+    found = dict(zip(there, map_threads(at, there), strict=True))
     tangents = np.zeros((len(own), len(own)))
     for i, (_, slopes) in found.items():
         tangents[i] = slopes

@@ -15,7 +15,7 @@ from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.located_law import Placed, remembers, sharp_at, tangent_series
 from estimator.likelihood.motion.memory_law import FINER
 from estimator.likelihood.motion.motion_record import MotionBlocks, coarser, finer, part_of
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 from .impulse_probe import LEAST, SHARE, Probe, probed
 from .modal_response import Mean
@@ -121,4 +121,4 @@ def fluctuations(
             return None
         return Fluctuation(part, i, total, K, g, self_energy(C, g, dt, data.f_hz), only)
 
-    return tuple(each(at, range(len(mean))))
+    return tuple(map_threads(at, range(len(mean))))

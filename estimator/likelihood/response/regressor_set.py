@@ -14,7 +14,7 @@ from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion import linear_memory, shaft_law
 from estimator.likelihood.motion.located_law import Evaluated, Placed, at_home, evaluate, tangent_series
 from estimator.likelihood.motion.motion_record import FOLDS, MotionBlocks
-from estimator.parallel import each
+from estimator.parallel import map_threads
 
 from .fluctuation import Fluctuation
 from .impulse_probe import Probe
@@ -58,7 +58,7 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
     free = [k for k, q in enumerate(placed.effect.parameters) if placed.free[k] and (q.linear or not linear_only)]
     if placed.effect.kind == "shaft":  # integrated anew for every one of them
         caps = {shaft_law.first(data, i) for i in placed.at}
-        each(lambda ask: at(*ask), [(i, p) for k in free for p, _ in _ends(placed, k, data) for i in caps])
+        map_threads(lambda ask: at(*ask), [(i, p) for k in free for p, _ in _ends(placed, k, data) for i in caps])
     out = []
     for k in free:
         q = placed.effect.parameters[k]

@@ -21,7 +21,7 @@ from daq.rig.rig import Rig, load_rig
 from daq.session.naming import Naming, Question, answer, said
 from daq.session.replay import replay
 from drivers.contract.reading import Block, Gap, Info, Notice, Signal
-from estimator.results import Estimate, Parameter, certain
+from estimator.results import Estimate, Parameter, certain_missing_effects
 
 RATE = 1000.0
 RIG = Rig.parse(Path(__file__).parents[3].joinpath("daq", "commands", "demo_rig.toml").read_text("utf-8"))
@@ -126,7 +126,7 @@ def test_missing_samples_are_missing_in_the_question() -> None:
 
 
 def test_the_line_of_the_live_table() -> None:
-    assert certain(OPEN) == ["clearance", "quintic"]
+    assert certain_missing_effects(OPEN) == ["clearance", "quintic"]
     assert (
         missing_text(OPEN) == "missing force 0.80 % of the bearing force   most like clearance 1.00 %, quintic 0.70 %"
     )
@@ -185,7 +185,7 @@ def test_a_clearance_that_opens_at_60_s_is_flagged_and_named_within_20_s(tmp_pat
 
         def estimate(self, estimate: Estimate) -> None:
             super().estimate(estimate)
-            if found := certain(estimate.extra or {}):
+            if found := certain_missing_effects(estimate.extra or {}):
                 sure.append((estimate.index / 25600.0, found))
 
     sure: list[tuple[float, list[str]]] = []

@@ -284,4 +284,7 @@ def test_a_law_that_grows_beyond_all_measure_at_a_value_on_trial_is_passed_over(
     data = prepare(rig, simulate(rig, RATE, 2.0, seed=1, noise=0.02), RATE)
     point = fit_model(data, placed_of(rig, data))
     effect = custom_effect(own("f*exp(x/w)", f=(1e-3, "N"), w=(1e-9, "m")))
-    assert law_gain.assess(point, Placed(effect, "bearing1.x.mine", (0,), np.array([1.0, 1e-9]), (True, False))) is None
+    assert (
+        law_gain.fitted_gain(point, Placed(effect, "bearing1.x.mine", (0,), np.array([1.0, 1e-9]), (True, False)))
+        is None
+    )

@@ -91,7 +91,7 @@ def test_an_effect_at_its_limit_still_says_from_what_strength_it_would_be_seen(
     rig, point, _ = weak
     coulomb = CATALOGUE["coulomb"]
     where = screen.acting(coulomb, "bearing1.x", point.data)
-    free = law_gain.assess(point, Placed(coulomb, "bearing1.x.coulomb", where, np.ones(1), (True,)))
+    free = law_gain.fitted_gain(point, Placed(coulomb, "bearing1.x.coulomb", where, np.ones(1), (True,)))
     assert free is not None
     barred = replace(coulomb, parameters=(replace(coulomb.parameters[0], low=1.0),))  # more than the record has
     limited = screen.best_at(point, rig, barred, "bearing1.x")
@@ -121,9 +121,9 @@ def test_what_is_known_of_a_law_is_that_of_its_numbers(weak: tuple[Model, Workin
     """A trial asked for again, at other numbers, and at the first again is what it is on a record asked for nothing."""
     rig, point, gap = weak
     placed = Placed(CLEARANCE, "bearing1.x.clearance", (0,), np.array([1.0, gap]), (True, True))
-    asked = [law_gain.assess(point, placed.with_values(np.array([1.0, by * gap]))) for by in (1.0, 1.0, 1.3, 1.0)]
+    asked = [law_gain.fitted_gain(point, placed.with_values(np.array([1.0, by * gap]))) for by in (1.0, 1.0, 1.3, 1.0)]
     gains = [one.gain for one in asked if one is not None]
-    fresh = law_gain.assess(replace(point, units=Units()), placed)
+    fresh = law_gain.fitted_gain(replace(point, units=Units()), placed)
     assert fresh is not None
     assert gains[0] == gains[1] == gains[3] == fresh.gain
     assert gains[2] != gains[0]

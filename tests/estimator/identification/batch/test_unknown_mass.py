@@ -12,7 +12,7 @@ from daq.rig.rig import load_rig
 from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.results import belongs
+from estimator.results import is_of_place
 from estimator.simulation.simulator import simulate
 
 ROOT = Path(__file__).parents[4]
@@ -39,7 +39,7 @@ def test_standard_deviations_hold_those_of_the_masses() -> None:
 
 def test_a_number_belongs_to_its_place_or_to_all_of_its_node() -> None:
     names = ("bearing1.x.kL", "bearing1.y.kL", "bearing1.rub.gap", "bearing2.x.kL", "disc.crack.loss")
-    assert [belongs(name, "bearing1.x") for name in names] == [True, False, True, False, False]
+    assert [is_of_place(name, "bearing1.x") for name in names] == [True, False, True, False, False]
 
 
 @pytest.mark.slow

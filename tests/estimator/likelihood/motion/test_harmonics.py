@@ -142,8 +142,8 @@ def test_a_phase_at_the_start_of_the_record_is_half_as_well_known_as_an_amplitud
 
 def test_a_line_in_the_noise_of_a_sensor_is_as_uncertain_as_that_makes_it(rig: Model, point: WorkingPoint) -> None:
     model = with_use(rig, "line", LINE)
-    paths = replace(point.weighing.paths, weight=np.full_like(point.weighing.weight, 0.25))
-    noisy = replace(point, weighing=replace(point.weighing, paths=paths))
+    noise = replace(point.whitening.noise, weight=np.full_like(point.whitening.weight, 0.25))
+    noisy = replace(point, whitening=replace(point.whitening, noise=noise))
     quiet, loud = (refined(model, p, white(p.data, p.S))[1]["bearing1.x.line.a"].sd for p in (point, noisy))
     assert quiet is not None
     assert loud == pytest.approx(2 * quiet, rel=0.02)  # four times the power

@@ -72,7 +72,7 @@ def test_without_its_rows_a_fit_says_the_same_and_another_begins_from_it() -> No
     data = prepare(rig, simulate(rig, RATE, 4.0, seed=1, noise=0.02, full_scale=490.5), RATE)
     point = gauss_newton.fit_model(data, placed_of(rig, data))
     bare = point.rowless()
-    assert bare.data.x.size == bare.force.size == bare.weighing.data.x.size == 0
+    assert bare.data.x.size == bare.force.size == bare.whitening.data.x.size == 0
     assert parameters(bare) == parameters(point)
     again = gauss_newton.fit_model(replace(data), list(bare.placed), bare)
     np.testing.assert_allclose(again.kL, point.kL, rtol=1e-4)

@@ -17,7 +17,7 @@ from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import placed_of, tangent_series
 from estimator.likelihood.motion.motion_record import finer
 from estimator.likelihood.motion.prepare import prepare
-from estimator.likelihood.path.law_gain import assess
+from estimator.likelihood.path.law_gain import fitted_gain
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response import modal_response
 from estimator.likelihood.response.fluctuation import Fluctuation, fluctuations
@@ -174,7 +174,7 @@ def test_models_are_compared_by_the_value_whose_derivatives_their_columns_have(
     of the dressed A for the value it was -13 nats for 10, and `improve` would not have added what is there."""
     model, y, both = friction_and_drag
     alone = fit_all_effects(replace(model, effects=model.effects[:1]), y, SLOW).point
-    trial = assess(alone, both.placed[1])
+    trial = fitted_gain(alone, both.placed[1])
     assert trial is not None
     assert trial.gain > 5.0
     assert both.fit.log_likelihood - alone.fit.log_likelihood == pytest.approx(trial.gain, rel=0.5)
