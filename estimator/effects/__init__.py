@@ -32,11 +32,11 @@ from estimator.effects.stiffness.quadratic import QUADRATIC
 from estimator.effects.stiffness.quintic import QUINTIC
 from estimator.effects.stiffness.stiffness_drift import STIFFNESS_DRIFT
 from estimator.effects.stiffness.stop import STOP
-from estimator.model.effect import Effect
+from estimator.model.effect import Effect, FoundBy
 
 from .places import places
 
-__all__ = ["CATALOGUE", "MORE_LINES", "NAMED", "places"]
+__all__ = ["CATALOGUE", "LINE_NAMES", "MORE_LINES", "NAMED", "found_by", "places"]
 
 CATALOGUE: dict[str, Effect] = {
     "cubic": CUBIC,
@@ -72,4 +72,10 @@ CATALOGUE: dict[str, Effect] = {
 }
 
 MORE_LINES = {f"line_{k}": replace(LINE, name=f"line_{k}") for k in range(2, 10)}  # a place may have more than one
+LINE_NAMES = (LINE.name, *MORE_LINES)
 NAMED = CATALOGUE | MORE_LINES  # what a model's effects may be called
+
+
+def found_by(name: str) -> FoundBy:
+    """What the parameters of an effect of this name are estimated from; "law" for a user's own law."""
+    return NAMED[name].found_by if name in NAMED else "law"

@@ -1,8 +1,8 @@
 """Where an effect of a model acts, and with which numbers.
 
-Canonical places. scope "direction": "bearing1.x". scope "node": "bearing1" (one set of parameters for x and y). kind
-disc or shaft: "disc". kind sensor: the place of the channel. A node-scope entry written "bearing1.x" (or
-a direction-scope entry written "bearing1") is understood.
+Canonical places. scope "direction": "bearing1.x". scope "node": "bearing1" (one set of parameters for x and y). scope
+"bearings": the direction at the first bearing, "bearing1.x". kind disc or shaft: "disc". kind sensor: the place of the
+channel. A node-scope entry written "bearing1.x" (or a direction-scope entry written "bearing1") is understood.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def places(effect: Effect, model: Model) -> tuple[str, ...]:
     caps = model.places or tuple(model.linear)
     if effect.kind in ("disc", "shaft"):
         return ("disc",) if model.shaft != "none" else ()
-    if effect.name == "correlated_force":
+    if effect.scope == "bearings":
         both = (d for d in DIRECTIONS if all(f"{n}.{d}" in caps for n in NODES))
         return tuple(f"{NODES[0]}.{d}" for d in both)
     if effect.scope == "node":
@@ -38,7 +38,7 @@ def at(effect: Effect, use: EffectUse, model: Model) -> tuple[str, ...]:
         matches = [p for p in can if p in (written, node) or p.split(".")[0] == written]
         if effect.kind in ("disc", "shaft"):
             matches = list(can)
-        if effect.name == "correlated_force":
+        if effect.scope == "bearings":
             matches = [p for p in can if written in NODES or written.split(".")[-1] == p.split(".")[1]]
         if effect.kind == "sensor" and not matches:
             matches = [c.place for c in model.channels if c.name == written]
@@ -79,7 +79,7 @@ def written(effect: Effect, use: EffectUse, model: Model, place: str) -> dict[st
     node, names = place.split(".")[0], {c.name for c in model.channels if c.place == place}
 
     def holds(key: str) -> bool:
-        if effect.name == "correlated_force":
+        if effect.scope == "bearings":
             return key in NODES or key.endswith(place[-2:])
         same = effect.scope == "node" and key.split(".")[0] == node
         return same or key in (place, node, *names) or effect.kind in ("disc", "shaft")

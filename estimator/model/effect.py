@@ -11,24 +11,42 @@ features and the report call the same text. All SI. Restoring convention (rig.py
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, Literal
 
+import numpy as np
+
+from .law_character import Parity, State, law_parity, law_power, law_state, steps_at_rest
+
 Kind = Literal["force", "memory", "disc", "shaft", "excitation", "sensor"]
+FoundBy = Literal["law", "harmonics", "spectrum", "coherence", "samples"]
 
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """name, unit and limits of one parameter.
+    """One parameter of an effect: name, unit and limits.
 
-    linear : the law is proportional to it (an amplitude, solved for exactly); otherwise it is searched on [low, high].
-    scale : the natural size. For a searched parameter, low, high and default are multiples of it (strength.py):
-        "x" displacement rms, "v" velocity rms, "a" acceleration rms of the place, "m" its mass, "hz_peak" its resonance
-        in Hz, "sample" the sampling interval in s, "band" the upper band edge in Hz;
-        "1", "angle", "order": as they are; "bpfo", "balls": from the rig's geometry or ball_pass_order where known.
-        For a linear parameter it says nothing: its size follows from the data.
-    given : taken from the rig or the default, never searched.
+    Parameters
+    ----------
+    name, unit : str
+        As in a rig file; the unit is SI.
+    low, high, default : float
+        Limits and usual value, in SI for a parameter that is linear or given, else in multiples of `scale`.
+    description : str
+        What it is, for the user.
+    linear : bool
+        The law is proportional to it (an amplitude, solved for exactly). Otherwise it is searched on [low, high].
+    scale : str
+        Natural size of a searched parameter: "x" displacement rms, "v" velocity rms, "a" acceleration rms of the place,
+        "m" its mass, "hz_peak" its resonance in Hz, "sample" the sampling interval in s, "band" the upper band edge in
+        Hz; "1", "angle", "order" as they are; "bpfo", "balls" from the rig's geometry or ball_pass_order where known.
+        Of a linear parameter only "shaft" counts: `Effect.typical` is then a share of the stiffness of each shaft half.
+    given : bool
+        Taken from the rig or the default, never searched.
+    share : float
+        Usual size of a further amplitude over the first amplitude of the effect, in SI.
     """
 
     name: str
@@ -40,23 +58,66 @@ class EffectParameter:
     linear: bool = False
     scale: str = "1"
     given: bool = False
+    share: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """A physical effect or fault. Texts are for the user: `rotorscope effects NAME` prints them.
+    """A physical effect or fault, and all that is known of it. Texts are printed by `rotorscope effects NAME`.
 
-    kind : force (acts on a cap), memory (a cap force with its own states), disc (acts on the disc), shaft (between
-        disc and caps), excitation (shapes the unknown force), sensor (acts on a measured channel).
-    scope : "direction": parameters of its own in x and in y; "node": one set shared by both directions of a node.
-    one_direction : of scope node: also where one direction alone is measured, as if nothing moved in the other.
-    stationary_density : whether exp(-H/T) survives (physics.md section 6, column FDT).
-    states, rates, memory_force : for kind memory: number of states z;
-        rates(z, x, v, p, lin, dz) -> None fills dz; memory_force(z, x, v, p, lin) -> float; lin = (m, kL, c).
-    for_given : for a law that is far faster made for its given parameters: for_given(p) -> the same law, which reads
-        those of this p whatever it is handed.
-    apply : for kind sensor: apply(y (n,), rate_hz, p, rng) -> (n,).
-    shape : for kind excitation: shape(f_hz (n,), p) -> (n,) multiplier of S.
+    Parameters
+    ----------
+    name : str
+        As in a rig file.
+    kind : {"force", "memory", "disc", "shaft", "excitation", "sensor"}
+        Where it acts. force: on a bearing cap. memory: on a cap, with states of its own. disc: on the disc. shaft:
+        between disc and caps. excitation: shapes the unknown force. sensor: changes a measured channel.
+    parameters : tuple of EffectParameter
+        In the order of p.
+    equation, signature, distinguish, reference, check, on_machine : str
+        The law in one line; what it shows in a record; what separates it from `confused_with`; its source; a value that
+        its test reproduces; what to look at on the machine.
+    confused_with : tuple of str
+        Names of effects that look alike.
+    scope : {"direction", "node", "bearings"}
+        direction: parameters of its own in x and in y. node: one set for both directions of a node. bearings: one set
+        for a direction of both bearings.
+    one_direction : bool
+        Of scope node: acts also where one direction alone is measured, as if nothing moved in the other.
+    stationary_density : bool
+        Whether exp(-H/T) stays the stationary density.
+    force : callable or None
+        force(x, v, xo, vo, t, phase, s, p) -> N, see above.
+    for_given : callable or None
+        for_given(p) -> the force law with the given parameters of this p built in, which is faster.
+    states, rates, memory_force : int, callable, callable
+        Of kind memory: the number of states z; rates(z, x, v, p, lin, dz) fills dz; memory_force(z, x, v, p, lin) -> N;
+        lin = (m, kL, c) of the place.
+    apply : callable or None
+        Of kind sensor: apply(y (n,), rate_hz, p, rng) -> (n,).
+    shape : callable or None
+        Of kind excitation: shape(f_hz (n,), p) -> (n,) multiplier of S.
+    found_by : {"law", "harmonics", "spectrum", "coherence", "samples"}
+        What its parameters are estimated from. law: the force balance along the motion. harmonics: lines of a periodic
+        force. spectrum: the residual force's spectrum, or the transfer function beside a measured force. coherence: of
+        the residual forces at the two bearings. samples: the raw samples of a channel.
+    harmonics : tuple of int, "all" or None
+        Of found_by harmonics: the orders of its angle that the force has.
+    speed_power : int
+        Of found_by harmonics: power of the shaft speed that the force on the disc grows with.
+    feeds_energy : bool
+        Whether the law can do work on the rotor over a closed orbit.
+    channel_response : callable or None
+        Of kind sensor: channel_response(w (n,) rad/s, p) -> (n,) complex, measured over true; None if there is none.
+    spectral_factor : callable or None
+        spectral_factor(f_hz (n,), p) -> (n,) multiplier of a white force's spectrum; None of an effect without.
+    in_likelihood : bool
+        Whether the held-out likelihood sees what it explains; not if that lies out of the band or beside the motion.
+    watched : bool
+        Whether the rolling estimate looks for it while samples arrive.
+    typical : mapping of str to (float, float)
+        Where strength is no force: the parameter that sets it -> its weak and its strong value, in multiples of the
+        parameter's scale.
     """
 
     name: str
@@ -65,11 +126,11 @@ class Effect:
     equation: str
     signature: str
     confused_with: tuple[str, ...]
-    distinguish: str  # what separates it from those
+    distinguish: str
     reference: str
-    check: str  # value reproduced by its test, and its source
-    on_machine: str  # what an engineer should look at on the machine
-    scope: Literal["direction", "node"] = "direction"
+    check: str
+    on_machine: str
+    scope: Literal["direction", "node", "bearings"] = "direction"
     one_direction: bool = False
     stationary_density: bool = False
     force: Callable[..., float] | None = None
@@ -79,12 +140,67 @@ class Effect:
     memory_force: Callable[..., float] | None = None
     apply: Callable[..., Any] | None = None
     shape: Callable[..., Any] | None = None
+    found_by: FoundBy = "law"
+    harmonics: tuple[int, ...] | Literal["all"] | None = None
+    speed_power: int = 0
+    feeds_energy: bool = False
+    channel_response: Callable[..., Any] | None = None
+    spectral_factor: Callable[..., Any] | None = None
+    in_likelihood: bool = True
+    watched: bool = False
+    typical: Mapping[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}), hash=False)
+
+    @property
+    def state(self) -> State:
+        """What the force law is a function of, by evaluating it.
+
+        displacement, velocity: of its own direction, one of them; both: the two; directions: of the other direction,
+        too; time, shaft_angle: of these, whatever else; none: no force law.
+        """
+        return "none" if self.force is None else law_state(self.force, self.parameters, self.one_direction)
+
+    @property
+    def parity(self) -> Parity:
+        """Of the force law when displacements and velocities change sign; none where it depends on neither."""
+        return "none" if self.force is None else law_parity(self.force, self.parameters, self.one_direction)
+
+    @property
+    def power(self) -> int | None:
+        """n of a law that is an amplitude times x^n."""
+        return None if self.force is None else law_power(self.force, self.parameters)
+
+    @property
+    def steps_at_rest(self) -> bool:
+        """Whether a law of velocity jumps where the motion turns."""
+        return self.force is not None and steps_at_rest(self.force, self.parameters)
 
     @property
     def turns(self) -> bool:
         """Whether the law goes with the shaft angle."""
-        if self.force is None:
+        return self.state == "shaft_angle"
+
+    @property
+    def flat_magnitude(self) -> bool:
+        """Whether it is a response that leaves the shape of its channel's spectrum: a gain or a delay."""
+        return self.channel_response is not None and self.spectral_factor is None
+
+    @property
+    def scales_channel(self) -> bool:
+        """Whether it is a response that is the same at every frequency: a gain."""
+        if self.channel_response is None:
             return False
-        p = [1.0 if q.linear else q.default for q in self.parameters]
-        begin, later = (self.force(1.0, 1.0, 1.0, 1.0, 1.0, phase, 1.0, p) for phase in (0.0, 1.0))
-        return bool(begin != later)
+        slow, fast = self.channel_response(SLOW_AND_FAST, [q.default for q in self.parameters])
+        return bool(slow == fast)
+
+    @property
+    def adds_noise(self) -> bool:
+        """Whether it is noise of a sensor: seen in a spectrum, and no response."""
+        return self.kind == "sensor" and self.found_by == "spectrum" and self.channel_response is None
+
+    @property
+    def adds_resonance(self) -> bool:
+        """Whether it is a resonance under a cap: a linear memory, seen in a spectrum."""
+        return self.kind == "memory" and self.found_by == "spectrum"
+
+
+SLOW_AND_FAST = np.array([0.0, 1.0])  # rad/s

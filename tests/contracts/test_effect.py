@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +15,8 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.compiled import memory_array
 from estimator.effects.engine.law_loop import force_array
 from estimator.effects.engine.page import markdown
-from estimator.effects.engine.strength import OTHER, Size, defaults, rms, search_range, strengths
-from estimator.model.effect import Effect
+from estimator.effects.engine.strength import Size, defaults, rms, search_range, strengths
+from estimator.model.effect import Effect, EffectParameter
 
 CONTRACT = """cubic, quintic, quadratic, clearance, stop, hertz, coulomb, quadratic_damping, displacement_damping,
 bouc_wen, imbalance, misalignment, bow, ball_pass, local_defect, crack, rub, cross_coupling, anisotropy, gyroscopic,
@@ -237,5 +240,133 @@ def test_strengths_are_what_was_asked(effect: Effect, fraction: float) -> None:
     assert list(given) == [p.name for p in effect.parameters]
     p = np.array(list(given.values()))
     assert np.isfinite(p).all()
-    if effect.name not in OTHER:
+    if not effect.typical or effect.kind == "shaft":  # a shaft's share needs a model
         assert rms(effect, p, AT) == pytest.approx(fraction * AT.force, rel=0.05)
+
+
+CHARACTER = {  # state, parity and power, by hand; every other effect has no law of the states alone
+    "cubic": ("displacement", "odd", 3),
+    "quintic": ("displacement", "odd", 5),
+    "quadratic": ("displacement", "even", 2),
+    "clearance": ("displacement", "odd", None),
+    "stop": ("displacement", "mixed", None),
+    "hertz": ("displacement", "odd", None),
+    "coulomb": ("velocity", "odd", None),
+    "quadratic_damping": ("velocity", "odd", None),
+    "displacement_damping": ("both", "odd", None),
+    "rub": ("directions", "odd", None),
+    "cross_coupling": ("directions", "odd", None),
+    "anisotropy": ("directions", "odd", None),
+    "gyroscopic": ("directions", "odd", None),
+}
+
+
+@of(ALL)
+def test_state_parity_and_power_are_those_of_the_law(effect: Effect) -> None:
+    if effect.name in CHARACTER:
+        assert (effect.state, effect.parity, effect.power) == CHARACTER[effect.name]
+    else:
+        assert effect.state in ("time", "shaft_angle", "none")
+    if effect.state in ("displacement", "velocity", "both") and effect.parity in ("odd", "even"):
+        x, v, *others = states()
+        across = [0.0 * a for a in others[:2]] + others[2:]
+        p = random_parameters(effect, np.random.default_rng(8))
+        here, there = force_array(effect, p, x, v, *across), force_array(effect, p, -x, -v, *across)
+        np.testing.assert_allclose(there, -here if effect.parity == "odd" else here, atol=1e-9 * AT.force)
+    assert effect.steps_at_rest == (effect.name == "coulomb")
+
+
+def test_a_law_of_a_user_has_its_character_by_evaluation() -> None:
+    def law(x: float, v: float, xo: float, vo: float, t: float, phase: float, s: float, p: Sequence[float]) -> float:
+        return p[0] * (math.tanh(v / p[1]) + 1.0)
+
+    speed = EffectParameter("vs", "m/s", 1e-5, 1.0, 1e-3, "")
+    own = replace(CATALOGUE["coulomb"], force=law, parameters=(*CATALOGUE["coulomb"].parameters, speed))
+    assert (own.state, own.parity, own.steps_at_rest) == ("velocity", "mixed", False)
+
+
+@of(ALL)
+def test_how_it_is_found_has_what_that_needs(effect: Effect) -> None:
+    assert (effect.found_by == "harmonics") == (effect.harmonics is not None)
+    if effect.found_by == "law":
+        assert effect.force or effect.rates
+        assert effect.in_likelihood
+    if effect.found_by == "spectrum":
+        known = effect.spectral_factor or effect.channel_response or effect.adds_noise or effect.adds_resonance
+        assert known
+    if effect.found_by == "samples":
+        assert effect.kind == "sensor"
+        assert not effect.in_likelihood
+    assert (effect.found_by == "coherence") == (effect.scope == "bearings")
+    if effect.watched:
+        assert effect.kind == "force"
+        assert effect.found_by == "law"
+    if effect.speed_power:
+        assert effect.kind == "disc"
+
+
+@of([e for e in ALL if e.harmonics is not None])
+def test_harmonics_are_those_of_the_law(effect: Effect) -> None:
+    n = 4096
+    angle = 2 * np.pi * np.arange(n) / n
+    p = defaults(effect, AT)
+    own = [k for k, q in enumerate(effect.parameters) if not q.linear and q.scale in ("bpfo", "hz_peak")]
+    p[own] = 1.0  # one turn of its angle, whatever that is
+    spectrum = np.abs(np.fft.rfft(force_array(effect, p, 0.0 * angle, t=angle / (2 * np.pi), phase=angle)))[1:30]
+    heard = 1 + np.flatnonzero(spectrum > 1e-6 * spectrum.max())
+    assert tuple(heard) == (tuple(range(1, 30)) if effect.harmonics == "all" else effect.harmonics)
+
+
+@of([e for e in LAWS if e.state not in ("time", "shaft_angle", "none")])
+def test_what_feeds_energy_does_work_around_an_orbit(effect: Effect) -> None:
+    p = defaults(effect, AT)
+    angle = np.linspace(0.0, 2 * np.pi, 2001)
+    works = []
+    for turn in (1.0, -1.0):  # forward and backward
+        x, y = 3 * AT.x * np.cos(angle), 3 * AT.x * np.sin(turn * angle)
+        v, w = np.gradient(x, angle), np.gradient(y, angle)
+        fx = force_array(effect, p, x, v, y, w, s=1.0)
+        fy = force_array(effect, p, y, w, x, v, s=-1.0 if effect.scope == "node" else 1.0)
+        works.append(np.trapezoid(fx * v + fy * w, angle) / np.trapezoid(np.abs(fx * v) + np.abs(fy * w), angle))
+    assert (min(works) < -1e-3) == effect.feeds_energy, "a restoring force with negative work drives the rotor"
+
+
+@of([e for e in ALL if e.channel_response is not None])
+def test_a_response_is_what_the_sensor_does(effect: Effect) -> None:
+    assert effect.channel_response is not None
+    assert effect.apply is not None
+    n, rate = 4096, AT.rate_hz
+    p = np.array(list(strengths(effect, AT, 0.06).values()))
+    k = 200
+    y = np.cos(2 * np.pi * k * np.arange(n) / n)
+    middle = slice(n // 4, 3 * n // 4)
+    seen = effect.apply(y, rate, p, np.random.default_rng(0))[middle]
+    w = np.array([2 * np.pi * k * rate / n])
+    expected = (effect.channel_response(w, p)[0] * np.exp(2j * np.pi * k * np.arange(n) / n)).real[middle]
+    np.testing.assert_allclose(seen, expected, atol=0.02 * np.abs(expected).max())
+    assert effect.scales_channel == (effect.name == "sensor_gain")
+
+
+@of([e for e in ALL if e.spectral_factor is not None])
+def test_a_spectral_factor_is_that_of_the_response_or_the_shape(effect: Effect) -> None:
+    assert effect.spectral_factor is not None
+    f = np.linspace(1.0, 9000.0, 50)
+    p = defaults(effect, AT)
+    if effect.channel_response is not None:
+        expected = np.abs(effect.channel_response(2 * np.pi * f, p)) ** 2
+    else:
+        assert effect.shape is not None
+        expected = effect.shape(f, p)
+    np.testing.assert_allclose(effect.spectral_factor(f, p), expected, rtol=1e-10)
+    assert not effect.flat_magnitude
+
+
+@of(ALL)
+def test_typical_values_are_allowed(effect: Effect) -> None:
+    parameters = {q.name: q for q in effect.parameters}
+    for name, (weak, strong) in effect.typical.items():
+        q = parameters[name]
+        assert weak != strong
+        assert q.low <= min(weak, strong)
+        assert max(weak, strong) <= q.high
+    assert effect.typical or any(q.linear for q in effect.parameters)

@@ -35,4 +35,5 @@ COULOMB = Effect(
         "a seal or an outer ring that slides in its housing, fretting rust at the seat, dry bushes of a pedestal"
     ),
     force=force,
+    watched=True,
 )

@@ -29,4 +29,5 @@ DISPLACEMENT_DAMPING = Effect(
         "film squeezed out as the gap closes, elastomer rings, contact damping of the balls beyond the preload"
     ),
     force=force,
+    watched=True,
 )

@@ -36,4 +36,5 @@ QUADRATIC_DAMPING = Effect(
     ),
     on_machine="oil churning, orifices and squeeze-film lands, air drag of a fan",
     force=force,
+    watched=True,
 )

@@ -18,19 +18,8 @@ from .law_loop import force_array
 
 STATES = 4096  # Gaussian states that the rms of a law is taken over
 
-# Where strength is not a force: the parameter that sets it, and its size for a weak (2 %) and a strong (6 %) case.
-OTHER: Mapping[str, tuple[str, float, float]] = {
-    "pedestal": ("frequency", 3.0, 1.8),
-    "correlated_force": ("rho", 0.15, 0.4),
-    "coloured_excitation": ("gain", 1.0, 4.0),
-    "sensor_gain": ("error", 0.05, 0.2),
-    "sensor_clipping": ("level", 3.0, 2.3),
-    "sensor_skew": ("delay", 0.3, 1.0),
-    "sensor_resonance": ("frequency", 1.2, 0.7),
-    "sensor_noise": ("rms", 0.03, 0.1),
-}
-CRACK = 0.1, 0.3  # of the shaft's stiffness, when the crack is open
 WEAK, STRONG = 0.02, 0.06
+MOST_WEAK = 0.03  # a wanted fraction up to this is a weak case
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,30 +116,26 @@ def strengths(
 ) -> dict[str, float]:
     """Parameters (name -> SI) of an effect whose force has `fraction` of the rms linear bearing force.
 
-    Searched parameters take their natural default. Sensor and excitation effects and the pedestal have no such
-    force, nor has a crack: a fraction up to 3 % gives their weak case and more their strong one (OTHER, CRACK).
+    Searched parameters take their natural default. An effect whose strength is no force has its `typical` values: a
+    fraction up to 3 % gives the weak one, more the strong one.
     """
     p = defaults(effect, at, model)
     names = [q.name for q in effect.parameters]
-    if effect.name in OTHER:
-        name, weak, strong = OTHER[effect.name]
-        k = names.index(name)
-        p[k] = (weak if fraction <= 0.03 else strong) * at.of(effect.parameters[k])
-        return dict(zip(names, p.tolist(), strict=True))
-    if effect.name == "crack" and model is not None:  # a shaft has no more than its own stiffness to lose
-        half = 0.5 * (CRACK[0] if fraction <= 0.03 else CRACK[1]) * model.shaft_stiffness
-        return {"loss": half, "loss_cos": 0.6 * half, "loss_sin": 0.8 * half}
     linear = [k for k, q in enumerate(effect.parameters) if q.linear]
+    p[linear[1:]] *= [effect.parameters[k].share for k in linear[1:]]
+    for name, (weak, strong) in effect.typical.items():
+        k = names.index(name)
+        value = weak if fraction <= MOST_WEAK else strong
+        if effect.parameters[k].scale != "shaft":
+            p[k] = value * at.of(effect.parameters[k])
+            return dict(zip(names, p.tolist(), strict=True))
+        if model is not None:  # a shaft has no more than its own stiffness to lose
+            p[linear] *= value * model.shaft_stiffness
+            return dict(zip(names, p.tolist(), strict=True))
     if not linear:
         raise ValueError(f"{effect.name}: no parameter sets its strength")
-    p[linear[1:]] *= SECOND.get(effect.name, 1.0)
-    if effect.name == "stiffness_drift":
-        p[linear[1]] = 0.0
     p[linear] *= fraction * at.force / rms(effect, p, at, seconds)
     return dict(zip(names, p.tolist(), strict=True))
-
-
-SECOND = {"rub": 0.2, "imbalance": 0.5, "bow": 0.5}  # size of further amplitudes against the first: friction 0.2, ...
 
 
 def with_effect(model: Model, effect: Effect, parameters: Mapping[str, float], *at: str) -> Model:

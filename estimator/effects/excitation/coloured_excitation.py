@@ -44,4 +44,7 @@ COLOURED_EXCITATION = Effect(
     check="spectrum of the simulated force against the formula",
     on_machine="turbulence, gear mesh or combustion: process forces fall off with frequency; fit it and go on",
     shape=shape,
+    found_by="spectrum",
+    spectral_factor=shape,
+    typical={"gain": (1.0, 4.0)},
 )

@@ -34,5 +34,8 @@ CORRELATED_FORCE = Effect(
         "foundation or belt shakes both bearings, or one process force acts on the whole rotor: measure on the "
         "foundation"
     ),
+    scope="bearings",
     shape=shape,
+    found_by="coherence",
+    typical={"rho": (0.15, 0.4)},
 )

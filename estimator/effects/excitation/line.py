@@ -42,4 +42,7 @@ LINE = Effect(
     check="power of the line is |H|^2 (a^2 + b^2) / 2 with H of the linear rotor",
     on_machine="mains (50 or 60 Hz and multiples), a neighbouring machine, a pump or fan on the same foundation",
     force=force,
+    found_by="harmonics",
+    harmonics=(1,),
+    in_likelihood=False,
 )

@@ -52,4 +52,6 @@ PEDESTAL = Effect(
     states=2,
     rates=rates,
     memory_force=memory_force,
+    found_by="spectrum",
+    typical={"frequency": (3.0, 1.8)},
 )

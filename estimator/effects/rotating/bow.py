@@ -22,7 +22,7 @@ BOW = Effect(
     kind="shaft",
     parameters=(
         EffectParameter("a", "N", -INF, INF, 0.0, "shaft force in phase with the tacho pulse", linear=True),
-        EffectParameter("b", "N", -INF, INF, 0.0, "shaft force a quarter turn ahead of it", linear=True),
+        EffectParameter("b", "N", -INF, INF, 0.0, "shaft force a quarter turn ahead of it", linear=True, share=0.5),
     ),
     equation=(
         "force on the disc (a cos phi - b sin phi, a sin phi + b cos phi), minus half of it on each cap; "
@@ -44,4 +44,7 @@ BOW = Effect(
     on_machine="run-out of the shaft at slow roll; heat soak on one side, a rub that has bent it, careless storage",
     scope="node",
     force=force,
+    found_by="harmonics",
+    harmonics=(1,),
+    in_likelihood=False,
 )

@@ -18,7 +18,7 @@ CRACK = Effect(
     name="crack",
     kind="shaft",
     parameters=(
-        EffectParameter("loss", "N/m", -INF, INF, 0.0, "mean loss of shaft stiffness", linear=True),
+        EffectParameter("loss", "N/m", -INF, INF, 0.0, "mean loss of shaft stiffness", linear=True, scale="shaft"),
         EffectParameter(
             "loss_cos",
             "N/m",
@@ -27,8 +27,9 @@ CRACK = Effect(
             0.0,
             "loss in phase with cos phi; hypot(loss_cos, loss_sin) = loss if it opens fully",
             linear=True,
+            share=0.6,
         ),
-        EffectParameter("loss_sin", "N/m", -INF, INF, 0.0, "loss in phase with sin phi", linear=True),
+        EffectParameter("loss_sin", "N/m", -INF, INF, 0.0, "loss in phase with sin phi", linear=True, share=0.8),
     ),
     equation="-(loss + loss_cos cos phi + loss_sin sin phi) (x_disc - mean of the caps)",
     signature=(
@@ -44,4 +45,5 @@ CRACK = Effect(
     on_machine="stop and inspect: 2X growing over weeks, phase of 1X wandering, notch or keyway",
     scope="node",
     force=force,
+    typical={"loss": (0.05, 0.15)},
 )

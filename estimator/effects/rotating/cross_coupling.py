@@ -45,4 +45,6 @@ CROSS_COUPLING = Effect(
     ),
     scope="node",
     force=force,
+    feeds_energy=True,
+    watched=True,
 )

@@ -30,7 +30,7 @@ IMBALANCE = Effect(
             "force in phase with the tacho pulse, at the speed of the record",
             linear=True,
         ),
-        EffectParameter("b", "N", -INF, INF, 0.0, "force a quarter turn ahead of it", linear=True),
+        EffectParameter("b", "N", -INF, INF, 0.0, "force a quarter turn ahead of it", linear=True, share=0.5),
     ),
     equation=(
         "force on the disc (a cos phi - b sin phi, a sin phi + b cos phi),  hypot(a, b) = U Omega^2 with U = m e "
@@ -50,4 +50,8 @@ IMBALANCE = Effect(
     on_machine="balance the rotor; look for lost blades, deposits, a loose disc",
     scope="node",
     force=force,
+    found_by="harmonics",
+    harmonics=(1,),
+    speed_power=2,
+    in_likelihood=False,
 )

@@ -53,4 +53,6 @@ LOCAL_DEFECT = Effect(
         "grease, plan a change"
     ),
     force=force,
+    found_by="harmonics",
+    harmonics="all",
 )

@@ -34,4 +34,7 @@ MISALIGNMENT = Effect(
     check="the simulated spectrum has its line at order 2.0 and none at 1.0",
     on_machine="align the coupling warm; pipe strain, soft foot, cocked bearing",
     force=force,
+    found_by="harmonics",
+    harmonics=(2,),
+    in_likelihood=False,
 )

@@ -23,7 +23,7 @@ RUB = Effect(
     kind="force",
     parameters=(
         EffectParameter("k", "N/m", 0.0, INF, 0.0, "radial stiffness of the contact", linear=True),
-        EffectParameter("kt", "N/m", 0.0, INF, 0.0, "friction coefficient times k", linear=True),
+        EffectParameter("kt", "N/m", 0.0, INF, 0.0, "friction coefficient times k", linear=True, share=0.2),
         EffectParameter("clearance", "m", 0.3, 4.0, 1.5, "radius of the orbit at which it touches", scale="x"),
     ),
     equation="(r - clearance)_+ / r (k x - kt y, k y + kt x),  r = hypot(x, y)",
@@ -50,4 +50,5 @@ RUB = Effect(
     ),
     scope="node",
     force=force,
+    feeds_energy=True,
 )

@@ -32,4 +32,7 @@ SENSOR_CLIPPING = Effect(
         "wrong range, a supply too low for the swing, or shocks beyond the sensor: choose a range ten times the rms"
     ),
     apply=apply,
+    found_by="samples",
+    in_likelihood=False,
+    typical={"level": (3.0, 2.3)},
 )

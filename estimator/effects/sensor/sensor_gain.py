@@ -14,6 +14,10 @@ def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.ra
     return np.asarray(y * (1.0 + p[0]))
 
 
+def channel_response(w: NDArray[np.float64], p: Sequence[float]) -> NDArray[np.complex128]:
+    return np.full(w.shape, 1.0 + p[0], complex)
+
+
 SENSOR_GAIN = Effect(
     name="sensor_gain",
     kind="sensor",
@@ -32,4 +36,7 @@ SENSOR_GAIN = Effect(
     check="rms of the channel changes by 1 + error exactly",
     on_machine="sensitivity typed wrongly, loose mounting, a swapped or inverted cable: shake it with a calibrator",
     apply=apply,
+    found_by="spectrum",
+    channel_response=channel_response,
+    typical={"error": (0.05, 0.2)},
 )

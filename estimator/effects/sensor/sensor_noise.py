@@ -44,4 +44,7 @@ SENSOR_NOISE = Effect(
     check="variance of the channel rises by rms^2, spread evenly over the band",
     on_machine="cable, connector, ground loop, an amplifier range far too large, a dying sensor",
     apply=apply,
+    found_by="spectrum",
+    in_likelihood=False,
+    typical={"rms": (0.03, 0.1)},
 )

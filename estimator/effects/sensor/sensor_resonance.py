@@ -19,6 +19,16 @@ def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.ra
     return np.asarray(out[pad : pad + len(y)])
 
 
+def channel_response(w: NDArray[np.float64], p: Sequence[float]) -> NDArray[np.complex128]:
+    r = w / (2 * np.pi * p[0])
+    return np.asarray(1.0 / (1.0 - r**2 + 1j * r / p[1]))
+
+
+def spectral_factor(f_hz: NDArray[np.float64], p: Sequence[float]) -> NDArray[np.float64]:
+    r = f_hz / p[0]
+    return np.asarray(1.0 / ((1 - r**2) ** 2 + (r / p[1]) ** 2))
+
+
 SENSOR_RESONANCE = Effect(
     name="sensor_resonance",
     kind="sensor",
@@ -42,4 +52,8 @@ SENSOR_RESONANCE = Effect(
     check="gain at f0 is the quality, far below it 1",
     on_machine="magnet, wax or hand-held probe instead of a stud; a loose stud; paint under the sensor",
     apply=apply,
+    found_by="spectrum",
+    channel_response=channel_response,
+    spectral_factor=spectral_factor,
+    typical={"frequency": (1.2, 0.7)},
 )

@@ -19,6 +19,10 @@ def apply(y: NDArray[np.float64], rate_hz: float, p: Sequence[float], rng: np.ra
     return np.asarray(late[pad : pad + len(y)] if len(y) > pad else late)
 
 
+def channel_response(w: NDArray[np.float64], p: Sequence[float]) -> NDArray[np.complex128]:
+    return np.asarray(np.exp(-1j * w * p[0]))
+
+
 SENSOR_SKEW = Effect(
     name="sensor_skew",
     kind="sensor",
@@ -36,4 +40,7 @@ SENSOR_SKEW = Effect(
         "multiplexed converter, other filter setting or firmware of one channel, two devices without a common clock"
     ),
     apply=apply,
+    found_by="spectrum",
+    channel_response=channel_response,
+    typical={"delay": (0.3, 1.0)},
 )

@@ -43,4 +43,5 @@ ANISOTROPY = Effect(
     scope="node",
     stationary_density=True,
     force=force,
+    watched=True,
 )

@@ -42,4 +42,5 @@ CLEARANCE = Effect(
     ),
     stationary_density=True,
     force=force,
+    watched=True,
 )

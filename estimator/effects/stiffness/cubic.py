@@ -35,4 +35,5 @@ CUBIC = Effect(
     on_machine="preload, contact angle and fit of the bearing: a bearing that hardens is driven beyond its preload",
     stationary_density=True,
     force=force,
+    watched=True,
 )

@@ -47,4 +47,5 @@ QUADRATIC = Effect(
     ),
     stationary_density=True,
     force=force,
+    watched=True,
 )

@@ -37,4 +37,5 @@ QUINTIC = Effect(
     ),
     stationary_density=True,
     force=force,
+    watched=True,
 )

@@ -18,7 +18,9 @@ STIFFNESS_DRIFT = Effect(
     kind="force",
     parameters=(
         EffectParameter("rate", "N/m/s", -INF, INF, 0.0, "rate of change of stiffness at t = 0", linear=True),
-        EffectParameter("curvature", "N/m/s^2", -INF, INF, 0.0, "change of that rate per second", linear=True),
+        EffectParameter(
+            "curvature", "N/m/s^2", -INF, INF, 0.0, "change of that rate per second", linear=True, share=0.0
+        ),
     ),
     equation="(rate t + curvature t^2 / 2) x",
     signature=(

@@ -1,0 +1,121 @@
+"""What a force law depends on, its parity and its power, found by evaluating the law at a few states.
+
+The law is scalar and plain, so no compiler is needed. Amplitudes are 1, searched parameters have their defaults. States
+reach four times beyond the largest length and velocity among the parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from estimator.arrays import Array
+
+if TYPE_CHECKING:
+    from .effect import EffectParameter
+
+State = Literal["displacement", "velocity", "both", "directions", "time", "shaft_angle", "none"]
+Parity = Literal["odd", "even", "mixed", "none"]
+Force = Callable[..., float]
+
+N_STATES = 40  # random states that a law is evaluated at
+TOLERANCE_REL = 1e-9  # of the largest force: a smaller difference is rounding
+STEP_STATE_REL = 1e-9  # of the largest velocity: to either side of zero, where a step is looked for
+STEP_FORCE_REL = 1e-2  # of the largest force: the least step
+
+
+def law_state(force: Force, parameters: Sequence[EffectParameter], one_direction: bool) -> State:
+    """What a force law is a function of. one_direction : judged with the other direction at rest."""
+    depends = _dependence(force, tuple(parameters), one_direction)
+    if "phase" in depends:
+        return "shaft_angle"
+    if "t" in depends:
+        return "time"
+    if depends & {"xo", "vo"}:
+        return "directions"
+    if {"x", "v"} <= depends:
+        return "both"
+    return "displacement" if "x" in depends else "velocity" if "v" in depends else "none"
+
+
+def law_parity(force: Force, parameters: Sequence[EffectParameter], one_direction: bool) -> Parity:
+    """How a law behaves when all displacements and velocities change sign; "none" where it depends on neither."""
+    if not _dependence(force, tuple(parameters), one_direction) & {"x", "v", "xo", "vo"}:
+        return "none"
+    states = _states(parameters, one_direction)
+    here, there = _forces(force, parameters, states), _forces(force, parameters, states * [-1, -1, -1, -1, 1, 1])
+    if _same(here, -there):
+        return "odd"
+    return "even" if _same(here, there) else "mixed"
+
+
+def law_power(force: Force, parameters: Sequence[EffectParameter]) -> int | None:
+    """n of an amplitude times x^n; None of any other law."""
+    if len(parameters) != 1 or not parameters[0].linear or law_state(force, parameters, False) != "displacement":
+        return None
+    one, two, opposite = (_forces(force, parameters, np.eye(6)[:1] * x) for x in (1.0, 2.0, -1.0))
+    n = round(float(np.log2(abs(two[0] / one[0])))) if one[0] * two[0] > 0.0 else 0
+    is_power = n > 0 and _same(two, one * 2.0**n) and _same(opposite, one * (-1.0) ** n)
+    states = _states(parameters, False)
+    return n if is_power and _same(_forces(force, parameters, states), one[0] * states[:, 0] ** n) else None
+
+
+def steps_at_rest(force: Force, parameters: Sequence[EffectParameter]) -> bool:
+    """Whether a law of velocity jumps where the motion turns, as dry friction does."""
+    if law_state(force, parameters, False) != "velocity":
+        return False
+    states = _states(parameters, False)
+    largest = np.abs(_forces(force, parameters, states)).max()
+    near = np.abs(states[:1]) * [1.0, STEP_STATE_REL, 1.0, 1.0, 1.0, 1.0]
+    ahead, behind = (_forces(force, parameters, near * [1, side, 1, 1, 1, 1])[0] for side in (1, -1))
+    return bool(abs(ahead - behind) > STEP_FORCE_REL * largest)
+
+
+@cache
+def _dependence(force: Force, parameters: tuple[EffectParameter, ...], one_direction: bool) -> frozenset[str]:
+    """Names of the arguments that move the force."""
+    states = _states(parameters, one_direction)
+    others = np.roll(states, 1, axis=0)
+    here, found = _forces(force, parameters, states), set()
+    for k, name in enumerate(("x", "v", "xo", "vo", "t", "phase")):
+        moved = states.copy()
+        moved[:, k] = others[:, k]
+        if not _same(here, _forces(force, parameters, moved)):
+            found.add(name)
+    return frozenset(found)
+
+
+def _states(parameters: Sequence[EffectParameter], one_direction: bool) -> Array:
+    """(N_STATES, 6) x, v, xo, vo in natural sizes or SI, as the parameters are; t in s; phase in rad."""
+    lengths, speeds = (
+        [abs(q.default) for q in parameters if not q.linear and q.unit == unit and q.default] for unit in ("m", "m/s")
+    )
+    x, v = 4.0 * max(lengths, default=2e-7), 4.0 * max(speeds, default=2e-3)
+    across = (0.0, 0.0) if one_direction else (x, v)
+    low = np.array([-x, -v, -across[0], -across[1], 0.0, 0.0])
+    return np.random.default_rng(0).uniform(low, [x, v, *across, 60.0, 1000.0], (N_STATES, 6))
+
+
+def _forces(force: Force, parameters: Sequence[EffectParameter], states: Array) -> Array:
+    """(n,) the law at states (n, 6) in direction x; NaN where plain arithmetic fails."""
+    p = [1.0 if q.linear else q.default for q in parameters]
+
+    def at_state(z: list[float]) -> float:
+        try:
+            return float(force(*z, 1.0, p))
+        except (ArithmeticError, ValueError):
+            return float("nan")
+
+    return np.array([at_state(z) for z in states.tolist()])
+
+
+def _same(a: Array, b: Array) -> bool:
+    """Whether two series of forces are equal but for rounding, where both are finite."""
+    finite = np.isfinite(a) & np.isfinite(b)
+    if not finite.any():
+        return True
+    a, b = a[finite], b[finite]
+    return bool(np.abs(a - b).max() <= TOLERANCE_REL * max(np.abs(a).max(), np.abs(b).max()))
