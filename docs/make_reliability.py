@@ -41,7 +41,7 @@ TAIL = """
 | reader to core loop | 32 MiB of readings | the oldest samples go; the reader never waits | gap `overflow` with exact indices, notice `overflow` to the operator at once, `dropped.reader` in the status, exit summary |
 | core loop to estimator | 250 blocks (10 s) or 32 MiB | nothing is dropped: the core loop takes no more, and the reader's queue fills | `lag_s.estimate` in the status |
 | core loop to disk | 64 MiB of readings, 16 MiB of file | the newest samples are not stored; the core loop never waits | gap `storage`, notices `log_overflow` and `log_resumed`, `dropped.LogWriter` |
-| core loop to viewer | see `daq/rerun_sink.py` | the oldest samples are not shown | notice, `dropped.RerunSink` |
+| core loop to viewer | 8 MB for a live viewer, 64 MB for a file | the oldest samples are not shown | notice, `dropped.RerunSink` |
 
 Replay, import and capture wait instead: nothing is dropped, and a fault of the disk ends them with one line and status 4.
 

@@ -65,15 +65,10 @@ or within a factor of 30 of `value`. With `candidate = true` the law is not in t
 diagnosed, until `add` or `improve` puts it in.
 
 By module, for laws with memory, coupling or sensor behaviour: `module = "my_effects.py:SOFT_STOP"` names an
-`estimator.model.effect.Effect`, built as any file of `estimator/effects/` does. Its law is a plain function with the
-signature of `estimator/effect.py`, of scalars and the parameter array `p`, that numba can compile.
+`estimator.Effect` with its `estimator.EffectParameter`s. Its law is a plain function `force(x, v, xo, vo, t, phase, s, p)`
+of scalars and the parameter array `p` that numba can compile.
 
-## A new effect in the catalogue
-
-One file in `estimator/effects/` (copy the nearest), one line in `estimator/effects/__init__.py`. The contract suite
-`tests/contracts/test_effect.py` collects it from there: zero strength is zero force, finite everywhere, linear where
-declared, no work around a loop if conservative, texts complete. Add its own check to `test_effects_checks.py` and its
-signature to `test_effects_signatures.py`; then run the command at the top of this page.
+How to add an effect to the catalogue: [contributing](../CONTRIBUTING.md#add-an-effect).
 """
 
 
