@@ -65,8 +65,8 @@ or within a factor of 30 of `value`. With `candidate = true` the law is not in t
 diagnosed, until `add` or `improve` puts it in.
 
 By module, for laws with memory, coupling or sensor behaviour: `module = "my_effects.py:SOFT_STOP"` names an
-`estimator.Effect` with its `estimator.EffectParameter`s. Its law is a plain function `force(x, v, xo, vo, t, phase, s, p)`
-of scalars and the parameter array `p` that numba can compile.
+`estimator.Effect` with its `estimator.EffectParameter`s. Its law is a plain function
+`force(x, v, xo, vo, t, phase, s, p)` of scalars and the parameter array `p` that numba can compile.
 
 How to add an effect to the catalogue: [contributing](../CONTRIBUTING.md#add-an-effect).
 """
