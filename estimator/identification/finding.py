@@ -1,28 +1,56 @@
-"""A finding that is not a force law on the states: a line, a sensor fault, a shaped or shared excitation."""
+"""Findings: what a record holds besides force laws, as a line, a faulty sensor, a shaped or a shared excitation."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from estimator.model.rig import EffectUse, Setting
 from estimator.results import Parameter
 
+MAX_P_VALUE = 1e-3  # of a finding that counts as missing force
+UNKNOWN_EFFECT = "unknown"  # effect of a finding that nothing of the catalogue explains
+SPECTRAL_EFFECTS = (  # rival causes of one force spectrum
+    "coloured_excitation", "sensor_resonance", "pedestal", "sensor_noise", "sensor_gain", "sensor_skew", UNKNOWN_EFFECT,
+)  # fmt: skip
 
-@dataclass(frozen=True, slots=True)
-class Suspect:
-    """effect : catalogue name. at : canonical places (they become the keys of the model). gain : nats; df : parameters.
 
-    p_value : after counting what this search tried. power : N^2 by place index, its share of the missing force.
-    against, region : for the map of comparison. settings : by canonical place, parameter name -> Parameter.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One effect that a detector found in a record.
+
+    Attributes
+    ----------
+    effect : str
+        Name in the catalogue, or `UNKNOWN_EFFECT`.
+    at : tuple of str
+        Canonical locations; they become the keys of the effect in a model.
+    gain_nats : float
+        Log-likelihood that the effect gains, nats.
+    dof : int
+        Parameters that the gain is paid with.
+    p_value : float
+        After a correction for everything that the detector tried.
+    power_N2 : dict of int to float
+        Mean square of the force that the effect explains, N^2, by index of the location in the motion record.
+    against : str
+        Coordinate of the comparison's map: "frequency", "shaft_angle", "other_bearing" or "level".
+    region : str
+        Where along that coordinate, in words.
+    settings : dict of str to dict of str to Parameter
+        Parameters by canonical location and name; empty where the effect has none.
+    note : str
+        Remark for the user; empty where there is none.
+    detectable : tuple of (float, str) or None
+        Smallest size that the detector sees here and its unit; None where that is not known.
     """
 
     effect: str
     at: tuple[str, ...]
-    gain: float
-    df: int
+    gain_nats: float
+    dof: int
     p_value: float
-    power: dict[int, float]
+    power_N2: dict[int, float]
     against: str
     region: str
     settings: dict[str, dict[str, Parameter]] = field(default_factory=dict)
@@ -30,38 +58,42 @@ class Suspect:
     detectable: tuple[float, str] | None = None
 
 
-CLAIMED = 1e-3  # p-value above which nothing is counted as missing
-UNKNOWN = "unknown"  # effect of a finding that nothing of the catalogue explains
-# causes of one spectrum
-SHAPES = ("coloured_excitation", "sensor_resonance", "pedestal", "sensor_noise", "sensor_gain", "sensor_skew", UNKNOWN)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DisturbanceForce:
+    """A part of the missing force that no state explains.
 
-
-@dataclass(frozen=True, slots=True)
-class Share:
-    """A part of the missing force that no state explains: N^2 at a place, for the map."""
+    Attributes
+    ----------
+    place : int
+        Index of the location in the motion record.
+    against, region : str
+        As of a `Finding`.
+    power_N2 : float
+        Mean square, N^2.
+    """
 
     place: int
     against: str
     region: str
-    power: float
+    power_N2: float
 
 
-def shares(suspects: list[Suspect]) -> list[Share]:
-    """Each part once: of several causes for one spectrum the likeliest counts."""
-    out: list[Share] = []
-    shaped: dict[int, tuple[float, Share]] = {}
-    for s in suspects:
-        if s.p_value > CLAIMED:
+def disturbance_forces(findings: Sequence[Finding]) -> list[DisturbanceForce]:
+    """The forces of all significant findings; of rival causes of one spectrum only the likeliest counts."""
+    out: list[DisturbanceForce] = []
+    spectral: dict[int, tuple[float, DisturbanceForce]] = {}
+    for f in findings:
+        if f.p_value > MAX_P_VALUE:
             continue
-        for place, power in s.power.items():
-            share = Share(place, s.against, s.region, power)
-            if s.effect not in SHAPES:
-                out.append(share)
-            elif place not in shaped or s.gain > shaped[place][0]:
-                shaped[place] = (s.gain, share)
-    return [s for s in out + [v for _, v in shaped.values()] if s.power > 0]
+        for place, power_N2 in f.power_N2.items():
+            force = DisturbanceForce(place=place, against=f.against, region=f.region, power_N2=power_N2)
+            if f.effect not in SPECTRAL_EFFECTS:
+                out.append(force)
+            elif place not in spectral or f.gain_nats > spectral[place][0]:
+                spectral[place] = (f.gain_nats, force)
+    return [force for force in out + [force for _, force in spectral.values()] if force.power_N2 > 0]
 
 
-def as_use(effect: str, settings: Mapping[str, Mapping[str, Parameter]]) -> EffectUse:
-    """An effect at the values found, as a model has it. settings : by canonical place, parameter name -> Parameter."""
+def effect_use(effect: str, settings: Mapping[str, Mapping[str, Parameter]]) -> EffectUse:
+    """An effect at the values of a finding, as a model holds it. settings : by canonical location and name."""
     return EffectUse(effect, {key: {n: Setting(p.value) for n, p in own.items()} for key, own in settings.items()})

@@ -57,11 +57,11 @@ def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") 
     >>> abs(stiffness.value - 1.0e7) < 4.0 * stiffness.sd
     True
     """
-    clipped = clipping.find(model, y)
+    clipped = clipping.find_clipping(model, y)
     y, off = declip.restored(model, y, frozenset(place for s in clipped for place in s.at))
     result = _FIT_METHODS[method](model, y, rate_hz)
     drawn = {place for place, error in off.items() if error < np.inf}
-    said = [f"{s.region}: {declip.RESTORED}" if s.at[0] in drawn else clipping.said(s) for s in clipped]
+    said = [f"{s.region}: {declip.RESTORED}" if s.at[0] in drawn else clipping.finding_text(s) for s in clipped]
     return replace(result, messages=(*result.messages, *said))
 
 

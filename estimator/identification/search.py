@@ -1,8 +1,10 @@
-"""Everything that can be wrong with a record besides a force law on its states."""
+"""The search for findings: every detector in turn, on a record and its working point."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Protocol
 
 from estimator.arrays import Array
 from estimator.likelihood.motion import harmonics
@@ -12,65 +14,113 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model
 from estimator.parallel import map_threads
 
-from .finding import Suspect, as_use
-from .machine import lines as line_forces
-from .record import clipping
-from .structure import coupled_caps, spectral_shape, transfer_faults
+from .finding import Finding, effect_use
+from .machine.lines import find_lines
+from .record.clipping import find_clipping
+from .structure.coupled_caps import find_coupled_sensor_faults
+from .structure.spectral_shape import find_spectral_shapes
+from .structure.transfer_faults import find_transfer_faults
 
 
-def suspects(model: Model, point: WorkingPoint, y: Array, everywhere: bool = False) -> list[Suspect]:
-    """Lines, shaped or shared forces, sensor faults, strongest first; of a clipped channel nothing else, nor of a place
-    that cannot be judged.
+class Detector(Protocol):
+    """A search for effects of one kind. y : (n, channels) SI; found : what the detectors before it found."""
 
-    A measured force has the shape and the company that it has: there, what bends the path to the motion is sought.
-    everywhere : of clipped channels too, for a model that is known to have these effects there.
+    def __call__(self, model: Model, point: WorkingPoint, y: Array, found: Sequence[Finding]) -> list[Finding]: ...
+
+
+def _lines(model: Model, point: WorkingPoint, y: Array, found: Sequence[Finding]) -> list[Finding]:
+    """Periodic forces."""
+    return find_lines(model, point, y)
+
+
+def _spectral_shapes(model: Model, point: WorkingPoint, y: Array, found: Sequence[Finding]) -> list[Finding]:
+    """Shaped or shared excitation and noisy sensors, beside the lines that were found."""
+    return find_spectral_shapes(model, _without_lines(found, model, point))
+
+
+def _transfer_faults(model: Model, point: WorkingPoint, y: Array, found: Sequence[Finding]) -> list[Finding]:
+    """Faults of transfer functions from measured forces: these forces have the shape and the company that they have."""
+    if not point.data.measured_force:
+        return []
+    return find_transfer_faults(model, point, harmonics.known_lines(_with_findings(model, found)))
+
+
+def _coupled_sensor_faults(model: Model, point: WorkingPoint, y: Array, found: Sequence[Finding]) -> list[Finding]:
+    """Sensor gains and delays that two caps on one shaft reveal."""
+    return find_coupled_sensor_faults(model, point)
+
+
+DETECTORS: tuple[Detector, ...] = (_lines, _spectral_shapes, _transfer_faults, _coupled_sensor_faults)
+
+
+def search(model: Model, point: WorkingPoint, y: Array, everywhere: bool = False) -> list[Finding]:
+    """All findings in a record, clipped channels first, then the others by gain.
+
+    Parameters
+    ----------
+    model : Model
+        The model of the working point.
+    point : WorkingPoint
+        The model fitted to the record.
+    y : (n, channels) float64
+        Samples in SI units, columns in the order of ``model.channels``.
+    everywhere : bool
+        Whether clipped channels and locations that cannot be judged are searched too, for a model that is known to
+        have these effects there. Otherwise a clipped channel has no other finding.
+
+    Returns
+    -------
+    list of Finding
+        Strongest first behind the clipped channels.
     """
-    clipped = clipping.find(model, y)
-    lines = line_forces.find(model, point, y, point.data.rate_hz)
-    rest = lines + spectral_shape.find(model, _without(lines, model, point))
-    if point.data.measured_force:
-        rest += transfer_faults.find(model, point, harmonics.known_lines(_having(model, lines)))
-    rest += coupled_caps.find(model, point)
+    clipped = find_clipping(model, y)
+    found: list[Finding] = []
+    for detector in DETECTORS:
+        found += detector(model, point, y, found)
     if not everywhere:
-        bad = {p for s in clipped for p in s.at} | clipped_by(model) | point.data.lost
-        rest = [kept for s in rest if (kept := _elsewhere(s, bad, point)) is not None]
-    return clipped + sorted(rest, key=lambda s: -s.gain)
+        bad = {location for f in clipped for location in f.at} | clipped_by(model) | point.data.lost
+        found = [kept for f in found if (kept := _outside(f, bad, point)) is not None]
+    return clipped + sorted(found, key=lambda f: -f.gain_nats)
 
 
-def _having(model: Model, found: list[Suspect]) -> Model:
-    """The model with periodic forces that were found."""
+def _with_findings(model: Model, found: Sequence[Finding]) -> Model:
+    """The model with the effects that were found."""
     return replace(model, effects=(*model.effects, *_uses(found)))
 
 
-def _uses(found: list[Suspect]) -> tuple[EffectUse, ...]:
-    return tuple(as_use(s.effect, s.settings) for s in found)
+def _uses(found: Sequence[Finding]) -> tuple[EffectUse, ...]:
+    """Findings as a model holds effects."""
+    return tuple(effect_use(f.effect, f.settings) for f in found)
 
 
-def _without(found: list[Suspect], model: Model, point: WorkingPoint) -> WorkingPoint:
-    """The point with the spectra of what is left of the force without periodic ones that were found: a line in all of
-    the spectrum of a block is no colour, and at both bearings no common force."""
+def _without_lines(found: Sequence[Finding], model: Model, point: WorkingPoint) -> WorkingPoint:
+    """The point with the spectra of the residual force less the periodic forces that were found.
+
+    A line in all of the spectrum of a block is no spectral shape, and at both bearings no shared force.
+    """
     data = point.data
-    made = harmonics.whole_waves(replace(model, effects=_uses(found)), data.places, data.rate_hz)
-    if not made:
+    waves = harmonics.whole_waves(replace(model, effects=_uses(found)), data.places, data.rate_hz)
+    if not waves:
         return point
 
-    def left(i: int) -> Spectrum:
+    def spectrum(i: int) -> Spectrum:
         force = point.force[i].copy()
-        for wave in made:
+        for wave in waves:
             if (own := wave.at(i, data.t, data.phase)) is not None:
                 force -= own
         return point.whitening.spectrum(i, force)
 
-    hit = sorted({i for wave in made for i in wave.tables})
-    return replace(point, spectra=point.spectra | dict(zip(hit, map_threads(left, hit), strict=True)))
+    hit = sorted({i for wave in waves for i in wave.tables})
+    return replace(point, spectra=point.spectra | dict(zip(hit, map_threads(spectrum, hit), strict=True)))
 
 
-def _elsewhere(s: Suspect, bad: set[str], point: WorkingPoint) -> Suspect | None:
-    """A finding without its part at bad places; None if nothing is left. What has a part at each place stands there."""
-    at = tuple(p for p in s.at if p not in bad)
-    if len(at) == len(s.at):
-        return s
-    if not at or s.effect not in harmonics.PERIODIC:
+def _outside(found: Finding, bad: set[str], point: WorkingPoint) -> Finding | None:
+    """A finding without its part at bad locations; None if nothing remains. Only a periodic force has such parts."""
+    at = tuple(location for location in found.at if location not in bad)
+    if len(at) == len(found.at):
+        return found
+    if not at or found.effect not in harmonics.PERIODIC:
         return None
-    power = {i: P for i, P in s.power.items() if point.data.places[i] not in bad}
-    return replace(s, at=at, power=power, settings={p: v for p, v in s.settings.items() if p not in bad})
+    power_N2 = {i: P for i, P in found.power_N2.items() if point.data.places[i] not in bad}
+    settings = {location: own for location, own in found.settings.items() if location not in bad}
+    return replace(found, at=at, power_N2=power_N2, settings=settings)

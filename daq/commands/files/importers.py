@@ -73,7 +73,7 @@ def limited(record: Record, rig: Rig) -> list[str]:
         if channel.place in rig.model.places and channel.kind != "force":
             found = clipping.clipping_level(values * factor)
             if found is not None:
-                out.append(clipping.limited(channel.name, *found, record.samples))
+                out.append(clipping.clipping_text(channel.name, *found, record.samples))
     return out
 
 

@@ -10,7 +10,7 @@ from estimator.arrays import Array
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.record import clipping
 from estimator.identification.residual import missing_force
-from estimator.identification.search import suspects
+from estimator.identification.search import search
 from estimator.likelihood.fitting.fitted_values import fitted_model
 from estimator.likelihood.path.working_point import thinned
 from estimator.model.rig import Model
@@ -82,15 +82,15 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     model, point = whole.model, whole.point
     say(0.4, "what can still be predicted")
     part = thinned(point, missing_force.SURVEY_SECONDS)
-    found, others, rmse, beside, nll = missing_force.surveyed(
-        part, model, lambda: suspects(model, point, y), lambda: heldout_rmse(model, y, point.data.rate_hz),
+    found, others, rmse, beside, nll = missing_force.survey_with(
+        part, model, lambda: search(model, point, y), lambda: heldout_rmse(model, y, point.data.rate_hz),
         lambda: twin(fitted_model(model, point), point, y), lambda: heldout_nll(point),
     )  # fmt: skip
-    clipped = [clipping.said(s) for s in others if s.effect == "sensor_clipping"]
+    clipped = [clipping.finding_text(s) for s in others if s.effect == "sensor_clipping"]
     say(0.85, "where the model fails")
     channel = {p: next(c.name for c in model.channels if c.place == p) for p in point.data.places}
     asked: list[Callable[[], Any]] = [
-        lambda: curves(point, found, channel, missing_force.orders_of(model)),
+        lambda: curves(point, found, channel, missing_force.stiffness_orders(model)),
         lambda: reference_nll(point, found, nll),
         lambda: where_of(point, found, channel),
     ]
@@ -114,7 +114,7 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         messages=(
             *whole.messages,
             *clipped,
-            *missing_force.unjudged(found),
+            *missing_force.unjudged_messages(found),
             *((beside.message,) if beside.message else ()),
         ),
     )

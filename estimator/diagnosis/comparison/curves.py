@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 from estimator.identification.residual import black_box
-from estimator.identification.residual.missing_force import Residual, Survey, ridged
+from estimator.identification.residual.missing_force import MissingForce, PlaceResidual, fit_with_ridge
 from estimator.likelihood.motion.motion_record import part_of
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -49,7 +49,7 @@ class Law:
 
 
 def curves(
-    point: WorkingPoint, found: Survey, channel: dict[str, str], orders: tuple[float, ...]
+    point: WorkingPoint, found: MissingForce, channel: dict[str, str], orders: tuple[float, ...]
 ) -> tuple[tuple[Shape, ...], tuple[Law, ...]]:
     """Residuals against every state and laws against displacement and velocity, place by place.
 
@@ -58,7 +58,7 @@ def curves(
     data = part_of(point.data, SECONDS)
     rows = _rows(point, data.start)
 
-    def at(residual: Residual) -> tuple[list[Shape], list[Law]]:
+    def at(residual: PlaceResidual) -> tuple[list[Shape], list[Law]]:
         i, name = residual.place, channel[point.data.places[residual.place]]
         shapes: list[Shape] = []
         laws: list[Law] = []
@@ -74,7 +74,7 @@ def curves(
             elif state == "shaft_angle":
                 shapes.append(_against_angle(fit, names, orders, name))
             else:
-                group, o = black_box.other_direction(data, i), data.other(i)
+                group, o = black_box.other_direction_group(data, i), data.other(i)
                 if group is not None and o is not None:
                     shapes.append(_against_other(fit, names, group, data.x[o], name))
         return shapes, laws
@@ -90,12 +90,12 @@ def _rows(point: WorkingPoint, starts: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray((pick[:, None] * block + np.arange(block)).ravel(), dtype=np.int64)
 
 
-def _fit(residual: Residual, group: str) -> tuple[PathFit, list[str]]:
+def _fit(residual: PlaceResidual, group: str) -> tuple[PathFit, list[str]]:
     """The joint fit of a group and of all that was found, whose part is thereby taken out; no names without it."""
     names = [n for n in residual.pool.extra if n.split(".")[0] == group]
     if not names or names[0] in residual.fit.names:
         return residual.fit, names
-    return ridged(residual.pool.only((*residual.problem.extra, *names))), names
+    return fit_with_ridge(residual.pool.only((*residual.problem.extra, *names))), names
 
 
 def on_hats(z: Array, knots: Array, series: Array) -> tuple[Array, Array]:
@@ -118,7 +118,7 @@ def on_hats(z: Array, knots: Array, series: Array) -> tuple[Array, Array]:
 
 
 def _of_hats(
-    point: WorkingPoint, residual: Residual, fit: PathFit, names: list[str], state: str, z: Array,
+    point: WorkingPoint, residual: PlaceResidual, fit: PathFit, names: list[str], state: str, z: Array,
     rows: NDArray[np.int64], channel: str,
 ) -> tuple[Shape, Law]:  # fmt: skip
     """Residual and law against displacement or velocity. z : (n,) the state in these rows."""
@@ -180,7 +180,7 @@ def _against_angle(fit: PathFit, names: list[str], orders: tuple[float, ...], ch
     return _linear(fit, own, A, ANGLES, channel, "shaft_angle")
 
 
-def _against_other(fit: PathFit, names: list[str], group: black_box.Group, z: Array, channel: str) -> Shape:
+def _against_other(fit: PathFit, names: list[str], group: black_box.RegressorGroup, z: Array, channel: str) -> Shape:
     """Mean force at a displacement z of the other direction."""
     rms = float(z.std())
     knots = np.asarray(np.arange(-9, 10) * 0.35 * rms, dtype=np.float64)

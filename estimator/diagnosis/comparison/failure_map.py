@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.identification.residual.missing_force import Residual, Survey
+from estimator.identification.residual.missing_force import MissingForce, PlaceResidual
 from estimator.likelihood.path.working_point import WorkingPoint
 
 from .shape import curve
@@ -31,9 +31,9 @@ class Where:
         }
 
 
-def where_of(point: WorkingPoint, found: Survey, channel: dict[str, str]) -> tuple[Where, ...]:
+def where_of(point: WorkingPoint, found: MissingForce, channel: dict[str, str]) -> tuple[Where, ...]:
     """Every state found, largest share first."""
-    total = sum(f.power for r in found.residuals for f in r.found) + sum(s.power for s in found.shares)
+    total = sum(f.power for r in found.residuals for f in r.found) + sum(s.power_N2 for s in found.shares)
     out = [
         Where(channel[point.data.places[r.place]], f.group, region(point, r, f.group), 100 * f.power / total)
         for r in found.residuals
@@ -41,12 +41,12 @@ def where_of(point: WorkingPoint, found: Survey, channel: dict[str, str]) -> tup
         if total > 0
     ]
     out += [
-        Where(channel[point.data.places[s.place]], s.against, s.region, 100 * s.power / total) for s in found.shares
+        Where(channel[point.data.places[s.place]], s.against, s.region, 100 * s.power_N2 / total) for s in found.shares
     ]
     return tuple(sorted(out, key=lambda w: -w.share_percent))
 
 
-def region(point: WorkingPoint, residual: Residual, group: str) -> str:
+def region(point: WorkingPoint, residual: PlaceResidual, group: str) -> str:
     """Where in the state the missing force sits, in words and units."""
     data, i = point.data, residual.place
     if group in ("displacement", "velocity"):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 from estimator.errors import DataError, ModelError
-from estimator.identification.residual.missing_force import Survey, ridge_of
+from estimator.identification.residual.missing_force import MissingForce, ridge_information
 from estimator.likelihood.fitting.fitted_values import fitted_model
 from estimator.likelihood.motion.motion_record import FOLDS
 from estimator.likelihood.path.subproblem import component, heldout_gain, subproblem
@@ -75,7 +75,7 @@ def heldout_nll(point: WorkingPoint) -> float:
     return float(total) / (point.data.blocks * point.data.block)
 
 
-def reference_nll(point: WorkingPoint, found: Survey, nll: float) -> float:
+def reference_nll(point: WorkingPoint, found: MissingForce, nll: float) -> float:
     """The same for a black box: the smooth columns found (ridge), and a force spectrum that is free in 40 cells.
 
     Its parts count only where they help on held-out data, so it is never above `nll`.
@@ -84,7 +84,7 @@ def reference_nll(point: WorkingPoint, found: Survey, nll: float) -> float:
     gained = 0.0
     for r in found.residuals:
         if r.found:
-            gained += max(0.0, float(heldout_gain(r.problem, ridge_of(r.problem)).sum()))
+            gained += max(0.0, float(heldout_gain(r.problem, ridge_information(r.problem)).sum()))
     for i in range(len(point.data.places)):
         gained += max(0.0, _free_spectrum_gain(point, i))
     return nll - gained / samples

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.identification.residual.missing_force import Residual, Survey, ridged
+from estimator.identification.residual.missing_force import MissingForce, PlaceResidual, fit_with_ridge
 from estimator.likelihood.path.working_point import WorkingPoint
 
 
@@ -31,13 +31,13 @@ class Shape:
         }
 
 
-def curve(point: WorkingPoint, residual: Residual, group: str, channel: str) -> Shape:
+def curve(point: WorkingPoint, residual: PlaceResidual, group: str, channel: str) -> Shape:
     """The fitted hat functions of one state ("displacement" or "velocity") as a curve, without its straight line."""
     knots = residual.knots[group]
     i = residual.place
     names = [f"{group}.{k}" for k in range(len(knots))]
     # where other states are found too, their part is taken out by the joint fit
-    fit = residual.fit if names[0] in residual.fit.names else ridged(residual.pool.only(tuple(names)))
+    fit = residual.fit if names[0] in residual.fit.names else fit_with_ridge(residual.pool.only(tuple(names)))
     at = np.array([fit.names.index(n) for n in names])
     scales = fit.scales[at]
     # the force that the model lacks is added to the restoring side with the sign of delta
@@ -53,7 +53,7 @@ def curve(point: WorkingPoint, residual: Residual, group: str, channel: str) -> 
     return Shape(channel, group, at_knots, force, force - 1.96 * sd, force + 1.96 * sd)
 
 
-def shape_of(point: WorkingPoint, found: Survey, otherwise: tuple[int, str] | None = None) -> Shape | None:
+def shape_of(point: WorkingPoint, found: MissingForce, otherwise: tuple[int, str] | None = None) -> Shape | None:
     """The curve against the state that explains most, where it is one of displacement or velocity.
 
     otherwise : place and state to draw if the survey alone finds neither.

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.arrays import Complexes, Series
-from estimator.identification.residual.missing_force import power_of
+from estimator.identification.residual.missing_force import extra_power
 from estimator.likelihood.motion.located_law import Placed, at_home, evaluate
 from estimator.likelihood.path.subproblem import gain, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -129,7 +129,7 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
         return 0.0, 0.0, 0
     problem = subproblem(point, (i,), point.whitening.columns(terms))
     nats, fit = gain(problem, steps=6)
-    return power_of(point, problem, fit, i)[0], nats, len(terms)
+    return extra_power(point, problem, fit, i)[0], nats, len(terms)
 
 
 def _hermite(u: Series, orders: tuple[int, ...]) -> Iterator[tuple[int, Series, Series]]:

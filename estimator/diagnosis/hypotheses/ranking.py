@@ -12,9 +12,9 @@ from scipy.special import chdtrc
 from estimator.effects import CATALOGUE, NAMED
 from estimator.effects.places import at
 from estimator.effects.rotating.ball_pass import BALL_PASS
-from estimator.identification.finding import CLAIMED, UNKNOWN, Suspect
+from estimator.identification.finding import MAX_P_VALUE, UNKNOWN_EFFECT, Finding
 from estimator.identification.machine import stiffness_order
-from estimator.identification.residual.missing_force import Survey
+from estimator.identification.residual.missing_force import MissingForce
 from estimator.likelihood.motion.harmonics import LINE_NAMES
 from estimator.likelihood.motion.located_law import Placed
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -76,7 +76,7 @@ class Entry:
 
 
 def entries(
-    model: Model, point: WorkingPoint, trials: Sequence[Trial], before: Survey, others: Sequence[Suspect] = ()
+    model: Model, point: WorkingPoint, trials: Sequence[Trial], before: MissingForce, others: Sequence[Finding] = ()
 ) -> list[Entry]:
     """The ranking: one entry per effect, best first; a clipped channel before everything it may have caused."""
     tried = max(len(trials), 1)
@@ -85,9 +85,9 @@ def entries(
         by_effect.setdefault(t.effect.name, []).append(t)
     out = [_entry(point, own, tried, before) for own in by_effect.values()]
     if model.order_found:  # by the same data
-        more = stiffness_order.looked_at(point)
+        more = stiffness_order.order_trials(point)
         out = [replace(e, p_value=min(1.0, e.p_value * more)) if e.effect == BALL_PASS.name else e for e in out]
-    for name in dict.fromkeys(s.effect for s in others if s.effect != UNKNOWN):
+    for name in dict.fromkeys(s.effect for s in others if s.effect != UNKNOWN_EFFECT):
         out.append(_suspected(model, point, [s for s in others if s.effect == name], before))
     return sorted(after_strikes(after_what_clipping_cannot_make(out), model.band[0]), key=lambda e: -e.score)
 
@@ -106,7 +106,7 @@ def after_what_clipping_cannot_make(found: list[Entry]) -> list[Entry]:
 def after_strikes(found: list[Entry], low_hz: float) -> list[Entry]:
     """Lines that are all below the band stand behind strikes in it: of these sampling folds harmonics to anywhere, and
     what is at a few Hz is many times as much in newtons as in the motion that shows it."""
-    strikes = max((e.score for e in found if e.effect == "local_defect" and e.p_value < CLAIMED), default=np.inf)
+    strikes = max((e.score for e in found if e.effect == "local_defect" and e.p_value < MAX_P_VALUE), default=np.inf)
     return [
         replace(e, score=min(e.score, np.nextafter(strikes, -np.inf)))
         if e.effect == "line"
@@ -116,7 +116,7 @@ def after_strikes(found: list[Entry], low_hz: float) -> list[Entry]:
     ]
 
 
-def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: Survey) -> Entry:
+def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: MissingForce) -> Entry:
     nodes: dict[str, list[Trial]] = {}
     for t in own:
         nodes.setdefault(t.spot.split(".")[0], []).append(t)
@@ -178,13 +178,13 @@ def _shorter(point: WorkingPoint, used: Sequence[Trial]) -> tuple[str, ...]:
     return (f"gain and p-value are those of {seconds:.0f} s of the record: the rest could not bring it to the front",)
 
 
-def _suspected(model: Model, point: WorkingPoint, own: list[Suspect], before: Survey) -> Entry:
+def _suspected(model: Model, point: WorkingPoint, own: list[Finding], before: MissingForce) -> Entry:
     """Entry of an effect that is not a force law."""
-    gain, df = sum(s.gain for s in own), sum(s.df for s in own)
-    places = tuple(sorted({i for s in own for i in s.power}))
+    gain, df = sum(s.gain_nats for s in own), sum(s.dof for s in own)
+    places = tuple(sorted({i for s in own for i in s.power_N2}))
     was = before.interval(places)[0]
     scale = float(np.sum(before.bearing[list(places)] ** 2))
-    part = sum(p for s in own for p in s.power.values())
+    part = sum(p for s in own for p in s.power_N2.values())
     settings = _layers(model, own)
     first = float("inf") if own[0].effect == "sensor_clipping" else gain - COST * df
     return Entry(
@@ -203,7 +203,7 @@ def _suspected(model: Model, point: WorkingPoint, own: list[Suspect], before: Su
     )
 
 
-def _layers(model: Model, own: list[Suspect]) -> dict[str, Settings]:
+def _layers(model: Model, own: list[Finding]) -> dict[str, Settings]:
     """Settings by the name that they would have in the model: of several lines at a place each has its own."""
     layers: list[Settings] = []
     for s in own:

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from estimator.arrays import Array
-from estimator.identification.finding import Suspect
+from estimator.identification.finding import Finding
 from estimator.identification.residual import missing_force
-from estimator.identification.search import suspects
+from estimator.identification.residual.missing_force import MissingForce
+from estimator.identification.search import search
 from estimator.likelihood.motion.law_smoothing import ready
 from estimator.likelihood.motion.located_law import on_trial, searched
 from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
@@ -34,8 +35,8 @@ class Ranking:
     what is no law of a state, and every law at every spot. entries : what they come to, the likeliest first."""
 
     part: WorkingPoint
-    before: missing_force.Survey
-    suspects: list[Suspect]
+    before: MissingForce
+    suspects: list[Finding]
     trials: list[screen.Trial]
     entries: list[Entry]
 
@@ -44,7 +45,7 @@ def ranked(model: Model, point: WorkingPoint, y: Array, say: Progress) -> Rankin
     """What is missing, and what could be it, as part of the record has it."""
     say(0.15, "what can still be predicted")
     part = thinned(point, missing_force.SURVEY_SECONDS)
-    before, others = missing_force.surveyed(part, model, lambda: suspects(model, point, y))
+    before, others = missing_force.survey_with(part, model, lambda: search(model, point, y))
     trials = _trials(model, part, say)
     return Ranking(part, before, others, trials, ranking.entries(model, point, trials, before, others))
 

@@ -18,10 +18,11 @@ from estimator.diagnosis.hypotheses.screen import FOREMOST, SIGNIFICANT, Progres
 from estimator.errors import DataError, NotFiniteError
 from estimator.identification.batch.disturbance_numbers import with_found_effects
 from estimator.identification.batch.full_fit import FullFit, fit_all_effects
-from estimator.identification.finding import Suspect
-from estimator.identification.machine.harmonic_fit import found_beside
+from estimator.identification.finding import Finding
+from estimator.identification.machine.harmonic_fit import fit_found_harmonics
 from estimator.identification.residual import missing_force
-from estimator.identification.search import suspects
+from estimator.identification.residual.missing_force import MissingForce
+from estimator.identification.search import search
 from estimator.identification.structure import spectral_shape
 from estimator.likelihood.motion.harmonics import PERIODIC
 from estimator.likelihood.motion.known_spectra import COLOURS
@@ -86,7 +87,7 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
     """The same from a model already fitted."""
     before, entries, known = _ranked(model, point, y, say)
     law = max((entry.gain for entry in entries), default=0.0)
-    if before.shares and (as_it_is := spectral_shape.as_it_is(model, point, law)) is not None:
+    if before.shares and (as_it_is := spectral_shape.refit_with_seen_spectra(model, point, law)) is not None:
         point, shares = as_it_is, before.shares
         before, entries, known = _ranked(model, point, y, say)
         before = replace(before, shares=shares)
@@ -99,7 +100,7 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
 
 def _ranked(
     model: Model, point: WorkingPoint, y: Array, say: Progress
-) -> tuple[missing_force.Survey, list[Entry], gate_residual.Seen | None]:  # fmt: skip
+) -> tuple[MissingForce, list[Entry], gate_residual.Seen | None]:  # fmt: skip
     """What is missing, what could be it, and what part of the record shows of the likeliest law. The rest of it is
     asked where the law may have the shape of what is missing, or a spectrum is to be told from it."""
     found = ranked(model, point, y, say)
@@ -115,7 +116,7 @@ def _ranked(
 
 
 def _verdict(
-    model: Model, point: WorkingPoint, before: missing_force.Survey, entries: list[Entry], say: Progress,
+    model: Model, point: WorkingPoint, before: MissingForce, entries: list[Entry], say: Progress,
     known: gate_residual.Seen | None = None,
 ) -> Diagnosis:  # fmt: skip
     """What the ranking comes to."""
@@ -142,7 +143,7 @@ def _added(model: Model, y: Array, rate_hz: float, best: Entry) -> tuple[FullFit
         return None
 
 
-def _restored(model: Model, point: WorkingPoint, y: Array, before: missing_force.Survey, found: Diagnosis) -> Diagnosis:
+def _restored(model: Model, point: WorkingPoint, y: Array, before: MissingForce, found: Diagnosis) -> Diagnosis:
     """The finding of clipped channels with what is missing once what lies beyond their level is drawn."""
     best, *others = found.ranking
     if (added := _added(model, y, point.data.rate_hz, best)) is None:
@@ -152,7 +153,7 @@ def _restored(model: Model, point: WorkingPoint, y: Array, before: missing_force
     return replace(found, ranking=(replace(best, after_percent=after.percent(whole.point)), *others))
 
 
-def _coloured(model: Model, point: WorkingPoint, y: Array, before: missing_force.Survey, found: Diagnosis) -> Diagnosis:
+def _coloured(model: Model, point: WorkingPoint, y: Array, before: MissingForce, found: Diagnosis) -> Diagnosis:
     """The finding of a shape of the spectrum, fitted together with the model to part of the record: in what a model
     without it leaves another shape may pass for it, with another stiffness and damping. Noise of its sensor may be
     beside it, and is then the next to be found."""
@@ -176,18 +177,18 @@ def _coloured(model: Model, point: WorkingPoint, y: Array, before: missing_force
 
 
 def _spectrum_left(
-    model: Model, point: WorkingPoint, y: Array, before: missing_force.Survey, best: Entry
-) -> tuple[Entry, float, list[Suspect]] | None:  # fmt: skip
+    model: Model, point: WorkingPoint, y: Array, before: MissingForce, best: Entry
+) -> tuple[Entry, float, list[Finding]] | None:  # fmt: skip
     """A shape of the spectrum fitted together with the model to part of the record; the share of the power that the
     spectrum lacked, which it leaves; and what is suspected beside it. None where too little of the record is whole."""
     if (added := _added(model, y, point.data.rate_hz, best)) is None:
         return None
     whole, part = added
-    beside = suspects(whole.model, whole.point, part)
+    beside = search(whole.model, whole.point, part)
     after = missing_force.survey(whole.point, whole.model, only=before.places_found(), others=beside)
     places = tuple(sorted({whole.point.data.places.index(p) for own in best.settings.values() for p in own}))
     # what goes with a state is another effect's
-    was, rest = (sum(s.power for s in it.shares if s.place in places) for it in (before, after))
+    was, rest = (sum(s.power_N2 for s in it.shares if s.place in places) for it in (before, after))
     return replace(best, after_percent=after.interval(places)[0]), rest / max(was, 1e-300), beside
 
 
@@ -201,9 +202,9 @@ def _loss(entries: Sequence[Entry]) -> tuple[float, float]:
     return 0.0, 0.0
 
 
-def _beside(model: Model, point: WorkingPoint, before: missing_force.Survey, entry: Entry) -> Entry:
+def _beside(model: Model, point: WorkingPoint, before: MissingForce, entry: Entry) -> Entry:
     """The entry of a force of time alone, fitted together with the model: about a resonance it had spoiled the fit."""
-    settings, after_point = found_beside(model, point, entry.settings)
+    settings, after_point = fit_found_harmonics(model, point, entry.settings)
     part = thinned(after_point, missing_force.SURVEY_SECONDS)
     del after_point
     after = missing_force.survey(part, model, only=before.places_found())
@@ -211,7 +212,7 @@ def _beside(model: Model, point: WorkingPoint, before: missing_force.Survey, ent
 
 
 def _law(
-    model: Model, point: WorkingPoint, before: missing_force.Survey, entries: list[Entry], say: Progress,
+    model: Model, point: WorkingPoint, before: MissingForce, entries: list[Entry], say: Progress,
     known: gate_residual.Seen | None = None,
 ) -> Diagnosis:  # fmt: skip
     """The first of the ranking, if its law has the shape of what is missing, or one close behind that has."""
@@ -262,7 +263,7 @@ def _named(entries: list[Entry], k: int, left: dict[str, float]) -> Diagnosis:
 
 
 def _of_two(
-    model: Model, point: WorkingPoint, before: missing_force.Survey, entries: list[Entry], pair: tuple[str, str],
+    model: Model, point: WorkingPoint, before: MissingForce, entries: list[Entry], pair: tuple[str, str],
     left: dict[str, float], say: Progress,
 ) -> Diagnosis:  # fmt: skip
     """The finding of the first of two laws of one state that together leave nothing of it."""
@@ -309,17 +310,17 @@ def _is_claimed(entries: Sequence[Entry]) -> bool:
 
 def _negligible(point: WorkingPoint, best: Entry) -> bool:
     """Whether a force law, however certain, explains less than any simulation, filter or ceiling leaves behind."""
-    least = max((missing_force.negligible(point, i) for i in best.places), default=0.0)
+    least = max((missing_force.negligible_share(point, i) for i in best.places), default=0.0)
     return best.explained_percent < 100 * least
 
 
-def _little(before: missing_force.Survey) -> bool:
+def _little(before: MissingForce) -> bool:
     """Whether so little is missing, or so little known of it that it may be nothing, that nothing is claimed."""
     value, low, _ = before.interval()
-    return value < 100 * missing_force.NEGLIGIBLE or low <= 0.0
+    return value < 100 * missing_force.NEGLIGIBLE_FORCE_SHARE or low <= 0.0
 
 
-def _nothing(point: WorkingPoint, before: missing_force.Survey, entries: tuple[Entry, ...]) -> Diagnosis:
+def _nothing(point: WorkingPoint, before: MissingForce, entries: tuple[Entry, ...]) -> Diagnosis:
     loss, nats = _loss(entries)
     shaft = []
     if nats > SURE and point.data.disc is not None:

@@ -12,6 +12,7 @@ from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import Progress
 from estimator.errors import NotFiniteError
 from estimator.identification.residual import missing_force
+from estimator.identification.residual.missing_force import MissingForce
 from estimator.likelihood.fitting.fitted_values import parameters, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
@@ -60,7 +61,7 @@ class Seen:
     all: bool
 
 
-def seen(part: WorkingPoint, point: WorkingPoint, before: missing_force.Survey, entry: Entry) -> Seen:
+def seen(part: WorkingPoint, point: WorkingPoint, before: MissingForce, entry: Entry) -> Seen:
     """An entry on part of the record of a point. Raises NotFiniteError where the fit goes far from the rotor."""
     missing = bool(entry.places.intersection(before.places_found()))
     after = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=2 if missing else 6)
@@ -71,7 +72,7 @@ def seen(part: WorkingPoint, point: WorkingPoint, before: missing_force.Survey, 
 
 
 def fits(
-    model: Model, point: WorkingPoint, before: missing_force.Survey, entry: Entry, say: Progress,
+    model: Model, point: WorkingPoint, before: MissingForce, entry: Entry, say: Progress,
     known: Seen | None = None,
 ) -> Explained:  # fmt: skip
     """What an entry explains. It is nothing, as laws that see noise as strong as the motion may seem to be something,
@@ -86,7 +87,7 @@ def fits(
 
 
 def _fitted(
-    model: Model, point: WorkingPoint, before: missing_force.Survey, entry: Entry, say: Progress, known: Seen | None
+    model: Model, point: WorkingPoint, before: MissingForce, entry: Entry, say: Progress, known: Seen | None
 ) -> Explained:  # fmt: skip
     """What an entry explains. Raises NotFiniteError where the fit with it goes far from the rotor."""
     if _bends_a_spectrum(point, before, entry):
@@ -134,13 +135,13 @@ def _most_left(point: WorkingPoint, entry: Entry) -> float:
     return max(most, SAME_SHAPE) if beside else most
 
 
-def _bends_a_spectrum(point: WorkingPoint, before: missing_force.Survey, entry: Entry) -> bool:
+def _bends_a_spectrum(point: WorkingPoint, before: MissingForce, entry: Entry) -> bool:
     """Whether a law with a memory, where no state predicts anything, is small beside a spectrum that nothing explains:
     it answers in the mean as a resonance does, and takes some of that."""
     places = entry.places
     if all(law.effect.kind != "memory" for law in entry.placed) or _by_state(before, places):
         return False
-    return _power(point, entry) < SMALL**2 * sum(share.power for share in before.shares if share.place in places)
+    return _power(point, entry) < SMALL**2 * sum(share.power_N2 for share in before.shares if share.place in places)
 
 
 def _power(point: WorkingPoint, entry: Entry) -> float:
@@ -182,7 +183,7 @@ def _where_told(point: WorkingPoint, entry: Entry, after_point: WorkingPoint) ->
     return fewer, less
 
 
-def _same_state_left(before: missing_force.Survey, after: missing_force.Survey, best: Entry) -> float:
+def _same_state_left(before: MissingForce, after: MissingForce, best: Entry) -> float:
     """rms left over rms before, in the state where the effect explains most: 0 if its law has the right shape.
 
     States that it does not touch belong to something else that is missing too.
@@ -194,7 +195,7 @@ def _same_state_left(before: missing_force.Survey, after: missing_force.Survey, 
     return float(np.sqrt(min(max(rest.get(state, 0.0), 0.0) / was[state], 1.0))) if was[state] > 0 else 0.0
 
 
-def _by_state(found: missing_force.Survey, places: set[int]) -> dict[str, float]:
+def _by_state(found: MissingForce, places: set[int]) -> dict[str, float]:
     out: dict[str, float] = {}
     for r in found.residuals:
         for f in r.found if r.place in places else ():

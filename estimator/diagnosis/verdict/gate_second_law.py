@@ -14,7 +14,7 @@ from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import SEARCH_SECONDS
 from estimator.diagnosis.hypotheses.trial import Trial
 from estimator.errors import NotFiniteError
-from estimator.identification.residual import missing_force
+from estimator.identification.residual.missing_force import MissingForce
 from estimator.likelihood.fitting.gauss_newton import FIRST_SECONDS, fit_model
 from estimator.likelihood.motion.located_law import Placed, acting, on_trial
 from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
@@ -35,7 +35,7 @@ FAMILY = {
 OF_X = ("odd in x", "even in x")
 
 
-def others(model: Model, after: WorkingPoint, left: missing_force.Survey, best: Entry) -> Trials:
+def others(model: Model, after: WorkingPoint, left: MissingForce, best: Entry) -> Trials:
     """Every effect of another family on trial where the first, fitted, acts or leaves something; by name, those that
     are any."""
     small, family = plain(after, SEARCH_SECONDS), FAMILY.get(best.effect, best.effect)
@@ -55,7 +55,7 @@ def others(model: Model, after: WorkingPoint, left: missing_force.Survey, best: 
     return found
 
 
-def another_explains(point: WorkingPoint, trials: Trials, left: missing_force.Survey, best: Entry) -> bool:
+def another_explains(point: WorkingPoint, trials: Trials, left: MissingForce, best: Entry) -> bool:
     """Whether a second effect, of the trials `others`, explains what the first leaves.
 
     At all its spots together it is to earn what smooth terms in the state of the first do: a one-sided stop has an odd

@@ -12,8 +12,8 @@ from estimator.diagnosis.hypotheses.ranking import Settings
 from estimator.errors import DataError
 from estimator.identification.batch.disturbance_numbers import with_found_effects
 from estimator.identification.batch.full_fit import SPECTRAL_AND_SENSOR_EFFECTS, FullFit, fit_all_effects
-from estimator.identification.residual.missing_force import NEGLIGIBLE, SURVEY_SECONDS, surveyed
-from estimator.identification.search import suspects
+from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE, SURVEY_SECONDS, survey_with
+from estimator.identification.search import search
 from estimator.identification.structure import recorder_fall, recorder_phase
 from estimator.likelihood.fitting.fitted_values import fitted_model, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model
@@ -111,7 +111,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                     break
                 new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
                 # masses, shapes of spectra, and what the recorder takes and delays, were sought beside what was missing
-                taken = model.roll_off is not given.roll_off or recorder_fall.find(new_whole.model, richer)
+                taken = model.roll_off is not given.roll_off or recorder_fall.find_roll_off(new_whole.model, richer)
                 shaped = any(use.name in SPECTRAL_AND_SENSOR_EFFECTS for use in model.effects)
                 if whole.masses or shaped or taken or recorder_phase.found(new_whole.model, richer):
                     again = replace(new_whole.model, mass=given.mass, roll_off=given.roll_off)
@@ -148,7 +148,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     else:
         messages.append(f"{MOST} effects were added, the most of one run: run it again on the rig file that it wrote")
     if found.verdict not in ENDED and len(diagnoses) == len(rungs):  # what it named was not upheld
-        if rungs[-1].missing[0] < 100 * NEGLIGIBLE:
+        if rungs[-1].missing[0] < 100 * NEGLIGIBLE_FORCE_SHARE:
             found = replace(found, verdict="complete", messages=())
         elif best is not None and best.placed:  # a law of another shape than what is missing
             found = replace(found, verdict="unknown", messages=())
@@ -180,8 +180,8 @@ def _refitted(model: Model, y: Array, rate_hz: float) -> FullFit:
 
 def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:
     """A model's place on the ladder."""
-    found, _, nll, rmse = surveyed(
-        thinned(point, SURVEY_SECONDS), model, lambda: suspects(model, point, y), lambda: heldout_nll(point),
+    found, _, nll, rmse = survey_with(
+        thinned(point, SURVEY_SECONDS), model, lambda: search(model, point, y), lambda: heldout_nll(point),
         lambda: heldout_rmse(model, y, point.data.rate_hz),
     )  # fmt: skip
     return Rung(tuple(u.name for u in model.effects), nll, found.interval(), rmse)

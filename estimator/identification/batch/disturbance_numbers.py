@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.effects import NAMED
 from estimator.effects.places import at, written
-from estimator.identification.finding import Suspect, as_use
+from estimator.identification.finding import Finding, effect_use
 from estimator.identification.structure import noisy_sensor
 from estimator.likelihood.motion import harmonics
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -32,10 +32,10 @@ def with_further_effects(model: Model, further: Mapping[str, Mapping[str, Mappin
 
 def with_found_effects(model: Model, found: Mapping[str, Mapping[str, Mapping[str, Parameter]]]) -> Model:
     """The model with effects that are no force laws, at the values found. found : by the name of the effect."""
-    return with_further_effects(model, {name: as_use(name, own).parameters for name, own in found.items()})
+    return with_further_effects(model, {name: effect_use(name, own).parameters for name, own in found.items()})
 
 
-def further_lines_found(model: Model, seen: list[Suspect]) -> dict[str, dict[str, dict[str, Setting]]]:
+def further_lines_found(model: Model, seen: list[Finding]) -> dict[str, dict[str, dict[str, Setting]]]:
     """Name -> place -> no numbers, of lines seen that the model has no name for: at a place where it has one without a
     frequency, which is as many lines as there are."""
     out: dict[str, dict[str, dict[str, Setting]]] = {}
@@ -65,7 +65,7 @@ def is_undone_as_given(use: EffectUse, model: Model) -> bool:
 
 
 def with_resolved_parameters(
-    model: Model, names: set[str], seen: list[Suspect], point: WorkingPoint
+    model: Model, names: set[str], seen: list[Finding], point: WorkingPoint
 ) -> tuple[Model, dict[str, Parameter]]:
     """The model with what was found for the effects of these names, and that as parameters."""
     found: dict[str, Parameter] = {}
@@ -89,7 +89,7 @@ def parameters_have_moved(before: Mapping[str, Parameter], now: Mapping[str, Par
 
 
 def _with_resolved_use(
-    use: EffectUse, model: Model, seen: list[Suspect], point: WorkingPoint
+    use: EffectUse, model: Model, seen: list[Finding], point: WorkingPoint
 ) -> tuple[EffectUse, dict[str, Parameter]]:
     """The use with what was found for it at each of its places, and that as parameters."""
     effect = NAMED[use.name]
@@ -115,11 +115,11 @@ def _with_resolved_use(
 
 
 def _found_at_location(
-    use: EffectUse, key: str, old: Mapping[str, Setting], model: Model, seen: list[Suspect], point: WorkingPoint
+    use: EffectUse, key: str, old: Mapping[str, Setting], model: Model, seen: list[Finding], point: WorkingPoint
 ) -> dict[str, Parameter]:
     """Name -> number of a use at a canonical place; of several lines the one nearest to the frequency written."""
     if use.name == "sensor_noise" and key in point.data.places:
-        return {"rms": noisy_sensor.sensor_noise(point, point.data.places.index(key))}
+        return {"rms": noisy_sensor.sensor_noise_rms(point, point.data.places.index(key))}
     if use.name == "bow":
         return _bow_of_imbalance(model, [s.settings[key] for s in seen if s.effect == "imbalance"])
     if use.name in harmonics.LINE_NAMES:

@@ -16,7 +16,7 @@ from estimator.arrays import Array
 from estimator.identification.machine import harmonic_fit, stiffness_order
 from estimator.identification.record import clipping
 from estimator.identification.record.declip import LOST, RESTORED, SPOILED, restored
-from estimator.identification.search import suspects
+from estimator.identification.search import search
 from estimator.identification.structure import (
     coupled_caps,
     recorder_fall,
@@ -112,7 +112,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
     model, masses = unknown_mass.with_masses_of_shaft(given, y, rate_hz)
     begun = _coarse_fit(model, y, rate_hz)
     off = (
-        recorder_fall.find(model, begun)
+        recorder_fall.find_roll_off(model, begun)
         if begun and all(starmap(resonates, _mean_oscillators(begun).values()))
         else None
     )
@@ -121,7 +121,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
     if off and begun:
         begun = begun.rowless()
     whole = _fit_with_stiffness_order(replace(model, roll_off=off) if off else model, y, rate_hz, begun)
-    if not begun and not model.roll_off and (off := recorder_fall.find(whole.model, whole.point)):
+    if not begun and not model.roll_off and (off := recorder_fall.find_roll_off(whole.model, whole.point)):
         begun = whole.point.rowless()
         del whole  # two at once would be much memory
         whole = _fit_with_stiffness_order(replace(model, roll_off=off), y, rate_hz, begun)
@@ -133,7 +133,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
     if whole.model.roll_off != model.roll_off and unknown_mass.places_scaled_by_shaft(given):
         return fit_all_effects(replace(given, roll_off=whole.model.roll_off), y, rate_hz)
     data = whole.point.data
-    S_sd_rel = 0.0 if whole.model.roll_off else recorder_fall.doubt(whole.model, whole.point)
+    S_sd_rel = 0.0 if whole.model.roll_off else recorder_fall.level_doubt(whole.model, whole.point)
     said = (
         *shortened(data, y),
         *unknown_mass.mass_messages(masses),
@@ -151,7 +151,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
 def _coarse_fit(model: Model, y: Array, rate_hz: float) -> WorkingPoint | None:
     """The model's laws near enough to see a filter, which is undone before they are fitted in earnest. None where the
     model has more than laws of the states, or a filter."""
-    if model.roll_off or stiffness_order.laws(model) or any(is_disturbance(u) for u in model.effects):
+    if model.roll_off or stiffness_order.ball_pass_uses(model) or any(is_disturbance(u) for u in model.effects):
         return None
     return fit_record(model, prepare(model, y, rate_hz), glance=True)
 
@@ -174,14 +174,14 @@ def _refuse_without_resonance(point: WorkingPoint) -> None:
 def _fit_with_stiffness_order(model: Model, y: Array, rate_hz: float, begun: WorkingPoint | None = None) -> FullFit:
     """The same at the speed that the model gives, the ball-pass order from the record where the model leaves it.
     begun : the same nearly fitted, or before a filter was undone."""
-    if not stiffness_order.sought(model):
+    if not stiffness_order.lacks_stiffness_order(model):
         return _fit_at_given_order(model, y, rate_hz, begun)
-    if laws := stiffness_order.laws(model):
+    if laws := stiffness_order.ball_pass_uses(model):
         bare = replace(model, effects=tuple(u for u in model.effects if u not in laws))
-        model, said = stiffness_order.turned(model, _fit_at_given_order(bare, y, rate_hz).point)
-        return replace(_fit_at_given_order(stiffness_order.begun(model) if said else model, y, rate_hz), messages=said)
+        model, said = stiffness_order.with_found_order(model, _fit_at_given_order(bare, y, rate_hz).point)
+        return replace(_fit_at_given_order(stiffness_order.with_start_orders(model) if said else model, y, rate_hz), messages=said)
     whole = _fit_at_given_order(model, y, rate_hz, begun)
-    model, said = stiffness_order.turned(whole.model, whole.point)
+    model, said = stiffness_order.with_found_order(whole.model, whole.point)
     return replace(whole, model=model, messages=(*whole.messages, *said))
 
 
@@ -201,8 +201,8 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float, begun: WorkingPo
     bare = replace(model, effects=tuple(u for u in model.effects if u not in uses or u in undone))
     point = fit_record(bare, prepared(bare))
     numbered = {u.name for u in uses if u not in undone or not is_identifiable_by_force(u, model)}
-    seen = suspects(bare, point, y, everywhere=True)
-    seen += clipping.find(bare, limited) if limited is not y else []
+    seen = search(bare, point, y, everywhere=True)
+    seen += clipping.find_clipping(bare, limited) if limited is not y else []
     further = further_lines_found(model, seen)
     model, found = with_resolved_parameters(
         with_further_effects(model, further), numbered | further.keys(), seen, point
@@ -212,15 +212,15 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float, begun: WorkingPo
     for _ in range(MIN_RESOLVING_ROUNDS if colours else 0):  # found among laws that they distort
         data = point.data
         flat = replace(point, data=replace(data, colour=colours_of(bare, data.places, data.f_hz, OF_FORCE)))
-        renewed, again = with_resolved_parameters(model, colours, spectral_shape.find(bare, flat), flat)
+        renewed, again = with_resolved_parameters(model, colours, spectral_shape.find_spectral_shapes(bare, flat), flat)
         if not parameters_have_moved(found, again):
             break
         model, found = renewed, found | again
         point = fit_record(model, prepared(model))
     for done in range(MAX_RESOLVING_ROUNDS if any(u.name in (*harmonics.PERIODIC, *LINEAR) for u in uses) else 0):
-        model, bent = transfer_bias.refined(model, point)
+        model, bent = transfer_bias.refine_sensor_faults(model, point)
         model, mutual = coupled_caps.refined(model, point)
-        model, stepped = harmonic_fit.settled(model, point)
+        model, stepped = harmonic_fit.settle_harmonics(model, point)
         stepped |= bent | mutual
         last = done + 1 >= MIN_RESOLVING_ROUNDS and not parameters_have_moved(
             found, mutual
@@ -248,5 +248,5 @@ def _coloured_levels(model: Model, found: Mapping[str, Parameter], point: Workin
     for i, place in enumerate(point.data.places):
         gain, corner = (found.get(f"{place}.coloured_excitation.{n}") for n in ("gain", "corner"))
         if gain and corner and gain.value is not None and corner.value is not None and (gain.sd or corner.sd):
-            out[f"{place}.S"] = spectral_models.level(point, i, gain.value, corner.value)
+            out[f"{place}.S"] = spectral_models.coloured_force_level(point, i, gain.value, corner.value)
     return out

@@ -92,7 +92,9 @@ def _with_pedestal_starts(
     for k in shaped:
         i = uses[k].at[0]
         if kL[i] > 0.0:  # not a fit far from the rotor
-            suggest = transfer_bias.pedestal if data.driven[i] > 0.0 else spectral_models.pedestal
+            suggest = (
+                transfer_bias.pedestal_from_transfer if data.driven[i] > 0.0 else spectral_models.pedestal_from_spectrum
+            )
             suggested, kL[i], c[i] = suggest(without, i)
             begun[k] = uses[k].with_values(np.where(uses[k].free, suggested, uses[k].p))
     own = [begun.get(k, uses[k]) for k in shaped]

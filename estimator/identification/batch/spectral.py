@@ -78,7 +78,7 @@ def _full_fit_with_unmeasured_force(solution: SpectralFit, y: Array) -> FullFit 
     if (shares < MAX_UNMEASURED_POWER_REL).all():
         return None
     found = full_fit.fit_all_effects(model, check_record(model, y, rate_hz), rate_hz)
-    return found if transfer_faults.pushed(found.model, found.point) else None
+    return found if transfer_faults.has_unmeasured_force(found.model, found.point) else None
 
 
 def _coarse_values(model: Model, y: Array, rate_hz: float) -> dict[str, float] | None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes, Series
 from estimator.effects.places import written
-from estimator.identification.finding import as_use
+from estimator.identification.finding import effect_use
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import (
     FREQUENCY,
@@ -42,7 +42,7 @@ PIECES = 16  # of the record, to see a phase that turns
 STEPS, SETTLED = 8, 0.1  # of the numbers about a model, at most; standard deviations of the last
 
 
-def found_beside(
+def fit_found_harmonics(
     model: Model, point: WorkingPoint, settings: Mapping[str, Settings]
 ) -> tuple[dict[str, dict[str, dict[str, Parameter]]], WorkingPoint]:
     """Settings of periodic effects that a model lacks, by name, as they were found -> fitted together, the model beside
@@ -51,7 +51,7 @@ def found_beside(
     Where it was found each number was taken by itself: a frequency from three bins, a phase as if that were known, a
     strike from the mean over all periods; and the force that the model did not have had moved its k and c.
     """
-    uses = tuple(as_use(name, own) for name, own in settings.items())
+    uses = tuple(effect_use(name, own) for name, own in settings.items())
     alone, bare = replace(model, effects=uses), point.data
     alone, _ = _stepped(alone, point, point.force)
     added = waves(alone, bare.places, bare.rate_hz)
@@ -68,7 +68,7 @@ def found_beside(
     return named, point
 
 
-def settled(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:
+def settle_harmonics(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:
     """The numbers of a model's periodic effects `refined` until they stand still beside the rest of it as it is. After
     two steps from the mean over all periods strikes of 0.05 rad were 6 to 10 % weak."""
     return _stepped(model, point, point.force + _series(model, point.data))
@@ -80,7 +80,7 @@ def _stepped(alone: Model, point: WorkingPoint, whole: Series) -> tuple[Model, d
     for _ in range(STEPS):
         wave = _series(alone, point.data)
         before = found
-        alone, found = refined(alone, point, np.subtract(whole, wave, out=wave))
+        alone, found = refine_harmonics(alone, point, np.subtract(whole, wave, out=wave))
         if _moved(before, found) < SETTLED:
             break
     return alone, found
@@ -98,7 +98,7 @@ def _series(model: Model, data: MotionBlocks) -> Series:
     return np.zeros_like(data.known) if wave is None else wave
 
 
-def refined(model: Model, point: WorkingPoint, force: Series) -> tuple[Model, dict[str, Parameter]]:
+def refine_harmonics(model: Model, point: WorkingPoint, force: Series) -> tuple[Model, dict[str, Parameter]]:
     """The model with the numbers of its periodic effects one step nearer, and these with their standard deviations.
 
     point : the rest of the model; force : (places, n) N inferred with the effects as they are. Only what lies in the
@@ -154,7 +154,7 @@ def _step(model: Model, one: Periodic, point: WorkingPoint, force: Series) -> tu
     for i, place in enumerate(data.places):
         if not acts(one, place):
             continue
-        seen = demodulated(force[i], one.angle(data.t, data.phase), count)[:, inside]
+        seen = demodulate(force[i], one.angle(data.t, data.phase), count)[:, inside]
         slopes = np.zeros((len(loose), *seen.shape), complex)
         for j, k in enumerate(loose):
             if k == FREQUENCY.get(one.effect.name):
@@ -219,7 +219,7 @@ def _pieces(n: int) -> NDArray[np.int64]:
     return np.minimum((np.arange(n) * PIECES) // n, PIECES - 1)
 
 
-def demodulated(force: Series, angle: Array, count: int) -> Complexes:
+def demodulate(force: Series, angle: Array, count: int) -> Complexes:
     """(PIECES, count) harmonics of a force (n,) over an angle, by folding each piece."""
     pieces = _pieces(force.size)
     bins = 1 << int(np.ceil(np.log2(8 * count)))

@@ -17,7 +17,7 @@ from scipy.special import gammaincc
 from estimator.arrays import Array
 from estimator.effects import CATALOGUE
 from estimator.effects.places import kinematic, orders
-from estimator.identification.finding import Suspect
+from estimator.identification.finding import Finding
 from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
 from estimator.model.rig import Model
 from estimator.results import Parameter
@@ -36,9 +36,9 @@ COMB, APART = 5, 20.0  # lines, and bins between them, that make multiples of on
 GAP, GAPS = 0.25, 0.2  # of the power of its neighbours, under which a harmonic is left out; share that may be
 
 
-def find(
+def find_impact_train(
     model: Model, point: WorkingPoint, s: Spectrum, lines: list[float], rotation: float, known: Sequence[float] = ()
-) -> tuple[Suspect | None, float]:
+) -> tuple[Finding | None, float]:
     """The clearest train of harmonics of a bearing order, and its fundamental in Hz.
 
     lines : Hz of what stands out by itself. rotation : Hz. known : Hz of lines that the model has.
@@ -46,7 +46,7 @@ def find(
     Zs: Array = np.asarray(np.abs(s.Y) ** 2 / s.noise, dtype=np.float64)
     for hz in known:
         Zs[:, np.abs(s.f_hz - hz) <= s.width(hz)] = 0.0
-    best: Suspect | None = None
+    best: Finding | None = None
     fundamental = won = 0.0
     for order in dict.fromkeys(round(o, 4) for o in _orders(model, s, Zs, lines, rotation)):
         hz = order * rotation
@@ -71,7 +71,7 @@ def find(
     return best, fundamental
 
 
-def fundamental(lines: Sequence[float], seconds: float) -> float:
+def common_fundamental(lines: Sequence[float], seconds: float) -> float:
     """Hz that all but a fifth of at least `COMB` lines are multiples of, to a bin; 0 if there is none. lines : Hz."""
     best, most = 0.0, max(COMB, (1.0 - GAPS) * len(lines))
     rising = sorted(lines)
@@ -173,17 +173,17 @@ def _made_by_laws(point: WorkingPoint, order: float, hz: float, F: Array, unit: 
     """Whether the laws of the model make the harmonics that are seen out of other lines. F, unit : as `_full` has
     them."""
     over = F / unit
-    seen = (over**2 > VISIBLE) & beyond_harmonics.known(point, hz * np.arange(1.0, over.size + 1))
+    seen = (over**2 > VISIBLE) & beyond_harmonics.residual_tells(point, hz * np.arange(1.0, over.size + 1))
     if point.data.measured_force or not seen.any():
         return False
-    left = beyond_harmonics.harmonics(point, i, order * point.data.phase, over.size)[seen]
+    left = beyond_harmonics.residual_harmonics(point, i, order * point.data.phase, over.size)[seen]
     over_noise = np.abs(left / unit[seen]) ** 2  # one beside a resonance is many times the others
     return bool(np.sum(over_noise) < beyond_harmonics.LEAST**2 * np.sum(over[seen] ** 2))
 
 
 def _defect(
     point: WorkingPoint, s: Spectrum, order: float, rotation: float, places: list[str], gained: float
-) -> Suspect:
+) -> Finding:
     """Strike, angle and width from the folded inferred force: the mean over all periods."""
     settings, power = {}, {}
     hz = order * rotation
@@ -206,7 +206,15 @@ def _defect(
         }
         power[i] = max(float(np.mean(folded**2)) - sd**2, 0.0)
     effect = CATALOGUE["local_defect"]
-    return Suspect(
-        "local_defect", tuple(places), gained, 4 * len(places), float(np.exp(-min(gained, 700.0) / 2)), power,
-        "shaft_angle", f"impacts at {order:.3f} x shaft speed ({hz:.2f} Hz)", settings, effect.signature,
-    )  # fmt: skip
+    return Finding(
+        effect="local_defect",
+        at=tuple(places),
+        gain_nats=gained,
+        dof=4 * len(places),
+        p_value=float(np.exp(-min(gained, 700.0) / 2)),
+        power_N2=power,
+        against="shaft_angle",
+        region=f"impacts at {order:.3f} x shaft speed ({hz:.2f} Hz)",
+        settings=settings,
+        note=effect.signature,
+    )

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
-from estimator.identification.finding import Suspect
-from estimator.identification.residual.missing_force import NEGLIGIBLE
+from estimator.identification.finding import Finding
+from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE
 from estimator.likelihood.motion.force_balance import shaft_notch
 from estimator.likelihood.motion.harmonics import known_lines, to_cap
 from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
@@ -40,9 +40,9 @@ ALIKE = 0.02  # of a line in two channels or at two caps, that they may differ b
 KNOWN_LEVEL = 1e-4  # at an order that is looked at on purpose
 
 
-def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Suspect]:
+def find_lines(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:
     """Every periodic force that the model does not have yet, by cause."""
-    s = _searched(model, point, y, rate_hz)
+    s = _searched(model, point, y, point.data.rate_hz)
     known = known_lines(model)
     rotation = (model.speed_rpm or 0.0) / 60.0
     tracked = [] if s.phase is None else [rotation, 2 * rotation]
@@ -51,11 +51,11 @@ def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Su
         hz for hz in _standing(s, (*known, *tracked), threshold)
         if not _about_disc(model, hz) or (s.over_neighbours(hz) > threshold and not _through_disc(point, s, hz))
     ]  # fmt: skip
-    out: list[Suspect] = []
+    out: list[Finding] = []
     if rotation > 0.0 and not any(use.name == "local_defect" for use in model.effects):
         turned = by_angle(s)
         own = lines if turned is s else _standing(turned, known, threshold)
-        defect, fundamental = impact_train.find(model, point, turned, own, rotation, known)
+        defect, fundamental = impact_train.find_impact_train(model, point, turned, own, rotation, known)
         if defect is not None:
             lines = [hz for hz in lines if not _multiple(s, hz, fundamental)]
             out.append(defect)
@@ -71,9 +71,9 @@ def find(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> list[Su
     return out if rotation > 0.0 else _of_one_cause(out, s)
 
 
-def _of_one_cause(lines: list[Suspect], s: Spectrum) -> list[Suspect]:
+def _of_one_cause(lines: list[Finding], s: Spectrum) -> list[Finding]:
     """Lines of a shaft of no known speed, the first with what they are multiples of: strikes have no angle there."""
-    hz = impact_train.fundamental(
+    hz = impact_train.common_fundamental(
         [next(iter(one.settings.values()))["frequency"].value or 0.0 for one in lines], s.seconds
     )
     if hz == 0.0:
@@ -91,7 +91,7 @@ def _about_disc(model: Model, hz: float) -> bool:
 def _through_disc(point: WorkingPoint, s: Spectrum, hz: float) -> bool:
     """Whether a line loads both caps alike, as a disc does that resonates elsewhere than the rig file says: one that
     rings for longer than the record cannot be told from a line."""
-    F, noise = forces(point, s, hz)
+    F, noise = line_forces(point, s, hz)
     pairs = [(i, j) for i in range(len(F)) if (j := point.data.opposite(i)) is not None and i < j]
     return bool(pairs) and all(
         abs(F[i] - F[j]) < ALIKE * abs(F[i] + F[j]) / 2 + 3.0 * np.sqrt(noise[i] + noise[j]) for i, j in pairs
@@ -137,7 +137,7 @@ def _centre(s: Spectrum, k: int, i: int) -> float:
     return float(s.f_hz[k] + np.clip(shift, -0.7, 0.7) / s.seconds)
 
 
-def forces(point: WorkingPoint, s: Spectrum, hz: float, order: int = 0) -> tuple[Complexes, Array]:
+def line_forces(point: WorkingPoint, s: Spectrum, hz: float, order: int = 0) -> tuple[Complexes, Array]:
     """(places,) complex force amplitudes in N of a line, and (places,) the variance E|.|^2 of their noise.
 
     order : of the shaft, if it is one.
@@ -169,12 +169,12 @@ def _noise_about(point: WorkingPoint, s: Spectrum, hz: float) -> Array:
 
 def _one_line(
     model: Model, point: WorkingPoint, s: Spectrum, hz: float, rotation: float, threshold: float
-) -> Suspect | None:
+) -> Finding | None:
     order = hz / rotation if rotation > 0 else 0.0
     near = [k for k in (1, 2) if rotation > 0 and abs(hz - k * rotation) < 2.0 / s.seconds]
     if near:
         hz = near[0] * rotation  # a tenth of a bin beside it, the phase at t = 0 would be off by a third
-    F, noise = forces(point, s, hz, near[0] if near else 0)
+    F, noise = line_forces(point, s, hz, near[0] if near else 0)
     Z = np.where(_made_by_laws(point, hz, near[0] if near else 0, F), 0.0, np.abs(F) ** 2 / noise)
     total, P = float(Z.sum()), len(Z)
     needed = float(np.log(P / KNOWN_LEVEL)) + 6.0 if near else threshold
@@ -182,7 +182,7 @@ def _one_line(
         return None
     power = {i: float(np.abs(F[i]) ** 2 / 2) for i in range(P) if Z[i] > 5}
     if point.data.measured_force:
-        power = {i: w for i, w in power.items() if w > (NEGLIGIBLE * point.bearing_force[i]) ** 2}
+        power = {i: w for i, w in power.items() if w > (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2}
         Z[[i for i in range(P) if i not in power]] = 0.0
         if not power:
             return None
@@ -194,12 +194,19 @@ def _one_line(
         if total - explained < 0.2 * total + 3 * P:
             sd = float(np.sqrt(0.5 / np.sum(np.abs(weights) ** 2 / noise)))
             settings = {"a": Parameter(f_d.real, sd, "N"), "b": Parameter(f_d.imag, sd, "N")}
-            return Suspect(
-                "imbalance", ("disc",), explained, 2, p, power, "shaft_angle",
-                f"1 x shaft speed ({hz:.2f} Hz), forward", {"disc": settings},
-                "a bow of the shaft loads the caps in the same way at every speed: its run-out at slow roll tells them",
-                (5 * sd, "N"),
-            )  # fmt: skip
+            return Finding(
+                effect="imbalance",
+                at=("disc",),
+                gain_nats=explained,
+                dof=2,
+                p_value=p,
+                power_N2=power,
+                against="shaft_angle",
+                region=f"1 x shaft speed ({hz:.2f} Hz), forward",
+                settings={"disc": settings},
+                note="a bow of the shaft loads the caps alike at every speed: its run-out at slow roll tells which",
+                detectable=(5 * sd, "N"),
+            )
     name = "misalignment" if near == [2] else "line"
     chosen = [i for i in range(P) if Z[i] > 9]
     places = [point.data.places[i] for i in (chosen or [int(np.argmax(Z))])]
@@ -216,10 +223,19 @@ def _one_line(
     if not near and rotation > 0:
         what += f", {order:.3f} x shaft speed"
     df = len(places) * 2 + (name == "line")
-    return Suspect(
-        name, tuple(places), total, df, p, power, "shaft_angle" if near else "frequency", what, settings_by, note,
+    return Finding(
+        effect=name,
+        at=tuple(places),
+        gain_nats=total,
+        dof=df,
+        p_value=p,
+        power_N2=power,
+        against="shaft_angle" if near else "frequency",
+        region=what,
+        settings=settings_by,
+        note=note,
         detectable=(float(5 * np.sqrt(noise.min() / 2)), "N"),
-    )  # fmt: skip
+    )
 
 
 def _whose(point: WorkingPoint, s: Spectrum, hz: float) -> str:
@@ -249,10 +265,10 @@ def _whose(point: WorkingPoint, s: Spectrum, hz: float) -> str:
 def _made_by_laws(point: WorkingPoint, hz: float, order: int, F: Complexes) -> NDArray[np.bool_]:
     """(places,) where the laws of the model make a line out of others. F : (places,) N by a linear reading."""
     data = point.data
-    if data.measured_force or not beyond_harmonics.known(point, np.array([hz]))[0]:
+    if data.measured_force or not beyond_harmonics.residual_tells(point, np.array([hz]))[0]:
         return np.zeros(F.size, bool)
     angle = order * data.phase if order else 2 * np.pi * hz * data.t
-    left = np.array([beyond_harmonics.harmonics(point, i, angle, 1)[0] for i in range(F.size)])
+    left = np.array([beyond_harmonics.residual_harmonics(point, i, angle, 1)[0] for i in range(F.size)])
     return np.asarray(np.abs(left) < beyond_harmonics.LEAST * np.abs(F))
 
 

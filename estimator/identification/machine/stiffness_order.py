@@ -29,7 +29,7 @@ FINER = 4  # bins of the zero-padded spectrum for one of the record, at least
 
 
 @dataclass(frozen=True, slots=True)
-class Turning:
+class StiffnessOrder:
     """A shaft order at which stiffness turns, and its standard deviation."""
 
     order: float
@@ -40,13 +40,15 @@ class Turning:
         return f"the force follows the motion at shaft order {self.order:.4f} +- {self.sd:.1g}"
 
 
-def sought(model: Model) -> bool:
+def lacks_stiffness_order(model: Model) -> bool:
     """Whether the model leaves the ball-pass order to be found: it has a speed, and no such law with an order typed."""
-    orders = [own.get("order", Setting()).value for use in laws(model) for own in _written(model, use).values()]
+    orders = [
+        own.get("order", Setting()).value for use in ball_pass_uses(model) for own in _written(model, use).values()
+    ]
     return bool(model.speed_rpm) and model.ball_pass_order is None and (not orders or None in orders)
 
 
-def laws(model: Model) -> tuple[EffectUse, ...]:
+def ball_pass_uses(model: Model) -> tuple[EffectUse, ...]:
     """The uses whose order it is."""
     return tuple(u for u in model.effects if u.name == BALL_PASS.name)
 
@@ -55,23 +57,23 @@ def _written(model: Model, use: EffectUse) -> dict[str, dict[str, Setting]]:
     return {place: written(BALL_PASS, use, model, place) for place in at(BALL_PASS, use, model)}
 
 
-def begun(model: Model) -> Model:
+def with_start_orders(model: Model) -> Model:
     """The model with its laws' orders begun at that of the record."""
     order = {"order": Setting(model.ball_pass_order)}
     return replace(
         model,
         effects=tuple(
             replace(u, parameters={place: order | own for place, own in _written(model, u).items()})
-            if u in laws(model) else u
+            if u in ball_pass_uses(model) else u
             for u in model.effects
         ),
     )  # fmt: skip
 
 
-def turned(model: Model, point: WorkingPoint) -> tuple[Model, tuple[str, ...]]:
+def with_found_order(model: Model, point: WorkingPoint) -> tuple[Model, tuple[str, ...]]:
     """The model with the ball-pass order of the record, where it shows one that the geometry does not give, and what
     to say about it. point : of the model without ball-pass laws."""
-    found = turning(point)
+    found = find_stiffness_order(point)
     if found is None:
         return model, ()
     known = kinematic("bpfo", model)
@@ -81,7 +83,7 @@ def turned(model: Model, point: WorkingPoint) -> tuple[Model, tuple[str, ...]]:
     return replace(model, ball_pass_order=found.order, order_found=True), (found.text + beside,)
 
 
-def turning(point: WorkingPoint) -> Turning | None:
+def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
     """The clearest line of F x at any place, orders 1 and 2 of the shaft left out (a crack's); None without one."""
     from scipy.fft import next_fast_len, rfft
 
@@ -116,10 +118,10 @@ def turning(point: WorkingPoint) -> Turning | None:
     nats, hz = max(map_threads(clearest, range(len(data.places))))
     if nats < SURE * np.log(np.count_nonzero(usable) * len(data.places) / LEVEL):
         return None
-    return Turning(hz / rotation, float(np.sqrt(6.0 / nats) / (2 * np.pi * seconds)) / rotation)
+    return StiffnessOrder(hz / rotation, float(np.sqrt(6.0 / nats) / (2 * np.pi * seconds)) / rotation)
 
 
-def looked_at(point: WorkingPoint) -> float:
+def order_trials(point: WorkingPoint) -> float:
     """Frequencies that `turning` looks at, independent ones: as many trials are behind an order of the record."""
     data = point.data
     return max(1.0, (HIGH - LOW) * data.speed / (2 * np.pi) * float(data.t[-1] - data.t[0]))

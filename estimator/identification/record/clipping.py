@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import betainc
 
 from estimator.arrays import Array
-from estimator.identification.finding import Suspect
+from estimator.identification.finding import Finding
 from estimator.model.rig import Model
 from estimator.results import Parameter
 
@@ -24,7 +24,7 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
     if np.count_nonzero(np.isfinite(y)) < 1000:
         return None
     low, high = np.nanmin(y), np.nanmax(y)
-    found = [end for end in ends(y, low, high) if end is not None]
+    found = [end for end in extreme_pileups(y, low, high) if end is not None]
     if found:
         return max(level for level, _ in found), sum(count for _, count in found)
     top = float(max(high, -low))
@@ -39,13 +39,13 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
     return None
 
 
-def ends(y: Array, low: float, high: float) -> tuple[tuple[float, int] | None, tuple[float, int] | None]:
+def extreme_pileups(y: Array, low: float, high: float) -> tuple[tuple[float, int] | None, tuple[float, int] | None]:
     """`_piled` of the samples near the largest, and of those near the smallest with their sign turned."""
     reach = FAR * (high - low)
     return _piled(y[y >= high - reach]), _piled(-y[y <= low + reach])
 
 
-def limited(name: str, level: float, count: int, samples: int) -> str:
+def clipping_text(name: str, level: float, count: int, samples: int) -> str:
     """What is said of a channel of which so many samples are at a level."""
     share = 100 * count / samples
     return f"{name} is limited to +-{level:.3g} in {f'{share:.2g}' if share < 99.5 else '100'} % of its samples"
@@ -61,13 +61,13 @@ def _piled(z: Array) -> tuple[float, int] | None:
     return (float(top), count) if count > 3 * np.count_nonzero(below == below.max()) + PILE else None
 
 
-def chance(count: int) -> float:
+def pileup_p_value(count: int) -> float:
     """p-value of the fewest that count as clipped: so many at the extreme value, a third of what is beyond PILE at the
     next, where both are as likely (the density of a vibration falls)."""
     return float(betainc(count, max(count - PILE, 0) / 3 + 1, 0.5))
 
 
-def find(model: Model, y: Array) -> list[Suspect]:
+def find_clipping(model: Model, y: Array) -> list[Finding]:
     """Clipped channels."""
     out = []
     have = {p for u in model.effects if u.name == "sensor_clipping" for p in u.parameters}
@@ -80,17 +80,22 @@ def find(model: Model, y: Array) -> list[Suspect]:
         level, count = found
         place = model.places.index(channel.place)
         out.append(
-            Suspect(
-                "sensor_clipping", (channel.place,), float(count), 1, chance(count),
-                {place: 0.0},
-                "level", limited(channel.name, level, count, len(y)),
-                {channel.place: {"level": Parameter(level, level * 1e-3, "m/s^2")}},
-                "every other finding on this channel may follow from it: mend the range first",
+            Finding(
+                effect="sensor_clipping",
+                at=(channel.place,),
+                gain_nats=float(count),
+                dof=1,
+                p_value=pileup_p_value(count),
+                power_N2={place: 0.0},
+                against="level",
+                region=clipping_text(channel.name, level, count, len(y)),
+                settings={channel.place: {"level": Parameter(level, level * 1e-3, "m/s^2")}},
+                note="every other finding on this channel may follow from it: mend the range first",
             )
-        )  # fmt: skip
+        )
     return out
 
 
-def said(clipped: Suspect) -> str:
+def finding_text(clipped: Finding) -> str:
     """A clipped channel in a line."""
     return f"{clipped.region}: {clipped.note}"

@@ -18,7 +18,7 @@ from estimator.arrays import Array
 from estimator.model.rig import MOTION, Model
 
 from .censored import axes, runs, sweep
-from .clipping import clipping_level, ends
+from .clipping import clipping_level, extreme_pileups
 
 ORDER = 64  # of the autoregression, and how far a sample depends on others
 ROUNDS, SWEEPS = 3, 8  # spectra in turn with the samples; draws of every sample with one spectrum
@@ -89,5 +89,5 @@ def ceilings(y: Array) -> tuple[float, float]:
     """Values below and above which a channel does not go, as many samples have them and none has more: -inf, inf where
     its extremes thin out, or where noise came after the limiter."""
     low, high = np.nanmin(y), np.nanmax(y)
-    top, bottom = ends(y, low, high)
+    top, bottom = extreme_pileups(y, low, high)
     return (-np.inf if bottom is None else -bottom[0]), (np.inf if top is None else top[0])

@@ -23,10 +23,10 @@ from estimator.likelihood.response.fluctuation import Fluctuation
 from estimator.likelihood.response.impulse_probe import Probe
 from estimator.likelihood.response.regressor_set import response
 
-from .black_box_tangents import dressings, lapse, waves
+from .black_box_tangents import legendre_in_time, second_order_tangents, shaft_waves
 
 Singles = NDArray[np.float32]
-GROUPS = ("displacement", "velocity", "level", "other_direction", "other_bearing", "time", "shaft_angle")
+GROUP_NAMES = ("displacement", "velocity", "level", "other_direction", "other_bearing", "time", "shaft_angle")
 X_STEP, V_STEP, SPAN = 0.35, 0.5, 3.7
 KNOWN = 1e-3  # of a column's power: with less beside the model's own columns it says nothing of its own
 VISITED = 30  # samples beyond the last knot but one, on each side, that the last is there for
@@ -35,7 +35,7 @@ KICKED = 2.5  # widths of a hat of velocity, at least, over what the force moves
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class RegressorGroup:
     """Columns of one place (k, n) float32 N-free, their tangents (k, places, 2) and, for hats, their knots (SI)."""
 
     name: str
@@ -45,7 +45,7 @@ class Group:
 
 
 @njit(cache=True, nogil=True)
-def _hats(z, low, step, out, slopes):  # type: ignore[no-untyped-def]
+def _hat_regressors(z, low, step, out, slopes):  # type: ignore[no-untyped-def]
     """Hat functions with knots low + k step; linear beyond the ends. slopes (k,): mean derivative."""
     k = out.shape[0]
     n = z.size
@@ -66,7 +66,7 @@ def _hats(z, low, step, out, slopes):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _level(u, w, out, slopes):  # type: ignore[no-untyped-def]
+def _level_regressors(u, w, out, slopes):  # type: ignore[no-untyped-def]
     """Products of u and w, and what goes with r = |(u, w)|. slopes (k, 4): sums of d/du, d/dw, d/duo, d/dwo."""
     for i in range(u.size):
         x, v = u[i], w[i]
@@ -85,7 +85,7 @@ def _level(u, w, out, slopes):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _beside(u, uo, wo, out, slopes):  # type: ignore[no-untyped-def]
+def _other_direction_regressors(u, uo, wo, out, slopes):  # type: ignore[no-untyped-def]
     """What depends on the other direction: its state, products, and radial springs with a gap. slopes as in _level."""
     for i in range(u.size):
         x, y = u[i], uo[i]
@@ -122,7 +122,7 @@ def _filled(law: Callable[..., None], columns: int, *states: Singles) -> tuple[l
     return list(out), slopes / states[0].size
 
 
-def knots_of(z: NDArray[np.floating[Any]], scale: float, step: float) -> Array:
+def hat_knots(z: NDArray[np.floating[Any]], scale: float, step: float) -> Array:
     """(k,) knots of hats of a state, SI: over +-SPAN rms (scale), as far as it is visited. step : between them, in rms.
 
     A column that is not zero at one sample only, little as it is there, has a mean slope as one that is 1: for the
@@ -134,20 +134,22 @@ def knots_of(z: NDArray[np.floating[Any]], scale: float, step: float) -> Array:
     return np.arange(-half, half + 1, dtype=np.float64) * step * scale
 
 
-def hat_group(name: str, z: NDArray[np.floating[Any]], knots: Array, place: int, which: int, places: int) -> Group:
+def hat_group(
+    name: str, z: NDArray[np.floating[Any]], knots: Array, place: int, which: int, places: int
+) -> RegressorGroup:
     """Hats at some knots of a state; which: 0 for x, 1 for v."""
     out = np.zeros((knots.size, z.size), np.float32)
     slopes = np.zeros(knots.size)
-    _hats(z, float(knots[0]), float(knots[1] - knots[0]), out, slopes)
+    _hat_regressors(z, float(knots[0]), float(knots[1] - knots[0]), out, slopes)
     tangents = []
     for s in slopes:
         t = np.zeros((places, 2))
         t[place, which] = s
         tangents.append(t)
-    return Group(name, list(out), tangents, knots)
+    return RegressorGroup(name, list(out), tangents, knots)
 
 
-def velocity_step(point: WorkingPoint, i: int) -> float:
+def velocity_knot_step(point: WorkingPoint, i: int) -> float:
     """Between knots of the velocity, over its rms.
 
     Within tau = 1 / (2 high), which the band resolves, a white force moves it by sqrt(2 c tau / m) of its rms, and the
@@ -159,27 +161,32 @@ def velocity_step(point: WorkingPoint, i: int) -> float:
     return max(V_STEP, KICKED * float(np.sqrt(2.0 * c * tau)), float(np.sqrt(k)) * tau)
 
 
-def _group(data: MotionBlocks, i: int, name: str, series: list[Singles], slopes: Array) -> Group:
+def _group(data: MotionBlocks, i: int, name: str, series: list[Singles], slopes: Array) -> RegressorGroup:
     """slopes : (columns, 4) mean d/du, d/dw, d/duo, d/dwo."""
     o = data.other(i)
     tangents = np.zeros((len(series), len(data.places), 2))
     tangents[:, i] = slopes[:, :2] / data.rms[:2, i]
     if o is not None:
         tangents[:, o] = slopes[:, 2:] / data.rms[:2, o]
-    return Group(name, series, list(tangents))
+    return RegressorGroup(name, series, list(tangents))
 
 
-def other_direction(data: MotionBlocks, i: int) -> Group | None:
+def other_direction_group(data: MotionBlocks, i: int) -> RegressorGroup | None:
     """What place i has in common with the other direction of its node, if that is measured."""
     o = data.other(i)
     if o is None:
         return None
     states = [data.calmed(i) / data.rms[0, i], data.calmed(o) / data.rms[0, o], data.v[o] / data.rms[1, o]]
-    found = _group(data, i, "other_direction", *_filled(_beside, BESIDE, *(z.astype(np.float32) for z in states)))
+    found = _group(
+        data,
+        i,
+        "other_direction",
+        *_filled(_other_direction_regressors, BESIDE, *(z.astype(np.float32) for z in states)),
+    )
     return _as_laws(found, data, i)
 
 
-def _as_laws(group: Group, data: MotionBlocks, i: int) -> Group:
+def _as_laws(group: RegressorGroup, data: MotionBlocks, i: int) -> RegressorGroup:
     """The group, made of the displacements that laws see, with their mean tangents along the whole of these, as laws
     have them. With the noise of sensors in it x^2 v beside itself won 290 nats (behind a mean over a sample)."""
     if data.calm is not None:
@@ -191,13 +198,13 @@ def _as_laws(group: Group, data: MotionBlocks, i: int) -> Group:
     return group
 
 
-def groups(
+def regressor_groups(
     data: MotionBlocks,
     i: int,
     orders: tuple[float, ...],
     knots: tuple[Array, Array],
     times: tuple[float, float] | None = None,
-) -> Iterator[Group]:
+) -> Iterator[RegressorGroup]:
     """Every group of columns of place i, one at a time (they are large). orders : of shaft rotation, for stiffness.
 
     knots : of the hats of x and v. times : s, first and last of the record where the data are a part of it.
@@ -213,8 +220,8 @@ def groups(
     def m(z: Singles) -> float:
         return float(np.mean(z, dtype=np.float64))
 
-    yield _as_laws(_group(data, i, "level", *_filled(_level, LEVELS, u, w)), data, i)
-    beside = other_direction(data, i)
+    yield _as_laws(_group(data, i, "level", *_filled(_level_regressors, LEVELS, u, w)), data, i)
+    beside = other_direction_group(data, i)
     if beside is not None:
         yield beside
     q = data.opposite(i)
@@ -222,20 +229,20 @@ def groups(
         tx, tv = np.zeros((P, 2)), np.zeros((P, 2))
         tx[q, 0], tv[q, 1] = 1.0 / data.rms[0, q], 1.0 / data.rms[1, q]
         up, wp = (data.x[q] / data.rms[0, q]).astype(np.float32), (data.v[q] / data.rms[1, q]).astype(np.float32)
-        yield Group("other_bearing", [up, wp], [tx, tv])
+        yield RegressorGroup("other_bearing", [up, wp], [tx, tv])
     first, last = (float(data.t[0]), float(data.t[-1])) if times is None else times
-    tau, second = (z.astype(np.float32) for z in lapse(data.t, first, last))
+    tau, second = (z.astype(np.float32) for z in legendre_in_time(data.t, first, last))
     slopes = np.zeros((4, 4))
     slopes[0, 0] = slopes[1, 1] = m(tau)
     slopes[2, 0] = slopes[3, 1] = m(second)
     yield _as_laws(_group(data, i, "time", [tau * u, tau * w, second * u, second * w], slopes), data, i)
     if data.speed > 0.0:
-        turning = waves(data.phase, orders)
+        turning = shaft_waves(data.phase, orders)
         slopes = np.array([[m(z), 0.0, 0.0, 0.0] for z in turning])
         yield _as_laws(_group(data, i, "shaft_angle", [z * u for z in turning], slopes), data, i)
 
 
-def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subproblem, dict[str, Array]]:
+def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subproblem, dict[str, Array]]:
     """Every group of place i on trial beside the model, and the knots of the hat functions.
 
     Fold by fold, as the columns of all are large; each is scaled to the rms of the inferred force.
@@ -245,19 +252,19 @@ def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subpro
     base = base_of(point, np.array(plain.places))
     own = float(np.sqrt(np.vdot(point.spectra[i], point.spectra[i]) / point.spectra[i].size))
     made: list[tuple[NDArray[np.int64], Array, Array]] = []
-    by_fold: list[list[Group]] = []
+    by_fold: list[list[RegressorGroup]] = []
     ends = (
-        knots_of(data.seen(i), float(data.rms[0, i]), X_STEP),
-        knots_of(data.v[i], float(data.rms[1, i]), velocity_step(point, i)),
+        hat_knots(data.seen(i), float(data.rms[0, i]), X_STEP),
+        hat_knots(data.v[i], float(data.rms[1, i]), velocity_knot_step(point, i)),
     )
     room = np.empty(0, np.float32)
     for f in range(FOLDS):
         part, first = fold_of(data, f), fold_span(point, f).start
         found = []
         spectra: list[Singles] = []
-        for g in groups(part, i, orders, ends, times):
+        for g in regressor_groups(part, i, orders, ends, times):
             spectra += [point.whitening.spectrum(i, z, first=first) for z in g.series]
-            found.append(Group(g.name, [], g.tangents, g.knots))
+            found.append(RegressorGroup(g.name, [], g.tangents, g.knots))
         if not room.size:  # the same for all folds: memory that is new takes longer than what is computed in it
             room = np.empty(len(spectra) * -(-data.blocks // FOLDS) * spectra[0].shape[1], np.float32)
         X = room[: len(spectra) * spectra[0].size].reshape(len(spectra), *spectra[0].shape)
@@ -280,10 +287,10 @@ def pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subpro
     tangents *= scales[:, None, None, None]
     names = tuple(f"{g.name}.{k}" for g in whole for k in range(len(g.tangents)))
     knots = {g.name: g.knots for g in whole if g.knots is not None}
-    return with_known(extended(point, plain, i, made, names, scales, tangents, apart)), knots
+    return with_known_response(extended(point, plain, i, made, names, scales, tangents, apart)), knots
 
 
-def with_known(problem: Subproblem) -> Subproblem:
+def with_known_response(problem: Subproblem) -> Subproblem:
     """The same with the response of the model's own columns in extra ones that they span: one force has one response.
 
     With another, as a law knows its own to a part in a hundred only, what one takes from the other moves the
@@ -306,7 +313,7 @@ def with_known(problem: Subproblem) -> Subproblem:
 
 
 def _tangents(
-    point: WorkingPoint, i: int, group: Group, here: Fluctuation | Probe | None, orders: tuple[float, ...],
+    point: WorkingPoint, i: int, group: RegressorGroup, here: Fluctuation | Probe | None, orders: tuple[float, ...],
     times: tuple[float, float],
 ) -> Complexes:  # fmt: skip
     """(columns, places, places, bins) what the columns of a group add to A per unit. here : what dresses them."""
@@ -316,6 +323,8 @@ def _tangents(
         out[k, i] = response(t, point.whitening.s)
     if here is not None:
         s2 = point.whitening.s**2
-        for k, sigma in enumerate(dressings(group.name, here, point.data.rms[:2, i], group.knots, orders, times)):
+        for k, sigma in enumerate(
+            second_order_tangents(group.name, here, point.data.rms[:2, i], group.knots, orders, times)
+        ):
             out[k, i, i] -= sigma / s2
     return point.whitening.seen(out)

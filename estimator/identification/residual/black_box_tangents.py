@@ -12,20 +12,20 @@ from estimator.likelihood.response.fluctuation import Fluctuation
 from estimator.likelihood.response.impulse_probe import Probe
 
 
-def lapse(t: Array, first: float, last: float) -> tuple[Array, Array]:
+def legendre_in_time(t: Array, first: float, last: float) -> tuple[Array, Array]:
     """Legendre polynomials of degree 1 and 2 of the time t, (n,) s, from first to last."""
     tau = 2 * (t - first) / max(last - first, 1e-9) - 1
     return tau, 1.5 * tau**2 - 0.5
 
 
-def waves(phase: Array, orders: tuple[float, ...]) -> list[NDArray[np.float32]]:
+def shaft_waves(phase: Array, orders: tuple[float, ...]) -> list[NDArray[np.float32]]:
     """Cosine and sine of each order of the shaft's angle, (n,) rad."""
     turns = phase / (2 * np.pi)
     angles = [2 * np.pi * (k * turns - np.floor(k * turns)) for k in orders]
     return [wave(z.astype(np.float32)) for z in angles for wave in (np.cos, np.sin)]
 
 
-def dressings(
+def second_order_tangents(
     name: str, here: Fluctuation | Probe, sizes: Array, knots: Array | None, orders: tuple[float, ...],
     times: tuple[float, float],
 ) -> Iterator[Complexes]:  # fmt: skip
@@ -57,9 +57,9 @@ def dressings(
             yield here.of(np.stack([du / sizes[0], dw / sizes[1]]))
     elif name == "time":
         none = np.zeros(x.size)
-        for z in lapse(here.data.t, *times):
+        for z in legendre_in_time(here.data.t, *times):
             yield here.of(np.stack([z / sizes[0], none]))
             yield here.of(np.stack([none, z / sizes[1]]))
     elif name == "shaft_angle":
-        for wave in waves(here.data.phase, orders):
+        for wave in shaft_waves(here.data.phase, orders):
             yield here.of(np.stack([wave / sizes[0], np.zeros(x.size)]))

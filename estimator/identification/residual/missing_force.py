@@ -24,7 +24,7 @@ from scipy.special import chdtrc
 
 from estimator.arrays import Array
 from estimator.effects.places import kinematic
-from estimator.identification.finding import SHAPES, Share, Suspect, shares
+from estimator.identification.finding import SPECTRAL_EFFECTS, DisturbanceForce, Finding, disturbance_forces
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.subproblem import Subproblem
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
@@ -35,7 +35,9 @@ from . import black_box
 
 LEVEL = 1e-3  # of a group at a place, after counting the groups and places tried
 SURVEY_SECONDS = 24.0  # of a long record: enough to see a thousandth of the bearing force
-NEGLIGIBLE = 1.2e-3  # of the rms bearing force: below it lie the band limit and the integrators of any simulation
+NEGLIGIBLE_FORCE_SHARE = (
+    1.2e-3  # of the rms bearing force: below it lie the band limit and the integrators of any simulation
+)
 UNJUDGED = "nothing can be said of the model: the sensors of all channels are clipped, take larger ranges"
 LEANS = 0.6  # of what drawn motion is off by, that may look like a law: 0.18 to 0.49 of it where 1 to 3 % are drawn
 DEGREE = 9  # of the smooth curves
@@ -43,7 +45,7 @@ RIDGE = 1e-3  # of a column's own information: keeps hat functions that nothing 
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundGroup:
     """A group found at a place: power in N^2, nats gained, p-value; the fit that holds its coefficients."""
 
     place: int
@@ -54,11 +56,11 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class Residual:
+class PlaceResidual:
     """What is found at one place. P, sd : N^2 of all groups together; problem, fit : the groups found, fitted."""
 
     place: int
-    found: tuple[Found, ...]
+    found: tuple[FoundGroup, ...]
     P: float
     sd: float
     problem: Subproblem
@@ -68,12 +70,12 @@ class Residual:
     upper: float  # N^2: what could hide from the largest group tested, 95 %
 
 
-def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) -> Residual:
+def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) -> PlaceResidual:
     """Forward selection of groups at place i. tries : groups tested over all places, for the significance.
 
     Hat functions of a state are tried free, and bound to a smooth curve.
     """
-    problem, knots = black_box.pool(point, i, orders)
+    problem, knots = black_box.group_pool(point, i, orders)
     names: dict[str, tuple[str, ...]] = {}
     for n in problem.extra:
         names[n.split(".")[0]] = (*names.get(n.split(".")[0], ()), n)
@@ -83,10 +85,10 @@ def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) 
     tries += len(point.data.places) * len(knots)  # the smooth curves
     level = plain.likelihood(base, everything)
     chosen: list[str] = []
-    found: list[Found] = []
+    found: list[FoundGroup] = []
     fitted, power = base, 0.0
     current = plain
-    least = (negligible(point, i) * point.bearing_force[i]) ** 2
+    least = (negligible_share(point, i) * point.bearing_force[i]) ** 2
     upper = least if point.data.unsure(i) else 0.0
     while len(chosen) < len(names):
         best: tuple[float, str, Subproblem, PathFit, float, float] | None = None
@@ -94,55 +96,59 @@ def explain(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) 
             if name in chosen:
                 continue
             trial = problem.only(tuple(n for g in [*chosen, name] for n in names[g]))
-            fit = ridged(trial)
+            fit = fit_with_ridge(trial)
             reached = trial.likelihood(fit, everything)
-            gained, p = reached - level, odds(trial, fit, names[name], reached - level)
+            gained, p = reached - level, group_p_value(trial, fit, names[name], reached - level)
             if not chosen:
                 upper = max(upper, _hidden(point, trial, fit, i))
             if name in knots:
-                bound, curve, own = smooth(trial, names[name], knots[name])
+                bound, curve, own = fit_polynomial(trial, names[name], knots[name])
                 again = bound.likelihood(curve, everything) - level
-                bound_p = odds(bound, curve, own, again)
+                bound_p = group_p_value(bound, curve, own, again)
                 if bound_p < p:
-                    gained, p, fit = again, bound_p, unbound(trial, bound, curve, names[name], knots[name])
+                    gained, p, fit = again, bound_p, as_hat_functions(trial, bound, curve, names[name], knots[name])
             if best is None or (p, -gained) < (best[4], -best[0]):
                 best = (gained, name, trial, fit, p, reached)
         if best is None or min(1.0, best[4] * tries) > LEVEL:
             break
         gained, name, current_new, fitted_new, p, reached = best
-        total, _ = power_of(point, current_new, fitted_new, i)
+        total, _ = extra_power(point, current_new, fitted_new, i)
         if total - power < least:
             break
         current, fitted = current_new, fitted_new
         chosen.append(name)
         level = reached
-        found.append(Found(i, name, max(total - power, 0.0), gained, min(1.0, p * tries)))
+        found.append(FoundGroup(i, name, max(total - power, 0.0), gained, min(1.0, p * tries)))
         power = max(total, power)
-    P, sd = power_of(point, current, fitted, i) if chosen else (0.0, 0.0)
-    return Residual(i, tuple(found), P, sd, current, fitted, knots, problem, upper)
+    P, sd = extra_power(point, current, fitted, i) if chosen else (0.0, 0.0)
+    return PlaceResidual(i, tuple(found), P, sd, current, fitted, knots, problem, upper)
 
 
-def negligible(point: WorkingPoint, i: int) -> float:
+def negligible_share(point: WorkingPoint, i: int) -> float:
     """Share of the bearing force at a place below which nothing is told of it."""
-    return max(NEGLIGIBLE, LEANS * point.data.unsure(i))
+    return max(NEGLIGIBLE_FORCE_SHARE, LEANS * point.data.unsure(i))
 
 
-def odds(problem: Subproblem, fit: PathFit, names: tuple[str, ...], gained: float) -> float:
+def group_p_value(problem: Subproblem, fit: PathFit, names: tuple[str, ...], gained: float) -> float:
     """p-value of the nats gained by some columns."""
     return float(chdtrc(_effective(problem, fit, names), 2 * max(gained, 0.0)))
 
 
-def smooth(problem: Subproblem, names: tuple[str, ...], knots: Array) -> tuple[Subproblem, PathFit, tuple[str, ...]]:
+def fit_polynomial(
+    problem: Subproblem, names: tuple[str, ...], knots: Array
+) -> tuple[Subproblem, PathFit, tuple[str, ...]]:
     """The last extra columns, hat functions of one state, bound to a polynomial of degree 2 to DEGREE; its fit; names.
 
     Few parameters see a weak smooth law that is lost among the noise of free hat functions.
     """
     weights = _polynomials(problem, names, knots)
     bound = problem.combined(weights)
-    return bound, ridged(bound), bound.extra[len(problem.extra) - len(names) :]
+    return bound, fit_with_ridge(bound), bound.extra[len(problem.extra) - len(names) :]
 
 
-def unbound(problem: Subproblem, bound: Subproblem, fit: PathFit, names: tuple[str, ...], knots: Array) -> PathFit:
+def as_hat_functions(
+    problem: Subproblem, bound: Subproblem, fit: PathFit, names: tuple[str, ...], knots: Array
+) -> PathFit:
     """The fit of the bound problem in terms of the hat functions."""
     M = block_diag(np.eye(len(problem.base)), _polynomials(problem, names, knots))
     delta, covariance = fit.delta @ M, M.T @ fit.covariance @ M
@@ -157,12 +163,12 @@ def _polynomials(problem: Subproblem, names: tuple[str, ...], knots: Array) -> A
     return np.asarray(block_diag(np.eye(len(problem.extra) - len(names)), own))
 
 
-def ridged(problem: Subproblem) -> PathFit:
+def fit_with_ridge(problem: Subproblem) -> PathFit:
     """Fit with a weak prior, RIDGE of the mean information of an extra column."""
-    return problem.fit(ridge=ridge_of(problem), steps=6)
+    return problem.fit(ridge=ridge_information(problem), steps=6)
 
 
-def ridge_of(problem: Subproblem) -> float:
+def ridge_information(problem: Subproblem) -> float:
     """The prior information that goes with RIDGE."""
     G = problem.gram.G.sum(axis=1)
     n = problem.gram.n.sum(axis=1)
@@ -173,7 +179,7 @@ def ridge_of(problem: Subproblem) -> float:
 
 def _effective(problem: Subproblem, fit: PathFit, names: tuple[str, ...]) -> float:
     """Degrees of freedom of some columns: those that the base does not already span."""
-    Q, _, index = metric(problem, fit)
+    Q, _, index = freed_gram(problem, fit)
     whole = np.einsum("ifkk->k", problem.gram.G)[1 + len(problem.base) :]
     at = [index.index(n) for n in names if n in index]
     others = [k for k in range(len(index)) if k not in at]
@@ -186,7 +192,7 @@ def _effective(problem: Subproblem, fit: PathFit, names: tuple[str, ...]) -> flo
     return float(max(1.0, np.sum(np.maximum(e, 0) / (np.maximum(e, 0) + RIDGE))))
 
 
-def metric(problem: Subproblem, fit: PathFit) -> tuple[Array, Array, tuple[str, ...]]:
+def freed_gram(problem: Subproblem, fit: PathFit) -> tuple[Array, Array, tuple[str, ...]]:
     """Q (extra, extra), the Gram of the extra columns freed from the base, summed over bins in N^2/Hz units; their
     covariance; and their names."""
     G = problem.gram.G.sum(axis=(0, 1))
@@ -196,9 +202,9 @@ def metric(problem: Subproblem, fit: PathFit) -> tuple[Array, Array, tuple[str, 
     return Q, fit.covariance[b:, b:], problem.extra
 
 
-def power_of(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) -> tuple[float, float]:
+def extra_power(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) -> tuple[float, float]:
     """Unbiased mean square in N^2 of the extra terms' force at place i, and its standard deviation."""
-    Q, cov, _ = metric(problem, fit)
+    Q, cov, _ = freed_gram(problem, fit)
     if not len(Q):
         return 0.0, 0.0
     per_second = point.data.rate_hz / point.data.block / point.data.blocks
@@ -211,25 +217,29 @@ def power_of(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) -> 
 
 def _hidden(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) -> float:
     """Power that a group which was not found could still have, 95 % (normal approximation)."""
-    P, sd = power_of(point, problem, fit, i)
+    P, sd = extra_power(point, problem, fit, i)
     return max(P, 0.0) + 1.645 * sd
 
 
 @dataclass(frozen=True, slots=True)
-class Survey:
+class MissingForce:
     """What is found at every place. bearing : (places,) N rms, 0 where nothing is judged; total of the missing force as
     a share of it."""
 
-    residuals: tuple[Residual, ...]
+    residuals: tuple[PlaceResidual, ...]
     bearing: Array
-    shares: tuple[Share, ...] = ()
+    shares: tuple[DisturbanceForce, ...] = ()
 
-    def beside(self, others: Sequence[Suspect]) -> Survey:
+    def beside(self, others: Sequence[Finding]) -> MissingForce:
         """The survey with findings that no state explains."""
         by_state = {r.place: sum(f.gain for f in r.found) for r in self.residuals}
         # a law that is missing also bends the spectrum of the inferred force: not a second finding
-        kept = [s for s in others if s.effect not in SHAPES or all(s.gain > by_state.get(i, 0.0) for i in s.power)]
-        return replace(self, shares=tuple(shares(kept)))
+        kept = [
+            s
+            for s in others
+            if s.effect not in SPECTRAL_EFFECTS or all(s.gain_nats > by_state.get(i, 0.0) for i in s.power_N2)
+        ]
+        return replace(self, shares=tuple(disturbance_forces(kept)))
 
     def looked_anywhere(self) -> bool:
         """Whether any place was judged: where a sensor is clipped none is."""
@@ -252,45 +262,45 @@ class Survey:
             return 0.0, 0.0, 100.0
         own = [r for r in self.residuals if places is None or r.place in places]
         scale = float(np.sum(self.bearing[list(range(self.bearing.size) if places is None else places)] ** 2))
-        P = sum(r.P for r in own) + sum(s.power for s in self.shares if places is None or s.place in places)
+        P = sum(r.P for r in own) + sum(s.power_N2 for s in self.shares if places is None or s.place in places)
         sd = float(np.sqrt(sum(r.sd**2 for r in own)))
         hidden = sum(r.upper for r in own if not r.found)
         low = P - 1.96 * sd if P > 0 else 0.0
         return tuple(100 * float(np.sqrt(max(z, 0.0) / scale)) for z in (P, low, P + 1.96 * sd + hidden))  # type: ignore[return-value]
 
 
-def unjudged(found: Survey) -> tuple[str, ...]:
+def unjudged_messages(found: MissingForce) -> tuple[str, ...]:
     """What to say of a record of which nothing is judged."""
     return () if found.looked_anywhere() else (UNJUDGED,)
 
 
-def orders_of(model: Model) -> tuple[float, ...]:
+def stiffness_orders(model: Model) -> tuple[float, ...]:
     """Shaft orders at which stiffness is expected to turn: 1, 2 and the ball pass."""
     known = kinematic("bpfo", model)
     return (1.0, 2.0) if known is None else (1.0, 2.0, float(known))
 
 
 def survey(
-    point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None, others: Sequence[Suspect] = (),
+    point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None, others: Sequence[Finding] = (),
     seconds: float = SURVEY_SECONDS,
-) -> Survey:  # fmt: skip
+) -> MissingForce:  # fmt: skip
     """Every place (or some; the rest count as explained); `others` are findings that no state explains.
 
     seconds : of the record to look at.
     """
     point = thinned(point, seconds)
     found = map_processes(_questions(point, model, only))
-    return Survey(tuple(found), _judged(point)).beside(others)
+    return MissingForce(tuple(found), _judged(point)).beside(others)
 
 
-def surveyed(
-    point: WorkingPoint, model: Model, others: Callable[[], list[Suspect]], *more: Callable[[], Any]
-) -> tuple[Survey, list[Suspect], *tuple[Any, ...]]:
+def survey_with(
+    point: WorkingPoint, model: Model, others: Callable[[], list[Finding]], *more: Callable[[], Any]
+) -> tuple[MissingForce, list[Finding], *tuple[Any, ...]]:
     """The survey of every place, on all of `point`, beside what `others` finds; that; and the answers to what else is
     asked: by two processes."""
     asked: list[Callable[[], Any]] = [others, *more, *_questions(point, model)]  # the longest, as they are, first
     suspects, *found = map_processes(asked)
-    own = Survey(tuple(found[len(more) :]), _judged(point))
+    own = MissingForce(tuple(found[len(more) :]), _judged(point))
     return own.beside(suspects), suspects, *found[: len(more)]
 
 
@@ -299,8 +309,10 @@ def _judged(point: WorkingPoint) -> Array:
     return np.where(np.isin(np.arange(len(point.data.places)), point.data.judged), point.bearing_force, 0.0)
 
 
-def _questions(point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None) -> list[Callable[[], Residual]]:
+def _questions(
+    point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None
+) -> list[Callable[[], PlaceResidual]]:
     """What a survey asks at every place (or some), to be answered in any order."""
     places = [i for i in point.data.judged if only is None or i in only]
-    tries = len(point.data.places) * len(black_box.GROUPS)
-    return [partial(explain, point, i, orders_of(model), tries) for i in places]
+    tries = len(point.data.places) * len(black_box.GROUP_NAMES)
+    return [partial(select_groups, point, i, stiffness_orders(model), tries) for i in places]

@@ -17,7 +17,7 @@ from scipy.special import chdtrc
 from estimator.arrays import Array, Complexes
 from estimator.effects import CATALOGUE
 from estimator.effects.places import at, written
-from estimator.identification.finding import Suspect
+from estimator.identification.finding import Finding
 from estimator.likelihood.motion.force_balance import shaft_notch
 from estimator.likelihood.path.subproblem import Subproblem, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -67,7 +67,7 @@ class Between:
         return float(0.5 * z @ np.linalg.solve(C, z))
 
 
-def find(model: Model, point: WorkingPoint) -> list[Suspect]:
+def find_coupled_sensor_faults(model: Model, point: WorkingPoint) -> list[Finding]:
     """Gains and delays of sensors that the model does not have yet, the likelier one of each pair of caps."""
     out = []
     for i, j in _pairs(model, point):
@@ -81,7 +81,7 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
     return out
 
 
-def _found(point: WorkingPoint, seen: Between, names: list[str]) -> list[Suspect]:
+def _found(point: WorkingPoint, seen: Between, names: list[str]) -> list[Finding]:
     """The likeliest fault, if nothing else that may be wrong with B is likelier."""
     places, rate = point.data.places, point.data.rate_hz
     name = max(names, key=lambda one: seen.nats(FAULTS[one]))
@@ -100,7 +100,20 @@ def _found(point: WorkingPoint, seen: Between, names: list[str]) -> list[Suspect
     force = np.abs(z[0] * np.array(FAULTS[name])) * seen.rms
     power = {seen.i: float(force[0] ** 2 + force[2] ** 2), seen.j: float(force[1] ** 2 + force[3] ** 2)}
     where = f"{places[seen.i]} and {places[seen.j]} do not answer each other alike"
-    return [Suspect(name, (places[k],), gain, 1, p, power, "other_bearing", where, {places[k]: own}, NOTE)]
+    return [
+        Finding(
+            effect=name,
+            at=(places[k],),
+            gain_nats=gain,
+            dof=1,
+            p_value=p,
+            power_N2=power,
+            against="other_bearing",
+            region=where,
+            settings={places[k]: own},
+            note=NOTE,
+        )
+    ]
 
 
 def _whose(point: WorkingPoint, seen: Between, name: str, z: float) -> int:

@@ -29,7 +29,7 @@ from estimator.signals.filter_designs import chebyshev, designs
 
 from . import pedestal_form
 from .spectral_cells import Cells
-from .spectral_models import DARKEST, coloured, resonant
+from .spectral_models import DARKEST, coloured_power, resonant_power
 
 MOST_MEANS = 8.0
 FALLS_DB = (0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0, 16.0)  # at the end of the band, that searches for a design begin with
@@ -59,8 +59,8 @@ class Standing(NamedTuple):
         """(cells,) N/m that changes of kL and c and other numbers of the pedestal take from the bearing's stiffness
         beside these changes themselves, and the share of a change that is left of it."""
         D = self.kL + k + 1j * w * (self.c + c)
-        lost = pedestal_form.lost(w, self.kL + k, self.c + c, now)
-        before = pedestal_form.lost(w, self.kL, self.c, np.array(self.pedestal))
+        lost = pedestal_form.stiffness_lost(w, self.kL + k, self.c + c, now)
+        before = pedestal_form.stiffness_lost(w, self.kL, self.c, np.array(self.pedestal))
         return lost - before, np.asarray((1.0 - lost / D) ** 2)
 
 
@@ -259,13 +259,13 @@ def _effects(seen: Sequence[Seen], way: Way, z: Array) -> list[tuple[Array, Arra
     for own in seen:
         through, beyond = passed, echoes[own.kind]
         if own.undone is not None:
-            now, was = moved(*own.undone), resonant(hz, *own.undone)
-            through = through * resonant(hz, *now) / was
-            beyond = beyond * resonant(images(off.rate_hz, hz)[: len(beyond)], *now) / was
+            now, was = moved(*own.undone), resonant_power(hz, *own.undone)
+            through = through * resonant_power(hz, *now) / was
+            beyond = beyond * resonant_power(images(off.rate_hz, hz)[: len(beyond)], *now) / was
         if own.colour is not None:
             gain, corner = own.colour
             now = moved(gain + DARKEST, corner) - [DARKEST, 0.0]
-            through = through * coloured(hz, *now) / coloured(hz, gain, corner)
+            through = through * coloured_power(hz, *now) / coloured_power(hz, gain, corner)
         pedestal = NONE if own.standing is None else moved(*own.standing.pedestal)
         here, others = own.cells.white
         out.append((through, beyond.sum(axis=0) * here + echoes[own.kind].sum(axis=0) * others, pedestal))

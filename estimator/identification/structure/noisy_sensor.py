@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.arrays import Array
-from estimator.identification.finding import Suspect
+from estimator.identification.finding import Finding
 from estimator.likelihood.fitting.path_spectra import Response
 from estimator.likelihood.fitting.transfer_function import Peak, exp, expected, highest, linear
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -21,7 +21,7 @@ FOLDED = 0.01  # of what sampling folds back, that noise of a sensor has to be N
 NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
 
 
-def noisy(model: Model, point: WorkingPoint, noise: Array, shaped: Collection[int]) -> list[Suspect]:
+def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: Collection[int]) -> list[Finding]:
     """A sensor whose noise floor stands out of its neighbours' of the same kind: others have another unit.
 
     shaped : places with another spectrum than white force and white noise make. Their noise is not known: beside a peak
@@ -45,20 +45,25 @@ def noisy(model: Model, point: WorkingPoint, noise: Array, shaped: Collection[in
             continue
         rms = float(np.sqrt(noise[i] * data.rate_hz / 2))
         gain = 0.5 * data.blocks * float(np.sum(np.log1p(noise[i] * heard[i] / point.S[i]) ** 2) / 2)
-        sd = rms / np.sqrt(2 * max(gain, 1.0))
+        sd, ratio = rms / np.sqrt(2 * max(gain, 1.0)), np.sqrt(noise[i] / floor)
         name, unit = next(c.name for c in model.channels if c.place == place), MOTION[data.kinds[i]]
         out.append(
-            Suspect(
-                "sensor_noise", (place,), gain, 1, float(np.exp(-min(gain, 700.0))),
-                {i: float(noise[i] * np.mean(heard[i]) * (data.band[1] - data.band[0]))}, "frequency",
-                f"noise of {name}: {rms:.2g} {unit} rms, over {np.sqrt(noise[i] / floor):.1f} times its neighbours'",
-                {place: {"rms": Parameter(rms, float(sd), unit)}},
+            Finding(
+                effect="sensor_noise",
+                at=(place,),
+                gain_nats=gain,
+                dof=1,
+                p_value=float(np.exp(-min(gain, 700.0))),
+                power_N2={i: float(noise[i] * np.mean(heard[i]) * (data.band[1] - data.band[0]))},
+                against="frequency",
+                region=f"noise of {name}: {rms:.2g} {unit} rms, over {ratio:.1f} times its neighbours'",
+                settings={place: {"rms": Parameter(rms, float(sd), unit)}},
             )
-        )  # fmt: skip
+        )
     return out
 
 
-def sensor_noise(point: WorkingPoint, i: int) -> Parameter:
+def sensor_noise_rms(point: WorkingPoint, i: int) -> Parameter:
     """rms over the whole band of the noise of a place's sensor, if it is white."""
     data = point.data
     density = point.nu[i] * point.S[i]
@@ -77,9 +82,9 @@ def _density(r: Response, peak: Peak) -> float:
     return exp(peak.u[1]) + float(np.min(r.folded))
 
 
-def noisy_beside_forces(
+def find_noisy_sensors_under_force(
     model: Model, point: WorkingPoint, heard: Mapping[int, tuple[Response, Peak, Array]]
-) -> list[Suspect]:  # fmt: skip
+) -> list[Finding]:  # fmt: skip
     """A sensor whose noise stands out of its neighbours', where white noise of force and motion is all that is left."""
     data = point.data
     have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
@@ -104,11 +109,17 @@ def noisy_beside_forces(
         name, unit = next(c.name for c in model.channels if c.place == place), MOTION[data.kinds[i]]
         power = float((density * r.noise * np.abs(r.A) ** 2) @ r.hz)
         out.append(
-            Suspect(
-                "sensor_noise", (place,), gain, 1, float(chdtrc(1, 2 * gain)) * len(heard), {i: power}, "frequency",
-                f"noise of {name}: {rms:.2g} {unit} rms, {np.sqrt(density / floor):.1f} times its neighbours'",
-                {place: {"rms": Parameter(rms, 0.5 * rms * float(np.sqrt(base.covariance[1, 1])), unit)}},
-                "the model is not wrong: a simulation cannot follow what the sensor adds",
+            Finding(
+                effect="sensor_noise",
+                at=(place,),
+                gain_nats=gain,
+                dof=1,
+                p_value=float(chdtrc(1, 2 * gain)) * len(heard),
+                power_N2={i: power},
+                against="frequency",
+                region=f"noise of {name}: {rms:.2g} {unit} rms, {np.sqrt(density / floor):.1f} times its neighbours'",
+                settings={place: {"rms": Parameter(rms, 0.5 * rms * float(np.sqrt(base.covariance[1, 1])), unit)}},
+                note="the model is not wrong: a simulation cannot follow what the sensor adds",
             )
-        )  # fmt: skip
+        )
     return out

@@ -36,7 +36,7 @@ LINE, LINES = 6.0, 0.1  # standard deviations that a line raises a cell by; of t
 BEHIND = 12.0  # in deviance and a place, that causes of other kinds, two numbers each, may fit better by (Schwarz)
 
 
-def find(model: Model, point: WorkingPoint) -> RollOff | None:
+def find_roll_off(model: Model, point: WorkingPoint) -> RollOff | None:
     """None where nothing falls, or something else fits better. A place whose force has a colour in the model takes the
     filter that the others show, and so does one on a pedestal, or whose sensor's resonance is undone: what falls there
     is within that. Where the others show none, it is sought with these shapes: filter_search.py. Places that cannot be
@@ -61,7 +61,7 @@ def find(model: Model, point: WorkingPoint) -> RollOff | None:
     return _of(point, own if standing == whole else _measured(point, standing))
 
 
-def doubt(model: Model, point: WorkingPoint) -> float:
+def level_doubt(model: Model, point: WorkingPoint) -> float:
     """Relative standard deviation of S, where no filter is found, by a mean over a sample that would be as likely."""
     whole = _judged(point)
     if not whole:
@@ -137,7 +137,7 @@ def _fall(
         return before, None
     if after - df > max((1 - explained) * (before - df), CHANCE * np.sqrt(2 * df)):
         return before, None
-    other = sum(map_processes([partial(spectral_models.otherwise, point, i, c, *fit) for i, c, fit in own]))
+    other = sum(map_processes([partial(spectral_models.best_other_deviance, point, i, c, *fit) for i, c, fit in own]))
     return (after, found) if after < other + BEHIND * len(own) else (before, None)
 
 
@@ -150,8 +150,8 @@ def _all_but_one(point: WorkingPoint, own: list[Place]) -> tuple[float, Filter |
         if off is None:
             continue
         behind = _behind(point, i, c, off)
-        alone = spectral_models.otherwise(point, i, behind, *spectral_models.plain(point, i, behind))
-        if after + alone < best and alone < spectral_models.otherwise(point, i, c, *fit):
+        alone = spectral_models.best_other_deviance(point, i, behind, *spectral_models.fit_base_model(point, i, behind))
+        if after + alone < best and alone < spectral_models.best_other_deviance(point, i, c, *fit):
             best, found = after + alone, off
     return best, found
 
@@ -159,7 +159,7 @@ def _all_but_one(point: WorkingPoint, own: list[Place]) -> tuple[float, Filter |
 def _explains(point: WorkingPoint, off: Filter, own: list[Place], before: float) -> bool:
     """Whether a filter takes half of some places' misfit beyond chance. before : their deviance without it."""
     behind = [(i, _behind(point, i, c, off)) for i, c, _ in own]
-    after = -2 * sum(spectral_models.plain(point, i, c)[0] for i, c in behind)
+    after = -2 * sum(spectral_models.fit_base_model(point, i, c)[0] for i, c in behind)
     return after - (df := sum(c.n.size - 4 for _, c, _ in own)) < (1 - EXPLAINED) * (before - df)
 
 
@@ -187,8 +187,10 @@ def _without_lines(point: WorkingPoint, cells: list[Cells]) -> tuple[list[Cells]
     """The cells that no line raises at any place, if they are few, and the model of each place fitted to them."""
     whole = cells[0].n.size
     while True:
-        fits = [spectral_models.plain(point, i, c) for i, c in enumerate(cells)]
-        over = [spectral_models.deviance(np.sqrt(c.n), _ratio(c, fit)) for c, fit in zip(cells, fits, strict=True)]
+        fits = [spectral_models.fit_base_model(point, i, c) for i, c in enumerate(cells)]
+        over = [
+            spectral_models.deviance_residuals(np.sqrt(c.n), _ratio(c, fit)) for c, fit in zip(cells, fits, strict=True)
+        ]
         keep = np.max(over, axis=0) < LINE
         if keep.all() or keep.sum() < (1 - LINES) * whole:
             return cells, fits

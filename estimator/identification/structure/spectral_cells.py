@@ -70,7 +70,7 @@ def cells_of(point: WorkingPoint, i: int) -> Cells:
         return np.asarray(np.add.reduceat(z, first, axis=-1) / width)
 
     w = 2 * np.pi * data.f_hz
-    A, others = answered(point.A, point.S, i)
+    A, others = with_others_answering(point.A, point.S, i)
     through = np.abs(point.A[:, i].T) ** 2
     made = through * (point.S / point.S[i] / data.mass**2)[:, None]
     white = mean(np.stack([made[i], made.sum(axis=0) - made[i]]))
@@ -82,7 +82,7 @@ def cells_of(point: WorkingPoint, i: int) -> Cells:
     )  # fmt: skip
 
 
-def answered(A: NDArray[np.complex128], S: Array, i: int) -> tuple[NDArray[np.complex128], Array]:
+def with_others_answering(A: NDArray[np.complex128], S: Array, i: int) -> tuple[NDArray[np.complex128], Array]:
     """(f,) force per acceleration of place i while the others answer, and (f,) PSD of the acceleration that the forces
     S (places,) at the others give it. A : (f, places, places)."""
     H = np.asarray(np.linalg.inv(A)[:, i], dtype=np.complex128)

@@ -28,7 +28,7 @@ def base_model(c: Cells, u: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class SpectralShape:
     """A cause: multiplier of the whole measured power, or of S, by its parameters in free form; starts in that form.
 
     idle : N s/m, the damping that starts are tried without as well.
@@ -43,54 +43,54 @@ class Shape:
     idle: float = 0.0
 
 
-def _coloured(place_peak: float) -> Shape:
+def _coloured(place_peak: float) -> SpectralShape:
     def values(z: Array) -> Array:
         return np.array([np.exp(np.clip(z[0], -6, 7)) - DARKEST, np.exp(np.clip(z[1], 2, 12))])
 
     def model(c: Cells, u: Array) -> Array:
-        return c.spectrum(u, c.tangent(u), coloured(c.w / (2 * np.pi), *values(u[4:])))
+        return c.spectrum(u, c.tangent(u), coloured_power(c.w / (2 * np.pi), *values(u[4:])))
 
     starts = tuple((g, float(np.log(place_peak * f))) for g in (0.6, 1.5, -0.5) for f in (0.4, 1.0, 2.5))
-    return Shape("coloured_excitation", ("gain", "corner"), ("1", "Hz"), starts, model, values)
+    return SpectralShape("coloured_excitation", ("gain", "corner"), ("1", "Hz"), starts, model, values)
 
 
-def _resonance(top: float) -> Shape:
+def _resonance(top: float) -> SpectralShape:
     def values(z: Array) -> Array:
         return np.array([np.exp(np.clip(z[0], 3, 13)), np.exp(np.clip(z[1], -0.5, 5))])
 
     def model(c: Cells, u: Array) -> Array:
         numbers = values(u[4:])
-        out = c.spectrum(u, c.tangent(u), resonant(c.w / (2 * np.pi), *numbers))
-        beyond = c.echoes[:, None] * (resonant(c.images[:, None], *numbers) - 1.0)
+        out = c.spectrum(u, c.tangent(u), resonant_power(c.w / (2 * np.pi), *numbers))
+        beyond = c.echoes[:, None] * (resonant_power(c.images[:, None], *numbers) - 1.0)
         return np.asarray(out + (finite_exp(u[0]) * beyond.sum(axis=0)).reshape(out.shape))
 
     starts = tuple((float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4) for q in (4, 25))
-    return Shape("sensor_resonance", ("frequency", "quality"), ("Hz", "1"), starts, model, values)
+    return SpectralShape("sensor_resonance", ("frequency", "quality"), ("Hz", "1"), starts, model, values)
 
 
-def coloured(f_hz: Array, gain: float | Array, corner: float | Array) -> Array:
+def coloured_power(f_hz: Array, gain: float | Array, corner: float | Array) -> Array:
     """Power that a colour of the force multiplies that at f_hz by."""
     return np.asarray(1 + gain / (1 + (f_hz / corner) ** 2))
 
 
-def resonant(f_hz: Array, f0: float | Array, quality: float | Array) -> Array:
+def resonant_power(f_hz: Array, f0: float | Array, quality: float | Array) -> Array:
     """Power that a sensor's resonance multiplies that at f_hz by."""
     r2 = (f_hz / f0) ** 2
     return np.asarray(1.0 / ((1 - r2) ** 2 + r2 / quality**2))
 
 
-def _pedestal(mass: float, kL: float, c0: float, peak: float) -> Shape:
-    values = partial(pedestal_form.values, cap_mass=mass)
+def _pedestal(mass: float, kL: float, c0: float, peak: float) -> SpectralShape:
+    values = partial(pedestal_form.pedestal_values, cap_mass=mass)
 
     def model(c: Cells, u: Array) -> Array:
-        lost = pedestal_form.lost(c.w, kL + u[2], c0 + u[3], values(u[4:]))
+        lost = pedestal_form.stiffness_lost(c.w, kL + u[2], c0 + u[3], values(u[4:]))
         return c.spectrum(u, c.tangent(u) + lost / c.w**2)
 
     names, units = ("mass", "frequency", "damping"), ("kg", "Hz", "1")
-    return Shape("pedestal", names, units, pedestal_form.starts(peak), model, values, BROADENED * c0)
+    return SpectralShape("pedestal", names, units, pedestal_form.pedestal_starts(peak), model, values, BROADENED * c0)
 
 
-def deviance(root: Array, ratio: Array) -> Array:
+def deviance_residuals(root: Array, ratio: Array) -> Array:
     """Residuals whose squares add up to the Whittle likelihood ratio. root : of the bins of a cell; ratio : its power
     over a model's."""
     return np.asarray(np.sign(ratio - 1) * root * np.sqrt(np.maximum(2 * (ratio - 1 - np.log(ratio)), 0.0)))
@@ -106,7 +106,7 @@ def _maximum(
     root, df = np.sqrt(c.n), c.n.size - scale.size
 
     def residual(z: Array) -> Array:
-        return deviance(root, c.power / np.maximum(model(c, (z * scale).T), 1e-300))
+        return deviance_residuals(root, c.power / np.maximum(model(c, (z * scale).T), 1e-300))
 
     def slopes(z: Array) -> Array:
         step = SMALL * np.maximum(1.0, np.abs(z))
@@ -128,7 +128,7 @@ def _maximum(
     return -best[0], best[1], best[2]
 
 
-def plain(point: WorkingPoint, i: int, c: Cells) -> tuple[float, Array, Array]:
+def fit_base_model(point: WorkingPoint, i: int, c: Cells) -> tuple[float, Array, Array]:
     """Likelihood and numbers of the base model at a place, and their scales."""
     scale = np.array([1.0, 1.0, point.kL[i] * 0.01, point.c[i] * 0.1 + 1e-9])
     least = point.S[i] * LEAST_NOISE / np.mean(c.heard)
@@ -139,46 +139,46 @@ def plain(point: WorkingPoint, i: int, c: Cells) -> tuple[float, Array, Array]:
     return level, u, scale
 
 
-def otherwise(point: WorkingPoint, i: int, c: Cells, level: float, u: Array, scale: Array) -> float:
+def best_other_deviance(point: WorkingPoint, i: int, c: Cells, level: float, u: Array, scale: Array) -> float:
     """Least deviance of a place by a cause that is no roll-off: a colour with its corner in the band, a resonance with
     a peak, a pedestal."""
     least, top = -2 * level, point.data.band[1]
-    for shape in causes(point, i):
-        found, z, _ = with_shape(c, shape, u, scale)
+    for shape in spectral_causes(point, i):
+        found, z, _ = fit_shape(c, shape, u, scale)
         values = shape.values(z[4:])
-        if peakless(shape.effect, values, top) or (shape.effect == "coloured_excitation" and values[1] > top):
+        if is_peakless(shape.effect, values, top) or (shape.effect == "coloured_excitation" and values[1] > top):
             continue
         least = min(least, -2 * found)
     return least
 
 
-def causes(point: WorkingPoint, i: int) -> tuple[Shape, ...]:
+def spectral_causes(point: WorkingPoint, i: int) -> tuple[SpectralShape, ...]:
     data, peak = point.data, resonance_hz(point, i)
     return (
         _coloured(peak), _resonance(data.band[1]), _pedestal(data.mass[i], point.kL[i], point.c[i], peak)
     )  # fmt: skip
 
 
-def pedestal(point: WorkingPoint, i: int) -> tuple[Array, float, float]:
+def pedestal_from_spectrum(point: WorkingPoint, i: int) -> tuple[Array, float, float]:
     """(3,) mass, frequency and damping that the spectrum at a place suggests to a model without one, likely or not, and
     kL and c beside it."""
     c = cells_of(point, i)
-    _, u, scale = plain(point, i, c)
+    _, u, scale = fit_base_model(point, i, c)
     shape = _pedestal(point.data.mass[i], point.kL[i], point.c[i], resonance_hz(point, i))
-    found = with_shape(c, shape, u, scale)[1]
+    found = fit_shape(c, shape, u, scale)[1]
     return shape.values(found[4:]), float(point.kL[i] + found[2]), float(point.c[i] + found[3])
 
 
-def level(point: WorkingPoint, i: int, gain: float, corner: float) -> Parameter:
+def coloured_force_level(point: WorkingPoint, i: int, gain: float, corner: float) -> Parameter:
     """S of a place whose excitation has a colour by these numbers, found in the same spectrum: they leave S many times
     more uncertain than its number of bins says."""
     own = 1 + gain / (1 + (point.data.f_hz / corner) ** 2)
     flat = replace(point, data=replace(point.data, colour=point.data.colour / own))
     c, shape = cells_of(flat, i), _coloured(resonance_hz(point, i))
-    _, u, scale = plain(flat, i, c)
+    _, u, scale = fit_base_model(flat, i, c)
     u[0] = np.log(point.S[i])
     begun = replace(shape, starts=((float(np.log(gain + DARKEST)), float(np.log(corner))),))
-    sd = with_shape(c, begun, u, scale)[2][0]  # of ln S
+    sd = fit_shape(c, begun, u, scale)[2][0]  # of ln S
     return Parameter.from_estimate(float(point.S[i]), float(point.S[i] * sd), "N^2/Hz")
 
 
@@ -187,7 +187,7 @@ def resonance_hz(point: WorkingPoint, i: int) -> float:
     return float(np.sqrt(point.kL[i] / point.data.mass[i]) / (2 * np.pi))
 
 
-def with_shape(c: Cells, shape: Shape, u: Array, scale: Array) -> tuple[float, Array, Array]:
+def fit_shape(c: Cells, shape: SpectralShape, u: Array, scale: Array) -> tuple[float, Array, Array]:
     """Largest likelihood of the base model, at u, with a cause beside it; where, and the standard deviations there.
 
     Without the cause there may have been no noise, ln 0, and from there a search finds none."""
@@ -198,6 +198,6 @@ def with_shape(c: Cells, shape: Shape, u: Array, scale: Array) -> tuple[float, A
     return _maximum(c, shape.model, starts, np.concatenate([scale, np.full(len(shape.names), 0.3)]))
 
 
-def peakless(effect: str, values: Array, top_hz: float) -> bool:
+def is_peakless(effect: str, values: Array, top_hz: float) -> bool:
     """Whether a sensor's resonance is above the band and has no peak: a filter looks the same."""
     return effect == "sensor_resonance" and bool(values[0] > top_hz and values[1] < PEAKED)

@@ -14,7 +14,7 @@ from scipy.special import chdtrc
 
 from estimator.arrays import Array
 from estimator.effects import CATALOGUE
-from estimator.identification.finding import UNKNOWN, Suspect
+from estimator.identification.finding import UNKNOWN_EFFECT, Finding
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.known_spectra import OF_FORCE, colours
 from estimator.likelihood.path.sensor_noise import force_correlation
@@ -23,9 +23,9 @@ from estimator.model.rig import Model
 from estimator.results import Parameter
 
 from . import pedestal_form
-from .noisy_sensor import noisy
+from .noisy_sensor import find_noisy_sensors
 from .spectral_cells import Cells, cells_of, finite_exp, mean_power
-from .spectral_models import base_model, causes, peakless, plain, with_shape
+from .spectral_models import base_model, fit_base_model, fit_shape, is_peakless, spectral_causes
 
 LEVEL = 1e-3
 LEAST_DEPTH = 0.015  # rms of ln(power / model): less is within what filters and integrators leave behind
@@ -36,11 +36,11 @@ BEYOND = 3.0  # standard deviations, below nothing, of a stiffness or damping th
 PLAIN = 0.1  # depth from which a shape that no cause explains is told: laws that a model lacks bend spectra by less
 
 
-def find(model: Model, point: WorkingPoint) -> list[Suspect]:
+def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
     """Shaped excitation, sensor resonance, pedestal and a noisy sensor, by place; and forces shared by the bearings."""
     data = point.data
     taken = {(u.name, place) for u in model.effects for place in u.parameters}
-    out: list[Suspect] = []
+    out: list[Finding] = []
     noise = np.zeros(len(data.places))
     seen = data.colour / colours(model, data.places, data.f_hz, OF_FORCE)  # of a spectrum as it is: see below
     shaped = set(np.flatnonzero(np.ptp(seen, axis=1) > UNLIKE * seen.mean(axis=1)).tolist())
@@ -52,7 +52,7 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
         if point.kL[i] <= 0.0:  # a fit far from the rotor: no resonance to begin from
             continue
         c = cells_of(point, i)
-        level, u, scale = plain(point, i, c)
+        level, u, scale = fit_base_model(point, i, c)
         noise[i] = finite_exp(u[1])
         df = float(c.n.size - 4)
         off = np.average(np.log(c.power / base_model(c, u)) ** 2 - 1.0 / c.n, weights=c.n)  # without its own scatter
@@ -64,11 +64,11 @@ def find(model: Model, point: WorkingPoint) -> list[Suspect]:
         own = _shapes(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
         out += own or ([_unknown(point, i, c, u, level)] if depth > PLAIN else [])
     out += _alike(point, out, white, taken, shaped)
-    out += noisy(model, point, noise, shaped)
+    out += find_noisy_sensors(model, point, noise, shaped)
     return out + _shared(model, point)
 
 
-def as_it_is(model: Model, point: WorkingPoint, law: float) -> WorkingPoint | None:
+def refit_with_seen_spectra(model: Model, point: WorkingPoint, law: float) -> WorkingPoint | None:
     """The point refitted with the spectra that are seen, where nothing of the catalogue makes them; None where there is
     no such place, or what it is worth is less than `law`, nats of the best effect on trial: a law that is missing bends
     spectra, too, by more than they show of it.
@@ -76,15 +76,15 @@ def as_it_is(model: Model, point: WorkingPoint, law: float) -> WorkingPoint | No
     Taken for white, a force has about a resonance more or less of the motion with it than the likelihood knows: on a
     stiff shaft that passes for a law, and for what follows the other cap.
     """
-    bent = [s for s in find(model, point) if s.effect == UNKNOWN]
-    if sum(s.gain for s in bent) <= law:
+    bent = [s for s in find_spectral_shapes(model, point) if s.effect == UNKNOWN_EFFECT]
+    if sum(s.gain_nats for s in bent) <= law:
         return None
     places = {point.data.places.index(s.at[0]) for s in bent}
     for _ in range(ROUNDS):
         colour = point.data.colour.copy()
         for i in places:
             c = cells_of(point, i)
-            more = c.power / base_model(c, plain(point, i, c)[1])
+            more = c.power / base_model(c, fit_base_model(point, i, c)[1])
             colour[i] *= np.interp(point.data.f_hz, c.w / (2 * np.pi), more)
             colour[i] /= colour[i].mean()
         point = fit_model(replace(point.data, colour=colour), list(point.placed), start=point)
@@ -93,20 +93,20 @@ def as_it_is(model: Model, point: WorkingPoint, law: float) -> WorkingPoint | No
 
 def _alike(
     point: WorkingPoint,
-    found: list[Suspect],
+    found: list[Finding],
     white: list[tuple[int, Cells, float, Array, Array]],
     taken: set[tuple[str, str]],
     shaped: set[int],
-) -> list[Suspect]:
+) -> list[Finding]:
     """What is found at a place is tried at those whose spectrum, of many cells, does not stand out by itself: bearings
     are alike. `shaped` takes up the places where it is."""
-    best = max((s for s in found if s.effect == "pedestal"), key=lambda s: s.gain, default=None)
-    if best is None or best.gain < max(s.gain for s in found):
+    best = max((s for s in found if s.effect == "pedestal"), key=lambda s: s.gain_nats, default=None)
+    if best is None or best.gain_nats < max(s.gain_nats for s in found):
         return []
     out = []
     for i, c, level, u, scale in white:
         place = point.data.places[i]
-        others = {shape.effect for shape in causes(point, i)} - {best.effect}
+        others = {shape.effect for shape in spectral_causes(point, i)} - {best.effect}
         have = {e for e, p in taken if p in (place, place.split(".")[0])}
         own = [s for s in _shapes(point, i, c, u, level, scale, others | have) if s.p_value < LEVEL]
         shaped.update(i for s in own)
@@ -116,20 +116,20 @@ def _alike(
 
 def _shapes(
     point: WorkingPoint, i: int, c: Cells, u: Array, level: float, scale: Array, taken: set[str]
-) -> list[Suspect]:
+) -> list[Finding]:
     data = point.data
     place = data.places[i]
     out = []
     r = c.power / base_model(c, u)
     predictable = _predictable(point, i, c, r)
-    for shape in causes(point, i):
+    for shape in spectral_causes(point, i):
         if shape.effect in taken:
             continue
-        found, z, sd = with_shape(c, shape, u, scale)
+        found, z, sd = fit_shape(c, shape, u, scale)
         gain = found - level
         if gain < EXPLAINED * (-level - 0.5 * (c.n.size - 4)):
             continue
-        if shape.effect == "pedestal" and (pedestal_form.at_end(z[4:]) or _drives(point, i, z, sd)):
+        if shape.effect == "pedestal" and (pedestal_form.is_at_limit(z[4:]) or _drives(point, i, z, sd)):
             continue
         q = len(shape.names)
         values = shape.values(z[4:])
@@ -140,11 +140,19 @@ def _shapes(
         }
         p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 3 * len(data.places) * len(shape.starts)))
         out.append(
-            Suspect(
-                shape.effect, (place,), gain, q + 2, p, {i: predictable}, "frequency", _where(c, r), {place: settings},
-                _falls(shape.effect, values, data.band[1]),
+            Finding(
+                effect=shape.effect,
+                at=(place,),
+                gain_nats=gain,
+                dof=q + 2,
+                p_value=p,
+                power_N2={i: predictable},
+                against="frequency",
+                region=_where(c, r),
+                settings={place: settings},
+                note=_falls(shape.effect, values, data.band[1]),
             )
-        )  # fmt: skip
+        )
     return out
 
 
@@ -155,13 +163,22 @@ def _drives(point: WorkingPoint, i: int, z: Array, sd: Array) -> bool:
     return bool(k < -BEYOND * sd[2] or c < -BEYOND * sd[3])
 
 
-def _unknown(point: WorkingPoint, i: int, c: Cells, u: Array, level: float) -> Suspect:
+def _unknown(point: WorkingPoint, i: int, c: Cells, u: Array, level: float) -> Finding:
     """A spectrum that nothing of the catalogue has."""
     r, df = c.power / base_model(c, u), c.n.size - 4
     place = point.data.places[i]
     p = float(min(1.0, chdtrc(df, -2 * level) * len(point.data.places)))
     power = {i: _predictable(point, i, c, r)}
-    return Suspect(UNKNOWN, (place,), -level - 0.5 * df, df, p, power, "frequency", f"{place}: {_where(c, r)}")
+    return Finding(
+        effect=UNKNOWN_EFFECT,
+        at=(place,),
+        gain_nats=-level - 0.5 * df,
+        dof=df,
+        p_value=p,
+        power_N2=power,
+        against="frequency",
+        region=f"{place}: {_where(c, r)}",
+    )
 
 
 def _predictable(point: WorkingPoint, i: int, c: Cells, r: Array) -> float:
@@ -172,7 +189,7 @@ def _predictable(point: WorkingPoint, i: int, c: Cells, r: Array) -> float:
 
 def _falls(effect: str, values: Array, top_hz: float) -> str:
     """What to say of a resonance above the band that has no peak."""
-    if not peakless(effect, values, top_hz):
+    if not is_peakless(effect, values, top_hz):
         return ""
     return (
         "the channel falls towards the end of the band as behind an anti-alias filter: a lower band.high leaves it out"
@@ -189,7 +206,7 @@ def _where(c: Cells, r: Array) -> str:
     return f"force spectrum {'above' if r[k] > 1 else 'below'} the model about {c.w[k] / 2 / np.pi:.0f} Hz"
 
 
-def _shared(model: Model, point: WorkingPoint) -> list[Suspect]:
+def _shared(model: Model, point: WorkingPoint) -> list[Finding]:
     """Coherence of the inferred forces at the two bearings, direction by direction."""
     data = point.data
     out = []
@@ -211,11 +228,18 @@ def _shared(model: Model, point: WorkingPoint) -> list[Suspect]:
         power = {k: rho**2 * _variance(point, k) for k in (i, j)}
         sd = (1 - rho**2) / np.sqrt(2 * n)
         out.append(
-            Suspect(
-                "correlated_force", (place,), gain, 1, p, power, "other_bearing",
-                f"the forces at {place} and {data.places[j]} share {100 * rho:.0f} %",
-                {place: {"rho": Parameter(rho, float(sd), "1")}}, CATALOGUE["correlated_force"].distinguish,
-                (float(5 / np.sqrt(2 * n)), "1"),
+            Finding(
+                effect="correlated_force",
+                at=(place,),
+                gain_nats=gain,
+                dof=1,
+                p_value=p,
+                power_N2=power,
+                against="other_bearing",
+                region=f"the forces at {place} and {data.places[j]} share {100 * rho:.0f} %",
+                settings={place: {"rho": Parameter(rho, float(sd), "1")}},
+                note=CATALOGUE["correlated_force"].distinguish,
+                detectable=(float(5 / np.sqrt(2 * n)), "1"),
             )
-        )  # fmt: skip
+        )
     return out

@@ -23,7 +23,7 @@ from estimator.signals.channel_response import LINEAR, forced, response
 from . import pedestal_form
 from .spectral_models import resonance_hz
 
-OWN = slice(4, None)  # of the numbers of a peak, those of a cause
+CAUSE_NUMBERS = slice(4, None)  # of the numbers of a peak, those of a cause
 CARRIED, SETTLED = 8, 0.1  # times at most that what is folded goes through a sensor as found; standard deviations
 
 
@@ -48,10 +48,13 @@ class Cause:
 
 def _pedestal(mass: float, peak: float) -> Cause:
     def bend(r: Response, A: Complexes, k: float, c: float, p: Array) -> Complexes:
-        return np.asarray(A + pedestal_form.lost(r.w, k, c, p) / r.w**2)
+        return np.asarray(A + pedestal_form.stiffness_lost(r.w, k, c, p) / r.w**2)
 
-    values, free = partial(pedestal_form.values, cap_mass=mass), partial(pedestal_form.free, cap_mass=mass)
-    return Cause("pedestal", pedestal_form.starts(peak), values, free, bend)
+    values, free = (
+        partial(pedestal_form.pedestal_values, cap_mass=mass),
+        partial(pedestal_form.pedestal_coordinates, cap_mass=mass),
+    )
+    return Cause("pedestal", pedestal_form.pedestal_starts(peak), values, free, bend)
 
 
 def _sensor(effect: str, starts: tuple[tuple[float, ...], ...], unit: float, now: Mapping[str, float | None]) -> Cause:
@@ -70,7 +73,7 @@ def _sensor(effect: str, starts: tuple[tuple[float, ...], ...], unit: float, now
     return Cause(effect, starts, lambda z: unit * z, lambda p: p / unit, bend, sensor)
 
 
-def causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str, float | None]]) -> list[Cause]:
+def transfer_causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str, float | None]]) -> list[Cause]:
     """Those that a place may have. have : numbers of those that the model has there."""
     data = point.data
     peak = resonance_hz(point, i)
@@ -87,7 +90,7 @@ def causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str, float | 
     ]  # fmt: skip
 
 
-def bent(
+def fit_cause(
     point: WorkingPoint, i: int, r: Response, cause: Cause, base: Peak, scale: Array, starts: list[Array]
 ) -> Peak:  # fmt: skip
     """The likeliest numbers of a cause beside k and c."""
@@ -107,14 +110,17 @@ def bent(
     if cause.sensor is None or r.bare is None:
         return best
     for _ in range(CARRIED):
-        was, further = best.u[OWN], cause.sensor(images(r.w, point.data.rate_hz), cause.values(best.u[OWN]))
+        was, further = (
+            best.u[CAUSE_NUMBERS],
+            cause.sensor(images(r.w, point.data.rate_hz), cause.values(best.u[CAUSE_NUMBERS])),
+        )
         best = max(again(r.through(further)), key=lambda peak: peak.nats)
-        if np.all(np.abs(best.u[OWN] - was) < SETTLED * np.sqrt(np.diag(best.covariance)[OWN])):
+        if np.all(np.abs(best.u[CAUSE_NUMBERS] - was) < SETTLED * np.sqrt(np.diag(best.covariance)[CAUSE_NUMBERS])):
             break
     return best
 
 
-def numbers(cause: Cause, peak: Peak, part: slice = OWN) -> dict[str, Parameter]:
+def cause_parameters(cause: Cause, peak: Peak, part: slice = CAUSE_NUMBERS) -> dict[str, Parameter]:
     """Parameters of a cause with their standard deviations. part : where its free form is in the peak."""
     z, q = peak.u[part], len(cause.names)
     values = cause.values(z)
@@ -126,16 +132,16 @@ def numbers(cause: Cause, peak: Peak, part: slice = OWN) -> dict[str, Parameter]
     }
 
 
-def pedestal(point: WorkingPoint, i: int) -> tuple[Array, float, float]:
+def pedestal_from_transfer(point: WorkingPoint, i: int) -> tuple[Array, float, float]:
     """(3,) mass, frequency and damping that the motion under a measured force suggests, likely or not; kL and c."""
     r = response_of(point, i)
     base, scale = plain(point, i, r)
-    cause = causes(point, i, {})[0]
-    u = bent(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts]).u
+    cause = transfer_causes(point, i, {})[0]
+    u = fit_cause(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts]).u
     return cause.values(u[4:]), float(point.kL[i] + u[2]), float(point.c[i] + u[3])
 
 
-def refined(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:
+def refine_sensor_faults(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:
     """The model with the numbers of its sensors' faults, those undone in the record of the point, one step nearer, and
     these as parameters. Of two faults of a sensor one after the other."""
     found: dict[str, Parameter] = {}
@@ -151,12 +157,12 @@ def refined(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Paramet
                 continue
             if point.kL[i] <= 0.0:
                 continue
-            (cause,) = (c for c in causes(point, i, {use.name: now}) if c.effect == use.name)
+            (cause,) = (c for c in transfer_causes(point, i, {use.name: now}) if c.effect == use.name)
             starts = [cause.free(np.array([now[n] for n in cause.names])), *map(np.array, cause.starts)]
             r = response_of(point, i, lines)
             late = of_late_sensor(r, point.data.rate_hz) if use.name == "sensor_skew" else None
-            peaks = [bent(point, i, z, cause, *plain(point, i, z), starts) for z in (r, late) if z]
-            best = numbers(cause, max(peaks, key=lambda peak: peak.nats))
+            peaks = [fit_cause(point, i, z, cause, *plain(point, i, z), starts) for z in (r, late) if z]
+            best = cause_parameters(cause, max(peaks, key=lambda peak: peak.nats))
             new.pop(key.split(".")[0], None)
             new[key] = {n: s if s.fixed else replace(s, value=best[n].value) for n, s in own.items()}
             for n, q in best.items():

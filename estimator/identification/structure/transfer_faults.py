@@ -16,8 +16,8 @@ from scipy.special import chdtrc
 
 from estimator.arrays import Array, Complexes
 from estimator.effects import CATALOGUE
-from estimator.identification.finding import UNKNOWN, Suspect
-from estimator.identification.residual.missing_force import NEGLIGIBLE
+from estimator.identification.finding import UNKNOWN_EFFECT, Finding
+from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE
 from estimator.likelihood.fitting.folded_force import of_late_sensor
 from estimator.likelihood.fitting.path_spectra import Response
 from estimator.likelihood.fitting.transfer_function import Peak, exp, expected, left, plain, response_of
@@ -27,8 +27,8 @@ from estimator.model.rig import Model
 from estimator.parallel import map_processes
 from estimator.signals.channel_response import forced
 
-from .noisy_sensor import noisy_beside_forces
-from .transfer_bias import OWN, Cause, bent, causes, numbers
+from .noisy_sensor import find_noisy_sensors_under_force
+from .transfer_bias import CAUSE_NUMBERS, Cause, cause_parameters, fit_cause, transfer_causes
 
 EXPLAINED = 0.5  # of what a free response explains, for a cause to be the cause
 LEVEL = 1e-2  # p-value above which nothing is said
@@ -50,7 +50,7 @@ NOTES = {
 }
 
 
-def find(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> list[Suspect]:
+def find_transfer_faults(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> list[Finding]:
     """Pedestals and faulty sensors that the model does not have, at places whose force is measured.
 
     lines : Hz of what is periodic in the residual, which is left out.
@@ -58,12 +58,12 @@ def find(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> li
     at = [i for i, place in enumerate(point.data.places) if place in forced(model) and point.kL[i] > 0.0]
     seen = map_processes([partial(_at_place, model, point, i, lines) for i in at])
     heard = {i: own for i, (_, own) in zip(at, seen, strict=True) if own is not None}
-    return [s for found, _ in seen for s in found] + noisy_beside_forces(model, point, heard)
+    return [s for found, _ in seen for s in found] + find_noisy_sensors_under_force(model, point, heard)
 
 
 def _at_place(
     model: Model, point: WorkingPoint, i: int, lines: Collection[float]
-) -> tuple[list[Suspect], tuple[Response, Peak, Array] | None]:  # fmt: skip
+) -> tuple[list[Finding], tuple[Response, Peak, Array] | None]:  # fmt: skip
     """What bends the path at a place; the response as it is without, where nothing does."""
     r = response_of(point, i, lines)
     if r.n.size < FEWEST:
@@ -78,10 +78,10 @@ def _at_place(
     return found, None if found else (tried.response, tried.base, tried.scale)
 
 
-def _folded(model: Model, point: WorkingPoint, i: int, tried: Tried) -> Tried | None:
+def _folded(model: Model, point: WorkingPoint, i: int, tried: TriedCauses) -> TriedCauses | None:
     """The same beside what is folded back, where that and noise of the sensor are as likely by their coherence with the
     motion: where no cause explains what bends the path, it is the one beside which nothing does."""
-    r, least = tried.response, (NEGLIGIBLE * point.bearing_force[i]) ** 2
+    r, least = tried.response, (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
     if r.fold is None or r.fold.rival is None:
         return None
     if not all(_bent_still(r, peak, least) for peak in (tried.base, tried.best)):
@@ -91,7 +91,7 @@ def _folded(model: Model, point: WorkingPoint, i: int, tried: Tried) -> Tried | 
 
 
 @dataclass(frozen=True, slots=True)
-class Tried:
+class TriedCauses:
     """A place without a cause, `base`, and with each. likely : nats of the best, less what it is to bring."""
 
     response: Response
@@ -119,7 +119,7 @@ class Tried:
         return max(self.base.nats, self.best.nats - WORTH) - ALIKE * (self.response.unmeasured > 0.0)
 
 
-def _likeliest(model: Model, point: WorkingPoint, i: int, r: Response) -> Tried:
+def _likeliest(model: Model, point: WorkingPoint, i: int, r: Response) -> TriedCauses:
     """What is left of the force at a place, where it is enough to matter, read as noise of its sensor, as a force that
     acts beside it, or as both. The first makes the rotor seem lighter and softer by its share of the force, in power.
     """
@@ -147,7 +147,7 @@ def _share(point: WorkingPoint, i: int, r: Response) -> float:
     return float(found.x)
 
 
-def pushed(model: Model, point: WorkingPoint) -> bool:
+def has_unmeasured_force(model: Model, point: WorkingPoint) -> bool:
     """Whether somewhere more of what is left acts beside the measured force than is noise of its sensor, as far as the
     known mass tells."""
     lines = known_lines(model)
@@ -163,7 +163,7 @@ def pushed(model: Model, point: WorkingPoint) -> bool:
 
 def _tried(
     model: Model, point: WorkingPoint, i: int, r: Response, about: Mapping[Cause, Peak] | None = None
-) -> Tried:  # fmt: skip
+) -> TriedCauses:  # fmt: skip
     """Every cause that the model does not have at a place. about : where they are by another reading of what is left,
     which moves them little."""
     place = point.data.places[i]
@@ -171,22 +171,22 @@ def _tried(
     taken = {u.name for u in model.effects if place in u.parameters or place.split(".")[0] in u.parameters}
     taken |= {"sensor_gain"} if model.cap_mass(place) is None else set()
     if about is None:
-        starts = {c: [np.array(z) for z in c.starts] for c in causes(point, i, {}) if c.effect not in taken}
+        starts = {c: [np.array(z) for z in c.starts] for c in transfer_causes(point, i, {}) if c.effect not in taken}
     else:
-        starts = {cause: [peak.u[OWN]] for cause, peak in about.items()}
-    tried = {cause: bent(point, i, r, cause, base, scale, own) for cause, own in starts.items()}
-    return Tried(r, base, scale, tried)
+        starts = {cause: [peak.u[CAUSE_NUMBERS]] for cause, peak in about.items()}
+    tried = {cause: fit_cause(point, i, r, cause, base, scale, own) for cause, own in starts.items()}
+    return TriedCauses(r, base, scale, tried)
 
 
-def _found(model: Model, point: WorkingPoint, i: int, at_place: Tried) -> list[Suspect]:
+def _found(model: Model, point: WorkingPoint, i: int, at_place: TriedCauses) -> list[Finding]:
     """What bends the path at a place: one cause, two together where one leaves much, or who knows what."""
     data, place = point.data, point.data.places[i]
     r, base, scale, tried = at_place.response, at_place.base, at_place.scale, at_place.causes
-    least = (NEGLIGIBLE * point.bearing_force[i]) ** 2
+    least = (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
     before = left(r, base.A)
     coherent = float(r.n @ (_odd(r, base)[0] / before)) - r.n.size  # beyond chance, in units of what is left
 
-    def suspect(cause: Cause, part: slice, peak: Peak, without: Peak) -> list[Suspect]:
+    def suspect(cause: Cause, part: slice, peak: Peak, without: Peak) -> list[Finding]:
         power = float(np.maximum(before - left(r, peak.A), 0.0) @ r.hz)
         explained = float(r.n @ (1 - left(r, peak.A) / before))
         if explained < EXPLAINED * coherent or power < least:
@@ -196,11 +196,23 @@ def _found(model: Model, point: WorkingPoint, i: int, at_place: Tried) -> list[S
         if p > LEVEL:
             return []
         where = _where(r, before, peak.A)
-        settings = {place: numbers(cause, peak, part)}
-        return [Suspect(cause.effect, (place,), gain, q, p, {i: power}, "frequency", where, settings,
-                        NOTES[cause.effect])]  # fmt: skip
+        settings = {place: cause_parameters(cause, peak, part)}
+        return [
+            Finding(
+                effect=cause.effect,
+                at=(place,),
+                gain_nats=gain,
+                dof=q,
+                p_value=p,
+                power_N2={i: power},
+                against="frequency",
+                region=where,
+                settings=settings,
+                note=NOTES[cause.effect],
+            )
+        ]
 
-    out = [s for cause, peak in tried.items() for s in suspect(cause, OWN, peak, base)]
+    out = [s for cause, peak in tried.items() for s in suspect(cause, CAUSE_NUMBERS, peak, base)]
     late = next((peak for cause, peak in tried.items() if cause.effect == "sensor_skew"), base)
     if at_place.late and not _bent_still(r, late, least):
         out = [s for s in out if s.effect != "sensor_resonance"]
@@ -221,7 +233,18 @@ def _found(model: Model, point: WorkingPoint, i: int, at_place: Tried) -> list[S
         return out
     power, z = _rest(r, base)
     where = _where(r, before, r.A - r.ra / r.aa)
-    return [Suspect(UNKNOWN, (place,), z * z / 2, r.n.size, float(np.exp(-z * z / 2)), {i: power}, "frequency", where)]
+    return [
+        Finding(
+            effect=UNKNOWN_EFFECT,
+            at=(place,),
+            gain_nats=z * z / 2,
+            dof=r.n.size,
+            p_value=float(np.exp(-z * z / 2)),
+            power_N2={i: power},
+            against="frequency",
+            region=where,
+        )
+    ]
 
 
 def _both(
@@ -241,9 +264,9 @@ def _both(
     pair = Cause(a.effect, (), apart(a.values, b.values), apart(a.free, b.free), bend)
 
     def begun(first: Peak, *starts: tuple[Array, Array]) -> Peak:
-        return bent(point, i, r, pair, first, scale, [np.concatenate(start) for start in starts])
+        return fit_cause(point, i, r, pair, first, scale, [np.concatenate(start) for start in starts])
 
-    at_a, at_b = alone[a].u[OWN], alone[b].u[OWN]
+    at_a, at_b = alone[a].u[CAUSE_NUMBERS], alone[b].u[CAUSE_NUMBERS]
     if not everywhere:
         return begun(alone[a], (at_a, at_b))
     beside_a = begun(alone[a], *((at_a, np.array(z)) for z in b.starts))

@@ -101,7 +101,7 @@ def test_a_converters_full_scale_is_seen_in_a_few_samples_and_its_steps_are_none
 
 def test_the_share_of_clipped_samples_reads_well() -> None:
     for count, text in ((61, "in 0.061 %"), (1340, "in 1.3 %"), (100_000, "in 100 %")):
-        assert text in clipping.limited("b1x", 27.8, count, 100_000)
+        assert text in clipping.clipping_text("b1x", 27.8, count, 100_000)
 
 
 def test_what_counts_as_clipped_is_certain_too() -> None:
@@ -110,17 +110,17 @@ def test_what_counts_as_clipped_is_certain_too() -> None:
     for count in (24, 30, 100, 5000):
         rig = one_bearing()
         z = np.stack([np.minimum(y, np.sort(y)[-count]), y], axis=1)
-        (found,) = clipping.find(rig, z)
+        (found,) = clipping.find_clipping(rig, z)
         assert found.at == ("bearing1.x",)
         assert found.p_value < 1e-5
-    assert clipping.chance(20) > clipping.chance(40) > clipping.chance(400)
+    assert clipping.pileup_p_value(20) > clipping.pileup_p_value(40) > clipping.pileup_p_value(400)
 
 
 def test_the_pulses_of_a_tacho_that_the_rig_file_puts_at_a_bearing_are_no_clipped_motion(rig: Model) -> None:
     noise = np.random.default_rng(3).standard_normal((50_000, len(rig.channels)))
     pulses = np.where(np.arange(50_000) % 100 < 10, 5.0, 0.0)
     model = replace(rig, channels=(*rig.channels, Channel("tacho", "bearing1", "x", "tacho")))
-    assert clipping.find(model, np.column_stack([noise, pulses])) == []
+    assert clipping.find_clipping(model, np.column_stack([noise, pulses])) == []
 
 
 @pytest.mark.slow

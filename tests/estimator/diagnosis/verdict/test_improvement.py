@@ -126,7 +126,7 @@ def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(
     said = iter([Diagnosis("cubic", (named,)), Diagnosis("complete", ())])
     monkeypatch.setattr("estimator.diagnosis.verdict.improvement.diagnose_point", lambda *_: next(said))
     # where all places have the wrong colour it passes for the recorder's filter, which is sought again anyway
-    monkeypatch.setattr("estimator.identification.structure.recorder_fall.find", lambda *_: {})
+    monkeypatch.setattr("estimator.identification.structure.recorder_fall.find_roll_off", lambda *_: {})
     ladder = improve(known, y, RATE)
     assert ladder.rungs[-1].effects == ("coloured_excitation", "cubic")
     alone = fit_all_effects(having(known, EffectUse("cubic", {"bearing1.x": {}})), y, RATE).parameters

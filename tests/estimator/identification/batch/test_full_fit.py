@@ -16,7 +16,7 @@ from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import DataError
 from estimator.identification.batch import spectral as spectral
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.search import suspects
+from estimator.identification.search import search
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
 
@@ -158,7 +158,7 @@ def test_a_line_of_the_model_is_fitted_everywhere_though_one_channel_is_clipped(
         assert abs((p.value or 0.0) - truth) < 4 * (p.sd or 0.0), (name, p)
     assert fit.parameters["bearing1.x.line.frequency"].identifiable
     whole = fit_all_effects(rig, y, RATE)
-    seen = suspects(rig, whole.point, y)
+    seen = search(rig, whole.point, y)
     assert [(s.effect, s.at) for s in seen][:2] == [("sensor_clipping", ("bearing1.x",)), ("line", ("bearing1.y",))]
 
 

@@ -34,7 +34,7 @@ def test_a_displacement_sensor_that_is_noisier_than_its_neighbour_is_named() -> 
     rig = replace(rig, channels=tuple(replace(c, kind="displacement") for c in rig.channels))
     y = simulate(rig, RATE, 12.0, seed=5, noise=1e-10)
     y[:, 0] += 4e-9 * np.random.default_rng(1).standard_normal(len(y))
-    found = spectral_shape.find(rig, fit_all_effects(rig, y, RATE).point)
+    found = spectral_shape.find_spectral_shapes(rig, fit_all_effects(rig, y, RATE).point)
     assert [(s.effect, s.at) for s in found] == [("sensor_noise", ("bearing1.x",))]
     rms = found[0].settings["bearing1.x"]["rms"]
     assert rms.value == pytest.approx(4e-9, rel=0.05)
@@ -48,7 +48,7 @@ def test_the_noise_of_a_sensor_is_no_point_of_a_grid(rms: float) -> None:
     y = simulate(rig, RATE, 6.0, seed=5)
     y += rms * np.random.default_rng(2).standard_normal(y.shape)
     point = fit_all_effects(rig, y, RATE).point
-    found = [noisy_sensor.sensor_noise(point, i) for i in range(2)]
+    found = [noisy_sensor.sensor_noise_rms(point, i) for i in range(2)]
     off = [(p.value - rms) / p.sd for p in found if p.value is not None and p.sd is not None]
     assert np.sqrt(np.mean(np.square(off))) < 1.7
 
@@ -60,7 +60,7 @@ def test_sensors_of_two_kinds_are_not_each_others_measure() -> None:
     rig = replace(rig, channels=tuple(replace(c, kind=kinds[c.node]) for c in rig.channels))
     point = fit_all_effects(rig, simulate(rig, RATE, 6.0, seed=5), RATE).point
     quiet = np.array([0.02, 0.02, 1e-10, 1e-10]) ** 2 / (RATE / 2)
-    assert not noisy_sensor.noisy(rig, point, quiet, ())
+    assert not noisy_sensor.find_noisy_sensors(rig, point, quiet, ())
 
 
 def test_a_sensor_of_a_known_shape_is_no_measure_of_its_neighbours_noise() -> None:
@@ -69,5 +69,5 @@ def test_a_sensor_of_a_known_shape_is_no_measure_of_its_neighbours_noise() -> No
     point = fit_all_effects(rig, simulate(rig, RATE, 6.0, seed=5), RATE).point
     noise = np.array([0.0, 0.5]) ** 2 / (RATE / 2)
     resonant = EffectUse("sensor_resonance", {"bearing1.x": {"frequency": Setting(7e3), "quality": Setting(8.0)}})
-    assert [s.at for s in noisy_sensor.noisy(rig, point, noise, ())] == [("bearing1.y",)]
-    assert not noisy_sensor.noisy(replace(rig, effects=(*rig.effects, resonant)), point, noise, ())
+    assert [s.at for s in noisy_sensor.find_noisy_sensors(rig, point, noise, ())] == [("bearing1.y",)]
+    assert not noisy_sensor.find_noisy_sensors(replace(rig, effects=(*rig.effects, resonant)), point, noise, ())

@@ -11,7 +11,7 @@ from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from estimator.diagnosis.hypotheses import ranking
 from estimator.diagnosis.hypotheses.ranking import Settings
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.finding import Suspect
+from estimator.identification.finding import Finding
 from estimator.identification.machine import impact_train as strikes
 from estimator.identification.machine import lines as line_forces
 from estimator.likelihood.motion.force_balance import shaft_notch
@@ -27,8 +27,8 @@ def rig() -> Model:
     return replace(one_bearing(), bearing=None)
 
 
-def found(rig: Model, y: np.ndarray) -> dict[str, Suspect]:
-    return {s.effect: s for s in line_forces.find(rig, fit_all_effects(rig, y, RATE).point, y, RATE)}
+def found(rig: Model, y: np.ndarray) -> dict[str, Finding]:
+    return {s.effect: s for s in line_forces.find_lines(rig, fit_all_effects(rig, y, RATE).point, y)}
 
 
 def test_a_train_is_found_that_no_geometry_and_no_single_line_announces(rig: Model) -> None:
@@ -71,7 +71,7 @@ def test_without_a_speed_strikes_are_lines_of_one_fundamental(rig: Model) -> Non
     truth = replace(rig, effects=(*rig.effects, EffectUse("local_defect", {"bearing1.x": values})))
     y = simulate(truth, RATE, SECONDS, seed=5, noise=0.02, full_scale=490.5)
     still = replace(rig, speed_rpm=None)
-    lines = line_forces.find(still, fit_all_effects(still, y, RATE).point, y, RATE)
+    lines = line_forces.find_lines(still, fit_all_effects(still, y, RATE).point, y)
     assert {line.effect for line in lines} == {"line"}
     hz = 4.6527 * (rig.speed_rpm or 0.0) / 60.0
     said = [line.note.split("multiples of ")[1] for line in lines if "multiples of" in line.note]
@@ -81,10 +81,10 @@ def test_without_a_speed_strikes_are_lines_of_one_fundamental(rig: Model) -> Non
 def test_lines_of_several_causes_have_no_fundamental() -> None:
     rng = np.random.default_rng(1)
     harmonics = 59.303 * np.array([1, 2, 4, 3, 8, 10, 7]) + rng.uniform(-0.005, 0.005, 7)
-    assert strikes.fundamental([*harmonics, 711.0], 60.0) == pytest.approx(59.303, abs=0.002)
-    assert strikes.fundamental([50.0, 100.0, 150.0, 200.0], 60.0) == 0.0
+    assert strikes.common_fundamental([*harmonics, 711.0], 60.0) == pytest.approx(59.303, abs=0.002)
+    assert strikes.common_fundamental([50.0, 100.0, 150.0, 200.0], 60.0) == 0.0
     drawn = (list(rng.uniform(20.0, 2000.0, n)) for n in (5, 8, 12) for _ in range(300))
-    assert not any(strikes.fundamental(lines, 60.0) for lines in drawn)
+    assert not any(strikes.common_fundamental(lines, 60.0) for lines in drawn)
 
 
 def test_odd_harmonics_of_the_mains_are_lines_and_no_train(rig: Model) -> None:

@@ -16,7 +16,7 @@ from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.machine import lines
-from estimator.identification.search import suspects
+from estimator.identification.search import search
 from estimator.likelihood.motion.prepare import prepare
 from estimator.signals.line_spectrum import spectrum_of, surroundings
 from estimator.simulation.simulator import simulate
@@ -63,7 +63,7 @@ def test_hum_of_the_sensors_is_told_from_a_force_where_the_channels_tell_it() ->
     hum = 0.3 * np.cos(2 * np.pi * 250.0 * np.arange(len(y)) / RATE)[:, None]
 
     def said(z: np.ndarray) -> list[str]:
-        found = lines.find(rig, fit_all_effects(rig, z, RATE).point, z, RATE)
+        found = lines.find_lines(rig, fit_all_effects(rig, z, RATE).point, z)
         assert [s.region[:3] for s in found] == ["250"]
         return [s.note for s in found]
 
@@ -83,7 +83,7 @@ def test_a_disc_of_another_mass_is_no_line() -> None:
     y = simulate(rig, RATE, 40.0, seed=1, noise=0.02, full_scale=490.5)
     off = replace(rig, mass={**rig.mass, "disc": 0.9 * rig.mass["disc"]})
     point = fit_all_effects(off, y, RATE).point
-    assert lines.find(off, point, y, RATE) == []
+    assert lines.find_lines(off, point, y) == []
 
 
 def test_a_disc_that_rings_for_as_long_as_the_record_is_no_line() -> None:
@@ -98,9 +98,9 @@ def test_a_disc_that_rings_for_as_long_as_the_record_is_no_line() -> None:
     peak = float(s.f_hz[band][np.argmax(np.abs(s.Y[0, band]))])
     assert s.steady(peak)
     assert s.over_neighbours(peak) > 30.0
-    assert lines.find(rig, point, y, RATE) == []
+    assert lines.find_lines(rig, point, y) == []
     y[:, 0] += 0.3 * np.cos(2 * np.pi * 112.0 * np.arange(len(y)) / RATE)
-    (line,) = lines.find(rig, point, y, RATE)
+    (line,) = lines.find_lines(rig, point, y)
     assert line.region.startswith("112.")
     assert "bearing1.x" in line.at
 
@@ -116,10 +116,10 @@ def test_a_line_where_the_disc_resonates_is_judged_by_the_force_about_it() -> No
     point = fit_all_effects(rig, y, RATE).point
     spectrum = spectrum_of(rig, y, RATE)
     for hz in (400.0, resonance - 5.0, resonance + 5.0, 1700.0):
-        _, noise = lines.forces(point, spectrum, hz)
+        _, noise = lines.line_forces(point, spectrum, hz)
         for own, place in zip(noise, rig.places, strict=True):  # 1.5 bins of a Hann window are 2 |F|^2 / 2
             assert own == pytest.approx(3 * rig.linear[place]["S"].value / 10.0, rel=0.4)
-    (line,) = lines.find(rig, point, y, RATE)
+    (line,) = lines.find_lines(rig, point, y)
     assert (line.effect, line.at) == ("line", ("bearing1.x",))
     for name, value in values.items():
         got = line.settings["bearing1.x"][name]
@@ -135,7 +135,7 @@ def test_the_search_for_lines_leaves_no_thread_behind() -> None:
     y = simulate(rig, RATE, 5.0, seed=1)
     point = fit_all_effects(rig, y, RATE).point
     before = len(os.listdir("/proc/self/task"))
-    lines.find(rig, point, y, RATE)
+    lines.find_lines(rig, point, y)
     assert len(os.listdir("/proc/self/task")) <= before  # one of another test may end meanwhile
 
 
@@ -165,7 +165,7 @@ def test_the_force_of_a_line_does_not_depend_on_the_kind_of_sensor(kind: str) ->
     rig = replace(rig, channels=tuple(replace(c, kind=kind) for c in rig.channels))
     values = {"a": 0.12, "b": -0.2, "frequency": 700.0}
     y = simulate(with_effect(rig, CATALOGUE["line"], values, "bearing1.x"), RATE, 6.0, seed=4)
-    (found,) = lines.find(rig, fit_all_effects(rig, y, RATE).point, y, RATE)
+    (found,) = lines.find_lines(rig, fit_all_effects(rig, y, RATE).point, y)
     assert (found.effect, found.at) == ("line", ("bearing1.x",))
     for name, value in values.items():
         got = found.settings["bearing1.x"][name]
@@ -177,7 +177,7 @@ def test_the_resonance_of_a_short_record_makes_no_train_of_strikes(seed: int) ->
     """In 1.2 s it is narrower than the neighbourhood that lines are judged by: some hundred bins of it stand out."""
     rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
     y = simulate(rig, RATE, 1.2, seed=seed, noise=0.02)
-    assert lines.find(rig, fit_all_effects(rig, y, RATE).point, y, RATE) == []
+    assert lines.find_lines(rig, fit_all_effects(rig, y, RATE).point, y) == []
 
 
 @pytest.mark.slow
@@ -188,7 +188,7 @@ def test_a_line_at_both_bearings_is_no_common_force_and_no_colour(strength: floa
     e = CATALOGUE["line"]
     values = strengths(e, size(rig, "bearing1.x", RATE), strength, rig, 8.0)
     y = simulate(with_effect(rig, e, values, *rig.places), RATE, 8.0, seed=4, noise=0.02, full_scale=490.5)
-    found = suspects(rig, fit_all_effects(rig, y, RATE).point, y)
+    found = search(rig, fit_all_effects(rig, y, RATE).point, y)
     assert {s.effect for s in found} == {"line"}
 
 

@@ -16,7 +16,7 @@ from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch import spectral as spectral
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.machine import stiffness_order
-from estimator.identification.residual.missing_force import Survey
+from estimator.identification.residual.missing_force import MissingForce
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
 
@@ -49,18 +49,18 @@ def test_an_order_that_slips_is_found_and_fitted(rig: Model, name: str, order: f
 def test_nothing_turns_in_a_complete_record(rig: Model) -> None:
     y = simulate(rig, RATE, SECONDS, seed=3, noise=0.02, full_scale=490.5)
     whole = fit_all_effects(rig, y, RATE)
-    assert stiffness_order.turning(whole.point) is None
+    assert stiffness_order.find_stiffness_order(whole.point) is None
     assert whole.model.ball_pass_order is None
     assert not whole.messages
 
 
 def test_an_order_that_is_given_is_not_sought(rig: Model) -> None:
-    assert stiffness_order.sought(rig)
-    assert not stiffness_order.sought(replace(rig, speed_rpm=None))
-    assert not stiffness_order.sought(replace(rig, ball_pass_order=2.1))
+    assert stiffness_order.lacks_stiffness_order(rig)
+    assert not stiffness_order.lacks_stiffness_order(replace(rig, speed_rpm=None))
+    assert not stiffness_order.lacks_stiffness_order(replace(rig, ball_pass_order=2.1))
     typed = {place: {"order": Setting(2.1)} for place in WHERE}
-    assert not stiffness_order.sought(replace(rig, effects=(EffectUse("ball_pass", typed),)))
-    assert stiffness_order.sought(replace(rig, effects=(EffectUse("ball_pass", {"bearing1": {}}),)))
+    assert not stiffness_order.lacks_stiffness_order(replace(rig, effects=(EffectUse("ball_pass", typed),)))
+    assert stiffness_order.lacks_stiffness_order(replace(rig, effects=(EffectUse("ball_pass", {"bearing1": {}}),)))
 
 
 def test_the_order_is_as_certain_as_it_says() -> None:
@@ -73,7 +73,9 @@ def test_the_order_is_as_certain_as_it_says() -> None:
     for order in rng.uniform(2.1, 3.9, 60):
         x = rng.normal(size=n)
         force = rng.normal(size=n) + 0.3 * np.cos(order * data.phase) * x
-        found = stiffness_order.turning(SimpleNamespace(data=SimpleNamespace(**vars(data), x=[x]), force=[force]))  # type: ignore[arg-type]
+        found = stiffness_order.find_stiffness_order(
+            SimpleNamespace(data=SimpleNamespace(**vars(data), x=[x]), force=[force])
+        )  # type: ignore[arg-type]
         assert found is not None
         scores.append((found.order - order) / found.sd)
     assert 0.7 < float(np.sqrt(np.mean(np.square(scores)))) < 1.3
@@ -86,9 +88,9 @@ def test_an_order_taken_from_the_record_pays_for_all_that_were_looked_at(rig: Mo
     trial = screen.best_at(point, rig, CATALOGUE["ball_pass"], "bearing1.x")
     assert trial is not None
     some = replace(trial, gain=25.0)
-    survey = Survey((), point.bearing_force)
+    survey = MissingForce((), point.bearing_force)
     given, found = (
         ranking.entries(replace(rig, order_found=known), point, [some], survey)[0].p_value for known in (False, True)
     )
-    assert found == pytest.approx(given * stiffness_order.looked_at(point))
-    assert stiffness_order.looked_at(point) == pytest.approx(29.7 * point.data.speed / (2 * np.pi) * 4.0, rel=0.2)
+    assert found == pytest.approx(given * stiffness_order.order_trials(point))
+    assert stiffness_order.order_trials(point) == pytest.approx(29.7 * point.data.speed / (2 * np.pi) * 4.0, rel=0.2)

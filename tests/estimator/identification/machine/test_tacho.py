@@ -15,7 +15,7 @@ from estimator.effects.engine.strength import with_effect
 from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.machine import lines
-from estimator.identification.machine.stiffness_order import turning
+from estimator.identification.machine.stiffness_order import find_stiffness_order
 from estimator.likelihood.motion.harmonics import series, whole_waves
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.signals.shaft_angle import measured_phase, timed
@@ -66,12 +66,12 @@ def test_strikes_are_as_strong_as_they_are_although_the_speed_wanders() -> None:
 @pytest.mark.slow
 def test_orders_are_found_although_the_speed_wanders(rig: Model, record: np.ndarray) -> None:
     whole = fit_all_effects(replace(rig, speed_rpm=None), record, RATE)
-    found = lines.find(whole.model, whole.point, record, RATE)
+    found = lines.find_lines(whole.model, whole.point, record)
     assert {s.effect for s in found} == {"imbalance", "local_defect"}
     for name, value in HIDDEN["imbalance"][0].items():
         got = next(s for s in found if s.effect == "imbalance").settings["disc"][name]
         assert got.value == pytest.approx(value, abs=4 * got.sd)
-    order = turning(whole.point)
+    order = find_stiffness_order(whole.point)
     assert order is not None
     assert order.order == pytest.approx(2.137, abs=4 * order.sd)
 

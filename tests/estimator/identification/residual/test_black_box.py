@@ -9,7 +9,7 @@ from hidden_effects import RATE, one_bearing
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.residual.black_box import VISITED, knots_of, pool
+from estimator.identification.residual.black_box import VISITED, group_pool, hat_knots
 from estimator.simulation.simulator import simulate
 
 OWN = (".kL", ".c", ".kNL", ".cx", ".rate", ".curvature")
@@ -25,7 +25,7 @@ def test_a_law_of_the_model_is_no_column_of_its_own_in_noise(name: str, column: 
     model = with_effect(rig, effect, values, "bearing1.x")
     point = fit_all_effects(model, simulate(model, RATE, 4.0, seed=2, noise=0.6), RATE).point
     assert point.data.calm is not None
-    problem, _ = pool(point, 0, (1.0,))
+    problem, _ = group_pool(point, 0, (1.0,))
     names = ["", *problem.base, *problem.extra]
     rows = [k for k, name in enumerate(names) if name.endswith(OWN) or name == column]
     G = problem.gram.G.sum(axis=(0, 1))[np.ix_(rows, rows)]
@@ -39,8 +39,8 @@ def test_hats_reach_as_far_as_the_motion_does() -> None:
     in the determinant 790 nats were won by that."""
     z = np.random.default_rng(0).uniform(-2.0, 2.0, 100_000)
     z[7] = 3.6
-    knots = knots_of(z, 1.0, 0.5)
+    knots = hat_knots(z, 1.0, 0.5)
     assert knots[-1] == -knots[0] == 2.0
     assert np.sum(z > knots[-2]) >= VISITED
     gaussian = np.random.default_rng(0).standard_normal(500_000)
-    assert knots_of(gaussian, 1.0, 0.5)[-1] == 4.0
+    assert hat_knots(gaussian, 1.0, 0.5)[-1] == 4.0

@@ -27,19 +27,19 @@ def hats() -> Hats:
     rig = one_bearing()
     data = prepare(rig, record(rig, "quintic", 0.015), RATE)
     point = fit_model(data, placed_of(rig, data))
-    pool, knots = black_box.pool(point, 0, (1.0, 2.0))
+    pool, knots = black_box.group_pool(point, 0, (1.0, 2.0))
     names = tuple(n for n in pool.extra if n.startswith("displacement."))
     return point, pool.only(names), names, knots["displacement"]
 
 
 def test_a_bound_fit_is_the_same_force_in_terms_of_hat_functions(hats: Hats) -> None:
     _, problem, names, knots = hats
-    bound, fit, _ = missing_force.smooth(problem, names, knots)
-    back = missing_force.unbound(problem, bound, fit, names, knots)
+    bound, fit, _ = missing_force.fit_polynomial(problem, names, knots)
+    back = missing_force.as_hat_functions(problem, bound, fit, names, knots)
     everything = np.arange(len(problem.blocks))
     assert problem.likelihood(back, everything) == pytest.approx(bound.likelihood(fit, everything), abs=1e-3)
-    power, _ = missing_force.power_of(hats[0], problem, back, 0)
-    again, _ = missing_force.power_of(hats[0], bound, fit, 0)
+    power, _ = missing_force.extra_power(hats[0], problem, back, 0)
+    again, _ = missing_force.extra_power(hats[0], bound, fit, 0)
     assert power == pytest.approx(again, rel=0.02)
 
 
@@ -48,10 +48,10 @@ def test_a_smooth_curve_sees_a_weaker_law_than_free_hat_functions(hats: Hats) ->
     everything = np.arange(len(problem.blocks))
     plain = problem.without_extra()
     level = plain.likelihood(plain.fit(), everything)
-    free = missing_force.ridged(problem)
-    bound, fit, own = missing_force.smooth(problem, names, knots)
-    p_free = missing_force.odds(problem, free, names, problem.likelihood(free, everything) - level)
-    p_bound = missing_force.odds(bound, fit, own, bound.likelihood(fit, everything) - level)
+    free = missing_force.fit_with_ridge(problem)
+    bound, fit, own = missing_force.fit_polynomial(problem, names, knots)
+    p_free = missing_force.group_p_value(problem, free, names, problem.likelihood(free, everything) - level)
+    p_bound = missing_force.group_p_value(bound, fit, own, bound.likelihood(fit, everything) - level)
     assert p_bound < 0.1 * p_free
 
 
@@ -69,10 +69,10 @@ def test_a_force_that_the_model_has_wins_nothing_again(effect: str, values: dict
     own = {name: Setting(value) for name, value in values.items()}
     rig = replace(one_bearing(), effects=(EffectUse(effect, {"bearing1.x": own}),))
     point = fit_all_effects(rig, simulate(rig, RATE, 6.0, seed=2), RATE).point
-    pool, _ = black_box.pool(point, 0, (1.0, 2.0, 2.1))
+    pool, _ = black_box.group_pool(point, 0, (1.0, 2.0, 2.1))
     trial = pool.only(tuple(n for n in pool.extra if n.split(".")[0] == group))
     plain, everything = pool.without_extra(), np.arange(point.data.fold_blocks.size)
-    won = trial.likelihood(missing_force.ridged(trial), everything) - plain.likelihood(plain.fit(), everything)
+    won = trial.likelihood(missing_force.fit_with_ridge(trial), everything) - plain.likelihood(plain.fit(), everything)
     assert won < len(trial.extra)  # half of it in the mean, half of its root the scatter
 
 
@@ -88,10 +88,10 @@ def test_hats_of_the_velocity_win_no_more_than_their_number() -> None:
     won, free = [], []
     for seed in range(10):
         point = fit_all_effects(rig, simulate(rig, RATE, 6.0, seed=seed), RATE).point
-        pool, _ = black_box.pool(point, 0, (1.0, 2.0))
+        pool, _ = black_box.group_pool(point, 0, (1.0, 2.0))
         trial = pool.only(tuple(n for n in pool.extra if n.startswith("velocity")))
         plain, everything = pool.without_extra(), np.arange(point.data.fold_blocks.size)
-        fit = missing_force.ridged(trial)
+        fit = missing_force.fit_with_ridge(trial)
         won.append(2 * (trial.likelihood(fit, everything) - plain.likelihood(plain.fit(), everything)))
         free.append(missing_force._effective(trial, fit, trial.extra))
     assert np.mean(won) < 1.6 * np.mean(free)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from daq.rig.rig import load_rig
 from estimator.diagnosis.verdict.improvement import improve
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.finding import Suspect
+from estimator.identification.finding import Finding
 from estimator.identification.structure import coupled_caps
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
@@ -54,9 +54,9 @@ def record(rig: Model, gain: float = 1.0, late_s: float = 0.0) -> Array:
     return y + rng.normal(scale=0.02, size=y.shape)
 
 
-def found(rig: Model, y: Array) -> list[Suspect]:
+def found(rig: Model, y: Array) -> list[Finding]:
     whole = fit_all_effects(rig, y, RATE)
-    return coupled_caps.find(whole.model, whole.point)
+    return coupled_caps.find_coupled_sensor_faults(whole.model, whole.point)
 
 
 @pytest.mark.parametrize(("gain", "samples"), [(1.1, 0.0), (0.9, 0.0), (1.0, 0.5)])

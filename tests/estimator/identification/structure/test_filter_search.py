@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from estimator.identification.structure.filter_search import NONE, Seen, Standing, _spectrum, likeliest, mean_or_none
-from estimator.identification.structure.pedestal_form import lost
+from estimator.identification.structure.pedestal_form import stiffness_lost
 from estimator.identification.structure.spectral_cells import CELLS, Cells
-from estimator.identification.structure.spectral_models import coloured, resonant
+from estimator.identification.structure.spectral_models import coloured_power, resonant_power
 from estimator.model.recorder import Filter, images
 from estimator.signals.channel_response import undone
 from estimator.signals.filter_designs import chebyshev, designs
@@ -41,7 +41,7 @@ def seen(
     A, one = MASS - k / w**2 + c / (1j * w), np.ones(w.size)
     standing = None if stands is None else Standing(k, c, stands)
     if stands is not None:
-        A += lost(w, k, c, np.array(stands)) / w**2
+        A += stiffness_lost(w, k, c, np.array(stands)) / w**2
     none = np.zeros((0, w.size))
     through = np.abs(A) ** 2 / MASS**2
     white = np.stack([through, 0 * w])
@@ -49,12 +49,15 @@ def seen(
     hz = w / (2 * np.pi)
     passed, echoes = off.passed(hz), off.echoes(hz, "acceleration")
     if true is not None and undone is not None:
-        was = resonant(hz, *undone)
-        passed, echoes = passed * resonant(hz, *true) / was, echoes * resonant(images(RATE, hz), *true) / was
+        was = resonant_power(hz, *undone)
+        passed, echoes = (
+            passed * resonant_power(hz, *true) / was,
+            echoes * resonant_power(images(RATE, hz), *true) / was,
+        )
         cells = replace(cells, heard=cells.heard / was)
     if force is not None and thought is not None:
-        cells = replace(cells, colour=coloured(hz, *thought))
-        passed = passed * coloured(hz, *force) / cells.colour
+        cells = replace(cells, colour=coloured_power(hz, *thought))
+        passed = passed * coloured_power(hz, *force) / cells.colour
     u = np.array([np.log(S), noise, 0.02 * k, -0.1 * c])
     own = Seen(cells, "acceleration", undone, thought, standing)
     mean = _spectrum(own, u, passed, echoes.sum(axis=0) * through, pedestal)[0]
@@ -205,7 +208,9 @@ def test_derivatives_are_those_of_the_spectrum(standing: Standing | None) -> Non
         assert row == pytest.approx((ends[0] - ends[1]) / (2 * small), rel=1e-4, abs=1e-11)
     A = c.tangent(u)
     if standing is not None:
-        A += (lost(c.w, 8.1e6, 45.0, pedestal) - lost(c.w, 8e6, 40.0, np.array(standing.pedestal))) / c.w**2
+        A += (
+            stiffness_lost(c.w, 8.1e6, 45.0, pedestal) - stiffness_lost(c.w, 8e6, 40.0, np.array(standing.pedestal))
+        ) / c.w**2
     assert _spectrum(own, u, passed, back, pedestal)[0] == pytest.approx(
         replace(c, back=back).spectrum(np.array([u[0], np.log(u[1]), *u[2:]]), A, passed)
     )

@@ -128,7 +128,7 @@ def test_ripples_that_the_deviance_hardly_shows_are_the_recorders() -> None:
     """Of 0.25 dB: S was 2.6 to 3.7 % low at all places, 7 to 10 standard deviations, as no filter was looked for."""
     rig = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
     y = through(simulate(rig, RATE, 6.0, seed=1, noise=0.02), "ripples")
-    found = recorder_fall.find(rig, fit_record(rig, prepare(rig, y, RATE)))
+    found = recorder_fall.find_roll_off(rig, fit_record(rig, prepare(rig, y, RATE)))
     assert found is not None
     f = np.linspace(150.0, TOP, 100)
     for own in found.values():
@@ -146,7 +146,7 @@ def test_behind_one_recorder_the_places_without_a_colour_show_its_filter() -> No
 
     y = through(simulate(coloured(8.0, 900.0), RATE, 4.0, seed=1, noise=0.02), "butterworth")
     thought = coloured(10.8, 970.0)
-    found = recorder_fall.find(thought, fit_record(thought, prepare(thought, y, RATE)))
+    found = recorder_fall.find_roll_off(thought, fit_record(thought, prepare(thought, y, RATE)))
     assert found is not None
     assert set(found) == set(rig.places)
     f = np.linspace(150.0, TOP, 100)
@@ -167,7 +167,7 @@ def test_pedestals_at_every_cap_do_not_hide_the_filter() -> None:
     sos = signal.bessel(3, 0.45 * RATE, fs=8 * RATE, norm="mag", output="sos")
     y = signal.sosfiltfilt(sos, simulate(on(0.5 * m, hz, 0.05), 8 * RATE, 4.0, seed=1), axis=0)[::8]
     thought = on(0.6 * m, 0.95 * hz, 0.06)
-    found = recorder_fall.find(thought, fit_record(thought, prepare(thought, y, RATE)))
+    found = recorder_fall.find_roll_off(thought, fit_record(thought, prepare(thought, y, RATE)))
     assert found is not None
     f = np.linspace(150.0, TOP, 100)
     wanted = abs(signal.sosfreqz(sos, f, fs=8 * RATE)[1]) ** 4
@@ -184,7 +184,7 @@ def test_a_sensor_that_resonates_does_not_hide_the_filter_of_all(recorder: str) 
     resonance = 1.0 / (1.0 - (f / 5600.0) ** 2 + 1j * f / 5600.0 / 5.0)
     y[:, 0] = np.fft.irfft(np.fft.rfft(y[:, 0]) * resonance, len(y))
     y = through(y, recorder) if recorder else y
-    found = recorder_fall.find(rig, fit_record(rig, prepare(rig, y, RATE)))
+    found = recorder_fall.find_roll_off(rig, fit_record(rig, prepare(rig, y, RATE)))
     assert (set(found) if found else set()) == (set(rig.places) if recorder else set())
 
 
@@ -422,7 +422,7 @@ def test_lines_do_not_hide_the_filter() -> None:
 def test_no_shape_of_a_rotor_passes_for_a_filter(effect: str, strength: float) -> None:
     rig = one_bearing()
     whole = fit_all_effects(rig, record(rig, effect, strength, seconds=30.0), RATE)
-    assert not recorder_fall.find(whole.model, whole.point)
+    assert not recorder_fall.find_roll_off(whole.model, whole.point)
     assert not whole.model.roll_off
 
 

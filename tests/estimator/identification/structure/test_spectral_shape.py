@@ -29,7 +29,7 @@ def test_a_fall_without_a_peak_may_be_an_anti_alias_filter() -> None:
     filtered = np.stack([lfilter(*butter(3, 8500.0, fs=RATE), y[:, 0]), y[:, 1]], axis=1)
     for name, seen in (("whole", y), ("filtered", filtered)):
         whole = fit_all_effects(rig, seen, RATE)
-        found = [s for s in spectral_shape.find(rig, whole.point) if s.effect == "sensor_resonance"]
+        found = [s for s in spectral_shape.find_spectral_shapes(rig, whole.point) if s.effect == "sensor_resonance"]
         said[name] = [s.note for s in found]
     assert not any(said["whole"])
     assert any("anti-alias filter" in note for note in said["filtered"])
@@ -82,9 +82,12 @@ def test_noise_stands_out_only_of_neighbours_whose_own_is_known(noise: float) ->
     y += noise * np.array([0.2, 1.0]) * y.std(axis=0) * np.random.default_rng(1).standard_normal(y.shape)
     peaked = np.stack([y[:, 0] + 2.0 * lfilter(*iirpeak(2800.0, 2.0, fs=RATE), y[:, 0]), y[:, 1]], axis=1)
     whole, other = (fit_all_effects(rig, seen, RATE) for seen in (y, peaked))
-    seen = spectral_shape.as_it_is(rig, other.point, 0.0)
+    seen = spectral_shape.refit_with_seen_spectra(rig, other.point, 0.0)
     assert seen is not None
-    named = [{s.effect for s in spectral_shape.find(rig, point)} for point in (whole.point, other.point, seen)]
+    named = [
+        {s.effect for s in spectral_shape.find_spectral_shapes(rig, point)}
+        for point in (whole.point, other.point, seen)
+    ]
     assert named == [{"sensor_noise"} if noise else set(), {"unknown"}, set()]
 
 
@@ -96,7 +99,7 @@ def test_noise_is_held_against_what_is_folded_where_it_is_loudest(rms: float, na
     y = simulate(rig, 8 * RATE, 8.0, seed=1, oversample=2).reshape(-1, 8, 2).mean(axis=1)
     y += np.random.default_rng(3).normal(size=y.shape) * [rms, 0.002]
     whole = fit_all_effects(rig, y, RATE)
-    assert [s.effect for s in spectral_shape.find(whole.model, whole.point)] == named
+    assert [s.effect for s in spectral_shape.find_spectral_shapes(whole.model, whole.point)] == named
 
 
 def test_a_force_with_a_peak_on_a_stiff_shaft_is_unknown_and_no_law() -> None:
@@ -128,8 +131,10 @@ def test_a_spectrum_that_a_missing_law_bends_is_not_taken_as_it_is() -> None:
     whole = fit_all_effects(rig, y := simulate(truth, RATE, 10.0, seed=3, noise=0.0), RATE)
     entries = ranked(whole.model, whole.point, y, quiet).entries
     assert entries[0].effect == "cross_coupling"
-    assert spectral_shape.as_it_is(rig, whole.point, 0.0) is not None, "no cause of the catalogue makes this spectrum"
-    assert spectral_shape.as_it_is(rig, whole.point, entries[0].gain) is None
+    assert spectral_shape.refit_with_seen_spectra(rig, whole.point, 0.0) is not None, (
+        "no cause of the catalogue makes this spectrum"
+    )
+    assert spectral_shape.refit_with_seen_spectra(rig, whole.point, entries[0].gain) is None
 
 
 def test_the_force_inferred_by_a_wrong_stiffness_beside_caps_that_answer() -> None:
@@ -141,7 +146,7 @@ def test_the_force_inferred_by_a_wrong_stiffness_beside_caps_that_answer() -> No
     true = thought.copy()
     true[:, i, i] += delta
     inferred = thought @ np.linalg.inv(true)
-    A, others = spectral_cells.answered(thought, S, i)
+    A, others = spectral_cells.with_others_answering(thought, S, i)
     one = np.ones(f)
     c = spectral_cells.Cells(one, one, one, A, one, 0.0 * one, others, 0.0 * one, *3 * [np.zeros((0, f))])
     found = c.spectrum(np.array([np.log(S[i]), 0.0, 0.0, 0.0]), A + delta)
@@ -156,7 +161,7 @@ def test_noise_of_the_sensors_comes_through_a_stiff_shaft_too() -> None:
     for i in range(4):
         c = spectral_cells.cells_of(point, i)
         df = c.n.size - 4
-        assert abs(-2 * spectral_models.plain(point, i, c)[0] - df) < 4.0 * np.sqrt(2 * df)
+        assert abs(-2 * spectral_models.fit_base_model(point, i, c)[0] - df) < 4.0 * np.sqrt(2 * df)
         # amid a cell at a resonance |A|^2 is less than its mean: behind a Bessel filter a mean fitted better for that
         made = np.abs(point.A[:, i]) ** 2 @ (point.S / point.data.mass**2) / point.S[i]
         assert c.white.sum(axis=0) @ c.n == pytest.approx(point.data.blocks * made.sum())
@@ -189,7 +194,7 @@ def test_a_pedestal_is_found_where_it_does_not_stand_out_by_itself() -> None:
         for p, factor in (("bearing1.x", 1.7), ("bearing1.y", 2.6))
     }
     y = simulate(replace(rig, effects=(*rig.effects, EffectUse("pedestal", own))), RATE, 8.0, seed=2, noise=0.02)
-    found = {s.at[0]: s for s in spectral_shape.find(rig, fit_all_effects(rig, y, RATE).point)}
+    found = {s.at[0]: s for s in spectral_shape.find_spectral_shapes(rig, fit_all_effects(rig, y, RATE).point)}
     assert {s.effect for s in found.values()} == {"pedestal"}
     assert set(found) == {"bearing1.x", "bearing1.y"}
     frequency = found["bearing1.y"].settings["bearing1.y"]["frequency"]
@@ -202,7 +207,7 @@ def test_one_noisy_sensor_beside_a_stiff_shaft_is_found() -> None:
     noise = EffectUse("sensor_noise", {"bearing1.x": {"rms": Setting(0.4)}})
     y = simulate(replace(rig, effects=(*rig.effects, noise)), RATE, 8.0, seed=7, noise=0.02, full_scale=490.5)
     whole = fit_all_effects(rig, y, RATE)
-    (one,) = [s for s in spectral_shape.find(whole.model, whole.point) if s.p_value < 1e-3]
+    (one,) = [s for s in spectral_shape.find_spectral_shapes(whole.model, whole.point) if s.p_value < 1e-3]
     assert (one.effect, one.at) == ("sensor_noise", ("bearing1.x",))
     rms = one.settings["bearing1.x"]["rms"]
     assert rms.value == pytest.approx(0.4, rel=0.05)
@@ -251,7 +256,7 @@ def test_noise_that_only_the_cause_shows_is_found_beside_it() -> None:
     r = np.fft.rfftfreq(len(y), 1 / RATE) / true["frequency"]
     y[:, 0] = np.fft.irfft(np.fft.rfft(y[:, 0]) / (1.0 - r**2 + 1j * r / true["quality"]), len(y))
     y += 0.5 * np.random.default_rng(1).normal(size=y.shape)
-    found = spectral_shape.find(rig, fit_record(rig, prepare(rig, y, RATE)))
+    found = spectral_shape.find_spectral_shapes(rig, fit_record(rig, prepare(rig, y, RATE)))
     (own,) = (s for s in found if s.effect == "sensor_resonance")
     for name, value in true.items():
         p = own.settings[place][name]

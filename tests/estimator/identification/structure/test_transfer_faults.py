@@ -17,7 +17,7 @@ from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
 from estimator.identification.batch import spectral as spectral
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.search import suspects
+from estimator.identification.search import search
 from estimator.identification.structure import transfer_bias, transfer_faults
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.fitting.transfer_function import left, linear, plain, response_of
@@ -57,7 +57,7 @@ def given(name: str) -> Model:
 @pytest.mark.parametrize("name", HIDDEN)
 def test_what_bends_the_path_is_found_first_and_its_numbers_are_right(name: str) -> None:
     y = made(name)
-    first = suspects(RIG, fit_all_effects(RIG, y, RATE).point, y)[0]
+    first = search(RIG, fit_all_effects(RIG, y, RATE).point, y)[0]
     assert (first.effect, first.at) == (name, (PLACE,))
     assert first.p_value < 1e-6
     for p, true in zip(first.settings[PLACE].values(), HIDDEN[name], strict=True):
@@ -109,15 +109,15 @@ def test_stiffness_and_damping_by_the_path_alone() -> None:
 def test_a_complete_model_has_no_suspect(seed: int) -> None:
     noise = [(0.02, 1e-3), (0.3, 1e-3), (0.02, 0.03), (2.0, 0.1)][seed]
     y = record(seed=seed, noise=noise)
-    assert suspects(RIG, fit_all_effects(RIG, y, RATE).point, y) == []
+    assert search(RIG, fit_all_effects(RIG, y, RATE).point, y) == []
 
 
 def test_a_gain_that_no_calibration_would_show_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The steps of a simulation make one of 0.04 %, which beside much damping is a force worth a name."""
-    monkeypatch.setattr(transfer_faults, "NEGLIGIBLE", 1e-4)
+    monkeypatch.setattr(transfer_faults, "NEGLIGIBLE_FORCE_SHARE", 1e-4)
     for error, claimed in ((1.5e-3, False), (3e-3, True)):
         y = record(seed=3, sensor=heard("sensor_gain", error))
-        found = suspects(RIG, fit_all_effects(RIG, y, RATE).point, y)
+        found = search(RIG, fit_all_effects(RIG, y, RATE).point, y)
         assert [s.effect for s in found][:1] == ["sensor_gain"] * claimed
 
 
@@ -131,8 +131,8 @@ def test_a_force_beside_the_measured_one_is_no_fault_of_a_sensor() -> None:
     11 % too small by `fit`."""
     y = record(seed=3, unseen=unseen)
     whole = fit_all_effects(RIG, y, RATE)
-    assert suspects(RIG, whole.point, y) == []
-    assert transfer_faults.pushed(RIG, whole.point)
+    assert search(RIG, whole.point, y) == []
+    assert transfer_faults.has_unmeasured_force(RIG, whole.point)
     found = spectral.fit_spectral(RIG, y, RATE).parameters
     for name, true in (("kL", KL), ("c", C)):
         p = found[f"{PLACE}.{name}"]
@@ -142,13 +142,13 @@ def test_a_force_beside_the_measured_one_is_no_fault_of_a_sensor() -> None:
 def test_as_much_noise_of_the_force_sensor_is_told_from_it() -> None:
     y = record(seed=3, noise=(0.02, float(np.sqrt(S / 8 * RATE / 2))))
     point = fit_all_effects(RIG, y, RATE).point
-    assert suspects(RIG, point, y) == []
-    assert not transfer_faults.pushed(RIG, point)
+    assert search(RIG, point, y) == []
+    assert not transfer_faults.has_unmeasured_force(RIG, point)
 
 
 def test_a_gain_beside_a_force_that_is_not_measured() -> None:
     y = record(seed=3, unseen=unseen, sensor=heard("sensor_gain", 0.05))
-    first = suspects(RIG, fit_all_effects(RIG, y, RATE).point, y)[0]
+    first = search(RIG, fit_all_effects(RIG, y, RATE).point, y)[0]
     assert first.effect == "sensor_gain"
     error = first.settings[PLACE]["error"]
     assert abs((error.value or 0.0) - 0.05) < 4 * (error.sd or 0.0)
@@ -160,7 +160,7 @@ def test_what_a_cap_mass_hides_is_not_claimed() -> None:
     free = replace(RIG, mass={})
     point = fit_all_effects(free, y, RATE).point
     assert point.data.mass[0] == pytest.approx(MASS / 1.05, rel=1e-3)
-    assert suspects(free, point, y) == []
+    assert search(free, point, y) == []
 
 
 @pytest.mark.slow
@@ -170,7 +170,7 @@ def test_a_line_of_the_measured_force_is_no_finding() -> None:
 
     for sensor in (heard("sensor_gain", 0.0), heard("sensor_gain", 0.05)):
         y = record(seed=1, force=tone, sensor=sensor)
-        assert "line" not in [s.effect for s in suspects(RIG, fit_all_effects(RIG, y, RATE).point, y)]
+        assert "line" not in [s.effect for s in search(RIG, fit_all_effects(RIG, y, RATE).point, y)]
 
 
 @pytest.mark.slow
@@ -211,7 +211,7 @@ def test_where_only_one_force_is_measured_the_other_place_is_judged_as_without()
     both = replace(RIG, channels=channels, mass={"bearing1": MASS, "bearing2": MASS})
     y = np.column_stack([one, other])
     point = fit_all_effects(both, y, RATE).point
-    found = {s.at: s.effect for s in reversed(suspects(both, point, y))}
+    found = {s.at: s.effect for s in reversed(search(both, point, y))}
     assert found == {("bearing1.x",): "sensor_skew", ("bearing2.x",): "coloured_excitation"}
     said = diagnose(both, np.column_stack([record(seed=4), white[:, 0]]), RATE)
     assert said.verdict == "complete"
@@ -233,9 +233,9 @@ def test_twice_the_nats_of_an_idle_cause_are_chi_square_whatever_the_noise() -> 
         point = fit_model(prepare(RIG, record(seed=seed, noise=noise), RATE), [])
         r = response_of(point, 0)
         base, scale = plain(point, 0, r)
-        for cause in transfer_bias.causes(point, 0, {}):
+        for cause in transfer_bias.transfer_causes(point, 0, {}):
             starts = [np.array(z) for z in cause.starts]
-            nats = transfer_bias.bent(point, 0, r, cause, base, scale, starts).nats - base.nats
+            nats = transfer_bias.fit_cause(point, 0, r, cause, base, scale, starts).nats - base.nats
             won.setdefault(cause.effect, []).append(2 * nats)
     for name in ("sensor_gain", "sensor_skew"):
         assert 0.4 < np.mean(won[name]) < 1.8
@@ -279,7 +279,7 @@ def made_both(pair: tuple[str, str]) -> Array:
 def test_two_at_one_place_are_told_apart(pair: tuple[str, str]) -> None:
     """Neither by itself explains half of what is left at 1 / 40 of it."""
     y = made_both(pair)
-    found = {s.effect: s.settings[PLACE] for s in suspects(RIG, fit_all_effects(RIG, y, RATE).point, y)}
+    found = {s.effect: s.settings[PLACE] for s in search(RIG, fit_all_effects(RIG, y, RATE).point, y)}
     assert set(found) == set(pair)
     for name in pair:
         for p, true in zip(found[name].values(), HIDDEN[name], strict=True):
@@ -306,7 +306,7 @@ def rippled() -> Array:
 @pytest.mark.slow
 def test_a_path_that_is_bent_by_nothing_of_the_catalogue_is_unknown() -> None:
     y = rippled()
-    assert [s.effect for s in suspects(RIG, fit_all_effects(RIG, y, RATE).point, y)] == ["unknown"]
+    assert [s.effect for s in search(RIG, fit_all_effects(RIG, y, RATE).point, y)] == ["unknown"]
 
 
 @pytest.mark.slow
@@ -325,4 +325,4 @@ def test_noise_of_the_force_and_a_force_beside_it_are_told_in_their_shares() -> 
     found = transfer_faults._likeliest(RIG, point, 0, response_of(point, 0))
     assert found.response.unmeasured == pytest.approx(beside / (noise + beside), abs=0.05)
     assert point.c[0] + found.base.u[3] == pytest.approx(C, abs=4 * float(np.sqrt(found.base.covariance[3, 3])))
-    assert transfer_faults.find(RIG, point) == []
+    assert transfer_faults.find_transfer_faults(RIG, point) == []

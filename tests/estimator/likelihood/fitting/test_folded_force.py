@@ -87,7 +87,7 @@ def test_it_bends_no_path_and_its_density_is_seen() -> None:
     for name, true in (("kL", K), ("c", C)):
         p = whole.parameters[f"bearing1.x.{name}"]
         assert p.value == pytest.approx(true, abs=4 * (p.sd or 0.0))
-    assert not transfer_faults.find(RIG, whole.point)
+    assert not transfer_faults.find_transfer_faults(RIG, whole.point)
     assert not survey(whole.point, RIG).any_found()
     r = response_of(whole.point, 0)
     hz, f = r.w / (2 * np.pi), np.fft.rfftfreq(4096, 1 / RATE)
@@ -105,14 +105,14 @@ def test_what_is_folded_was_late_at_its_image(samples: float) -> None:
     for name, true in (("kL", K), ("c", C)):
         p = whole.parameters[f"bearing1.x.{name}"]
         assert p.value == pytest.approx(true, abs=4 * (p.sd or 0.0))
-    assert not transfer_faults.find(whole.model, whole.point)
+    assert not transfer_faults.find_transfer_faults(whole.model, whole.point)
 
 
 @pytest.mark.parametrize("samples", [0.05, 0.5])
 def test_a_delay_that_nobody_knows_of_is_told_beside_it(samples: float) -> None:
     """A fold was sought behind a sensor in time only: "bouc_wen" was said, or of 0.05 samples a resonance."""
     y = sampled(delay=samples / RATE).y
-    found = max(transfer_faults.find(RIG, fit_all_effects(RIG, y, RATE).point), key=lambda s: s.gain)
+    found = max(transfer_faults.find_transfer_faults(RIG, fit_all_effects(RIG, y, RATE).point), key=lambda s: s.gain_nats)
     assert found.effect == "sensor_skew"
     assert RATE * (found.settings["bearing1.x"]["delay"].value or 0.0) == pytest.approx(samples, abs=0.01)
 
@@ -142,7 +142,7 @@ def test_another_sensor_of_motion_hears_less_of_it(kind: str) -> None:
     for name, true in (("kL", K), ("c", C)):
         found = whole.parameters[f"bearing1.x.{name}"]
         assert found.value == pytest.approx(true, abs=3.5 * (found.sd or 0.0)), name
-    assert not transfer_faults.find(whole.model, whole.point)
+    assert not transfer_faults.find_transfer_faults(whole.model, whole.point)
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,7 @@ def test_nor_does_its_path_bend_where_shape_or_noise_make_it_hard_to_see(
     channels = (replace(RIG.channels[0], kind="velocity"), RIG.channels[1])
     rig = replace(RIG, channels=channels, band=(BAND[0], top))
     y = sampled(kind="velocity", mean=mean, hz=hz, zeta=zeta, noise=noise, seconds=60.0).y
-    assert not transfer_faults.find(rig, fit_all_effects(rig, y, RATE).point)
+    assert not transfer_faults.find_transfer_faults(rig, fit_all_effects(rig, y, RATE).point)
 
 
 @pytest.mark.parametrize("noise", [1e-3, 0.03])
@@ -188,8 +188,8 @@ def test_no_law_that_is_missing_passes_for_it(law: Law, share: float) -> None:
 
 def test_a_gain_is_told_beside_it() -> None:
     y = sampled().y * [1.01, 1.0]
-    found = transfer_faults.find(RIG, fit_all_effects(RIG, y, RATE).point)
-    assert max(found, key=lambda s: s.gain).effect == "sensor_gain"
+    found = transfer_faults.find_transfer_faults(RIG, fit_all_effects(RIG, y, RATE).point)
+    assert max(found, key=lambda s: s.gain_nats).effect == "sensor_gain"
 
 
 @pytest.mark.parametrize("law", [cubic, coulomb])

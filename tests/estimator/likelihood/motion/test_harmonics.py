@@ -15,9 +15,9 @@ from estimator.effects.engine.strength import size, strengths
 from estimator.identification.batch.disturbance_numbers import with_found_effects
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.machine import lines
-from estimator.identification.machine.harmonic_fit import PIECES, found_beside, refined
+from estimator.identification.machine.harmonic_fit import PIECES, fit_found_harmonics, refine_harmonics
 from estimator.identification.residual.missing_force import survey
-from estimator.identification.search import suspects
+from estimator.identification.search import search
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import known_lines, periodic_of, series
 from estimator.likelihood.motion.motion_record import MotionBlocks
@@ -112,7 +112,7 @@ def test_wrong_numbers_are_found_from_what_they_leave(
     model = with_use(rig, name, {k: v + off[k] for k, v in values.items()})
     for _ in range(4):
         force = noise + series_of(truth, data) - series_of(model, data)
-        model, found = refined(model, replace(point, data=data), force)
+        model, found = refine_harmonics(model, replace(point, data=data), force)
     for key, value in values.items():
         p = found[f"bearing1.x.{name}.{key}"]
         assert p.identifiable
@@ -134,7 +134,7 @@ def test_a_phase_at_the_start_of_the_record_is_half_as_well_known_as_an_amplitud
 ) -> None:
     """With an unknown frequency the Cramer-Rao bound of a phase at one end is four times that in the middle."""
     model = with_use(rig, "line", {"a": 0.13, "b": 0.0, "frequency": 791.37})
-    _, found = refined(model, point, white(point.data, point.S))
+    _, found = refine_harmonics(model, point, white(point.data, point.S))
     a, b = (found[f"bearing1.x.line.{k}"].sd for k in "ab")
     assert a == pytest.approx(sd_of_amplitude(point), rel=2 / PIECES)
     assert b == pytest.approx(2 * sd_of_amplitude(point), rel=2 / PIECES)
@@ -144,7 +144,7 @@ def test_a_line_in_the_noise_of_a_sensor_is_as_uncertain_as_that_makes_it(rig: M
     model = with_use(rig, "line", LINE)
     noise = replace(point.whitening.noise, weight=np.full_like(point.whitening.weight, 0.25))
     noisy = replace(point, whitening=replace(point.whitening, noise=noise))
-    quiet, loud = (refined(model, p, white(p.data, p.S))[1]["bearing1.x.line.a"].sd for p in (point, noisy))
+    quiet, loud = (refine_harmonics(model, p, white(p.data, p.S))[1]["bearing1.x.line.a"].sd for p in (point, noisy))
     assert quiet is not None
     assert loud == pytest.approx(2 * quiet, rel=0.02)  # four times the power
 
@@ -172,8 +172,8 @@ def test_strikes_that_are_found_are_as_strong_as_they_are() -> None:
     rig = one_bearing()
     y = record(rig, "local_defect", 0.06)
     point = fit_all_effects(rig, y, RATE).point
-    (seen,) = (s for s in lines.find(rig, point, y, RATE) if s.effect == "local_defect")
-    found = found_beside(rig, point, {"local_defect": seen.settings})[0]["local_defect"]
+    (seen,) = (s for s in lines.find_lines(rig, point, y) if s.effect == "local_defect")
+    found = fit_found_harmonics(rig, point, {"local_defect": seen.settings})[0]["local_defect"]
     truth = strengths(CATALOGUE["local_defect"], size(rig, "bearing1.x", RATE), 0.06, rig, SECONDS)
     for place in rig.places:
         for name in ("strike", "order", "width"):
@@ -191,11 +191,11 @@ def test_a_place_may_have_more_than_one_line(rig: Model) -> None:
         truth = with_use(truth, name, {"a": force, "b": -0.3 * force, "frequency": hz})
     y = simulate(truth, RATE, 8.0, seed=5, noise=0.02, full_scale=490.5)
     whole = fit_all_effects(rig, y, RATE)
-    seen = suspects(rig, whole.point, y)
+    seen = search(rig, whole.point, y)
     entry = ranking.entries(rig, whole.point, [], survey(whole.point, rig, only=()), seen)[0]
     assert [*entry.settings] == [*hums]
     added = fit_all_effects(with_found_effects(rig, entry.settings), y, RATE)
-    assert suspects(added.model, added.point, y) == []
+    assert search(added.model, added.point, y) == []
     for name, (hz, force) in hums.items():
         for key, value in {"a": force, "b": -0.3 * force, "frequency": hz}.items():
             p = added.parameters[f"bearing1.x.{name}.{key}"]
@@ -235,13 +235,13 @@ def test_what_a_law_makes_of_lines_is_no_force(rig: Model) -> None:
     y = simulate(truth, RATE, 8.0, seed=3, noise=0.02, full_scale=490.5)
     whole = fit_all_effects(with_use(rig, "line", {}), y, RATE)
     assert [use.name for use in whole.model.effects] == ["cubic", "line", "line_2", "line_3", "line_4"]
-    assert suspects(whole.model, whole.point, y) == []
+    assert search(whole.model, whole.point, y) == []
 
 
 def test_what_is_fixed_stays(rig: Model, point: WorkingPoint) -> None:
     use = EffectUse("line", {"bearing1.x": {k: Setting(v, fixed=k == "frequency") for k, v in LINE.items()}})
-    model, found = refined(replace(rig, effects=(use,)), point, np.ones_like(point.force))
+    model, found = refine_harmonics(replace(rig, effects=(use,)), point, np.ones_like(point.force))
     assert model.effects[0].parameters["bearing1.x"]["frequency"].value == LINE["frequency"]
     assert found["bearing1.x.line.frequency"].sd == 0.0
     given = EffectUse("line", {"bearing1.x": {k: Setting(v, fixed=True) for k, v in LINE.items()}})
-    assert not refined(replace(rig, effects=(given,)), point, np.ones_like(point.force))[1]
+    assert not refine_harmonics(replace(rig, effects=(given,)), point, np.ones_like(point.force))[1]

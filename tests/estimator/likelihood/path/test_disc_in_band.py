@@ -88,14 +88,14 @@ def test_what_rings_from_block_to_block_is_no_force_beside_the_bins_left_out() -
     y[:, 0] += 2.0 * np.random.default_rng(1).standard_normal(len(y))
     point = fit_all_effects(rig, y, RATE).point
     cells = spectral_cells.cells_of(point, 0)
-    level, u, _ = spectral_models.plain(point, 0, cells)
+    level, u, _ = spectral_models.fit_base_model(point, 0, cells)
     df = cells.n.size - 4
     assert abs(-2 * level - df) < 4 * np.sqrt(2 * df)
     f = cells.w / (2 * np.pi)
     near = (f > 440.0) & (f < 560.0)
     ratio = (cells.power / spectral_models.base_model(cells, u))[near]
     assert abs(np.average(ratio, weights=cells.n[near]) - 1.0) < 4 / np.sqrt(cells.n[near].sum())
-    found = [s.effect for s in spectral_shape.find(rig, point)]
+    found = [s.effect for s in spectral_shape.find_spectral_shapes(rig, point)]
     assert found == ["sensor_noise"]
 
 
