@@ -179,7 +179,9 @@ def _fit_with_stiffness_order(model: Model, y: Array, rate_hz: float, begun: Wor
     if laws := stiffness_order.ball_pass_uses(model):
         bare = replace(model, effects=tuple(u for u in model.effects if u not in laws))
         model, said = stiffness_order.with_found_order(model, _fit_at_given_order(bare, y, rate_hz).point)
-        return replace(_fit_at_given_order(stiffness_order.with_start_orders(model) if said else model, y, rate_hz), messages=said)
+        return replace(
+            _fit_at_given_order(stiffness_order.with_start_orders(model) if said else model, y, rate_hz), messages=said
+        )
     whole = _fit_at_given_order(model, y, rate_hz, begun)
     model, said = stiffness_order.with_found_order(whole.model, whole.point)
     return replace(whole, model=model, messages=(*whole.messages, *said))

@@ -170,14 +170,18 @@ def _noise_about(point: WorkingPoint, s: Spectrum, hz: float) -> Array:
 def _one_line(
     model: Model, point: WorkingPoint, s: Spectrum, hz: float, rotation: float, threshold: float
 ) -> Finding | None:
-    order = hz / rotation if rotation > 0 else 0.0
-    near = [k for k in (1, 2) if rotation > 0 and abs(hz - k * rotation) < 2.0 / s.seconds]
-    if near:
-        hz = near[0] * rotation  # a tenth of a bin beside it, the phase at t = 0 would be off by a third
-    F, noise = line_forces(point, s, hz, near[0] if near else 0)
-    Z = np.where(_made_by_laws(point, hz, near[0] if near else 0, F), 0.0, np.abs(F) ** 2 / noise)
+    """The finding of a line at a frequency (Hz), with its likeliest cause; None where it does not stand out.
+
+    rotation : Hz of the shaft, 0 where unknown. threshold : |F|^2 over its noise that a line away from orders 1 and 2
+    needs.
+    """
+    order = next((k for k in (1, 2) if rotation > 0 and abs(hz - k * rotation) < 2.0 / s.seconds), 0)
+    if order:
+        hz = order * rotation  # a tenth of a bin beside it, the phase at t = 0 would be off by a third
+    F, noise = line_forces(point, s, hz, order)
+    Z = np.where(_made_by_laws(point, hz, order, F), 0.0, np.abs(F) ** 2 / noise)
     total, P = float(Z.sum()), len(Z)
-    needed = float(np.log(P / KNOWN_LEVEL)) + 6.0 if near else threshold
+    needed = float(np.log(P / KNOWN_LEVEL)) + 6.0 if order else threshold
     if Z.max() < needed and total < needed + 3 * P:
         return None
     power = {i: float(np.abs(F[i]) ** 2 / 2) for i in range(P) if Z[i] > 5}
@@ -186,55 +190,63 @@ def _one_line(
         Z[[i for i in range(P) if i not in power]] = 0.0
         if not power:
             return None
-    p = float(min(1.0, np.exp(-(total - P)) * (4 if near else Z.size * s.f_hz.size)))
-    if near == [1] and model.shaft != "none":
-        weights = _disc(model, point, rotation)
-        f_d = complex(np.sum(np.conj(weights) * F / noise) / np.sum(np.abs(weights) ** 2 / noise))
-        explained = float(np.sum(np.abs(weights) ** 2 / noise) * abs(f_d) ** 2)
-        if total - explained < 0.2 * total + 3 * P:
-            sd = float(np.sqrt(0.5 / np.sum(np.abs(weights) ** 2 / noise)))
-            settings = {"a": Parameter(f_d.real, sd, "N"), "b": Parameter(f_d.imag, sd, "N")}
-            return Finding(
-                effect="imbalance",
-                at=("disc",),
-                gain_nats=explained,
-                dof=2,
-                p_value=p,
-                power_N2=power,
-                against="shaft_angle",
-                region=f"1 x shaft speed ({hz:.2f} Hz), forward",
-                settings={"disc": settings},
-                note="a bow of the shaft loads the caps alike at every speed: its run-out at slow roll tells which",
-                detectable=(5 * sd, "N"),
-            )
-    name = "misalignment" if near == [2] else "line"
-    chosen = [i for i in range(P) if Z[i] > 9]
-    places = [point.data.places[i] for i in (chosen or [int(np.argmax(Z))])]
-    settings_by = {}
-    for place in places:
-        i = point.data.places.index(place)
-        sd = float(np.sqrt(noise[i] / 2))
-        values = {"a": Parameter(F[i].real, sd, "N"), "b": Parameter(-F[i].imag, sd, "N")}
-        if name == "line":
-            values["frequency"] = Parameter(hz, 0.3 / s.seconds / float(np.sqrt(Z[i])), "Hz")
-        settings_by[place] = values
-    note = "" if near else _whose(point, s, hz)
-    what = f"{near[0]} x shaft speed ({hz:.2f} Hz)" if near else f"{hz:.3f} Hz"
-    if not near and rotation > 0:
-        what += f", {order:.3f} x shaft speed"
-    df = len(places) * 2 + (name == "line")
+    p = float(min(1.0, np.exp(-(total - P)) * (4 if order else Z.size * s.f_hz.size)))
+    if order == 1 and (found := _imbalance(model, point, F, noise, total, hz, p, power)) is not None:
+        return found
+    at = [i for i in range(P) if Z[i] > 9] or [int(np.argmax(Z))]
+    what = f"{order} x shaft speed ({hz:.2f} Hz)" if order else f"{hz:.3f} Hz"
+    if not order and rotation > 0:
+        what += f", {hz / rotation:.3f} x shaft speed"
     return Finding(
-        effect=name,
-        at=tuple(places),
+        effect="misalignment" if order == 2 else "line",
+        at=tuple(point.data.places[i] for i in at),
         gain_nats=total,
-        dof=df,
+        dof=len(at) * 2 + (order != 2),
         p_value=p,
         power_N2=power,
-        against="shaft_angle" if near else "frequency",
+        against="shaft_angle" if order else "frequency",
         region=what,
-        settings=settings_by,
-        note=note,
+        settings={point.data.places[i]: _phasor(F[i], noise[i], None if order == 2 else (hz, Z[i], s)) for i in at},
+        note="" if order else _whose(point, s, hz),
         detectable=(float(5 * np.sqrt(noise.min() / 2)), "N"),
+    )
+
+
+def _phasor(F: complex, noise: float, line: tuple[float, float, Spectrum] | None) -> dict[str, Parameter]:
+    """Parameters of a force F cos(w t) with noise E|.|^2, N^2. line : Hz, |F|^2 / noise; None at a known frequency."""
+    sd = float(np.sqrt(noise / 2))
+    values = {"a": Parameter(F.real, sd, "N"), "b": Parameter(-F.imag, sd, "N")}
+    if line is not None:
+        hz, over_noise, s = line
+        values["frequency"] = Parameter(hz, 0.3 / s.seconds / float(np.sqrt(over_noise)), "Hz")
+    return values
+
+
+def _imbalance(
+    model: Model, point: WorkingPoint, F: Complexes, noise: Array, total: float, hz: float, p: float,
+    power: dict[int, float],
+) -> Finding | None:  # fmt: skip
+    """The forces F (places,) at order 1 as one rotating force on the disc; None where that leaves a fifth of them."""
+    if model.shaft == "none":
+        return None
+    weights = _disc(model, point, hz)
+    f_d = complex(np.sum(np.conj(weights) * F / noise) / np.sum(np.abs(weights) ** 2 / noise))
+    explained = float(np.sum(np.abs(weights) ** 2 / noise) * abs(f_d) ** 2)
+    if total - explained >= 0.2 * total + 3 * F.size:
+        return None
+    sd = float(np.sqrt(0.5 / np.sum(np.abs(weights) ** 2 / noise)))
+    return Finding(
+        effect="imbalance",
+        at=("disc",),
+        gain_nats=explained,
+        dof=2,
+        p_value=p,
+        power_N2=power,
+        against="shaft_angle",
+        region=f"1 x shaft speed ({hz:.2f} Hz), forward",
+        settings={"disc": {"a": Parameter(f_d.real, sd, "N"), "b": Parameter(f_d.imag, sd, "N")}},
+        note="a bow of the shaft loads the caps alike at every speed: its run-out at slow roll tells which",
+        detectable=(5 * sd, "N"),
     )
 
 

@@ -179,43 +179,14 @@ def _tried(
 
 
 def _found(model: Model, point: WorkingPoint, i: int, at_place: TriedCauses) -> list[Finding]:
-    """What bends the path at a place: one cause, two together where one leaves much, or who knows what."""
-    data, place = point.data, point.data.places[i]
+    """Findings at a place: one cause, two together where one leaves much, or a transfer function of unknown cause."""
     r, base, scale, tried = at_place.response, at_place.base, at_place.scale, at_place.causes
     least = (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
-    before = left(r, base.A)
-    coherent = float(r.n @ (_odd(r, base)[0] / before)) - r.n.size  # beyond chance, in units of what is left
-
-    def suspect(cause: Cause, part: slice, peak: Peak, without: Peak) -> list[Finding]:
-        power = float(np.maximum(before - left(r, peak.A), 0.0) @ r.hz)
-        explained = float(r.n @ (1 - left(r, peak.A) / before))
-        if explained < EXPLAINED * coherent or power < least:
-            return []
-        gain, q = peak.nats - without.nats, len(cause.names)
-        p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 4 * len(data.places) * len(cause.starts)))
-        if p > LEVEL:
-            return []
-        where = _where(r, before, peak.A)
-        settings = {place: cause_parameters(cause, peak, part)}
-        return [
-            Finding(
-                effect=cause.effect,
-                at=(place,),
-                gain_nats=gain,
-                dof=q,
-                p_value=p,
-                power_N2={i: power},
-                against="frequency",
-                region=where,
-                settings=settings,
-                note=NOTES[cause.effect],
-            )
-        ]
-
-    out = [s for cause, peak in tried.items() for s in suspect(cause, CAUSE_NUMBERS, peak, base)]
+    judge = partial(_cause_finding, point, i, r, base, least)
+    out = [f for cause, peak in tried.items() for f in judge(cause, CAUSE_NUMBERS, peak, base)]
     late = next((peak for cause, peak in tried.items() if cause.effect == "sensor_skew"), base)
     if at_place.late and not _bent_still(r, late, least):
-        out = [s for s in out if s.effect != "sensor_resonance"]
+        out = [f for f in out if f.effect != "sensor_resonance"]
     best = at_place.best
     if not _bent_still(r, best, least):
         slight = any(c.effect == "sensor_gain" and abs(peak.u[4]) < CALIBRATED and not _bent_still(r, peak, least)
@@ -226,23 +197,58 @@ def _found(model: Model, point: WorkingPoint, i: int, at_place: TriedCauses) -> 
         a, b = max(near, key=lambda pair: near[pair])
         peak = _both(point, i, r, a, b, tried, scale, everywhere=True)
         k = 4 + len(a.names)
-        two = suspect(a, slice(4, k), peak, tried[b]) + suspect(b, slice(k, None), peak, tried[a])
+        two = judge(a, slice(4, k), peak, tried[b]) + judge(b, slice(k, None), peak, tried[a])
         if two and float(left(r, peak.A) @ r.hz) < HALVED * float(left(r, best.A) @ r.hz):
             return two
     if out or not _bent_still(r, base, least):
         return out
     power, z = _rest(r, base)
-    where = _where(r, before, r.A - r.ra / r.aa)
     return [
         Finding(
             effect=UNKNOWN_EFFECT,
-            at=(place,),
+            at=(point.data.places[i],),
             gain_nats=z * z / 2,
             dof=r.n.size,
             p_value=float(np.exp(-z * z / 2)),
             power_N2={i: power},
             against="frequency",
-            region=where,
+            region=_where(r, left(r, base.A), r.A - r.ra / r.aa),
+        )
+    ]
+
+
+def _cause_finding(
+    point: WorkingPoint, i: int, r: Response, base: Peak, least: float, cause: Cause, part: slice, peak: Peak,
+    without: Peak,
+) -> list[Finding]:  # fmt: skip
+    """The finding of a cause at a place, empty if it explains too little.
+
+    base : without any cause. least : N^2 that matter. part : where the numbers of the cause are in the peak. without :
+    the peak that its gain is counted from.
+    """
+    before = left(r, base.A)
+    coherent = float(r.n @ (_odd(r, base)[0] / before)) - r.n.size  # beyond chance, in units of what is left
+    power = float(np.maximum(before - left(r, peak.A), 0.0) @ r.hz)
+    explained = float(r.n @ (1 - left(r, peak.A) / before))
+    if explained < EXPLAINED * coherent or power < least:
+        return []
+    gain, q = peak.nats - without.nats, len(cause.names)
+    p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 4 * len(point.data.places) * len(cause.starts)))
+    if p > LEVEL:
+        return []
+    place = point.data.places[i]
+    return [
+        Finding(
+            effect=cause.effect,
+            at=(place,),
+            gain_nats=gain,
+            dof=q,
+            p_value=p,
+            power_N2={i: power},
+            against="frequency",
+            region=_where(r, before, peak.A),
+            settings={place: cause_parameters(cause, peak, part)},
+            note=NOTES[cause.effect],
         )
     ]
 

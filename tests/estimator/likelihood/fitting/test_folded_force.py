@@ -112,7 +112,9 @@ def test_what_is_folded_was_late_at_its_image(samples: float) -> None:
 def test_a_delay_that_nobody_knows_of_is_told_beside_it(samples: float) -> None:
     """A fold was sought behind a sensor in time only: "bouc_wen" was said, or of 0.05 samples a resonance."""
     y = sampled(delay=samples / RATE).y
-    found = max(transfer_faults.find_transfer_faults(RIG, fit_all_effects(RIG, y, RATE).point), key=lambda s: s.gain_nats)
+    found = max(
+        transfer_faults.find_transfer_faults(RIG, fit_all_effects(RIG, y, RATE).point), key=lambda s: s.gain_nats
+    )
     assert found.effect == "sensor_skew"
     assert RATE * (found.settings["bearing1.x"]["delay"].value or 0.0) == pytest.approx(samples, abs=0.01)
 
