@@ -40,7 +40,7 @@ def rerun(folder: Path) -> Path:
     from daq.commands.demo import truth_text
     from daq.report.rerun.sink import RerunSink
     from daq.rig.rig import Rig, load_rig
-    from daq.session.acquire import acquire
+    from daq.session.acquire import acquire_from
     from daq.session.naming import Naming
     from daq.session.simulation import machine
     from drivers.contract.link_config import VirtualConfig
@@ -54,7 +54,7 @@ def rerun(folder: Path) -> Path:
     recording = folder / "session.rrd"
     driver = make_driver(VirtualConfig(), device=device)
     sinks = [RerunSink(str(recording)), Naming(rig, live=False)]
-    acquire(rig, driver, sinks, SECONDS, metadata={"command": "docs/make_pictures.py"})
+    acquire_from(rig, driver, sinks, SECONDS, metadata={"command": "docs/make_pictures.py"})
     return screenshot(recording, DOCS / "rerun.png")
 
 

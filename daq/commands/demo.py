@@ -92,7 +92,7 @@ def _acquire(output: Output, rig: Rig, truth: Rig, log: Path, recording: Path) -
     from daq.commands.live.parts import Operator
     from daq.log.writer import LogWriter
     from daq.report.rerun.sink import RerunSink
-    from daq.session.acquire import acquire
+    from daq.session.acquire import acquire_from
     from daq.session.simulation import machine
     from drivers.contract import VirtualConfig
     from drivers.links import make_driver
@@ -101,7 +101,7 @@ def _acquire(output: Output, rig: Rig, truth: Rig, log: Path, recording: Path) -
     driver = make_driver(VirtualConfig(None), device=device)
     sinks: list[Sink] = [LogWriter(log), RerunSink(str(recording)), Watch(output, known_values(truth))]
     metadata = {"command": "demo", "link": "virtual:"}
-    summary = acquire(rig, driver, sinks, SECONDS, metadata=metadata, notify=Operator(output))
+    summary = acquire_from(rig, driver, sinks, SECONDS, metadata=metadata, notify=Operator(output))
     lost = f"{summary.lost_samples} samples lost" if summary.lost_samples else "no sample lost"
     output.say(f"{summary.samples} samples of each channel, {lost}")
 
@@ -148,9 +148,9 @@ class Watch:
 
 def _replay(output: Output, log: Path) -> None:
     from daq.log.reader import read_log
-    from daq.session.replay import replay
+    from daq.session.replay import replay_into
 
-    summary = replay(read_log(log), check=True)
+    summary = replay_into(read_log(log), check=True)
     if not summary.identical:
         raise CheckFailed(f"{log}: the replay does not give the logged estimates; please report this")
     output.say(f"replayed: all {summary.compared} logged estimates come again, bit for bit")

@@ -1,145 +1,31 @@
-"""What a log says: all of it at once (`read_log`), or piece by piece for replay and recovery (`walk`)."""
+"""A log as one object (`read_log`): what it says of the session, and its samples when they are asked for."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from daq.base.contract.errors import LogError
 from daq.base.contract.scaling import Scaling, now_at
 from daq.base.contract.sink import ClockState, Status
 from drivers.contract import Gap, Info, Notice, Reading
-from estimator.results import Estimate
 
-from . import codec as codec
 from .codec import RawBlock
+from .entries import Entry, Head, LoggedEstimate, walk
 from .place import being_written
-from .scan import Findings, Message, scan
+from .scan import Findings
 
-LOST_IN_LOG = "log"  # reason of a gap that the log does not explain: the chunk that held these samples is damaged
+if TYPE_CHECKING:
+    from daq.rig.rig import Rig
+
 MOST_EVENTS = 2_000_000  # gaps, notices, estimates, damage: a few kB of a hostile file can unpack to any number
 LARGEST_SAMPLES = 64 << 30  # bytes of samples() or counts() that we are willing to allocate
-
-
-@dataclass(frozen=True, slots=True)
-class Head:
-    """The Session message. wall_offset_ns : Unix time = host monotonic time + this."""
-
-    device: str = ""
-    wall_offset_ns: int = 0
-    metadata: dict[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class LoggedEstimate:
-    """An estimate and the very bytes that the log holds for it."""
-
-    estimate: Estimate
-    data: bytes
-
-
-Entry = Head | Info | RawBlock | Gap | Notice | LoggedEstimate | Status
-
-
-def walk(path: Path, findings: Findings, everything: bool = False) -> Iterator[tuple[Entry | None, Message | None]]:
-    """All in order, with the message it came from; unexplained jumps of the index become gaps (message None).
-
-    Head and Info come when they are new. Blocks never overlap and never go back. Preview and repetitions are left out,
-    or with `everything` come as (None, message).
-    """
-    decoder = _Decoder()
-    for messages in scan(path, findings):
-        _check_topics(path, findings)
-        for message in messages:
-            try:
-                entry = decoder.entry(message)
-            except (DecodeError, ValueError) as error:
-                findings.damage.append(f"a message of channel {message.channel} makes no sense: {error}")
-                continue
-            if entry is None:
-                if everything and 1 <= message.channel <= len(codec.TOPICS):
-                    yield None, message
-                continue
-            missing = decoder.missing_before(entry)
-            if missing is not None:
-                findings.damage.append(f"{missing.count} samples from {missing.index} are missing without a gap record")
-                yield missing, None
-            if isinstance(entry, RawBlock | Gap) and not decoder.advance(entry):
-                findings.damage.append(f"what is said of sample {entry.index} goes back in the index, and is left out")
-                continue
-            yield entry, message
-
-
-def _check_topics(path: Path, findings: Findings) -> None:
-    expected = {number: topic.name for number, topic in enumerate(codec.TOPICS, 1)}
-    if any(expected.get(number) != name for number, name in findings.topics.items() if number in expected):
-        raise LogError(f"{path}: an MCAP file, but not a Rotorscope log; use `rotorscope import` for other data")
-
-
-class _Decoder:
-    def __init__(self) -> None:
-        self._head = self._info = b""
-        self._wall_offset_ns = 0
-        self._next: int | None = None  # the index that follows what was seen
-        self._channels = -1
-
-    def entry(self, message: Message) -> Entry | None:
-        data = message.data
-        match message.channel:
-            case codec.RAW:
-                block = codec.decode_block(data)
-                if block.counts.shape[1] != self._channels:
-                    raise ValueError(f"{block.counts.shape[1]} columns where {self._channels} signals were announced")
-                return block
-            case codec.GAP:
-                return self._gap(codec.decode_gap(data))
-            case codec.ESTIMATE:
-                return LoggedEstimate(codec.decode_estimate(data), data)
-            case codec.STATUS:
-                return codec.decode_status(data)
-            case codec.NOTICE:
-                return codec.decode_notice(data, message.log_time - self._wall_offset_ns)
-            case codec.SESSION if data != self._head:
-                head = Head(*codec.decode_session(data))
-                self._head = data
-                self._wall_offset_ns = head.wall_offset_ns
-                return head
-            case codec.INFO if data != self._info:
-                info = codec.decode_info(data)
-                if not info.rate_hz > 0 or not np.isfinite(info.rate_hz) or not 2 <= info.count_bits <= 32:
-                    raise ValueError(f"a rate of {info.rate_hz} Hz, {info.count_bits} bits")
-                self._info, self._channels = data, len(info.signals)
-                return info
-        return None
-
-    def _gap(self, gap: Gap) -> Gap:
-        if gap.index < 0 or gap.count < 0:
-            raise ValueError(f"a gap of {gap.count} samples from {gap.index}")
-        return gap
-
-    def missing_before(self, entry: Entry) -> Gap | None:
-        """The unexplained hole between what was seen and this entry."""
-        if not isinstance(entry, RawBlock | Gap) or (isinstance(entry, Gap) and not entry.count):
-            return None
-        expected = self._next
-        if expected is None or entry.index <= expected:
-            return None
-        self._next = entry.index
-        return Gap(expected, entry.index - expected, LOST_IN_LOG)
-
-    def advance(self, entry: RawBlock | Gap) -> bool:
-        """Move over a block or a gap; False if it goes back."""
-        if isinstance(entry, Gap) and not entry.count:
-            return True
-        if self._next is not None and entry.index < self._next:
-            return False
-        self._next = entry.stop if isinstance(entry, RawBlock) else entry.index + entry.count
-        return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,12 +125,37 @@ class Recording:
                 out[start : start + len(block.counts)] = block.counts[:, columns]
         return out
 
-    def samples(self) -> NDArray[np.float64]:
-        """(stop - first, channels) in SI; rows of a gap are NaN."""
-        return self._in_si(list(range(len(self.channels))), keep_clipped=True)[0]
+    def samples(self, rig: Rig | None = None, note: Callable[[str], None] = warnings.warn) -> NDArray[np.float64]:
+        """Samples in SI units, as the estimator takes them.
+
+        Parameters
+        ----------
+        rig : Rig, optional
+            Select the channels of this rig, in its order, and check them against it. None: every channel of the log
+            in the order of `channels`, with values at full scale kept.
+        note : callable, optional
+            Called with one line for each thing to know: missing samples, values at full scale, a rate that is not
+            that of the rig file. It issues a warning unless given.
+
+        Returns
+        -------
+        (stop - first, channels) float64
+            m/s^2, m/s, m or N; NaN in the rows of a gap and, with a rig, where a value is at full scale.
+
+        Raises
+        ------
+        LogError
+            A channel of the rig is missing or in another unit, the log holds no samples, the band of the rig does not
+            lie below half the sampling rate, or the samples do not fit into memory.
+        """
+        if rig is None:
+            return self._in_si(list(range(len(self.channels))), keep_clipped=True)[0]
+        from .rig_samples import rig_samples
+
+        return rig_samples(self, rig, note)
 
     def unclipped(self, columns: list[int]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """The same of these channels with NaN also for what is at full scale; (columns,) how many samples that are."""
+        """(stop - first, columns) in SI with NaN for gaps and values at full scale; (columns,) count of the latter."""
         return self._in_si(columns, keep_clipped=False)
 
     def _in_si(self, columns: list[int], keep_clipped: bool) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -303,59 +214,108 @@ class Recording:
 
 
 def read_log(path: str | Path) -> Recording:
-    """The log at `path`, after one pass over it that checks every chunk.
+    """Read a log (MCAP), in one pass that checks every chunk; samples are read when they are asked for.
 
-    Raises LogError if the file is missing, is no Rotorscope log, or holds nothing intact.
+    Parameters
+    ----------
+    path : path
+        The log. One that is being written is read up to where it is now.
+
+    Returns
+    -------
+    Recording
+        ``samples(rig)`` is the array that the estimator takes, ``rate_hz`` its sampling rate.
+
+    Raises
+    ------
+    LogError
+        The file is missing, is no Rotorscope log, or holds nothing intact.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from daq import acquire, load_rig, read_log
+    >>> rig = load_rig("configs/one_bearing.toml")
+    >>> with TemporaryDirectory() as folder:
+    ...     summary = acquire(rig, "virtual:", seconds=0.5, out=f"{folder}/bearing.mcap")
+    ...     log = read_log(f"{folder}/bearing.mcap")
+    ...     y = log.samples(rig)
+    >>> y.shape, log.rate_hz, log.complete
+    ((6400, 2), 12800.0, True)
     """
     path = Path(path)
     findings, written = Findings(), being_written(path)
-    head, info, status = Head(), None, None
-    first: int | None = None
-    stop = lost = 0
-    gaps: list[Gap] = []
-    notices: list[Notice] = []
-    estimates: list[LoggedEstimate] = []
-    clocks: list[tuple[int, ClockState]] = []
-    others: list[Other] = []
-    what = ""
+    said = _Said()
     for entry, _ in walk(path, findings):
-        match entry:
-            case RawBlock():
-                first = entry.index if first is None else first
-                stop = entry.stop
-                if what:
-                    begun = others.pop() if others and others[-1].what == what else Other(entry.index, what, 0)
-                    others.append(replace(begun, samples=begun.samples + len(entry.counts)))
-            case Gap():
-                gaps.append(entry)
-                if entry.count:
-                    if first is None:
-                        first = stop = entry.index
-                    lost += entry.count
-                    stop = entry.index + entry.count
-            case Info():
-                info = info or entry
-                there = now_at(info, entry)
-                what = there if isinstance(there, str) else ""
-            case Notice():
-                notices.append(entry)
-            case LoggedEstimate():
-                estimates.append(entry)
-            case Status():
-                status = entry
-                if entry.clock is not None:
-                    clocks.append((entry.index, entry.clock))
-            case Head():
-                head = entry
-        if len(gaps) + len(notices) + len(estimates) + len(clocks) + len(others) + len(findings.damage) > MOST_EVENTS:
+        if entry is not None:
+            said.take(entry)
+        if said.events + len(findings.damage) > MOST_EVENTS:
             text = f"holds more than {MOST_EVENTS} gaps, notices and estimates; it was not made by Rotorscope"
             raise LogError(f"{path}: {text}")
-    if info is None and written:
+    if said.info is None and written:
         raise LogError(f"{path}: is being written, and holds nothing yet; try again when samples have come")
-    if info is None:
+    if said.info is None:
         what = "nothing in it is intact" if findings.damage else "it holds no session"
         raise LogError(f"{path}: no Rotorscope log can be read from it: {what}; check that it is the right file")
     return Recording(
-        path, head, info, first or 0, stop, lost, tuple(gaps), tuple(notices), tuple(estimates), tuple(clocks), status,
-        findings, written and not findings.closed, tuple(others),
+        path=path, head=said.head, info=said.info, first=said.first or 0, stop=said.stop, lost_samples=said.lost,
+        gaps=tuple(said.gaps), notices=tuple(said.notices), estimates=tuple(said.estimates),
+        clocks=tuple(said.clocks), last_status=said.status, findings=findings,
+        growing=written and not findings.closed, others=tuple(said.others),
     )  # fmt: skip
+
+
+class _Said:
+    """What the entries of a log say, taken one after the other."""
+
+    def __init__(self) -> None:
+        self.head = Head()
+        self.info: Info | None = None
+        self.status: Status | None = None
+        self.first: int | None = None
+        self.stop = self.lost = 0
+        self.gaps: list[Gap] = []
+        self.notices: list[Notice] = []
+        self.estimates: list[LoggedEstimate] = []
+        self.clocks: list[tuple[int, ClockState]] = []
+        self.others: list[Other] = []
+        self._deviation = ""  # of the description in force from the first one
+
+    @property
+    def events(self) -> int:
+        events = len(self.gaps) + len(self.notices) + len(self.estimates)
+        return events + len(self.clocks) + len(self.others)
+
+    def take(self, entry: Entry) -> None:
+        """The next entry of the log."""
+        match entry:
+            case RawBlock():
+                self.first = entry.index if self.first is None else self.first
+                self.stop = entry.stop
+                if self._deviation:
+                    self._count_other(entry)
+            case Gap():
+                self.gaps.append(entry)
+                if entry.count:
+                    self.first = entry.index if self.first is None else self.first
+                    self.lost += entry.count
+                    self.stop = entry.index + entry.count
+            case Info():
+                self.info = self.info or entry
+                there = now_at(self.info, entry)
+                self._deviation = there if isinstance(there, str) else ""
+            case Notice():
+                self.notices.append(entry)
+            case LoggedEstimate():
+                self.estimates.append(entry)
+            case Status():
+                self.status = entry
+                if entry.clock is not None:
+                    self.clocks.append((entry.index, entry.clock))
+            case Head():
+                self.head = entry
+
+    def _count_other(self, block: RawBlock) -> None:
+        same = bool(self.others) and self.others[-1].what == self._deviation
+        begun = self.others.pop() if same else Other(block.index, self._deviation, 0)
+        self.others.append(replace(begun, samples=begun.samples + len(block.counts)))

@@ -13,8 +13,9 @@ from drivers.contract import Gap, Notice
 
 from . import codec as codec
 from .encoder import LogEncoder
+from .entries import walk
 from .file import LogFile
-from .reader import Recording, read_log, walk
+from .reader import Recording, read_log
 from .scan import Message
 
 FLUSH_MESSAGES = 1000

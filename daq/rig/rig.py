@@ -30,7 +30,14 @@ CAPS = ("bearing1.x", "bearing1.y", "bearing2.x", "bearing2.y")
 
 @dataclass(frozen=True)
 class Rig:
-    """A checked rig file. base : the folder that paths in it start from; path : None if it came out of a log."""
+    """A checked rig file.
+
+    text : as it was read, with its comments.
+    base : folder that relative paths in it start from.
+    path : of the file; None if the text came out of a log.
+    file : its tables, in the units of the file.
+    model : what the estimator takes, in SI.
+    """
 
     text: str
     base: Path
@@ -124,7 +131,30 @@ def _toml(text: str, where: str) -> dict[str, Any]:
 
 
 def load_rig(path: str | Path) -> Rig:
-    """The rig file at `path`. Raises ConfigError: missing, not text, not TOML, or any number of problems."""
+    """Read and check a rig file.
+
+    Parameters
+    ----------
+    path : path
+        A TOML file; its keys are in docs/rig.schema.json.
+
+    Returns
+    -------
+    Rig
+        ``model`` is the `estimator.Model`, in SI; ``acquisition``, ``link`` and ``estimator`` are the other tables.
+
+    Raises
+    ------
+    ConfigError
+        The file is missing, no text or no TOML; or one line for each problem in it.
+
+    Examples
+    --------
+    >>> from daq import load_rig
+    >>> rig = load_rig("configs/one_bearing.toml")
+    >>> [channel.name for channel in rig.model.channels], rig.model.band
+    (['drive_x', 'drive_y'], (100.0, 4000.0))
+    """
     path = Path(path)
     try:
         with path.open(encoding="utf-8-sig") as file:

@@ -24,7 +24,7 @@ from .estimators import MakeEstimator, maker, warm_up
 from .pipeline import Pipeline, Plan
 from .reading_queue import ReadingQueue
 
-FINITE = ("capture", "replay", "simulated")  # kinds of link that wait for us; all others are live
+FINITE_KINDS = ("capture", "replay", "simulated")  # kinds of link that wait for us; all others are live
 READ_S = 0.1
 LINK_S = 0.5  # a link that is closed wakes whoever reads it
 GRACE_S = 2.0  # a live link may take this much longer than the seconds asked for, from its first sample on
@@ -38,10 +38,24 @@ VERSIONS = ("rotorscope", "numpy", "scipy", "numba", "mcap", "protobuf")
 Notify = Callable[[Notice], None]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RunSummary:
-    """What came of a session. problems : what an operator must know, one line each; identical : of replay --check;
-    not_logged : samples that were acquired, and are not in the log for want of its disk."""
+    """What came of a session.
+
+    seconds : of data, gaps included.
+    samples, lost_samples : of each channel.
+    gaps : where samples are missing, in order.
+    kind : of the link ("can", "serial", "virtual", "replay", ...).
+    stats : counters of the link.
+    last_estimate : None if the session was too short for one, or the rig file allows none.
+    clipped : values at full scale, which are left out of the estimate.
+    problems : what an operator must know, one line each.
+    device : name of the device in a service with several, else "".
+    identical : of a replay with `check`, whether the estimates equal the logged ones bit for bit; else None.
+    compared : of a replay with `check`, the number of estimates that were compared.
+    not_logged : samples that were acquired, and are not in the log because its disk failed.
+    lost_log : why the log is worthless or incomplete, one line; "" if it is not.
+    """
 
     seconds: float
     samples: int
@@ -56,6 +70,7 @@ class RunSummary:
     identical: bool | None = None
     compared: int = 0
     not_logged: int = 0
+    lost_log: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """As schemas/run.json."""
@@ -83,71 +98,98 @@ class RunSummary:
         return out
 
 
-def acquire(
-    rig: Rig,
-    driver: Driver,
-    sinks: Sequence[Sink],
-    seconds: float | None = None,
-    stop: threading.Event | None = None,
-    *,
-    device: str = "",
-    metadata: Mapping[str, str] | None = None,
-    notify: Notify | None = None,
-    clock: Clock | None = None,
-    make: MakeEstimator | None = None,
-) -> RunSummary:
+def acquire_from(
+    rig: Rig, driver: Driver, sinks: Sequence[Sink], seconds: float | None = None, stop: threading.Event | None = None,
+    *, device: str = "", metadata: Mapping[str, str] | None = None, notify: Notify | None = None,
+    clock: Clock | None = None, make: MakeEstimator | None = None,
+) -> RunSummary:  # fmt: skip
     """Acquire until `seconds` of data have come, the source ends or `stop` is set. Sinks are closed in any case.
 
-    notify : called from this thread with everything an operator should read.
-    make : instead of the rig's estimator. metadata : into the log, beside versions and link kind.
+    device : name of the device in a service with several. metadata : into the log, beside versions and link kind.
+    notify : called from this thread with everything an operator should read. make : instead of the rig's estimator.
     Raises LinkError if the link cannot be opened, ConfigError if it does not have the rig's channels, and whatever a
     driver raised against its contract, after the sinks are closed.
     """
     keep_freed()  # with a heap for each thread what lies free in them grows for hours
     clock, stop = clock or SystemClock(), stop or threading.Event()
-    live = driver.kind not in FINITE
+    live = driver.kind not in FINITE_KINDS
     make = make or maker(rig.estimator.method, rig.estimator.time_constant_s, rig.estimator.watch)
     rate_hz = rig.acquisition.rate_hz if rig.acquisition else None
     about = _about(driver, clock) | dict(metadata or {})
-    plan = Plan(rig.model, make, rate_hz, device, rig.attachments(), about, seconds)
+    plan = Plan(rig.model, make, rate_hz, device=device, attachments=rig.attachments(), metadata=about, limit_s=seconds)
     queue = ReadingQueue(live=live)
     pipeline = Pipeline(plan, sinks, clock, live=live, notify=notify, wake=queue.wake if live else None)
+    core = _Core(driver=driver, queue=queue, pipeline=pipeline, clock=clock, stop=stop, seconds=seconds, live=live)
     try:
         if live:
             _open_unless_stopped(driver, stop, lambda: _warm_up(make, rig, rate_hz))
         else:
             driver.open()
-        reader = threading.Thread(target=_read, args=(driver, queue, stop), name=f"read {driver.kind}", daemon=True)
-        reader.start()
-        begin_ns, flowing = clock.now_ns(), False
-        try:
-            while not (stop.is_set() or pipeline.done or queue.ended):
-                if pipeline.busy:
-                    stop.wait(BUSY_S)
-                else:
-                    pipeline.step(queue.take(READ_S))
-                pipeline.tick(driver.stats, {"reader": queue.dropped})
-                if not flowing and pipeline.ledger.first is not None:
-                    begin_ns, flowing = clock.now_ns(), True
-                if live and seconds is not None and clock.now_ns() > begin_ns + (seconds + GRACE_S) * 1e9:
-                    if flowing:
-                        pipeline.step([_short(pipeline, seconds, clock)])
-                    break
-        finally:
-            queue.close()
-            driver.close()
-            reader.join(STOP_S)
-        # what was read before the stop is logged in any case; of a file it can be read again
-        while not pipeline.done and (live or not stop.is_set()) and (rest := queue.take(0.0)):
-            pipeline.step(rest)
-        until_ns = clock.now_ns() + ANSWER_S * 1e9
-        pipeline.tick(driver.stats, {"reader": queue.dropped})
-        while pipeline.pending and not stop.is_set() and clock.now_ns() < until_ns:
-            stop.wait(READ_S)
-            pipeline.tick(driver.stats, {"reader": queue.dropped})
+        core.follow()
+        core.take_rest()
+        core.wait_for_diagnosis()
     finally:
         pipeline.finish(driver.stats, {"reader": queue.dropped}, STOP_S if stop.is_set() else ESTIMATOR_S)
     return _summary(pipeline, driver, device)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Core:
+    """The core loop of one device, which the thread of the caller runs, and the thread that reads its link."""
+
+    driver: Driver
+    queue: ReadingQueue
+    pipeline: Pipeline
+    clock: Clock
+    stop: threading.Event
+    seconds: float | None  # of data to acquire; None: until the source ends or `stop` is set
+    live: bool  # the device does not wait for us
+
+    def follow(self) -> None:
+        """Step the pipeline with what the link delivers, until the end; then close the link."""
+        reader = threading.Thread(
+            target=_read, args=(self.driver, self.queue, self.stop), name=f"read {self.driver.kind}", daemon=True
+        )
+        reader.start()
+        begin_ns, flowing = self.clock.now_ns(), False
+        try:
+            while not (self.stop.is_set() or self.pipeline.done or self.queue.ended):
+                if self.pipeline.busy:
+                    self.stop.wait(BUSY_S)
+                else:
+                    self.pipeline.step(self.queue.take(READ_S))
+                self._tick()
+                if not flowing and self.pipeline.ledger.first is not None:
+                    begin_ns, flowing = self.clock.now_ns(), True
+                if self._late(begin_ns):
+                    if flowing and self.seconds is not None:
+                        self.pipeline.step([_short(self.pipeline, self.seconds, self.clock)])
+                    break
+        finally:
+            self.queue.close()
+            self.driver.close()
+            reader.join(STOP_S)
+
+    def take_rest(self) -> None:
+        """Log what was read before the stop; of a file it can be read again."""
+        while not self.pipeline.done and (self.live or not self.stop.is_set()) and (rest := self.queue.take(0.0)):
+            self.pipeline.step(rest)
+
+    def wait_for_diagnosis(self) -> None:
+        """Give a sink that was asked for a diagnosis the time to answer."""
+        until_ns = self.clock.now_ns() + ANSWER_S * 1e9
+        self._tick()
+        while self.pipeline.pending and not self.stop.is_set() and self.clock.now_ns() < until_ns:
+            self.stop.wait(READ_S)
+            self._tick()
+
+    def _tick(self) -> None:
+        self.pipeline.tick(self.driver.stats, {"reader": self.queue.dropped})
+
+    def _late(self, begin_ns: int) -> bool:
+        """Whether a live link has taken longer than the seconds asked for, and the grace."""
+        limited = self.live and self.seconds is not None
+        return limited and self.clock.now_ns() > begin_ns + ((self.seconds or 0.0) + GRACE_S) * 1e9
 
 
 def _short(pipeline: Pipeline, seconds: float, clock: Clock) -> Notice:
@@ -214,15 +256,23 @@ def _about(driver: Driver, clock: Clock) -> dict[str, str]:
 def _summary(pipeline: Pipeline, driver: Driver, device: str) -> RunSummary:
     ledger = pipeline.ledger
     return RunSummary(
-        pipeline.seconds, ledger.samples, ledger.lost, tuple(ledger.gaps),
-        driver.kind, driver.stats, pipeline.last_estimate, pipeline.clipped, tuple(pipeline.problems), device,
-        not_logged=pipeline.dropped.get("LogWriter", 0),
+        seconds=pipeline.seconds, samples=ledger.samples, lost_samples=ledger.lost, gaps=tuple(ledger.gaps),
+        kind=driver.kind, stats=driver.stats, last_estimate=pipeline.last_estimate, clipped=pipeline.clipped,
+        problems=tuple(pipeline.problems), device=device, not_logged=pipeline.dropped.get("LogWriter", 0),
+        lost_log=pipeline.lost_log,
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Device:
-    """One of several devices of a service: its own rig file, link and log."""
+    """One of several devices of a service.
+
+    name : of the device, in messages and metrics.
+    rig : its rig file.
+    driver : its link, constructed and not opened.
+    sinks : where its samples and estimates go; they are closed at the end.
+    metadata : into its log, beside versions and link kind.
+    """
 
     name: str
     rig: Rig
@@ -245,7 +295,7 @@ def acquire_all(
     def run(device: Device) -> None:
         tell = None if notify is None else lambda notice: notify(device.name, notice)
         try:
-            outcome[device.name] = acquire(
+            outcome[device.name] = acquire_from(
                 device.rig, device.driver, device.sinks, seconds, stop,
                 device=device.name, metadata=device.metadata, notify=tell, make=make,
             )  # fmt: skip

@@ -34,6 +34,8 @@ OWN_CODES = frozenset(
     | {"missing_force", "parameters_changed", "effect_named", "model_complete", "effect_unknown"}  # naming.py
 )
 
+LOG_LOST_CODES = ("log_incomplete", "log_failed", "log_cut")  # notices that say that the log does not hold everything
+
 
 @dataclass(frozen=True, slots=True)
 class Plan:
@@ -87,6 +89,7 @@ class Pipeline:
         self.device_clock: DeviceClock | None = None
         self.last_estimate: Estimate | None = None
         self.problems: list[str] = []
+        self.lost_log = ""  # why the log does not hold everything
         self.dropped: dict[str, int] = {}  # in the end, by sink: samples that it has not taken
         self.pending = False  # whether a sink has something to say still, as it was last heard
 
@@ -215,6 +218,8 @@ class Pipeline:
     def _tell(self, notice: Notice) -> None:
         if notice.level == "error":
             self.problems.append(notice.text)
+        if notice.code in LOG_LOST_CODES:
+            self.lost_log = notice.text
         if self._notify is not None:
             self._notify(notice)
 

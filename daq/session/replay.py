@@ -15,7 +15,7 @@ from daq.rig.rig import Rig
 from drivers.contract import Block, Gap, LinkStats, Notice, Reading
 from estimator.results import Estimate
 
-from .acquire import Notify, RunSummary, acquire
+from .acquire import Notify, RunSummary, acquire_from
 from .estimators import MakeEstimator
 from .pipeline import OWN_CODES
 
@@ -133,20 +133,25 @@ class EstimateCheck:
         self.compared += 1
 
 
-def replay(
+def logged_rig(log: Recording) -> Rig:
+    """The rig file of the session that made the log. Raises LogError if the log holds none."""
+    return Rig.parse(log.rig_text, where=f"{log.path}: rig.toml")
+
+
+def replay_into(
     log: Recording, rig: Rig | None = None, sinks: Sequence[Sink] = (), *,
     speed: float | None = None, check: bool = False, seconds: float | None = None,
     stop: threading.Event | None = None, notify: Notify | None = None, make: MakeEstimator | None = None,
 ) -> RunSummary:  # fmt: skip
-    """The same pipeline from a log; speed None is as fast as it goes. check : the summary says whether `identical`.
+    """Run the readings of a log through the pipeline into `sinks`; speed None is as fast as it goes.
 
-    Raises LogError if the log has no rig file and none is given, or if there is nothing to check.
+    check : the summary says whether the estimates are `identical` to the logged ones. make : instead of the rig's
+    estimator. Raises LogError if the log has no rig file and none is given, or if there is nothing to check.
     """
-    if rig is None:
-        rig = Rig.parse(log.rig_text, where=f"{log.path}: rig.toml")
+    rig = rig or logged_rig(log)
     if check and not log.estimates:
         raise LogError(f"{log.path}: holds no estimates to check; replay it without --check")
     checker = EstimateCheck(log)
-    driver = ReplayDriver(log, speed)
-    outcome = acquire(rig, driver, [*sinks, *([checker] if check else [])], seconds, stop, notify=notify, make=make)
+    all_sinks = [*sinks, *([checker] if check else [])]
+    outcome = acquire_from(rig, ReplayDriver(log, speed), all_sinks, seconds, stop, notify=notify, make=make)
     return replace(outcome, identical=checker.identical, compared=checker.compared) if check else outcome

@@ -29,9 +29,9 @@ from daq.base.contract.sink import Session, Sink, Status
 from daq.log.reader import read_log
 from daq.log.writer import LogWriter
 from daq.report.rerun.sink import RerunSink
-from daq.session.acquire import RunSummary, acquire
+from daq.session.acquire import RunSummary, acquire_from
 from daq.session.estimators import METHODS, MakeEstimator, maker
-from daq.session.replay import replay
+from daq.session.replay import replay_into
 from drivers.contract.reading import Block, Driver, Reading
 from drivers.links.links import make_driver, parse_link
 from estimator.results import Estimate
@@ -123,7 +123,7 @@ def run(folder: Path, rate_hz: float, seconds: float, make: MakeEstimator) -> tu
             return out
 
         driver.read = first  # type: ignore[method-assign]
-        summary = acquire(RIG, driver, sinks, seconds, make=make)
+        summary = acquire_from(RIG, driver, sinks, seconds, make=make)
     cpu = (time.process_time() - begin["cpu"]) / (time.monotonic() - begin["wall"])
     return summary, cpu, arrivals
 
@@ -218,11 +218,11 @@ def test_replay_at_full_speed(tmp_path: Path, method: str) -> None:
     write_long(tmp_path / "a.mcap", 300.0)
     log = read_log(tmp_path / "a.mcap")
     begin, cpu = time.monotonic(), time.process_time()
-    summary = replay(log, RIG, make=maker(method, 10.0))
+    summary = replay_into(log, RIG, make=maker(method, 10.0))
     took, cpu = time.monotonic() - begin, time.process_time() - cpu
     assert summary.problems == ()
     bare = time.process_time()
-    replay(log, RIG, make=Nothing)
+    replay_into(log, RIG, make=Nothing)
     bare = time.process_time() - bare
     print(
         f"\nreplay of {summary.seconds:.0f} s with {method}: {summary.seconds / took:.0f} times real time (asked: 100),"
@@ -275,7 +275,7 @@ def test_memory_is_flat_over_ten_minutes(tmp_path: Path, method: str) -> None:
         LogWriter(tmp_path / "b.mcap", live=False), RerunSink(str(tmp_path / "b.rrd"), live=False), memory,
     ]  # fmt: skip
     handles = len(os.listdir("/proc/self/fd"))
-    replay(read_log(tmp_path / "a.mcap"), RIG, sinks, make=maker(method, 10.0))
+    replay_into(read_log(tmp_path / "a.mcap"), RIG, sinks, make=maker(method, 10.0))
     mb = np.array(memory.bytes) / 1e6
     growth = float(np.median(mb[-8:]) - np.median(mb[58:66]))
     print(

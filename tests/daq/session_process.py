@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from stand_ins import MomentEstimator, ScriptedDriver, info_of, paper_rig, vibration
 
 from daq.log.writer import LogWriter
-from daq.session.acquire import acquire
+from daq.session.acquire import acquire_from
 from drivers.contract.reading import Reading
 
 BATCH_S = 0.01
@@ -42,7 +42,7 @@ def main() -> None:
     writer = LogWriter(sys.argv[1])
     seconds = float(sys.argv[2]) if len(sys.argv) > 2 else None
     said: list[str] = []
-    summary = acquire(
+    summary = acquire_from(
         paper_rig(), ScriptedDriver(stream()), [writer], seconds, stop, make=MomentEstimator,
         notify=lambda n: said.append(n.text),
     )  # fmt: skip

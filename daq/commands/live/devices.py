@@ -15,11 +15,12 @@ from daq.base.contract.errors import ConfigError, RotorscopeError, exit_status
 from daq.log.codec import text as as_text
 from daq.report.rerun.process import VIEWER_PORT
 from daq.rig.rig import load_rig
-from daq.session.acquire import FINITE, Device, RunSummary, acquire_all
+from daq.session.acquire import FINITE_KINDS, Device, RunSummary, acquire_all
 from daq.session.links import open_driver
+from daq.session.service import log_path, naming_sinks
 from drivers.contract import Notice, Patient
 
-from .parts import Operator, in_words, log_of, make_sinks, naming, serve_metrics, what_is_wrong
+from .parts import Operator, in_words, make_sinks, run_failure, serve_metrics
 
 if TYPE_CHECKING:
     from .devices_table import DevicesTable
@@ -38,7 +39,6 @@ class _Asked:
     device: Device
     link: str
     log: Path | None
-    operator: Operator
 
 
 def run_devices(
@@ -58,10 +58,10 @@ def run_devices(
         for name, (path, link) in zip(names, asked, strict=True):
             rig = load_rig(path)
             driver = open_driver(link, rig)
-            live = driver.kind not in FINITE
+            live = driver.kind not in FINITE_KINDS
             log = None if out is None else out / f"{name}.mcap"
             sinks = make_sinks(output, log, _viewer(rerun, name, first=not devices), live=live, table=False)
-            sinks += naming(rig, live)
+            sinks += naming_sinks(rig, live)
             for sink in sinks:
                 undo.callback(sink.close)
             if server is not None:
@@ -70,9 +70,9 @@ def run_devices(
                 sinks.append(table.rows[name])
             url = link or rig.link.url or ""
             device = Device(name, rig, Patient(driver) if live else driver, sinks, {"command": "run", "link": url})
-            devices.append(_Asked(device, url, log, Operator(output, name)))
+            devices.append(_Asked(device, url, log))
         undo.pop_all()
-        operators = {each.device.name: each.operator for each in devices}
+        operators = {name: Operator(output, name) for name in names}
 
         def tell(name: str, notice: Notice) -> None:
             operators[name](notice)
@@ -82,7 +82,7 @@ def run_devices(
         with table or nullcontext():
             outcome = acquire_all([each.device for each in devices], seconds, stop.event, notify=tell)
     failed = _report(output, devices, outcome, strict)
-    if stop.interrupted and not any(operator.lost_log for operator in operators.values()):
+    if stop.interrupted and not any(isinstance(r, RunSummary) and r.lost_log for r in outcome.values()):
         raise KeyboardInterrupt
     if failed:
         raise DevicesFailed(failed)
@@ -108,8 +108,8 @@ def _report(
         value: dict[str, Any] = {"schema": 1, "device": name, "rig": each.device.rig.model.name, "url": each.link}
         wrong: Exception | None
         if isinstance(result, RunSummary):
-            wrong = what_is_wrong(result, each.operator, strict, each.link)
-            log = log_of(each.device.sinks, each.log) if result.samples or result.lost_samples else None
+            wrong = run_failure(result, strict, each.link)
+            log = log_path(each.device.sinks, each.log) if result.samples or result.lost_samples else None
             value = result.to_json() | value | ({"log": str(log)} if log else {})
             people += ["", f"{name} ({each.link})", *in_words(result, log)]
         else:

@@ -11,10 +11,11 @@ from daq.base.console.output import Output
 from daq.base.console.stop import Stop
 from daq.base.contract.errors import CheckFailed, ConfigError, LogError
 from daq.rig.rig import Rig, load_rig
-from daq.session.acquire import RunSummary, acquire
+from daq.session.acquire import FINITE_KINDS, RunSummary, acquire_from
 from daq.session.links import open_driver
+from daq.session.service import log_path, naming_sinks, refuse_own_log, replay_failure
 
-from .parts import Operator, in_words, log_of, make_sinks, naming, serve_metrics, what_is_wrong
+from .parts import Operator, in_words, make_sinks, run_failure, serve_metrics
 
 
 def run(
@@ -51,25 +52,24 @@ def run_rig(
 ) -> None:  # fmt: skip
     """Acquire from a link into a log and a viewer, and say what came of it."""
     driver = open_driver(link, rig)
-    operator = Operator(output)
     server = None if metrics is None else serve_metrics(output, metrics)
     importing = command == "import"  # all of it or none
     with Stop() as stop:
-        live = driver.kind not in ("capture", "replay")
+        live = driver.kind not in FINITE_KINDS
         wanted = None if not importing else lambda: not stop.event.is_set()
-        sinks = [*make_sinks(output, out, rerun, live=live, wanted=wanted), *naming(rig, live)]
+        sinks = [*make_sinks(output, out, rerun, live=live, wanted=wanted), *naming_sinks(rig, live)]
         if server is not None:
             sinks.append(server.sink())
         metadata = {"command": command, "link": link or rig.link.url or ""}
-        summary = acquire(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=operator)
+        summary = acquire_from(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=Operator(output))
     if importing and stop.event.is_set():
         raise KeyboardInterrupt
-    _report(output, summary, log_of(sinks, out), {"rig": rig.model.name})
-    if stop.interrupted and not operator.lost_log:
+    _report(output, summary, log_path(sinks, out), {"rig": rig.model.name})
+    if stop.interrupted and not summary.lost_log:
         raise KeyboardInterrupt
-    wrong = what_is_wrong(summary, operator, strict, link or rig.link.url or "")
-    if wrong is not None:
-        raise wrong
+    problem = run_failure(summary, strict, link or rig.link.url or "")
+    if problem is not None:
+        raise problem
 
 
 def simulate(
@@ -115,11 +115,10 @@ def simulate(
             driver = make_driver(VirtualConfig(pace), device=simulated.device)  # type: ignore[assignment]
         sinks = make_sinks(output, out, None, live=pace is not None)
         metadata = {"command": "simulate", "link": "virtual:", "seed": str(seed)}
-        operator = Operator(output)
-        summary = acquire(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=operator)
-    _report(output, summary, log_of(sinks, out), value)
-    if operator.lost_log:
-        raise LogError(operator.lost_log)
+        summary = acquire_from(rig, driver, sinks, seconds, stop.event, metadata=metadata, notify=Operator(output))
+    _report(output, summary, log_path(sinks, out), value)
+    if summary.lost_log:
+        raise LogError(summary.lost_log)
     if stop.event.is_set():  # by whatever signal: it is shorter than was asked for
         raise KeyboardInterrupt
     if not summary.samples:
@@ -130,28 +129,25 @@ def replay(
     output: Output, log: Path, speed: str, rig_path: Path | None, check: bool, out: Path | None, rerun: str | None
 ) -> None:
     from daq.log.reader import read_log
-    from daq.session.replay import replay as replay_log
+    from daq.session.replay import logged_rig, replay_into
 
-    if out is not None and out.exists() and log.exists() and out.samefile(log):
-        raise ConfigError(f"{out}: is the log to be replayed; choose another --out")
+    refuse_own_log(log, out)
     pace = _speed(speed)
     recording = read_log(log)
     if check and rig_path is not None and load_rig(rig_path).text != recording.rig_text:
         raise ConfigError("--check compares with the logged estimates, which were made with the log's own rig file: "
                           "leave --rig out, or give that very file")  # fmt: skip
-    rig = Rig.parse(recording.rig_text, where=f"{log}: rig.toml") if rig_path is None else load_rig(rig_path)
-    operator = Operator(output)
+    rig = logged_rig(recording) if rig_path is None else load_rig(rig_path)
     with Stop() as stop:
         sinks = make_sinks(output, out, rerun, live=False, wall_offset_ns=recording.head.wall_offset_ns)
-        sinks += naming(rig, live=False)
-        summary = replay_log(recording, rig, sinks, speed=pace, check=check, stop=stop.event, notify=operator)
-    _report(output, summary, log_of(sinks, out), {})
-    if operator.lost_log:
-        raise LogError(operator.lost_log)
+        sinks += naming_sinks(rig, live=False)
+        summary = replay_into(recording, rig, sinks, speed=pace, check=check, stop=stop.event, notify=Operator(output))
+    _report(output, summary, log_path(sinks, out), {})
+    problem = replay_failure(summary, log, out)
+    if problem is not None and not (stop.event.is_set() and not summary.lost_log):
+        raise problem
     if stop.event.is_set():
         raise KeyboardInterrupt
-    if out is not None and not summary.samples + summary.lost_samples:
-        raise LogError(f"{log}: holds no samples, so there is no {out}")
     if check and not summary.identical:
         raise CheckFailed(
             f"{log}: the estimates of the replay are not the logged ones ({summary.compared} compared); "

@@ -28,7 +28,7 @@ from daq.log.reader import read_log
 from daq.log.recover import recover
 from daq.log.writer import LogWriter
 from daq.rig.rig import Rig
-from daq.session.replay import replay
+from daq.session.replay import replay_into
 
 ROOT = Path(__file__).parents[3]
 Row = Callable[[str, object], None]
@@ -262,7 +262,7 @@ def test_readers_of_a_growing_log_agree_with_themselves(growing: Path, record_pr
         time.sleep(0.45)  # a chunk further on
         assert growing.stat().st_size > (log.findings.size or 0)
         assert len(log.samples()) == len(log.counts()) == log.stop - log.first
-        assert replay(log, Rig.parse(log.rig_text)).samples == log.n_samples
+        assert replay_into(log, Rig.parse(log.rig_text)).samples == log.n_samples
     saved = recover(growing, growing.with_name("b.mcap"))
     assert saved.lost.endswith("the log is still being written")
     mended = read_log(growing.with_name("b.mcap"))

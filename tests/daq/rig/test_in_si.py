@@ -11,7 +11,7 @@ from stand_ins import MomentEstimator, Recorder, ScriptedDriver, info_of, paper_
 from daq.commands.cli.app import main
 from daq.log.reader import read_log
 from daq.rig.units import GRAVITY
-from daq.session.acquire import acquire
+from daq.session.acquire import acquire_from
 from drivers.contract.reading import Info, Notice
 
 RIG = """schema = 1
@@ -88,7 +88,7 @@ def test_a_device_that_says_another_quantity_gives_no_estimate() -> None:
     speeds = Info(tuple(type(s)(s.name, "m/s", s.scale) for s in info.signals), info.rate_hz)
     readings = [[speeds], *([vibration(512 * k, 512)] for k in range(60))]
     driver = ScriptedDriver(readings, "capture")
-    summary = acquire(paper_rig(), driver, [sink], notify=told.append, make=MomentEstimator)
+    summary = acquire_from(paper_rig(), driver, [sink], notify=told.append, make=MomentEstimator)
     assert [n.code for n in told] == ["no_estimate"]
     assert "b1x comes in m/s, and is acceleration in the rig file" in summary.problems[0]
     assert (summary.samples, summary.last_estimate) == (60 * 512, None)

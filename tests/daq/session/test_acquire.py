@@ -20,9 +20,9 @@ from daq.base.contract.errors import ConfigError
 from daq.base.contract.sink import SinkHealth
 from daq.log.reader import read_log
 from daq.log.writer import LogWriter
-from daq.session.acquire import ANSWER_S, Device, RunSummary, acquire, acquire_all
+from daq.session.acquire import ANSWER_S, Device, RunSummary, acquire_all, acquire_from
 from daq.session.links import open_driver
-from daq.session.replay import replay
+from daq.session.replay import replay_into
 from drivers.contract.errors import LinkOpenError
 from drivers.contract.reading import Block, Gap, Notice, Reading
 
@@ -63,7 +63,7 @@ class Thinker(Recorder):
 
 def test_a_diagnosis_under_way_at_the_end_is_waited_for_and_logged(tmp_path: Path) -> None:
     source = ScriptedDriver(finite(51_200), kind="can")
-    acquire(RIG, source, [LogWriter(tmp_path / "a.mcap"), Thinker(0.3)], 2.0, make=MomentEstimator)
+    acquire_from(RIG, source, [LogWriter(tmp_path / "a.mcap"), Thinker(0.3)], 2.0, make=MomentEstimator)
     assert "effect_named" in {notice.code for notice in read_log(tmp_path / "a.mcap").notices}
 
 
@@ -71,13 +71,13 @@ def test_a_stop_does_not_wait_for_a_diagnosis() -> None:
     stop = threading.Event()
     threading.Timer(0.3, stop.set).start()
     began_s = time.monotonic()
-    acquire(RIG, ScriptedDriver(finite(51_200), kind="can"), [Thinker(1e6)], 2.0, stop, make=MomentEstimator)
+    acquire_from(RIG, ScriptedDriver(finite(51_200), kind="can"), [Thinker(1e6)], 2.0, stop, make=MomentEstimator)
     assert time.monotonic() - began_s < ANSWER_S
 
 
 def test_a_finite_source_is_taken_whole_and_replays_bit_for_bit(tmp_path: Path) -> None:
     writer = LogWriter(tmp_path / "a.mcap", live=False)
-    summary = acquire(RIG, ScriptedDriver(finite(200_000), kind="capture"), [writer], make=MomentEstimator)
+    summary = acquire_from(RIG, ScriptedDriver(finite(200_000), kind="capture"), [writer], make=MomentEstimator)
     assert summary.samples == 200_000
     assert summary.problems == ()
     jsonschema.validate(summary.to_json(), RUN_SCHEMA)
@@ -86,7 +86,7 @@ def test_a_finite_source_is_taken_whole_and_replays_bit_for_bit(tmp_path: Path) 
     np.testing.assert_array_equal(log.counts(), vibration(0, 200_000).counts)
     assert log.rig_text == RIG.text
     assert {"rotorscope", "python", "numpy", "link_kind", "started"} <= set(log.metadata)
-    again = replay(log, check=True, make=MomentEstimator)
+    again = replay_into(log, check=True, make=MomentEstimator)
     assert again.identical
     assert again.compared == len(log.estimates) == 200_000 // 12_288 + 1
     assert again.samples == 200_000
@@ -95,8 +95,8 @@ def test_a_finite_source_is_taken_whole_and_replays_bit_for_bit(tmp_path: Path) 
 
 
 def test_a_replay_may_be_logged_again_and_is_the_same_log(tmp_path: Path) -> None:
-    acquire(RIG, ScriptedDriver(finite(60_000), "capture"), [LogWriter(tmp_path / "a.mcap")], make=MomentEstimator)
-    replay(read_log(tmp_path / "a.mcap"), None, [LogWriter(tmp_path / "b.mcap", live=False)], make=MomentEstimator)
+    acquire_from(RIG, ScriptedDriver(finite(60_000), "capture"), [LogWriter(tmp_path / "a.mcap")], make=MomentEstimator)
+    replay_into(read_log(tmp_path / "a.mcap"), None, [LogWriter(tmp_path / "b.mcap", live=False)], make=MomentEstimator)
     a, b = read_log(tmp_path / "a.mcap"), read_log(tmp_path / "b.mcap")
     np.testing.assert_array_equal(a.counts(), b.counts())
     assert [e.data for e in a.estimates] == [e.data for e in b.estimates]
@@ -109,20 +109,20 @@ def test_the_check_notices_a_difference(tmp_path: Path, wrong: str) -> None:
             super().update(block)
             self._sum += 1e-9
 
-    acquire(RIG, ScriptedDriver(finite(60_000), "capture"), [LogWriter(tmp_path / "a.mcap")], make=MomentEstimator)
+    acquire_from(RIG, ScriptedDriver(finite(60_000), "capture"), [LogWriter(tmp_path / "a.mcap")], make=MomentEstimator)
     log = read_log(tmp_path / "a.mcap")
     if wrong == "value":
-        assert replay(log, check=True, make=Other).identical is False
+        assert replay_into(log, check=True, make=Other).identical is False
     if wrong == "one fewer":
         object.__setattr__(log, "estimates", log.estimates[:-1])
-        assert replay(log, check=True, make=MomentEstimator).identical is False
+        assert replay_into(log, check=True, make=MomentEstimator).identical is False
     if wrong == "one more":
         object.__setattr__(log, "estimates", (*log.estimates, log.estimates[-1]))
-        assert replay(log, check=True, make=MomentEstimator).identical is False
+        assert replay_into(log, check=True, make=MomentEstimator).identical is False
 
 
 def test_seconds_are_of_data_and_exact(tmp_path: Path) -> None:
-    summary = acquire(RIG, ScriptedDriver(finite(10**9), "capture"), [], seconds=2.5, make=MomentEstimator)
+    summary = acquire_from(RIG, ScriptedDriver(finite(10**9), "capture"), [], seconds=2.5, make=MomentEstimator)
     assert (summary.samples, summary.seconds) == (64_000, 2.5)
 
 
@@ -130,7 +130,7 @@ def test_a_silent_device_does_not_hold_a_run_of_given_length(monkeypatch: pytest
     monkeypatch.setattr("daq.session.acquire.GRACE_S", 0.2)
     recorder = Recorder()
     begin = time.monotonic()
-    summary = acquire(RIG, ScriptedDriver([[INFO]], ends=False), [recorder], seconds=0.3, make=MomentEstimator)
+    summary = acquire_from(RIG, ScriptedDriver([[INFO]], ends=False), [recorder], seconds=0.3, make=MomentEstimator)
     within(time.monotonic() - begin, 3.0)
     assert summary.samples == 0
     assert recorder.of("close") == [None]
@@ -140,7 +140,7 @@ def test_a_device_that_is_too_slow_for_a_run_of_given_length_is_told(monkeypatch
     monkeypatch.setattr("daq.session.acquire.GRACE_S", 0.2)
     told: list[Notice] = []
     slow = ScriptedDriver(endless(pause_s=0.04), ends=False)  # a quarter of its rate
-    summary = acquire(RIG, slow, [], seconds=0.4, notify=told.append, make=MomentEstimator)
+    summary = acquire_from(RIG, slow, [], seconds=0.4, notify=told.append, make=MomentEstimator)
     assert 0.0 < summary.seconds < 0.4
     assert [n.code for n in told] == ["short"]
     assert "s of data came in 0.6 s, where 0.4 s were asked for" in told[0].text
@@ -148,17 +148,17 @@ def test_a_device_that_is_too_slow_for_a_run_of_given_length_is_told(monkeypatch
 
 def test_stop_ends_a_live_session_quickly_with_everything_that_was_read(tmp_path: Path) -> None:
     warm = [[INFO], [vibration(0, 5000)]]  # what is imported and compiled late takes long on a busy machine
-    acquire(RIG, ScriptedDriver(warm), [LogWriter(tmp_path / "warm.mcap")], make=MomentEstimator)
+    acquire_from(RIG, ScriptedDriver(warm), [LogWriter(tmp_path / "warm.mcap")], make=MomentEstimator)
     stop = threading.Event()
     threading.Timer(0.6, stop.set).start()
     begin = time.monotonic()
     writer = LogWriter(tmp_path / "a.mcap")
-    summary = acquire(RIG, ScriptedDriver(endless()), [writer], stop=stop, make=MomentEstimator)
+    summary = acquire_from(RIG, ScriptedDriver(endless()), [writer], stop=stop, make=MomentEstimator)
     within(time.monotonic() - begin, 3.0)
     log = read_log(tmp_path / "a.mcap")
     assert log.complete
     assert log.n_samples == summary.samples > 5_000
-    assert replay(log, check=True, make=MomentEstimator).identical
+    assert replay_into(log, check=True, make=MomentEstimator).identical
 
 
 def test_a_link_that_cannot_be_opened_closes_the_sinks() -> None:
@@ -168,7 +168,7 @@ def test_a_link_that_cannot_be_opened_closes_the_sinks() -> None:
 
     recorder = Recorder()
     with pytest.raises(LinkOpenError, match="no such port"):
-        acquire(RIG, Shut([]), [recorder], make=MomentEstimator)
+        acquire_from(RIG, Shut([]), [recorder], make=MomentEstimator)
     assert [what for what, _ in recorder.calls] == ["start", "status", "close"]
 
 
@@ -190,14 +190,14 @@ def test_a_stop_does_not_wait_for_a_host_that_does_not_answer(mute_host: str, re
     driver = open_driver(mute_host, RIG)
     threading.Timer(0.3, stop.set).start()
     begin = time.monotonic()
-    summary = acquire(RIG, driver, [recorder], stop=stop, make=MomentEstimator)
+    summary = acquire_from(RIG, driver, [recorder], stop=stop, make=MomentEstimator)
     took = time.monotonic() - begin - 0.3
     record_property("reliability", f"stop while the link opens | TCP to a host that is mute | 2 s | {took:.2f} s")
     within(took, 1.0)
     assert summary.samples == 0
     assert recorder.of("close") == [None]
     with pytest.raises(LinkOpenError, match="timed out"):
-        acquire(RIG, open_driver(mute_host, RIG), [], make=MomentEstimator)
+        acquire_from(RIG, open_driver(mute_host, RIG), [], make=MomentEstimator)
 
 
 def test_a_link_that_opens_after_the_stop_is_closed_again() -> None:
@@ -212,14 +212,14 @@ def test_a_link_that_opens_after_the_stop_is_closed_again() -> None:
 
     events, stop = list[str](), threading.Event()
     threading.Timer(0.1, stop.set).start()
-    acquire(RIG, Slow([]), [], stop=stop, make=MomentEstimator)
+    acquire_from(RIG, Slow([]), [], stop=stop, make=MomentEstimator)
     until(lambda: events[-2:] == ["open", "close"])
 
 
 def test_a_driver_that_breaks_its_contract_is_not_silent_and_loses_nothing(tmp_path: Path) -> None:
     batches: list[list[Reading] | BaseException] = [[INFO], [vibration(0, 5000)], RuntimeError("defect in the driver")]
     with pytest.raises(RuntimeError, match="defect in the driver"):
-        acquire(RIG, ScriptedDriver(batches), [LogWriter(tmp_path / "a.mcap")], make=MomentEstimator)
+        acquire_from(RIG, ScriptedDriver(batches), [LogWriter(tmp_path / "a.mcap")], make=MomentEstimator)
     log = read_log(tmp_path / "a.mcap")
     assert log.complete
     assert log.n_samples == 5000
@@ -230,7 +230,7 @@ def test_a_device_without_the_rigs_channels_is_refused(tmp_path: Path) -> None:
 
     short = Info(INFO.signals[:2], 25600.0)
     with pytest.raises(ConfigError, match="not the rig's channel b2x, b2y"):
-        acquire(RIG, ScriptedDriver([[short]]), [LogWriter(tmp_path / "a.mcap")], make=MomentEstimator)
+        acquire_from(RIG, ScriptedDriver([[short]]), [LogWriter(tmp_path / "a.mcap")], make=MomentEstimator)
 
 
 class Slow(MomentEstimator):
@@ -264,7 +264,7 @@ def test_a_stalled_estimator_costs_the_oldest_by_name(
     path = tmp_path / "a.mcap"
     monkeypatch.setattr(Slow, "over", False)
     told: list[bool] = []
-    summary = acquire(
+    summary = acquire_from(
         RIG, ScriptedDriver(flood()), [LogWriter(path)], make=Slow,
         notify=lambda notice: told.append(Slow.over) if notice.code == "overflow" else None,
     )  # fmt: skip
@@ -284,7 +284,7 @@ def test_a_stalled_estimator_costs_the_oldest_by_name(
     np.testing.assert_array_equal(counts[there], vibration(0, 409_600).counts[: len(counts)][there])
     row = "estimator stalls for long | 1 s at 16 times the usual rate, queues of 2 MiB | reader goes on, oldest dropped"
     record_property("reliability", f"{row} by exact gap `overflow` | {summary.lost_samples} samples, all in gaps")
-    assert replay(log, check=True, make=MomentEstimator).identical
+    assert replay_into(log, check=True, make=MomentEstimator).identical
 
 
 def test_a_stalled_estimator_delays_neither_log_nor_viewer(
@@ -299,7 +299,7 @@ def test_a_stalled_estimator_delays_neither_log_nor_viewer(
 
     monkeypatch.setattr("daq.session.acquire._warm_up", lambda *_: None)
     sink = Timed()
-    summary = acquire(RIG, ScriptedDriver(flood(rows=512)), [sink], make=Slow)
+    summary = acquire_from(RIG, ScriptedDriver(flood(rows=512)), [sink], make=Slow)
     assert (summary.samples, summary.lost_samples) == (51_200, 0)
     assert len(sink.of("estimate")) == 51_200 // 12_288 + 1
     longest = float(np.diff(sink.of("at")).max())  # type: ignore[arg-type]
@@ -323,7 +323,7 @@ def test_a_hanging_estimator_does_not_hold_the_stop(
     threading.Timer(1.2, stop.set).start()
     begin = time.monotonic()
     path = tmp_path / "a.mcap"
-    summary = acquire(RIG, ScriptedDriver(flood(count=10**6)), [LogWriter(path)], stop=stop, make=Crawl)
+    summary = acquire_from(RIG, ScriptedDriver(flood(count=10**6)), [LogWriter(path)], stop=stop, make=Crawl)
     took = time.monotonic() - begin - 1.2
     within(took, 2.0)
     row = "estimator far too slow at the stop | 50 ms for each 40 ms block | complete log within 2 s, rest logged"
@@ -332,7 +332,7 @@ def test_a_hanging_estimator_does_not_hold_the_stop(
     assert log.complete
     assert log.n_samples == summary.samples > 100_000  # four times what was estimated from
     assert "stopped_behind" in [n.code for n in log.notices]
-    assert replay(log, check=True, make=MomentEstimator).identical
+    assert replay_into(log, check=True, make=MomentEstimator).identical
 
 
 def test_a_slow_or_broken_sink_is_told_and_the_others_have_all(tmp_path: Path) -> None:
@@ -340,7 +340,7 @@ def test_a_slow_or_broken_sink_is_told_and_the_others_have_all(tmp_path: Path) -
     broken = Recorder(fail={"readings": RuntimeError("viewer gone")})
     path = tmp_path / "a.mcap"
     driver = ScriptedDriver(finite(50_000), "capture")
-    summary = acquire(RIG, driver, [broken, LogWriter(path)], make=MomentEstimator, notify=told.append)
+    summary = acquire_from(RIG, driver, [broken, LogWriter(path)], make=MomentEstimator, notify=told.append)
     assert read_log(path).n_samples == 50_000
     assert [n.code for n in told] == ["sink_failed"]
     assert "viewer gone" in summary.problems[0]
@@ -380,30 +380,30 @@ def test_five_devices_at_once_and_two_of_them_fail(tmp_path: Path, record_proper
         assert log.complete
         assert log.head.device == name
         assert log.first == 1000 * int(name)
-        assert replay(log, check=True, make=MomentEstimator).identical
+        assert replay_into(log, check=True, make=MomentEstimator).identical
     assert read_log(tmp_path / "3.mcap").n_samples == 30 * 256
     row = "one device of five fails | a driver that raises, another that cannot open | the others are not disturbed"
     record_property("reliability", f"{row} | 3 complete logs without loss")
 
 
 def test_replay_in_real_time_and_stopped(tmp_path: Path) -> None:
-    acquire(RIG, ScriptedDriver(finite(25_600), "capture"), [LogWriter(tmp_path / "a.mcap")], make=MomentEstimator)
+    acquire_from(RIG, ScriptedDriver(finite(25_600), "capture"), [LogWriter(tmp_path / "a.mcap")], make=MomentEstimator)
     log = read_log(tmp_path / "a.mcap")
     begin = time.monotonic()
-    summary = replay(log, speed=2.0, make=MomentEstimator)
+    summary = replay_into(log, speed=2.0, make=MomentEstimator)
     took = time.monotonic() - begin
     assert took > 0.45
     within(took, 1.5)
     assert summary.samples == 25_600
     stop = threading.Event()
     threading.Timer(0.3, stop.set).start()
-    part = replay(log, speed=0.5, stop=stop, make=MomentEstimator)
+    part = replay_into(log, speed=0.5, stop=stop, make=MomentEstimator)
     assert 0 < part.samples < 12_800
 
 
 def test_blocks_keep_their_host_times_in_a_replay(tmp_path: Path) -> None:
-    acquire(RIG, ScriptedDriver(finite(25_600), "capture"), [LogWriter(tmp_path / "a.mcap")], make=MomentEstimator)
+    acquire_from(RIG, ScriptedDriver(finite(25_600), "capture"), [LogWriter(tmp_path / "a.mcap")], make=MomentEstimator)
     recorder = Recorder()
-    replay(read_log(tmp_path / "a.mcap"), None, [recorder], make=MomentEstimator)
+    replay_into(read_log(tmp_path / "a.mcap"), None, [recorder], make=MomentEstimator)
     last = [r for r in recorder.delivered if isinstance(r, Block)][-1]
     assert last.t_host_ns == vibration(25_600 - 256, 256).t_host_ns

@@ -19,7 +19,7 @@ from stand_ins import MomentEstimator, vibration
 
 from daq.log.reader import read_log
 from daq.log.recover import recover
-from daq.session.replay import replay
+from daq.session.replay import replay_into
 
 HERE = Path(__file__).parents[1]
 Property = Callable[[str, object], None]
@@ -54,7 +54,7 @@ def kill_after(log: Path, seconds: float) -> float:
     assert read_log(mended).complete
     assert told.samples == len(counts)
     if recording.estimates:
-        assert replay(read_log(mended), check=True, make=MomentEstimator).identical
+        assert replay_into(read_log(mended), check=True, make=MomentEstimator).identical
     return (killed_ns - last_ns) / 1e9
 
 
@@ -97,4 +97,4 @@ def test_a_stop_signal_completes_the_log_within_two_seconds(
     assert log.complete
     assert log.n_samples == summary["samples"] > 10_000
     np.testing.assert_array_equal(log.counts(), vibration(0, log.n_samples).counts)
-    assert replay(log, check=True, make=MomentEstimator).identical
+    assert replay_into(log, check=True, make=MomentEstimator).identical

@@ -15,8 +15,8 @@ from stand_ins import MomentEstimator, Recorder, paper_rig
 
 from daq.log.reader import Recording, read_log
 from daq.log.writer import LogWriter
-from daq.session.acquire import RunSummary, acquire
-from daq.session.replay import replay
+from daq.session.acquire import RunSummary, acquire_from
+from daq.session.replay import replay_into
 from drivers.contract.link_config import VirtualConfig
 from drivers.contract.reading import Block, Driver
 from drivers.links.links import make_driver, parse_link
@@ -29,7 +29,7 @@ FAULTS = {"drop": 0.02, "flip": 0.02, "duplicate": 0.02, "reorder": 0.01}  # of 
 def record(
     driver: Driver, path: Path, seconds: float | None, stop: threading.Event | None = None, sink: Recorder | None = None
 ) -> RunSummary:
-    return acquire(RIG, driver, [LogWriter(path), *([sink] if sink else [])], seconds, stop, make=MomentEstimator)
+    return acquire_from(RIG, driver, [LogWriter(path), *([sink] if sink else [])], seconds, stop, make=MomentEstimator)
 
 
 def assert_ramp(log: Recording, restarts: int = 0) -> None:
@@ -44,7 +44,7 @@ def assert_ramp(log: Recording, restarts: int = 0) -> None:
     for channel in range(1, 4):
         step = (counts[there][:, channel] - counts[there][:, 0]) % PERIOD
         assert (step == 100 * channel).all()
-    assert replay(log, RIG, check=True, make=MomentEstimator).identical
+    assert replay_into(log, RIG, check=True, make=MomentEstimator).identical
 
 
 @pytest.mark.parametrize(

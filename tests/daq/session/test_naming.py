@@ -19,7 +19,7 @@ from daq.log.reader import read_log
 from daq.report.live_table import missing_text
 from daq.rig.rig import Rig, load_rig
 from daq.session.naming import Naming, Question, answer, said
-from daq.session.replay import replay
+from daq.session.replay import replay_into
 from drivers.contract.reading import Block, Gap, Info, Notice, Signal
 from estimator.results import Estimate, Parameter, certain_missing_effects
 
@@ -189,7 +189,7 @@ def test_a_clearance_that_opens_at_60_s_is_flagged_and_named_within_20_s(tmp_pat
                 sure.append((estimate.index / 25600.0, found))
 
     sure: list[tuple[float, list[str]]] = []
-    replay(read_log(tmp_path / "y.mcap"), rig, [Watched(rig, live=False, ask=ask)], notify=said.append)
+    replay_into(read_log(tmp_path / "y.mcap"), rig, [Watched(rig, live=False, ask=ask)], notify=said.append)
     when, like = sure[0]
     assert 60 < when <= 80
     assert like[0] == "clearance"

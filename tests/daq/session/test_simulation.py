@@ -9,7 +9,7 @@ from daq.base.contract.errors import ConfigError
 from daq.log.reader import read_log
 from daq.log.writer import LogWriter
 from daq.rig.rig import Rig, load_rig
-from daq.session.acquire import acquire
+from daq.session.acquire import acquire_from
 from daq.session.estimators import maker
 from daq.session.simulation import at_full_speed, complete, fault_rates, machine
 from estimator.effects import CATALOGUE
@@ -100,7 +100,8 @@ def test_words_for_faults() -> None:
 def test_a_log_made_at_full_speed_has_the_clock_of_its_device(tmp_path: Path) -> None:
     log = tmp_path / "a.mcap"
     device = machine(load_rig(PAPER), seconds=5.0, config={"clock_ppm": 40.0}).device
-    acquire(load_rig(PAPER), at_full_speed(device), [LogWriter(log, live=False)], make=maker("score-matching", 10.0))
+    sinks = [LogWriter(log, live=False)]
+    acquire_from(load_rig(PAPER), at_full_speed(device), sinks, make=maker("score-matching", 10.0))
     clock = read_log(log).clock
     assert clock is not None
     assert clock.drift_ppm == pytest.approx(40.0, abs=1.0)

@@ -14,7 +14,7 @@ from stand_ins import ScriptedDriver, info_of, paper_rig
 from daq.base.contract.sink import Session, Status
 from daq.log.reader import read_log
 from daq.log.writer import LogWriter
-from daq.session.acquire import Device, RunSummary, acquire, acquire_all
+from daq.session.acquire import Device, RunSummary, acquire_all, acquire_from
 from daq.session.estimators import maker
 from drivers.contract.reading import Block, Reading
 from estimator.results import Estimate
@@ -97,7 +97,7 @@ def test_two_hours(method: str, least: float, tmp_path: Path, record_property: C
     seconds = float(os.environ.get("ROTORSCOPE_SOAK_S", "7200"))
     watch = Watch()
     begin, cpu = time.monotonic(), time.process_time()
-    summary = acquire(
+    summary = acquire_from(
         RIG, ScriptedDriver(noise(seconds), "capture"), [LogWriter(tmp_path / "a.mcap", live=False), watch],
         make=maker(method, 60.0),
     )  # fmt: skip

@@ -1,0 +1,137 @@
+"""What a log says, entry by entry and in order: for reading, replay and recovery."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from google.protobuf.message import DecodeError
+
+from daq.base.contract.errors import LogError
+from daq.base.contract.sink import Status
+from drivers.contract import Gap, Info, Notice
+from estimator.results import Estimate
+
+from . import codec as codec
+from .codec import RawBlock
+from .scan import Findings, Message, scan
+
+LOST_IN_LOG = "log"  # reason of a gap that the log does not explain: the chunk that held these samples is damaged
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """The Session message. wall_offset_ns : Unix time = host monotonic time + this."""
+
+    device: str = ""
+    wall_offset_ns: int = 0
+    metadata: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedEstimate:
+    """An estimate and the very bytes that the log holds for it."""
+
+    estimate: Estimate
+    data: bytes
+
+
+Entry = Head | Info | RawBlock | Gap | Notice | LoggedEstimate | Status
+
+
+def walk(path: Path, findings: Findings, everything: bool = False) -> Iterator[tuple[Entry | None, Message | None]]:
+    """All in order, with the message it came from; unexplained jumps of the index become gaps (message None).
+
+    Head and Info come when they are new. Blocks never overlap and never go back. Preview and repetitions are left out,
+    or with `everything` come as (None, message).
+    """
+    decoder = _Decoder()
+    for messages in scan(path, findings):
+        _check_topics(path, findings)
+        for message in messages:
+            try:
+                entry = decoder.entry(message)
+            except (DecodeError, ValueError) as error:
+                findings.damage.append(f"a message of channel {message.channel} makes no sense: {error}")
+                continue
+            if entry is None:
+                if everything and 1 <= message.channel <= len(codec.TOPICS):
+                    yield None, message
+                continue
+            missing = decoder.missing_before(entry)
+            if missing is not None:
+                findings.damage.append(f"{missing.count} samples from {missing.index} are missing without a gap record")
+                yield missing, None
+            if isinstance(entry, RawBlock | Gap) and not decoder.advance(entry):
+                findings.damage.append(f"what is said of sample {entry.index} goes back in the index, and is left out")
+                continue
+            yield entry, message
+
+
+def _check_topics(path: Path, findings: Findings) -> None:
+    expected = {number: topic.name for number, topic in enumerate(codec.TOPICS, 1)}
+    if any(expected.get(number) != name for number, name in findings.topics.items() if number in expected):
+        raise LogError(f"{path}: an MCAP file, but not a Rotorscope log; use `rotorscope import` for other data")
+
+
+class _Decoder:
+    def __init__(self) -> None:
+        self._head = self._info = b""
+        self._wall_offset_ns = 0
+        self._next: int | None = None  # the index that follows what was seen
+        self._channels = -1
+
+    def entry(self, message: Message) -> Entry | None:
+        data = message.data
+        match message.channel:
+            case codec.RAW:
+                block = codec.decode_block(data)
+                if block.counts.shape[1] != self._channels:
+                    raise ValueError(f"{block.counts.shape[1]} columns where {self._channels} signals were announced")
+                return block
+            case codec.GAP:
+                return self._gap(codec.decode_gap(data))
+            case codec.ESTIMATE:
+                return LoggedEstimate(codec.decode_estimate(data), data)
+            case codec.STATUS:
+                return codec.decode_status(data)
+            case codec.NOTICE:
+                return codec.decode_notice(data, message.log_time - self._wall_offset_ns)
+            case codec.SESSION if data != self._head:
+                head = Head(*codec.decode_session(data))
+                self._head = data
+                self._wall_offset_ns = head.wall_offset_ns
+                return head
+            case codec.INFO if data != self._info:
+                info = codec.decode_info(data)
+                if not info.rate_hz > 0 or not np.isfinite(info.rate_hz) or not 2 <= info.count_bits <= 32:
+                    raise ValueError(f"a rate of {info.rate_hz} Hz, {info.count_bits} bits")
+                self._info, self._channels = data, len(info.signals)
+                return info
+        return None
+
+    def _gap(self, gap: Gap) -> Gap:
+        if gap.index < 0 or gap.count < 0:
+            raise ValueError(f"a gap of {gap.count} samples from {gap.index}")
+        return gap
+
+    def missing_before(self, entry: Entry) -> Gap | None:
+        """The unexplained hole between what was seen and this entry."""
+        if not isinstance(entry, RawBlock | Gap) or (isinstance(entry, Gap) and not entry.count):
+            return None
+        expected = self._next
+        if expected is None or entry.index <= expected:
+            return None
+        self._next = entry.index
+        return Gap(expected, entry.index - expected, LOST_IN_LOG)
+
+    def advance(self, entry: RawBlock | Gap) -> bool:
+        """Move over a block or a gap; False if it goes back."""
+        if isinstance(entry, Gap) and not entry.count:
+            return True
+        if self._next is not None and entry.index < self._next:
+            return False
+        self._next = entry.stop if isinstance(entry, RawBlock) else entry.index + entry.count
+        return True
