@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Complexes
 from estimator.errors import DataError
 
+MAX_SAMPLE_SI = 1e15  # no sensor reads more: a larger sample counts as missing, as its powers would overflow
 DRIFT = 0.05  # of the lower band edge: below lie offset and drift of a sensor; the filter is as long as the band's
 FORCE_DRIFT = 0.02  # the same of a sensor of force, whose whole record is filtered
 RINGS = 2  # times as long are filters beside one that holds a resonance
@@ -249,10 +250,10 @@ class BandLimit:
         self._next = 0
 
     def push(self, y: Array) -> Motion:
-        """The rows that became available by these (n, channels) rows, perhaps none."""
+        """The rows that became available by these (n, channels) rows, perhaps none; NaN where a sample is missing."""
         if y.ndim != 2 or y.shape[1] != len(self.kinds):
             raise ValueError(f"expected rows of {len(self.kinds)} channels, got an array of shape {y.shape}")
-        self._fresh.append(np.array(y, np.float64))
+        self._fresh.append(np.where(np.abs(y) <= MAX_SAMPLE_SI, y, np.nan))
         self._count += len(y)
         if self._count < self._size:
             return self._join([])

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.errors import DataError
+from estimator.errors import DataError, NotFiniteError
 from estimator.identification.batch.line_notches import start_without_lines
 from estimator.identification.batch.report import judged_parameters
 from estimator.likelihood.motion.force_balance import force_channels, motion_channels, shaft_reaction
@@ -41,11 +41,51 @@ MAX_STILL_RMS_REL = 1e-6  # of what a place usually moves, or of what the others
 
 
 class RollingEstimator:
-    """OnlineEstimator by the spectral likelihood. Estimates are renewed about twice a second.
+    """Stiffness, damping and excitation of a rig while samples arrive, by the spectral likelihood.
 
-    watch : catalogue effects whose force is looked for in what the model leaves over (watch.py). The estimate's
-        `extra` then holds missing_force_percent, rms of the force that all of them together would explain over the
-        rms linear bearing force, and missing_force_percent_NAME for each one that is certain. None: half the cost.
+    Old samples are forgotten exponentially. The estimate is renewed about twice a second. It depends on the samples
+    and on how they are cut into blocks, and on nothing else: equal blocks give equal bits, live and in a replay.
+
+    Parameters
+    ----------
+    model : Model
+        The rig. Linear values and parameters of effects may be unknown (None).
+    rate_hz : float
+        Sampling rate, Hz.
+    time_constant_s : float
+        Time after which a sample counts 1/e, s.
+    watch : tuple of str
+        Catalogue effects whose force is looked for in the residual force. The `extra` of an estimate then holds
+        ``missing_force_percent``, the rms force that all of them together would explain in per cent of the rms linear
+        bearing force, and ``missing_force_percent_NAME`` for each effect that is certain. An empty tuple halves the
+        cost, and `extra` is None.
+
+    Raises
+    ------
+    ValueError
+        The time constant is not positive.
+    ModelError
+        An effect of the model stands at a place where it cannot act.
+
+    Notes
+    -----
+    ``update(block)`` takes the next rows, (n, channels) float64 in SI units, columns in the order of
+    ``model.channels``, NaN where a sample is missing or clipped. It never raises on data, does not change the block and
+    keeps no reference to it. ``snapshot()`` returns an `Estimate` and has no side effect. Before the first estimate,
+    and where the data allow none, ``parameters`` is empty and ``status`` says why.
+
+    Examples
+    --------
+    >>> from estimator import Channel, Model, RollingEstimator, Setting, simulate
+    >>> cap = {"bearing1.x": {"kL": Setting(1.3e6), "c": Setting(20.0), "S": Setting(1.0e-4)}}
+    >>> rig = Model((Channel("b1x", "bearing1", "x"),), band=(150.0, 1600.0), mass={"bearing1": 0.2}, linear=cap)
+    >>> record = simulate(rig, rate_hz=4096.0, seconds=8.0, seed=1)
+    >>> rolling = RollingEstimator(rig, rate_hz=4096.0, time_constant_s=3.0)
+    >>> for start in range(0, len(record), 512):
+    ...     rolling.update(record[start : start + 512])
+    >>> stiffness = rolling.snapshot().parameters["bearing1.x.kL"]
+    >>> abs(stiffness.value - 1.3e6) < 4.0 * stiffness.sd
+    True
     """
 
     def __init__(
@@ -72,7 +112,7 @@ class RollingEstimator:
         self._fitted: RollingFit | None = None
         self._retry_at = 0
         self._moves = np.zeros(0)  # (places,) rms acceleration at the start, m/s^2
-        self._still = ""  # the place that does not move of late
+        self._fault = ""  # why the last block is of no use: a place that does not move, a law that is not finite
         gains = _sensor_gains(self.model)[self._used]
         self._gain = None if (gains == 1.0).all() else gains
         self._estimate = Estimate(0, {}, 0.0, status="warming up")
@@ -102,7 +142,9 @@ class RollingEstimator:
         """The estimate as of the last update."""
         return replace(self._estimate, index=self._seen)
 
-    # the rest is private
+    def _show_nothing(self, status: str) -> None:
+        """The estimate has no parameters, for this reason."""
+        self._estimate = Estimate(self._seen, {}, 0.0, status=status)
 
     def _record(self, first: int = 0) -> Record:
         """What is kept, from the piece that holds row `first` on, as a record."""
@@ -137,9 +179,13 @@ class RollingEstimator:
             record = self._ahead = self._ahead or self._record(self._next - fitted.margin)
             at = self._next - record.motion.start
             fitted.forget()
-            self._still = self._standing(record.motion.a[:, at : at + grid.size])
-            if record.motion.valid[at : at + grid.size].all() and not self._still:
-                fitted.take(record, at, self._shaft.measured)
+            self._fault = self._standing(record.motion.a[:, at : at + grid.size])
+            if record.motion.valid[at : at + grid.size].all() and not self._fault:
+                try:
+                    fitted.take(record, at, self._shaft.measured)
+                except NotFiniteError as error:
+                    self._fault = str(error)
+                    fitted.skip()
             else:
                 fitted.skip()
             self._next += grid.hop
@@ -176,16 +222,16 @@ class RollingEstimator:
         """Fit what is kept as a record, or say why it cannot be."""
         record = self._record()
         self._moves = np.zeros(len(record.motion.a))
-        self._still = self._standing(record.motion.a[:, record.motion.valid])
-        if self._still:
-            self._estimate = Estimate(self._seen, {}, 0.0, status=self._still)
+        self._fault = self._standing(record.motion.a[:, record.motion.valid])
+        if self._fault:
+            self._show_nothing(self._fault)
             return
         try:
             record, start = start_without_lines(record, 1, self._lines)
             self._grid = record.grid
             self._fitted = RollingFit.begin(record, start, self.model, self.time_constant_s, self.watch)
         except DataError as e:
-            self._estimate = Estimate(self._seen, {}, 0.0, status=str(e))
+            self._show_nothing(str(e))
             return
         self._moves, self._next, self._ahead = record.rms("a"), record.motion.start, None
 
@@ -194,7 +240,12 @@ class RollingEstimator:
         if fitted.slow.n < MIN_BLOCKS:
             self._fitted = None
             return False
-        fitted.settle(self._record())
+        try:
+            fitted.settle(self._record())
+        except NotFiniteError as error:
+            self._fitted = None
+            self._show_nothing(str(error))
+            return False
         self._since_solved = self._seen
         return True
 
@@ -204,13 +255,17 @@ class RollingEstimator:
             return
         self._since_solved = 0
         hop_s = self._grid.hop / self.rate_hz
-        if self._still:
-            self._estimate = Estimate(self._seen, {}, 0.0, status=self._still)
+        if self._fault:
+            self._show_nothing(self._fault)
             return
         if fitted.slow.n < MIN_BLOCKS or fitted.slow.n * hop_s < 0.1 * min(self.time_constant_s, WARM_UP_S):
-            self._estimate = Estimate(self._seen, {}, 0.0, status="too few valid samples of late")
+            self._show_nothing("too few valid samples of late")
             return
-        fitted.solve(self._record)
+        try:
+            fitted.solve(self._record)
+        except NotFiniteError as error:
+            self._show_nothing(str(error))
+            return
         parameters = judged_parameters(fitted.balance, *fitted.shown(), self.model)
         samples = fitted.slow.n**2 / fitted.slow.n2 * self._grid.hop
         shown = self._followed.shown(parameters | fitted.held)

@@ -1,5 +1,7 @@
 """The rolling estimator: cold start, chunks, gaps, a change that is followed with an honest interval."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from reference_rig import COULOMB, PLACES, RATE, TRUTH, rig_model, rig_record
@@ -7,9 +9,12 @@ from reference_rig import COULOMB, PLACES, RATE, TRUTH, rig_model, rig_record
 from estimator.identification.batch import spectral as spectral
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.identification.rolling.watch import DEFAULT_CANDIDATES, watchable_effects
+from estimator.model.rig import Channel, CustomLaw, EffectUse, Model, Setting
 from estimator.results import Estimate
+from estimator.simulation.simulator import simulate
 
 BLOCK = 1280
+LINEAR = {"kL": Setting(1.3e6), "c": Setting(20.0), "S": Setting(1e-4)}
 
 
 @pytest.fixture(scope="module")
@@ -148,6 +153,20 @@ def test_what_is_missing_is_seen_and_named_as_it_rolls(record: np.ndarray, watch
 
 def test_without_candidates_nothing_is_said_of_what_is_missing(record: np.ndarray) -> None:
     assert run(RollingEstimator(rig_model("cubic"), RATE, 10.0, watch=()), record[: int(6 * RATE)])[-1].extra is None
+
+
+def test_a_law_that_is_not_finite_for_a_while_is_said_and_goes_on() -> None:
+    """The service stops an estimator that raises."""
+    growing = EffectUse("growing", {"bearing1.x": {"a": Setting(None)}}, CustomLaw("a*exp(x/1e-7)", None, {"a": "N"}))
+    rig = Model(
+        (Channel("b1x", "bearing1", "x"),), (150.0, 1600.0), mass={"bearing1": 0.2}, linear={"bearing1.x": LINEAR}
+    )
+    y = simulate(rig, 4096.0, 10.0, seed=1)
+    y[int(7 * 4096.0)] = 1e9
+    estimates = run(RollingEstimator(replace(rig, effects=(growing,)), 4096.0, 3.0), y, 512)
+    assert any(e.parameters for e in estimates[: 7 * 8])
+    assert any("growing at bearing1.x is not finite" in e.status for e in estimates)
+    assert estimates[-1].parameters["bearing1.x.kL"].value == pytest.approx(1.3e6, rel=0.05)
 
 
 @pytest.mark.parametrize("dead", ["all", "one", "later"])
