@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+NOT_JUDGED = "not_judged"  # code of the message of a record of which nothing can be judged
 MAX_P_VALUE_DIFFERENT = 0.01  # p-value under which the places are said to differ
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A remark of an estimator for the user.
+
+    code : stable snake_case word; programs compare codes, never texts. text : one line for the user; its wording may
+    change. place : location such as "bearing1.x" or "bearing1"; "" where the remark is about the whole record.
+    """
+
+    code: str
+    text: str
+    place: str = ""
+
+
+def messages_json(messages: Sequence[Message]) -> dict[str, list[str]]:
+    """`messages`, a list of texts, and `message_codes`, a list of codes in the same order."""
+    return {"messages": [m.text for m in messages], "message_codes": [m.code for m in messages]}
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +98,7 @@ class Fit:
     log_likelihood: float | None
     samples: int
     method: str
-    messages: tuple[str, ...] = ()
+    messages: tuple[Message, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """As schemas/fit.json, and `shared`: of each law's parameter, one value for all places."""
@@ -90,8 +109,7 @@ class Fit:
             "log_likelihood": self.log_likelihood,
             "samples": self.samples,
             "method": self.method,
-            "messages": list(self.messages),
-        }
+        } | messages_json(self.messages)
 
 
 @dataclass(frozen=True, slots=True)

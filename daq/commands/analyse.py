@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from estimator.effects import CATALOGUE, MORE_LINES
-from estimator.results import Fit, Parameter, shared
+from estimator.results import NOT_JUDGED, Fit, Parameter, shared
 
 if TYPE_CHECKING:
     from estimator.diagnosis.verdict import Improvement
@@ -23,6 +23,7 @@ from daq.base.console.output import Output, spare, write_whole
 from daq.base.console.tables import ladder_table, number, parameters_table
 from daq.base.contract.errors import ConfigError, LogError
 from daq.exchange.measurement import Measurement, measure
+from daq.report.words import message_text
 from daq.rig.edit import with_effect, with_values
 from daq.rig.rig import Rig, load_rig
 
@@ -48,7 +49,7 @@ def fit(output: Output, log: Path, rig_path: Path, method: Method, out: Path | N
         write_whole(out, with_values(with_lines(rig, result.parameters), result.parameters))
     people: list[Any] = [parameters_table(result.parameters), ""]
     people += [value.sentence(name) for name, value in shared(result.parameters).items()]
-    people += [f"note: {message}" for message in result.messages]
+    people += [f"note: {message.text}" for message in result.messages]
     people.append(f"{result.samples} samples, method {result.method}" + _likelihood(result))
     if out is not None:
         people.append(f"{out}: the rig file with the fitted values")
@@ -119,8 +120,6 @@ def _compared(output: Output, rig: Rig, data: Measurement) -> dict[str, Any]:
 
 def comparison_text(value: Mapping[str, Any]) -> list[Any]:
     """A comparison for people."""
-    from estimator.identification.residual import UNJUDGED
-
     missing = value["missing_force_percent"]
     interval = f"{missing['low']:.2f} to {missing['high']:.2f}"
     left = value["heldout_nll"] - value["reference_nll"]
@@ -141,7 +140,7 @@ def comparison_text(value: Mapping[str, Any]) -> list[Any]:
         if value.get(name):
             people.append(f"{text}: " + ", ".join(f"{c} {number(d)}" for c, d in value[name].items()))
     people += [f"note: {message}" for message in value.get("messages", ())]
-    if UNJUDGED not in value.get("messages", ()):  # a note above
+    if not message_text(value, {NOT_JUDGED}):  # a note above
         people.append("the model is adequate" if value["adequate"] else NOT_ADEQUATE)
     return people
 
@@ -194,8 +193,7 @@ def step(rig: Rig, comparison: Mapping[str, Any]) -> dict[str, Any]:
 
 def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     """A diagnosis for people."""
-    from estimator.diagnosis.verdict import no_law
-    from estimator.identification.residual import UNJUDGED
+    from estimator.diagnosis.verdict import NO_LAW_CODES
 
     table = Table(box=None, header_style="bold", pad_edge=False)
     for heading in ("effect", "at", "held-out gain", "p-value", "missing there [%]", "parameters", "detectable from"):
@@ -223,10 +221,9 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     known = f"rotorscope effects {name} says what to look at" if name in CATALOGUE else "rotorscope add puts it in"
     verdict = {
         "complete": "the model is complete: nothing in the catalogue earns its place",
-        "unknown": f"something is missing that {_NO_LAW if no_law(value['messages']) else _OUTSIDE}",
+        "unknown": f"something is missing that {_NO_LAW if message_text(value, NO_LAW_CODES) else _OUTSIDE}",
     }.get(name, f"missing: {name}; {known}")
-    verdict = UNJUDGED if UNJUDGED in value["messages"] else verdict
-    return [*people, f"verdict: {name}", verdict]
+    return [*people, f"verdict: {name}", message_text(value, {NOT_JUDGED}) or verdict]
 
 
 def _p(value: float) -> str:
@@ -250,27 +247,26 @@ def improve(output: Output, log: Path, rig_path: Path, out: Path, html: Path | N
         now = _compared(output, better, data) if len(ladder.rungs) > 1 else None
         pages.write(
             better, data, comparison=now or before, before=now and before, ladder=value["ladder"],
-            diagnoses=[d.to_json() for d in ladder.diagnoses], notes=ladder.messages,
+            diagnoses=[d.to_json() for d in ladder.diagnoses], notes=value["messages"],
         )  # fmt: skip
     added = [u.name for u in better.model.effects if u.name not in [v.name for v in rig.model.effects]]
     said = f"added: {', '.join(added)}" if added else "nothing more is earned: the model stays as it is"
-    notes = [f"note: {message}" for message in ladder.messages]
+    notes = [f"note: {message.text}" for message in ladder.messages]
     files = [f"{out}: the improved rig file", *pages.said()]
     output.result(value, ladder_table(value["ladder"]), "", *notes, said, ending(ladder.last.to_json(), added), *files)
 
 
 def ending(last: Mapping[str, Any], added: Sequence[str] = ()) -> str:
     """Why an improvement stops, from its last diagnosis and what was added."""
-    from estimator.diagnosis.verdict import no_law
-    from estimator.identification.residual import UNJUDGED
+    from estimator.diagnosis.verdict import NO_LAW_CODES
 
     verdict = last["verdict"]
     if verdict == "complete":
         return "the last model is complete: nothing of the catalogue predicts the record better than chance would"
-    if UNJUDGED in last["messages"]:
-        return UNJUDGED
+    if text := message_text(last, {NOT_JUDGED}):
+        return text
     if verdict == "unknown":
-        laid = no_law(last["messages"])
+        laid = message_text(last, NO_LAW_CODES)
         return f"something is left: {laid}" if laid else f"something is left that {_OUTSIDE}"
     if verdict in added:  # the last that one run adds
         return "what is missing now was not asked"

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
+
+from estimator.results import NOT_JUDGED
 
 from .numbers import number, odds, parameter, percent
 
 Json = Mapping[str, Any]
 AS_GOOD = 1e-4  # nats per sample
+
+
+def message_text(result: Json, codes: Collection[str]) -> str:
+    """The first message of a result that has one of some codes; "" without one."""
+    messages = zip(result.get("message_codes", ()), result.get("messages", ()), strict=False)
+    return next((text for code, text in messages if code in codes), "")
 
 
 def summary(comparison: Json | None, diagnoses: Sequence[Json], ladder: Sequence[Json]) -> list[str]:
@@ -42,10 +50,8 @@ def regions(before: Json | None, now: Json | None) -> list[tuple[str, Json]]:
 def about_comparison(comparison: Json) -> list[str]:
     missing = comparison["missing_force_percent"]
     span = f"{percent(missing['value'])} (95 % interval {percent(missing['low'])} to {percent(missing['high'])})"
-    from estimator.identification.residual import UNJUDGED
-
-    if UNJUDGED in comparison.get("messages", ()):
-        said = [f"{UNJUDGED[0].upper()}{UNJUDGED[1:]}."]
+    if text := message_text(comparison, {NOT_JUDGED}):
+        said = [f"{text[0].upper()}{text[1:]}."]
     elif comparison["adequate"]:
         said = [f"The model explains this record: the missing force is {span} of the bearing force."]
     else:
@@ -75,12 +81,11 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
     if verdict == "complete":
         return ["Diagnosis: complete. No effect of the catalogue improves the prediction by more than chance would."]
     if verdict == "unknown":
-        from estimator.diagnosis.verdict import no_law
-        from estimator.identification.residual import UNJUDGED
+        from estimator.diagnosis.verdict import NO_LAW_CODES
 
-        if UNJUDGED in diagnosis.get("messages", ()):
-            return [f"Diagnosis: unknown. {UNJUDGED[0].upper()}{UNJUDGED[1:]}."]
-        if laid := no_law(diagnosis.get("messages", ())):
+        if text := message_text(diagnosis, {NOT_JUDGED}):
+            return [f"Diagnosis: unknown. {text[0].upper()}{text[1:]}."]
+        if laid := message_text(diagnosis, NO_LAW_CODES):
             return [f"Diagnosis: unknown. A force is missing that is no law of a bearing: {laid}."]
         near = f" The nearest are {listed([r['effect'] for r in rows[:3]])}." if rows else ""
         return [

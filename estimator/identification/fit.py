@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.model.rig import Model
-from estimator.results import Fit
+from estimator.results import Fit, Message
 from estimator.signals.shaft_angle import measured_phase
 
 from .record import clipping, declip
@@ -61,7 +61,11 @@ def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") 
     y, off = declip.restored(model, y, frozenset(place for s in clipped for place in s.at))
     result = _FIT_METHODS[method](model, y, rate_hz)
     drawn = {place for place, error in off.items() if error < np.inf}
-    said = [f"{s.region}: {declip.RESTORED}" if s.at[0] in drawn else clipping.finding_text(s) for s in clipped]
+    said = [
+        Message("clipped_restored", f"{s.region}: {declip.RESTORED}", s.at[0])
+        if s.at[0] in drawn else clipping.clipped_message(s)
+        for s in clipped
+    ]  # fmt: skip
     return replace(result, messages=(*result.messages, *said))
 
 

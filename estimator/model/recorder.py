@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array
-from estimator.results import Parameter
+from estimator.results import Message, Parameter
 
 POWERS = np.array([2, 4, 8, 16, 32])  # of frequency, of a fall of any form: a mean of samples falls by the first
 FROM = 2.0  # times the highest resonance, from where laws and damping shape the inferred force no more
@@ -107,8 +107,8 @@ class Filter:
             through *= (images(self.rate_hz, f_hz) / f_hz) ** (2.0 * power)
         return np.asarray(through)
 
-    def said(self) -> str:
-        """What to tell the user of it; nothing of one that is too weak."""
+    def message(self) -> Message | None:
+        """What to tell the user of it; None for one that is too weak."""
         end = np.array([self.top_hz])
         change = float(np.abs(10 * np.log10(self.passed(np.linspace(0.0, self.top_hz, 200)))).max())
         if 10 * np.log10(self.folded(end, "acceleration")[0] + 1e-30) > HEARD or self.poles:
@@ -117,24 +117,27 @@ class Filter:
             cutoff_hz = np.arctan(turn * self.cutoff_hz) / turn if self.kept else self.cutoff_hz
             poles = f"a {self.name} at {cutoff_hz:.0f} Hz" if self.poles else ""
             behind = " and ".join(filter(None, (poles, means)))
-            return (
+            text = (
                 f"the recorder's filter changes all channels alike, by {change:.1f} dB up to {self.top_hz:g} Hz, and "
                 f"what is above half of the rate is folded into the band, as behind {behind}: that is counted in, and "
                 "is not the rotor's"
             )
+            return Message("recorder_folds", text)
         if change < SAID and not self.late:
-            return ""
+            return None
         if change < SAID:
             us = 1e6 * LATE * self.late / (2 * np.pi * self.top_hz)
-            return (
+            text = (
                 f"all channels have what is at {self.top_hz:g} Hz {us:.0f} us later than what is low in the band: "
                 "taken for the recorder's filter, and undone"
             )
-        return (
+            return Message("recorder_delays", text)
+        text = (
             f"all channels fall alike towards the end of the band, by {change:.1f} dB at {self.top_hz:g} Hz: taken for "
             "the recorder's filter, not for the rotor's (a colour of the forces with its corner above the band looks "
             "the same)"
         )
+        return Message("recorder_rolls_off", text)
 
 
 RollOff = Mapping[str, Filter]  # by place: one for all, or of some
@@ -173,14 +176,16 @@ def gain(nepers: tuple[float, ...], f_hz: Array, top_hz: float) -> Array:
     return np.asarray(np.exp(-((f_hz[:, None] / top_hz) ** POWERS) @ np.array(nepers)))
 
 
-def said(off: RollOff | None, places: tuple[str, ...]) -> tuple[str, ...]:
+def recorder_messages(off: RollOff | None, places: tuple[str, ...]) -> tuple[Message, ...]:
     """What to tell the user of it."""
     if not off:
         return ()
     if len(off) == len(places) and len(set(off.values())) == 1:
-        return tuple(filter(None, [off[places[0]].said()]))
+        return tuple(filter(None, [off[places[0]].message()]))
     nodes = {place.split(".")[0]: own for place, own in off.items()}
-    return tuple(f"{node}: {text}" for node, own in nodes.items() if (text := own.said()))
+    return tuple(
+        replace(m, text=f"{node}: {m.text}", place=node) for node, own in nodes.items() if (m := own.message())
+    )
 
 
 def devices(places: tuple[str, ...]) -> list[list[int]]:

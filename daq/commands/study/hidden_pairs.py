@@ -74,7 +74,7 @@ def run_pair(model: Model, pair: Pair, seconds: float) -> dict[str, Any]:
         "after_percent": ladder.rungs[-1].missing[0],
         "cpu_seconds": spent,
         "numbers": numbers(truth, ladder.parameters),
-        "messages": list(ladder.messages),
+        "messages": [m.text for m in ladder.messages],
     }
 
 

@@ -15,7 +15,7 @@ from estimator.likelihood.fitting.fitted_values import fitted_model
 from estimator.likelihood.path.working_point import thinned
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
-from estimator.results import Parameter
+from estimator.results import Message, Parameter, messages_json
 
 from .curves import Law, curves
 from .failure_map import Where, where_of
@@ -47,7 +47,7 @@ class Comparison:
     orbits: dict[str, Any] = field(default_factory=dict)
     parameters: dict[str, Parameter] = field(default_factory=dict)
     simulation_rmse: dict[str, float] = field(default_factory=dict)
-    messages: tuple[str, ...] = ()
+    messages: tuple[Message, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         value, low, high = self.missing
@@ -66,8 +66,7 @@ class Comparison:
             "densities": self.densities,
             "orbits": self.orbits,
             "parameters": {k: p.to_json() for k, p in self.parameters.items()},
-            "messages": list(self.messages),
-        }
+        } | messages_json(self.messages)
         return out | ({"simulation_rmse": self.simulation_rmse} if self.simulation_rmse else {})
 
 
@@ -86,7 +85,7 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         part, model, lambda: search(model, point, y), lambda: heldout_rmse(model, y, point.data.rate_hz),
         lambda: twin(fitted_model(model, point), point, y), lambda: heldout_nll(point),
     )  # fmt: skip
-    clipped = [clipping.finding_text(s) for s in others if s.effect == "sensor_clipping"]
+    clipped = [clipping.clipped_message(s) for s in others if s.effect == "sensor_clipping"]
     say(0.85, "where the model fails")
     channel = {p: next(c.name for c in model.channels if c.place == p) for p in point.data.places}
     asked: list[Callable[[], Any]] = [
@@ -115,6 +114,6 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             *whole.messages,
             *clipped,
             *missing_force.unjudged_messages(found),
-            *((beside.message,) if beside.message else ()),
+            *((Message("no_twin", beside.message),) if beside.message else ()),
         ),
     )

@@ -19,12 +19,13 @@ from estimator.likelihood.motion.harmonics import LINE_NAMES
 from estimator.likelihood.motion.located_law import Placed
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
-from estimator.results import Parameter
+from estimator.results import Message, Parameter
 
 from .trial import Trial
 
 Settings = dict[str, dict[str, Parameter]]  # by canonical place, by name
 JOINT = 1e-2  # p-value, after counting, for a further bearing to be named beside the best one
+FEW_CLIPPED = Message("clipped_too_few", "too few samples to make what is ahead")
 PER_CLIPPED = 10.0  # nats: a clipped sample of a vibration makes 0.03 to 0.3 for the law that gains most by it
 COST = 1.5  # nats per parameter in the order of the ranking: what an idle one gains held in, and loses held out
 
@@ -49,7 +50,7 @@ class Entry:
     placed: tuple[Placed, ...] = ()
     detectable: tuple[float, str] | None = None
     settings: dict[str, Settings] = field(default_factory=dict)  # of an effect that is no force law, by name in a model
-    notes: tuple[str, ...] = ()
+    notes: tuple[Message, ...] = ()
     amplitude_gain: float | None = None  # nats on the largest amplitudes by parameters fitted to the smaller
     by_node: dict[str, tuple[float, float]] = field(default_factory=dict)  # gain and heldout_gain of a law's nodes
 
@@ -72,7 +73,7 @@ class Entry:
             out["detectable_from"] = {"value": self.detectable[0], "unit": self.detectable[1]}
         if self.amplitude_gain is not None:
             out["heldout_amplitude_gain"] = self.amplitude_gain
-        return out | ({"notes": list(self.notes)} if self.notes else {})
+        return out | ({"notes": [note.text for note in self.notes]} if self.notes else {})
 
 
 def entries(
@@ -96,7 +97,7 @@ def after_what_clipping_cannot_make(found: list[Entry]) -> list[Entry]:
     """A few clipped samples stand behind a law with far more evidence than they could make."""
     laws = max((e.gain for e in found if e.placed), default=0.0)
     return [
-        replace(e, score=e.gain, notes=(*e.notes[:1], "too few samples to make what is ahead"))
+        replace(e, score=e.gain, notes=(*e.notes[:1], FEW_CLIPPED))
         if e.effect == "sensor_clipping" and laws > PER_CLIPPED * e.gain
         else e
         for e in found
@@ -170,17 +171,19 @@ def _gain(trials: Sequence[Trial]) -> float:
     return sum(max(t.gain, 0.0) for t in trials)
 
 
-def _shorter(point: WorkingPoint, used: Sequence[Trial]) -> tuple[str, ...]:
+def _shorter(point: WorkingPoint, used: Sequence[Trial]) -> tuple[Message, ...]:
     """On how much of the record an effect was judged, if not on all of it."""
     seconds = max(t.problem.blocks.sum() for t in used) * point.data.block / point.data.rate_hz
     if seconds > 0.99 * point.data.seconds:
         return ()
-    return (f"gain and p-value are those of {seconds:.0f} s of the record: the rest could not bring it to the front",)
+    text = f"gain and p-value are those of {seconds:.0f} s of the record: the rest could not bring it to the front"
+    return (Message("judged_on_part", text),)
 
 
 def _suspected(model: Model, point: WorkingPoint, own: list[Finding], before: MissingForce) -> Entry:
     """Entry of an effect that is not a force law."""
     gain, df = sum(s.gain_nats for s in own), sum(s.dof for s in own)
+    regions = dict.fromkeys(s.region for s in own)
     places = tuple(sorted({i for s in own for i in s.power_N2}))
     was = before.interval(places)[0]
     scale = float(np.sum(before.bearing[list(places)] ** 2))
@@ -199,7 +202,10 @@ def _suspected(model: Model, point: WorkingPoint, own: list[Finding], before: Mi
         score=first,
         detectable=own[0].detectable,
         settings=settings,
-        notes=tuple(dict.fromkeys([s.region for s in own] + [s.note for s in own if s.note])),
+        notes=tuple(
+            Message("found_where" if k < len(regions) else "found_advice", text)
+            for k, text in enumerate(dict.fromkeys([*regions, *(s.note for s in own if s.note)]))
+        ),
     )
 
 

@@ -16,6 +16,7 @@ from estimator.likelihood.motion.located_law import on_trial, searched
 from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
+from estimator.results import Message
 
 from . import gate_amplitude, ranking
 from . import trial as screen
@@ -75,7 +76,8 @@ def extrapolating(found: Ranking) -> list[Entry]:
         if told is None:
             passed.append(entry)
         elif told.refused:
-            note = f"refused: fitted to the smaller motion it makes the largest worse by {-told.gain:.0f} nats"
+            text = f"refused: fitted to the smaller motion it makes the largest worse by {-told.gain:.0f} nats"
+            note = Message("refused_large_motion", text)
             refused.append(replace(entry, amplitude_gain=told.gain, notes=(*entry.notes, note)))
         else:
             passed.append(replace(entry, amplitude_gain=told.gain))

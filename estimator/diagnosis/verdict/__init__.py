@@ -1,6 +1,6 @@
 """Gates, the verdict of a diagnosis, and the ladder of improvements."""
 
-from .diagnosis import Diagnosis, diagnose, diagnose_point, no_law
+from .diagnosis import NO_LAW_CODES, Diagnosis, diagnose, diagnose_point
 from .improvement import Improvement, improve, rung
 
-__all__ = ["Diagnosis", "Improvement", "diagnose", "diagnose_point", "improve", "no_law", "rung"]
+__all__ = ["NO_LAW_CODES", "Diagnosis", "Improvement", "diagnose", "diagnose_point", "improve", "rung"]

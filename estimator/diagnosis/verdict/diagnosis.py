@@ -28,21 +28,26 @@ from estimator.likelihood.motion.harmonics import PERIODIC
 from estimator.likelihood.motion.known_spectra import COLOURS
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
+from estimator.results import Message, messages_json
 
 from . import gate_residual, gate_second_law
 
 CLOSE = 10.0  # nats behind the first of the ranking, where the shape of what is left decides
 LEAVES = 1 / 3  # of a force in a spectrum (rms): a shape that leaves more is none of the catalogue
 SURE = 30.0  # nats, from which a shaft that is not the rig file's is told
-OTHERWISE = (
+CAPS_COUPLED = Message(
+    "caps_coupled_otherwise",
     "the caps answer each other otherwise than the shaft of the rig file lets them: its spring or the disc's mass is "
-    "another, or a sensor has a wrong gain or is late"
+    "another, or a sensor has a wrong gain or is late",
 )
-SPECTRUM = (
+SPECTRUM = Message(
+    "spectrum_unexplained",
     "the unknown force has a spectrum that no cause of the catalogue makes, and depends on no state: look at what "
-    "excites the rotor there, and at the sensor"
+    "excites the rotor there, and at the sensor",
 )
-SHAFT = "the shaft is "  # softer or stiffer than the rig file says
+SHAFT_DIFFERS = "shaft_differs"  # code: softer or stiffer than the rig file says
+# codes of messages that lay what is missing to the rig file's shaft, a sensor or the excitation, and to no bearing
+NO_LAW_CODES = frozenset({CAPS_COUPLED.code, SPECTRUM.code, SHAFT_DIFFERS})
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +58,7 @@ class Diagnosis:
     ranking: tuple[Entry, ...]
     shape: Shape | None = None
     separates: str = ""
-    messages: tuple[str, ...] = ()
+    messages: tuple[Message, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """As schemas/diagnose.json, with `separates` and `messages`."""
@@ -62,8 +67,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "ranking": [e.to_json() for e in self.ranking],
             "separates": self.separates,
-            "messages": list(self.messages),
-        }
+        } | messages_json(self.messages)
         return out if self.shape is None else out | {"shape": self.shape.to_json()}
 
 
@@ -166,13 +170,14 @@ def _coloured(model: Model, point: WorkingPoint, y: Array, before: MissingForce,
         both = replace(best, settings={**best.settings, "sensor_noise": noise})
         again = _spectrum_left(model, point, y, before, both)
         if again is not None and again[1] <= LEAVES**2:
-            note = f"noise of the sensor of {', '.join(noise)} beside it leaves nothing of the spectrum"
+            text = f"noise of the sensor of {', '.join(noise)} beside it leaves nothing of the spectrum"
+            note = Message("sensor_noise_too", text)
             best, share = replace(best, notes=(*best.notes, note)), again[1]
     if share <= LEAVES**2:
         return replace(found, ranking=(best, *others))
     how_much = f"{100 * np.sqrt(share):.0f} %" if share < 1.0 else "all"
-    said = f"{best.effect} comes nearest but leaves {how_much} of what the spectrum shows"
-    regions = dict.fromkeys(s.region for s in before.shares)
+    text = f"{best.effect} comes nearest but leaves {how_much} of what the spectrum shows"
+    said, regions = Message("nearest_leaves", text), _regions(before)
     return Diagnosis("unknown", (best, *others), shape_of(point, before), messages=(said, *regions, SPECTRUM))
 
 
@@ -243,15 +248,15 @@ def _law(
     best = entries[0]
     if _little(before):
         return _nothing(point, before, tuple(entries))
+    text = (
+        f"{best.effect} comes nearest but leaves {100 * left[best.effect]:.0f} % of what a state explains of the "
+        "missing force: no law of the catalogue has this shape"
+    )
     return Diagnosis(
         "unknown",
         tuple(entries),
         shape_of(point, before, (best.placed[0].at[0], gate_shape.state_of(best.effect))),
-        messages=(
-            f"{best.effect} comes nearest but leaves {100 * left[best.effect]:.0f} % of what a state explains of the "
-            "missing force: no law of the catalogue has this shape",
-            *_clipped(entries),
-        ),
+        messages=(Message("nearest_leaves", text), *_clipped(entries)),
     )
 
 
@@ -273,12 +278,13 @@ def _of_two(
         found = gate_residual.fits(model, point, before, entries[k], say)
         left[name] = 1.0 if found.left is None else found.left
         entries[k] = entries[k] if found.left is None else found.entry
-    note = f"by itself it leaves {100 * left[name]:.0f} %; {other} beside it leaves nothing of that"
+    text = f"by itself it leaves {100 * left[name]:.0f} %; {other} beside it leaves nothing of that"
+    note = Message("second_law_too", text)
     entries[k] = replace(entries[k], notes=(*entries[k].notes, note))
     return _named(entries, k, left)
 
 
-def _clipped(entries: list[Entry]) -> tuple[str, ...]:
+def _clipped(entries: list[Entry]) -> tuple[Message, ...]:
     """What to tell of clipped channels, beside a law that has more evidence than they could make."""
     return tuple(note for e in entries if e.effect == "sensor_clipping" for note in e.notes)
 
@@ -296,10 +302,10 @@ def _close(entries: list[Entry]) -> list[int]:
     return near + halves[:1] if entries[0].effect == "stop" else near
 
 
-def _passed_over(left: dict[str, float]) -> tuple[str, ...]:
+def _passed_over(left: dict[str, float]) -> tuple[Message, ...]:
     """What was ahead, and why it is not the answer. left : of each effect judged, the last one named."""
     return tuple(
-        f"{effect} was ahead but leaves {100 * rest:.0f} % of what a state explains"
+        Message("ahead_leaves", f"{effect} was ahead but leaves {100 * rest:.0f} % of what a state explains")
         for effect, rest in [*left.items()][:-1]
     )
 
@@ -327,16 +333,18 @@ def _nothing(point: WorkingPoint, before: MissingForce, entries: tuple[Entry, ..
         how = "softer (or its disc heavier)" if loss > 0 else "stiffer (or its disc lighter)"
         percent = 100 * abs(loss) / point.data.disc.K
         by = f"{percent:.2g} +- {percent / np.sqrt(2 * nats):.1g} %"
-        shaft = [f"{SHAFT}{how} than the rig file says, by {by}: give its true stiffness there"]
+        text = f"the shaft is {how} than the rig file says, by {by}: give its true stiffness there"
+        shaft = [Message(SHAFT_DIFFERS, text)]
     if before.any_found() and not _little(before):
+        text = "the residual force can be predicted, but no effect of the catalogue does it significantly"
         said = [
             *shaft,
-            "the residual force can be predicted, but no effect of the catalogue does it significantly",
-            *dict.fromkeys(s.region for s in before.shares),
+            Message("none_significant", text),
+            *_regions(before),
         ]
         groups = {f.group for r in before.residuals for f in r.found}
         if "other_bearing" in groups:
-            said.append(OTHERWISE)
+            said.append(CAPS_COUPLED)
         if not groups and before.shares and not point.data.measured_force:  # beside one it is the path that is bent
             said.append(SPECTRUM)
         return Diagnosis("unknown", entries, shape_of(point, before), messages=tuple(said))
@@ -346,17 +354,16 @@ def _nothing(point: WorkingPoint, before: MissingForce, entries: tuple[Entry, ..
     return Diagnosis("complete", entries, messages=(*shaft, *forces))
 
 
-def no_law(messages: Sequence[str]) -> str:
-    """The message by which a diagnosis lays what is left to the rig file's shaft, a sensor or what excites the rotor,
-    and to no law of a bearing."""
-    laid = (text for text in messages if text in (OTHERWISE, SPECTRUM) or text.startswith(SHAFT))
-    return next(laid, "")
+def _regions(before: missing_force.MissingForce) -> tuple[Message, ...]:
+    """Where the parts of the missing force lie that no state explains."""
+    return tuple(Message("missing_where", region) for region in dict.fromkeys(s.region for s in before.shares))
 
 
-def _beside_forces(point: WorkingPoint) -> str:
+def _beside_forces(point: WorkingPoint) -> Message:
     """What is not tried where the force is measured."""
     known = [p for p, S in zip(point.data.places, point.data.driven, strict=True) if S > 0.0]
-    return (
+    text = (
         f"the force at {', '.join(known)} is measured: its colour, and what it shares with another, are its own and "
         "nothing that the model lacks"
     )
+    return Message("force_measured", text)

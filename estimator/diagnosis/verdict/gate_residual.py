@@ -17,6 +17,7 @@ from estimator.likelihood.fitting.fitted_values import parameters, unidentifiabl
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
+from estimator.results import Message
 
 from . import gate_second_law
 
@@ -27,9 +28,15 @@ SMALL = 0.5  # of a part of the force in a spectrum (rms)
 MORE = 1.5  # times what is missing: no law of no single state explains anything that leaves more than that
 FAR = 2.0  # times what may be left, on part of the record, from which the whole is not asked
 EARNED = 5.0  # nats held out, of a law where no force is missing: ln of what a search tries
-IDLE = "refused: no force is missing there, and fitted with the model it is not told from zero or predicts no better"
-BENT = "refused: no state predicts anything there, and it is small beside a spectrum that nothing explains"
-ASTRAY = "refused: fitted with the model it goes far from the rotor"
+IDLE = Message(
+    "refused_idle",
+    "refused: no force is missing there, and fitted with the model it is not told from zero or predicts no better",
+)
+BENT = Message(
+    "refused_small_in_spectrum",
+    "refused: no state predicts anything there, and it is small beside a spectrum that nothing explains",
+)
+ASTRAY = Message("refused_far_from_rotor", "refused: fitted with the model it goes far from the rotor")
 ROUND = "its step is not sharp, or more than friction acts against velocity"
 
 
@@ -121,7 +128,8 @@ def _fitted(
             after_part, gate_second_law.others(model, after_part, after, entry), after, entry
         )
     if whole and left > gate_shape.MOST and entry.effect == "coulomb":
-        entry = replace(entry, notes=(*entry.notes, f"{100 * left:.0f} % of what velocity explains is left: {ROUND}"))
+        note = Message("friction_not_sharp", f"{100 * left:.0f} % of what velocity explains is left: {ROUND}")
+        entry = replace(entry, notes=(*entry.notes, note))
     return Explained(entry, left, whole)
 
 

@@ -20,7 +20,7 @@ from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
-from estimator.results import Parameter
+from estimator.results import Message, Parameter, messages_json
 
 from .diagnosis import Diagnosis, diagnose_point
 from .gate_residual import EARNED
@@ -68,7 +68,7 @@ class Improvement:
     model: Model
     parameters: dict[str, Parameter]
     last: Diagnosis
-    messages: tuple[str, ...] = ()
+    messages: tuple[Message, ...] = ()
     diagnoses: tuple[Diagnosis, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
@@ -78,8 +78,7 @@ class Improvement:
             "ladder": [r.to_json() for r in self.rungs],
             "verdict": self.last.verdict,
             "parameters": {k: p.to_json() for k, p in self.parameters.items()},
-            "messages": list(self.messages),
-        }
+        } | messages_json(self.messages)
 
 
 def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = None) -> Improvement:
@@ -89,7 +88,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     whole = fit_all_effects(model, y, rate_hz)
     model, point = whole.model, whole.point
     rungs = [rung(model, point, y)]
-    messages: list[str] = []
+    messages: list[Message] = []
     diagnoses: list[Diagnosis] = []
     shift = 0.0  # of the likelihood, so that each rung is compared on the bins that both are judged on
     for step in range(MOST):
@@ -107,7 +106,8 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             if best.placed:
                 richer = fit_model(point.data, [*point.placed, *best.placed], start=point)
                 if set(unidentifiable_laws(richer)).issuperset(use.key for use in best.placed):
-                    messages.append(f"{found.verdict} was named but is not told from zero when fitted: not added")
+                    text = f"{found.verdict} was named but is not told from zero when fitted: not added"
+                    messages.append(Message("not_added", text))
                     break
                 new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
                 # masses, shapes of spectra, and what the recorder takes and delays, were sought beside what was missing
@@ -129,7 +129,8 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                 whole = replace(whole, point=(point := point.rowless()))
                 new_whole = _with_found(before, given, best.settings, y, rate_hz)
         except DataError as problem:  # far from the rotor
-            messages.append(f"{found.verdict} was named but no fit with it is sound ({problem}): not added")
+            text = f"{found.verdict} was named but no fit with it is sound ({problem}): not added"
+            messages.append(Message("not_added", text))
             break
         moved = shift
         if (data := new_whole.point.data).bins.size < point.data.bins.size:  # left out beside a crack
@@ -137,26 +138,27 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         new = rung(new_whole.model, new_whole.point, y)
         new = replace(new, heldout_nll=new.heldout_nll + moved)
         if best.effect not in UNSCORED and new.heldout_nll >= rungs[-1].heldout_nll:
-            messages.append(f"{found.verdict} was named but does not improve the held-out likelihood: not added")
+            text = f"{found.verdict} was named but does not improve the held-out likelihood: not added"
+            messages.append(Message("not_added", text))
             break
         earned = (rungs[-1].heldout_nll - new.heldout_nll) * point.data.blocks * point.data.block > EARNED
         if best.effect in PERIODIC and new.missing[0] >= rungs[-1].missing[0] and not earned:
-            messages.append(f"{found.verdict} was named but leaves as much of the force as before: not added")
+            text = f"{found.verdict} was named but leaves as much of the force as before: not added"
+            messages.append(Message("not_added", text))
             break
         whole, model, point, shift = new_whole, new_whole.model, new_whole.point, moved
         rungs.append(new)
     else:
-        messages.append(f"{MOST} effects were added, the most of one run: run it again on the rig file that it wrote")
+        text = f"{MOST} effects were added, the most of one run: run it again on the rig file that it wrote"
+        messages.append(Message("most_added", text))
     if found.verdict not in ENDED and len(diagnoses) == len(rungs):  # what it named was not upheld
         if rungs[-1].missing[0] < 100 * NEGLIGIBLE_FORCE_SHARE:
             found = replace(found, verdict="complete", messages=())
         elif best is not None and best.placed:  # a law of another shape than what is missing
             found = replace(found, verdict="unknown", messages=())
-    messages = [*whole.messages, *messages, *idle(point), *(found.messages if found.verdict in ENDED else ())]
+    said = [*whole.messages, *messages, *idle(point), *(found.messages if found.verdict in ENDED else ())]
     say(1.0, "done")
-    return Improvement(
-        tuple(rungs), fitted_model(model, point), whole.parameters, found, tuple(messages), tuple(diagnoses)
-    )
+    return Improvement(tuple(rungs), fitted_model(model, point), whole.parameters, found, tuple(said), tuple(diagnoses))
 
 
 def _with_found(before: Model, given: Model, settings: dict[str, Settings], y: Array, rate_hz: float) -> FullFit:
@@ -187,6 +189,7 @@ def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:
     return Rung(tuple(u.name for u in model.effects), nll, found.interval(), rmse)
 
 
-def idle(point: WorkingPoint) -> list[str]:
+def idle(point: WorkingPoint) -> list[Message]:
     """Effects of the model that earn nothing: said, never removed."""
-    return [f"{key} is not told from zero in this record" for key in unidentifiable_laws(point)]
+    text = "is not told from zero in this record"
+    return [Message("effect_idle", f"{key} {text}", key.rsplit(".", 1)[0]) for key in unidentifiable_laws(point)]

@@ -36,7 +36,7 @@ from estimator.likelihood.path import excitation_level
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model import recorder
 from estimator.model.rig import EffectUse, Model, Setting
-from estimator.results import Fit, Parameter, with_unidentifiable_at
+from estimator.results import Fit, Message, Parameter, with_unidentifiable_at
 from estimator.signals.channel_response import BLIND, LINEAR
 from estimator.signals.shaft_angle import timed
 
@@ -72,7 +72,7 @@ class FullFit:
     model: Model
     point: WorkingPoint
     disturbances: dict[str, Parameter]
-    messages: tuple[str, ...] = ()
+    messages: tuple[Message, ...] = ()
     masses: dict[str, Parameter] = field(default_factory=dict)
     S_sd_rel: float = 0.0
 
@@ -138,12 +138,12 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
         *shortened(data, y),
         *unknown_mass.mass_messages(masses),
         *unknown_mass.ratio_messages(whole.model, whole.point),
-        *recorder.said(whole.model.roll_off, data.places),
-        *excitation_level.said(data.level),
+        *recorder.recorder_messages(whole.model.roll_off, data.places),
+        *excitation_level.uneven_message(data.level),
         *unmeasured_end.unmeasured_end_messages(
             whole.model, dict(zip(data.places, whole.point.kL.tolist(), strict=True))
         ),
-        *shaft_law.said(data, [use.effect for use in whole.point.placed]),
+        *shaft_law.comb_message(data, [use.effect for use in whole.point.placed]),
     )
     return replace(whole, messages=(*said, *whole.messages), masses=masses, S_sd_rel=S_sd_rel)
 
@@ -232,16 +232,26 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float, begun: WorkingPo
             point = fit_record(model, prepared(model))
         if last:
             break
-    told = [f"{place}: {RESTORED if error < np.inf else LOST}" for place, error in sorted(off.items())]
-    told += [f"{place}: nothing is told of it: {SPOILED}" for place in sorted(point.data.lost.difference(off))]
+    told = [
+        Message("clipped_restored", f"{place}: {RESTORED}", place)
+        if error < np.inf else Message("clipped_lost", f"{place}: {LOST}", place)
+        for place, error in sorted(off.items())
+    ]  # fmt: skip
+    told += [
+        Message("clipped_neighbour", f"{place}: nothing is told of it: {SPOILED}", place)
+        for place in sorted(point.data.lost.difference(off))
+    ]
     messages = (*_several_lines_message(model, further), *told)
     return FullFit(model, point, found | _coloured_levels(model, found, point), messages)
 
 
-def _several_lines_message(model: Model, further: Mapping[str, Mapping[str, Mapping[str, Setting]]]) -> tuple[str, ...]:
+def _several_lines_message(
+    model: Model, further: Mapping[str, Mapping[str, Mapping[str, Setting]]]
+) -> tuple[Message, ...]:
     """What to tell the user of a line that is several."""
     names = [u.name for u in model.effects if u.name in further]
-    return (f"line stands for several lines, {', '.join(['line', *names])}: fit --out writes them",) if names else ()
+    text = f"line stands for several lines, {', '.join(['line', *names])}: fit --out writes them"
+    return (Message("several_lines", text),) if names else ()
 
 
 def _coloured_levels(model: Model, found: Mapping[str, Parameter], point: WorkingPoint) -> dict[str, Parameter]:

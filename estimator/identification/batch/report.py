@@ -13,7 +13,7 @@ from estimator.likelihood.motion.stream_record import Bank, Record, stretches
 from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, active
 from estimator.likelihood.path.sandwich import excess
 from estimator.model.rig import UNITS, Model
-from estimator.results import Parameter, with_unidentifiable_at
+from estimator.results import Message, Parameter, with_unidentifiable_at
 from estimator.signals.blocks import spectra, taper, valid_blocks
 
 from .linear_start import LinearStart
@@ -147,10 +147,11 @@ def _judged_parameter(value: float, sd: float, unit: str) -> Parameter:
     return Parameter(None, None, unit, False, f"{value:.3g} +- {sd:.2g}: not told from zero by this record")
 
 
-def ratios_only_message(place: str, kL: float, c: float, m: float) -> str:
+def ratios_only_message(place: str, kL: float, c: float, m: float) -> Message:
     """What to tell of a place whose mass is not known."""
     hz, zeta = np.sqrt(kL / m) / (2 * np.pi), c / (2 * np.sqrt(kL * m))
-    return (
+    text = (
         f"{place}: no mass is known, so only ratios are: resonance {hz:.1f} Hz, damping {100 * zeta:.2f} % of "
         "critical; give [rig.mass] to have stiffness in N/m"
     )
+    return Message("mass_unknown", text, place)

@@ -21,7 +21,7 @@ from estimator.likelihood.path.measured_force import is_known
 from estimator.likelihood.response.below_band import lopsided, own_sizes, usual
 from estimator.model.recorder import devices, suspected
 from estimator.model.rig import Model
-from estimator.results import Fit
+from estimator.results import Fit, Message
 from estimator.signals.channel_response import forced
 
 from . import full_fit, unknown_mass, unmeasured_end
@@ -143,19 +143,21 @@ def _shows_roll_off(solution: SpectralFit) -> bool:
     return any(suspected(ratio[:, own], f_hz, count, max(peaks)) for own in ([*range(len(places))], *devices(places)))
 
 
-def spectral_messages(solution: SpectralFit) -> tuple[str, ...]:
+def spectral_messages(solution: SpectralFit) -> tuple[Message, ...]:
     """What the user should know beside the numbers: what was assumed and does not hold, what sets no scale."""
-    out = []
+    out: list[Message] = []
     point, places = solution.point, solution.balance.places
     if not solution.converged:
-        out.append("the likelihood was not brought to its maximum: values are provisional")
-    out += excitation_level.said(solution.bank.level)
+        out.append(Message("not_converged", "the likelihood was not brought to its maximum: values are provisional"))
+    out += excitation_level.uneven_message(solution.bank.level)
     record = solution.record
     out += unmeasured_end.unmeasured_end_messages(
         record.model, {p: solution.values.get(f"{p}.kL", 0.0) for p in places}
     )
     if record.lines:
-        out.append(f"left out as lines: {lines_in_words(record.lines, record.model.speed_rpm)}")
+        out.append(
+            Message("lines_left_out", f"left out as lines: {lines_in_words(record.lines, record.model.speed_rpm)}")
+        )
     values, sd = solution.values, np.sqrt(np.diag(solution.covariance))
     for i, place in enumerate(places):
         name = f"{place}.m"
@@ -169,10 +171,12 @@ def spectral_messages(solution: SpectralFit) -> tuple[str, ...]:
         worst = int(np.argmax(np.abs(z)))
         if abs(z[worst]) > 5.0 and abs(excess[worst]) > 0.05:
             f = solution.record.grid.f_hz[solution.record.grid.starts]
-            out.append(
+            text = (
                 f"{place}: the inferred force is not white: {100 * excess[worst]:+.0f} % near {f[worst]:.0f} Hz; the "
                 "model lacks something there (rotorscope compare shows where)"
             )
+            out.append(Message("force_not_white", text, place))
         if point.noise[i] > 0 and point.noise[i] * solution.local.floor[0, i, i] > point.S[i]:
-            out.append(f"{place}: sensor noise is stronger than the force at the lower band edge: raise band.low")
+            text = f"{place}: sensor noise is stronger than the force at the lower band edge: raise band.low"
+            out.append(Message("noise_at_band_low", text, place))
     return tuple(out)

@@ -18,7 +18,7 @@ from estimator.likelihood.motion.harmonics import PERIODIC
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.model.rotor import shaft_matrix
-from estimator.results import Parameter, is_of_place
+from estimator.results import Message, Parameter, is_of_place
 from estimator.signals.channel_response import forced, undone
 
 from .measured_force import analyse
@@ -53,7 +53,7 @@ def places_without_mass(model: Model) -> list[str]:
     return [p for p in model.places if model.cap_mass(p) is None and p not in forced(model)]
 
 
-def ratio_messages(model: Model, point: WorkingPoint) -> tuple[str, ...]:
+def ratio_messages(model: Model, point: WorkingPoint) -> tuple[Message, ...]:
     """What to tell the user of places whose mass nothing tells."""
     at = [point.data.places.index(p) for p in places_without_mass(model)]
     return tuple(
@@ -88,9 +88,10 @@ def _shaft_part(model: Model, name: str) -> float:
     return float(shaft_matrix(model.shaft, added.get(name.rsplit(".", 1)[1], 0.0))[0, 0])
 
 
-def mass_messages(told: dict[str, Parameter]) -> tuple[str, ...]:
+def mass_messages(told: dict[str, Parameter]) -> tuple[Message, ...]:
     """What to tell the user of them."""
     if not told:
         return ()
     values = ", ".join(f"{name.removesuffix('.m')} {q.value:.4g} kg" for name, q in told.items())
-    return (f"masses that the rig file leaves out are as the shaft has them: {values}; the rest is fitted with these",)
+    text = f"masses that the rig file leaves out are as the shaft has them: {values}; the rest is fitted with these"
+    return (Message("mass_by_shaft", text),)

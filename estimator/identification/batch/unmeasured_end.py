@@ -9,11 +9,12 @@ import numpy as np
 from estimator.errors import DataError
 from estimator.likelihood.motion.force_balance import shaft_reaction
 from estimator.model.rig import NODES, Model
+from estimator.results import Message
 
 MIN_SHAFT_STIFFNESS_REL = 0.01  # of the stiffness at a place: what comes through the shaft at the resonance there
 
 
-def unmeasured_end_messages(model: Model, kL: Mapping[str, float]) -> tuple[str, ...]:
+def unmeasured_end_messages(model: Model, kL: Mapping[str, float]) -> tuple[Message, ...]:
     """What to tell of it. kL : by place, N/m."""
     try:
         reaction = shaft_reaction(model)
@@ -32,7 +33,8 @@ def unmeasured_end_messages(model: Model, kL: Mapping[str, float]) -> tuple[str,
             most, lacking = share, other
     if not lacking:
         return ()
-    return (
+    text = (
         f"{lacking} is not measured, and what it does comes through the shaft ({100 * most:.0f} % of the stiffness "
-        "here, at the resonance): it is taken for a force, and no number is sound; measure both ends",
+        "here, at the resonance): it is taken for a force, and no number is sound; measure both ends"
     )
+    return (Message("end_unmeasured", text, lacking),)

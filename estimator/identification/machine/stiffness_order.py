@@ -19,6 +19,7 @@ from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.parallel import map_threads
+from estimator.results import Message
 from estimator.signals.line_spectrum import surroundings
 
 from .lines import LEVEL, SURE
@@ -70,7 +71,7 @@ def with_start_orders(model: Model) -> Model:
     )  # fmt: skip
 
 
-def with_found_order(model: Model, point: WorkingPoint) -> tuple[Model, tuple[str, ...]]:
+def with_found_order(model: Model, point: WorkingPoint) -> tuple[Model, tuple[Message, ...]]:
     """The model with the ball-pass order of the record, where it shows one that the geometry does not give, and what
     to say about it. point : of the model without ball-pass laws."""
     found = find_stiffness_order(point)
@@ -80,7 +81,8 @@ def with_found_order(model: Model, point: WorkingPoint) -> tuple[Model, tuple[st
     if known is not None and abs(found.order - known) < 4.0 * found.sd:
         return model, ()
     beside = "" if known is None else f"; the geometry says {known:.4f}"
-    return replace(model, ball_pass_order=found.order, order_found=True), (found.text + beside,)
+    said = (Message("ball_pass_order_found", found.text + beside),)
+    return replace(model, ball_pass_order=found.order, order_found=True), said
 
 
 def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from estimator.arrays import Array
 from estimator.errors import DataError
 from estimator.model.rig import Model
-from estimator.results import Fit, Parameter
+from estimator.results import Fit, Message, Parameter
 
 from .planes import Cap, Plane, ignored_effects, planes_of
 from .score_matching import density_motion, place_columns
@@ -282,7 +282,7 @@ def fit_fokker_planck(model: Model, y: Array, rate_hz: float, form: Form = "resp
     """
     x, v, _, valid = density_motion(model, y, rate_hz)
     found: dict[str, Parameter] = {}
-    notes: list[str] = []
+    notes: list[Message] = []
     for plane in planes_of(model):
         columns = place_columns(model, plane.direction)
         here, speed = x[valid][:, columns], v[valid][:, columns]
@@ -295,17 +295,19 @@ def fit_fokker_planck(model: Model, y: Array, rate_hz: float, form: Form = "resp
         notes += synchronous_message(model, place, x[valid, k], v[valid, k], rate_hz)
     ignored = ignored_effects(model)
     if ignored:
-        notes.append(f"eq. (36) knows only powers of the displacement; left out: {', '.join(ignored)}")
+        text = f"eq. (36) knows only powers of the displacement; left out: {', '.join(ignored)}"
+        notes.append(Message("effects_ignored", text))
     return Fit(found, None, int(valid.sum()), "fokker-planck", tuple(dict.fromkeys(notes)))
 
 
-def _assumption_messages(plane: Plane) -> list[str]:
+def _assumption_messages(plane: Plane) -> list[Message]:
     def unknown(cap: Cap) -> bool:
         return cap.mass is None
 
     if plane.scale_from_shaft and any(unknown(cap) for cap in plane.caps):
-        return [
+        text = (
             f"direction {plane.direction}: the masses rest on equal noise-to-damping ratios at the caps and no damping "
             "at the disc; 1 % of undriven disc damping can flip their sign, and nothing in the record would show it"
-        ]
+        )
+        return [Message("masses_by_assumption", text)]
     return []

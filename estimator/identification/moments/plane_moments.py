@@ -90,9 +90,8 @@ class PlaneMoments:
 
     def parameters(self) -> dict[str, Parameter]:
         """The estimate: contract names -> Parameter, each judged for identifiability."""
-        constant = self._constant()
-        if constant:
-            return self.plane.undetermined(constant)
+        if untold := self.still() if self.moments.rows > 0 else "no valid sample yet":
+            return self.plane.undetermined(untold)
         try:
             values, covariance = self.values()
         except np.linalg.LinAlgError:
@@ -105,12 +104,13 @@ class PlaneMoments:
         values, covariance = propagate(self._solve, self.moments)
         return dict(zip(self.names, values.tolist(), strict=True)), covariance
 
-    def _constant(self) -> str:
+    def still(self) -> str:
+        """What to say of a cap that does not move; "" where all move."""
         mean = self.moments.mean
         for cap, at in zip(self.plane.caps, self._slices, strict=True):
-            if self.moments.rows > 0 and not mean[at.start] > 0.0:
+            if not mean[at.start] > 0.0:
                 return f"{cap.place} does not move in the band: check the sensor and the band"
-        return "" if self.moments.rows > 0 else "no valid sample yet"
+        return ""
 
     def _split(self, u: Complexes, index: int) -> tuple[Complexes, ...]:
         """E[f f'] (..., p, p), E[f' v^2] and E[f shaft] (..., p), E[v^2] (...) of one cap from the mean series

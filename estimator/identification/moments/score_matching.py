@@ -17,7 +17,7 @@ from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at
 from estimator.errors import DataError
 from estimator.model.rig import MOTION, Model
-from estimator.results import Estimate, Fit, Parameter
+from estimator.results import Estimate, Fit, Message, Parameter
 from estimator.signals.band_limit import BandLimit, band_limit
 
 from .band_edge import BandEdge
@@ -124,8 +124,8 @@ class RollingScoreMatching:
         for moments, _ in self._planes:
             parameters |= moments.parameters()
         parameters |= self._beside
-        stopped = [p.reason for p in parameters.values() if "does not move" in p.reason]
-        return Estimate(self._index, parameters, rows, status=stopped[0] if stopped else "ok")
+        still = next(filter(None, (moments.still() for moments, _ in self._planes)), "")
+        return Estimate(self._index, parameters, rows, status=still or "ok")
 
 
 def _ignored_parameters(model: Model) -> dict[str, Parameter]:
@@ -147,7 +147,7 @@ def fit_score_matching(model: Model, y: Array, rate_hz: float, form: Form = "vel
     """
     x, v, a, valid = density_motion(model, y, rate_hz)
     found: dict[str, Parameter] = {}
-    notes: list[str] = []
+    notes: list[Message] = []
     size = max(1, int(valid.sum()) // FIT_BLOCKS)
     edge = BandEdge.of(rate_hz, density_band(model)[0])
     for plane in planes_of(model):
@@ -163,7 +163,8 @@ def fit_score_matching(model: Model, y: Array, rate_hz: float, form: Form = "vel
         notes += synchronous_message(model, place, x[valid, k], v[valid, k], rate_hz)
     ignored = ignored_effects(model)
     if ignored:
-        notes.append(f"score matching knows only powers of the displacement; left out: {', '.join(ignored)}")
+        text = f"score matching knows only powers of the displacement; left out: {', '.join(ignored)}"
+        notes.append(Message("effects_ignored", text))
     return Fit(found, None, int(valid.sum()), "score-matching", tuple(notes))
 
 

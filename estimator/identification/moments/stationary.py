@@ -15,7 +15,7 @@ import numpy as np
 
 from estimator.arrays import Array, Complexes
 from estimator.errors import DataError
-from estimator.results import Parameter
+from estimator.results import Message, Parameter
 
 from .batch_means import BlockMoments, propagate
 from .planes import Cap, Plane
@@ -72,7 +72,7 @@ def _softening_text(place: str, kL: float, kNL: float, temperature: float) -> st
     )
 
 
-def softening_message(plane: Plane, found: Mapping[str, Parameter], v: Array) -> list[str]:
+def softening_message(plane: Plane, found: Mapping[str, Parameter], v: Array) -> list[Message]:
     """A line for each cap whose fitted cubic softens by more than 3 sd and has too low a barrier; v : (n, caps) m/s."""
     out = []
     for i, cap in enumerate(plane.caps):
@@ -81,7 +81,7 @@ def softening_message(plane: Plane, found: Mapping[str, Parameter], v: Array) ->
             continue
         temperature = cap.mass * float(np.mean(v[:, i] ** 2))
         if kNL.value < -3.0 * (kNL.sd or 0.0) and barrier(kL.value, kNL.value, temperature) < 20.0:
-            out.append(_softening_text(cap.place, kL.value, kNL.value, temperature))
+            out.append(Message("softens", _softening_text(cap.place, kL.value, kNL.value, temperature), cap.place))
     return out
 
 
@@ -173,12 +173,13 @@ def circulation(node: str, x: Array, y: Array, vx: Array, vy: Array) -> Diagnost
     return _statistic(rows / scale, lambda u: u[0] / np.sqrt(u[1] * u[2]), name, 0.0, meaning)
 
 
-def density_messages(plane: Plane, x: Array, v: Array, limit: float = 4.0) -> list[str]:
+def density_messages(plane: Plane, x: Array, v: Array, limit: float = 4.0) -> list[Message]:
     """One line for each diagnostic that the record contradicts by more than `limit` standard deviations."""
     out = []
     for d in plane_diagnostics(plane, x, v):
         if abs(d.z) > limit:
-            out.append(f"{d.name} is {d.value:.3g} +- {d.sd:.2g}, exp(-H/T) says {d.expected:g}: {d.meaning}")
+            text = f"{d.name} is {d.value:.3g} +- {d.sd:.2g}, exp(-H/T) says {d.expected:g}: {d.meaning}"
+            out.append(Message("density_contradicted", text))
     return out
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.model.rig import Model
+from estimator.results import Message
 
 ORDERS_BY_EFFECT = {"imbalance": (1,), "bow": (1,), "misalignment": (1, 2)}
 WINDOW_S = 1.0
@@ -66,7 +67,7 @@ def stiffness_bias(line: float, rms: float, hz: float, resonance_hz: float) -> f
     return -extra * (1.0 - (hz / resonance_hz) ** 2) / (rms**2 + extra)
 
 
-def synchronous_message(model: Model, place: str, x: Array, v: Array, rate_hz: float) -> list[str]:
+def synchronous_message(model: Model, place: str, x: Array, v: Array, rate_hz: float) -> list[Message]:
     """A line for the user if a 1X that the model does not have would move kL of this cap by over 1 %; x, v (n,)."""
     if model.speed_rpm is None or model.speed_rpm <= 0.0 or synchronous_orders(model):
         return []
@@ -78,7 +79,8 @@ def synchronous_message(model: Model, place: str, x: Array, v: Array, rate_hz: f
     bias = stiffness_bias(line, rms, hz, resonance)
     if abs(bias) < 0.01:
         return []
-    return [
+    text = (
         f"{place}: a line at shaft speed ({hz:g} Hz, {1e9 * line:.3g} nm) moves kL by about {100 * bias:+.1f} %: "
         "add the imbalance effect, which removes it here, or raise band.low above it"
-    ]
+    )
+    return [Message("shaft_line_biases_stiffness", text, place)]

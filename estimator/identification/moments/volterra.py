@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Complexes
 from estimator.errors import DataError
 from estimator.model.rig import MOTION, Model
-from estimator.results import Fit, Parameter
+from estimator.results import Fit, Message, Parameter
 from estimator.signals.band_limit import band_limit
 
 from .batch_means import BlockMoments
@@ -154,7 +154,7 @@ def fit_volterra(model: Model, y: Array, rate_hz: float) -> Fit:
     """
     band, _ = density_band(model)
     found: dict[str, Parameter] = {}
-    notes: list[str] = []
+    notes: list[Message] = []
     rows = 0
     for plane in planes_of(model):
         for cap in plane.caps:
@@ -170,12 +170,14 @@ def fit_volterra(model: Model, y: Array, rate_hz: float) -> Fit:
                 raise DataError(f"{few}, {MIN_ROWS} needed: record longer")
             kernels, cov, left = nearest_kernels(part.x[0], part.a[1], rate_hz, band, cap.mass, part.valid)
             found |= _named_parameters(plane, cap.place, cap.mass, kernels, cov, model.shaft_damping)
-            notes.append(f"{cap.place}: {100.0 * left:.2g} % of the rms displacement is left unexplained")
+            text = f"{cap.place}: {100.0 * left:.2g} % of the rms displacement is left unexplained"
+            notes.append(Message("motion_unexplained", text, cap.place))
     if not found:
         raise DataError('no channel of kind "force" at a measured cap: volterra needs one; use another method')
     ignored = [e.name for e in model.effects if e.name != "cubic"]
     if ignored:
-        notes.append(f"volterra knows the linear and the cubic law; left out: {', '.join(ignored)}")
+        text = f"volterra knows the linear and the cubic law; left out: {', '.join(ignored)}"
+        notes.append(Message("effects_ignored", text))
     return Fit(found, None, rows, "volterra", tuple(notes))
 
 

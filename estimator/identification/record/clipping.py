@@ -8,7 +8,7 @@ from scipy.special import betainc
 from estimator.arrays import Array
 from estimator.identification.finding import Finding
 from estimator.model.rig import Model
-from estimator.results import Parameter
+from estimator.results import Message, Parameter
 
 FAR = 0.3  # of the extremes: less far in are a few samples of any vibration
 PILE = 20  # samples of one and the same extreme value, beside three times as many as have the next
@@ -96,6 +96,6 @@ def find_clipping(model: Model, y: Array) -> list[Finding]:
     return out
 
 
-def finding_text(clipped: Finding) -> str:
+def clipped_message(clipped: Finding) -> Message:
     """A clipped channel in a line."""
-    return f"{clipped.region}: {clipped.note}"
+    return Message("clipped", f"{clipped.region}: {clipped.note}", clipped.at[0])

@@ -30,6 +30,7 @@ from estimator.likelihood.path.subproblem import Subproblem
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
+from estimator.results import NOT_JUDGED, Message
 
 from . import black_box
 
@@ -38,7 +39,9 @@ SURVEY_SECONDS = 24.0  # of a long record: enough to see a thousandth of the bea
 NEGLIGIBLE_FORCE_SHARE = (
     1.2e-3  # of the rms bearing force: below it lie the band limit and the integrators of any simulation
 )
-UNJUDGED = "nothing can be said of the model: the sensors of all channels are clipped, take larger ranges"
+UNJUDGED = Message(
+    NOT_JUDGED, "nothing can be said of the model: the sensors of all channels are clipped, take larger ranges"
+)
 LEANS = 0.6  # of what drawn motion is off by, that may look like a law: 0.18 to 0.49 of it where 1 to 3 % are drawn
 DEGREE = 9  # of the smooth curves
 RIDGE = 1e-3  # of a column's own information: keeps hat functions that nothing visits at zero
@@ -269,7 +272,7 @@ class MissingForce:
         return tuple(100 * float(np.sqrt(max(z, 0.0) / scale)) for z in (P, low, P + 1.96 * sd + hidden))  # type: ignore[return-value]
 
 
-def unjudged_messages(found: MissingForce) -> tuple[str, ...]:
+def unjudged_messages(found: MissingForce) -> tuple[Message, ...]:
     """What to say of a record of which nothing is judged."""
     return () if found.looked_anywhere() else (UNJUDGED,)
 

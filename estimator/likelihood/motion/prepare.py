@@ -12,6 +12,7 @@ from estimator.errors import DataError
 from estimator.model.disc import disc_of
 from estimator.model.rig import MOTION, Model
 from estimator.parallel import map_threads
+from estimator.results import Message
 from estimator.signals.band_limit import below_band
 from estimator.signals.band_limited_record import Filtered
 from estimator.signals.channel_response import passed_of_images, undone
@@ -32,15 +33,16 @@ def prepare(model: Model, y: Array, rate_hz: float) -> MotionBlocks:
     return part_of(cut(model, undone(model, y, rate_hz), rate_hz), LONGEST)
 
 
-def shortened(data: MotionBlocks, y: Array) -> tuple[str, ...]:
+def shortened(data: MotionBlocks, y: Array) -> tuple[Message, ...]:
     """What to tell the user of a record longer than what is kept of it, or so short that little is seen in it."""
     used, whole = data.seconds, len(y) / data.rate_hz
     if data.blocks * data.block < SHORTEST:
         text = "what it does not show may be there all the same; record half a minute or more"
-        return (f"only {used:.2g} s of the record can be judged: {text}",)
+        return (Message("record_short", f"only {used:.2g} s of the record can be judged: {text}"),)
     if whole <= 1.25 * LONGEST or used < 0.9 * LONGEST:
         return ()
-    return (f"of the record's {whole:.0f} s {used:.0f} are judged, in six stretches spread over it",)
+    text = f"of the record's {whole:.0f} s {used:.0f} are judged, in six stretches spread over it"
+    return (Message("record_long", text),)
 
 
 def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBlocks:

@@ -21,6 +21,7 @@ from numba import njit
 from estimator.arrays import Array, Complexes
 from estimator.effects.engine.law_loop import force_array
 from estimator.model.effect import Effect
+from estimator.results import Message
 
 from .linear_memory import filtered
 from .motion_record import MotionBlocks, without_hz
@@ -72,16 +73,17 @@ def without_comb(data: MotionBlocks, effects: Iterable[Effect]) -> MotionBlocks:
     return data if comb is None else without_hz(data, *comb)
 
 
-def said(data: MotionBlocks, effects: Iterable[Effect]) -> tuple[str, ...]:
+def comb_message(data: MotionBlocks, effects: Iterable[Effect]) -> tuple[Message, ...]:
     """What to tell of them. data : of the fit."""
     comb = _comb_hz(data, effects)
     if comb is None or comb[1] < data.band[0] or comb[0] > data.band[1]:
         return ()
     low, high = comb
-    return (
+    text = (
         f"beside a shaft that breathes {low:.0f} to {high:.0f} Hz are left out: likelihoods compare only with those of "
-        "models that have it (the ladder of improve does so)",
+        "models that have it (the ladder of improve does so)"
     )
+    return (Message("shaft_comb_left_out", text),)
 
 
 def _taken(effect: Effect, p: Array, t: Array, phase: Array) -> Array:

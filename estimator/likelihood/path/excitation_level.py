@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.arrays import Array
+from estimator.results import Message
 
 UNEVEN = 1.15  # of the lowest rms of a sixth of the record, from where a force counts as uneven
 SURE = 8.0  # standard deviations of that ratio
@@ -40,13 +41,12 @@ def ratio(level: Array | None) -> float:
     return 1.0 if level is None else float(np.sqrt((level.max(axis=1) / level.min(axis=1)).max()))
 
 
-def said(level: Array | None) -> tuple[str, ...]:
+def uneven_message(level: Array | None) -> tuple[Message, ...]:
     """What to tell the user of a force whose level changes."""
     if level is None:
         return ()
-    return (
-        f"the unknown force changes by a factor of {ratio(level):.1f} along the record; S is that of its mean square",
-    )
+    text = f"the unknown force changes by a factor of {ratio(level):.1f} along the record; S is that of its mean square"
+    return (Message("excitation_uneven", text),)
 
 
 def _is_uneven(power: Array, count: float) -> bool:

@@ -12,7 +12,7 @@ from daq.commands.cli.app import main
 from daq.exchange.measurement import Measurement
 from daq.rig.edit import with_effect, with_values
 from daq.rig.rig import Rig, load_rig
-from estimator.diagnosis.verdict.diagnosis import OTHERWISE
+from estimator.diagnosis.verdict import NO_LAW_CODES
 from estimator.results import Parameter
 from estimator.simulation.simulator import simulate
 
@@ -49,7 +49,7 @@ def test_a_fit_says_that_a_channel_of_a_file_is_at_its_full_scale(tmp_path: Path
     top = float(np.quantile(np.abs(y[:, 2]), 0.9995))
     y[:, 2] = np.clip(y[:, 2], -top, top)
     messages = fitted(rig, Measurement(y, 25600.0, {}), "spectral").messages
-    assert any(said.startswith(f"b2x is limited to +-{top:.3g}") for said in messages)
+    assert any(m.text.startswith(f"b2x is limited to +-{top:.3g}") for m in messages)
 
 
 def test_where_to_show_it_is_checked_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -60,9 +60,9 @@ def test_where_to_show_it_is_checked_first(tmp_path: Path, capsys: pytest.Captur
 
 
 def test_what_ends_at_the_shaft_does_not_ask_for_a_law() -> None:
-    stiffer = "the shaft is stiffer (or its disc lighter) than the rig file says, by 14 +- 0.8 %"
-    for text in (OTHERWISE, stiffer):
-        unknown = {"verdict": "unknown", "ranking": [], "messages": ["the first", text]}
+    text = "the shaft is stiffer (or its disc lighter) than the rig file says, by 14 +- 0.8 %"
+    for code in NO_LAW_CODES:
+        unknown = {"verdict": "unknown", "ranking": [], "messages": ["1st", text], "message_codes": ["", code]}
         assert ending(unknown) == f"something is left: {text}"
         assert "is no law of a bearing: see the notes" in diagnosis_text(unknown)[-1]
     unknown = {"verdict": "unknown", "ranking": [], "messages": ["the first"]}

@@ -99,7 +99,12 @@ def test_what_is_said_of_a_diagnosis_is_what_it_found() -> None:
     for after, falls in ((0.0, True), (1.7, False)):
         found = {"verdict": "sensor_clipping", "ranking": [row | {"missing_force_after_percent": after}]}
         assert ("falls from" in about_diagnosis(found)[0]) == falls
-    unknown = {"verdict": "unknown", "ranking": [], "messages": ["the shaft is softer than the rig file says"]}
+    unknown = {
+        "verdict": "unknown",
+        "ranking": [],
+        "messages": ["the shaft is softer than the rig file says"],
+        "message_codes": ["shaft_differs"],
+    }
     assert "softer" in about_diagnosis(unknown)[0]
     assert "typed" not in about_diagnosis(unknown)[0]
 

@@ -124,7 +124,7 @@ def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
 
     near, far = verdict(5.0), verdict(50.0)
     assert near.verdict == near.ranking[0].effect == right
-    assert near.messages[0].startswith(f"{wrong} was ahead")
+    assert near.messages[0].text.startswith(f"{wrong} was ahead")
     assert far.verdict == if_far
     if if_far == "unknown":
         assert far.ranking[0].effect == wrong
@@ -150,7 +150,7 @@ def test_a_law_that_is_nothing_once_it_is_fitted_with_the_model_is_not_named(
     found = _verdict(fitted.model, fitted.point, before, [seeming, *others], quiet)
     assert found.verdict == "complete"
     assert [e.effect for e in found.ranking][-1] == "quadratic"
-    assert found.ranking[-1].notes[-1].startswith("refused")
+    assert found.ranking[-1].notes[-1].code == "refused_idle"
 
 
 def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model) -> None:
@@ -207,7 +207,7 @@ def test_a_shaft_that_is_stiffer_than_the_rig_file_says_is_unknown_and_said() ->
     y = simulate(replace(stiff, shaft_stiffness=1.2e6), RATE, 6.0, seed=1, noise=0.02)
     found = diagnose(stiff, y, RATE)
     assert found.verdict == "unknown"
-    assert any("shaft of the rig file" in m for m in found.messages)
+    assert any(m.code == "caps_coupled_otherwise" for m in found.messages)
 
 
 @pytest.mark.parametrize(("per_sample", "first"), [(83.0, "cross_coupling"), (1.0, "sensor_clipping")])

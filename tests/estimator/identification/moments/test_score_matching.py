@@ -134,9 +134,9 @@ def test_a_gaussian_record_has_no_cubic_to_show() -> None:
 def test_what_the_method_cannot_know_is_said(record: np.ndarray) -> None:
     stop = EffectUse("stop", {"bearing1.x": {}})
     found = fit_score_matching(rig(effects=(stop,)), record, RATE)
-    assert any("left out: stop" in message for message in found.messages)
+    assert any("left out: stop" in m.text for m in found.messages)
     unequal = record * [1.0, 1.3]  # a wrong gain looks like unequal temperatures
-    assert any("m v^2" in message for message in fit_score_matching(rig(), unequal, RATE).messages)
+    assert any("m v^2" in m.text for m in fit_score_matching(rig(), unequal, RATE).messages)
 
 
 def test_noise_without_a_resonance_gives_no_rolling_estimate() -> None:
