@@ -8,7 +8,7 @@ from typing import Protocol
 
 from estimator.arrays import Array
 from estimator.likelihood.motion import harmonics
-from estimator.likelihood.motion.located_law import clipped as clipped_by
+from estimator.likelihood.motion.located_law import clipped_places as clipped_by
 from estimator.likelihood.path.whitening import Spectrum
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model
@@ -99,7 +99,7 @@ def _without_lines(found: Sequence[Finding], model: Model, point: WorkingPoint) 
     A line in all of the spectrum of a block is no spectral shape, and at both bearings no shared force.
     """
     data = point.data
-    waves = harmonics.whole_waves(replace(model, effects=_uses(found)), data.places, data.rate_hz)
+    waves = harmonics.periodic_forces(replace(model, effects=_uses(found)), data.places, data.rate_hz)
     if not waves:
         return point
 

@@ -7,7 +7,7 @@ save at fixed absolute positions) runs live and offline: results do not depend, 
 cut into chunks. A row is valid if no missing (NaN) sample lies within the support of its filter.
 
 A law sees the whole displacement. Below the band an accelerometer shows none of it; a sensor of displacement does, down
-to where its offset and drift begin (`slow_part`), and that is one more output.
+to where its offset and drift begin (`below_band_gain`), and that is one more output.
 
 Because integration is done before any windowing, m a + c v + k x = F holds sample by sample for the band-limited
 force, and a window applied later commutes with it: no leakage error in the coefficients.
@@ -46,7 +46,7 @@ def noise_shape(kinds: Sequence[str], w: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class BandLimitedMotion:
     """Band-limited rows start ... start + n - 1 of each channel, SI.
 
     a, v, x : (channels, n); for a channel of kind force, `a` holds the force and v, x are zero.
@@ -69,7 +69,7 @@ class Motion:
         return int(self.valid.size)
 
 
-def edges(rate_hz: float, band: tuple[float, float]) -> tuple[float, float, float, float]:
+def filter_edges_hz(rate_hz: float, band: tuple[float, float]) -> tuple[float, float, float, float]:
     """Stop, pass, pass, stop frequencies in Hz of H.
 
     Raises DataError if the band is empty or too close to the Nyquist frequency.
@@ -94,27 +94,27 @@ def _step(u: Array) -> Array:
 
 def passband(f_hz: Array, rate_hz: float, band: tuple[float, float]) -> Array:
     """H(f), the real gain common to all outputs."""
-    stop1, pass1, pass2, stop2 = edges(rate_hz, band)
+    stop1, pass1, pass2, stop2 = filter_edges_hz(rate_hz, band)
     f = np.abs(f_hz)
     return _step((f - stop1) / (pass1 - stop1)) * _step((stop2 - f) / (stop2 - pass2))
 
 
-def slow_part(f_hz: Array, rate_hz: float, band: tuple[float, float]) -> Array:
+def below_band_gain(f_hz: Array, rate_hz: float, band: tuple[float, float]) -> Array:
     """The real gain from what a sensor of displacement measures to what laws see of it below the band."""
     steady = np.exp(-0.5 * (f_hz / (DRIFT * band[0])) ** 2)
     return np.where(np.abs(f_hz) < band[0], (1.0 - passband(f_hz, rate_hz, band)) * (1.0 - steady), 0.0)
 
 
-def unseen(f_hz: Array, rate_hz: float, band: tuple[float, float], kind: str) -> Array:
+def unmeasured_gain(f_hz: Array, rate_hz: float, band: tuple[float, float], kind: str) -> Array:
     """The real gain from the displacement to what a sensor of this kind leaves out of it."""
-    beside = slow_part(f_hz, rate_hz, band) if kind == "displacement" else 0.0
+    beside = below_band_gain(f_hz, rate_hz, band) if kind == "displacement" else 0.0
     return np.asarray(1.0 - passband(f_hz, rate_hz, band) - beside)
 
 
 def half_length(rate_hz: float, band: tuple[float, float]) -> int:
     """Half the support of the filters, in samples: what is lost at each end of a record and beside each gap. With the
     extra output of BandLimit all are RINGS times as long."""
-    stop1, pass1, pass2, stop2 = edges(rate_hz, band)
+    stop1, pass1, pass2, stop2 = filter_edges_hz(rate_hz, band)
     return int(np.ceil(6.0 * rate_hz / min(pass1 - stop1, stop2 - pass2)))
 
 
@@ -128,8 +128,8 @@ def _taps(response: Callable[[Array], Complexes], rate_hz: float, band: tuple[fl
 
 
 def _slow_taps(rate_hz: float, band: tuple[float, float], half: int) -> Array:
-    """(2 half + 1,) taps of `slow_part`; an offset, which may be a thousand times the vibration, gives nothing."""
-    h = _nearest(slow_part(_frequencies(half, rate_hz), rate_hz, band).astype(complex), half)
+    """(2 half + 1,) taps of `below_band_gain`, zero at 0 Hz: an offset may be a thousand times the vibration."""
+    h = _nearest(below_band_gain(_frequencies(half, rate_hz), rate_hz, band).astype(complex), half)
     window = np.kaiser(h.size, 3.0)
     return np.asarray(h - h.sum() * window / window.sum())
 
@@ -209,7 +209,9 @@ def _block_size(half: int, rate_hz: float) -> int:
 
 
 class BandLimit:
-    """Streams (n, channels) rows into `Motion`. Row k comes out once rows to k + half (and a full block) are in.
+    """Band limit of a stream: (n, channels) rows in, `BandLimitedMotion` out.
+
+    Row k comes out once rows to k + half (and a full block) are in.
 
     kinds : of each channel: acceleration, velocity, displacement or force.
     extra : response(f_hz) from displacement to one more output, `Motion.u` (the shaft's reaction, for instance).
@@ -249,7 +251,7 @@ class BandLimit:
         self._count = self.half  # of both
         self._next = 0
 
-    def push(self, y: Array) -> Motion:
+    def push(self, y: Array) -> BandLimitedMotion:
         """The rows that became available by these (n, channels) rows, perhaps none; NaN where a sample is missing."""
         if y.ndim != 2 or y.shape[1] != len(self.kinds):
             raise ValueError(f"expected rows of {len(self.kinds)} channels, got an array of shape {y.shape}")
@@ -271,7 +273,7 @@ class BandLimit:
         self._held = np.concatenate([self._held, *(y.T for y in self._fresh)], axis=1)
         self._fresh = []
 
-    def flush(self) -> Motion:
+    def flush(self) -> BandLimitedMotion:
         """The rows still held back; those within `half` of the end are invalid. Ends the stream."""
         self._collect()
         count = self._held.shape[1] - self.half
@@ -286,7 +288,7 @@ class BandLimit:
         motion = self._join(parts)
         a, v, x, u = (z[:, :count] for z in (motion.a, motion.v, motion.x, motion.u))
         slow = None if motion.slow is None else motion.slow[:, :count]
-        return Motion(motion.start, a, v, x, u, motion.valid[:count], slow)
+        return BandLimitedMotion(motion.start, a, v, x, u, motion.valid[:count], slow)
 
     def _block(
         self, y: Array, dtype: type[np.floating[Any]] = np.float64
@@ -308,7 +310,7 @@ class BandLimit:
         valid = missing[2 * self.half + 1 :] == missing[: -2 * self.half - 1]
         return out, valid
 
-    def _join(self, parts: list[tuple[Array, NDArray[np.bool_]]]) -> Motion:
+    def _join(self, parts: list[tuple[Array, NDArray[np.bool_]]]) -> BandLimitedMotion:
         start = self._next
         if not parts:
             parts = [(np.empty((len(self.outputs), len(self.kinds), 0)), np.empty(0, bool))]
@@ -317,11 +319,11 @@ class BandLimit:
         self._next += valid.size
         return self.motion(start, [*out], valid)
 
-    def motion(self, start: int, out: list[NDArray[Any]], valid: NDArray[np.bool_]) -> Motion:
+    def motion(self, start: int, out: list[NDArray[Any]], valid: NDArray[np.bool_]) -> BandLimitedMotion:
         """Outputs (channels, n) in their order, as motion."""
         found = dict(zip(self.outputs, out, strict=True))
         u = found.get("u", np.empty((0, valid.size), out[0].dtype))
-        return Motion(start, found["a"], found["v"], found["x"], u, valid, found.get("slow"))
+        return BandLimitedMotion(start, found["a"], found["v"], found["x"], u, valid, found.get("slow"))
 
 
 def band_limit(
@@ -330,7 +332,7 @@ def band_limit(
     rate_hz: float,
     band: tuple[float, float],
     extra: Callable[[Array], Complexes] | None = None,
-) -> Motion:
+) -> BandLimitedMotion:
     """The whole record (n, channels) at once; the same numbers as any stream of its pieces."""
     stream = BandLimit(kinds, rate_hz, band, extra)
     parts = [stream.push(y), stream.flush()]
@@ -339,10 +341,10 @@ def band_limit(
         np.concatenate([getattr(p, name) for p in parts], axis=1) if parts[1].rows else getattr(parts[0], name)
         for name in "avxu"
     )
-    return Motion(0, a, v, x, u, valid)
+    return BandLimitedMotion(0, a, v, x, u, valid)
 
 
-def left_out(
+def out_of_band_sd(
     m: Array,
     c: Array,
     kL: Array,
@@ -357,7 +359,7 @@ def left_out(
     kinds : of the sensor at each place. driven : PSD of the measured force there, by which laws see what is slow.
     """
     f = np.concatenate([np.linspace(0.0, band[0], 200), np.geomspace(band[0], 1e3 * rate_hz, 4000)[1:]])
-    lost = np.array([unseen(f, rate_hz, band, kind) for kind in kinds]) ** 2
+    lost = np.array([unmeasured_gain(f, rate_hz, band, kind) for kind in kinds]) ** 2
     w = 2 * np.pi * f
     S = S[:, None] + np.multiply.outer(driven, (f < FORCE_DRIFT * band[0]) | (f >= band[0]))
     response = S / np.abs(kL[:, None] + 1j * w * c[:, None] - m[:, None] * w**2) ** 2
@@ -365,7 +367,7 @@ def left_out(
     return np.asarray(np.sqrt(both))
 
 
-def below_band(force: Array, rate_hz: float, band: tuple[float, float]) -> Array:
+def below_band_force(force: Array, rate_hz: float, band: tuple[float, float]) -> Array:
     """(n,) N of a measured force what is below the band, without the offset and the drift of its sensor."""
     from scipy.fft import irfft, next_fast_len, rfft
 

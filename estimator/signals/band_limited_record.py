@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Complexes
 from estimator.parallel import map_threads
 
-from .band_limit import BandLimit, Motion
+from .band_limit import BandLimit, BandLimitedMotion
 
 LARGE = 3e8  # bytes of motion above which it is computed where it is asked for, every time
 
 
-class Filtered(BandLimit):
-    """Motion of (n, channels) rows that holds no more than the rows and a few blocks. The face of `Motion`."""
+class BandLimitedRecord(BandLimit):
+    """Band-limited motion of (n, channels) rows, with the attributes of `BandLimitedMotion`, computed as it is read."""
 
     start = 0
 
@@ -70,7 +70,7 @@ class Filtered(BandLimit):
             out[:, :, a - lo : e - lo] = z[:, :, a - b * self._hop : e - b * self._hop]
         return out
 
-    def whole(self, dtype: type[np.floating[Any]] = np.float64) -> Motion:
+    def whole(self, dtype: type[np.floating[Any]] = np.float64) -> BandLimitedMotion:
         """All of it, held."""
         out: list[NDArray[Any]] = [np.empty((len(self.kinds), self.rows), dtype) for _ in self.outputs]
 

@@ -33,7 +33,7 @@ def taper(size: int) -> Array:
 
 
 @dataclass(frozen=True)
-class Layout:
+class BlockLayout:
     """Blocks, bins and cells. bins : (b,) indices into the rfft, ascending; starts : (cells,) first bin of each."""
 
     rate_hz: float
@@ -70,7 +70,7 @@ class Layout:
 
 
 @dataclass(frozen=True, slots=True)
-class Nodes:
+class FrequencyNodes:
     """Frequencies at which the Jacobian is evaluated: each stands for `weight` neighbouring bins of one cell."""
 
     f_hz: Array
@@ -84,7 +84,7 @@ class Nodes:
         return np.asarray(np.add.reduceat(z * self.weight.reshape(shape), first, axis=0) / per_cell.reshape(shape))
 
 
-def nodes(grid: Layout, peaks_hz: Array | None = None, widths_hz: Array | None = None) -> Nodes:
+def frequency_nodes(grid: BlockLayout, peaks_hz: Array | None = None, widths_hz: Array | None = None) -> FrequencyNodes:
     """Every bin; or, with the resonances and their half-power widths, few where the response is smooth.
 
     Nodes are no farther apart than a sixth of the width at a resonance and a fifteenth of the distance from it: the
@@ -92,7 +92,7 @@ def nodes(grid: Layout, peaks_hz: Array | None = None, widths_hz: Array | None =
     """
     f, cell = grid.f_hz, grid.cell_of_bin
     if peaks_hz is None or widths_hz is None:
-        return Nodes(f, np.ones(f.size), cell)
+        return FrequencyNodes(f, np.ones(f.size), cell)
     apart = np.abs(f[:, None] - peaks_hz) / 15.0
     allowed = np.maximum(apart, widths_hz / 6.0).min(axis=1) / (grid.rate_hz / grid.size)
     starts: list[int] = []
@@ -102,16 +102,16 @@ def nodes(grid: Layout, peaks_hz: Array | None = None, widths_hz: Array | None =
     after_gaps = np.flatnonzero(np.diff(grid.bins) > 1) + 1  # a node is on one side of what is left out
     at = np.union1d(starts, after_gaps)
     weight = np.diff(np.append(at, f.size)).astype(float)
-    return Nodes(np.add.reduceat(f, at) / weight, weight, cell[at])
+    return FrequencyNodes(np.add.reduceat(f, at) / weight, weight, cell[at])
 
 
-def layout(
+def block_layout(
     rate_hz: float,
     band: tuple[float, float],
     notches: tuple[tuple[float, float], ...] = (),
     cells: int = CELLS,
     longer: int = 1,
-) -> Layout:
+) -> BlockLayout:
     """Blocks long enough for the lower band edge; bins of the band without the notches (f1, f2) in Hz.
 
     longer : factor on the length of the blocks, a power of 2, for narrower bins.
@@ -134,10 +134,10 @@ def layout(
     for s in starts[1:]:
         if s - kept[-1] >= 4:
             kept.append(int(s))
-    return Layout(rate_hz, size, bins, np.array(kept, dtype=np.intp), longer)
+    return BlockLayout(rate_hz, size, bins, np.array(kept, dtype=np.intp), longer)
 
 
-def valid_blocks(valid: NDArray[np.bool_], grid: Layout) -> NDArray[np.intp]:
+def valid_blocks(valid: NDArray[np.bool_], grid: BlockLayout) -> NDArray[np.intp]:
     """Numbers of the blocks (block b starts at row b * hop) that hold no invalid row."""
     if valid.size < grid.size:
         return np.empty(0, np.intp)
@@ -146,7 +146,7 @@ def valid_blocks(valid: NDArray[np.bool_], grid: Layout) -> NDArray[np.intp]:
     return np.flatnonzero(np.searchsorted(bad, begin + grid.size) == np.searchsorted(bad, begin))
 
 
-def spectra(columns: Array, blocks: NDArray[np.intp], grid: Layout) -> NDArray[np.complex128]:
+def block_spectra(columns: Array, blocks: NDArray[np.intp], grid: BlockLayout) -> NDArray[np.complex128]:
     """(columns, blocks, bins) windowed spectra; columns (k, n) rows from the first block's row 0 on."""
     frames = np.lib.stride_tricks.sliding_window_view(columns, grid.size, axis=1)[:, :: grid.hop]
     neighbours = blocks.size > 0 and blocks[-1] - blocks[0] == blocks.size - 1
@@ -158,7 +158,7 @@ def spectra(columns: Array, blocks: NDArray[np.intp], grid: Layout) -> NDArray[n
     return np.asarray(z[:, :, grid.bins])
 
 
-def gram(z: NDArray[np.complex128], grid: Layout, weights: Array | None = None) -> Array:
+def gram_by_cell(z: NDArray[np.complex128], grid: BlockLayout, weights: Array | None = None) -> Array:
     """(cells, k, k) real part of the sums of Z Z^H over blocks and bins of each cell. weights : (blocks,)."""
     k = z.shape[0]
     if weights is not None:

@@ -25,12 +25,12 @@ SHAPES = {"sensor_resonance": ("frequency", "quality"), "coloured_excitation": (
 GRID = 8192  # frequencies that a filter is computed at, straight lines between: to a millionth
 
 
-def forced(model: Model) -> frozenset[str]:
+def measured_force_places(model: Model) -> frozenset[str]:
     """Places whose force is measured."""
     return frozenset(c.place for c in model.channels if c.kind == "force")
 
 
-def response(name: str, values: Mapping[str, float | None], w: Array) -> Complexes:
+def fault_response(name: str, values: Mapping[str, float | None], w: Array) -> Complexes:
     """Of one fault at w rad/s, of its shape; 1 where a number is not known."""
     if name == "sensor_gain":
         return np.full(w.shape, 1.0 + (values.get("error") or 0.0), complex)
@@ -43,28 +43,28 @@ def response(name: str, values: Mapping[str, float | None], w: Array) -> Complex
     return np.asarray(1.0 / (1.0 - r**2 + 1j * r / quality))
 
 
-def of_place(model: Model, place: str, w: Array) -> Complexes:
+def channel_response(model: Model, place: str, w: Array) -> Complexes:
     """(f,) of all that is undone in the motion channel at a place: faults of the model and, as far as the band goes,
     the recorder's filter."""
     out = _faults(model, place, w)
-    own = recorder(model, place)
+    own = anti_alias_filter(model, place)
     return out if own is None else out * own.response(np.minimum(w / (2 * np.pi), model.band[1]))
 
 
-def recorder(model: Model, place: str) -> Filter | None:
+def anti_alias_filter(model: Model, place: str) -> Filter | None:
     """The recorder's filter that is undone at a place, in the channel of a measured force, too, which went through it:
     the path between the two is as it was, and laws have the motion as it is."""
     return (model.roll_off or {}).get(place)
 
 
-def echoes(model: Model, place: str, kind: str, f_hz: Array) -> Array:
+def folded_images(model: Model, place: str, kind: str, f_hz: Array) -> Array:
     """(images, f) PSD of the acceleration that the recorder at a place folds back from each image, over that of a free
     mass, once the responses are undone: the sensor had its own at the image."""
-    own = recorder(model, place)
+    own = anti_alias_filter(model, place)
     if own is None or own.nepers:
         return np.zeros((0, f_hz.size))
     heard = np.abs(_faults(model, place, 2 * np.pi * images(own.rate_hz, f_hz))) ** 2
-    return np.asarray(own.echoes(f_hz, kind) * heard / np.abs(of_place(model, place, 2 * np.pi * f_hz)) ** 2)
+    return np.asarray(own.echoes(f_hz, kind) * heard / np.abs(channel_response(model, place, 2 * np.pi * f_hz)) ** 2)
 
 
 def passed_of_images(model: Model, place: str, rate_hz: float, f_hz: Array) -> Complexes:
@@ -80,7 +80,7 @@ def passed_of_images(model: Model, place: str, rate_hz: float, f_hz: Array) -> C
     return np.asarray(np.stack([below.conj(), beyond]) / through(f_hz))
 
 
-def shape(model: Model, place: str, effect: str) -> tuple[float, float] | None:
+def fitted_shape(model: Model, place: str, effect: str) -> tuple[float, float] | None:
     """Numbers of a shape of the spectrum at a place, an effect of SHAPES, as the model has it."""
     numbers = [_numbers(use, model, place) for use in model.effects if use.name == effect]
     a, b = (numbers[0].get(name) if numbers else None for name in SHAPES[effect])
@@ -93,7 +93,7 @@ def _faults(model: Model, place: str, w: Array) -> Complexes:
     for use in model.effects:
         if use.name not in LINEAR:
             continue
-        out *= response(use.name, _numbers(use, model, place), w)
+        out *= fault_response(use.name, _numbers(use, model, place), w)
     return out
 
 
@@ -104,13 +104,13 @@ def _numbers(use: EffectUse, model: Model, place: str) -> dict[str, float | None
     return {name: setting.value for name, setting in own[0].items()} if own else {}
 
 
-def undone(model: Model, y: Array, rate_hz: float) -> Array:
+def corrected_record(model: Model, y: Array, rate_hz: float) -> Array:
     """The record (n, channels), SI, with the responses of its sensors that the model knows of taken back."""
     if not model.roll_off and not any(use.name in LINEAR for use in model.effects):
         return y
     f: Array = np.asarray(np.fft.rfftfreq(len(y), 1 / rate_hz), dtype=np.float64)
     heard = [k for k, channel in enumerate(model.channels) if channel.kind in (*MOTION, "force")]
-    filters = {own for k in heard if (own := recorder(model, model.channels[k].place)) is not None}
+    filters = {own for k in heard if (own := anti_alias_filter(model, model.channels[k].place)) is not None}
     grid = np.linspace(0.0, model.band[1], GRID)
     known = {own: np.interp(f, grid, own.response(grid)) for own in filters}
 
@@ -118,7 +118,7 @@ def undone(model: Model, y: Array, rate_hz: float) -> Array:
         place, z = model.channels[k].place, y[:, k]
         faulty = model.channels[k].kind in MOTION
         H = _faults(model, place, 2 * np.pi * f) if faulty else np.ones(f.size, complex)
-        if (own := recorder(model, place)) is not None:
+        if (own := anti_alias_filter(model, place)) is not None:
             H *= known[own]
         if np.ptp(H) == 0.0:
             return np.asarray(z / float(H[0].real))

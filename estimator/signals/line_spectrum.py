@@ -25,7 +25,7 @@ STEADY = 0.45  # of the power of these bins beyond the noise, what has the shape
 
 
 @dataclass(frozen=True, slots=True)
-class Spectrum:
+class LineSpectrum:
     """Whole-record spectrum under a Hann window. Y : (places, bins), amplitude of a line at the bin in the unit of the
     sensor; noise : mean |Y|^2 of the surroundings. Single precision rounds by a thousandth of that."""
 
@@ -110,7 +110,7 @@ class Spectrum:
         return float((near[:, own].max(axis=1) / np.maximum(beside, 1e-300)).max())
 
 
-def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
+def line_spectrum(model: Model, y: Array, rate_hz: float) -> LineSpectrum:
     """Spectrum of the motion channels, one per place; missing samples count as zero."""
     from scipy.fft import next_fast_len
 
@@ -127,8 +127,8 @@ def spectrum_of(model: Model, y: Array, rate_hz: float) -> Spectrum:
 
 
 def residual_spectrum(
-    s: Spectrum, y: Array, forces: Mapping[int, int], stiffness: Callable[[Array], Complexes]
-) -> Spectrum:
+    s: LineSpectrum, y: Array, forces: Mapping[int, int], stiffness: Callable[[Array], Complexes]
+) -> LineSpectrum:
     """Spectrum of what the motion of `s` asks for beyond the measured forces: places in N, whatever their sensors.
 
     forces : place -> column of its force in y; stiffness : (f,) Hz -> (f, places, places) force per acceleration.
@@ -151,7 +151,7 @@ def residual_spectrum(
         F = np.asarray(rfft(np.nan_to_num(y[:n, column]) * window))
         R[i] -= F
         R[i, F.size - 1] = 0.0
-        PR, PF = (np.maximum(surroundings(z.real**2 + z.imag**2, NEIGHBOURS), 1e-300) for z in (R[i], F))
+        PR, PF = (np.maximum(local_noise(z.real**2 + z.imag**2, NEIGHBOURS), 1e-300) for z in (R[i], F))
         weight = 1.0 / np.maximum(np.maximum(np.abs(R[i]) ** 2 / PR, np.abs(F) ** 2 / PF) / UNUSUAL, 1.0)
         proportion = _smooth(weight * R[i] * F.conj()) / np.maximum(_smooth(weight * np.abs(F) ** 2), 1e-300)
         R[i] -= np.where(s.f_hz > LEAST_HZ, proportion * F, 0.0)
@@ -166,7 +166,7 @@ def _smooth(z: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(uniform_filter1d(z, 2 * NEIGHBOURS + 1, mode="reflect"))
 
 
-def by_angle(s: Spectrum) -> Spectrum:
+def order_spectrum(s: LineSpectrum) -> LineSpectrum:
     """The same against the shaft's angle, in Hz at its mean speed: orders are lines there, however it turns."""
     if s.phase is None:
         return s
@@ -178,7 +178,7 @@ def by_angle(s: Spectrum) -> Spectrum:
 
 def _spectrum(
     windowed: NDArray[np.float32], kinds: tuple[str, ...], model: Model, rate_hz: float, phase: Array | None
-) -> Spectrum:  # fmt: skip
+) -> LineSpectrum:  # fmt: skip
     from scipy.fft import rfft
 
     n = windowed.shape[1]
@@ -187,11 +187,11 @@ def _spectrum(
         map_threads(rfft, windowed)
     )  # scipy's own workers would stay: map_processes then has no second process
     Y *= 2 / (0.5 * (n - 1))
-    noise = np.stack([surroundings(z.real**2 + z.imag**2, NEIGHBOURS) for z in Y])
-    return Spectrum(f, Y, noise, n / rate_hz, windowed, kinds, rate_hz, model, phase)
+    noise = np.stack([local_noise(z.real**2 + z.imag**2, NEIGHBOURS) for z in Y])
+    return LineSpectrum(f, Y, noise, n / rate_hz, windowed, kinds, rate_hz, model, phase)
 
 
-def surroundings(power: NDArray[np.floating], reach: int) -> Array:
+def local_noise(power: NDArray[np.floating], reach: int) -> Array:
     """(bins,) mean of the bins up to `reach` away, by the median of every fourth of them: a line is not in it.
 
     Near 0 of those up to half the way there: what is heard as a force rises as f^-4 to LEAST_HZ, and is 0 below."""

@@ -7,14 +7,14 @@ import numpy as np
 from estimator.arrays import Array
 
 
-def kaiser(taps: int, cutoff: float, beta: float) -> Array:
+def kaiser_low_pass(taps: int, cutoff: float, beta: float) -> Array:
     """(taps,) with unit gain at 0; cutoff over the Nyquist frequency. As scipy.signal.firwin."""
     k = np.arange(taps) - 0.5 * (taps - 1)
     h = np.sinc(cutoff * k) * np.kaiser(taps, beta)
     return np.asarray(h / h.sum())
 
 
-def order(attenuation_db: float, width: float) -> tuple[int, float]:
+def kaiser_order(attenuation_db: float, width: float) -> tuple[int, float]:
     """Number of taps and beta for an attenuation above 50 dB and a width of the transition over the Nyquist frequency.
 
     Kaiser's formula, as scipy.signal.kaiserord.

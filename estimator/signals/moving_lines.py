@@ -35,7 +35,7 @@ def _limit(bins: int, places: int, blocks: float) -> float:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _stand_out(power, limit, out):  # type: ignore[no-untyped-def]
-    """Fill out (n,) with what `stand_out` gives; the sides are running sums, mirrored at the ends."""
+    """Fill out (n,) with what `line_ratio` gives; the sides are running sums, mirrored at the ends."""
     n, reach = power.size, FAR - NEAR + 1
     sums = np.empty(n + 2 * FAR + 1)
     sums[0] = 0.0
@@ -48,14 +48,14 @@ def _stand_out(power, limit, out):  # type: ignore[no-untyped-def]
         out[i] = ratio if ratio > limit else 0.0
 
 
-def stand_out(power: Array, places: int, blocks: float) -> Array:
+def line_ratio(power: Array, places: int, blocks: float) -> Array:
     """(bins,) ratio of each bin to its surroundings where that is a line's, else 0. power : mean over `blocks`."""
     out = np.empty(power.size)
     _stand_out(power, _limit(power.size, places, round(blocks, 1)), out)
     return out
 
 
-def left_out(ratio: Array) -> NDArray[np.bool_]:
+def line_bins(ratio: Array) -> NDArray[np.bool_]:
     """(bins,) the bins to leave out about those that stand out: as far as the window carries such a line."""
     out = np.zeros(ratio.size, bool)
     for k in np.flatnonzero(ratio):
@@ -64,7 +64,7 @@ def left_out(ratio: Array) -> NDArray[np.bool_]:
     return out
 
 
-def weights(out: NDArray[np.bool_]) -> Array:
+def bin_weights(out: NDArray[np.bool_]) -> Array:
     """(bins,) 0 for what is left out; what lies beside it on both sides counts for it, the sum stays."""
     w = np.ones(out.size)
     w[out] = 0.0
@@ -101,7 +101,7 @@ class MovingLines:
         each = np.square(force.real, dtype=np.float64) + np.square(force.imag, dtype=np.float64)
         power = (1.0 / np.maximum(each.mean(axis=1), 1e-300)) @ each
         places = len(force)
-        out = left_out(stand_out(power, places, 1.0))
+        out = line_bins(line_ratio(power, places, 1.0))
         scale = 1.0
         if self._orders and speed_hz is not None and speed_hz > 0.0:
             self._speed_hz = self._speed_hz or speed_hz
@@ -111,7 +111,7 @@ class MovingLines:
         self._mean = keep * self._mean + by_order
         self._blocks = keep * self._blocks + 1.0
         if self._blocks > 0.5 * AVERAGED:
-            averaged = left_out(stand_out(self._mean / self._blocks, places, 2.0 * self._blocks - 1.0))
+            averaged = line_bins(line_ratio(self._mean / self._blocks, places, 2.0 * self._blocks - 1.0))
             if averaged.any():
                 out |= averaged if scale == 1.0 else np.interp(self._f_hz / scale, self._f_hz, averaged) > 0.0
-        return weights(out) if out.any() else None
+        return bin_weights(out) if out.any() else None

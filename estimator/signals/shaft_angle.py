@@ -69,7 +69,7 @@ def measured_phase(model: Model, y: Array, rate_hz: float) -> Array | None:
     return None if column is None else shaft_angle(y[:, column], rate_hz, model.channels[column].name)
 
 
-def timed(model: Model, y: Array, rate_hz: float) -> Model:
+def with_measured_speed(model: Model, y: Array, rate_hz: float) -> Model:
     """The model with the mean speed that its tacho measured along y, whatever its rig file says. Raises DataError."""
     phase = measured_phase(model, y, rate_hz)
     if phase is None or len(phase) < 2:

@@ -30,9 +30,9 @@ MARGIN = 512  # samples before and after a block that sensor effects may look at
 
 def antialias_taps(oversample: int) -> Array:
     """Even number of taps, unit gain at 0: flat (3e-5) to 0.45 and 90 dB down from 0.55 of the output rate."""
-    n, beta = low_pass.order(90.0, 0.1 / (0.5 * oversample))
+    n, beta = low_pass.kaiser_order(90.0, 0.1 / (0.5 * oversample))
     n += n % 2
-    return low_pass.kaiser(n, 1.0 / oversample, beta)
+    return low_pass.kaiser_low_pass(n, 1.0 / oversample, beta)
 
 
 class Simulator:

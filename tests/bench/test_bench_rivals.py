@@ -30,7 +30,7 @@ from estimator.errors import DataError
 from estimator.identification.batch import spectral
 from estimator.identification.moments import fokker_planck, score_matching
 from estimator.model.rig import Channel, EffectUse, Model
-from estimator.signals.band_limit import Motion, band_limit
+from estimator.signals.band_limit import BandLimitedMotion, band_limit
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(0)]
 SEEDS = int(os.environ.get("ROTORSCOPE_SEEDS", "2"))
@@ -160,7 +160,7 @@ def test_two_bearing_rig() -> None:
     table(test, [*OURS, *(m for m in rivals.METHODS if m not in SLOW)])
 
 
-def place_of_rig(motion: Motion, y: np.ndarray, i: int) -> rivals.Place:
+def place_of_rig(motion: BandLimitedMotion, y: np.ndarray, i: int) -> rivals.Place:
     x, v, a = (getattr(motion, n)[i, motion.valid] for n in "xva")
     return rivals.Place(x, v, a, y[:, i], x, RATE, BAND, MASS, (SHAFT, SHAFT_DAMPING))
 

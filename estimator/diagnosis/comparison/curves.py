@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from estimator.arrays import Array
 from estimator.identification.residual import black_box
 from estimator.identification.residual.missing_force import MissingForce, PlaceResidual, fit_with_ridge
-from estimator.likelihood.motion.motion_record import part_of
+from estimator.likelihood.motion.motion_record import leading_blocks
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.parallel import map_threads
@@ -55,7 +55,7 @@ def curves(
 
     channel : name by place. orders : of the shaft, as the survey had them.
     """
-    data = part_of(point.data, SECONDS)
+    data = leading_blocks(point.data, SECONDS)
     rows = _rows(point, data.start)
 
     def at(residual: PlaceResidual) -> tuple[list[Shape], list[Law]]:

@@ -16,7 +16,7 @@ from estimator.likelihood.motion.force_balance import force_channels, motion_cha
 from estimator.likelihood.motion.stream_record import CELLS_WITH_FORCE, notches
 from estimator.model.rig import Model
 from estimator.signals.band_limit import band_limit
-from estimator.signals.blocks import layout, spectra, valid_blocks
+from estimator.signals.blocks import block_layout, block_spectra, valid_blocks
 
 OVERSAMPLE = 8
 SETTLE = 12.0  # decay times until the start from rest is forgotten
@@ -89,7 +89,7 @@ def simulation_rmse(model: Model, y: Array, rate_hz: float, decay_s: float, firs
     simulated = band_limit(free_run(model, force, rate_hz, start).T, kinds[:P], rate_hz, model.band)
     good = measured.valid & simulated.valid
     good[:lead] = False
-    grid = layout(rate_hz, model.band, notches(model), CELLS_WITH_FORCE)
+    grid = block_layout(rate_hz, model.band, notches(model), CELLS_WITH_FORCE)
     blocks = valid_blocks(good, grid)
     if not blocks.size:
         raise DataError(f"the record is too short for a free run of {lead / rate_hz:.1f} s and what is compared after")
@@ -97,6 +97,6 @@ def simulation_rmse(model: Model, y: Array, rate_hz: float, decay_s: float, firs
     for i, c in enumerate(motions):
         name = {"acceleration": "a", "velocity": "v", "displacement": "x"}[kinds[i]]
         error = getattr(simulated, name)[i] - getattr(measured, name)[i]
-        psd = np.mean(np.abs(spectra(error[None], blocks, grid)) ** 2, axis=(0, 1))
+        psd = np.mean(np.abs(block_spectra(error[None], blocks, grid)) ** 2, axis=(0, 1))
         out[model.channels[c].name] = float(np.sqrt(psd.sum() * rate_hz / grid.size))
     return out

@@ -15,7 +15,7 @@ from estimator.likelihood.motion.motion_record import FOLDS
 from estimator.likelihood.path.subproblem import component, heldout_gain, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
-from estimator.signals.channel_response import undone
+from estimator.signals.channel_response import corrected_record
 
 CELLS = 40
 FITTED = 0.7  # of a record with a measured force; the rest is simulated
@@ -39,7 +39,7 @@ def heldout_rmse(model: Model, y: Array, rate_hz: float) -> dict[str, float]:
         damping = np.einsum("iik->ik", found.point.slopes)[:, 1]
         decay_s = float(np.max(2 * found.point.data.mass / damping))
         del found, damping  # the record cut into blocks is large
-        return simulation_rmse(filled, undone(filled, y, rate_hz), rate_hz, decay_s, FITTED)
+        return simulation_rmse(filled, corrected_record(filled, y, rate_hz), rate_hz, decay_s, FITTED)
     except (ModelError, DataError):
         return {}
 

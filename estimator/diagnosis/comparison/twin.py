@@ -9,12 +9,12 @@ import numpy as np
 
 from estimator.arrays import Array, Series
 from estimator.errors import DataError, ModelError
-from estimator.likelihood.motion.motion_record import MotionBlocks, spectrum
-from estimator.likelihood.motion.prepare import cut
+from estimator.likelihood.motion.motion_record import MotionRecord, mean_psd
+from estimator.likelihood.motion.prepare import motion_record
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.signals.band_limit import noise_shape
-from estimator.signals.channel_response import echoes, recorder
+from estimator.signals.channel_response import anti_alias_filter, folded_images
 from estimator.simulation.simulator import simulate
 
 from .free_run import free_run
@@ -54,7 +54,7 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
     if not np.isfinite(y).all():
         return Twin({}, {}, {}, {}, {}, "no simulated twin: the simulation of this model diverges")
     try:
-        own = cut(model, y, data.rate_hz, data.block)
+        own = motion_record(model, y, data.rate_hz, data.block)
     except DataError as problem:
         return Twin({}, {}, {}, {}, {}, f"no simulated twin: {problem}")
     psd: dict[str, float] = {}
@@ -66,9 +66,9 @@ def twin(model: Model, point: WorkingPoint, record: Array) -> Twin:
     for i, name in enumerate(names):
         f, measured = of_acceleration(data, i)
         model_psd = np.interp(f, *of_acceleration(own, i))
-        if (off := recorder(model, data.places[i])) is not None:
+        if (off := anti_alias_filter(model, data.places[i])) is not None:
             measured, model_psd = measured * off.passed(f), model_psd * off.passed(f)  # as it was measured
-            folded = echoes(model, data.places[i], data.kinds[i], np.maximum(f, data.band[0])).sum(axis=0)
+            folded = folded_images(model, data.places[i], data.kinds[i], np.maximum(f, data.band[0])).sum(axis=0)
             model_psd = model_psd + folded * off.passed(f) * point.S[i] / data.mass[i] ** 2
         inside = (f >= data.band[0]) & (f <= data.band[1])
         # noise of the sensor and its counts belongs to the measurement, not to the rotor
@@ -113,9 +113,9 @@ def _density(x: Series, at: Array) -> Array:
     return np.asarray(np.histogram(x, at.size - 1, (at[0], at[-1]), density=True)[0])
 
 
-def of_acceleration(data: MotionBlocks, i: int) -> tuple[Array, Array]:
+def of_acceleration(data: MotionRecord, i: int) -> tuple[Array, Array]:
     """One-sided PSD of the acceleration at a place, from the velocity in the band."""
-    f, power = spectrum(data.v[i], data.block, data.rate_hz)
+    f, power = mean_psd(data.v[i], data.block, data.rate_hz)
     return f, (2 * np.pi * f) ** 2 * power
 
 

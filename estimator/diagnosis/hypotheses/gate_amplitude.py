@@ -20,12 +20,18 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from estimator.arrays import Array
-from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.path.determinant import Jacobian
 from estimator.likelihood.path.path_fit import Gram, PathFit, fit, log_likelihood
 from estimator.likelihood.path.subproblem import component
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
-from estimator.likelihood.response.regressor_set import Term, dressed, linear_terms, term_response, terms
+from estimator.likelihood.response.regressor_set import (
+    Regressor,
+    linear_regressors,
+    regressor_response,
+    regressors,
+    with_second_order,
+)
 from estimator.parallel import map_processes
 
 from .gate_shape import STATES
@@ -61,7 +67,7 @@ def judged(effect: str) -> bool:
     return effect in STATES and STATES[effect][0][0] == "x"
 
 
-def extrapolated(point: WorkingPoint, placed: tuple[Placed, ...]) -> Extrapolation | None:
+def extrapolated(point: WorkingPoint, placed: tuple[LocatedLaw, ...]) -> Extrapolation | None:
     """How laws with given searched parameters do on the largest amplitudes. None if the lower part says nothing."""
     point = thinned(point, SECONDS)
     total, allowed = 0.0, MARGIN
@@ -72,16 +78,16 @@ def extrapolated(point: WorkingPoint, placed: tuple[Placed, ...]) -> Extrapolati
     return Extrapolation(total, allowed)
 
 
-def _one(point: WorkingPoint, placed: Placed) -> tuple[float, float] | None:
+def _one(point: WorkingPoint, placed: LocatedLaw) -> tuple[float, float] | None:
     linear = np.array([q.linear for q in placed.effect.parameters])
     placed = placed.with_values(np.where(linear, 1.0, placed.p))
     used = tuple(q.linear and placed.p[k] != 0.0 for k, q in enumerate(placed.effect.parameters))
     at = component(point, placed.at)
     trial = replace(placed, free=used)
-    extra = dressed(terms(trial, point.data, point.lin, linear_only=True), trial, point.fluctuations)
+    extra = with_second_order(regressors(trial, point.data, point.lin, linear_only=True), trial, point.fluctuations)
     uses = [u for u in point.placed if set(u.at) & set(at)]
-    base = [t for i in at for t in linear_terms(point.data, i, point.lin[i], point.placed)]
-    base += [t for u in uses for t in dressed(terms(u, point.data, point.lin), u, point.fluctuations)]
+    base = [t for i in at for t in linear_regressors(point.data, i, point.lin[i], point.placed)]
+    base += [t for u in uses for t in with_second_order(regressors(u, point.data, point.lin), u, point.fluctuations)]
     masks = [upper_part(point, i) for i in at]
     parts = []
     for upper in (False, True):
@@ -101,8 +107,8 @@ def _one(point: WorkingPoint, placed: Placed) -> tuple[float, float] | None:
 
 
 def _gram(
-    point: WorkingPoint, at: tuple[int, ...], all_terms: list[Term], masks: list[NDArray[np.bool_]],
-    uses: list[Placed], placed: Placed, used: tuple[bool, ...],
+    point: WorkingPoint, at: tuple[int, ...], all_terms: list[Regressor], masks: list[NDArray[np.bool_]],
+    uses: list[LocatedLaw], placed: LocatedLaw, used: tuple[bool, ...],
 ) -> tuple[Gram, float]:  # fmt: skip
     """Gram matrices of force and terms over the samples marked, tangents of those samples; its number of blocks."""
     data = point.data
@@ -119,14 +125,14 @@ def _gram(
         G[row, 0][rows[:, None], rows] = Z @ Z.T
         n[row, 0] = mask.mean() * point.gram.n[i].sum()
         seen = data.at(mask)
-        made = [t for u in uses if i in u.at for t in terms(replace(u, at=(i,)), seen, point.lin)]
+        made = [t for u in uses if i in u.at for t in regressors(replace(u, at=(i,)), seen, point.lin)]
         if i in placed.at:
-            made += terms(replace(placed, at=(i,), free=used), seen, point.lin, linear_only=True)
+            made += regressors(replace(placed, at=(i,), free=used), seen, point.lin, linear_only=True)
         for t in made:
             tangents[t.name] = tangents.get(t.name, 0.0) + t.tangent
     index = np.array(at)
     responses = [
-        term_response(replace(t, tangent=tangents.get(t.name, t.tangent)), point.whitening.s) for t in all_terms
+        regressor_response(replace(t, tangent=tangents.get(t.name, t.tangent)), point.whitening.s) for t in all_terms
     ]
     names, scales = tuple(t.name for t in all_terms), np.array([t.scale for t in all_terms])
     units = tuple(t.unit for t in all_terms)

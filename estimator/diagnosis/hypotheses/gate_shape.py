@@ -13,10 +13,10 @@ from scipy.special import chdtrc
 
 from estimator.arrays import Complexes, Series
 from estimator.identification.residual.missing_force import extra_power
-from estimator.likelihood.motion.located_law import Placed, at_home, evaluate
+from estimator.likelihood.motion.located_law import LocatedLaw, law_along_record, own_response
 from estimator.likelihood.path.subproblem import gain, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.likelihood.response.regressor_set import Term, light, orthogonal
+from estimator.likelihood.response.regressor_set import Regressor, in_single_precision, orthogonalised
 from estimator.parallel import map_threads
 
 ODD = (3, 5, 7, 9)
@@ -80,11 +80,11 @@ def _damped(point: WorkingPoint, i: int, state: str) -> float:
     laws = damping(point, {i}) if state == "v" else []
     if not laws:
         return 0.0
-    force, v = np.sum([evaluate(u, point.data, i, point.lin)[0] for u in laws], axis=0), point.data.v[i]
+    force, v = np.sum([law_along_record(u, point.data, i, point.lin)[0] for u in laws], axis=0), point.data.v[i]
     return float(np.mean((force - (np.dot(force, v) / np.dot(v, v)) * v) ** 2))
 
 
-def damping(point: WorkingPoint, places: set[int]) -> list[Placed]:
+def damping(point: WorkingPoint, places: set[int]) -> list[LocatedLaw]:
     """The laws of velocity that a model has at places."""
     return [u for u in point.placed if places.intersection(u.at) and STATES.get(u.effect.name, X) is V]
 
@@ -113,16 +113,16 @@ def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) ->
         for order, _, below in _hermite((here.data.v[i] if which else here.data.calmed(i)) / rms, orders):
             tangents = np.zeros((2, below.size), np.float32)
             tangents[which] = order * below / rms
-            memory[order] = {i: at_home(-here.of(tangents), i, data)}
+            memory[order] = {i: own_response(-here.of(tangents), i, data)}
 
-    def term(order: int, polynomial: Series, below: Series) -> Term | None:
+    def term(order: int, polynomial: Series, below: Series) -> Regressor | None:
         slopes = np.zeros((len(data.places),) * 2 + (2,))
         slopes[i, i, which] = order * float(np.mean(below, dtype=np.float64)) / rms
         if state == "x" and data.calm is not None:  # along the whole displacement: calm.as_seen
             polynomial = polynomial - slopes[i, i, 0] * data.calm[i]
-        own = Term(f"smooth.{order}", "N", {i: polynomial}, slopes, memory=memory.get(order, {}))
-        made = orthogonal(own, point.spans, least=1e-3)
-        return None if made is None else light(made)
+        own = Regressor(f"smooth.{order}", "N", {i: polynomial}, slopes, memory=memory.get(order, {}))
+        made = orthogonalised(own, point.spans, least=1e-3)
+        return None if made is None else in_single_precision(made)
 
     terms = [t for t in map_threads(lambda one: term(*one), _hermite(u, orders)) if t is not None]
     if not terms:

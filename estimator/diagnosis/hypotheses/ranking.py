@@ -16,7 +16,7 @@ from estimator.identification.finding import MAX_P_VALUE, UNKNOWN_EFFECT, Findin
 from estimator.identification.machine import stiffness_order
 from estimator.identification.residual.missing_force import MissingForce
 from estimator.likelihood.motion.harmonics import LINE_NAMES
-from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import Message, Parameter
@@ -47,7 +47,7 @@ class Entry:
     parameters: dict[str, Parameter]
     score: float
     explained_percent: float = 100.0  # rms of the effect's own part of the force over the bearing force
-    placed: tuple[Placed, ...] = ()
+    placed: tuple[LocatedLaw, ...] = ()
     detectable: tuple[float, str] | None = None
     settings: dict[str, Settings] = field(default_factory=dict)  # of an effect that is no force law, by name in a model
     notes: tuple[Message, ...] = ()

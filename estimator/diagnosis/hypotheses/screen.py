@@ -11,8 +11,8 @@ from estimator.identification.finding import Finding
 from estimator.identification.residual import missing_force
 from estimator.identification.residual.missing_force import MissingForce
 from estimator.identification.search import search
-from estimator.likelihood.motion.law_smoothing import ready
-from estimator.likelihood.motion.located_law import on_trial, searched
+from estimator.likelihood.motion.law_smoothing import compile_law
+from estimator.likelihood.motion.located_law import searched_parameters, trial_effects
 from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
@@ -88,10 +88,10 @@ def _trials(model: Model, part: WorkingPoint, say: Progress) -> list[screen.Tria
     """The best trial of every force effect at every spot, the most likely first; searched parameters refined for the
     promising ones."""
     small = plain(part, SEARCH_SECONDS)
-    pairs = [(e, s) for e in on_trial(model) for s in screen.spots(e, model, part)]
+    pairs = [(e, s) for e in trial_effects(model) for s in screen.spots(e, model, part)]
     for effect, _ in pairs:
         if effect.force is not None:
-            ready(effect, screen.grid(effect, model, part, 0, [])[0])
+            compile_law(effect, screen.grid(effect, model, part, 0, [])[0])
 
     def said(done: int) -> None:
         effect, spot = pairs[done - 1]
@@ -122,7 +122,7 @@ def _judged(point: WorkingPoint, model: Model, trial: screen.Trial, promising: b
 
 def _with_promise(model: Model, trials: list[screen.Trial]) -> list[tuple[screen.Trial, bool]]:
     """Every trial, and whether its searched parameters are worth to be refined."""
-    promising = [t for t in _promising(trials) if searched(t.effect, model)][:REFINED]
+    promising = [t for t in _promising(trials) if searched_parameters(t.effect, model)][:REFINED]
     return [(trial, any(trial is t for t in promising)) for trial in trials]
 
 

@@ -14,7 +14,14 @@ from estimator.effects.engine.strength import search_range
 from estimator.effects.places import kinematic
 from estimator.effects.places import places as canonical_places
 from estimator.likelihood.motion.harmonics import PERIODIC
-from estimator.likelihood.motion.located_law import FORCES, Placed, acting, searched, size, start
+from estimator.likelihood.motion.located_law import (
+    FORCES,
+    LocatedLaw,
+    acted_on,
+    natural_sizes,
+    searched_parameters,
+    start_value,
+)
 from estimator.likelihood.path.law_gain import (
     MIN_OWN_VALUES_GAIN_NATS,
     LawGain,
@@ -49,7 +56,7 @@ class Trial:
 
     effect: Effect
     spot: str
-    placed: Placed
+    placed: LocatedLaw
     gain: float
     df: int
     values: dict[str, tuple[float, float]]
@@ -73,15 +80,15 @@ def spots(effect: Effect, model: Model, point: WorkingPoint) -> list[str]:
         s
         for s in canonical_places(effect, model)
         if f"{s}.{effect.name}" not in taken
-        and acting(effect, s, point.data)
-        and set(point.data.judged).issuperset(acting(effect, s, point.data))
+        and acted_on(effect, s, point.data)
+        and set(point.data.judged).issuperset(acted_on(effect, s, point.data))
     ]
 
 
 def grid(effect: Effect, model: Model, point: WorkingPoint, i: int, loose: list[int]) -> list[Array]:
     """Parameter vectors to try, amplitudes 1, the searched ones over their natural range."""
-    natural = size(point.data, i, point.kL[i])
-    p = np.array([1.0 if q.linear else start(q, natural, model) for q in effect.parameters])
+    natural = natural_sizes(point.data, i, point.kL[i])
+    p = np.array([1.0 if q.linear else start_value(q, natural, model) for q in effect.parameters])
     if not loose:
         return [p]
     axes = []
@@ -105,14 +112,14 @@ def grid(effect: Effect, model: Model, point: WorkingPoint, i: int, loose: list[
 
 def best_at(point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Trial | None:
     """The best trial of an effect at a spot over the grid of its searched parameters."""
-    where = acting(effect, spot, point.data)
-    loose = searched(effect, model)
+    where = acted_on(effect, spot, point.data)
+    loose = searched_parameters(effect, model)
     unknown = [k for k in loose if kinematic(effect.parameters[k].scale, model) is None]
     free = _amplitudes(effect, point)
-    best: tuple[LawGain, Placed] | None = None
+    best: tuple[LawGain, LocatedLaw] | None = None
     base = base_fit(point, where)
     for p in grid(effect, model, point, where[0], unknown):
-        placed = Placed(effect, f"{spot}.{effect.name}", where, p, free)
+        placed = LocatedLaw(effect, f"{spot}.{effect.name}", where, p, free)
         got = fitted_gain(point, placed, against=base)
         if got is not None and (best is None or got.gain > best[0].gain):
             best = (got, placed)
@@ -126,14 +133,14 @@ def _amplitudes(effect: Effect, point: WorkingPoint) -> tuple[bool, ...]:
     return tuple(q.linear and (turns or not q.name.endswith(TURNING)) for q in effect.parameters)
 
 
-def _trial(effect: Effect, spot: str, found: LawGain, placed: Placed, loose: list[int]) -> Trial:
+def _trial(effect: Effect, spot: str, found: LawGain, placed: LocatedLaw, loose: list[int]) -> Trial:
     gained, problem, fit, spread = found
     values = {n.rsplit(".", 1)[1]: fit.value(n) for n in problem.extra}
     p = placed.p.copy()
     for k, q in enumerate(effect.parameters):
         if q.linear:
             p[k] = values.get(q.name, (0.0, 0.0))[0]
-    placed = Placed(
+    placed = LocatedLaw(
         effect, placed.key, placed.at, p, tuple(q.linear or k in loose for k, q in enumerate(effect.parameters))
     )
     df = max(len(problem.extra) + len(loose), 1)
@@ -175,14 +182,14 @@ def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
     placed = trial.placed
     kept = independent_regressors(point, placed)
     names = {t.name for t in kept}
-    loose = [k for k in searched(trial.effect, model) if placed.name(k) in names]
+    loose = [k for k in searched_parameters(trial.effect, model) if placed.name(k) in names]
     if not loose:
         return None
     fit = subproblem(point, placed.at, point.whitening.columns(kept)).fit(steps=3)
     if sum(np.divide(*fit.value(placed.name(k))) ** 2 for k in loose) < 2 * LEAST:
         return None  # there already, as far as the nats go
     p = placed.p.copy()
-    natural = size(point.data, placed.at[0], point.kL[placed.at[0]])
+    natural = natural_sizes(point.data, placed.at[0], point.kL[placed.at[0]])
     for k in loose:
         step = float(np.clip(fit.value(placed.name(k))[0], -REACH * abs(p[k]), REACH * abs(p[k])))
         p[k] = np.clip(p[k] + step, *search_range(trial.effect.parameters[k], natural))
@@ -193,9 +200,11 @@ def again(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:
     """A trial found on part of the record, at the same searched parameters on the whole."""
     linear = [q.linear for q in found.effect.parameters]
     p = np.where(linear, 1.0, found.placed.p)
-    placed = Placed(found.effect, found.placed.key, found.placed.at, p, _amplitudes(found.effect, point))
+    placed = LocatedLaw(found.effect, found.placed.key, found.placed.at, p, _amplitudes(found.effect, point))
     got = fitted_gain(point, placed)
-    return None if got is None else _trial(found.effect, found.spot, got, placed, searched(found.effect, model))
+    return (
+        None if got is None else _trial(found.effect, found.spot, got, placed, searched_parameters(found.effect, model))
+    )
 
 
 def borrowed(point: WorkingPoint, model: Model, trials: Sequence[Trial], spots: Sequence[str]) -> list[Trial]:
@@ -206,12 +215,12 @@ def borrowed(point: WorkingPoint, model: Model, trials: Sequence[Trial], spots: 
     """
     out = {t.spot: t for t in trials}
     best = max(trials, key=lambda t: t.gain, default=None)
-    loose = [] if best is None else searched(best.effect, model)
+    loose = [] if best is None else searched_parameters(best.effect, model)
     if best is None or best.p_value > WORTH or not loose:
         return list(trials)
 
     def moved(trial: Trial, spot: str) -> Trial | None:
-        at = acting(trial.effect, spot, point.data)
+        at = acted_on(trial.effect, spot, point.data)
         placed = replace(trial.placed, key=f"{spot}.{trial.effect.name}", at=at)
         return again(point, model, replace(trial, spot=spot, placed=placed))
 
@@ -234,7 +243,7 @@ def borrowed(point: WorkingPoint, model: Model, trials: Sequence[Trial], spots: 
 
 def tried(small: WorkingPoint, point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Trial | None:
     """An effect at a spot, its searched parameters found on the part `small` of the record, judged on `point`."""
-    if not searched(effect, model):
+    if not searched_parameters(effect, model):
         return best_at(point, model, effect, spot)
     found = best_at(small, model, effect, spot)
     return None if found is None else again(point, model, found)

@@ -16,7 +16,7 @@ from estimator.diagnosis.hypotheses.trial import Trial
 from estimator.errors import NotFiniteError
 from estimator.identification.residual.missing_force import MissingForce
 from estimator.likelihood.fitting.gauss_newton import FIRST_SECONDS, fit_model
-from estimator.likelihood.motion.located_law import Placed, acting, on_trial
+from estimator.likelihood.motion.located_law import LocatedLaw, acted_on, trial_effects
 from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
@@ -42,10 +42,10 @@ def others(model: Model, after: WorkingPoint, left: MissingForce, best: Entry) -
     places = best.places.union(r.place for r in left.residuals if r.found)
     pairs = [
         (effect, spot)
-        for effect in on_trial(model)
+        for effect in trial_effects(model)
         if FAMILY.get(effect.name, effect.name) != family
         for spot in screen.spots(effect, model, after)
-        if places.intersection(acting(effect, spot, after.data))
+        if places.intersection(acted_on(effect, spot, after.data))
     ]
     questions = [partial(screen.tried, small, after, model, *pair) for pair in pairs]
     found: Trials = {}
@@ -95,7 +95,7 @@ def of_one_state(
     alike = OF_X if own == "even in x" else (own,)
     sure = [e for e in ranking if FAMILY.get(e.effect) in alike and e.p_value < gate_shape.LEVEL][:LAWS]
     places = set().union(*(entry.places for entry in sure))
-    short, kept = thinned(part, FIRST_SECONDS), on_trial(model)
+    short, kept = thinned(part, FIRST_SECONDS), trial_effects(model)
     begun: dict[frozenset[str], Begun] = {}
     for starts in map_processes([partial(_begun, model, short, entry, alike) for entry in sure], kept):
         for start in starts:
@@ -130,7 +130,7 @@ class Begun(NamedTuple):
 
     names: frozenset[str]
     nats: float
-    laws: list[Placed]
+    laws: list[LocatedLaw]
     left: float = 1.0
 
 
@@ -148,10 +148,10 @@ def _begun(model: Model, point: WorkingPoint, entry: Entry, alike: Sequence[str]
     own = {u.key for u in entry.placed}
     firsts = [u for u in after.placed if u.key in own]
     out = []
-    for effect in on_trial(model):
+    for effect in trial_effects(model):
         if effect.name == entry.effect or FAMILY.get(effect.name) not in alike:
             continue
-        spots = [s for s in screen.spots(effect, model, after) if places.issuperset(acting(effect, s, after.data))]
+        spots = [s for s in screen.spots(effect, model, after) if places.issuperset(acted_on(effect, s, after.data))]
         tried = [screen.tried(small, after, model, effect, spot) for spot in spots]
         found = [trial for trial in tried if trial is not None and trial.gain > 0.0]
         nats = after.fit.log_likelihood + sum(trial.gain for trial in found)

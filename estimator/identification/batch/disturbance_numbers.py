@@ -16,7 +16,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.effect import EffectParameter
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
-from estimator.signals.channel_response import BLIND, LINEAR, forced
+from estimator.signals.channel_response import BLIND, LINEAR, measured_force_places
 
 MAX_SETTLED_CHANGE_SD = 0.5  # standard deviations by which a colour may still move
 
@@ -53,7 +53,7 @@ def further_lines_found(model: Model, seen: list[Finding]) -> dict[str, dict[str
 
 def is_identifiable_by_force(use: EffectUse, model: Model) -> bool:
     """Whether it is a sensor's response beside a measured force, which tells it."""
-    return use.name in LINEAR and bool(forced(model).intersection(at(NAMED[use.name], use, model)))
+    return use.name in LINEAR and bool(measured_force_places(model).intersection(at(NAMED[use.name], use, model)))
 
 
 def is_undone_as_given(use: EffectUse, model: Model) -> bool:
@@ -152,7 +152,7 @@ def _bow_of_imbalance(model: Model, seen: list[dict[str, Parameter]]) -> dict[st
     if not seen:
         return {}
     rotation = np.array([2 * np.pi * (model.speed_rpm or 0.0) / 60.0])
-    through = complex(harmonics.to_cap(model, "bearing1.x", rotation)[0])
+    through = complex(harmonics.cap_force_per_shaft_force(model, "bearing1.x", rotation)[0])
     ratio = through / (through - 0.5)
     a, b = seen[0]["a"], seen[0]["b"]
     force = ratio * complex(a.value or 0.0, b.value or 0.0)

@@ -28,17 +28,17 @@ from estimator.identification.structure import (
 from estimator.likelihood.fitting.fitted_values import parameters
 from estimator.likelihood.motion import harmonics, shaft_law
 from estimator.likelihood.motion.known_spectra import COLOURS, OF_FORCE
-from estimator.likelihood.motion.known_spectra import colours as colours_of
-from estimator.likelihood.motion.located_law import clipped
-from estimator.likelihood.motion.motion_record import MotionBlocks
-from estimator.likelihood.motion.prepare import prepare, shortened
+from estimator.likelihood.motion.known_spectra import excitation_shapes as colours_of
+from estimator.likelihood.motion.located_law import clipped_places
+from estimator.likelihood.motion.motion_record import MotionRecord
+from estimator.likelihood.motion.prepare import prepare, shortening_messages
 from estimator.likelihood.path import excitation_level
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model import recorder
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Fit, Message, Parameter, with_unidentifiable_at
 from estimator.signals.channel_response import BLIND, LINEAR
-from estimator.signals.shaft_angle import timed
+from estimator.signals.shaft_angle import with_measured_speed
 
 from . import unknown_mass, unmeasured_end
 from .disturbance_numbers import (
@@ -108,7 +108,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
     Raises DataError, also where no force is measured and a place does not resonate in the band: nothing is told of its
     stiffness and damping then, and so of what is missing beside them.
     """
-    given = timed(model, y, rate_hz)
+    given = with_measured_speed(model, y, rate_hz)
     model, masses = unknown_mass.with_masses_of_shaft(given, y, rate_hz)
     begun = _coarse_fit(model, y, rate_hz)
     off = (
@@ -135,7 +135,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
     data = whole.point.data
     S_sd_rel = 0.0 if whole.model.roll_off else recorder_fall.level_doubt(whole.model, whole.point)
     said = (
-        *shortened(data, y),
+        *shortening_messages(data, y),
         *unknown_mass.mass_messages(masses),
         *unknown_mass.ratio_messages(whole.model, whole.point),
         *recorder.recorder_messages(whole.model.roll_off, data.places),
@@ -193,9 +193,9 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float, begun: WorkingPo
     if not uses:
         data = replace(begun.data) if begun and not model.roll_off else prepare(model, y, rate_hz)  # seen anew
         return FullFit(model, fit_record(model, data, begun), {})
-    limited, (y, off) = y, restored(model, y, clipped(model))
+    limited, (y, off) = y, restored(model, y, clipped_places(model))
 
-    def prepared(model: Model) -> MotionBlocks:
+    def prepared(model: Model) -> MotionRecord:
         data = prepare(model, y, rate_hz)
         return replace(data, drawn=data.passed_on(off)) if off else data
 

@@ -17,8 +17,8 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.identification.structure import spectral_models, transfer_bias
 from estimator.likelihood.fitting.gauss_newton import fit_model, glanced
-from estimator.likelihood.motion.located_law import Placed, placed_of
-from estimator.likelihood.motion.motion_record import MotionBlocks, part_of
+from estimator.likelihood.motion.located_law import LocatedLaw, located_laws
+from estimator.likelihood.motion.motion_record import MotionRecord, leading_blocks
 from estimator.likelihood.path import law_gain
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.subproblem import Subproblem
@@ -37,11 +37,13 @@ FINE_FACTORS = np.array([0.56, 1.0, 1.8])  # about the best node of a grid of se
 
 
 def fit_record(
-    model: Model, data: MotionBlocks, begun: WorkingPoint | None = None, glance: bool = False
+    model: Model, data: MotionRecord, begun: WorkingPoint | None = None, glance: bool = False
 ) -> WorkingPoint:
     """The model fitted to a record, whatever values its rig file starts from. begun : the same fitted to nearly the
     same record, to begin from where only amplitudes are sought. glance : there, near enough to look at the force."""
-    uses, near = _with_pedestal_starts(data, placed_of(model, data), placed_of(_without_pedestal_values(model), data))
+    uses, near = _with_pedestal_starts(
+        data, located_laws(model, data), located_laws(_without_pedestal_values(model), data)
+    )
     loose = [k for k, use in enumerate(uses) if _searched_parameters(use)]
     if not loose and near:
         return fit_model(data, uses, near)
@@ -49,7 +51,7 @@ def fit_record(
         return fit_model(data, list(begun.placed), begun)
     if not loose:
         return glanced(data, uses) if glance else fit_model(data, uses)
-    part = part_of(data, GRID_S)
+    part = leading_blocks(data, GRID_S)
     kinds = {k: (uses[k].effect.name, *_searched_parameters(uses[k])) for k in loose}
     for kind in dict.fromkeys(kinds.values()):
         own = [k for k in loose if kinds[k] == kind]
@@ -73,8 +75,8 @@ def _without_pedestal_values(model: Model) -> Model:
 
 
 def _with_pedestal_starts(
-    data: MotionBlocks, uses: list[Placed], natural: list[Placed]
-) -> tuple[list[Placed], WorkingPoint | None]:  # fmt: skip
+    data: MotionRecord, uses: list[LocatedLaw], natural: list[LocatedLaw]
+) -> tuple[list[LocatedLaw], WorkingPoint | None]:  # fmt: skip
     """The uses with their pedestals begun where the force of a model without them suggests, or at the natural size, if
     that fits better; beside a measured force, which forgives no distance, with the point to begin from.
 
@@ -85,7 +87,7 @@ def _with_pedestal_starts(
     others = [use for k, use in enumerate(uses) if k not in shaped and not _searched_parameters(use)]
     if not shaped:
         return uses, None
-    part = part_of(data, PEDESTAL_START_S)
+    part = leading_blocks(data, PEDESTAL_START_S)
     without = fit_model(part, others)
     begun = {}
     kL, c = without.kL.copy(), without.c.copy()
@@ -113,7 +115,7 @@ def _with_pedestal_starts(
     return [fitted.get(use.key, use) for use in uses], best
 
 
-def _searched_parameters(use: Placed) -> list[int]:
+def _searched_parameters(use: LocatedLaw) -> list[int]:
     """Numbers of the free parameters that are no amplitudes, if there are amplitudes to judge them by; not of a shaft
     order, which no grid finds (stiffness_order.py)."""
     if not any(q.linear and free for q, free in zip(use.effect.parameters, use.free, strict=True)):
@@ -124,7 +126,7 @@ def _searched_parameters(use: Placed) -> list[int]:
     ]  # fmt: skip
 
 
-def _best_of_grids(point: WorkingPoint, uses: list[Placed]) -> list[Placed]:
+def _best_of_grids(point: WorkingPoint, uses: list[LocatedLaw]) -> list[LocatedLaw]:
     """The uses of one effect at the best of a grid about their values, amplitudes as they fit there; of several numbers
     also of a closer one about that."""
     loose = len(_searched_parameters(uses[0]))
@@ -132,7 +134,9 @@ def _best_of_grids(point: WorkingPoint, uses: list[Placed]) -> list[Placed]:
     return begun if loose == 1 else _best_of_grid(point, begun, FINE_FACTORS)
 
 
-def _best_of_grid(point: WorkingPoint, uses: list[Placed], factors: Array, turned: bool = False) -> list[Placed]:
+def _best_of_grid(
+    point: WorkingPoint, uses: list[LocatedLaw], factors: Array, turned: bool = False
+) -> list[LocatedLaw]:
     """The same of the grid of these factors. Places are alike unless the record says otherwise: one has a node of its
     own where that is worth MIN_OWN_VALUES_GAIN_NATS."""
     nodes = [_grid_nodes(use, factors, turned) for use in uses]
@@ -150,7 +154,7 @@ def _best_of_grid(point: WorkingPoint, uses: list[Placed], factors: Array, turne
     return out
 
 
-def _grid_nodes(use: Placed, factors: Array, turned: bool) -> list[Placed]:
+def _grid_nodes(use: LocatedLaw, factors: Array, turned: bool) -> list[LocatedLaw]:
     """The use at every node, its free amplitudes 1. turned : also with the other sign, where the effect has numbers of
     both: the side that a stop is on, preload or clearance."""
     loose = _searched_parameters(use)
@@ -166,7 +170,7 @@ def _grid_nodes(use: Placed, factors: Array, turned: bool) -> list[Placed]:
     return nodes
 
 
-def _with_fitted_amplitudes(use: Placed, problem: Subproblem, fit: PathFit) -> Placed:
+def _with_fitted_amplitudes(use: LocatedLaw, problem: Subproblem, fit: PathFit) -> LocatedLaw:
     """The use with the amplitudes of its fit, 0 for those that would be out of their limits."""
     p = use.p.copy()
     for k, q in enumerate(use.effect.parameters):

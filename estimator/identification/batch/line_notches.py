@@ -19,7 +19,7 @@ from estimator.likelihood.motion.force_balance import build
 from estimator.likelihood.motion.law_smoothing import MARGIN
 from estimator.likelihood.motion.stream_record import CELLS_WITH_FORCE, Record, notches, stretches
 from estimator.parallel import map_threads
-from estimator.signals.blocks import CELLS, layout, spectra, valid_blocks
+from estimator.signals.blocks import CELLS, block_layout, block_spectra, valid_blocks
 from estimator.signals.moving_lines import MovingLines
 
 from .linear_start import LinearStart, linear_start, may_be_fed_energy, with_denoised_displacement
@@ -49,7 +49,7 @@ def spectrum_by_bin(record: Record, B: Array | None, start: LinearStart | None) 
             force: Array = stretch.a[:, MARGIN:-MARGIN]
         else:
             force = B @ columns.evaluate(stretch)[0]
-        F = spectra(force, group - group[0], record.grid)
+        F = block_spectra(force, group - group[0], record.grid)
         power = F.real**2 + F.imag**2
         return np.stack([power.sum(axis=1), np.einsum("pbf,pbf->pf", power, power)])
 
@@ -154,7 +154,7 @@ def start_without_moving_lines(record: Record, start: LinearStart) -> tuple[Reco
     weights, before = np.ones((begins.size, grid.bins.size)), -1
     for group in stretches(blocks, 12):
         stretch = record.stretch(int(group[0]) * grid.hop, int(group[-1]) * grid.hop + grid.size)
-        F = spectra(B @ columns.evaluate(stretch)[0], group - group[0], grid)
+        F = block_spectra(B @ columns.evaluate(stretch)[0], group - group[0], grid)
         for k, b in enumerate(group.tolist()):
             if b != before + 1:
                 lines.restart()
@@ -169,7 +169,7 @@ def start_without_moving_lines(record: Record, start: LinearStart) -> tuple[Reco
 
 def _without_lines(record: Record, lines: tuple[tuple[float, float], ...], longer: int) -> Record:
     cells = CELLS_WITH_FORCE if record.force else CELLS
-    grid = layout(record.rate_hz, record.model.band, (*notches(record.model), *lines), cells, longer)
+    grid = block_layout(record.rate_hz, record.model.band, (*notches(record.model), *lines), cells, longer)
     return replace(record, grid=grid, lines=lines)
 
 

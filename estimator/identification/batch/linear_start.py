@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.errors import DataError
-from estimator.likelihood.motion.denoise import as_displacement, calm_of, is_little
+from estimator.likelihood.motion.denoise import denoising_filter, noise_displacement_psd, noise_is_negligible
 from estimator.likelihood.motion.force_balance import build, motion_channels
 from estimator.likelihood.motion.law_smoothing import MARGIN, NEAREST
 from estimator.likelihood.motion.stream_record import Record, gather, notches
@@ -23,8 +23,8 @@ from estimator.likelihood.path.gram_likelihood import (
     responses,
 )
 from estimator.model.rig import Model
-from estimator.signals.band_limit import half_length, left_out
-from estimator.signals.blocks import Nodes, nodes, spectra, valid_blocks
+from estimator.signals.band_limit import half_length, out_of_band_sd
+from estimator.signals.blocks import FrequencyNodes, block_spectra, frequency_nodes, valid_blocks
 
 LINEAR_START_S = 20.0  # of the record that the start is taken from
 MIN_DAMPING_RATIO = 0.002  # of critical: where the scan begins
@@ -46,7 +46,7 @@ class LinearStart:
     noise: Array
     widths: Array
     sizes: dict[str, dict[str, float]]
-    nodes: Nodes
+    nodes: FrequencyNodes
 
     @property
     def linear(self) -> Array:
@@ -117,16 +117,16 @@ def linear_start(record: Record) -> LinearStart:
 def with_denoised_displacement(record: Record, start: LinearStart) -> tuple[Record, LinearStart]:
     """The same with what the laws see beside the noise of sensors (denoise.py), where no force is measured."""
     grid, kinds = record.grid, [record.model.channels[c].kind for c in motion_channels(record.model)]
-    noise = as_displacement(kinds, grid.f_hz, start.noise)
-    if record.force or is_little(grid.f_hz, noise, record.rms("x") ** 2):
+    noise = noise_displacement_psd(kinds, grid.f_hz, start.noise)
+    if record.force or noise_is_negligible(grid.f_hz, noise, record.rms("x") ** 2):
         return record, start
     blocks = valid_blocks(record.motion.valid, grid)[::2]
     blocks = blocks[: max(1, int(LINEAR_START_S * record.rate_hz / grid.size))]
     seen = np.zeros_like(noise)
     for block in blocks.tolist():
         stretch = record.stretch(block * grid.hop, block * grid.hop + grid.size)
-        seen += np.abs(spectra(stretch.x[:, MARGIN:-MARGIN], np.zeros(1, np.intp), grid)[:, 0]) ** 2 / blocks.size
-    calm = calm_of(grid.f_hz, seen, noise, half_length(record.rate_hz, record.model.band))
+        seen += np.abs(block_spectra(stretch.x[:, MARGIN:-MARGIN], np.zeros(1, np.intp), grid)[:, 0]) ** 2 / blocks.size
+    calm = denoising_filter(grid.f_hz, seen, noise, half_length(record.rate_hz, record.model.band))
     return replace(record, calm=calm), replace(start, widths=np.hypot(start.widths, calm.doubt))
 
 
@@ -138,15 +138,15 @@ def restarted_about(start: LinearStart, record: Record, evidence: Evidence, poin
     return LinearStart(m, c, kL, point.S, point.noise, widths, start.sizes, at)
 
 
-def _widths_and_nodes(record: Record, evidence: Evidence, B: Array, S: Array) -> tuple[Array, Nodes]:
-    """`widths` and `nodes` of a start about coefficients B."""
+def _widths_and_nodes(record: Record, evidence: Evidence, B: Array, S: Array) -> tuple[Array, FrequencyNodes]:
+    """`widths` and `frequency_nodes` of a start about coefficients B."""
     m, c, kL = _mean_oscillators(B)
     coupled = resonances(evidence, B)  # with a stiff shaft far from those of each place alone
     alone = np.sqrt(kL / m) / (2 * np.pi), c / m / (2 * np.pi)
     middle = [0.5 * (low + high) for low, high in notches(record.model)]  # what the shaft answers is steep beside them
     left_out_there = np.array(middle), np.zeros(len(middle))
-    at = nodes(record.grid, *(np.concatenate(z) for z in zip(coupled, alone, left_out_there, strict=True)))
-    widths = left_out(m, c, kL, S + record.driven, record.model.band, record.rate_hz, evidence.balance.kinds)
+    at = frequency_nodes(record.grid, *(np.concatenate(z) for z in zip(coupled, alone, left_out_there, strict=True)))
+    widths = out_of_band_sd(m, c, kL, S + record.driven, record.model.band, record.rate_hz, evidence.balance.kinds)
     doubt = 0.0 if record.calm is None else record.calm.doubt
     return np.maximum(np.hypot(widths, doubt), NEAREST * record.scales), at
 

@@ -15,7 +15,13 @@ from estimator.likelihood.motion.stream_record import Bank, Record, gather
 from estimator.likelihood.path.excitation_level import level_of
 from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, active, evidence_of, maximise
 from estimator.likelihood.path.measured_force import is_known
-from estimator.likelihood.response.second_order import Flutter, dressed, flutter, mean_tangents, self_energies
+from estimator.likelihood.response.second_order import (
+    TangentNoise,
+    mean_tangents,
+    second_order_change,
+    self_energies,
+    tangent_noise,
+)
 from estimator.model.rig import Model
 from estimator.signals.band_limit import passband
 
@@ -150,7 +156,7 @@ class Tangents:
     """What fluctuating tangents do (second_order.py). pairs : (nodes, columns, columns); flutter : what noise does."""
 
     pairs: NDArray[np.complex128]
-    flutter: Flutter | None
+    flutter: TangentNoise | None
 
 
 def tangents_of(record: Record, start: LinearStart, bank: Bank, local: Local) -> Tangents | None:
@@ -160,7 +166,9 @@ def tangents_of(record: Record, start: LinearStart, bank: Bank, local: Local) ->
     columns = record.columns(bank.balance, start.widths, start.linear)
     B = bank.balance.coefficients(local.point.beta)
     pairs = self_energies(record, columns, B, bank.tangents, start.nodes.f_hz)
-    return None if pairs is None else Tangents(pairs, flutter(record, columns) if local.point.noise.any() else None)
+    return (
+        None if pairs is None else Tangents(pairs, tangent_noise(record, columns) if local.point.noise.any() else None)
+    )
 
 
 def without_flutter(record: Record, bank: Bank, local: Local, tangents: Tangents | None) -> Bank:
@@ -174,7 +182,7 @@ def without_flutter(record: Record, bank: Bank, local: Local, tangents: Tangents
 
 
 def without_noise(
-    flutter: Flutter, noise: Array, rate_hz: float, band: tuple[float, float]
+    flutter: TangentNoise, noise: Array, rate_hz: float, band: tuple[float, float]
 ) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
     """What takes it out of Gram matrices (..., k, k) of `count` bins and of mean tangents (k, 4): (gram, count, mean).
 
@@ -215,7 +223,9 @@ def dress(
     likelihood = bare[0]
     for _ in range(MAX_CORRECTION_ROUNDS):
         B = bank.balance.coefficients(local.point.beta)
-        likelihood = Likelihood(replace(evidence, dressing=dressed(pairs, bank.balance, B, start.nodes.f_hz)))
+        likelihood = Likelihood(
+            replace(evidence, dressing=second_order_change(pairs, bank.balance, B, start.nodes.f_hz))
+        )
         before = local.point.beta
         local, converged = maximise(likelihood, local.point)
         moves.append(float(np.nanmax(np.abs(local.point.beta - before) / sd)))

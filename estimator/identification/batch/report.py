@@ -14,7 +14,7 @@ from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, 
 from estimator.likelihood.path.sandwich import excess
 from estimator.model.rig import UNITS, Model
 from estimator.results import Message, Parameter, with_unidentifiable_at
-from estimator.signals.blocks import spectra, taper, valid_blocks
+from estimator.signals.blocks import block_spectra, taper, valid_blocks
 
 from .linear_start import LinearStart
 from .maximum import inverse, maximum
@@ -98,7 +98,7 @@ def residual_force(solution: SpectralFit) -> Array:
     for group in stretches(valid_blocks(record.motion.valid, grid), 8):
         at = int(group[0]) * grid.hop
         z, _ = columns.evaluate(record.stretch(at, int(group[-1]) * grid.hop + grid.size))
-        Z = spectra(B @ z, group - group[0], grid) * (w[grid.hop] / grid.window[grid.hop])
+        Z = block_spectra(B @ z, group - group[0], grid) * (w[grid.hop] / grid.window[grid.hop])
         full = np.zeros((*Z.shape[:2], grid.size // 2 + 1), complex)
         full[:, :, grid.bins] = Z
         series = np.fft.irfft(full, grid.size, axis=2)

@@ -12,17 +12,17 @@ from estimator.identification.structure import transfer_faults
 from estimator.likelihood.motion.checks import check_record
 from estimator.likelihood.motion.force_balance import force_channels
 from estimator.likelihood.motion.harmonics import PERIODIC
-from estimator.likelihood.motion.located_law import searched
+from estimator.likelihood.motion.located_law import searched_parameters
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path import excitation_level
 from estimator.likelihood.path.contour import modes_of
 from estimator.likelihood.path.gram_likelihood import evidence_of, responses
 from estimator.likelihood.path.measured_force import is_known
-from estimator.likelihood.response.below_band import lopsided, own_sizes, usual
+from estimator.likelihood.response.below_band import has_even_part, usual_parameters, usual_sizes
 from estimator.model.recorder import devices, suspected
 from estimator.model.rig import Model
 from estimator.results import Fit, Message
-from estimator.signals.channel_response import forced
+from estimator.signals.channel_response import measured_force_places
 
 from . import full_fit, unknown_mass, unmeasured_end
 from .full_fit import FullFit
@@ -84,7 +84,7 @@ def _full_fit_with_unmeasured_force(solution: SpectralFit, y: Array) -> FullFit 
 def _coarse_values(model: Model, y: Array, rate_hz: float) -> dict[str, float] | None:
     """Values by name to begin from, where a law has numbers that no linear fit finds, as compare finds them: from a
     gap of another size Gauss-Newton ends at a maximum of its own. None without such a law."""
-    if not any(searched(effect_of(use), model) for use in model.effects):
+    if not any(searched_parameters(effect_of(use), model) for use in model.effects):
         return None
     part = y[: int(COARSE_FIT_S * rate_hz)]
     try:
@@ -99,8 +99,8 @@ def _has_more_than_laws(model: Model) -> bool:
     where the force is measured."""
     effects = [effect_of(use) for use in model.effects]
     more = any(e.kind != "force" or e.name in PERIODIC for e in effects)
-    if not forced(model):
-        more |= any(lopsided(e, usual(e), own_sizes(e)) for e in effects)
+    if not measured_force_places(model):
+        more |= any(has_even_part(e, usual_parameters(e), usual_sizes(e)) for e in effects)
         timed = bool(model.speed_rpm) or model.tacho is not None
         more |= timed and any(u.name == BALL_PASS.name for u in model.effects)
     return more

@@ -19,7 +19,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.model.rotor import shaft_matrix
 from estimator.results import Message, Parameter, is_of_place
-from estimator.signals.channel_response import forced, undone
+from estimator.signals.channel_response import corrected_record, measured_force_places
 
 from .measured_force import analyse
 from .report import fitted_parameters, ratios_only_message
@@ -34,7 +34,7 @@ def with_masses_of_shaft(model: Model, y: Array, rate_hz: float) -> tuple[Model,
         return model, {}
     laws = tuple(u for u in model.effects if effect_of(u).kind == "force" and u.name not in PERIODIC)
     try:
-        fitted = fitted_parameters(analyse(replace(model, effects=laws), undone(model, y, rate_hz), rate_hz))
+        fitted = fitted_parameters(analyse(replace(model, effects=laws), corrected_record(model, y, rate_hz), rate_hz))
     except DataError:  # the fit that follows says what is wrong
         return model, {}
     told = {f"{p}.m": fitted[f"{p}.m"] for p in left_out}
@@ -50,7 +50,7 @@ def places_scaled_by_shaft(model: Model) -> list[str]:
 
 def places_without_mass(model: Model) -> list[str]:
     """Places whose mass nothing tells."""
-    return [p for p in model.places if model.cap_mass(p) is None and p not in forced(model)]
+    return [p for p in model.places if model.cap_mass(p) is None and p not in measured_force_places(model)]
 
 
 def ratio_messages(model: Model, point: WorkingPoint) -> tuple[Message, ...]:

@@ -22,17 +22,17 @@ from estimator.likelihood.motion.harmonics import (
     FREQUENCY,
     LINE_NAMES,
     UNTOLD,
-    Periodic,
-    acts,
-    periodic_of,
-    pushes,
-    series,
-    speeds,
-    swing,
-    swung,
-    waves,
+    PeriodicEffect,
+    acts_on,
+    below_band_forces,
+    periodic_amplitudes,
+    periodic_effects,
+    periodic_series,
+    shaft_speeds,
+    speed_gain,
+    speed_gain_at,
 )
-from estimator.likelihood.motion.motion_record import MotionBlocks
+from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
 from estimator.model.rig import Model, Setting
 from estimator.results import Parameter
@@ -54,8 +54,8 @@ def fit_found_harmonics(
     uses = tuple(effect_use(name, own) for name, own in settings.items())
     alone, bare = replace(model, effects=uses), point.data
     alone, _ = _stepped(alone, point, point.force)
-    added = waves(alone, bare.places, bare.rate_hz)
-    pushed = (*bare.pushes, *pushes(alone, bare.places))
+    added = periodic_amplitudes(alone, bare.places, bare.rate_hz)
+    pushed = (*bare.pushes, *below_band_forces(alone, bare.places))
     data = replace(bare, known=bare.known - _series(alone, bare), waves=(*bare.waves, *added), pushes=pushed)
     point = fit_model(data, [*point.placed])
     whole = bare.known - data.known
@@ -93,8 +93,8 @@ def _moved(before: Mapping[str, Parameter], now: Mapping[str, Parameter]) -> flo
     return max(moves, default=np.inf)
 
 
-def _series(model: Model, data: MotionBlocks) -> Series:
-    wave = series(model, data.places, data.t, data.phase, data.rate_hz)
+def _series(model: Model, data: MotionRecord) -> Series:
+    wave = periodic_series(model, data.places, data.t, data.phase, data.rate_hz)
     return np.zeros_like(data.known) if wave is None else wave
 
 
@@ -106,7 +106,7 @@ def refine_harmonics(model: Model, point: WorkingPoint, force: Series) -> tuple[
     """
     found: dict[str, Parameter] = {}
     uses = {use.name: dict(use.parameters) for use in model.effects}
-    for one in periodic_of(model):
+    for one in periodic_effects(model):
         stepped = _step(model, one, point, force)
         if stepped is None:
             continue
@@ -128,7 +128,7 @@ def refine_harmonics(model: Model, point: WorkingPoint, force: Series) -> tuple[
     return replace(model, effects=effects), found
 
 
-def _told(one: Periodic, p: Array, sd: Array) -> list[bool]:
+def _told(one: PeriodicEffect, p: Array, sd: Array) -> list[bool]:
     """Whether each number is known: the two components of a phasor together, an angle whatever its value."""
     names = [q.name for q in one.effect.parameters]
     amplitude = [k for k, q in enumerate(one.effect.parameters) if q.linear]
@@ -137,7 +137,7 @@ def _told(one: Periodic, p: Array, sd: Array) -> list[bool]:
             for k, (name, v, s) in enumerate(zip(names, p, sd, strict=True))]  # fmt: skip
 
 
-def _step(model: Model, one: Periodic, point: WorkingPoint, force: Series) -> tuple[Array, Array] | None:
+def _step(model: Model, one: PeriodicEffect, point: WorkingPoint, force: Series) -> tuple[Array, Array] | None:
     """(k,) numbers after the step and their standard deviations; None if none is free, or no harmonic in the band."""
     data = point.data
     count, inside = one.highest(data.band), one.within(data.band) - 1
@@ -148,11 +148,11 @@ def _step(model: Model, one: Periodic, point: WorkingPoint, force: Series) -> tu
     turned = 2 * np.pi * data.t if one.effect.name in LINE_NAMES else data.phase
     pieces = _pieces(turned.size)
     middle = np.bincount(pieces, turned) / np.bincount(pieces)
-    ratio = np.bincount(pieces, speeds(data.t, data.phase)) / np.bincount(pieces) / (2 * np.pi * one.hz)
+    ratio = np.bincount(pieces, shaft_speeds(data.t, data.phase)) / np.bincount(pieces) / (2 * np.pi * one.hz)
     through = _through_the_model(model, one, point, 1 + inside)
     rows, right, unsure = [], [], []
     for i, place in enumerate(data.places):
-        if not acts(one, place):
+        if not acts_on(one, place):
             continue
         seen = demodulate(force[i], one.angle(data.t, data.phase), count)[:, inside]
         slopes = np.zeros((len(loose), *seen.shape), complex)
@@ -162,8 +162,8 @@ def _step(model: Model, one: Periodic, point: WorkingPoint, force: Series) -> tu
                 slopes[j] = 1j * (1 + inside) * F * middle[:, None]
             else:
                 slopes[j] = _slope(model, one, place, count, k)[inside]
-                if (swinging := swing(model, one, place)) is not None:
-                    slopes[j] *= swung(swinging, ratio)[:, None]
+                if (swinging := speed_gain(model, one, place)) is not None:
+                    slopes[j] *= speed_gain_at(swinging, ratio)[:, None]
         psd = point.S[i] / np.interp(one.hz * (1 + inside), data.f_hz, point.whitening.weight[i])
         scale = np.sqrt(data.t.size / PIECES / (psd * data.rate_hz))  # 1 / sd of a real part, by order
         rows.append((slopes * scale).reshape(len(loose), -1))
@@ -191,19 +191,19 @@ def _real(z: Complexes) -> Array:
     return np.concatenate([z.real, z.imag], axis=-1)
 
 
-def _through_the_model(model: Model, one: Periodic, point: WorkingPoint, orders: NDArray[np.int64]) -> Complexes:
+def _through_the_model(model: Model, one: PeriodicEffect, point: WorkingPoint, orders: NDArray[np.int64]) -> Complexes:
     """(terms, places, orders) N by which the inferred force of an effect is off per scaled unit of each parameter of
     the rest: the mean tangent of its term at the motion that the effect makes."""
     f = np.asarray(one.hz * orders, dtype=np.float64)
     places, w = point.data.places, 2 * np.pi * f
-    F = np.stack([one.harmonics(model, p, orders[-1])[orders - 1] * acts(one, p) for p in places], axis=1)
+    F = np.stack([one.harmonics(model, p, orders[-1])[orders - 1] * acts_on(one, p) for p in places], axis=1)
     A = tangent_at(point, model, f)
     x = -np.linalg.solve(A, F[..., None])[..., 0] / w[:, None] ** 2
     tangents = np.stack([t.tangent * t.scale for t in point.terms])
     return np.asarray(np.einsum("tilc,cf,fl->tif", tangents, np.stack([np.ones_like(w), 1j * w]), x))
 
 
-def _slope(model: Model, one: Periodic, place: str, count: int, k: int) -> Complexes:
+def _slope(model: Model, one: PeriodicEffect, place: str, count: int, k: int) -> Complexes:
     """(count,) change of the harmonics with parameter k."""
     q = one.effect.parameters[k]
     h = 1.0 if q.linear else 0.01 if q.name == "angle" else 0.01 * abs(one.p[k])

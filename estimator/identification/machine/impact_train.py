@@ -21,7 +21,7 @@ from estimator.identification.finding import Finding
 from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
 from estimator.model.rig import Model
 from estimator.results import Parameter
-from estimator.signals.line_spectrum import Spectrum
+from estimator.signals.line_spectrum import LineSpectrum
 
 from . import beyond_harmonics
 
@@ -37,7 +37,7 @@ GAP, GAPS = 0.25, 0.2  # of the power of its neighbours, under which a harmonic 
 
 
 def find_impact_train(
-    model: Model, point: WorkingPoint, s: Spectrum, lines: list[float], rotation: float, known: Sequence[float] = ()
+    model: Model, point: WorkingPoint, s: LineSpectrum, lines: list[float], rotation: float, known: Sequence[float] = ()
 ) -> tuple[Finding | None, float]:
     """The clearest train of harmonics of a bearing order, and its fundamental in Hz.
 
@@ -97,7 +97,7 @@ def _more(hz: float, other: float) -> float:
     return share if hz < other else 1.0 / share
 
 
-def _orders(model: Model, s: Spectrum, Zs: Array, lines: list[float], rotation: float) -> list[float]:
+def _orders(model: Model, s: LineSpectrum, Zs: Array, lines: list[float], rotation: float) -> list[float]:
     """Orders of the shaft at which a train is looked for."""
     out = []
     bpfo = kinematic("bpfo", model)
@@ -112,7 +112,7 @@ def _orders(model: Model, s: Spectrum, Zs: Array, lines: list[float], rotation: 
     return out + [hz / rotation for hz in _combs(s, Zs, rotation, model.band[1])]
 
 
-def _combs(s: Spectrum, Zs: Array, rotation: float, high: float) -> list[float]:
+def _combs(s: LineSpectrum, Zs: Array, rotation: float, high: float) -> list[float]:
     """Hz whose first harmonics together stand out most, in any channel, with what it is a third to thrice of."""
     low, top = LEAST_ORDER * rotation, min(MOST_ORDER * rotation, high / 4)
     grid = np.arange(np.ceil(low * FIRST * s.seconds), np.floor(top * FIRST * s.seconds)) / (FIRST * s.seconds)
@@ -133,7 +133,7 @@ def _combs(s: Spectrum, Zs: Array, rotation: float, high: float) -> list[float]:
     return [_centred(s, Zs, found * q, high) for q in (1.0, 1 / 2, 1 / 3, 2.0, 3.0)] if found else []
 
 
-def _centred(s: Spectrum, Zs: Array, hz: float, high: float) -> float:
+def _centred(s: LineSpectrum, Zs: Array, hz: float, high: float) -> float:
     """A fundamental, refined by its visible harmonics, the lowest first: the k-th tells it k times as well."""
     Z = Zs.max(axis=0)
     for k in range(1, int(high / hz) + 1):
@@ -146,7 +146,7 @@ def _centred(s: Spectrum, Zs: Array, hz: float, high: float) -> float:
     return hz
 
 
-def _forces(point: WorkingPoint, s: Spectrum, bins: NDArray[np.intp], i: int) -> tuple[Array, Array]:
+def _forces(point: WorkingPoint, s: LineSpectrum, bins: NDArray[np.intp], i: int) -> tuple[Array, Array]:
     """(lines,) N at place i of lines at some bins by a linear reading of the motion, and of what is beside them."""
     near = np.clip(bins[:, None] + np.concatenate([[0], -BESIDE, BESIDE]), 1, s.f_hz.size - 1)
     bins = near.ravel()
@@ -182,7 +182,7 @@ def _made_by_laws(point: WorkingPoint, order: float, hz: float, F: Array, unit: 
 
 
 def _defect(
-    point: WorkingPoint, s: Spectrum, order: float, rotation: float, places: list[str], gained: float
+    point: WorkingPoint, s: LineSpectrum, order: float, rotation: float, places: list[str], gained: float
 ) -> Finding:
     """Strike, angle and width from the folded inferred force: the mean over all periods."""
     settings, power = {}, {}

@@ -22,13 +22,13 @@ from estimator.arrays import Array, Complexes
 from estimator.identification.finding import Finding
 from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE
 from estimator.likelihood.motion.force_balance import shaft_notch
-from estimator.likelihood.motion.harmonics import known_lines, to_cap
+from estimator.likelihood.motion.harmonics import cap_force_per_shaft_force, known_lines
 from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
 from estimator.model.rig import Model
 from estimator.results import Parameter
 from estimator.signals.band_limit import noise_shape
-from estimator.signals.channel_response import undone
-from estimator.signals.line_spectrum import Spectrum, by_angle, residual_spectrum, spectrum_of
+from estimator.signals.channel_response import corrected_record
+from estimator.signals.line_spectrum import LineSpectrum, line_spectrum, order_spectrum, residual_spectrum
 
 from . import beyond_harmonics, impact_train
 
@@ -53,7 +53,7 @@ def find_lines(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:
     ]  # fmt: skip
     out: list[Finding] = []
     if rotation > 0.0 and not any(use.name == "local_defect" for use in model.effects):
-        turned = by_angle(s)
+        turned = order_spectrum(s)
         own = lines if turned is s else _standing(turned, known, threshold)
         defect, fundamental = impact_train.find_impact_train(model, point, turned, own, rotation, known)
         if defect is not None:
@@ -71,7 +71,7 @@ def find_lines(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:
     return out if rotation > 0.0 else _of_one_cause(out, s)
 
 
-def _of_one_cause(lines: list[Finding], s: Spectrum) -> list[Finding]:
+def _of_one_cause(lines: list[Finding], s: LineSpectrum) -> list[Finding]:
     """Lines of a shaft of no known speed, the first with what they are multiples of: strikes have no angle there."""
     hz = impact_train.common_fundamental(
         [next(iter(one.settings.values()))["frequency"].value or 0.0 for one in lines], s.seconds
@@ -88,7 +88,7 @@ def _about_disc(model: Model, hz: float) -> bool:
     return notch is not None and abs(hz / (0.5 * sum(notch)) - 1.0) < UNSURE_DISC
 
 
-def _through_disc(point: WorkingPoint, s: Spectrum, hz: float) -> bool:
+def _through_disc(point: WorkingPoint, s: LineSpectrum, hz: float) -> bool:
     """Whether a line loads both caps alike, as a disc does that resonates elsewhere than the rig file says: one that
     rings for longer than the record cannot be told from a line."""
     F, noise = line_forces(point, s, hz)
@@ -98,14 +98,14 @@ def _through_disc(point: WorkingPoint, s: Spectrum, hz: float) -> bool:
     )
 
 
-def _searched(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> Spectrum:
+def _searched(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> LineSpectrum:
     """The spectrum that lines are sought in: of the motion, or beside a measured force of what it leaves."""
     if not point.data.measured_force:
-        return spectrum_of(model, y, rate_hz)
+        return line_spectrum(model, y, rate_hz)
     places = point.data.places
     rows = {places.index(c.place): k for k, c in enumerate(model.channels) if c.kind == "force" and c.place in places}
     s = residual_spectrum(
-        spectrum_of(model, undone(model, y, rate_hz), rate_hz), y, rows,
+        line_spectrum(model, corrected_record(model, y, rate_hz), rate_hz), y, rows,
         lambda f_hz: tangent_at(point, model, f_hz),
     )  # fmt: skip
     if (notch := shaft_notch(model)) is not None:  # whatever is wrong rings there like a line
@@ -113,7 +113,7 @@ def _searched(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> Sp
     return s
 
 
-def _standing(s: Spectrum, known: Sequence[float], threshold: float) -> list[float]:
+def _standing(s: LineSpectrum, known: Sequence[float], threshold: float) -> list[float]:
     """Frequencies of the bins that stand out in any channel, neighbours joined, strongest first, refined."""
     best = np.max([(Y.real**2 + Y.imag**2) / noise for Y, noise in zip(s.Y, s.noise, strict=True)], axis=0)
     usable = (s.f_hz > max(3.0, 20 / s.seconds)) & (s.f_hz < 0.47 * s.rate_hz)
@@ -130,14 +130,14 @@ def _standing(s: Spectrum, known: Sequence[float], threshold: float) -> list[flo
     return out
 
 
-def _centre(s: Spectrum, k: int, i: int) -> float:
+def _centre(s: LineSpectrum, k: int, i: int) -> float:
     """Peak frequency under a Hann window from three bins (ratio of amplitudes)."""
     a, b, c = (float(np.abs(s.Y[i, j])) for j in (k - 1, k, min(k + 1, s.f_hz.size - 1)))
     shift = (2 * c - b) / (b + c) if c >= a else -(2 * a - b) / (a + b)
     return float(s.f_hz[k] + np.clip(shift, -0.7, 0.7) / s.seconds)
 
 
-def line_forces(point: WorkingPoint, s: Spectrum, hz: float, order: int = 0) -> tuple[Complexes, Array]:
+def line_forces(point: WorkingPoint, s: LineSpectrum, hz: float, order: int = 0) -> tuple[Complexes, Array]:
     """(places,) complex force amplitudes in N of a line, and (places,) the variance E|.|^2 of their noise.
 
     order : of the shaft, if it is one.
@@ -150,7 +150,7 @@ def line_forces(point: WorkingPoint, s: Spectrum, hz: float, order: int = 0) -> 
     return A @ Y, _noise_about(point, s, hz) if low <= hz <= high else (np.abs(A) ** 2) @ noise
 
 
-def _noise_about(point: WorkingPoint, s: Spectrum, hz: float) -> Array:
+def _noise_about(point: WorkingPoint, s: LineSpectrum, hz: float) -> Array:
     """(places,) E|.|^2 of the forces about a line in the band.
 
     What a shaft brings over from the other caps is in step with what it meets: apart, the caps would make 20 000 times
@@ -168,7 +168,7 @@ def _noise_about(point: WorkingPoint, s: Spectrum, hz: float) -> Array:
 
 
 def _one_line(
-    model: Model, point: WorkingPoint, s: Spectrum, hz: float, rotation: float, threshold: float
+    model: Model, point: WorkingPoint, s: LineSpectrum, hz: float, rotation: float, threshold: float
 ) -> Finding | None:
     """The finding of a line at a frequency (Hz), with its likeliest cause; None where it does not stand out.
 
@@ -212,7 +212,7 @@ def _one_line(
     )
 
 
-def _phasor(F: complex, noise: float, line: tuple[float, float, Spectrum] | None) -> dict[str, Parameter]:
+def _phasor(F: complex, noise: float, line: tuple[float, float, LineSpectrum] | None) -> dict[str, Parameter]:
     """Parameters of a force F cos(w t) with noise E|.|^2, N^2. line : Hz, |F|^2 / noise; None at a known frequency."""
     sd = float(np.sqrt(noise / 2))
     values = {"a": Parameter(F.real, sd, "N"), "b": Parameter(-F.imag, sd, "N")}
@@ -250,7 +250,7 @@ def _imbalance(
     )
 
 
-def _whose(point: WorkingPoint, s: Spectrum, hz: float) -> str:
+def _whose(point: WorkingPoint, s: LineSpectrum, hz: float) -> str:
     """What the channels say of whether a line is a force or hum that cables pick up; "" where they say nothing.
 
     Hum is the same acceleration everywhere; the same force on caps of different stiffness is not. In one channel a line
@@ -287,10 +287,12 @@ def _made_by_laws(point: WorkingPoint, hz: float, order: int, F: Complexes) -> N
 def _disc(model: Model, point: WorkingPoint, rotation: float) -> Complexes:
     """(places,) force at each cap per forward rotating force on the disc."""
     w = np.array([2 * np.pi * rotation])
-    return np.array([to_cap(model, p, w)[0] * (1.0 if p.endswith("x") else -1j) for p in point.data.places])
+    return np.array(
+        [cap_force_per_shaft_force(model, p, w)[0] * (1.0 if p.endswith("x") else -1j) for p in point.data.places]
+    )
 
 
-def _multiple(s: Spectrum, hz: float, fundamental: float) -> bool:
+def _multiple(s: LineSpectrum, hz: float, fundamental: float) -> bool:
     """Whether a line is a harmonic of a train."""
     k = max(1, round(hz / fundamental))
     return abs(hz - k * fundamental) < 2.0 * k / s.seconds + s.wander * hz

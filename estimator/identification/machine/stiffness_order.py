@@ -20,7 +20,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.parallel import map_threads
 from estimator.results import Message
-from estimator.signals.line_spectrum import surroundings
+from estimator.signals.line_spectrum import local_noise
 
 from .lines import LEVEL, SURE
 
@@ -113,7 +113,7 @@ def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
         product = np.bincount(rows, force * data.x[i]).astype(np.float32)
         line = np.asarray(rfft(product, size))[:looked]
         power = line.real**2 + line.imag**2
-        nats = power / surroundings(power, NEIGHBOURS)
+        nats = power / local_noise(power, NEIGHBOURS)
         k = int(np.argmax(np.where(usable, nats, 0.0)))
         return float(nats[k]), float(f[k] + _between(power[k - 1 : k + 2]) * f[1])  # its floor may step
 
@@ -136,7 +136,7 @@ def _without_lines(force: Array) -> Array:
 
     Z = rfft(force * np.hanning(force.size))
     power = Z.real**2 + Z.imag**2
-    lines = power > SURE * np.log(Z.size / LEVEL) * surroundings(power, NEIGHBOURS)
+    lines = power > SURE * np.log(Z.size / LEVEL) * local_noise(power, NEIGHBOURS)
     if not lines.any():
         return force
     Z[np.convolve(lines, np.ones(5, bool), mode="same")] = 0.0

@@ -15,13 +15,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
-from estimator.likelihood.motion.denoise import as_seen
-from estimator.likelihood.motion.motion_record import FOLDS, MotionBlocks, fold_of
+from estimator.likelihood.motion.denoise import restore_mean_tangent
+from estimator.likelihood.motion.motion_record import FOLDS, MotionRecord, fold_record
 from estimator.likelihood.path.subproblem import Subproblem, base_of, extended, fold_span, products, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response.fluctuation import Fluctuation
 from estimator.likelihood.response.impulse_probe import Probe
-from estimator.likelihood.response.regressor_set import response
+from estimator.likelihood.response.regressor_set import tangent_response
 
 from .black_box_tangents import legendre_in_time, second_order_tangents, shaft_waves
 
@@ -161,7 +161,7 @@ def velocity_knot_step(point: WorkingPoint, i: int) -> float:
     return max(V_STEP, KICKED * float(np.sqrt(2.0 * c * tau)), float(np.sqrt(k)) * tau)
 
 
-def _group(data: MotionBlocks, i: int, name: str, series: list[Singles], slopes: Array) -> RegressorGroup:
+def _group(data: MotionRecord, i: int, name: str, series: list[Singles], slopes: Array) -> RegressorGroup:
     """slopes : (columns, 4) mean d/du, d/dw, d/duo, d/dwo."""
     o = data.other(i)
     tangents = np.zeros((len(series), len(data.places), 2))
@@ -171,7 +171,7 @@ def _group(data: MotionBlocks, i: int, name: str, series: list[Singles], slopes:
     return RegressorGroup(name, series, list(tangents))
 
 
-def other_direction_group(data: MotionBlocks, i: int) -> RegressorGroup | None:
+def other_direction_group(data: MotionRecord, i: int) -> RegressorGroup | None:
     """What place i has in common with the other direction of its node, if that is measured."""
     o = data.other(i)
     if o is None:
@@ -186,7 +186,7 @@ def other_direction_group(data: MotionBlocks, i: int) -> RegressorGroup | None:
     return _as_laws(found, data, i)
 
 
-def _as_laws(group: RegressorGroup, data: MotionBlocks, i: int) -> RegressorGroup:
+def _as_laws(group: RegressorGroup, data: MotionRecord, i: int) -> RegressorGroup:
     """The group, made of the displacements that laws see, with their mean tangents along the whole of these, as laws
     have them. With the noise of sensors in it x^2 v beside itself won 290 nats (behind a mean over a sample)."""
     if data.calm is not None:
@@ -194,12 +194,12 @@ def _as_laws(group: RegressorGroup, data: MotionBlocks, i: int) -> RegressorGrou
         for series, tangents in zip(group.series, group.tangents, strict=True):
             mean = np.array([tangents[i, 0], 0.0, 0.0 if o is None else tangents[o, 0], 0.0])
             if mean.any():
-                as_seen(series, mean, data.calm, i, -1 if o is None else o)
+                restore_mean_tangent(series, mean, data.calm, i, -1 if o is None else o)
     return group
 
 
 def regressor_groups(
-    data: MotionBlocks,
+    data: MotionRecord,
     i: int,
     orders: tuple[float, ...],
     knots: tuple[Array, Array],
@@ -259,7 +259,7 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
     )
     room = np.empty(0, np.float32)
     for f in range(FOLDS):
-        part, first = fold_of(data, f), fold_span(point, f).start
+        part, first = fold_record(data, f), fold_span(point, f).start
         found = []
         spectra: list[Singles] = []
         for g in regressor_groups(part, i, orders, ends, times):
@@ -320,7 +320,7 @@ def _tangents(
     P = len(point.data.places)
     out = np.zeros((len(group.tangents), P, P, point.columns.tangents.shape[-1]), complex)
     for k, t in enumerate(group.tangents):
-        out[k, i] = response(t, point.whitening.s)
+        out[k, i] = tangent_response(t, point.whitening.s)
     if here is not None:
         s2 = point.whitening.s**2
         for k, sigma in enumerate(

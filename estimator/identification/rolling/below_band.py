@@ -9,10 +9,15 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.likelihood.motion.law_columns import Columns, Stretch
-from estimator.likelihood.motion.law_smoothing import MARGIN, State
+from estimator.likelihood.motion.law_smoothing import MARGIN, LawStates
 from estimator.likelihood.motion.stream_record import Record
-from estimator.likelihood.response.below_band import below, lopsided, moved, usual
-from estimator.likelihood.response.modal_response import yields
+from estimator.likelihood.response.below_band import (
+    below_band_compliance,
+    below_band_displacement,
+    has_even_part,
+    usual_parameters,
+)
+from estimator.likelihood.response.modal_response import compliance
 from estimator.signals.band_limit import half_length
 
 CENTRE_ROUNDS = 2  # the law is evaluated about the centre, then about the one that it makes: off by its slope squared
@@ -31,8 +36,8 @@ class SlowMotion:
                 continue
             law, other = balance.laws[column.law], balance.other(column.row)
             p, sizes = law.p.copy(), np.concatenate([rms[column.row], rms[other] if other >= 0 else np.zeros(2)])
-            p[list(law.linear)] = usual(law.effect)[list(law.linear)]
-            if lopsided(law.effect, p, sizes):
+            p[list(law.linear)] = usual_parameters(law.effect)[list(law.linear)]
+            if has_even_part(law.effect, p, sizes):
                 self._laws.setdefault(column.row, []).append(k)
         self.reach = half_length(self._rate_hz, self._band) if self._laws else 0
 
@@ -59,18 +64,18 @@ class SlowMotion:
         if not valid.any():
             return out
         D = np.stack([np.diag(np.diag(B[:, n * P : (n + 1) * P])) for n in (2, 1)], axis=-1)
-        own = partial(yields, mass=np.diag(B), D=balance.by_itself(D), places=balance.places, disc=balance.disc)
-        response = below(own, self._rate_hz, self._band, balance.kinds)
+        own = partial(compliance, mass=np.diag(B), D=balance.by_itself(D), places=balance.places, disc=balance.disc)
+        response = below_band_compliance(own, self._rate_hz, self._band, balance.kinds)
         rest = response(np.zeros(1))[0].real
         for _ in range(CENTRE_ROUNDS):
             seen = replace(stretch, slow=measured + np.pad(out, [(0, 0), (MARGIN, MARGIN)], mode="edge"))
-            states: dict[tuple[int, bool], State] = {}
+            states: dict[tuple[int, bool], LawStates] = {}
             push, out = {}, np.zeros_like(out)
             for row, laws in self._laws.items():
                 total = np.sum([B[row, k] * self._columns.law(k, seen, states)[0] for k in laws], axis=0)
                 mean = float(total[valid].mean())
                 push[row] = np.where(valid, total - mean, 0.0)
                 out -= mean * rest[:, row, None]
-            for i, x in moved(push, response, self._rate_hz, self._band[0]).items():
+            for i, x in below_band_displacement(push, response, self._rate_hz, self._band[0]).items():
                 out[i] += x
         return np.asarray(measured[:, inner] + out)

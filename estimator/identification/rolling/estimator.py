@@ -26,8 +26,8 @@ from estimator.likelihood.motion.harmonics import known_lines
 from estimator.likelihood.motion.stream_record import Record, as_record, notches
 from estimator.model.rig import Model
 from estimator.results import Estimate
-from estimator.signals.band_limit import BandLimit, Motion
-from estimator.signals.blocks import Layout, layout
+from estimator.signals.band_limit import BandLimit, BandLimitedMotion
+from estimator.signals.blocks import BlockLayout, block_layout
 from estimator.signals.shaft_angle import ShaftAngle
 
 from .scope import rolling_scope
@@ -100,9 +100,9 @@ class RollingEstimator:
         self._used = [*motions, *forces.values()]
         kinds = [model.channels[c].kind for c in self._used]
         self._filter = BandLimit(kinds, rate_hz, model.band, shaft_reaction(model), slow=True)
-        self._grid: Layout = layout(rate_hz, model.band, notches(model))
+        self._grid: BlockLayout = block_layout(rate_hz, model.band, notches(model))
         self._lines = _known_line_stretches(model, self._grid)
-        self._kept: list[Motion] = []  # what the next blocks and a new start need
+        self._kept: list[BandLimitedMotion] = []  # what the next blocks and a new start need
         self._shaft = ShaftAngle(model, rate_hz)
         self._seen = 0  # rows taken in
         self._next = 0  # first row of the next block
@@ -272,7 +272,7 @@ class RollingEstimator:
         self._estimate = Estimate(self._seen, shown, samples, -fitted.local.nll, extra=fitted.missing)
 
 
-def _known_line_stretches(model: Model, grid: Layout) -> tuple[tuple[float, float], ...]:
+def _known_line_stretches(model: Model, grid: BlockLayout) -> tuple[tuple[float, float], ...]:
     """Hz, about the lines that the model's periodic effects make, too weak to stand out perhaps.
 
     None where a tacho follows the speed: they move then; nor where they would take half of the band.

@@ -9,7 +9,7 @@ import numpy as np
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.law_columns import Columns, Stretch
 from estimator.likelihood.motion.law_smoothing import MARGIN
-from estimator.likelihood.response.second_order import Flutter
+from estimator.likelihood.response.second_order import TangentNoise
 
 MAX_STALE_SHARE = 1e-2  # share of other self-energies that is let go
 
@@ -109,7 +109,7 @@ class TangentNoiseSums:
             out.append((z @ z.T).ravel())
         return np.concatenate(out) if out else np.zeros(0)
 
-    def flutter(self, sums: Array) -> Flutter:
+    def flutter(self, sums: Array) -> TangentNoise:
         """From the sums over all blocks."""
         P, K = len(self._columns.balance.places), len(self._columns.balance.columns)
         covariance, bend, at = np.zeros((P, K, K)), np.zeros((P, K)), 0
@@ -121,4 +121,4 @@ class TangentNoiseSums:
             about = products / products[0, 0] - np.outer(means, means)
             covariance[row, np.array(laws)[:, None], laws] = about[2:, 2:]
             bend[row, laws] = about[1, 2:] / about[1, 1]
-        return Flutter(covariance, bend)
+        return TangentNoise(covariance, bend)

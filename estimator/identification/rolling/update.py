@@ -13,7 +13,7 @@ from estimator.identification.batch.linear_start import LinearStart, restarted_a
 from estimator.identification.batch.maximum import Maximum, initial, inverse, maximum, without_noise
 from estimator.identification.batch.report import BLOCK_ENERGY_CORRELATION
 from estimator.likelihood.motion.force_balance import Balance, build, restrict
-from estimator.likelihood.motion.known_spectra import colours
+from estimator.likelihood.motion.known_spectra import excitation_shapes
 from estimator.likelihood.motion.law_columns import Columns
 from estimator.likelihood.motion.law_smoothing import MARGIN
 from estimator.likelihood.motion.stream_record import Record, gather
@@ -21,7 +21,7 @@ from estimator.likelihood.motion.streaming_spectra import BlockSpectra
 from estimator.likelihood.path.gram_likelihood import Evidence, Likelihood, Local, Point, active, maximise
 from estimator.likelihood.path.jacobian import levels
 from estimator.likelihood.path.measured_force import is_known
-from estimator.likelihood.response.second_order import dressed, self_energies
+from estimator.likelihood.response.second_order import second_order_change, self_energies
 from estimator.model.rig import Model
 from estimator.results import Parameter
 from estimator.signals.blocks import valid_blocks
@@ -224,7 +224,9 @@ class RollingFit:
         remembered = self.states.dressing
         if memory.pairs is None or beta is None:
             return remembered
-        by_laws = dressed(memory.pairs, self.balance, self.balance.coefficients(beta), self.start.nodes.f_hz)
+        by_laws = second_order_change(
+            memory.pairs, self.balance, self.balance.coefficients(beta), self.start.nodes.f_hz
+        )
         return by_laws if remembered is None else by_laws + remembered
 
     def solve(self, record: Callable[[], Record]) -> None:
@@ -312,7 +314,7 @@ class RollingFit:
 
 def _spectral_shape(record: Record, start: LinearStart) -> Array | None:
     """(nodes, places) shape of S that the model gives, each the mean of the bins that a node stands for; None: flat."""
-    by_bin, weight = colours(record.model, record.model.places, record.grid.f_hz).T, start.nodes.weight
+    by_bin, weight = excitation_shapes(record.model, record.model.places, record.grid.f_hz).T, start.nodes.weight
     if (by_bin == 1.0).all():
         return None
     first = np.concatenate([[0], np.cumsum(weight)[:-1]]).astype(np.intp)

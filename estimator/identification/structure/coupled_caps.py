@@ -21,7 +21,7 @@ from estimator.identification.finding import Finding
 from estimator.likelihood.motion.force_balance import shaft_notch
 from estimator.likelihood.path.subproblem import Subproblem, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.likelihood.response.regressor_set import Term
+from estimator.likelihood.response.regressor_set import Regressor
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model.rotor import between_caps, shaft_matrix
 from estimator.parallel import map_threads
@@ -225,7 +225,7 @@ def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
     w: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(size, 1 / data.rate_hz), dtype=np.float64)
     whole, delayed = both_ways(w).astype(np.complex64), (-1j * w).astype(np.complex64)  # as precise as the motion
 
-    def terms_of(row: int) -> list[Term]:
+    def terms_of(row: int) -> list[Regressor]:
         """Of the size and of the delay of B in the force on the first cap, or the second, whose delay is an advance."""
         (here, there), sign = ((i, j), (j, i))[row], (1.0, -1.0)[row]
         pulled = rfft(data.x[there], size) * whole
@@ -238,7 +238,7 @@ def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
             memory = np.zeros((P, data.bins.size), complex)
             memory[there] = own
             scale = 1.0 / max(float(np.std(series)), 1e-300)
-            out.append(Term(str(k), "1", {here: series}, np.zeros((P, P, 2)), scale, {here: memory}))
+            out.append(Regressor(str(k), "1", {here: series}, np.zeros((P, P, 2)), scale, {here: memory}))
         return out
 
     terms = [term for pair in zip(*map_threads(terms_of, range(2)), strict=True) for term in pair]

@@ -17,11 +17,11 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.identification.residual import missing_force
-from estimator.likelihood.motion.linear_memory import filtered
-from estimator.likelihood.motion.located_law import evaluate
+from estimator.likelihood.motion.linear_memory import filtered_series
+from estimator.likelihood.motion.located_law import law_along_record
 from estimator.likelihood.path.subproblem import subproblem
 from estimator.likelihood.path.working_point import WorkingPoint, thinned
-from estimator.likelihood.response.regressor_set import Term, orthogonal
+from estimator.likelihood.response.regressor_set import Regressor, orthogonalised
 from estimator.model.recorder import LATE, POWERS, Filter, RollOff
 from estimator.model.rig import Model
 from estimator.parallel import map_threads
@@ -69,11 +69,13 @@ def excess(point: WorkingPoint, psi: Callable[[Array], Array]) -> tuple[float, f
         return np.exp(1j * SMALL * psi(np.linspace(0.0, top, bins) / (2 * np.pi))).astype(np.complex64)
 
     def turned(z: Any, back: bool = False) -> Any:
-        return filtered(lambda w: ahead(w.size, w[-1]).conj() if back else ahead(w.size, w[-1]), z, data.rate_hz)
+        return filtered_series(lambda w: ahead(w.size, w[-1]).conj() if back else ahead(w.size, w[-1]), z, data.rate_hz)
 
     def left(i: int) -> Array:
         own = [use for use in uses if i in use.at]
-        here, moved = (sum((evaluate(use, at, i, point.lin)[0] for use in own), np.zeros(1)) for at in (data, there))
+        here, moved = (
+            sum((law_along_record(use, at, i, point.lin)[0] for use in own), np.zeros(1)) for at in (data, there)
+        )
         return np.asarray((turned(moved, back=True) - here) / SMALL)
 
     felt = [i for i in places if any(i in use.at for use in uses)]
@@ -83,7 +85,7 @@ def excess(point: WorkingPoint, psi: Callable[[Array], Array]) -> tuple[float, f
     series = dict(zip(felt, map_threads(left, felt), strict=True))
     rms = float(np.sqrt(np.mean([np.mean(z**2) for z in series.values()])))
     P = len(places)
-    term = orthogonal(Term("phase", "1", series, np.zeros((P, P, 2)), 1.0 / max(rms, 1e-300)), point.spans)
+    term = orthogonalised(Regressor("phase", "1", series, np.zeros((P, P, 2)), 1.0 / max(rms, 1e-300)), point.spans)
     if term is None:
         return None
     return subproblem(point, places, point.whitening.columns([term])).fit(steps=6).value("phase")

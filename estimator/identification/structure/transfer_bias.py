@@ -18,7 +18,7 @@ from estimator.likelihood.motion.harmonics import known_lines
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import Parameter
-from estimator.signals.channel_response import LINEAR, forced, response
+from estimator.signals.channel_response import LINEAR, fault_response, measured_force_places
 
 from . import pedestal_form
 from .spectral_models import resonance_hz
@@ -66,7 +66,7 @@ def _sensor(effect: str, starts: tuple[tuple[float, ...], ...], unit: float, now
         return np.asarray(A / sensor(r.w, p))
 
     def sensor(w: Array, p: Array) -> Complexes:
-        return response(effect, dict(zip(names, p, strict=True)), w) / response(effect, now, w)
+        return fault_response(effect, dict(zip(names, p, strict=True)), w) / fault_response(effect, now, w)
 
     if unit == 0.0:
         return Cause(effect, starts, lambda z: np.exp(np.clip(z, *limits)), np.log, bend, sensor)
@@ -153,7 +153,7 @@ def refine_sensor_faults(model: Model, point: WorkingPoint) -> tuple[Model, dict
             own = written(CATALOGUE[use.name], use, model, key)
             now = {n: s.value for n, s in own.items()}
             i = point.data.places.index(key)
-            if key not in forced(model) or all(s.fixed for s in own.values()) or None in now.values():
+            if key not in measured_force_places(model) or all(s.fixed for s in own.values()) or None in now.values():
                 continue
             if point.kL[i] <= 0.0:
                 continue

@@ -25,7 +25,7 @@ from estimator.likelihood.motion.harmonics import known_lines
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
-from estimator.signals.channel_response import forced
+from estimator.signals.channel_response import measured_force_places
 
 from .noisy_sensor import find_noisy_sensors_under_force
 from .transfer_bias import CAUSE_NUMBERS, Cause, cause_parameters, fit_cause, transfer_causes
@@ -55,7 +55,7 @@ def find_transfer_faults(model: Model, point: WorkingPoint, lines: Collection[fl
 
     lines : Hz of what is periodic in the residual, which is left out.
     """
-    at = [i for i, place in enumerate(point.data.places) if place in forced(model) and point.kL[i] > 0.0]
+    at = [i for i, place in enumerate(point.data.places) if place in measured_force_places(model) and point.kL[i] > 0.0]
     seen = map_processes([partial(_at_place, model, point, i, lines) for i in at])
     heard = {i: own for i, (_, own) in zip(at, seen, strict=True) if own is not None}
     return [s for found, _ in seen for s in found] + find_noisy_sensors_under_force(model, point, heard)
@@ -156,8 +156,12 @@ def has_unmeasured_force(model: Model, point: WorkingPoint) -> bool:
         r = response_of(point, i, lines)
         return r.n.size >= FEWEST and _likeliest(model, point, i, r).response.unmeasured > 0.5
 
-    places = [i for i, place in enumerate(point.data.places)
-              if place in forced(model) and model.cap_mass(place) is not None and point.kL[i] > 0.0]  # fmt: skip
+    forced = measured_force_places(model)
+    places = [
+        i
+        for i, place in enumerate(point.data.places)
+        if place in forced and model.cap_mass(place) is not None and point.kL[i] > 0.0
+    ]
     return any(map_processes([partial(at, i) for i in places]))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array
-from estimator.likelihood.motion.denoise import as_displacement, is_little
+from estimator.likelihood.motion.denoise import noise_displacement_psd, noise_is_negligible
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.parallel import map_threads
 
@@ -27,7 +27,7 @@ def calm_of(point: WorkingPoint, nu: Array) -> tuple[NDArray[np.float32] | None,
     data, A = point.data, point.A
     f_hz, w = data.f_hz, 2 * np.pi * data.f_hz
     N = data.noise_shape * (nu * point.S)[:, None]
-    if is_little(f_hz, as_displacement(data.kinds, f_hz, nu * point.S), data.rms[0] ** 2):
+    if noise_is_negligible(f_hz, noise_displacement_psd(data.kinds, f_hz, nu * point.S), data.rms[0] ** 2):
         return None, 0.0
     df = np.gradient(f_hz)
     through = N.T[:, :, None] * A.conj().transpose(0, 2, 1)  # N A^H

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
@@ -33,7 +33,7 @@ def fitted_model(model: Model, point: WorkingPoint) -> Model:
     return replace(model, linear=linear, effects=tuple(effects), candidates=left)
 
 
-def _with_values(use: EffectUse, placed: list[Placed]) -> EffectUse:
+def _with_values(use: EffectUse, placed: list[LocatedLaw]) -> EffectUse:
     parameters = {k: dict(v) for k, v in use.parameters.items()}
     for p in placed:
         canonical = p.key.rsplit(".", 1)[0]

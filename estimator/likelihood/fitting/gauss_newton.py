@@ -10,15 +10,21 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 from estimator.effects.engine.strength import search_range
-from estimator.likelihood.motion.denoise import as_displacement, calm_of, is_little
-from estimator.likelihood.motion.located_law import Placed, evaluate, remembers, size, stiffness
-from estimator.likelihood.motion.motion_record import MotionBlocks, part_of, spectrum
-from estimator.likelihood.motion.shaft_law import without_comb
+from estimator.likelihood.motion.denoise import denoising_filter, noise_displacement_psd, noise_is_negligible
+from estimator.likelihood.motion.located_law import (
+    LocatedLaw,
+    first_stiffness,
+    has_nonlinear_memory,
+    law_along_record,
+    natural_sizes,
+)
+from estimator.likelihood.motion.motion_record import MotionRecord, leading_blocks, mean_psd
+from estimator.likelihood.motion.shaft_law import without_shaft_orders
 from estimator.likelihood.path.excitation_level import alike, level_of
 from estimator.likelihood.path.working_point import WorkingPoint, point_at
-from estimator.likelihood.response.below_band import with_slow
+from estimator.likelihood.response.below_band import with_below_band_motion
 from estimator.parallel import map_threads
-from estimator.signals.band_limit import left_out
+from estimator.signals.band_limit import out_of_band_sd
 
 from . import denoise_by_force
 from .noise_level import LEAST_NOISE, noise_of
@@ -37,14 +43,14 @@ STILL = 1.0  # the same below which the slow displacement is left as it is
 
 
 def fit_model(
-    data: MotionBlocks, uses: list[Placed], start: WorkingPoint | None = None, rounds: int = ROUNDS,
+    data: MotionRecord, uses: list[LocatedLaw], start: WorkingPoint | None = None, rounds: int = ROUNDS,
     moving: float = SETTLED,
 ) -> WorkingPoint:  # fmt: skip
     """Fit kL, c, S and every free parameter of the effects, from a start that needs no values of the linear part.
 
     moving : standard deviations by which the last of fewer than `rounds` steps may move.
     """
-    data = without_comb(data, [use.effect for use in uses])
+    data = without_shaft_orders(data, [use.effect for use in uses])
     if start is None:
         start = _approached(data, uses, rounds)
         uses, rounds = (uses, rounds) if start is None else (list(start.placed), LAST_ROUNDS)
@@ -52,7 +58,7 @@ def fit_model(
     del start  # as the points below
     moved = np.full(1, np.inf)
     while True:
-        data = data if moved.max(initial=0.0) < STILL else with_slow(data, kL, c, uses)
+        data = data if moved.max(initial=0.0) < STILL else with_below_band_motion(data, kL, c, uses)
         point = point_at(data, kL, c, nu, S, uses)
         S_old, S = S, point.S
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
@@ -69,8 +75,8 @@ def fit_model(
 
 
 def _begun(
-    data: MotionBlocks, uses: list[Placed], start: WorkingPoint | None
-) -> tuple[MotionBlocks, Array, Array, Array, Array]:  # fmt: skip
+    data: MotionRecord, uses: list[LocatedLaw], start: WorkingPoint | None
+) -> tuple[MotionRecord, Array, Array, Array, Array]:  # fmt: skip
     """kL, c, nu and S to begin from, and the record as laws see it by them."""
     if start is None:
         kL, c, S = _first_linear(data)
@@ -84,7 +90,7 @@ def _begun(
     return data, kL, c, nu, S
 
 
-def _renewed(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionBlocks, bool]:
+def _renewed(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionRecord, bool]:
     """The record of a point as laws see it after its step, and whether it is what it was. settled : whether the noise
     of sensors, nu now, and what is folded over are."""
     data = point.data
@@ -106,34 +112,34 @@ def _renewed(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionBlock
     return data, settled
 
 
-def glanced(data: MotionBlocks, uses: list[Placed]) -> WorkingPoint:
+def glanced(data: MotionRecord, uses: list[LocatedLaw]) -> WorkingPoint:
     """The same with one step on the whole record where a part of it is enough to begin from: to look at its force.
     Laws are dressed as on that part."""
-    data = without_comb(data, [use.effect for use in uses])
+    data = without_shaft_orders(data, [use.effect for use in uses])
     start = _approached(data, uses)
     if start is None:
         return fit_model(data, uses)
     uses = list(start.placed)
     data, kL, c, nu, S = _begun(data, uses, start)
-    point = point_at(with_slow(data, kL, c, uses), kL, c, nu, S, uses, start)
+    point = point_at(with_below_band_motion(data, kL, c, uses), kL, c, nu, S, uses, start)
     kL, c, uses = _moved(point, kL, c)
     return replace(point, kL=kL, c=c, placed=tuple(uses), nu=noise_of(point)[0])
 
 
-def _approached(data: MotionBlocks, uses: list[Placed], rounds: int = ROUNDS) -> WorkingPoint | None:
+def _approached(data: MotionRecord, uses: list[LocatedLaw], rounds: int = ROUNDS) -> WorkingPoint | None:
     """The model fitted to a part of a long record, and by a step each to longer ones where a step is dear; None for a
     short record."""
     lin = np.stack([data.mass, *np.ones((2, len(data.places)))], axis=1)
-    dear = any(remembers(u, lin[u.at[0]]) for u in uses)
+    dear = any(has_nonlinear_memory(u, lin[u.at[0]]) for u in uses)
     start, seconds = None, FIRST_SECONDS
-    while (start is None or dear) and (part := part_of(data, seconds)) is not data:
+    while (start is None or dear) and (part := leading_blocks(data, seconds)) is not data:
         start = fit_model(part, uses, start, rounds if start is None else 0, NEARLY)
         uses, seconds = list(start.placed), LEAP * seconds
     return start
 
 
 def _first_linear(
-    data: MotionBlocks, uses: Sequence[Placed] = (), lin: Array | None = None
+    data: MotionRecord, uses: Sequence[LocatedLaw] = (), lin: Array | None = None
 ) -> tuple[Array, Array, Array]:
     """kL by least squares (consistent: E[a v] = 0 leaves it alone), c from the power balance S = 4 c m E[v^2], S.
 
@@ -145,7 +151,7 @@ def _first_linear(
         known = data.known[i]
         for use in uses:
             if i in use.at and lin is not None:
-                known = known + evaluate(use, data, i, lin)[0]
+                known = known + law_along_record(use, data, i, lin)[0]
         kL[i] = -np.dot(x, known) / np.dot(x, x)
         f = (known + kL[i] * x).reshape(data.blocks, data.block)[:: max(1, data.blocks // 40)]
         power = np.mean(np.abs(np.fft.rfft(f * np.hanning(data.block), axis=1)) ** 2, axis=0)[data.bins]
@@ -155,7 +161,7 @@ def _first_linear(
     return kL, c, powers
 
 
-def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list[Placed]]:
+def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list[LocatedLaw]]:
     """Values after the increments of the fit, searched parameters kept inside their limits."""
     bounds = [_bounds(point, use, kL) for use in point.placed]
     limits = {use.name(k): own for use, each in zip(point.placed, bounds, strict=True) for k, own in each.items()}
@@ -173,10 +179,12 @@ def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list
     return kL, c, uses
 
 
-def _bounds(point: WorkingPoint, use: Placed, kL: Array) -> dict[int, tuple[float, float]]:
+def _bounds(point: WorkingPoint, use: LocatedLaw, kL: Array) -> dict[int, tuple[float, float]]:
     """How far each searched parameter of a law may move, down and up."""
     i = use.at[0]
-    natural = size(point.data, i, kL[i] if kL[i] > 0.0 else stiffness(point.data, i))  # of a step too far
+    natural = natural_sizes(
+        point.data, i, kL[i] if kL[i] > 0.0 else first_stiffness(point.data, i)
+    )  # of a step too far
     out = {}
     for k, q in enumerate(use.effect.parameters):
         if not q.linear:
@@ -225,26 +233,26 @@ def _left_out(point: WorkingPoint) -> Array:
     return _unseen(data, c, kL, point.S)
 
 
-def _unseen(data: MotionBlocks, c: Array, kL: Array, S: Array) -> Array:
+def _unseen(data: MotionRecord, c: Array, kL: Array, S: Array) -> Array:
     """The same by kL, c and S; below the band a measured force may have told it."""
     told = np.zeros_like(S) if data.shaken is None else data.driven
-    return left_out(data.mass, c, kL, S + data.driven - told, data.band, data.rate_hz, data.kinds, told)
+    return out_of_band_sd(data.mass, c, kL, S + data.driven - told, data.band, data.rate_hz, data.kinds, told)
 
 
-def _calmed(data: MotionBlocks, nu: Array, S: Array) -> MotionBlocks:
+def _calmed(data: MotionRecord, nu: Array, S: Array) -> MotionRecord:
     """The record as laws see it beside the noise of sensors; where a force is measured, of what is folded beside it."""
-    noise = as_displacement(data.kinds, data.f_hz, nu * S) * data.sharpened
+    noise = noise_displacement_psd(data.kinds, data.f_hz, nu * S) * data.sharpened
     inside = np.array([kind != "displacement" for kind in data.kinds]) * S
     noise = noise + data.folded * inside[:, None] / (2 * np.pi * data.f_hz) ** 4
     if data.measured_force:
         noise = data.folded_beside / (2 * np.pi * data.f_hz) ** 4
-    if is_little(data.f_hz, noise, data.rms[0] ** 2):
+    if noise_is_negligible(data.f_hz, noise, data.rms[0] ** 2):
         return replace(data, calm=None, doubt=0.0)
     bins = np.arange(data.bins[0], data.bins[-1] + 1)  # also those that are left out: a disc rings there by its noise
     f_hz: Array = np.asarray(bins * (data.rate_hz / data.block), dtype=np.float64)
     smooth = noise * data.f_hz**4
     noise = np.array([np.interp(f_hz, data.f_hz, z) for z in smooth]) / f_hz**4
-    found = calm_of(f_hz, _spectrum(data, bins), noise, 0)
+    found = denoising_filter(f_hz, _spectrum(data, bins), noise, 0)
     return replace(data, calm=found.of(data.x, data.rate_hz).astype(np.float32), doubt=found.doubt)
 
 
@@ -262,7 +270,7 @@ def _folded_beside(point: WorkingPoint) -> tuple[Array, NDArray[np.complex128]]:
     return out, force
 
 
-def _spectrum(data: MotionBlocks, bins: NDArray[np.int64]) -> Array:
+def _spectrum(data: MotionRecord, bins: NDArray[np.int64]) -> Array:
     """(places, bins) one-sided PSD of the displacement, m^2/Hz, of some of the blocks."""
     some = data.x.reshape(len(data.places), data.blocks, -1)[:, :: max(1, data.blocks // LOOKED_AT)]
-    return np.array([spectrum(x.ravel(), data.block, data.rate_hz)[1][bins] for x in some])
+    return np.array([mean_psd(x.ravel(), data.block, data.rate_hz)[1][bins] for x in some])

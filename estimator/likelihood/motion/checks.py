@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from estimator.errors import DataError
 from estimator.model.rig import Model
 
-from .located_law import clipped
+from .located_law import clipped_places
 
 SMALLEST, LARGEST = 1e-15, 1e15  # what is less or more is a mistake, and its powers are no numbers
 
@@ -50,7 +50,7 @@ def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArra
         z = y[:, i]
         z = z[np.isfinite(z)]
         low, high = check_moves(channel.name, z)
-        if channel.place in clipped(model):
+        if channel.place in clipped_places(model):
             continue  # the model says so: the fit does, beside its numbers
         at_end = max(np.mean(z == low), np.mean(z == high))
         if at_end > CLIPPED and at_end * z.size > 4 and np.unique(z[:100000]).size > 16:

@@ -22,14 +22,14 @@ from estimator.arrays import Array
 from estimator.parallel import map_threads
 from estimator.signals.band_limit import noise_shape
 
-from .linear_memory import filtered
+from .linear_memory import filtered_series
 
 LITTLE = 5e-4  # of the displacement, in power: noise under it bends no law by more than twice as much
 WIDTH = 7  # bins over which the spectrum of the motion is smooth
 
 
 @dataclass(frozen=True, slots=True)
-class Calm:
+class DenoisingFilter:
     """f_hz : (f,). less : (places, f) what a law sees of x beside x itself, -1 (nothing of it) to 0 (all).
 
     doubt : (places, 2) sd of the displacement and velocity that are then in doubt. reach : rows on either side that
@@ -46,12 +46,12 @@ class Calm:
         w = 2 * np.pi * self.f_hz
 
         def one(i: int) -> Array:
-            return filtered(lambda at: np.interp(at, w, self.less[i]).astype(x.dtype), x[i], rate_hz)
+            return filtered_series(lambda at: np.interp(at, w, self.less[i]).astype(x.dtype), x[i], rate_hz)
 
         return np.array(map_threads(one, range(len(x))))
 
 
-def as_displacement(kinds: Sequence[str], f_hz: Array, noise: Array) -> Array:
+def noise_displacement_psd(kinds: Sequence[str], f_hz: Array, noise: Array) -> Array:
     """(places, f) one-sided PSD in m^2/Hz of what white noise, (places,) in the unit of each sensor, integrates to; 0
     for sensors of displacement."""
     w = 2 * np.pi * f_hz
@@ -59,22 +59,24 @@ def as_displacement(kinds: Sequence[str], f_hz: Array, noise: Array) -> Array:
     return np.asarray(noise_shape(kinds, w) / w**4 * (noise * integrated)[:, None])
 
 
-def is_little(f_hz: Array, e: Array, x2: Array) -> bool:
+def noise_is_negligible(f_hz: Array, e: Array, x2: Array) -> bool:
     """Whether noise e, (places, f) m^2/Hz, is little beside the displacement, x2 (places,) m^2, everywhere."""
     return bool((e @ np.gradient(f_hz) <= LITTLE * x2).all())
 
 
-def calm_of(f_hz: Array, seen: Array, e: Array, reach: int) -> Calm:
+def denoising_filter(f_hz: Array, seen: Array, e: Array, reach: int) -> DenoisingFilter:
     """f_hz : (f,) of the band, evenly spaced but for what is left out. seen, e : (places, f) one-sided PSDs in m^2/Hz
     of the displacement as measured and of what in it is noise."""
     df, w = np.gradient(f_hz), 2 * np.pi * f_hz
     gain = np.clip(1.0 - e / np.maximum(_smooth(seen), e), 0.0, 1.0)
     lost = seen * gain * (1.0 - gain)
     doubt = np.sqrt(np.stack([lost @ df, lost @ (df * w**2)], axis=1))
-    return Calm(f_hz, gain - 1.0, doubt, reach)
+    return DenoisingFilter(f_hz, gain - 1.0, doubt, reach)
 
 
-def as_seen(force: NDArray[np.floating], mean: Array, calm: NDArray[np.floating], own: int, other: int) -> None:
+def restore_mean_tangent(
+    force: NDArray[np.floating], mean: Array, calm: NDArray[np.floating], own: int, other: int
+) -> None:
     """Of a law's force (n,) on what it sees, made in place: its mean tangent is of the whole displacement.
 
     mean : (4,) tangents along x, v and those of the other direction. calm : (places, n). other : -1 where none is.

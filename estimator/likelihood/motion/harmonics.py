@@ -6,7 +6,7 @@ harmonics, sum_k Re F_k exp(i k theta), with theta the shaft angle, the defect's
 reaches a cap through the shaft.
 
 Numbers are those at the mean speed of the record. While the speed changes an imbalance grows with its square, and the
-shaft between disc and cap answers otherwise (`swing`).
+shaft between disc and cap answers otherwise (`speed_gain`).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ FREQUENCY = {"local_defect": 1} | dict.fromkeys(LINE_NAMES, 2)  # number of the 
 
 
 @dataclass(frozen=True, slots=True)
-class Periodic:
+class PeriodicEffect:
     """One periodic effect with parameters p at a canonical place. hz : its fundamental."""
 
     effect: Effect
@@ -69,7 +69,9 @@ class Periodic:
         k = np.arange(1.0, count + 1)
         F = -2.0 / TURN * np.fft.rfft(law)[1 : count + 1] * np.exp(-0.5j * k * 2 * np.pi / TURN)
         if self.effect.kind in ("disc", "shaft"):
-            F *= to_cap(model, place, np.asarray(2 * np.pi * self.hz * k)) - (0.5 if self.effect.name == "bow" else 0.0)
+            F *= cap_force_per_shaft_force(model, place, np.asarray(2 * np.pi * self.hz * k)) - (
+                0.5 if self.effect.name == "bow" else 0.0
+            )
         return np.asarray(F)
 
     def highest(self, band: tuple[float, float]) -> int:
@@ -83,17 +85,17 @@ class Periodic:
 
     def sounding(self, count: int) -> NDArray[np.bool_]:
         """(count,) which harmonics its law has."""
-        return sounding(self.effect.name, count)
+        return present_harmonics(self.effect.name, count)
 
 
-def sounding(name: str, count: int) -> NDArray[np.bool_]:
+def present_harmonics(name: str, count: int) -> NDArray[np.bool_]:
     """(count,) which harmonics a periodic effect has."""
     if name == "local_defect":
         return np.ones(count, bool)
     return np.asarray(np.arange(1, count + 1) == (2 if name == "misalignment" else 1))
 
 
-def fundamental(effect: Effect, own: Mapping[str, Setting], model: Model) -> float:
+def fundamental_hz(effect: Effect, own: Mapping[str, Setting], model: Model) -> float:
     """Hz at which the angle of a periodic effect with these settings turns; 0 where that is not known."""
     rotation, k = (model.speed_rpm or 0.0) / 60.0, FREQUENCY.get(effect.name)
     if k is None:
@@ -109,21 +111,21 @@ def known_lines(model: Model) -> list[float]:
     for use in model.effects:
         if use.name in PERIODIC:
             effect = NAMED[use.name]
-            orders = 1 + np.flatnonzero(sounding(use.name, LINES))
+            orders = 1 + np.flatnonzero(present_harmonics(use.name, LINES))
             for key in at(effect, use, model):
-                hz = fundamental(effect, written(effect, use, model, key), model)
+                hz = fundamental_hz(effect, written(effect, use, model, key), model)
                 out |= dict.fromkeys((hz * orders).tolist() if hz > 0.0 else ())
     return list(out)
 
 
-def to_cap(model: Model, place: str, omega: Array) -> Complexes:
+def cap_force_per_shaft_force(model: Model, place: str, omega: Array) -> Complexes:
     """(f,) force on a cap per force on the disc, by reciprocity the disc's displacement per cap displacement."""
     disc = model.mass.get("disc", 0.0)
     _, follow = shaft_at_caps(model.shaft, model.shaft_stiffness, model.shaft_damping, disc, omega)
     return np.asarray(follow[:, int(place[7]) - 1])
 
 
-def periodic_of(model: Model) -> list[Periodic]:
+def periodic_effects(model: Model) -> list[PeriodicEffect]:
     """The model's periodic effects whose numbers are all known, by place."""
     out = []
     for use in model.effects:
@@ -136,15 +138,15 @@ def periodic_of(model: Model) -> list[Periodic]:
             except ModelError:
                 continue
             own = written(effect, use, model, key)
-            hz = fundamental(effect, own, model)
+            hz = fundamental_hz(effect, own, model)
             if hz > 0.0:
                 free = tuple(not own.get(q.name, Setting()).fixed for q in effect.parameters)
-                out.append(Periodic(effect, key, p, free, hz))
+                out.append(PeriodicEffect(effect, key, p, free, hz))
     return out
 
 
 @dataclass(frozen=True, slots=True)
-class Wave:
+class PeriodicForce:
     """One number of a periodic effect that its force is proportional to, at the places it acts on.
 
     name : in full, "bearing1.x.line.a". tables : by place index, (TURN + 1,) N per unit over a turn of the angle, as
@@ -153,7 +155,7 @@ class Wave:
 
     name: str
     unit: str
-    one: Periodic
+    one: PeriodicEffect
     tables: dict[int, Array]
     swings: dict[int, Complexes]  # (RATIOS,) by place index, where the force depends on the speed
 
@@ -170,10 +172,10 @@ class Wave:
         out: Array = np.asarray(_along(theta, self.tables[i]), dtype=np.float64)
         if i not in self.swings:
             return out
-        ratio = speeds(t, phase) / (2 * np.pi * self.one.hz)
+        ratio = shaft_speeds(t, phase) / (2 * np.pi * self.one.hz)
         if np.abs(ratio - 1.0).max() < STEADY:
             return out
-        g = swung(self.swings[i], ratio)
+        g = speed_gain_at(self.swings[i], ratio)
         return np.asarray(out * g.real + g.imag * _along(theta + 0.5 * np.pi, self.tables[i]))  # Re(g F e^(i theta))
 
 
@@ -189,7 +191,7 @@ def _along(theta, table):  # type: ignore[no-untyped-def]
     return out
 
 
-def speeds(t: Array, phase: Array) -> Array:
+def shaft_speeds(t: Array, phase: Array) -> Array:
     """(n,) rad/s along t in s and phase in rad, which need not be evenly spaced; smooth, as pulses are few."""
     rows = np.arange(t.size)
     reach = max(1, int(SMOOTHED_S / max(float(t[1] - t[0]), 1e-12))) if t.size > 1 else 0
@@ -197,30 +199,30 @@ def speeds(t: Array, phase: Array) -> Array:
     return np.asarray((phase[after] - phase[before]) / np.maximum(t[after] - t[before], 1e-12))
 
 
-def swing(model: Model, one: Periodic, place: str) -> Complexes | None:
+def speed_gain(model: Model, one: PeriodicEffect, place: str) -> Complexes | None:
     """(RATIOS,) force on a cap over that at the mean speed; None where it does not depend on the speed."""
     if one.effect.kind not in ("disc", "shaft") or one.sounding(2)[1]:
         return None
     omega = 2 * np.pi * one.hz * np.append(RATIOS, 1.0)
-    through = to_cap(model, place, omega) - (0.5 if one.effect.name == "bow" else 0.0)
+    through = cap_force_per_shaft_force(model, place, omega) - (0.5 if one.effect.name == "bow" else 0.0)
     grown = RATIOS**2 if one.effect.name == "imbalance" else np.ones(RATIOS.size)
     return np.asarray(grown * through[:-1] / through[-1])
 
 
-def swung(swing: Complexes, ratio: Array) -> Complexes:
+def speed_gain_at(swing: Complexes, ratio: Array) -> Complexes:
     """(n,) a swing at these ratios of the speed to the mean one."""
     return np.asarray(np.interp(ratio, RATIOS, swing.real) + 1j * np.interp(ratio, RATIOS, swing.imag))
 
 
-def _swings(model: Model, one: Periodic, places: tuple[str, ...]) -> dict[int, Complexes]:
-    found = {i: swing(model, one, place) for i, place in enumerate(places) if acts(one, place)}
+def _swings(model: Model, one: PeriodicEffect, places: tuple[str, ...]) -> dict[int, Complexes]:
+    found = {i: speed_gain(model, one, place) for i, place in enumerate(places) if acts_on(one, place)}
     return {i: g for i, g in found.items() if g is not None}
 
 
-def waves(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[Wave, ...]:
+def periodic_amplitudes(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[PeriodicForce, ...]:
     """The free amplitudes of the model's periodic effects with a harmonic in the band."""
     out = []
-    for one in periodic_of(model):
+    for one in periodic_effects(model):
         if one.within(model.band).size == 0:
             continue
         parameters = one.effect.parameters
@@ -230,36 +232,36 @@ def waves(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[Wave, 
                 p[k] = 1.0
                 tables = _tables(model, replace(one, p=p), places, rate_hz)
                 name = f"{one.key}.{one.effect.name}.{q.name}"
-                out.append(Wave(name, q.unit, one, tables, _swings(model, one, places)))
+                out.append(PeriodicForce(name, q.unit, one, tables, _swings(model, one, places)))
     return tuple(out)
 
 
-def series(model: Model, places: tuple[str, ...], t: Array, phase: Array, rate_hz: float) -> Series | None:
+def periodic_series(model: Model, places: tuple[str, ...], t: Array, phase: Array, rate_hz: float) -> Series | None:
     """(places, n) N that the periodic effects put on the caps, as far as the band lets it through; None without any.
 
     t, phase : (n,) s and rad.
     """
     out: Series | None = None
-    for one in whole_waves(model, places, rate_hz):
+    for one in periodic_forces(model, places, rate_hz):
         for i, z in one.series(t, phase).items():
             out = np.zeros((len(places), t.size), np.float32) if out is None else out
             out[i] += z
     return out
 
 
-def whole_waves(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[Wave, ...]:
+def periodic_forces(model: Model, places: tuple[str, ...], rate_hz: float) -> tuple[PeriodicForce, ...]:
     """What the model's periodic effects put on the caps, all numbers of each together, where the band lets it
     through."""
-    made = [(one, _tables(model, one, places, rate_hz)) for one in periodic_of(model)]
-    return tuple(Wave("", "N", one, tables, _swings(model, one, places)) for one, tables in made if tables)
+    made = [(one, _tables(model, one, places, rate_hz)) for one in periodic_effects(model)]
+    return tuple(PeriodicForce("", "N", one, tables, _swings(model, one, places)) for one, tables in made if tables)
 
 
 @dataclass(frozen=True, slots=True)
-class Push:
+class BelowBandForce:
     """A periodic force below the band. force : by index of the place, (orders,) N of its harmonics there, from the
     first."""
 
-    one: Periodic
+    one: PeriodicEffect
     force: dict[int, Complexes]
     swings: dict[int, Complexes]
 
@@ -269,18 +271,18 @@ class Push:
         yields = response(2 * np.pi * self.one.hz * np.arange(1.0, len(F) + 1))[..., [*self.force]]
         moved = np.einsum("fij,fj->if", yields, F)
         made = {i: _turned(x) for i, x in enumerate(moved) if x.any()}
-        return Wave("", "m", self.one, made, self.swings).series(t, phase)
+        return PeriodicForce("", "m", self.one, made, self.swings).series(t, phase)
 
 
-def pushes(model: Model, places: tuple[str, ...]) -> tuple[Push, ...]:
+def below_band_forces(model: Model, places: tuple[str, ...]) -> tuple[BelowBandForce, ...]:
     """The model's periodic forces, their part below the band."""
     out = []
-    for one in periodic_of(model):
+    for one in periodic_effects(model):
         count = int(min(model.band[0] / one.hz, TURN // 8))
         heard = one.sounding(count)
         if heard.any():
-            force = {i: one.harmonics(model, p, count) * heard for i, p in enumerate(places) if acts(one, p)}
-            out.append(Push(one, force, _swings(model, one, places)))
+            force = {i: one.harmonics(model, p, count) * heard for i, p in enumerate(places) if acts_on(one, p)}
+            out.append(BelowBandForce(one, force, _swings(model, one, places)))
     return tuple(out)
 
 
@@ -292,7 +294,7 @@ def _turned(harmonics: Complexes) -> Array:
     return np.append(wave, wave[0])
 
 
-def _tables(model: Model, one: Periodic, places: tuple[str, ...], rate_hz: float) -> dict[int, Array]:
+def _tables(model: Model, one: PeriodicEffect, places: tuple[str, ...], rate_hz: float) -> dict[int, Array]:
     """(TURN + 1,) N over a turn of the angle by index of the places it acts on, if the band lets it through."""
     count = int(min(0.5 * rate_hz / one.hz, TURN // 8))
     gain = passband(np.asarray(one.hz * np.arange(1.0, count + 1)), rate_hz, model.band)
@@ -300,11 +302,11 @@ def _tables(model: Model, one: Periodic, places: tuple[str, ...], rate_hz: float
     if not ((gain > LEAST) & one.sounding(count)).any():
         return tables
     for i, place in enumerate(places):
-        if acts(one, place):
+        if acts_on(one, place):
             tables[i] = _turned(gain * one.harmonics(model, place, count))
     return tables
 
 
-def acts(one: Periodic, place: str) -> bool:
+def acts_on(one: PeriodicEffect, place: str) -> bool:
     """Whether it puts a force on the cap there."""
     return one.key in ("disc", place, place.split(".")[0])

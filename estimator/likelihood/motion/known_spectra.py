@@ -9,7 +9,7 @@ from estimator.arrays import Array
 from estimator.effects import CATALOGUE
 from estimator.model.disc import disc_of
 from estimator.model.rig import Model
-from estimator.signals.channel_response import echoes, forced, of_place
+from estimator.signals.channel_response import channel_response, folded_images, measured_force_places
 
 from .force_balance import shaft_notch
 
@@ -25,7 +25,7 @@ def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArra
     return disc.at_caps(places, 2 * np.pi * f_hz)
 
 
-def bins_of(model: Model, rate_hz: float, block: int) -> NDArray[np.int64]:
+def fitted_bins(model: Model, rate_hz: float, block: int) -> NDArray[np.int64]:
     """Bins of a block spectrum that a fit looks at."""
     f = np.fft.rfftfreq(block, 1 / rate_hz)
     inside = (f >= model.band[0]) & (f <= model.band[1])
@@ -34,24 +34,24 @@ def bins_of(model: Model, rate_hz: float, block: int) -> NDArray[np.int64]:
     return np.flatnonzero(inside)
 
 
-def sharpened(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
+def undone_noise_gain(model: Model, places: tuple[str, ...], f_hz: Array) -> Array:
     """(places, f) |true over measured|^2 of the responses that are undone, of sensors and of recorders."""
-    return np.array([1.0 / np.abs(of_place(model, p, 2 * np.pi * f_hz)) ** 2 for p in places])
+    return np.array([1.0 / np.abs(channel_response(model, p, 2 * np.pi * f_hz)) ** 2 for p in places])
 
 
-def folded_back(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], mass: Array, f_hz: Array) -> Array:
-    """What the recorder's filter lets through above half the rate, as MotionBlocks.echoes."""
-    own = [echoes(model, place, kind, f_hz) / m**2 for place, kind, m in zip(places, kinds, mass, strict=True)]
+def folded_noise(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], mass: Array, f_hz: Array) -> Array:
+    """What the recorder's filter lets through above half the rate, as MotionRecord.echoes."""
+    own = [folded_images(model, place, kind, f_hz) / m**2 for place, kind, m in zip(places, kinds, mass, strict=True)]
     out = np.zeros((max(map(len, own)), len(places), f_hz.size))
     for i, z in enumerate(own):
         out[: len(z), i] = z
     return out
 
 
-def colours(model: Model, places: tuple[str, ...], f_hz: Array, names: tuple[str, ...] = COLOURS) -> Array:
+def excitation_shapes(model: Model, places: tuple[str, ...], f_hz: Array, names: tuple[str, ...] = COLOURS) -> Array:
     """(places, f) what the model's own effects make of a white force: coloured excitation and, where that is not undone
     in the record, a resonant sensor. names : of the effects."""
-    known = forced(model)
+    known = measured_force_places(model)
     out = np.ones((len(places), f_hz.size))
     for use in model.effects:
         if use.name not in names:

@@ -10,11 +10,22 @@ from numpy.typing import NDArray
 from estimator.arrays import Array
 from estimator.errors import NotFiniteError
 
-from .denoise import as_seen
+from .denoise import restore_mean_tangent
 from .force_balance import Balance
-from .law_smoothing import FINER, HALF, MARGIN, State, decimated, depends, folds, law_force, ready, rough
-from .linear_memory import filtered, response
-from .memory_law import along, remember
+from .law_smoothing import (
+    FINER,
+    HALF,
+    MARGIN,
+    LawStates,
+    compile_law,
+    decimated,
+    harmonics_alias,
+    has_kink,
+    law_force,
+    reads_states,
+)
+from .linear_memory import filtered_series, linear_response
+from .memory_law import memory_force, memory_force_and_response
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,19 +125,19 @@ class Columns:
             terms = ((up, 0.5 / d), (down, -0.5 / d))
         if law.effect.kind == "memory":
             return _Law(terms, np.zeros(4, bool), False)
-        ready(law.effect, law.p)
-        reads = np.any([depends(law.effect, p, scale) for p, _ in terms], axis=0)
+        compile_law(law.effect, law.p)
+        reads = np.any([reads_states(law.effect, p, scale) for p, _ in terms], axis=0)
         p = terms[0][0]
-        finer = rough(law.effect, p, scale) or folds(law.effect, p, scale, self._folding_hz)
+        finer = has_kink(law.effect, p, scale) or harmonics_alias(law.effect, p, scale, self._folding_hz)
         return _Law(terms, reads, column.law < self.fine and finer)
 
-    def state(self, row: int, stretch: Stretch) -> State:
+    def state(self, row: int, stretch: Stretch) -> LawStates:
         """What the laws at a place see."""
         other = self.balance.other(row)
         h = np.sqrt(3.0) * np.concatenate([self.widths[row], self.widths[other] if other >= 0 else np.zeros(2)])
         xo, vo = (stretch.calmed(other), stretch.v[other]) if other >= 0 else (np.zeros(stretch.t.size),) * 2
         sign = 1.0 if self.balance.places[row].endswith(".x") else -1.0
-        return State(stretch.calmed(row), stretch.v[row], xo, vo, stretch.t, stretch.phase, sign, h, stretch.valid)
+        return LawStates(stretch.calmed(row), stretch.v[row], xo, vo, stretch.t, stretch.phase, sign, h, stretch.valid)
 
     def evaluate(self, stretch: Stretch) -> tuple[Array, Array]:
         """(columns, rows) and (columns, 4) sums of tangents over the valid rows. Raises DataError if not finite."""
@@ -149,7 +160,7 @@ class Columns:
                 tangents[:, k] = gains * (piece / stretch.rows)
         for i, start in enumerate(starts):
             part = stretch.part(start, min(start + piece, stretch.rows)) if len(starts) > 1 else stretch
-            states: dict[tuple[int, bool], State] = {}
+            states: dict[tuple[int, bool], LawStates] = {}
             for k, column in enumerate(self.balance.columns):
                 if column.kind == "law" and self.balance.laws[column.law].effect.kind != "memory":
                     out[k, start : start + part.rows], tangents[i, k] = self.law(k, part, states)
@@ -158,7 +169,7 @@ class Columns:
                 raise self.not_finite(k)
         return out, tangents
 
-    def law(self, k: int, stretch: Stretch, states: dict[tuple[int, bool], State]) -> tuple[Array, Array]:
+    def law(self, k: int, stretch: Stretch, states: dict[tuple[int, bool], LawStates]) -> tuple[Array, Array]:
         """(rows,) force of law column k and (4,) sums of its tangents over the valid rows.
 
         states : what the laws of this stretch have seen, by place and grid; filled here.
@@ -185,7 +196,7 @@ class Columns:
         if stretch.calm is not None:
             inner = slice(MARGIN, MARGIN + stretch.rows)
             mean = tangents / max(1, int(stretch.valid[inner].sum()))
-            as_seen(total, mean, stretch.calm[:, inner], column.row, self.balance.other(column.row))
+            restore_mean_tangent(total, mean, stretch.calm[:, inner], column.row, self.balance.other(column.row))
         return total, tangents
 
     def not_finite(self, k: int) -> NotFiniteError:
@@ -218,12 +229,12 @@ class Columns:
         effect, lin = self.balance.laws[column.law].effect, self.linear[column.row]
         out = np.zeros(f_hz.size, complex)
         for p, weight in law.terms:
-            linear = response(effect, p, lin)
+            linear = linear_response(effect, p, lin)
             if linear is not None:
                 out += weight * linear(2 * np.pi * f_hz)
             elif stretch is not None:
                 x, v = stretch.x[column.row], stretch.v[column.row]
-                out += weight * along(effect, p, lin, x, v, stretch.rate_hz)[1].at(f_hz)
+                out += weight * memory_force_and_response(effect, p, lin, x, v, stretch.rate_hz)[1].at(f_hz)
             else:
                 return None
         return out
@@ -235,11 +246,11 @@ class Columns:
         x, v, lin = stretch.x[column.row], stretch.v[column.row], self.linear[column.row]
         force = np.zeros(x.size)
         for p, weight in law.terms:
-            linear = response(effect, p, lin)
+            linear = linear_response(effect, p, lin)
             if linear is None:
-                force += weight * remember(effect, p, lin, x, v, stretch.rate_hz)
+                force += weight * memory_force(effect, p, lin, x, v, stretch.rate_hz)
             else:
-                force += weight * filtered(linear, x, stretch.rate_hz)
+                force += weight * filtered_series(linear, x, stretch.rate_hz)
         f, valid = force[inner], stretch.valid[inner]
         x, v, z = x[inner][valid], v[inner][valid], f[valid]
         gains = np.zeros(4)

@@ -80,14 +80,14 @@ def _decimate(z, taps, finer, out):  # type: ignore[no-untyped-def]
 @cache
 def _prototype(finer: int) -> tuple[Array, Array]:
     """(U, 2 half) taps of the interpolation and (2 half U + 1,) of the decimation: one Kaiser low-pass, -80 dB."""
-    h = low_pass.kaiser(2 * HALF * finer + 1, 1.0 / finer, 8.0)
+    h = low_pass.kaiser_low_pass(2 * HALF * finer + 1, 1.0 / finer, 8.0)
     # value at i + u / U from samples i - half + 1 ... i + half
     offset = (HALF - 1 - np.arange(2 * HALF))[None, :] * finer + np.arange(finer)[:, None]
     return np.ascontiguousarray(h[offset + HALF * finer] / h[HALF * finer]), h  # through the samples
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class LawStates:
     """What a law is evaluated on: (n,) arrays at one place, MARGIN rows wider on either side than what is asked for.
 
     x, v, xo, vo : m and m/s (zeros where there is no other direction); t : s; phase : rad; s : +1 in x, -1 in y.
@@ -118,15 +118,15 @@ class State:
             self.made[key] = Signals(self.made[b""].arrays, (*seen, t, phase, valid))
         return self.made[key]
 
-    def inner(self) -> State:
+    def inner(self) -> LawStates:
         """Without the margins."""
         k = slice(MARGIN, -MARGIN)
         x, v, xo, vo, t, phase = (
             np.ascontiguousarray(z[k]) for z in (self.x, self.v, self.xo, self.vo, self.t, self.phase)
         )
-        return State(x, v, xo, vo, t, phase, self.s, self.h, self.valid[k])
+        return LawStates(x, v, xo, vo, t, phase, self.s, self.h, self.valid[k])
 
-    def finer(self, reads: NDArray[np.bool_]) -> State:
+    def finer(self, reads: NDArray[np.bool_]) -> LawStates:
         """On the finer grid, HALF (coarse) rows wider than the inner rows on either side; zero what is not read."""
         n = (self.x.size - 2 * HALF) * FINER
         zero = np.zeros(n)
@@ -141,10 +141,10 @@ class State:
         )
         valid = np.repeat(self.valid[HALF:-HALF], FINER)
         valid[: HALF * FINER] = valid[-HALF * FINER :] = False  # the margins do not count in the mean tangents
-        return State(x, v, xo, vo, linear(self.t), linear(self.phase), self.s, self.h, valid)
+        return LawStates(x, v, xo, vo, linear(self.t), linear(self.phase), self.s, self.h, valid)
 
 
-def depends(effect: Effect, p: Array, scale: Array) -> NDArray[np.bool_]:
+def reads_states(effect: Effect, p: Array, scale: Array) -> NDArray[np.bool_]:
     """(4,) whether the law reads x, v, xo, vo, by trying 64 states of rms `scale` (4,)."""
     z, t, phase = _tried_states()
     x, v, xo, vo = scale[:, None] * z
@@ -164,26 +164,26 @@ def _tried_states() -> tuple[Array, Array, Array]:
     return z, np.tile(t, 5), np.tile(phase, 5)
 
 
-def rough(effect: Effect, p: Array, scale: Array) -> bool:
+def has_kink(effect: Effect, p: Array, scale: Array) -> bool:
     """Whether the law has a jump or a kink along orbits of up to four standard deviations."""
     return _shrinking(effect, p, scale, 4096) < 9.0  # it falls by 16 if the law is smooth, by 4 at a kink
 
 
-def jumps(effect: Effect, p: Array, scale: Array) -> bool:
+def has_jump(effect: Effect, p: Array, scale: Array) -> bool:
     """Whether the law has a jump along such orbits."""
     return _shrinking(effect, p, scale, 512) < 2.0  # by 1 at a jump
 
 
-def folds(effect: Effect, p: Array, scale: Array, folding_hz: float) -> bool:
+def harmonics_alias(effect: Effect, p: Array, scale: Array, folding_hz: float) -> bool:
     """Whether a harmonic of the law lies where sampling folds it into the band: above `folding_hz`, the sampling rate
     less the upper band edge. scale : (4,) rms of x, v, xo, vo."""
     x, v = scale[::2], scale[1::2]
     moving = x > 0.0
     hz = SPREAD * float((v[moving] / (2 * np.pi * x[moving])).max(initial=0.0))
-    return FASTEST * hz > folding_hz and highest(effect, p, scale) * hz > folding_hz
+    return FASTEST * hz > folding_hz and highest_harmonic(effect, p, scale) * hz > folding_hz
 
 
-def highest(effect: Effect, p: Array, scale: Array) -> int:
+def highest_harmonic(effect: Effect, p: Array, scale: Array) -> int:
     """The highest harmonic that the law makes of an orbit of 2.6 standard deviations, none above `FASTEST`."""
     x, v, xo, vo = 2.6 * scale[:, None] * _orbit(np.linspace(0.0, 2 * np.pi, 63, endpoint=False))
     size = np.abs(np.fft.rfft(force_array(effect, p, x, v, xo, vo)))[1 : FASTEST + 1]
@@ -219,13 +219,13 @@ def _orbit(at: Array) -> Array:
 def law_force(
     effect: Effect,
     p: Array,
-    state: State,
+    state: LawStates,
     reads: NDArray[np.bool_],
     series: tuple[Series, Series] | None = None,
 ) -> tuple[Array, Array]:
     """(n,) smoothed force in N on the grid of `state`, and (4,) sums of its tangents over the valid rows.
 
-    reads : of x, v, xo, vo, as `depends` has it. series : arrays to fill with the tangents along x and v.
+    reads : of x, v, xo, vo, as `reads_states` has it. series : arrays to fill with the tangents along x and v.
     """
     law, p, sums = law_of(effect, p), np.ascontiguousarray(p), np.zeros(4)
     signals = state.signals(reads)
@@ -243,7 +243,7 @@ def _signal(z: Series) -> Array:
     return np.ascontiguousarray(z, dtype=np.float64)
 
 
-def ready(effect: Effect, p: Array) -> None:
+def compile_law(effect: Effect, p: Array) -> None:
     """Compile the law of an effect, before several threads ask for it. Raises ValueError if the effect has none."""
     compiled(law_of(effect, p))
 

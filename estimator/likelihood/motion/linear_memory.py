@@ -15,7 +15,7 @@ DISTINCT = 1e6  # condition of the modes of its states, below which they are tak
 BESIDE = 1e-3  # of a stiffness or damping, by which the derivative of a response is taken
 
 
-def states(effect: Effect, p: Array, lin: Array) -> Array | None:
+def state_matrix(effect: Effect, p: Array, lin: Array) -> Array | None:
     """(n + 1, n + 2) dz/dt of the n states, and the force, per (z, x, v); for parameters p and (m, kL, c). None if they
     are not linear in them."""
     n = effect.states
@@ -37,9 +37,9 @@ def states(effect: Effect, p: Array, lin: Array) -> Array | None:
     return M
 
 
-def response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], Complexes] | None:
+def linear_response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], Complexes] | None:
     """Force per displacement, N/m, at w (f,) rad/s, for parameters p and (m, kL, c); None if not linear."""
-    n, M = effect.states, states(effect, p, lin)
+    n, M = effect.states, state_matrix(effect, p, lin)
     if M is None:
         return None
     own, reads = M[:n, :n], M[n]
@@ -60,11 +60,11 @@ def response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], Complexe
     return transfer
 
 
-def slope(effect: Effect, p: Array, lin: Array, which: int) -> Callable[[Array], Complexes] | None:
+def response_derivative(effect: Effect, p: Array, lin: Array, which: int) -> Callable[[Array], Complexes] | None:
     """Derivative of the response by the linear stiffness (which = 1) or damping (2) beside it, per unit; None if it is
     not linear or does not depend on it."""
     step = BESIDE * np.eye(3)[which] * abs(lin[which])
-    up, down = response(effect, p, lin + step), response(effect, p, lin - step)
+    up, down = linear_response(effect, p, lin + step), linear_response(effect, p, lin - step)
     if up is None or down is None or not step.any():
         return None
     w = np.sqrt(max(lin[1] / lin[0], 1.0)) * np.array([0.5, 1.5])
@@ -73,7 +73,7 @@ def slope(effect: Effect, p: Array, lin: Array, which: int) -> Callable[[Array],
     return lambda w: (up(w) - down(w)) / (2 * step[which])
 
 
-def filtered(response: Callable[[Array], Complexes], x: Array, rate_hz: float, by: int = 1) -> Array:
+def filtered_series(response: Callable[[Array], Complexes], x: Array, rate_hz: float, by: int = 1) -> Array:
     """(by n,) what a response at w (f,) rad/s makes of a series (n,), at `by` times its rate."""
     from scipy.fft import irfft, next_fast_len, rfft
 

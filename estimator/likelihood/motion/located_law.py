@@ -19,16 +19,16 @@ from estimator.model.effect import Effect, EffectParameter
 from estimator.model.rig import Model
 
 from . import linear_memory, shaft_law
-from .denoise import as_seen
+from .denoise import restore_mean_tangent
 from .harmonics import PERIODIC
-from .law_smoothing import FINER, MARGIN, State, decimated, depends, folds, jumps, law_force
-from .memory_law import along
-from .motion_record import FOLDS, MotionBlocks
+from .law_smoothing import FINER, MARGIN, LawStates, decimated, harmonics_alias, has_jump, law_force, reads_states
+from .memory_law import memory_force_and_response
+from .motion_record import FOLDS, MotionRecord
 
 FORCES = ("force", "memory", "shaft")  # kinds that act through the motion of the caps
 
 
-def size(data: MotionBlocks, i: int, kL: float) -> Size:
+def natural_sizes(data: MotionRecord, i: int, kL: float) -> Size:
     """Natural sizes at a place, measured."""
     return Size(
         x=float(data.rms[0, i]), v=float(data.rms[1, i]), m=float(data.mass[i]), kL=float(kL),
@@ -36,19 +36,19 @@ def size(data: MotionBlocks, i: int, kL: float) -> Size:
     )  # fmt: skip
 
 
-def stiffness(data: MotionBlocks, i: int) -> float:
+def first_stiffness(data: MotionRecord, i: int) -> float:
     """N/m, first idea: E[v^2] / E[x^2] times the mass."""
     return float(data.mass[i] * np.mean(data.v[i] ** 2) / np.mean(data.x[i] ** 2))
 
 
-def acting(effect: Effect, canonical: str, data: MotionBlocks) -> tuple[int, ...]:
+def acted_on(effect: Effect, canonical: str, data: MotionRecord) -> tuple[int, ...]:
     """Indices of the measured places that an effect at a canonical place acts on."""
     if effect.kind in ("shaft", "disc"):
         return tuple(range(len(data.places)))
     return tuple(i for i, p in enumerate(data.places) if p == canonical or p.split(".")[0] == canonical)
 
 
-def searched(effect: Effect, model: Model) -> list[int]:
+def searched_parameters(effect: Effect, model: Model) -> list[int]:
     """Numbers of the parameters that are searched: neither amplitudes, nor given, nor known from the geometry. A
     ball-pass order of the record is stepped with the rest: the phase of the amplitudes hangs on it."""
     return [
@@ -62,7 +62,7 @@ def _estimated(q: EffectParameter, model: Model) -> bool:
     return q.scale == "bpfo" and model.order_found
 
 
-def start(q: EffectParameter, natural: Size, model: Model) -> float:
+def start_value(q: EffectParameter, natural: Size, model: Model) -> float:
     """SI value of a parameter that nothing is said about."""
     known = kinematic(q.scale, model)
     if known is not None:
@@ -70,37 +70,37 @@ def start(q: EffectParameter, natural: Size, model: Model) -> float:
     return 0.0 if q.linear else q.default * natural.of(q)
 
 
-def placed_of(model: Model, data: MotionBlocks) -> list[Placed]:
+def located_laws(model: Model, data: MotionRecord) -> list[LocatedLaw]:
     """The model's force effects at their places, with the rig file's values as start."""
     out = []
     for use in model.effects:
         effect = effect_of(use)
         if effect.kind not in FORCES or effect.name in PERIODIC:
             continue
-        loose = set(searched(effect, model))
+        loose = set(searched_parameters(effect, model))
         for canonical in at(effect, use, model):
-            where = acting(effect, canonical, data)
+            where = acted_on(effect, canonical, data)
             if not where:
                 continue
             settings = written(effect, use, model, canonical)
-            natural = size(data, where[0], stiffness(data, where[0]))
+            natural = natural_sizes(data, where[0], first_stiffness(data, where[0]))
             p = np.zeros(len(effect.parameters))
             free = []
             for k, q in enumerate(effect.parameters):
                 s = settings.get(q.name)
-                p[k] = s.value if s is not None and s.value is not None else start(q, natural, model)
+                p[k] = s.value if s is not None and s.value is not None else start_value(q, natural, model)
                 typed = s is not None and s.value is not None and not q.given  # of a kinematic number: it may slip
                 free.append((q.linear or k in loose or typed) and not (s is not None and s.fixed))
-            out.append(Placed(effect, f"{canonical}.{effect.name}", where, p, tuple(free)))
+            out.append(LocatedLaw(effect, f"{canonical}.{effect.name}", where, p, tuple(free)))
     return out
 
 
-def on_trial(model: Model) -> list[Effect]:
+def trial_effects(model: Model) -> list[Effect]:
     """What a diagnosis tries: the catalogue, and the laws of the user that are no part of the model yet."""
     return [*CATALOGUE.values(), *(effect_of(use) for use in model.candidates)]
 
 
-def clipped(model: Model) -> frozenset[str]:
+def clipped_places(model: Model) -> frozenset[str]:
     """Places whose channel the model calls clipped."""
     named = {p for u in model.effects if u.name == "sensor_clipping" for p in u.parameters}
     return frozenset(p for p in model.places if p in named or p.split(".")[0] in named)
@@ -108,11 +108,11 @@ def clipped(model: Model) -> frozenset[str]:
 
 PIECE = 1 << 15  # rows of a record at a time: what a law needs of them stays in the cache
 LARGEST = 1e12  # N: no bearing bears it, and what a step makes of more has no square in single precision
-Evaluated = tuple[Array, Array, NDArray[np.complex128] | None]
+LawAlongPath = tuple[Array, Array, NDArray[np.complex128] | None]
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class LocatedLaw:
     """An effect with parameters p (in declared order) shared by the places of index `at`; `key` heads their names."""
 
     effect: Effect
@@ -121,19 +121,21 @@ class Placed:
     p: Array
     free: tuple[bool, ...]
 
-    def with_values(self, p: Array) -> Placed:
+    def with_values(self, p: Array) -> LocatedLaw:
         return replace(self, p=p)
 
     def name(self, k: int) -> str:
         return f"{self.key}.{self.effect.parameters[k].name}"
 
 
-def remembers(placed: Placed, lin: Array) -> bool:
+def has_nonlinear_memory(placed: LocatedLaw, lin: Array) -> bool:
     """Whether a law has a memory that obeys no linear equations."""
-    return placed.effect.kind == "memory" and linear_memory.response(placed.effect, placed.p, lin) is None
+    return placed.effect.kind == "memory" and linear_memory.linear_response(placed.effect, placed.p, lin) is None
 
 
-def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | None = None) -> Evaluated:
+def law_along_record(
+    placed: LocatedLaw, data: MotionRecord, i: int, lin: Array, p: Array | None = None
+) -> LawAlongPath:
     """(n,) N of the effect at place i, (folds, places, 2) its mean tangents to x_l and v_l of every place in every time
     fold, and what more it answers to x_l in the mean, (places, bins) N/m, where it has a memory or acts through the
     disc.
@@ -144,14 +146,14 @@ def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | 
     p = np.ascontiguousarray(placed.p if p is None else p, dtype=np.float64)
     slopes = np.zeros((FOLDS, len(data.places), 2))
     if placed.effect.kind == "memory":
-        linear = linear_memory.response(placed.effect, p, lin[i])
+        linear = linear_memory.linear_response(placed.effect, p, lin[i])
         if linear is not None:
             own = linear(2 * np.pi * data.f_hz)
-            return linear_memory.filtered(linear, data.x[i], data.rate_hz), slopes, at_home(own, i, data)
-        f, mean = along(placed.effect, p, lin[i], data.seen(i), data.v[i], data.rate_hz)
-        return f, slopes, at_home(mean.at(data.f_hz), i, data)
+            return linear_memory.filtered_series(linear, data.x[i], data.rate_hz), slopes, own_response(own, i, data)
+        f, mean = memory_force_and_response(placed.effect, p, lin[i], data.seen(i), data.v[i], data.rate_hz)
+        return f, slopes, own_response(mean.at(data.f_hz), i, data)
     if placed.effect.kind == "shaft":
-        f, across = shaft_law.along(placed.effect, p, data, i, lin)
+        f, across = shaft_law.shaft_force(placed.effect, p, data, i, lin)
         return f, slopes, across
     out, sums = _along(placed.effect, p, data, i)
     slopes[:, i] += sums[:, :2]
@@ -161,21 +163,21 @@ def evaluate(placed: Placed, data: MotionBlocks, i: int, lin: Array, p: Array | 
     return out, slopes, None
 
 
-def at_home(response: NDArray[np.complex128] | complex, i: int, data: MotionBlocks) -> NDArray[np.complex128]:
+def own_response(response: NDArray[np.complex128] | complex, i: int, data: MotionRecord) -> NDArray[np.complex128]:
     """(places, bins) of a response (bins,) to the displacement of place i itself."""
     out = np.zeros((len(data.places), data.bins.size), complex)
     out[i] = response
     return out
 
 
-def sharp_at(effect: Effect, p: Array, data: MotionBlocks, i: int) -> bool:
+def needs_finer_grid(effect: Effect, p: Array, data: MotionRecord, i: int) -> bool:
     """Whether the samples of a law at place i do not hold what it does: it jumps, or its harmonics fold."""
     size = data.sizes(i)
-    return jumps(effect, p, size) or folds(effect, p, size, data.rate_hz - data.band[1])
+    return has_jump(effect, p, size) or harmonics_alias(effect, p, size, data.rate_hz - data.band[1])
 
 
 def _along(
-    effect: Effect, p: Array, data: MotionBlocks, i: int, tangents: Series | None = None
+    effect: Effect, p: Array, data: MotionRecord, i: int, tangents: Series | None = None
 ) -> tuple[Array, Array]:  # fmt: skip
     """(n,) N of a law along the motion of place i, and (folds, 4) its mean tangents: as the fit has them.
 
@@ -183,8 +185,8 @@ def _along(
     be filled with those along x and v, on the grid of the data.
     """
     o, n, size = data.other(i), data.x.shape[1], data.sizes(i)
-    reads = depends(effect, p, np.maximum(size, 1e-300))
-    sharp = tangents is None and sharp_at(effect, p, data, i)
+    reads = reads_states(effect, p, np.maximum(size, 1e-300))
+    sharp = tangents is None and needs_finer_grid(effect, p, data, i)
     zero, states = np.zeros(n), product((i, o), (data.calmed, data.v.__getitem__))
     seen = [of(j) if read and j is not None else zero for (j, of), read in zip(states, reads.tolist(), strict=True)]
     out, sums = np.empty(n), np.zeros((FOLDS, 4))
@@ -192,7 +194,7 @@ def _along(
         rows = np.clip(np.arange(a - MARGIN, b + MARGIN), 0, n - 1) if sharp else slice(a, b)
         x, v, xo, vo, t, phase = (z[rows] for z in (*seen, data.t, data.phase))
         valid = np.ones(x.size, bool)
-        state = State(x, v, xo, vo, t, phase, data.sign(i), data.smoothing(i), valid)
+        state = LawStates(x, v, xo, vo, t, phase, data.sign(i), data.smoothing(i), valid)
         if sharp:
             force, part = law_force(effect, p, state.finer(reads), reads)
             out[a:b], part = decimated(force), part / FINER
@@ -205,11 +207,11 @@ def _along(
     sums /= np.maximum(data.fold_rows, 1)[:, None]
     if data.calm is not None:
         for f, a, b in _pieces(data):  # by time folds, as the black box: beside a drift theirs differ
-            as_seen(out[a:b], sums[f], data.calm[:, a:b], i, -1 if o is None else o)
+            restore_mean_tangent(out[a:b], sums[f], data.calm[:, a:b], i, -1 if o is None else o)
     return out, sums
 
 
-def _pieces(data: MotionBlocks) -> Iterator[tuple[int, int, int]]:
+def _pieces(data: MotionRecord) -> Iterator[tuple[int, int, int]]:
     """The time fold of a piece of the record, its first row and the one after its last."""
     last = np.cumsum(data.fold_rows)
     for f, (rows, end) in enumerate(zip(data.fold_rows.tolist(), last.tolist(), strict=True)):
@@ -217,8 +219,8 @@ def _pieces(data: MotionBlocks) -> Iterator[tuple[int, int, int]]:
             yield f, a, min(a + PIECE, end)
 
 
-def tangent_series(placed: Placed, data: MotionBlocks, i: int, p: Array) -> Series:
-    """(2, n) tangents of a law along x and v at place i, those whose means `evaluate` gives."""
+def tangent_series(placed: LocatedLaw, data: MotionRecord, i: int, p: Array) -> Series:
+    """(2, n) tangents of a law along x and v at place i, those whose means `law_along_record` gives."""
     tangents = np.zeros((2, data.x.shape[1]), np.float32)
     _along(placed.effect, np.ascontiguousarray(p, dtype=np.float64), data, i, tangents)
     return tangents

@@ -38,7 +38,7 @@ SMALL = 1e-7  # change of a state or of the motion over its largest value, for d
 
 
 @dataclass(frozen=True, slots=True)
-class Linearised:
+class LinearisedMemory:
     """Of the states (S,) of one law or several, in n rows.
 
     step : (n, S, S + 2) change of the states over the step from every row, by the states before, the mean displacement
@@ -49,7 +49,7 @@ class Linearised:
     force: Array
 
 
-def together(laws: list[Linearised]) -> Linearised:
+def stacked_states(laws: list[LinearisedMemory]) -> LinearisedMemory:
     """The states of several laws as one."""
     if len(laws) == 1:
         return laws[0]
@@ -62,12 +62,12 @@ def together(laws: list[Linearised]) -> Linearised:
         force[:, own] = law.force[:, :size]
         force[:, S:] += law.force[:, size:]
         first += size
-    return Linearised(step, force)
+    return LinearisedMemory(step, force)
 
 
-def passed(
+def force_along_path(
     effect: Effect, p: Array, lin: Array, x: Series, v: Series, dt: float, start: Array, about: bool = True
-) -> tuple[Array, Array, Linearised | None]:  # fmt: skip
+) -> tuple[Array, Array, LinearisedMemory | None]:  # fmt: skip
     """(n,) N of the force along a path (n,) from states (S,) at its start; (n, S) its states; linearised if asked."""
     if effect.rates is None or effect.memory_force is None:
         raise ValueError(f"{effect.name}: no memory law (kind {effect.kind})")
@@ -78,11 +78,11 @@ def passed(
     small = SMALL * np.maximum(size, 1e-300)
     law = _compiled(effect.rates, effect.memory_force, S)
     law(*(np.ascontiguousarray(z, dtype=np.float64) for z in (p, lin, x, v)), dt, small,
-        np.array([True] * S + [*reads(effect, p, lin)]), states, out, step, force)  # fmt: skip
-    return out, states, Linearised(step, force) if about else None
+        np.array([True] * S + [*reads_motion(effect, p, lin)]), states, out, step, force)  # fmt: skip
+    return out, states, LinearisedMemory(step, force) if about else None
 
 
-def reads(effect: Effect, p: Array, lin: Array) -> tuple[bool, bool]:
+def reads_motion(effect: Effect, p: Array, lin: Array) -> tuple[bool, bool]:
     """Whether a law with memory reads the displacement, and whether its force reads the velocity, by trying."""
     return _reads(effect, tuple(p.tolist()), tuple(lin.tolist()))
 
@@ -105,7 +105,7 @@ def _reads(effect: Effect, p: tuple[float, ...], lin: tuple[float, ...]) -> tupl
 
 @cache
 def _compiled(rates: Callable[..., None], force: Callable[..., float], S: int) -> Callable[..., None]:
-    """The loop of `passed` with a law in it: twice as fast as calls by address. Kept on disk beside this file."""
+    """The compiled loop of `force_along_path` for one law, kept on disk: twice as fast as calls by address."""
     module = sys.modules.get(rates.__module__)
     try:
         source = inspect.getsource(module) if module else ""
@@ -184,20 +184,20 @@ class MeanResponse:
         return np.interp(f_hz, f, z.real) + 1j * (np.interp(f_hz, f, z.imag) + 2 * np.pi * f_hz * self.tangent)
 
 
-def remember(
-    effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float, mean: Steps | None = None
+def memory_force(
+    effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float, mean: StepResponses | None = None
 ) -> Array:  # fmt: skip
     """(n,) N of a force along a path, its states from rest. lin : (3,) m, kL, c. mean : to be given steps."""
     n, rate = x.size, FINER * rate_hz
     out, start = np.empty(n), np.zeros(effect.states)
-    fast, stride = reads(effect, p, lin)[1], min(max(n // PIECE // ENOUGH, 1), STRIDE)
+    fast, stride = reads_motion(effect, p, lin)[1], min(max(n // PIECE // ENOUGH, 1), STRIDE)
     for a in range(0, n, PIECE):
         b = min(a + PIECE, n)
         rows = np.clip(np.arange(a - MARGIN, b + MARGIN), 0, n - 1)
         fine = interpolated(x[rows], FINER)
         speed = interpolated(v[rows], FINER) if fast else np.zeros_like(fine)
         stepped = mean is not None and a // PIECE % stride == 0
-        force, states, about = passed(effect, p, lin, fine, speed, 1.0 / rate, start, stepped)
+        force, states, about = force_along_path(effect, p, lin, fine, speed, 1.0 / rate, start, stepped)
         start = states[(b - a) * FINER].copy()  # HALF rows before the end: where the next piece begins
         out[a:b] = decimated(force, FINER)
         if mean is not None and about is not None:
@@ -205,13 +205,15 @@ def remember(
     return out
 
 
-def along(effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float) -> tuple[Array, MeanResponse]:
+def memory_force_and_response(
+    effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float
+) -> tuple[Array, MeanResponse]:
     """The same with the mean response."""
-    mean = Steps(x, v, 1.0 / (FINER * rate_hz))
-    return remember(effect, p, lin, x, v, rate_hz, mean), mean.response()
+    mean = StepResponses(x, v, 1.0 / (FINER * rate_hz))
+    return memory_force(effect, p, lin, x, v, rate_hz, mean), mean.response()
 
 
-class Steps:
+class StepResponses:
     """Sums of the answers to steps along a path x, v (any rate), whose rows are to be dt apart."""
 
     def __init__(self, x: Series, v: Series, dt: float) -> None:
@@ -220,7 +222,7 @@ class Steps:
         self.sums, self.counts = np.zeros((2, int(CYCLES * cycle) + 2))
         self.rows, self.tangent = 0, 0.0
 
-    def add(self, about: Linearised) -> None:
+    def add(self, about: LinearisedMemory) -> None:
         """Steps along a piece of it."""
         _launch(about.step, about.force, self.stride, HALVINGS, self.sums, self.counts)
         self.rows, self.tangent = self.rows + len(about.force), self.tangent + float(about.force[:, -1].sum())

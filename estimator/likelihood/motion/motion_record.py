@@ -13,7 +13,7 @@ from estimator.arrays import Array, Complexes, Series
 from estimator.model.disc import Disc
 from estimator.signals.band_limit import noise_shape
 
-from .harmonics import Push, Wave
+from .harmonics import BelowBandForce, PeriodicForce
 from .law_smoothing import HALF, NEAREST, interpolated
 
 FOLDS = 6
@@ -21,8 +21,8 @@ _OTHER = {"x": "y", "y": "x"}
 SPOILS = 0.1  # of the motion of a cap: off by more, nothing is told of it
 
 
-@dataclass(frozen=True, slots=True)
-class MotionBlocks:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionRecord:
     """Valid blocks laid end to end, n = blocks * block rows. SI.
 
     v, x : (places, n) band-limited motion; known : (places, n) N, the part of the force that needs no estimate:
@@ -62,8 +62,10 @@ class MotionBlocks:
     calm: Series | None = None  # (places, n) what laws see of x beside it, less the noise of sensors: denoise.py
     doubt: Array | float = 0.0  # (places, 2) sd of the displacement and velocity that this leaves
     shared: tuple[tuple[int, int], ...] = ()  # pairs of places whose unknown forces the model lets be correlated
-    pushes: tuple[Push, ...] = ()  # the model's periodic forces below the band, which laws feel
-    waves: tuple[Wave, ...] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
+    pushes: tuple[BelowBandForce, ...] = ()  # the model's periodic forces below the band, which laws feel
+    waves: tuple[
+        PeriodicForce, ...
+    ] = ()  # amplitudes of the model's periodic forces; `known` has what is known of them
     level: Array | None = None  # (places, blocks) power of the unknown force over its mean: excitation_level.py
     disc: Disc | None = None  # on its shaft, where there is one: shaft_law.py
     shaken: Series | None = None  # (places, n) N, measured forces below the band: below_band.py
@@ -184,12 +186,12 @@ class MotionBlocks:
     def sign(self, i: int) -> float:
         return 1.0 if self.places[i].endswith("x") else -1.0
 
-    def states(self, of: Callable[[Series], Series], **rest: Any) -> MotionBlocks:
+    def states(self, of: Callable[[Series], Series], **rest: Any) -> MotionRecord:
         """With v, x and the slow displacement, (places, n) each, as `of` makes them, and other fields as given."""
         measured, slow, calm = (None if z is None else of(z) for z in (self.measured, self.slow, self.calm))
         return replace(self, v=of(self.v), x=of(self.x), measured=measured, slow=slow, calm=calm, **rest)
 
-    def in_one(self) -> MotionBlocks:
+    def in_one(self) -> MotionRecord:
         """With the displacement that laws see, less the noise of sensors, as one: all that their tangents need."""
         x = np.stack([self.calmed(i) for i in range(len(self.places))])
         return replace(self, x=x, measured=None, slow=None, calm=None, shaken=None)
@@ -199,7 +201,7 @@ class MotionBlocks:
         level = None if self.level is None else self.level[:, some]
         return {"start": self.start[some], "fold": self.fold[some], "level": level}
 
-    def at(self, rows: slice | list[slice] | NDArray[np.bool_], **rest: Any) -> MotionBlocks:
+    def at(self, rows: slice | list[slice] | NDArray[np.bool_], **rest: Any) -> MotionRecord:
         """Only these rows: views of them if they are a slice. rest : fields that change with them."""
 
         def taken(z: Series) -> Series:
@@ -212,16 +214,16 @@ class MotionBlocks:
         return self.states(taken, **same, **rest)
 
 
-def part_of(data: MotionBlocks, seconds: float) -> MotionBlocks:
+def leading_blocks(data: MotionRecord, seconds: float) -> MotionRecord:
     """Some consecutive blocks of every time fold, about `seconds` in all; the data themselves if they are no longer."""
     per_fold = max(2, int(seconds * data.rate_hz / data.block / FOLDS))
     if data.blocks <= 1.25 * per_fold * FOLDS:
         return data
     pick = np.concatenate([np.flatnonzero(data.fold == f)[:per_fold] for f in range(FOLDS)])
-    return data.at(runs(pick * data.block, data.block), **data.of_blocks(pick))
+    return data.at(joined_blocks(pick * data.block, data.block), **data.of_blocks(pick))
 
 
-def without_hz(data: MotionBlocks, low: float, high: float) -> MotionBlocks:
+def without_bins(data: MotionRecord, low: float, high: float) -> MotionRecord:
     """The same without the bins between; the data themselves if there are none."""
     keep = (data.f_hz < low) | (data.f_hz > high)
     if keep.all():
@@ -232,14 +234,14 @@ def without_hz(data: MotionBlocks, low: float, high: float) -> MotionBlocks:
                    passed=data.passed[..., keep])  # fmt: skip
 
 
-def fold_of(data: MotionBlocks, f: int) -> MotionBlocks:
+def fold_record(data: MotionRecord, f: int) -> MotionRecord:
     """The blocks of one time fold, as views of the record."""
     here = np.flatnonzero(data.fold == f)
     rows = slice(int(here[0]) * data.block, (int(here[-1]) + 1) * data.block)
     return data.at(rows, **data.of_blocks(here))
 
 
-def finer(data: MotionBlocks, by: int = 4) -> MotionBlocks:
+def oversampled(data: MotionRecord, by: int = 4) -> MotionRecord:
     """Displacement, velocity, time and phase of the blocks at `by` times the rate; the rest as it was.
 
     Blocks that follow one another are interpolated as one: a law that remembers takes a leap between them for motion.
@@ -261,14 +263,14 @@ def finer(data: MotionBlocks, by: int = 4) -> MotionBlocks:
                        block=by * data.block, t=t, phase=phase)  # fmt: skip
 
 
-def coarser(data: MotionBlocks, by: int) -> MotionBlocks:
+def decimated_record(data: MotionRecord, by: int) -> MotionRecord:
     """Every so manyth row of displacement, velocity, time and phase of finer blocks."""
     rows = slice(None, None, by)
     return data.states(lambda z: z[:, rows], rate_hz=data.rate_hz / by, block=data.block // by, t=data.t[rows],
                        phase=data.phase[rows])  # fmt: skip
 
 
-def spectrum(series: Array, block: int, rate_hz: float) -> tuple[Array, Array]:
+def mean_psd(series: Array, block: int, rate_hz: float) -> tuple[Array, Array]:
     """One-sided PSD of blocks laid end to end, Hann window."""
     rows = series[: series.size // block * block].reshape(-1, block)
     window = np.hanning(block)
@@ -277,7 +279,7 @@ def spectrum(series: Array, block: int, rate_hz: float) -> tuple[Array, Array]:
     return f, np.asarray(np.mean(np.abs(Z) ** 2, axis=0) * 2 / (rate_hz * np.sum(window**2)))
 
 
-def runs(starts: NDArray[np.int64], block: int) -> list[slice]:
+def joined_blocks(starts: NDArray[np.int64], block: int) -> list[slice]:
     """The rows of all blocks, neighbours joined."""
     cuts = np.flatnonzero(np.diff(starts) != block) + 1
     return [slice(int(s[0]), int(s[-1]) + block) for s in np.split(starts, cuts)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,27 +15,27 @@ from estimator.model.disc import disc_of
 from estimator.model.rig import MOTION, Model
 from estimator.parallel import map_threads
 from estimator.results import Message
-from estimator.signals.band_limit import below_band
-from estimator.signals.band_limited_record import Filtered
-from estimator.signals.channel_response import passed_of_images, undone
+from estimator.signals.band_limit import below_band_force
+from estimator.signals.band_limited_record import BandLimitedRecord
+from estimator.signals.channel_response import corrected_record, passed_of_images
 from estimator.signals.shaft_angle import measured_phase
 
 from .checks import check_moves
 from .force_balance import shaft_reaction
-from .harmonics import pushes, series, waves
-from .known_spectra import OF_FORCE, bins_of, colours, folded_back, shaft_response, sharpened
-from .motion_record import FOLDS, MotionBlocks, part_of, runs
+from .harmonics import below_band_forces, periodic_amplitudes, periodic_series
+from .known_spectra import OF_FORCE, excitation_shapes, fitted_bins, folded_noise, shaft_response, undone_noise_gain
+from .motion_record import FOLDS, MotionRecord, joined_blocks, leading_blocks
 
 SHORTEST = 2**16  # samples, 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
 LONGEST = 240.0  # s of a record that is kept in memory, about 10 MB each; six stretches of it, spread over the whole
 
 
-def prepare(model: Model, y: Array, rate_hz: float) -> MotionBlocks:
-    """Blocks of a record y (n, channels), SI. Raises DataError as `cut` does."""
-    return part_of(cut(model, undone(model, y, rate_hz), rate_hz), LONGEST)
+def prepare(model: Model, y: Array, rate_hz: float) -> MotionRecord:
+    """Blocks of a record y (n, channels), SI. Raises DataError as `motion_record` does."""
+    return leading_blocks(motion_record(model, corrected_record(model, y, rate_hz), rate_hz), LONGEST)
 
 
-def shortened(data: MotionBlocks, y: Array) -> tuple[Message, ...]:
+def shortening_messages(data: MotionRecord, y: Array) -> tuple[Message, ...]:
     """What to tell the user of a record longer than what is kept of it, or so short that little is seen in it."""
     used, whole = data.seconds, len(y) / data.rate_hz
     if data.blocks * data.block < SHORTEST:
@@ -45,7 +47,7 @@ def shortened(data: MotionBlocks, y: Array) -> tuple[Message, ...]:
     return (Message("record_long", text),)
 
 
-def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBlocks:
+def motion_record(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionRecord:
     """Band-limit a record (n, channels of the model) and cut it into valid blocks.
 
     Raises DataError if no ten blocks are valid, or a channel does not move.
@@ -57,14 +59,14 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
     while block > 1024 and y.shape[0] < 24 * block:
         block //= 2
     used = y if columns == [*range(y.shape[1])] else y[:, columns]
-    motion = Filtered(
+    motion = BandLimitedRecord(
         used, [model.channels[k].kind for k in columns], rate_hz, model.band, shaft_reaction(model), slow=True
     ).whole(np.float32)
     starts = _valid_starts(motion.valid, block)
     if starts.size < 2 * FOLDS:
         raise DataError(_too_short(used, starts.size, rate_hz, block))
     P = len(places)
-    stretches = runs(starts, block)
+    stretches = joined_blocks(starts, block)
 
     def valid(z: Series) -> Series:
         if len(stretches) == 1:
@@ -86,21 +88,35 @@ def cut(model: Model, y: Array, rate_hz: float, block: int = 8192) -> MotionBloc
         known[i] -= force
         driven[i] = np.mean(force**2) / (model.band[1] - model.band[0])
     rms = np.array([map_threads(np.std, z) for z in (x, v, a[:P])])
-    periodic = series(model, places, t, phase, rate_hz)
+    periodic = periodic_series(model, places, t, phase, rate_hz)
     if periodic is not None:
         known -= periodic
     fold = np.minimum(np.arange(starts.size) * FOLDS // starts.size, FOLDS - 1)
-    bins = bins_of(model, rate_hz, block)
+    bins = fitted_bins(model, rate_hz, block)
     f = np.asarray(bins * (rate_hz / block), dtype=np.float64)
     kinds = tuple(model.channels[k].kind for k in moving)
-    return MotionBlocks(
-        places, kinds, rate_hz, model.band, block, bins, starts, fold, v, x, known, t, phase, mass, speed,
-        shaft_response(model, places, f), colours(model, places, f, OF_FORCE), np.zeros((P, 2)), rms, driven,
-        sharpened(model, places, f), folded_back(model, places, kinds, mass, f), np.zeros((P, f.size)),
-        np.zeros((P, f.size), complex), np.stack([passed_of_images(model, p, rate_hz, f) for p in places], axis=1),
-        below, below, None, 0.0, _shared(model), pushes(model, places), waves(model, places, rate_hz),
-        disc=disc_of(model), shaken=slow,
+    return MotionRecord(
+        places=places, kinds=kinds, rate_hz=rate_hz, band=model.band, block=block, bins=bins, start=starts, fold=fold,
+        v=v, x=x, known=known, t=t, phase=phase, mass=mass, speed=speed, left_out=np.zeros((P, 2)), rms=rms,
+        driven=driven, measured=below, slow=below, shared=_shared(model), pushes=below_band_forces(model, places),
+        waves=periodic_amplitudes(model, places, rate_hz), disc=disc_of(model), shaken=slow,
+        **_spectra_of_model(model, kinds, mass, rate_hz, f),
     )  # fmt: skip
+
+
+def _spectra_of_model(model: Model, kinds: tuple[str, ...], mass: Array, rate_hz: float, f_hz: Array) -> dict[str, Any]:
+    """The fields of a record that the model gives by frequency."""
+    places = model.places
+    zero = np.zeros((len(places), f_hz.size))
+    return {
+        "shaft": shaft_response(model, places, f_hz),
+        "colour": excitation_shapes(model, places, f_hz, OF_FORCE),
+        "sharpened": undone_noise_gain(model, places, f_hz),
+        "echoes": folded_noise(model, places, kinds, mass, f_hz),
+        "folded_beside": zero,
+        "alike_beside": zero.astype(complex),
+        "passed": np.stack([passed_of_images(model, p, rate_hz, f_hz) for p in places], axis=1),
+    }
 
 
 def _columns(model: Model, y: Array) -> tuple[list[int], dict[str, int]]:
@@ -164,7 +180,7 @@ def _below(model: Model, forces: Series, at: list[str], rate_hz: float) -> Serie
     """(places, n) N of the forces measured `at` places (forces, n) what is below the band; 0 at the others."""
     out = np.zeros((len(model.places), forces.shape[1]), np.float32)
     for place, force in zip(at, forces, strict=True):
-        out[model.places.index(place)] = below_band(force, rate_hz, model.band)
+        out[model.places.index(place)] = below_band_force(force, rate_hz, model.band)
     return out
 
 

@@ -23,21 +23,21 @@ from estimator.effects.engine.law_loop import force_array
 from estimator.model.effect import Effect
 from estimator.results import Message
 
-from .linear_memory import filtered
-from .motion_record import MotionBlocks, without_hz
+from .linear_memory import filtered_series
+from .motion_record import MotionRecord, without_bins
 
 STEP = 0.3  # rad of the disc's resonance to a step, at most
 FAINT = 1e-3  # of the shaft's stiffness, below which a law is on trial
 ANGLES = 64  # that the law's mean and first harmonic are taken from
 
 
-def first(data: MotionBlocks, i: int) -> int:
+def first_of_direction(data: MotionRecord, i: int) -> int:
     """The first cap of the direction of a place: the force on both is the same."""
     o = data.opposite(i)
     return i if o is None else min(i, o)
 
 
-def along(effect: Effect, p: Array, data: MotionBlocks, i: int, lin: Array) -> tuple[Array, Complexes]:
+def shaft_force(effect: Effect, p: Array, data: MotionRecord, i: int, lin: Array) -> tuple[Array, Complexes]:
     """(n,) N on the cap at a place, and (places, bins) N/m its mean response to the displacement of every place; zero
     where there is no shaft, or the other cap is not measured. lin : (places, 3) m, kL, c."""
     across, disc, o = np.zeros((len(data.places), data.bins.size), complex), data.disc, data.opposite(i)
@@ -49,31 +49,30 @@ def along(effect: Effect, p: Array, data: MotionBlocks, i: int, lin: Array) -> t
     calm = 0.0 if data.calm is None else data.calm[caps].astype(np.float64)
     mean = 0.5 * (data.x[caps] + calm).sum(axis=0)
     steps = max(1, int(np.ceil(disc.w0 / (STEP * data.rate_hz))))
-    force = _beside(
-        filtered(disc.follows, mean, data.rate_hz, 2 * steps), g, disc.m, disc.C, disc.K, 1.0 / data.rate_hz, steps
-    )  # fmt: skip
+    disc_motion = filtered_series(disc.follows, mean, data.rate_hz, 2 * steps)
+    force = _beside(disc_motion, g, disc.m, disc.C, disc.K, 1.0 / data.rate_hz, steps)
     angles = 2 * np.pi * np.arange(ANGLES) / ANGLES
     turn = np.fft.fft(_taken(effect, p, np.zeros(ANGLES), angles)) / ANGLES
     speed = float((data.phase[-1] - data.phase[0]) / (data.t[-1] - data.t[0]))
     bins = 2 * np.pi * data.f_hz
     across[caps] = own = 0.5 * disc.changed(bins, float(turn[0].real), complex(turn[1]), speed, lin[caps])
     if data.calm is not None:  # its mean response is to the whole displacement, as of the laws at a cap: denoise.py
-        force -= filtered(lambda w: np.interp(w, bins, own), np.asarray(calm).sum(axis=0), data.rate_hz)
+        force -= filtered_series(lambda w: np.interp(w, bins, own), np.asarray(calm).sum(axis=0), data.rate_hz)
     return force, across
 
 
-def _comb_hz(data: MotionBlocks, effects: Iterable[Effect]) -> tuple[float, float] | None:
+def _comb_hz(data: MotionRecord, effects: Iterable[Effect]) -> tuple[float, float] | None:
     """Between which a model with such a law is not judged; None for other models."""
     return data.disc.comb_hz if data.disc is not None and any(effect.kind == "shaft" for effect in effects) else None
 
 
-def without_comb(data: MotionBlocks, effects: Iterable[Effect]) -> MotionBlocks:
+def without_shaft_orders(data: MotionRecord, effects: Iterable[Effect]) -> MotionRecord:
     """The record without those bins; as it is for other models."""
     comb = _comb_hz(data, effects)
-    return data if comb is None else without_hz(data, *comb)
+    return data if comb is None else without_bins(data, *comb)
 
 
-def comb_message(data: MotionBlocks, effects: Iterable[Effect]) -> tuple[Message, ...]:
+def comb_message(data: MotionRecord, effects: Iterable[Effect]) -> tuple[Message, ...]:
     """What to tell of them. data : of the fit."""
     comb = _comb_hz(data, effects)
     if comb is None or comb[1] < data.band[0] or comb[0] > data.band[1]:

@@ -12,11 +12,11 @@ from estimator.arrays import Array
 from estimator.errors import DataError
 from estimator.model.rig import Model
 from estimator.parallel import map_threads
-from estimator.signals.band_limit import Motion
-from estimator.signals.band_limited_record import Filtered
-from estimator.signals.blocks import CELLS, Layout, gram, layout, spectra, valid_blocks
+from estimator.signals.band_limit import BandLimitedMotion
+from estimator.signals.band_limited_record import BandLimitedRecord
+from estimator.signals.blocks import CELLS, BlockLayout, block_layout, block_spectra, gram_by_cell, valid_blocks
 
-from .denoise import Calm
+from .denoise import DenoisingFilter
 from .force_balance import Balance, force_channels, motion_channels, shaft_notch, shaft_reaction
 from .law_columns import Columns, Stretch
 from .law_smoothing import MARGIN
@@ -35,13 +35,13 @@ class Record:
 
     model: Model
     rate_hz: float
-    motion: Motion | Filtered
+    motion: BandLimitedMotion | BandLimitedRecord
     force: dict[int, Array]
     phase: Array
-    grid: Layout
+    grid: BlockLayout
     lines: tuple[tuple[float, float], ...] = ()  # Hz, stretches left out of the grid (line_notches.py)
     slow: Array | None = None  # (places, n) displacement below the band that laws see instead of what sensors measure
-    calm: Calm | None = None  # what laws see of the displacement where sensors are noisy
+    calm: DenoisingFilter | None = None  # what laws see of the displacement where sensors are noisy
     weights: Array | None = None  # (blocks, bins) what each bin of each block counts for (moving_lines.py); None: 1
     _rms: dict[str, Array] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -52,7 +52,7 @@ class Record:
 
     def rms(self, name: str) -> Array:
         """(places,) rms of a, v or x."""
-        if isinstance(self.motion, Filtered):
+        if isinstance(self.motion, BandLimitedRecord):
             return np.asarray(self.motion.rms["avx".index(name)])
         if name not in self._rms:
             valid, z = self.motion.valid, getattr(self.motion, name)
@@ -104,7 +104,7 @@ class Record:
         valid = np.pad(m.valid[lo:hi], pad)
         force = {i: padded(f[lo:hi]) for i, f in self.force.items()}
         phase = np.pad(self.phase[lo:hi], pad, mode="edge") if any(pad) else self.phase[lo:hi]
-        if isinstance(m, Filtered):
+        if isinstance(m, BandLimitedRecord):
             cut = m.motion(lo, [*padded(m.cut(lo, hi))], valid)
             a, v, x, u, measured = cut.a, cut.v, cut.x, cut.u, cut.slow
         else:
@@ -129,8 +129,8 @@ def prepare(model: Model, y: Array, rate_hz: float, phase: Array | None = None) 
     used = [*motions, *forces.values()]
     kinds = [model.channels[c].kind for c in used]
     P, force = len(motions), {}
-    motion: Motion | Filtered
-    filtered = Filtered(
+    motion: BandLimitedMotion | BandLimitedRecord
+    filtered = BandLimitedRecord(
         y if used == [*range(y.shape[1])] else y[:, used], kinds, rate_hz, model.band, shaft_reaction(model), slow=True
     )
     if filtered.large and not forces:
@@ -138,18 +138,18 @@ def prepare(model: Model, y: Array, rate_hz: float, phase: Array | None = None) 
     else:
         both = filtered.whole()
         slow = None if both.slow is None else both.slow[:P]
-        motion = Motion(0, both.a[:P], both.v[:P], both.x[:P], both.u[:P], both.valid, slow)
+        motion = BandLimitedMotion(0, both.a[:P], both.v[:P], both.x[:P], both.u[:P], both.valid, slow)
         force = {row: both.a[P + i] for i, row in enumerate(forces)}
     if phase is None:
         turns_per_s = (model.speed_rpm or 0.0) / 60.0
         phase = np.asarray(2 * np.pi * turns_per_s / rate_hz * np.arange(motion.rows), dtype=np.float64)
-    grid = layout(rate_hz, model.band, notches(model), CELLS if not forces else CELLS_WITH_FORCE)
+    grid = block_layout(rate_hz, model.band, notches(model), CELLS if not forces else CELLS_WITH_FORCE)
     if (whole := valid_blocks(motion.valid, grid).size) < 8:
         raise DataError(_too_little(model, grid, motion, whole))
     return Record(model, rate_hz, motion, force, np.asarray(phase, np.float64), grid)
 
 
-def _too_little(model: Model, grid: Layout, motion: Motion | Filtered, whole: int) -> str:
+def _too_little(model: Model, grid: BlockLayout, motion: BandLimitedMotion | BandLimitedRecord, whole: int) -> str:
     """What is wrong with a record that has so few whole blocks: it is short, or in pieces."""
     length, low = grid.size / grid.rate_hz, f"band.low {model.band[0]:g} Hz"
     seconds = float(motion.valid.sum()) / grid.rate_hz
@@ -164,14 +164,14 @@ def _too_little(model: Model, grid: Layout, motion: Motion | Filtered, whole: in
     )
 
 
-def as_record(model: Model, rate_hz: float, parts: list[Motion], grid: Layout) -> Record:
+def as_record(model: Model, rate_hz: float, parts: list[BandLimitedMotion], grid: BlockLayout) -> Record:
     """Consecutive pieces of a stream, motion channels first, as a record that begins at the first piece's row."""
     P = len(model.places)
     a, v, x, u = (np.concatenate([getattr(p, name) for p in parts], axis=1) for name in "avxu")
     valid = np.concatenate([p.valid for p in parts])
     slow = [p.slow[:P] for p in parts if p.slow is not None]
     below = np.concatenate(slow, axis=1) if slow else None
-    motion = Motion(parts[0].start, a[:P], v[:P], x[:P], u[:P], valid, below)
+    motion = BandLimitedMotion(parts[0].start, a[:P], v[:P], x[:P], u[:P], valid, below)
     turns_per_s = (model.speed_rpm or 0.0) / 60.0
     rows = np.arange(motion.start, motion.start + motion.rows)
     phase = np.asarray(2 * np.pi * turns_per_s / rate_hz * rows, dtype=np.float64)
@@ -188,7 +188,7 @@ class Bank:
     """
 
     balance: Balance
-    grid: Layout
+    grid: BlockLayout
     grams: Array
     blocks: Array
     start: Array
@@ -254,10 +254,10 @@ def gather(
             f = group[i : i + per_fold]
             own = sums[i : i + f.size + 1]  # the window halves the weight of the first and of the last
             mean = (own.sum(axis=0) - 0.5 * (own[0] + own[-1])) / (f.size * grid.hop)
-            Z = spectra(z, f - group[0], grid)
+            Z = block_spectra(z, f - group[0], grid)
             if record.weights is not None:
                 Z = Z * np.sqrt(record.weights[f])
-            G = gram(Z, grid)
+            G = gram_by_cell(Z, grid)
             folds.append((G, f.size, f[0] * grid.hop / record.rate_hz, mean))
         return folds, sums.sum(axis=0), last - first
 

@@ -15,10 +15,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimator.arrays import Array
-from estimator.signals.blocks import Layout
+from estimator.signals.blocks import BlockLayout
 
 from .law_columns import Columns, Stretch
-from .law_smoothing import MARGIN, State
+from .law_smoothing import MARGIN, LawStates
 
 Complex64s = NDArray[np.complex64]
 
@@ -60,7 +60,7 @@ class Spectra:
         parts = self.z[columns].view(np.float32)
         return np.asarray(((B * self.sizes[columns]).astype(np.float32) @ parts).view(np.complex64))
 
-    def gram(self, grid: Layout, weights: Array | None = None) -> Array:
+    def gram(self, grid: BlockLayout, weights: Array | None = None) -> Array:
         """(cells, k, k) real part of the sums of Z Z^H over the bins of each cell. weights : (bins,)."""
         k, bins = self.z.shape
         root = np.ones(bins) if weights is None else np.sqrt(weights)
@@ -77,7 +77,7 @@ class Spectra:
 class BlockSpectra:
     """Spectra of the blocks of a stream. columns : all of them; own : those that every block is asked for."""
 
-    def __init__(self, columns: Columns, own: NDArray[np.intp], grid: Layout) -> None:
+    def __init__(self, columns: Columns, own: NDArray[np.intp], grid: BlockLayout) -> None:
         self._columns, self._grid, self._own = columns, grid, own
         self._all = np.arange(len(columns.balance.columns))
         laws = columns.balance.laws
@@ -104,8 +104,8 @@ class BlockSpectra:
         grid, hop = self._grid, self._grid.hop
         asked = self._all if wide else self._own
         later = stretch.part(hop, grid.size)
-        states: list[dict[tuple[int, bool], State]] = [{}, {}]
-        whole: dict[tuple[int, bool], State] = {}
+        states: list[dict[tuple[int, bool], LawStates]] = [{}, {}]
+        whole: dict[tuple[int, bool], LawStates] = {}
         sizes, tangents = np.empty(asked.size), np.zeros((asked.size, 4))
         for i, k in enumerate(asked.tolist()):
             column = self._columns.balance.columns[k]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array
-from estimator.likelihood.motion.motion_record import MotionBlocks
+from estimator.likelihood.motion.motion_record import MotionRecord
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class Ringing:
         Z -= (Z @ own) @ own.T
 
 
-def ringing(data: MotionBlocks, weights: NDArray[np.floating]) -> Ringing | None:
+def ringing(data: MotionRecord, weights: NDArray[np.floating]) -> Ringing | None:
     """None where no disc rings in the band. weights : (places, bins) of the spectra."""
     if data.disc is None or not data.band[0] < (f0 := data.disc.w0 / (2 * np.pi)) < data.band[1]:
         return None

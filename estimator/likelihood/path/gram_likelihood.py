@@ -20,7 +20,7 @@ from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.force_balance import Balance
 from estimator.likelihood.motion.stream_record import Bank
 from estimator.signals.band_limit import noise_shape
-from estimator.signals.blocks import Layout, Nodes, nodes
+from estimator.signals.blocks import BlockLayout, FrequencyNodes, frequency_nodes
 
 from .contour import modes_of, past, stretches, turns
 from .jacobian import levels, log_determinant, noise_slope
@@ -56,20 +56,22 @@ class Evidence:
     """What the data say about a balance. gram : (cells, k, k) sums; blocks : their weighted number; tangents (k, 4)."""
 
     balance: Balance
-    grid: Layout
+    grid: BlockLayout
     gram: Array
     blocks: float
     tangents: Array
-    nodes: Nodes
+    nodes: FrequencyNodes
     dressing: Complexes | None = None  # (nodes, columns), see second_order.py
     colour: Array | None = None  # (nodes, places) shape of S
 
 
-def evidence_of(bank: Bank, at: Nodes | None = None, folds: NDArray[np.bool_] | None = None) -> Evidence:
+def evidence_of(bank: Bank, at: FrequencyNodes | None = None, folds: NDArray[np.bool_] | None = None) -> Evidence:
     """The sum of a bank over its time folds (all, or those marked). at : nodes of the Jacobian (every bin)."""
     keep = np.ones(bank.blocks.size, bool) if folds is None else folds
     gram, blocks = bank.grams[keep].sum(axis=0), float(bank.blocks[keep].sum())
-    return Evidence(bank.balance, bank.grid, gram, blocks, bank.tangents, nodes(bank.grid) if at is None else at)
+    return Evidence(
+        bank.balance, bank.grid, gram, blocks, bank.tangents, frequency_nodes(bank.grid) if at is None else at
+    )
 
 
 @dataclass(frozen=True, slots=True)

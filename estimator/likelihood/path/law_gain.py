@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.errors import NotFiniteError
-from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.motion.motion_record import FOLDS
-from estimator.likelihood.response.regressor_set import Term, dressed, orthogonal, terms
+from estimator.likelihood.response.regressor_set import Regressor, orthogonalised, regressors, with_second_order
 
 from .path_fit import PathFit
 from .subproblem import Subproblem, subproblem
@@ -22,26 +22,26 @@ ALL_FOLDS = np.arange(FOLDS)
 MIN_OWN_VALUES_GAIN_NATS = 2.0  # about the price of a parameter: by searched parameters of one location
 
 
-def trial_columns(point: WorkingPoint, placed: Placed) -> Columns | None:
+def trial_columns(point: WorkingPoint, placed: LocatedLaw) -> Columns | None:
     """Columns of the amplitudes, freed from the base; None if nothing is left of one of them."""
     kept = independent_regressors(point, placed, linear_only=True)
     return point.whitening.columns(kept) if kept else None
 
 
-def independent_regressors(point: WorkingPoint, placed: Placed, linear_only: bool = False) -> list[Term]:
+def independent_regressors(point: WorkingPoint, placed: LocatedLaw, linear_only: bool = False) -> list[Regressor]:
     """The terms of a law on trial, freed from the base."""
     linear = [q.linear for q in placed.effect.parameters]
 
-    def made(free: Sequence[bool]) -> list[Term]:
+    def made(free: Sequence[bool]) -> list[Regressor]:
         own = replace(placed, free=tuple(np.logical_and(placed.free, free).tolist()))
-        return dressed(terms(own, point.data, point.lin), own, point.fluctuations)
+        return with_second_order(regressors(own, point.data, point.lin), own, point.fluctuations)
 
     if placed.effect.kind == "force":
         found = point.units.of(placed, lambda: made(linear))
         found = found if linear_only else found + made([not one for one in linear])
     else:
         found = made(linear if linear_only else [True] * len(linear))
-    return [t for t in (orthogonal(t, point.spans) for t in found) if t is not None]
+    return [t for t in (orthogonalised(t, point.spans) for t in found) if t is not None]
 
 
 class LawGain(NamedTuple):
@@ -69,7 +69,9 @@ def base_fit(point: WorkingPoint, places: tuple[int, ...], steps: int = 3) -> Ba
     return BaseFit(plain, fit, plain.likelihood(fit, ALL_FOLDS))
 
 
-def fitted_gain(point: WorkingPoint, placed: Placed, steps: int = 3, against: BaseFit | None = None) -> LawGain | None:
+def fitted_gain(
+    point: WorkingPoint, placed: LocatedLaw, steps: int = 3, against: BaseFit | None = None
+) -> LawGain | None:
     """Gain of the amplitudes within their limits, at given searched parameters; None if the model has such columns, or
     the law is no number there.
 

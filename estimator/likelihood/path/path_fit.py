@@ -20,7 +20,7 @@ from scipy.linalg import block_diag
 
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.motion_record import FOLDS
-from estimator.likelihood.response.regressor_set import response
+from estimator.likelihood.response.regressor_set import tangent_response
 from estimator.parallel import map_threads
 
 from .determinant import Jacobian
@@ -54,7 +54,7 @@ class Gram:
         if self.apart is None or self.s is None or folds.size == FOLDS:
             return self.tangents
         moved = np.average(self.apart[:, folds], axis=1, weights=blocks[folds])
-        return self.tangents + response(moved, self.s)
+        return self.tangents + tangent_response(moved, self.s)
 
     def keep(self, names: list[str] | tuple[str, ...]) -> Gram:
         """The same without the other terms."""

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.arrays import Array, Complexes
-from estimator.likelihood.motion.motion_record import MotionBlocks
+from estimator.likelihood.motion.motion_record import MotionRecord
 
 MIN_CORRELATION = 1e-4  # correlation of two rows, anywhere in the band, that moves nothing
 
@@ -55,7 +55,7 @@ class SensorNoise:
         return np.asarray(np.eye(A.shape[1]) + np.linalg.solve(A, apart @ A))
 
 
-def referred_noise(data: MotionBlocks, A: Complexes, nu: Array, S: Array) -> SensorNoise:
+def referred_noise(data: MotionRecord, A: Complexes, nu: Array, S: Array) -> SensorNoise:
     """A : (bins, places, places). nu : (places,) noise of the sensors over S. S : (places,)."""
     referred = referred_psd(data, A, nu * S) / S[:, None]
     weight = 1.0 / (data.colour + aliased_psd(data, A, S) + referred)
@@ -77,7 +77,7 @@ def referred_noise(data: MotionBlocks, A: Complexes, nu: Array, S: Array) -> Sen
     return replace(found, folded=folded, alone=(data.colour * weight * (data.driven == 0.0)[:, None]).T)
 
 
-def force_correlation(data: MotionBlocks, A: Complexes, weight: Array, i: int, j: int) -> Complexes:
+def force_correlation(data: MotionRecord, A: Complexes, weight: Array, i: int, j: int) -> Complexes:
     """(bins,) correlation of two inferred forces over that of the forces that there are: what sampling folds back of a
     common force is common too, noise of sensors is not."""
     own, back = np.sqrt(weight[i] * weight[j]), np.sqrt(data.folded[i] * data.folded[j])
@@ -85,12 +85,12 @@ def force_correlation(data: MotionBlocks, A: Complexes, weight: Array, i: int, j
     return np.asarray(own * (np.sqrt(data.colour[i] * data.colour[j]) + back * through))
 
 
-def aliased_psd(data: MotionBlocks, A: Complexes, S: Array) -> Array:
+def aliased_psd(data: MotionRecord, A: Complexes, S: Array) -> Array:
     """(places, bins) PSD over S of each inferred force of what is folded back at all places."""
     return _through(A, data.folded * S[:, None]) / S[:, None]
 
 
-def referred_psd(data: MotionBlocks, A: Complexes, N: Array) -> Array:
+def referred_psd(data: MotionRecord, A: Complexes, N: Array) -> Array:
     """(places, bins) the same, not over S, of white noise N (places,) of all sensors."""
     return _through(A, data.noise_shape * N[:, None])
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
-from estimator.likelihood.motion.motion_record import FOLDS, MotionBlocks
-from estimator.likelihood.response.regressor_set import Term, term_response
+from estimator.likelihood.motion.motion_record import FOLDS, MotionRecord
+from estimator.likelihood.response.regressor_set import Regressor, regressor_response
 from estimator.parallel import map_threads
 
 from .determinant import times
@@ -39,7 +39,7 @@ class Whitening:
     """Turns series into weighted block spectra at a working point. s : (bins,) of the determinant. measured : (bins,
     places, places) from a response to the motion to one to what is measured: sensor_noise.py."""
 
-    data: MotionBlocks
+    data: MotionRecord
     noise: SensorNoise
     s: Complexes
     measured: Complexes | None = None
@@ -111,7 +111,7 @@ class Whitening:
             return tangents
         return times(tangents, self.measured)
 
-    def columns(self, terms: list[Term]) -> Columns:
+    def columns(self, terms: list[Regressor]) -> Columns:
         index: dict[int, list[int]] = {}
         for k, term in enumerate(terms):
             for i in term.series:
@@ -126,7 +126,7 @@ class Whitening:
             return out
 
         spectra = dict(zip(index, map_threads(at, index), strict=True))
-        tangents = self.seen(np.array([term_response(t, self.s) for t in terms]))
+        tangents = self.seen(np.array([regressor_response(t, self.s) for t in terms]))
         return Columns(
             tuple(t.name for t in terms), tuple(t.unit for t in terms), np.array([t.scale for t in terms]), tangents,
             spectra, {i: np.array(k) for i, k in index.items()},

@@ -9,23 +9,23 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes, Series
 from estimator.likelihood.motion import linear_memory
-from estimator.likelihood.motion.harmonics import Wave
+from estimator.likelihood.motion.harmonics import PeriodicForce
 from estimator.likelihood.motion.known_spectra import shaft_response
-from estimator.likelihood.motion.located_law import Placed, evaluate, remembers
-from estimator.likelihood.motion.motion_record import FOLDS, MotionBlocks, part_of
+from estimator.likelihood.motion.located_law import LocatedLaw, has_nonlinear_memory, law_along_record
+from estimator.likelihood.motion.motion_record import FOLDS, MotionRecord, leading_blocks
 from estimator.likelihood.response.fluctuation import Fluctuation, fluctuations
 from estimator.likelihood.response.impulse_probe import Probe
-from estimator.likelihood.response.modal_response import Mean, mean_responses
+from estimator.likelihood.response.modal_response import ModalResponse, modal_responses
 from estimator.likelihood.response.regressor_set import (
+    Regressor,
     Spans,
-    Term,
-    Units,
+    UnitRegressors,
     add_to,
-    dressed,
-    light,
-    linear_terms,
-    reach,
-    terms,
+    in_single_precision,
+    linear_regressors,
+    parameter_scale,
+    regressors,
+    with_second_order,
 )
 from estimator.model.rig import Model
 from estimator.parallel import map_threads
@@ -46,16 +46,16 @@ class WorkingPoint:
     force, spectra and gram are those before the last step of the fit, which is a fraction of a standard deviation.
     """
 
-    data: MotionBlocks
+    data: MotionRecord
     kL: Array
     c: Array
     S: Array
     nu: Array
-    placed: tuple[Placed, ...]
+    placed: tuple[LocatedLaw, ...]
     force: Series  # (places, n) N, inferred excitation
     whitening: Whitening
     spectra: dict[int, Spectrum]  # of the force
-    terms: tuple[Term, ...]
+    terms: tuple[Regressor, ...]
     columns: Columns
     gram: Gram
     jacobian: Jacobian
@@ -65,7 +65,7 @@ class WorkingPoint:
     slopes: Array  # (places, places, 2) mean tangent
     fluctuations: tuple[Fluctuation | Probe | None, ...]  # by place, of the laws of the model
     spans: Spans  # of the model's own columns, by place
-    units: Units  # of the law on trial
+    units: UnitRegressors  # of the law on trial
 
     @property
     def lin(self) -> Array:
@@ -91,7 +91,7 @@ class WorkingPoint:
 
 def thinned(point: WorkingPoint, seconds: float) -> WorkingPoint:
     """The same model on part of the record: for searching, and for pictures."""
-    part = part_of(point.data, seconds)
+    part = leading_blocks(point.data, seconds)
     if part is point.data:
         return point
     return point_at(part, point.kL, point.c, point.nu, point.S, list(point.placed), point)
@@ -103,11 +103,13 @@ def plain(point: WorkingPoint, seconds: float) -> WorkingPoint:
     remembering = {u.name(k) for u in point.placed if u.effect.kind == "memory" for k in range(u.p.size)}
     bare = tuple(t if t.name in remembering else replace(t, memory={}) for t in point.terms)
     longer = replace(point, terms=bare, fluctuations=(None,) * len(point.fluctuations))
-    return point_at(part_of(point.data, seconds), point.kL, point.c, point.nu, point.S, list(point.placed), longer)
+    return point_at(
+        leading_blocks(point.data, seconds), point.kL, point.c, point.nu, point.S, list(point.placed), longer
+    )
 
 
 def _forces(
-    data: MotionBlocks, kL: Array, c: Array, uses: list[Placed], made: list[list[Term]]
+    data: MotionRecord, kL: Array, c: Array, uses: list[LocatedLaw], made: list[list[Regressor]]
 ) -> tuple[Series, NDArray[np.complex128], Array]:
     """Inferred force (places, n), A (bins, places, places) and the mean tangent (places, places, 2).
 
@@ -138,7 +140,7 @@ def _forces(
                     if i in unit.memory:
                         M[:, i] += use.p[k] * unit.memory[i].T
                 continue
-            f, slope, memory = evaluate(use, data, i, lin)
+            f, slope, memory = law_along_record(use, data, i, lin)
             add_to(F[i], 1.0, f)
             D[i] += data.over_folds(slope)
             if memory is not None:
@@ -158,13 +160,13 @@ def tangent_at(point: WorkingPoint, model: Model, f_hz: Array) -> NDArray[np.com
 
 
 def point_at(
-    data: MotionBlocks, kL: Array, c: Array, nu: Array, S: Array, uses: list[Placed],
+    data: MotionRecord, kL: Array, c: Array, nu: Array, S: Array, uses: list[LocatedLaw],
     longer: WorkingPoint | None = None,
 ) -> WorkingPoint:  # fmt: skip
     """The point at these values. longer : the same model on more of the record: what its laws fluctuate is kept."""
     P = len(data.places)
     lin = np.stack([data.mass, kL, c], axis=1)
-    own = map_threads(lambda use: terms(use, data, lin), uses)
+    own = map_threads(lambda use: regressors(use, data, lin), uses)
     F, A, D = _forces(data, kL, c, uses, own)
     s = contour(A, data.mass, D, data.f_hz, data.disc, data.places)
 
@@ -177,7 +179,7 @@ def point_at(
     mean = _means(data, D, uses, own, lin)
     around = fluctuations(data, uses, mean, lin) if longer is None else longer.fluctuations
     if longer is None:
-        own = map_threads(lambda k: dressed(own[k], uses[k], around), range(len(uses)))
+        own = map_threads(lambda k: with_second_order(own[k], uses[k], around), range(len(uses)))
     else:
         own = map_threads(lambda k: _as_longer(own[k], uses[k], longer), range(len(uses)))
     common = {(i, j): force_correlation(data, A, noise.weight, i, j) for i, j in data.shared}
@@ -194,26 +196,28 @@ def point_at(
     jacobian = Jacobian(along_line(A), s, dressing * there[:, None], kept)
     caution = _caution(data, G, uses)
     result = _cautious(G, jacobian, data.fold_blocks, caution)
-    own_terms = tuple(light(t) for t in made)
+    own_terms = tuple(in_single_precision(t) for t in made)
     coarse = tuple(here and here.coarse(data.rate_hz, about) for here, about in zip(around, mean, strict=True))
     return WorkingPoint(
         data, kL, c, _whole_power(data, result, common), nu, tuple(uses), F, whitening, spectra, own_terms, columns, G,
-        jacobian, result, caution, A, D, coarse, Spans(own_terms), Units(),
+        jacobian, result, caution, A, D, coarse, Spans(own_terms), UnitRegressors(),
     )  # fmt: skip
 
 
-def _means(data: MotionBlocks, D: Array, uses: list[Placed], made: list[list[Term]], lin: Array) -> list[Mean]:
+def _means(
+    data: MotionRecord, D: Array, uses: list[LocatedLaw], made: list[list[Regressor]], lin: Array
+) -> list[ModalResponse]:
     """Mean response of each place. Of laws that remember, those at other caps answer as stiffness and damping of their
     mean response at the resonance there; what is fed back at the place itself is followed by the probe. made : terms
     of each use."""
     linear = [
         (i, own) for use in uses if use.effect.kind == "memory" for i in use.at
-        if (own := linear_memory.states(use.effect, use.p, lin[i])) is not None
+        if (own := linear_memory.state_matrix(use.effect, use.p, lin[i])) is not None
     ]  # fmt: skip
-    bare = mean_responses(data.mass, D, data.places, data.disc, linear)
+    bare = modal_responses(data.mass, D, data.places, data.disc, linear)
     beside = np.zeros((len(data.places), 2))
     for use, terms_of in zip(uses, made, strict=True):
-        for i in use.at if remembers(use, lin[use.at[0]]) else ():
+        for i in use.at if has_nonlinear_memory(use, lin[use.at[0]]) else ():
             units = {t.name: t for t in terms_of}
             at = int(np.argmin(np.abs(data.f_hz - bare[i].hz)))
             for k, q in enumerate(use.effect.parameters):
@@ -226,18 +230,18 @@ def _means(data: MotionBlocks, D: Array, uses: list[Placed], made: list[list[Ter
     for i in range(len(data.places)):
         others = np.where(np.arange(len(beside)) == i, 0.0, beside.T).T
         there = D + np.eye(len(D))[..., None] * others[:, None]
-        out.append(mean_responses(data.mass, there, data.places, data.disc, linear)[i])
+        out.append(modal_responses(data.mass, there, data.places, data.disc, linear)[i])
     return out
 
 
-def _all_terms(data: MotionBlocks, lin: Array, uses: list[Placed], own: list[list[Term]]) -> list[Term]:
+def _all_terms(data: MotionRecord, lin: Array, uses: list[LocatedLaw], own: list[list[Regressor]]) -> list[Regressor]:
     """Of stiffness and damping, of the laws, and of periodic forces. own : those of each use."""
-    made = [t for i in range(len(data.places)) for t in linear_terms(data, i, lin[i], uses)]
+    made = [t for i in range(len(data.places)) for t in linear_regressors(data, i, lin[i], uses)]
     made += [t for ts in own for t in ts]
     return made + map_threads(lambda wave: _wave(data, wave), data.waves)
 
 
-def _as_longer(own: list[Term], use: Placed, longer: WorkingPoint) -> list[Term]:
+def _as_longer(own: list[Regressor], use: LocatedLaw, longer: WorkingPoint) -> list[Regressor]:
     """The terms of a use on part of a record, dressed as on all of it.
 
     A law that remembers answers as it does here at these values: with the answer from before the last step, a fifth of
@@ -245,18 +249,18 @@ def _as_longer(own: list[Term], use: Placed, longer: WorkingPoint) -> list[Term]
     """
     known = {t.name: t.memory for t in longer.terms}
     there = [t for t in own if t.name in known]
-    if any(remembers(use, longer.lin[i]) and longer.fluctuations[i] is not None for i in use.at):
-        return dressed(there, use, longer.fluctuations)
+    if any(has_nonlinear_memory(use, longer.lin[i]) and longer.fluctuations[i] is not None for i in use.at):
+        return with_second_order(there, use, longer.fluctuations)
     return [replace(t, memory=known[t.name]) for t in there]
 
 
-def _caution(data: MotionBlocks, G: Gram, uses: list[Placed]) -> Array:
+def _caution(data: MotionRecord, G: Gram, uses: list[LocatedLaw]) -> Array:
     """(terms,) prior information, scaled: the columns of searched parameters are tangents, and hold near by. A weak
     law's are free to run far off; of a strong one's a tenth of a standard deviation is lost."""
     caution = np.zeros(len(G.names))
     for use in uses:
         for k, q in enumerate(use.effect.parameters):
-            far = STRIDE * reach(use, k, data)
+            far = STRIDE * parameter_scale(use, k, data)
             if not q.linear and far > 0.0 and use.name(k) in G.names:
                 j = G.names.index(use.name(k))
                 caution[j] = (G.scales[j] / far) ** 2
@@ -272,29 +276,31 @@ def _cautious(G: Gram, jacobian: Jacobian, blocks: Array, caution: Array) -> Pat
     return replace(fit(G, jacobian, everything, blocks, ridge=caution), covariance=result.covariance)
 
 
-def _in_common(data: MotionBlocks, F: Series, weight: Array, common: dict[tuple[int, int], Complexes]) -> list[Term]:
+def _in_common(
+    data: MotionRecord, F: Series, weight: Array, common: dict[tuple[int, int], Complexes]
+) -> list[Regressor]:
     """What the unknown force at place i has in common with that at j, and the other way round, as columns. With them
     the rest of F_i is independent of F_j and of all motion that F_j makes; the determinant does not change."""
 
-    def follows(i: int, j: int, shape: Complexes) -> Term:
+    def follows(i: int, j: int, shape: Complexes) -> Regressor:
         P = len(data.places)
         rms, name = max(float(F[j].std()), 1e-300), f"{data.places[i]}.follows.{data.places[j]}"
         shape = shape * np.sqrt(weight[j] / weight[i])
-        return light(Term(name, "1", {i: F[j]}, np.zeros((P, P, 2)), 1.0 / rms, shape=shape))
+        return in_single_precision(Regressor(name, "1", {i: F[j]}, np.zeros((P, P, 2)), 1.0 / rms, shape=shape))
 
     return [t for (i, j), own in common.items() for t in (follows(i, j, own), follows(j, i, own.conj()))]
 
 
-def _wave(data: MotionBlocks, wave: Wave) -> Term:
+def _wave(data: MotionRecord, wave: PeriodicForce) -> Regressor:
     """What the amplitude of a periodic force may be off by, as a column. Without it a wrong one moves k and c, which
     are then as wrong as the line about a resonance."""
     P = len(data.places)
     made = wave.series(data.t, data.phase)
     rms = max(float(np.std(z)) for z in made.values())
-    return light(Term(wave.name, wave.unit, made, np.zeros((P, P, 2)), 1.0 / max(rms, 1e-300)))
+    return in_single_precision(Regressor(wave.name, wave.unit, made, np.zeros((P, P, 2)), 1.0 / max(rms, 1e-300)))
 
 
-def _whole_power(data: MotionBlocks, fit: PathFit, common: dict[tuple[int, int], Complexes]) -> Array:
+def _whole_power(data: MotionRecord, fit: PathFit, common: dict[tuple[int, int], Complexes]) -> Array:
     """(places,) S of the whole unknown forces: the rest that the columns above leave is 1 - rho^2 of it."""
     S = fit.S.copy()
     for (i, j), own in common.items():

@@ -22,20 +22,20 @@ import numpy as np
 from estimator.arrays import Array, Complexes
 from estimator.effects.engine.compiled import memory_array
 from estimator.effects.engine.law_loop import force_array
-from estimator.likelihood.motion.located_law import Placed, evaluate, remembers
-from estimator.likelihood.motion.motion_record import MotionBlocks
+from estimator.likelihood.motion.located_law import LocatedLaw, has_nonlinear_memory, law_along_record
+from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.model.effect import Effect
 from estimator.parallel import map_threads
-from estimator.signals.band_limit import unseen
+from estimator.signals.band_limit import unmeasured_gain
 
-from .modal_response import yields
+from .modal_response import compliance
 
 EVEN = 1e-3  # of a law's size: less of it is even in x by rounding alone
 STEPS = 40  # points from which that is seen
 ROUNDS = 3  # beside measured forces: each leaves the change of a law's tangent over the stiffness of the error
 
 
-def lopsided(effect: Effect, p: Array, sizes: Array) -> bool:
+def has_even_part(effect: Effect, p: Array, sizes: Array) -> bool:
     """Whether a law has a part that is even in the motion; sizes : (4,) of x, v, xo, vo."""
     if effect.kind != "force" or effect.force is None:
         return False
@@ -44,12 +44,12 @@ def lopsided(effect: Effect, p: Array, sizes: Array) -> bool:
     return bool(np.abs(there + back).max() > EVEN * np.abs(there - back).max() + 1e-300)
 
 
-def usual(effect: Effect) -> Array:
+def usual_parameters(effect: Effect) -> Array:
     """(k,) parameters of a law in natural sizes."""
     return np.array([1.0 if q.linear else q.default for q in effect.parameters])
 
 
-def own_sizes(effect: Effect) -> Array:
+def usual_sizes(effect: Effect) -> Array:
     """(4,) of x, v, xo, vo that the usual parameters of a law are natural for: a user's law has its lengths in m."""
 
     def of(unit: str) -> float:
@@ -58,7 +58,7 @@ def own_sizes(effect: Effect) -> Array:
     return np.array([of("m"), of("m/s")] * 2)
 
 
-def below(
+def below_band_compliance(
     yields: Callable[[Array], Complexes], rate_hz: float, band: tuple[float, float], kinds: Sequence[str]
 ) -> Callable[[Array], Complexes]:
     """Displacement below the band per force, (f, places, places) m/N at w (f,) rad/s, as far as the sensors do not show
@@ -66,13 +66,13 @@ def below(
 
     def response(w: Array) -> Complexes:
         f = w / (2 * np.pi)
-        part = np.stack([np.where(f < band[0], unseen(f, rate_hz, band, kind), 0.0) for kind in kinds], axis=1)
+        part = np.stack([np.where(f < band[0], unmeasured_gain(f, rate_hz, band, kind), 0.0) for kind in kinds], axis=1)
         return np.asarray(part[..., None] * yields(w))
 
     return response
 
 
-def moved(
+def below_band_displacement(
     push: Mapping[int, Array], response: Callable[[Array], Complexes], rate_hz: float, low_hz: float
 ) -> dict[int, Array]:
     """(n,) m by place, of those that restoring forces push (n,) N by place move; nothing from low_hz on."""
@@ -88,7 +88,7 @@ def moved(
     return {i: irfft(-(G[:, i, list(forces)] * F).sum(axis=1), size)[:n] for i in there}
 
 
-def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -> MotionBlocks:
+def with_below_band_motion(data: MotionRecord, kL: Array, c: Array, uses: Sequence[LocatedLaw]) -> MotionRecord:
     """The record with the slow displacement of the laws as they stand, of periodic forces and of measured ones, beside
     what sensors measure of it. kL, c : (places,).
 
@@ -105,12 +105,12 @@ def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -
         if data.shaken is not None:  # the caps then move much, and a strong law answers as its mean tangent
             D[..., 0] += tangents
             if not _above(data, np.diag(D[..., 0])):
-                return with_slow(replace(data, slow=data.measured, shaken=None), kL, c, uses)
+                return with_below_band_motion(replace(data, slow=data.measured, shaken=None), kL, c, uses)
             push = {i: push.get(i, 0.0) - tangents[i] @ _slow(data) - force for i, force in enumerate(data.shaken)}
         response = _response(data, D)
         slow = np.zeros(data.x.shape, np.float32)
         if push:
-            for i, x in moved(push, response, data.rate_hz, data.band[0]).items():
+            for i, x in below_band_displacement(push, response, data.rate_hz, data.band[0]).items():
                 slow[i] += x
         for periodic in data.pushes:
             for i, x in periodic.displacement(data.t, data.phase, response).items():
@@ -121,29 +121,31 @@ def with_slow(data: MotionBlocks, kL: Array, c: Array, uses: Sequence[Placed]) -
     return data
 
 
-def _response(data: MotionBlocks, D: Array) -> Callable[[Array], Complexes]:
-    return below(lambda w: yields(w, data.mass, D, data.places, data.disc), data.rate_hz, data.band, data.kinds)
+def _response(data: MotionRecord, D: Array) -> Callable[[Array], Complexes]:
+    return below_band_compliance(
+        lambda w: compliance(w, data.mass, D, data.places, data.disc), data.rate_hz, data.band, data.kinds
+    )
 
 
-def _above(data: MotionBlocks, k: Array) -> bool:
+def _above(data: MotionRecord, k: Array) -> bool:
     """Whether every cap resonates above the lower edge of the band. k : (places,) N/m, in the bearing."""
     held = 0.0 if data.disc is None else data.disc.held[0]
     return bool(np.all(k + held > data.mass * (2 * np.pi * data.band[0]) ** 2))
 
 
-def _pushes(use: Placed, data: MotionBlocks, i: int, lin: Array) -> bool:
+def _pushes(use: LocatedLaw, data: MotionRecord, i: int, lin: Array) -> bool:
     """Whether a law makes slow displacement, or takes of that of a measured force."""
     if use.effect.kind == "force":
-        return data.shaken is not None or lopsided(use.effect, use.p, data.sizes(i))
-    return remembers(use, lin[i])
+        return data.shaken is not None or has_even_part(use.effect, use.p, data.sizes(i))
+    return has_nonlinear_memory(use, lin[i])
 
 
-def _pushed(data: MotionBlocks, own: Sequence[Sequence[Placed]], lin: Array) -> tuple[dict[int, Array], Array]:
+def _pushed(data: MotionRecord, own: Sequence[Sequence[LocatedLaw]], lin: Array) -> tuple[dict[int, Array], Array]:
     """By place the force (n,) N of its laws, and (places, places) N/m their mean tangents to the displacements."""
 
-    def force(use: Placed, i: int) -> tuple[Array, Array]:
+    def force(use: LocatedLaw, i: int) -> tuple[Array, Array]:
         if use.effect.kind == "force":
-            f, slopes, _ = evaluate(use, data, i, lin)
+            f, slopes, _ = law_along_record(use, data, i, lin)
             return f, data.over_folds(slopes)[:, 0]
         return memory_array(use.effect, use.p, lin[i], data.seen(i), data.v[i], data.rate_hz), np.zeros(len(own))
 
@@ -159,5 +161,5 @@ def _pushed(data: MotionBlocks, own: Sequence[Sequence[Placed]], lin: Array) -> 
     return {i: f for i, (f, _) in found.items()}, tangents
 
 
-def _slow(data: MotionBlocks) -> Array:
+def _slow(data: MotionRecord) -> Array:
     return np.zeros(data.x.shape, np.float32) if data.slow is None else np.asarray(data.slow)

@@ -12,14 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
-from estimator.likelihood.motion.located_law import Placed, remembers, sharp_at, tangent_series
+from estimator.likelihood.motion.located_law import LocatedLaw, has_nonlinear_memory, needs_finer_grid, tangent_series
 from estimator.likelihood.motion.memory_law import FINER
-from estimator.likelihood.motion.motion_record import MotionBlocks, coarser, finer, part_of
+from estimator.likelihood.motion.motion_record import MotionRecord, decimated_record, leading_blocks, oversampled
 from estimator.parallel import map_threads
 
 from .impulse_probe import LEAST, SHARE, Probe, probed
-from .modal_response import Mean
-from .self_energy import DECAYS, SECONDS, Spectra, covariance, dressed_response, self_energy, spectra
+from .modal_response import ModalResponse
+from .self_energy import (
+    DECAYS,
+    SECONDS,
+    TangentSpectra,
+    second_order_response,
+    self_energy,
+    tangent_covariance,
+    tangent_spectra,
+)
 
 PER_CYCLE = 40.0  # samples of a cycle: covariances with a jump fall within few, and the error with their square
 
@@ -33,39 +41,41 @@ class Fluctuation:
     there, if it is one.
     """
 
-    data: MotionBlocks
+    data: MotionRecord
     place: int
     total: NDArray[np.float32]
-    K: Spectra
+    K: TangentSpectra
     g: Array
     whole: Complexes
-    only: Placed | None = None
+    only: LocatedLaw | None = None
 
-    def per_unit(self, placed: Placed, k: int) -> Complexes | None:
+    def per_unit(self, placed: LocatedLaw, k: int) -> Complexes | None:
         """What `of` gives for the force per unit of parameter k, where it is known: it is all that the law there has,
         and the only law. None elsewhere."""
         amplitudes = [j for j, q in enumerate(placed.effect.parameters) if q.linear]
         return self.whole / placed.p[k] if placed is self.only and amplitudes == [k] and placed.p[k] else None
 
-    def of_memory(self, placed: Placed, p: Array) -> Complexes | float:
+    def of_memory(self, placed: LocatedLaw, p: Array) -> Complexes | float:
         """Of a law that remembers nothing: it is dressed beside its like only."""
         return 0.0
 
     def of(self, tangents: NDArray[np.floating]) -> Complexes:
         """(bins,) N/m per unit: Sigma of a law with tangents (2, n) along x and v on `data`."""
         Z = _spectra(tangents, self.data, self.g.shape[1])
-        return self_energy(covariance(Z, self.K, self.g.shape[1]), self.g, 1.0 / self.data.rate_hz, self.data.f_hz)
+        return self_energy(
+            tangent_covariance(Z, self.K, self.g.shape[1]), self.g, 1.0 / self.data.rate_hz, self.data.f_hz
+        )
 
     def shorter(self, seconds: float) -> Fluctuation:
         """The same from less of the record."""
-        data = part_of(self.data, seconds)
+        data = leading_blocks(self.data, seconds)
         if data is self.data:
             return self
         blocks = self.total.reshape(2, self.data.blocks, -1)
         total = blocks[:, np.isin(self.data.start, data.start)].reshape(2, -1)
         return replace(self, data=data, total=total, K=_spectra(total, data, self.g.shape[1]))
 
-    def coarse(self, rate_hz: float, mean: Mean) -> Fluctuation:
+    def coarse(self, rate_hz: float, mean: ModalResponse) -> Fluctuation:
         """The same at the rate of the record, for laws without jumps, if that follows how fast the motion leaves one of
         their kinks; if not, at more."""
         by = round(self.data.rate_hz / rate_hz)
@@ -73,20 +83,20 @@ class Fluctuation:
             by //= 2
         if by == 1:
             return self
-        data = coarser(self.data, by)
+        data = decimated_record(self.data, by)
         g = np.ascontiguousarray(self.g[:, ::by])
         total = np.ascontiguousarray(self.total[:, ::by])
         return Fluctuation(data, self.place, total, _spectra(total, data, g.shape[1]), g, self.whole, self.only)
 
 
-def _spectra(tangents: NDArray[np.floating], data: MotionBlocks, lags: int) -> Spectra:
-    return spectra(tangents.reshape(2, data.blocks, data.block), lags)
+def _spectra(tangents: NDArray[np.floating], data: MotionRecord, lags: int) -> TangentSpectra:
+    return tangent_spectra(tangents.reshape(2, data.blocks, data.block), lags)
 
 
 def fluctuations(
-    data: MotionBlocks,
-    uses: Sequence[Placed],
-    mean: Sequence[Mean],
+    data: MotionRecord,
+    uses: Sequence[LocatedLaw],
+    mean: Sequence[ModalResponse],
     lin: Array,
 ) -> tuple[Fluctuation | Probe | None, ...]:
     """By place, None without a law there, or where the laws are too strong for the second order.
@@ -94,13 +104,13 @@ def fluctuations(
     mean : mean response of each place, the laws included that remember nothing. lin : (places, 3) m, kL, c.
     """
     own = [[u for u in uses if i in u.at and u.effect.kind == "force"] for i in range(len(mean))]
-    remembering = [[u for u in uses if i in u.at and remembers(u, lin[i])] for i in range(len(mean))]
+    remembering = [[u for u in uses if i in u.at and has_nonlinear_memory(u, lin[i])] for i in range(len(mean))]
     used = [i for i, laws in enumerate(own) if laws and mean[i].sound and not remembering[i]]
     probing = [i for i, laws in enumerate(remembering) if laws and mean[i].sound]
-    part = part_of(data, max(mean[i].seconds(SECONDS, DECAYS) for i in used)).in_one() if used else data
-    if any(sharp_at(u.effect, u.p, data, i) for i in used for u in own[i]):
-        part = finer(part)
-    path = finer(part_of(data, max(LEAST, SHARE * data.seconds)), FINER) if probing else data
+    part = leading_blocks(data, max(mean[i].seconds(SECONDS, DECAYS) for i in used)).in_one() if used else data
+    if any(needs_finer_grid(u.effect, u.p, data, i) for i in used for u in own[i]):
+        part = oversampled(part)
+    path = oversampled(leading_blocks(data, max(LEAST, SHARE * data.seconds)), FINER) if probing else data
     dt = 1.0 / part.rate_hz
 
     def at(i: int) -> Fluctuation | Probe | None:
@@ -114,8 +124,8 @@ def fluctuations(
         total -= total.mean(axis=1, keepdims=True)
         lags = mean[i].lags(dt, part.block)
         K = _spectra(total, part, lags)
-        C = covariance(K, K, lags)
-        g = dressed_response(C, dt, mean[i])
+        C = tangent_covariance(K, K, lags)
+        g = second_order_response(C, dt, mean[i])
         only = own[i][0] if len(own[i]) == 1 else None
         if g is None:
             return None

@@ -24,11 +24,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
-from estimator.likelihood.motion.located_law import Placed, remembers, tangent_series
-from estimator.likelihood.motion.memory_law import Linearised, passed, together
-from estimator.likelihood.motion.motion_record import MotionBlocks, coarser
+from estimator.likelihood.motion.located_law import LocatedLaw, has_nonlinear_memory, tangent_series
+from estimator.likelihood.motion.memory_law import LinearisedMemory, force_along_path, stacked_states
+from estimator.likelihood.motion.motion_record import MotionRecord, decimated_record
 
-from .modal_response import Mean
+from .modal_response import ModalResponse
 
 SHARE, LEAST = 0.08, 2.0  # of a record that impulses go along, and s of it at least: their scatter beside the record's
 APART, SERIES = 0.375, (16, 48)  # decays between two impulses; series of them, launched one after the other
@@ -45,7 +45,7 @@ class Probe:
     lin : (3,) m, kL, c.
     """
 
-    data: MotionBlocks
+    data: MotionRecord
     place: int
     lin: Array
     motion: NDArray[np.float32]
@@ -58,9 +58,9 @@ class Probe:
         """(bins,) N/m per unit: Sigma of a law with tangents (2, n) along x and v on `data`."""
         return self._sigma(_moved(tangents, self.motion, self.lags))
 
-    def of_memory(self, placed: Placed, p: Array) -> Complexes | float:
+    def of_memory(self, placed: LocatedLaw, p: Array) -> Complexes | float:
         """The same of a law that remembers."""
-        if not remembers(placed, self.lin):
+        if not has_nonlinear_memory(placed, self.lin):
             return 0.0
         sums, carried = np.zeros(self.lags), np.zeros((self.motion.shape[1], placed.effect.states))
         for a, law in _pieces([(placed, p)], self.data, self.place, self.lin):
@@ -71,20 +71,20 @@ class Probe:
         """The same: impulses were sent along all of it."""
         return self
 
-    def coarse(self, rate_hz: float, mean: Mean) -> Probe:
+    def coarse(self, rate_hz: float, mean: ModalResponse) -> Probe:
         """The same at the rate of the record: enough for laws without jumps."""
         by = round(self.data.rate_hz / rate_hz)
         if by == 1:
             return self
         motion = np.ascontiguousarray(self.motion[..., ::by])
-        return replace(self, data=coarser(self.data, by), motion=motion, lags=self.lags // by)
+        return replace(self, data=decimated_record(self.data, by), motion=motion, lags=self.lags // by)
 
     def _sigma(self, force: Array) -> Complexes:
         return np.asarray(-_transform(force, self.data.rate_hz, self.f_hz) / self.G)
 
 
 def probed(
-    data: MotionBlocks, f_hz: Array, i: int, uses: Sequence[Placed], mean: Mean, lin: Array
+    data: MotionRecord, f_hz: Array, i: int, uses: Sequence[LocatedLaw], mean: ModalResponse, lin: Array
 ) -> Probe | None:  # fmt: skip
     """Of place i with the laws `uses` on finer data; None where an answer does not die out. f_hz : what is asked for.
 
@@ -117,8 +117,8 @@ def probed(
 
 
 def _pieces(
-    laws: Sequence[tuple[Placed, Array]], data: MotionBlocks, i: int, lin: Array
-) -> Iterator[tuple[int, Linearised]]:  # fmt: skip
+    laws: Sequence[tuple[LocatedLaw, Array]], data: MotionRecord, i: int, lin: Array
+) -> Iterator[tuple[int, LinearisedMemory]]:  # fmt: skip
     """First row and laws that remember, at parameters, linearised along the motion of place i, piece by piece.
 
     Where the path has a break they keep what they have come to: it is no motion.
@@ -131,11 +131,11 @@ def _pieces(
             rows = np.minimum(np.arange(a, a + size + 1), stretch.stop - 1)  # one more: where the next piece begins
             found = []
             for q, (u, p) in enumerate(laws):
-                _, states, about = passed(u.effect, p, lin, seen[rows], data.v[i, rows], dt, starts[q])
+                _, states, about = force_along_path(u.effect, p, lin, seen[rows], data.v[i, rows], dt, starts[q])
                 starts[q] = states[-1]
                 found.append(about)
-            law = together([q for q in found if q is not None])
-            yield a, Linearised(law.step[:size], law.force[:size])
+            law = stacked_states([q for q in found if q is not None])
+            yield a, LinearisedMemory(law.step[:size], law.force[:size])
 
 
 def _transform(answer: Array, rate_hz: float, f_hz: Array) -> Complexes:

@@ -23,7 +23,7 @@ FELT = 1e-6  # of the largest residue: modes with less are those of other caps
 
 
 @dataclass(frozen=True, slots=True)
-class Mean:
+class ModalResponse:
     """poles, residues : (modes,) rad/s and m/(N s), of a pair the one above the real axis, doubled."""
 
     poles: Complexes
@@ -99,8 +99,8 @@ class Mean:
         return min(most, 1 << max(3, int(np.ceil(np.log2(7.0 * self.decay / dt)))))
 
 
-def yields(w: Array, mass: Array, D: Array, places: Sequence[str], disc: Disc | None) -> Complexes:
-    """(f, places, places) m/N at w (f,) rad/s, displacement of each cap per force on each; see `mean_responses`."""
+def compliance(w: Array, mass: Array, D: Array, places: Sequence[str], disc: Disc | None) -> Complexes:
+    """(f, places, places) m/N at w (f,) rad/s, displacement of each cap per force on each; see `modal_responses`."""
     iw = 1j * w[:, None, None]
     dynamic = D[..., 0] + iw * D[..., 1] + iw**2 * np.diag(mass)
     if disc is not None:
@@ -116,14 +116,14 @@ def _directions(places: Sequence[str]) -> list[tuple[list[int], list[int]]]:
     return [(at, [0 if places[i].startswith("bearing1") else 1 for i in at]) for at in by]
 
 
-def alone(m: float, c: float, k: float) -> Mean:
+def single_mass_response(m: float, c: float, k: float) -> ModalResponse:
     """Of one mass by itself."""
-    return mean_responses(np.array([m]), np.array([[[k, c]]]), ("bearing1.x",), None)[0]
+    return modal_responses(np.array([m]), np.array([[[k, c]]]), ("bearing1.x",), None)[0]
 
 
-def mean_responses(
+def modal_responses(
     mass: Array, D: Array, places: Sequence[str], disc: Disc | None, memories: Sequence[tuple[int, Array]] = ()
-) -> tuple[Mean, ...]:
+) -> tuple[ModalResponse, ...]:
     """Of each cap of a rotor. mass : (places,) kg; D : (places, places, 2) mean tangents of displacement and velocity,
     N/m and N s/m, the shaft's left out. disc : None without a shaft. memories : at a place, as linear_memory.states."""
     n = len(places)
@@ -147,9 +147,9 @@ def mean_responses(
     above = poles.imag >= 0.0
     double = np.where(poles.imag > 0.0, 2.0, 1.0)
 
-    def of(i: int) -> Mean:
+    def of(i: int) -> ModalResponse:
         residues = double * right[i] * left[:, i]
         felt = above & (np.abs(residues) > FELT * np.abs(residues).max())
-        return Mean(np.asarray(poles[felt], np.complex128), np.asarray(residues[felt], np.complex128))
+        return ModalResponse(np.asarray(poles[felt], np.complex128), np.asarray(residues[felt], np.complex128))
 
     return tuple(of(i) for i in range(n))

@@ -12,8 +12,14 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion import linear_memory, shaft_law
-from estimator.likelihood.motion.located_law import Evaluated, Placed, at_home, evaluate, tangent_series
-from estimator.likelihood.motion.motion_record import FOLDS, MotionBlocks
+from estimator.likelihood.motion.located_law import (
+    LawAlongPath,
+    LocatedLaw,
+    law_along_record,
+    own_response,
+    tangent_series,
+)
+from estimator.likelihood.motion.motion_record import FOLDS, MotionRecord
 from estimator.parallel import map_threads
 
 from .fluctuation import Fluctuation
@@ -25,14 +31,14 @@ SMALL = 1e-4  # of the shaft's stiffness, that a law of the shaft is stepped by
 LEAST = 1e-30  # rms per unit that single precision holds: x^5 of a quiet bearing is below
 
 
-class Units:
+class UnitRegressors:
     """The terms of the amplitudes of the law that was asked for last, on one record: a search looks at a law's gain,
     and goes on from there."""
 
     def __init__(self) -> None:
-        self._last: tuple[tuple[str, bytes], list[Term]] = ("", b""), []
+        self._last: tuple[tuple[str, bytes], list[Regressor]] = ("", b""), []
 
-    def of(self, placed: Placed, made: Callable[[], list[Term]]) -> list[Term]:
+    def of(self, placed: LocatedLaw, made: Callable[[], list[Regressor]]) -> list[Regressor]:
         """Those of a law of the states, made if they are not known."""
         searched = [not q.linear for q in placed.effect.parameters]
         law = placed.key, placed.p[searched].tobytes() + bytes(placed.at)
@@ -43,21 +49,21 @@ class Units:
         return known
 
 
-def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = False) -> list[Term]:
+def regressors(placed: LocatedLaw, data: MotionRecord, lin: Array, linear_only: bool = False) -> list[Regressor]:
     """One column per free parameter: the force per unit for a linear one, a central difference for a searched one;
     none of a law that is zero all along the record.
 
     lin : (places, 3) m, kL, c.
     """
 
-    def law(i: int, p: Array) -> Evaluated:
-        return evaluate(placed, data, i, lin, p)
+    def law(i: int, p: Array) -> LawAlongPath:
+        return law_along_record(placed, data, i, lin, p)
 
     responding = placed.effect.kind in ("memory", "shaft")
     at = _once(law) if responding else law
     free = [k for k, q in enumerate(placed.effect.parameters) if placed.free[k] and (q.linear or not linear_only)]
     if placed.effect.kind == "shaft":  # integrated anew for every one of them
-        caps = {shaft_law.first(data, i) for i in placed.at}
+        caps = {shaft_law.first_of_direction(data, i) for i in placed.at}
         map_threads(lambda ask: at(*ask), [(i, p) for k in free for p, _ in _ends(placed, k, data) for i in caps])
     out = []
     for k in free:
@@ -67,7 +73,9 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
         slopes = np.zeros((FOLDS, len(data.places), len(data.places), 2))
         ends = _ends(placed, k, data)
         for i in placed.at:
-            made = [at(shaft_law.first(data, i) if placed.effect.kind == "shaft" else i, p) for p, _ in ends]
+            made = [
+                at(shaft_law.first_of_direction(data, i) if placed.effect.kind == "shaft" else i, p) for p, _ in ends
+            ]
             series[i] = _summed(f if w == 1.0 else w * f for (_, w), (f, _, _) in zip(ends, made, strict=True))
             slopes[:, i] = _summed(w * s for (_, w), (_, s, _) in zip(ends, made, strict=True))
             if responding:
@@ -76,11 +84,15 @@ def terms(placed: Placed, data: MotionBlocks, lin: Array, linear_only: bool = Fa
         if rms == 0.0:
             continue  # of a law that is still zero, or that the motion does not reach
         mean = data.over_folds(slopes)
-        out.append(light(Term(placed.name(k), q.unit, series, mean, 1.0 / rms, memory, slopes - mean)))
+        out.append(
+            in_single_precision(Regressor(placed.name(k), q.unit, series, mean, 1.0 / rms, memory, slopes - mean))
+        )
     return out
 
 
-def dressed(made: list[Term], placed: Placed, fluctuations: Sequence[Fluctuation | Probe | None]) -> list[Term]:
+def with_second_order(
+    made: list[Regressor], placed: LocatedLaw, fluctuations: Sequence[Fluctuation | Probe | None]
+) -> list[Regressor]:
     """The terms of an effect with what the fluctuating laws of the model, by place, do to their mean response."""
     if placed.effect.kind == "shaft" or not any(fluctuations[i] for i in placed.at):
         return made
@@ -103,7 +115,7 @@ def dressed(made: list[Term], placed: Placed, fluctuations: Sequence[Fluctuation
                     own = known
                 else:
                     own = here.of(_summed(w * tangent_series(placed, here.data, i, p) for p, w in ends))
-                memory[i] = memory.get(i, 0.0) - at_home(own, i, here.data)
+                memory[i] = memory.get(i, 0.0) - own_response(own, i, here.data)
         out.append(replace(term, memory=memory))
     return out
 
@@ -121,7 +133,7 @@ def _once(found: Callable[[int, Array], T]) -> Callable[[int, Array], T]:
     return at
 
 
-def _ends(placed: Placed, k: int, data: MotionBlocks) -> list[tuple[Array, float]]:
+def _ends(placed: LocatedLaw, k: int, data: MotionRecord) -> list[tuple[Array, float]]:
     """Parameter vectors and weights whose sum of forces is the force per unit of parameter k."""
     parameters = placed.effect.parameters
     if placed.effect.kind == "shaft" and data.disc is not None:  # linear in the first order only: it moves the disc
@@ -140,14 +152,14 @@ def _ends(placed: Placed, k: int, data: MotionBlocks) -> list[tuple[Array, float
         up = unit.copy()
         up[k] += step
         return [(up, a / step), (unit, -a / step)]
-    step = 1e-3 * max(reach(placed, k, data), 1e-12)
+    step = 1e-3 * max(parameter_scale(placed, k, data), 1e-12)
     up, down = placed.p.copy(), placed.p.copy()
     up[k] += step
     down[k] -= step
     return [(up, 0.5 / step), (down, -0.5 / step)]
 
 
-def reach(placed: Placed, k: int, data: MotionBlocks) -> float:
+def parameter_scale(placed: LocatedLaw, k: int, data: MotionRecord) -> float:
     """What a searched parameter has to change by to make another law: its own size; of a shaft order, what turns the
     end of the record by a radian."""
     if placed.effect.parameters[k].scale == "bpfo":
@@ -163,7 +175,7 @@ def _summed(parts: Iterator[Any]) -> Any:
     return total
 
 
-def light(term: Term) -> Term:
+def in_single_precision(term: Regressor) -> Regressor:
     """The term for keeping: its own series in single precision if that can hold it, views of the record as they are."""
     if term.scale > 1.0 / LEAST:
         return term
@@ -176,12 +188,12 @@ def light(term: Term) -> Term:
 class Span:
     """What the base terms span at one place, each scaled to rms 1: their Gram matrix and tangents."""
 
-    base: tuple[Term, ...]
+    base: tuple[Regressor, ...]
     part: NDArray[np.float32]  # (k, n / STRIDE) of their series
     gram: Array
     slopes: Array  # (k, places, 2)
-    apart: Array  # (k, folds, places, 2) of those of time folds, see Term
-    memory: Complexes | None  # (k, places, bins) more of the response to x, see Term
+    apart: Array  # (k, folds, places, 2) of those of time folds, see Regressor
+    memory: Complexes | None  # (k, places, bins) more of the response to x, see Regressor
 
 
 @njit(cache=True, nogil=True)
@@ -194,7 +206,7 @@ def add_to(z, weight, other):  # type: ignore[no-untyped-def]
 STRIDE = 4  # of the samples that the projection is computed from; it need not be exact, only subtracted exactly
 
 
-def span(base: Sequence[Term], i: int) -> Span:
+def span_at(base: Sequence[Regressor], i: int) -> Span:
     """The base at place i."""
     own = tuple(b for b in base if i in b.series)
     part = np.stack([(b.series[i][::STRIDE] * b.scale).astype(np.float32) for b in own])
@@ -210,16 +222,16 @@ def span(base: Sequence[Term], i: int) -> Span:
 class Spans:
     """The base's span at every place, made when it is first asked for."""
 
-    def __init__(self, base: Sequence[Term]) -> None:
+    def __init__(self, base: Sequence[Regressor]) -> None:
         self._base, self._made = base, dict[int, Span]()
 
     def __getitem__(self, i: int) -> Span:
         if i not in self._made:
-            self._made[i] = span(self._base, i)
+            self._made[i] = span_at(self._base, i)
         return self._made[i]
 
 
-def orthogonal(term: Term, spans: Spans, least: float = 1e-4) -> Term | None:
+def orthogonalised(term: Regressor, spans: Spans, least: float = 1e-4) -> Regressor | None:
     """The term without what the base (by place) already explains there, series and tangent alike.
 
     The likelihood is the same function of the new parameter; what changes is that nearly equal columns keep their
@@ -255,7 +267,7 @@ def orthogonal(term: Term, spans: Spans, least: float = 1e-4) -> Term | None:
     )
 
 
-def linear_terms(data: MotionBlocks, i: int, lin: Array, uses: Sequence[Placed] = ()) -> list[Term]:
+def linear_regressors(data: MotionRecord, i: int, lin: Array, uses: Sequence[LocatedLaw] = ()) -> list[Regressor]:
     """kL and c of a place. lin : (3,) m, kL, c. uses : laws, some of which may answer by them, as a pedestal does."""
     P = len(data.places)
     out = []
@@ -265,16 +277,16 @@ def linear_terms(data: MotionBlocks, i: int, lin: Array, uses: Sequence[Placed] 
         series, memory = z, dict[int, Complexes]()
         for use in uses:
             own = i in use.at and use.effect.kind == "memory"
-            if own and (more := linear_memory.slope(use.effect, use.p, lin, 1 + which)) is not None:
-                series = (series + linear_memory.filtered(more, data.x[i], data.rate_hz)).astype(z.dtype)
-                memory[i] = memory.get(i, 0.0) + at_home(more(2 * np.pi * data.f_hz), i, data)
+            if own and (more := linear_memory.response_derivative(use.effect, use.p, lin, 1 + which)) is not None:
+                series = (series + linear_memory.filtered_series(more, data.x[i], data.rate_hz)).astype(z.dtype)
+                memory[i] = memory.get(i, 0.0) + own_response(more(2 * np.pi * data.f_hz), i, data)
         rms = max(float(data.rms[which, i]), 1e-300)
-        out.append(Term(f"{data.places[i]}.{name}", unit, {i: series}, slope, 1.0 / rms, memory))
+        out.append(Regressor(f"{data.places[i]}.{name}", unit, {i: series}, slope, 1.0 / rms, memory))
     return out
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
+class Regressor:
     """One parameter's force per unit: series by place index, (n,) N per unit, and its mean tangent.
 
     tangent : (places, places, 2): mean derivative of the force at place i to x_l and to v_l. apart : (folds, places,
@@ -295,14 +307,14 @@ class Term:
     shape: Complexes | None = None
 
 
-def response(tangent: Array, s: Complexes) -> Complexes:
+def tangent_response(tangent: Array, s: Complexes) -> Complexes:
     """(..., bins) contribution to A at s (bins,) of a mean tangent (..., 2)."""
     return np.asarray(tangent[..., :1] / s**2 + tangent[..., 1:] / s)
 
 
-def term_response(term: Term, s: Complexes) -> Complexes:
+def regressor_response(term: Regressor, s: Complexes) -> Complexes:
     """(places, places, bins) contribution to A at s (bins,) of one scaled unit of a term."""
-    out = response(term.tangent, s)
+    out = tangent_response(term.tangent, s)
     for i, more in term.memory.items():
         out[i] += more / s**2
     return out * term.scale

@@ -13,8 +13,8 @@ from estimator.likelihood.motion.law_columns import Columns
 from estimator.likelihood.motion.stream_record import Record, stretches
 from estimator.signals.blocks import valid_blocks
 
-from .modal_response import Mean, mean_responses
-from .self_energy import DECAYS, SECONDS, covariance, dressed_response, self_energy, spectra
+from .modal_response import ModalResponse, modal_responses
+from .self_energy import DECAYS, SECONDS, second_order_response, self_energy, tangent_covariance, tangent_spectra
 
 
 def self_energies(
@@ -30,7 +30,7 @@ def self_energies(
     own = np.einsum("iik->ki", D)
     if all(law.effect.kind != "force" for law in balance.laws) or np.any(own <= 0.0) or np.any(np.diag(B) <= 0.0):
         return None
-    mean = of_caps(balance, B, D)
+    mean = cap_responses(balance, B, D)
     out = np.zeros((f_hz.size, len(balance.columns), len(balance.columns)), complex)
     for row in [i for i, m in enumerate(mean) if m.sound]:
         laws = [
@@ -45,7 +45,7 @@ def self_energies(
 
 
 @dataclass(frozen=True, slots=True)
-class Flutter:
+class TangentNoise:
     """What the noise e of displacement sensors does in the laws, per unit of each law.
 
     covariance : (places, columns, columns) of the tangents at a place, (N/m)^2. bend : (places, columns) N/m^3, half
@@ -56,7 +56,7 @@ class Flutter:
     bend: Array
 
 
-def flutter(record: Record, columns: Columns, seconds: float = SECONDS) -> Flutter | None:
+def tangent_noise(record: Record, columns: Columns, seconds: float = SECONDS) -> TangentNoise | None:
     """What noise does in the laws; None where no sensor is one of displacement (integrated, that of others is small).
 
     The noise enters the force of a law as phi'(x) e + phi''(x) e^2 / 2. The mean tangent is seen through A; by what it
@@ -82,10 +82,12 @@ def flutter(record: Record, columns: Columns, seconds: float = SECONDS) -> Flutt
             square -= square.mean()
             covariance[row, np.array(laws)[:, None], laws] = np.cov(tangents).reshape(len(laws), len(laws))
             bend[row, laws] = tangents @ square / (square @ square)
-    return Flutter(covariance, bend) if covariance.any() else None
+    return TangentNoise(covariance, bend) if covariance.any() else None
 
 
-def _covariances(record: Record, columns: Columns, laws: list[int], mean: Mean, seconds: float) -> tuple[Array, float]:
+def _covariances(
+    record: Record, columns: Columns, laws: list[int], mean: ModalResponse, seconds: float
+) -> tuple[Array, float]:
     """(laws, laws, 2, 2, lags) <kappa_ja(t + lag) kappa_kb(t)>, a and b: along x and v; and the time step."""
     usable = valid_blocks(record.motion.valid, record.grid)[::2]  # each row once
     usable = usable[: max(2, int(mean.seconds(seconds, DECAYS) * record.rate_hz / record.grid.size))]
@@ -93,13 +95,13 @@ def _covariances(record: Record, columns: Columns, laws: list[int], mean: Mean, 
     dt = 1.0 / (factor * record.rate_hz)
     series -= series.mean(axis=(2, 3), keepdims=True)
     lags = mean.lags(dt, series.shape[3])
-    Z = [spectra(z, lags) for z in series]
-    return np.array([[covariance(a, b, lags) for b in Z] for a in Z]), dt
+    Z = [tangent_spectra(z, lags) for z in series]
+    return np.array([[tangent_covariance(a, b, lags) for b in Z] for a in Z]), dt
 
 
-def pair_energies(C: Array, dt: float, B: Array, mean: Mean, f_hz: Array) -> Complexes:
+def pair_energies(C: Array, dt: float, B: Array, mean: ModalResponse, f_hz: Array) -> Complexes:
     """(f, laws, laws) self-energies of each law by each, from their covariances (laws, laws, 2, 2, lags)."""
-    g = dressed_response(np.einsum("j,k,jkabt->abt", B, B, C), dt, mean)
+    g = second_order_response(np.einsum("j,k,jkabt->abt", B, B, C), dt, mean)
     out = np.zeros((f_hz.size, B.size, B.size), complex)
     if g is not None:
         for j, k in np.ndindex(B.size, B.size):
@@ -139,12 +141,12 @@ def mean_tangents(balance: Balance, B: Array, tangents: Array) -> Array:
     return D
 
 
-def of_caps(balance: Balance, B: Array, D: Array) -> tuple[Mean, ...]:
+def cap_responses(balance: Balance, B: Array, D: Array) -> tuple[ModalResponse, ...]:
     """Mean response of each place, D as `mean_tangents` gives it."""
-    return mean_responses(np.diag(B), balance.by_itself(D), balance.places, balance.disc)
+    return modal_responses(np.diag(B), balance.by_itself(D), balance.places, balance.disc)
 
 
-def dressed(pairs: Complexes, balance: Balance, B: Array, f_hz: Array) -> Complexes:
+def second_order_change(pairs: Complexes, balance: Balance, B: Array, f_hz: Array) -> Complexes:
     """(f, columns) change of each column's response to the acceleration of its own place, 1/(m/s^2) of its unit."""
     w = 2 * np.pi * f_hz
     out = np.zeros((f_hz.size, len(balance.columns)), complex)

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 
-from .modal_response import Mean
+from .modal_response import ModalResponse
 
-Spectra = tuple[NDArray[np.complex64] | None, ...]
+TangentSpectra = tuple[NDArray[np.complex64] | None, ...]
 SECONDS, DECAYS = 8.0, 1000.0  # of the record that the covariances are taken from: the longer of the two
 ROUNDS = 10  # of the self-consistent response
 STRONG = 1.0  # rms of the tangent stiffness over its mean, above which the second order is not used
@@ -34,7 +34,7 @@ WIDE = 19.0
 UNFINISHED = 0.02  # of the power of free motion, at most, after the lags
 
 
-def spectra(tangents: NDArray[np.floating], lags: int) -> Spectra:
+def tangent_spectra(tangents: NDArray[np.floating], lags: int) -> TangentSpectra:
     """(pieces, lags + 1) each of tangents along x and v, (2, blocks, n), in pieces of `lags`; None where they are 0."""
     from scipy.fft import rfft
 
@@ -56,7 +56,7 @@ def _cross(Z, K):  # type: ignore[no-untyped-def]
     return out
 
 
-def covariance(Z: Spectra, K: Spectra, lags: int) -> Array:
+def tangent_covariance(Z: TangentSpectra, K: TangentSpectra, lags: int) -> Array:
     """(2, 2, lags) <kappa_a(t + lag) K_b(t)>, a and b: along x and v; from their spectra by as many lags."""
     C = np.zeros((2, 2, lags))
     for a, b in np.ndindex(2, 2):
@@ -65,7 +65,7 @@ def covariance(Z: Spectra, K: Spectra, lags: int) -> Array:
     return C
 
 
-def dressed_response(total: Array, dt: float, mean: Mean) -> Array | None:
+def second_order_response(total: Array, dt: float, mean: ModalResponse) -> Array | None:
     """(2, lags) impulse response of x and v, dressed by its own self-energy (causal at any strength of K).
 
     total : (2, 2, lags) covariance of K. None where K is so strong that the second order means nothing, or what was

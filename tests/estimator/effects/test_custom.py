@@ -22,7 +22,7 @@ from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.batch.measured_force import analyse
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.located_law import Placed, placed_of
+from estimator.likelihood.motion.located_law import LocatedLaw, located_laws
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path import law_gain
 from estimator.model.rig import CustomLaw, EffectUse, Setting
@@ -282,9 +282,9 @@ def test_a_search_that_has_left_for_where_its_numbers_do_nothing_is_not_believed
 def test_a_law_that_grows_beyond_all_measure_at_a_value_on_trial_is_passed_over() -> None:
     rig = one_bearing()
     data = prepare(rig, simulate(rig, RATE, 2.0, seed=1, noise=0.02), RATE)
-    point = fit_model(data, placed_of(rig, data))
+    point = fit_model(data, located_laws(rig, data))
     effect = custom_effect(own("f*exp(x/w)", f=(1e-3, "N"), w=(1e-9, "m")))
     assert (
-        law_gain.fitted_gain(point, Placed(effect, "bearing1.x.mine", (0,), np.array([1.0, 1e-9]), (True, False)))
+        law_gain.fitted_gain(point, LocatedLaw(effect, "bearing1.x.mine", (0,), np.array([1.0, 1e-9]), (True, False)))
         is None
     )

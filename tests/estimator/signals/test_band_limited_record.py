@@ -8,7 +8,7 @@ from estimator.identification.batch.measured_force import analyse
 from estimator.identification.batch.report import residual_force
 from estimator.signals import band_limited_record
 from estimator.signals.band_limit import band_limit
-from estimator.signals.band_limited_record import Filtered
+from estimator.signals.band_limited_record import BandLimitedRecord
 
 KINDS, BAND = ["acceleration", "displacement"], (150.0, 8000.0)
 
@@ -23,7 +23,7 @@ def test_every_piece_has_the_bits_of_the_stream(extra: object) -> None:
     y = rng.normal(size=(60001, 2))
     y[20000:20007, 1] = np.nan
     whole = band_limit(y, KINDS, RATE, BAND, extra)  # type: ignore[arg-type]
-    pieces = Filtered(y, KINDS, RATE, BAND, extra)  # type: ignore[arg-type]
+    pieces = BandLimitedRecord(y, KINDS, RATE, BAND, extra)  # type: ignore[arg-type]
     assert np.array_equal(pieces.valid, whole.valid)
     held = pieces.whole()
     for lo, hi in ((0, 60001), (0, 1), (59990, 60001), (19000, 21000), (8191, 40000)):
@@ -41,7 +41,7 @@ def test_a_large_record_is_fitted_without_its_motion_held(monkeypatch: pytest.Mo
     small = analyse(rig_model("cubic"), y, RATE)
     monkeypatch.setattr(band_limited_record, "LARGE", 1e6)
     large = analyse(rig_model("cubic"), y, RATE)
-    assert isinstance(large.record.motion, Filtered)
+    assert isinstance(large.record.motion, BandLimitedRecord)
     for place in PLACES:
         for name in (f"{place}.kL", f"{place}.c", f"{place}.cubic.kNL"):
             assert large.values[name] == pytest.approx(small.values[name], rel=1e-9)

@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 
 from estimator.errors import DataError
-from estimator.signals.blocks import gram, layout, nodes, spectra, valid_blocks
+from estimator.signals.blocks import block_layout, block_spectra, frequency_nodes, gram_by_cell, valid_blocks
 
 RATE, BAND = 2000.0, (20.0, 600.0)
 
 
 def test_energy_in_the_band_is_the_energy_over_time() -> None:
-    grid = layout(RATE, BAND)
+    grid = block_layout(RATE, BAND)
     n = 41 * grid.hop
     t = np.arange(n) / RATE
     fade = np.clip(np.minimum(t, t[-1] - t) / (2 * grid.size / RATE), 0, 1)  # nothing in the half-covered ends
     z = np.array([np.sin(2 * np.pi * 131.7 * t), np.cos(2 * np.pi * 44.2 * t + 0.3)]) * fade**2
     blocks = valid_blocks(np.ones(n, bool), grid)
-    G = gram(spectra(z, blocks, grid), grid).sum(axis=0)
+    G = gram_by_cell(block_spectra(z, blocks, grid), grid).sum(axis=0)
     # one-sided PSD: sum over bins x df = mean square; each row lies in two blocks
     energy = G * (RATE / grid.size) * grid.hop / RATE
     assert energy[0, 0] == pytest.approx((z[0] ** 2).sum() / RATE, rel=1e-5)
@@ -24,13 +24,13 @@ def test_energy_in_the_band_is_the_energy_over_time() -> None:
 
 
 def test_white_noise_has_its_density_and_half_as_many_independent_bins() -> None:
-    grid = layout(RATE, BAND)
+    grid = block_layout(RATE, BAND)
     rng = np.random.default_rng(0)
     means = []
     for _ in range(60):
         z = rng.normal(size=(1, 40 * grid.hop))
         blocks = valid_blocks(np.ones(z.shape[1], bool), grid)
-        G = gram(spectra(z, blocks, grid), grid).sum()
+        G = gram_by_cell(block_spectra(z, blocks, grid), grid).sum()
         means.append(G / (blocks.size * grid.bins.size))
     assert np.mean(means) == pytest.approx(2 / RATE, rel=0.01)
     independent = 0.5 * 39 * grid.bins.size
@@ -38,7 +38,7 @@ def test_white_noise_has_its_density_and_half_as_many_independent_bins() -> None
 
 
 def test_gaps_and_notches_take_out_blocks_and_bins() -> None:
-    grid = layout(RATE, BAND, notches=((100.0, 110.0),))
+    grid = block_layout(RATE, BAND, notches=((100.0, 110.0),))
     assert not ((grid.f_hz >= 100.0) & (grid.f_hz <= 110.0)).any()
     assert grid.per_cell.sum() == grid.bins.size
     assert grid.per_cell.min() >= 4
@@ -49,8 +49,8 @@ def test_gaps_and_notches_take_out_blocks_and_bins() -> None:
 
 
 def test_nodes_stand_for_every_bin_once() -> None:
-    grid = layout(RATE, BAND)
-    few = nodes(grid, np.array([130.0]), np.array([8.0]))
+    grid = block_layout(RATE, BAND)
+    few = frequency_nodes(grid, np.array([130.0]), np.array([8.0]))
     assert few.weight.sum() == grid.bins.size
     assert few.f_hz.size < grid.bins.size
     counts = few.mean_by_cell(np.ones(few.f_hz.size), grid.per_cell)
@@ -59,4 +59,4 @@ def test_nodes_stand_for_every_bin_once() -> None:
 
 def test_a_band_without_bins_is_refused() -> None:
     with pytest.raises(DataError):
-        layout(RATE, (20.0, 600.0), notches=((20.0, 590.0),))
+        block_layout(RATE, (20.0, 600.0), notches=((20.0, 590.0),))

@@ -11,11 +11,11 @@ from reference_rig import PLACES, RATE, rig_model, rig_record, run_up_angle
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.model.rig import Channel, Model
 from estimator.results import Estimate
-from estimator.signals.blocks import layout, spectra
-from estimator.signals.moving_lines import MovingLines, left_out, weights
+from estimator.signals.blocks import block_layout, block_spectra
+from estimator.signals.moving_lines import MovingLines, bin_weights, line_bins
 from estimator.signals.shaft_angle import ShaftAngle, shaft_angle
 
-GRID = layout(RATE, (150.0, 8000.0))
+GRID = block_layout(RATE, (150.0, 8000.0))
 SECONDS, RUN_UP = 14.0, (320.0, 460.0, 0.3)
 
 
@@ -28,7 +28,7 @@ def force_blocks(seconds: float, line: tuple[float, float, float] | None, seed: 
         angle = run_up_angle(line, seconds, np.arange(n) / RATE)
         y += line[2] * np.cos(angle + np.arange(4)[:, None])
     blocks = np.arange((n - GRID.size) // GRID.hop + 1)
-    return list(np.moveaxis(spectra(y, blocks, GRID), 1, 0))
+    return list(np.moveaxis(block_spectra(y, blocks, GRID), 1, 0))
 
 
 def test_noise_has_hardly_ever_a_line() -> None:
@@ -50,8 +50,8 @@ def test_what_is_left_out_is_made_up_for_by_its_neighbours() -> None:
     rng = np.random.default_rng(0)
     for _ in range(50):
         ratio = np.where(rng.random(600) < 0.02, rng.choice([20.0, 1e3, 1e6], 600), 0.0)
-        out = left_out(ratio)
-        w = weights(out)
+        out = line_bins(ratio)
+        w = bin_weights(out)
         assert w[out].max(initial=0.0) == 0.0
         assert w.sum() == pytest.approx(600.0)
         slope = np.arange(600.0)

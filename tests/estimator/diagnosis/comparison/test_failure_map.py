@@ -16,7 +16,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.model.rig import Model, Setting
 from estimator.simulation.simulator import simulate
 
@@ -43,7 +43,7 @@ def test_a_bearing_that_only_shares_the_force_of_the_other_is_not_named(hidden: 
     y = simulate(truth, RATE, SECONDS, seed=3, noise=0.02, full_scale=490.5)
     point = fit_all_effects(model, y, RATE).point
     laws = tuple(
-        Placed(drift, f"{n}.x.stiffness_drift", (i,), np.array([1e5 * (n in hidden), 0.0]), (True, False))
+        LocatedLaw(drift, f"{n}.x.stiffness_drift", (i,), np.array([1e5 * (n in hidden), 0.0]), (True, False))
         for i, n in enumerate(NODES)
     )
     both = {"bearing1": (90.0, 80.0), "bearing2": (9.0, 8.0)}
@@ -55,7 +55,7 @@ def test_a_bearing_that_only_shares_the_force_of_the_other_is_not_named(hidden: 
 
 
 def test_without_a_bearing_its_nats_and_numbers_go() -> None:
-    laws = tuple(Placed(CATALOGUE["cubic"], f"{n}.x.cubic", (i,), np.ones(1), (True,)) for i, n in enumerate(NODES))
+    laws = tuple(LocatedLaw(CATALOGUE["cubic"], f"{n}.x.cubic", (i,), np.ones(1), (True,)) for i, n in enumerate(NODES))
     by_node = {"bearing1": (5.0, 4.0), "bearing2": (3.0, 1.0)}
     parameters = {f"{n}.x.cubic.kNL": object() for n in NODES}
     entry = Entry("cubic", NODES, 8.0, 5.0, 1e-3, 1.0, 0.0, parameters, 8.0, placed=laws, by_node=by_node)  # type: ignore[arg-type]

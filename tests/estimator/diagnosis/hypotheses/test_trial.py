@@ -14,11 +14,11 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
 from estimator.identification.residual.missing_force import survey
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.located_law import Placed, placed_of
+from estimator.likelihood.motion.located_law import LocatedLaw, located_laws
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path import law_gain
 from estimator.likelihood.path.working_point import WorkingPoint
-from estimator.likelihood.response.regressor_set import Units
+from estimator.likelihood.response.regressor_set import UnitRegressors
 from estimator.model.rig import Model
 from estimator.results import Parameter
 
@@ -31,7 +31,7 @@ def weak() -> tuple[Model, WorkingPoint, float]:
     rig = one_bearing()
     data = prepare(rig, record(rig, "clearance", 0.03), RATE)
     gap = strengths(CLEARANCE, size(rig, "bearing1.x", RATE), 0.03, rig)["gap"]
-    return rig, fit_model(data, placed_of(rig, data)), gap
+    return rig, fit_model(data, located_laws(rig, data)), gap
 
 
 def test_a_gap_found_at_one_direction_is_tried_at_the_other(weak: tuple[Model, WorkingPoint, float]) -> None:
@@ -91,7 +91,7 @@ def test_an_effect_at_its_limit_still_says_from_what_strength_it_would_be_seen(
     rig, point, _ = weak
     coulomb = CATALOGUE["coulomb"]
     where = screen.acting(coulomb, "bearing1.x", point.data)
-    free = law_gain.fitted_gain(point, Placed(coulomb, "bearing1.x.coulomb", where, np.ones(1), (True,)))
+    free = law_gain.fitted_gain(point, LocatedLaw(coulomb, "bearing1.x.coulomb", where, np.ones(1), (True,)))
     assert free is not None
     barred = replace(coulomb, parameters=(replace(coulomb.parameters[0], low=1.0),))  # more than the record has
     limited = screen.best_at(point, rig, barred, "bearing1.x")
@@ -120,10 +120,10 @@ def test_the_whole_record_is_for_what_it_could_bring_forward(weak: tuple[Model, 
 def test_what_is_known_of_a_law_is_that_of_its_numbers(weak: tuple[Model, WorkingPoint, float]) -> None:
     """A trial asked for again, at other numbers, and at the first again is what it is on a record asked for nothing."""
     rig, point, gap = weak
-    placed = Placed(CLEARANCE, "bearing1.x.clearance", (0,), np.array([1.0, gap]), (True, True))
+    placed = LocatedLaw(CLEARANCE, "bearing1.x.clearance", (0,), np.array([1.0, gap]), (True, True))
     asked = [law_gain.fitted_gain(point, placed.with_values(np.array([1.0, by * gap]))) for by in (1.0, 1.0, 1.3, 1.0)]
     gains = [one.gain for one in asked if one is not None]
-    fresh = law_gain.fitted_gain(replace(point, units=Units()), placed)
+    fresh = law_gain.fitted_gain(replace(point, units=UnitRegressors()), placed)
     assert fresh is not None
     assert gains[0] == gains[1] == gains[3] == fresh.gain
     assert gains[2] != gains[0]

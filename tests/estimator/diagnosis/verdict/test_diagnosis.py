@@ -20,7 +20,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
 from estimator.errors import DataError
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.model.rig import Model
 from estimator.simulation.simulator import simulate
 
@@ -213,9 +213,9 @@ def test_a_shaft_that_is_stiffer_than_the_rig_file_says_is_unknown_and_said() ->
 @pytest.mark.parametrize(("per_sample", "first"), [(83.0, "cross_coupling"), (1.0, "sensor_clipping")])
 def test_a_few_clipped_samples_stand_behind_what_they_cannot_make(per_sample: float, first: str) -> None:
     """166 of 1.5 million hid a cross-coupling of 223,000 nats; alone such samples make 0.14 nats each."""
-    law = Placed(CATALOGUE["cross_coupling"], "bearing1.cross_coupling", (0, 1), np.ones(1), (True,))
+    law = LocatedLaw(CATALOGUE["cross_coupling"], "bearing1.cross_coupling", (0, 1), np.ones(1), (True,))
 
-    def entry(effect: str, gain: float, score: float, placed: tuple[Placed, ...] = ()) -> ranking.Entry:
+    def entry(effect: str, gain: float, score: float, placed: tuple[LocatedLaw, ...] = ()) -> ranking.Entry:
         return ranking.Entry(effect, ("bearing1",), gain, gain, 0.0, 1.0, 0.0, {}, score, placed=placed)
 
     found = [

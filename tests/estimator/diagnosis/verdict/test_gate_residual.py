@@ -16,11 +16,11 @@ from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import NotFiniteError
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual import missing_force
-from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.model.rig import CustomLaw, EffectUse, Setting
 from estimator.simulation.simulator import simulate
 
-QUINTIC = Placed(CATALOGUE["quintic"], "bearing1.x.quintic", (0,), np.array([1e60]), (True,))  # some 1e25 N
+QUINTIC = LocatedLaw(CATALOGUE["quintic"], "bearing1.x.quintic", (0,), np.array([1e60]), (True,))  # some 1e25 N
 
 
 def test_a_law_whose_fit_goes_astray_is_nothing() -> None:

@@ -19,7 +19,7 @@ from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.effects.places import places
 from estimator.errors import DataError
 from estimator.identification.batch.full_fit import FullFit, fit_all_effects
-from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
 from estimator.results import Parameter
 from estimator.simulation.simulator import simulate
@@ -55,7 +55,7 @@ def having(rig: Model, use: EffectUse) -> Model:
 def test_what_is_named_and_not_told_from_zero_is_not_added(rig: Model, monkeypatch: pytest.MonkeyPatch) -> None:
     """A diagnosis may be wrong, as beside masses that are not known: then it was the law ahead, of no known size."""
     rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
-    law = Placed(CATALOGUE["quadratic_damping"], "bearing1.x.quadratic_damping", (0,), np.zeros(1), (True,))
+    law = LocatedLaw(CATALOGUE["quadratic_damping"], "bearing1.x.quadratic_damping", (0,), np.zeros(1), (True,))
     ahead = Entry("quadratic_damping", ("bearing1",), 9.0, 8.0, 1e-4, 0.3, 0.0, {}, 7.0, placed=(law,))
     wrong = Diagnosis("quadratic_damping", (ahead,))
     monkeypatch.setattr("estimator.diagnosis.verdict.improvement.diagnose_point", lambda *_: wrong)
@@ -73,7 +73,7 @@ def test_a_law_that_is_not_upheld_where_something_is_missing_is_no_name_for_it(
     rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
     cubic = CATALOGUE["cubic"]
     hidden = with_effect(rig, cubic, strengths(cubic, size(rig, "bearing1.x", RATE), 0.3, rig), "bearing1.x")
-    law = Placed(CATALOGUE["quadratic"], "bearing1.x.quadratic", (0,), np.zeros(1), (True,))
+    law = LocatedLaw(CATALOGUE["quadratic"], "bearing1.x.quadratic", (0,), np.zeros(1), (True,))
     wrong = Entry("quadratic", ("bearing1",), 9.0, 8.0, 1e-4, 0.3, 0.0, {}, 7.0, placed=(law,))
     monkeypatch.setattr(
         "estimator.diagnosis.verdict.improvement.diagnose_point", lambda *_: Diagnosis("quadratic", (wrong,))
@@ -121,7 +121,7 @@ def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(
     colour = {"gain": 4.0, "corner": 800.0}
     known = with_effect(rig, CATALOGUE["coloured_excitation"], colour, "bearing1.x")
     y = simulate(with_effect(known, cubic, own, "bearing1.x"), RATE, 4.0, seed=4, noise=NOISE)
-    law = Placed(cubic, "bearing1.x.cubic", (0,), np.array([own["kNL"]]), (True,))
+    law = LocatedLaw(cubic, "bearing1.x.cubic", (0,), np.array([own["kNL"]]), (True,))
     named = Entry("cubic", ("bearing1",), 9.0, 8.0, 1e-4, 6.0, 0.0, {}, 7.0, placed=(law,))
     said = iter([Diagnosis("cubic", (named,)), Diagnosis("complete", ())])
     monkeypatch.setattr("estimator.diagnosis.verdict.improvement.diagnose_point", lambda *_: next(said))

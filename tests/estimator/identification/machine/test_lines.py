@@ -18,7 +18,7 @@ from estimator.identification.batch.grid_start import fit_record
 from estimator.identification.machine import lines
 from estimator.identification.search import search
 from estimator.likelihood.motion.prepare import prepare
-from estimator.signals.line_spectrum import spectrum_of, surroundings
+from estimator.signals.line_spectrum import line_spectrum, local_noise
 from estimator.simulation.simulator import simulate
 
 
@@ -26,7 +26,7 @@ def test_a_record_without_a_mean_has_no_line_at_its_lowest_frequencies() -> None
     """The bin at 0 Hz was taken for what lies below: with nothing there, noise at 5 Hz was six times its surroundings,
     and 62 % of the force of a complete model of 6 s was missing."""
     y = np.random.default_rng(0).normal(size=(int(6 * RATE), 2))
-    s = spectrum_of(one_bearing(), y - np.average(y, axis=0, weights=np.hanning(len(y))), RATE)
+    s = line_spectrum(one_bearing(), y - np.average(y, axis=0, weights=np.hanning(len(y))), RATE)
     low = (s.f_hz > 3.0) & (s.f_hz < 40.0)
     ratio = (np.abs(s.Y) ** 2 / s.noise)[:, low]
     assert np.all(np.abs(ratio.mean(axis=1) - 1.0) < 0.3)  # exponential, neighbours alike under the window
@@ -46,13 +46,13 @@ def test_a_resonance_as_narrow_as_a_few_bins_is_told_from_a_line_by_its_neighbou
         y = 4e-3 * lfilter([1.0], np.poly([pole, pole.conj()]).real, force)[20000:] + rng.normal(
             size=int(seconds * rate)
         )
-        s = spectrum_of(rig, y[:, None], rate)
+        s = line_spectrum(rig, y[:, None], rate)
         about = np.flatnonzero(np.abs(s.f_hz - hz) < 1.0)
         peak = float(s.f_hz[about[np.argmax(np.abs(s.Y[0, about]))]])
         alike += s.steady(peak)
         assert s.over_neighbours(peak) < threshold
         line = 0.3 * np.cos(2 * np.pi * (hz - 3.0) * np.arange(y.size) / rate)
-        assert spectrum_of(rig, (y + line)[:, None], rate).over_neighbours(hz - 3.0) > threshold
+        assert line_spectrum(rig, (y + line)[:, None], rate).over_neighbours(hz - 3.0) > threshold
     assert alike > 10
 
 
@@ -93,7 +93,7 @@ def test_a_disc_that_rings_for_as_long_as_the_record_is_no_line() -> None:
     heavy = replace(rig, mass={**rig.mass, "disc": 1.1 * rig.mass["disc"]})
     y = simulate(heavy, RATE, 6.0, seed=5, noise=0.02, full_scale=490.5)
     point = fit_record(rig, prepare(rig, y, RATE))
-    s = spectrum_of(rig, y, RATE)
+    s = line_spectrum(rig, y, RATE)
     band = (s.f_hz > 116.0) & (s.f_hz < 118.0)
     peak = float(s.f_hz[band][np.argmax(np.abs(s.Y[0, band]))])
     assert s.steady(peak)
@@ -114,7 +114,7 @@ def test_a_line_where_the_disc_resonates_is_judged_by_the_force_about_it() -> No
     values = {"a": 0.05, "b": 0.02, "frequency": resonance + 0.7}
     y = simulate(with_effect(rig, CATALOGUE["line"], values, "bearing1.x"), RATE, 10.0, seed=3, noise=0.02)
     point = fit_all_effects(rig, y, RATE).point
-    spectrum = spectrum_of(rig, y, RATE)
+    spectrum = line_spectrum(rig, y, RATE)
     for hz in (400.0, resonance - 5.0, resonance + 5.0, 1700.0):
         _, noise = lines.line_forces(point, spectrum, hz)
         for own, place in zip(noise, rig.places, strict=True):  # 1.5 bins of a Hann window are 2 |F|^2 / 2
@@ -148,11 +148,11 @@ def test_a_weak_line_is_steady_and_a_narrow_resonance_is_not() -> None:
     for _ in range(30):
         y = rng.normal(size=(n, 2))
         y[:, 0] += 7.0 * (1.5 / n) ** 0.5 * 2**0.5 * np.cos(2 * np.pi * hz * t)  # 7 sd of an amplitude under the window
-        steady.append(spectrum_of(rig, y, RATE).steady(hz))
+        steady.append(line_spectrum(rig, y, RATE).steady(hz))
     assert sum(steady) >= 28
     pole = np.exp(2j * np.pi * hz / RATE - np.pi / RATE)  # 1 Hz wide, eight bins
     y[:, 0] += 0.005 * lfilter([1.0], [1.0, -2 * pole.real, abs(pole) ** 2], rng.normal(size=n))
-    s = spectrum_of(rig, y, RATE)
+    s = line_spectrum(rig, y, RATE)
     k = round(hz * 8)
     peak = float(s.f_hz[k - 9 + int(np.argmax(np.abs(s.Y[0, k - 9 : k + 10])))])
     assert np.abs(s.Y[0, round(peak * 8)]) ** 2 > 100 * s.noise[0, k]
@@ -197,7 +197,7 @@ def test_the_noise_about_a_line_is_that_at_its_frequency_where_it_rises_steeply(
     little was thought to be about 3.5 Hz, beside a measured force: a line with 55 % of the force."""
     k = np.arange(1, 4000)
     expected = np.append(0.0, np.where(k >= 120, k**-4.0, 0.0))
-    found = [surroundings(np.random.default_rng(seed).exponential(expected), 240) for seed in range(20)]
+    found = [local_noise(np.random.default_rng(seed).exponential(expected), 240) for seed in range(20)]
     for first, last in ((180, 240), (240, 480), (480, 960), (960, 2000)):
         off = np.mean(found, axis=0)[first:last] / expected[first:last]
         np.testing.assert_allclose(off, 1.0, atol=0.3)

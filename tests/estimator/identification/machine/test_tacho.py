@@ -16,9 +16,9 @@ from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.machine import lines
 from estimator.identification.machine.stiffness_order import find_stiffness_order
-from estimator.likelihood.motion.harmonics import series, whole_waves
+from estimator.likelihood.motion.harmonics import periodic_forces, periodic_series
 from estimator.model.rig import Channel, EffectUse, Model, Setting
-from estimator.signals.shaft_angle import measured_phase, timed
+from estimator.signals.shaft_angle import measured_phase, with_measured_speed
 from estimator.simulation.shaft_speed import Speed
 from estimator.simulation.simulator import simulate
 
@@ -78,9 +78,9 @@ def test_orders_are_found_although_the_speed_wanders(rig: Model, record: np.ndar
 
 def test_the_tacho_decides_over_the_speed_of_the_rig_file(rig: Model, record: np.ndarray) -> None:
     turns = (WANDER.phase(np.array([0.0, SECONDS]))[1] - WANDER.phase(np.array([0.0]))[0]) / (2 * np.pi)
-    measured = timed(replace(rig, speed_rpm=1800.0), record, RATE)
+    measured = with_measured_speed(replace(rig, speed_rpm=1800.0), record, RATE)
     assert measured.speed_rpm == pytest.approx(60.0 * turns / SECONDS, rel=1e-4)
-    assert timed(replace(rig, channels=rig.channels[:-1]), record[:, :-1], RATE).speed_rpm == 2100.0
+    assert with_measured_speed(replace(rig, channels=rig.channels[:-1]), record[:, :-1], RATE).speed_rpm == 2100.0
 
 
 @pytest.mark.slow
@@ -94,7 +94,7 @@ def test_an_imbalance_grows_with_the_square_of_a_speed_that_changes(rig: Model) 
     mean = float(phase[-1] - phase[0]) / (t[-1] - t[0])
     a = U * mean**2
     model = with_effect(rig, CATALOGUE["imbalance"], {"a": a, "b": 0.0}, "disc")
-    made = series(replace(model, speed_rpm=60 * mean / (2 * np.pi)), model.places, t, phase, RATE)
+    made = periodic_series(replace(model, speed_rpm=60 * mean / (2 * np.pi)), model.places, t, phase, RATE)
     assert made is not None
 
     def step(now: float, z: np.ndarray) -> list[float]:
@@ -113,7 +113,7 @@ def test_at_a_constant_speed_nothing_swings(rig: Model) -> None:
     t = np.arange(int(2.0 * RATE)) / RATE
     model = with_effect(rig, CATALOGUE["imbalance"], {"a": 3.0, "b": 1.0}, "disc")
     model = replace(model, speed_rpm=12000.0)
-    wave = whole_waves(model, model.places, RATE)[0]
+    wave = periodic_forces(model, model.places, RATE)[0]
     still = replace(wave, swings={})
     for i, z in wave.series(t, 2 * np.pi * 200.0 * t).items():
         assert np.array_equal(z, still.series(t, 2 * np.pi * 200.0 * t)[i])

@@ -14,7 +14,7 @@ from estimator.effects import CATALOGUE
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.finding import DisturbanceForce
 from estimator.identification.residual.missing_force import MissingForce
-from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.simulation.simulator import simulate
 
 SECONDS = 6.0
@@ -28,8 +28,8 @@ def test_hysteresis_much_smaller_than_the_spectrum_is_not_its_cause(percent: flo
     power_N2 = float((0.08 * point.bearing_force[0]) ** 2)
     share = DisturbanceForce(place=0, against="frequency", region="above the model", power_N2=power_N2)
     before = MissingForce((), point.bearing_force, (share,))
-    law = Placed(CATALOGUE["bouc_wen"], "bearing1.x.bouc_wen", (0,), np.array([1e5, 1e-8]), (True, True))
+    law = LocatedLaw(CATALOGUE["bouc_wen"], "bearing1.x.bouc_wen", (0,), np.array([1e5, 1e-8]), (True, True))
     entry = Entry("bouc_wen", ("bearing1",), 28.0, 20.0, 1e-9, 8.0, 8.0, {}, 28.0, percent, (law,))
     assert _bends_a_spectrum(point, before, entry) == bends
-    cubic = Placed(CATALOGUE["cubic"], "bearing1.x.cubic", (0,), np.ones(1), (True,))
+    cubic = LocatedLaw(CATALOGUE["cubic"], "bearing1.x.cubic", (0,), np.ones(1), (True,))
     assert not _bends_a_spectrum(point, before, replace(entry, placed=(cubic,)))

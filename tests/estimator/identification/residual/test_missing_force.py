@@ -11,7 +11,7 @@ from hidden_effects import RATE, one_bearing, record
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual import black_box, missing_force
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.located_law import placed_of
+from estimator.likelihood.motion.located_law import located_laws
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path.subproblem import Subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -26,7 +26,7 @@ def hats() -> Hats:
     """A quintic of 1.5 % that the model lacks, seen by hat functions of displacement in 10 s."""
     rig = one_bearing()
     data = prepare(rig, record(rig, "quintic", 0.015), RATE)
-    point = fit_model(data, placed_of(rig, data))
+    point = fit_model(data, located_laws(rig, data))
     pool, knots = black_box.group_pool(point, 0, (1.0, 2.0))
     names = tuple(n for n in pool.extra if n.startswith("displacement."))
     return point, pool.only(names), names, knots["displacement"]

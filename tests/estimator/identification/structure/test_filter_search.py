@@ -15,7 +15,7 @@ from estimator.identification.structure.pedestal_form import stiffness_lost
 from estimator.identification.structure.spectral_cells import CELLS, Cells
 from estimator.identification.structure.spectral_models import coloured_power, resonant_power
 from estimator.model.recorder import Filter, images
-from estimator.signals.channel_response import undone
+from estimator.signals.channel_response import corrected_record
 from estimator.signals.filter_designs import chebyshev, designs
 
 Array = NDArray[np.float64]
@@ -234,6 +234,6 @@ def test_what_is_undone_is_what_the_filter_did() -> None:
     y = np.random.default_rng(1).normal(size=(4096, 2))
     f = np.fft.rfftfreq(4096, 1 / RATE)
     through = np.fft.irfft(np.fft.rfft(y, axis=0) * off.response(f)[:, None], axis=0)
-    back = np.fft.rfft(undone(replace(rig, roll_off=dict.fromkeys(rig.places, off)), through, RATE), axis=0)
+    back = np.fft.rfft(corrected_record(replace(rig, roll_off=dict.fromkeys(rig.places, off)), through, RATE), axis=0)
     inside = (f > 0.0) & (f <= rig.band[1])
     assert back[inside] == pytest.approx(np.fft.rfft(y, axis=0)[inside], rel=1e-6)

@@ -25,7 +25,7 @@ from estimator.likelihood.motion.prepare import prepare
 from estimator.model import recorder as roll_off
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
-from estimator.signals.channel_response import echoes, of_place
+from estimator.signals.channel_response import channel_response, folded_images
 from estimator.signals.filter_designs import designs
 from estimator.simulation.simulator import simulate
 
@@ -229,8 +229,8 @@ def test_what_is_folded_back_went_through_the_sensor_at_its_image() -> None:
         image = np.abs(f + k * RATE)
         dirichlet = np.sin(np.pi * image / RATE) / (over * np.sin(np.pi * image / RATE / over))
         wanted += np.abs(dirichlet / (1.0 - (image / f0) ** 2 + 1j * image / f0 / quality)) ** 2
-    found = 1.0 + echoes(model, "bearing1.x", "acceleration", f).sum(axis=0)  # over what is not folded
-    undone = np.abs(of_place(model, "bearing1.x", 2 * np.pi * f)) ** 2
+    found = 1.0 + folded_images(model, "bearing1.x", "acceleration", f).sum(axis=0)  # over what is not folded
+    undone = np.abs(channel_response(model, "bearing1.x", 2 * np.pi * f)) ** 2
     assert found * undone == pytest.approx(wanted, rel=0.02)
 
 

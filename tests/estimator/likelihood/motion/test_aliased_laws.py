@@ -8,7 +8,7 @@ from scipy.signal import firwin, oaconvolve
 from estimator.effects import CATALOGUE
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.batch.spectral import fit_spectral
-from estimator.likelihood.motion.law_smoothing import folds, highest
+from estimator.likelihood.motion.law_smoothing import harmonics_alias, highest_harmonic
 from estimator.model.rig import Channel, EffectUse, Model
 
 RATE, HZ, BAND, FINER = 12800.0, 3000.0, (400.0, 5760.0), 8
@@ -21,9 +21,9 @@ def test_the_harmonics_of_a_law(effect: str, order: int) -> None:
     law = CATALOGUE[effect]
     p = np.array([1.0 if q.linear else q.default for q in law.parameters])
     scale = np.array([1e-7, 1e-7 * 2 * np.pi * 1000.0, 0.0, 0.0])  # 1000 Hz
-    assert highest(law, p, scale) == order
-    assert folds(law, p, scale, 1000.0 * order)
-    assert not folds(law, p, scale, 1200.0 * order)
+    assert highest_harmonic(law, p, scale) == order
+    assert harmonics_alias(law, p, scale, 1000.0 * order)
+    assert not harmonics_alias(law, p, scale, 1200.0 * order)
 
 
 @pytest.mark.slow

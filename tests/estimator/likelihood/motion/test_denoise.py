@@ -16,7 +16,7 @@ from estimator.identification.batch.report import fitted_parameters
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.law_smoothing import MARGIN
-from estimator.likelihood.motion.prepare import cut
+from estimator.likelihood.motion.prepare import motion_record
 from estimator.likelihood.motion.stream_record import prepare
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.results import Parameter
@@ -45,7 +45,10 @@ def test_the_error_is_as_said_and_tells_nothing_of_what_is_seen(kind: str) -> No
     model = Model((Channel("d", "bearing1", "x", kind),), (10.0, 300.0), "none", {"bearing1": 1.0})
     measured = measured_by(kind, x)
     y = measured + 0.3 * measured.std() * rng.normal(size=x.size)
-    data, truth = fit_model(cut(model, y[:, None], RATE), []).data, cut(model, measured[:, None], RATE)
+    data, truth = (
+        fit_model(motion_record(model, y[:, None], RATE), []).data,
+        motion_record(model, measured[:, None], RATE),
+    )
     off = truth.x[0] - data.calmed(0)
     assert off.std() < 0.8 * (truth.x[0] - data.x[0]).std()
     assert np.asarray(data.doubt)[0, 0] == pytest.approx(off.std(), rel=0.15)
@@ -57,7 +60,7 @@ def test_the_fit_sees_the_same_as_compare() -> None:
     model = Model((Channel("d", "bearing1", "x", "acceleration"),), (10.0, 300.0), "none", {"bearing1": 1.0})
     measured = measured_by("acceleration", x)
     y = measured + 0.3 * measured.std() * np.random.default_rng(3).normal(size=x.size)
-    data = fit_model(cut(model, y[:, None], RATE), []).data
+    data = fit_model(motion_record(model, y[:, None], RATE), []).data
     record, start = start_without_lines(prepare(model, y[:, None], RATE))
     assert record.calm is not None
     assert np.asarray(data.doubt)[0] == pytest.approx(record.calm.doubt[0], rel=0.2)
@@ -75,7 +78,7 @@ def test_little_noise_and_that_of_displacement_sensors_leave_the_motion_as_it_is
     x = oscillator(20.0, 2)
     y = measured_by(kind, x)
     y = y + share * y.std() * np.random.default_rng(2).normal(size=x.size)
-    data = fit_model(cut(model, y[:, None], RATE), []).data
+    data = fit_model(motion_record(model, y[:, None], RATE), []).data
     assert data.calm is None
     assert np.array_equal(data.calmed(0), data.seen(0))
     assert start_without_lines(prepare(model, y[:, None], RATE))[0].calm is None
@@ -127,7 +130,7 @@ def test_beside_a_measured_force_a_law_acts_along_the_likeliest_motion() -> None
     y = simulate(replace(blank, linear=linear, effects=(EffectUse("cubic", law),)), RIG_RATE, 20.0, seed=5)
     noise = np.random.default_rng(0).normal(size=y.shape) * np.array([0.05, 0.002])
     whole = fit_all_effects(blank, y + noise, RIG_RATE)
-    data, clean = whole.point.data, cut(blank, y, RIG_RATE).x[0]
+    data, clean = whole.point.data, motion_record(blank, y, RIG_RATE).x[0]
     assert data.calm is not None
     off = np.std(data.x[0] + data.calm[0] - clean)
     assert off < 0.03 * np.std(data.x[0] - clean)

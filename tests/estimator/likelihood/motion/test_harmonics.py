@@ -19,8 +19,8 @@ from estimator.identification.machine.harmonic_fit import PIECES, fit_found_harm
 from estimator.identification.residual.missing_force import survey
 from estimator.identification.search import search
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.harmonics import known_lines, periodic_of, series
-from estimator.likelihood.motion.motion_record import MotionBlocks
+from estimator.likelihood.motion.harmonics import known_lines, periodic_effects, periodic_series
+from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model, Setting
@@ -41,24 +41,24 @@ def rig() -> Model:
 
 
 @pytest.fixture(scope="module")
-def data(rig: Model) -> MotionBlocks:
+def data(rig: Model) -> MotionRecord:
     return prepare(rig, simulate(rig, RATE, 6.0, seed=5, noise=0.02, full_scale=490.5), RATE)
 
 
 @pytest.fixture(scope="module")
-def point(data: MotionBlocks) -> WorkingPoint:
+def point(data: MotionRecord) -> WorkingPoint:
     """A rotor that is known to the last digit."""
     point = fit_model(data, [])
     return replace(point, fit=replace(point.fit, covariance=0.0 * point.fit.covariance), S=np.array([9e-5, 9e-5]))
 
 
-def series_of(model: Model, data: MotionBlocks) -> NDArray[np.float64]:
-    out = series(model, data.places, data.t, data.phase, data.rate_hz)
+def series_of(model: Model, data: MotionRecord) -> NDArray[np.float64]:
+    out = periodic_series(model, data.places, data.t, data.phase, data.rate_hz)
     assert out is not None
     return out
 
 
-def test_a_line_is_what_its_law_says(rig: Model, data: MotionBlocks) -> None:
+def test_a_line_is_what_its_law_says(rig: Model, data: MotionRecord) -> None:
     turn = 2 * np.pi * LINE["frequency"] * data.t
     F = series_of(with_use(rig, "line", LINE), data)
     np.testing.assert_allclose(F[0], LINE["a"] * np.cos(turn) + LINE["b"] * np.sin(turn), atol=1e-4)
@@ -67,7 +67,7 @@ def test_a_line_is_what_its_law_says(rig: Model, data: MotionBlocks) -> None:
 
 def test_a_train_of_strikes_has_the_harmonics_of_its_fourier_series(rig: Model) -> None:
     """2 / (2 pi) strike width / (1 + i k width) exp(-i k angle), where exp(-2 pi / width) is nothing."""
-    (one,) = periodic_of(with_use(rig, "local_defect", DEFECT))
+    (one,) = periodic_effects(with_use(rig, "local_defect", DEFECT))
     k = np.arange(1, 101)
     width = DEFECT["width"]
     exact = DEFECT["strike"] * width / np.pi / (1 + 1j * k * width) * np.exp(-1j * k * DEFECT["angle"])
@@ -86,9 +86,9 @@ def test_a_line_of_unknown_frequency_is_not_known(rig: Model) -> None:
     assert known_lines(with_use(rig, "line", {"a": 0.1})) == []
 
 
-def test_what_lies_outside_of_the_band_adds_nothing(rig: Model, data: MotionBlocks) -> None:
+def test_what_lies_outside_of_the_band_adds_nothing(rig: Model, data: MotionRecord) -> None:
     slow = with_use(rig, "misalignment", {"a": 1.0, "b": 1.0})  # 70 Hz
-    assert series(slow, data.places, data.t, data.phase, data.rate_hz) is None
+    assert periodic_series(slow, data.places, data.t, data.phase, data.rate_hz) is None
     quick = replace(slow, speed_rpm=30000.0)  # 1000 Hz
     assert np.isclose(
         np.abs(series_of(quick, replace(data, phase=2 * np.pi * 500.0 * data.t))[0]).max(), 2**0.5, rtol=0.01
@@ -121,7 +121,7 @@ def test_wrong_numbers_are_found_from_what_they_leave(
         assert found[f"bearing1.x.{name}.a"].sd == pytest.approx(sd_of_amplitude(point), rel=2 / PIECES)
 
 
-def white(data: MotionBlocks, S: NDArray[np.float64]) -> NDArray[np.float64]:
+def white(data: MotionRecord, S: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.random.default_rng(1).normal(size=data.x.shape) * np.sqrt(S[:, None] * RATE / 2)
 
 

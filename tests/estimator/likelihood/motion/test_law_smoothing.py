@@ -10,12 +10,12 @@ from scipy.special import erf
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.compiled import address
 from estimator.effects.engine.law_loop import force_array
-from estimator.likelihood.motion.law_smoothing import MARGIN, State, decimated, depends, law_force, rough
+from estimator.likelihood.motion.law_smoothing import MARGIN, LawStates, decimated, has_kink, law_force, reads_states
 
 N, RATE = 20000, 25600.0
 
 
-def state(sx: float = 0.0, sv: float = 0.0, f: float = 1125.0) -> State:
+def state(sx: float = 0.0, sv: float = 0.0, f: float = 1125.0) -> LawStates:
     t = np.arange(N) / RATE
     rng = np.random.default_rng(0)
     w = 2 * np.pi * f
@@ -24,7 +24,7 @@ def state(sx: float = 0.0, sv: float = 0.0, f: float = 1125.0) -> State:
     v = 1e-7 * w * (-a * np.sin(w * t) + 1.01 * b * np.cos(w * 1.01 * t))
     h = np.sqrt(3) * np.array([sx, sv, 0.0, 0.0])
     zero = np.zeros(N)
-    return State(x, v, zero, zero, t, zero, 1.0, h, np.ones(N, bool))
+    return LawStates(x, v, zero, zero, t, zero, 1.0, h, np.ones(N, bool))
 
 
 def test_a_polynomial_is_smoothed_exactly() -> None:
@@ -47,20 +47,20 @@ def test_a_step_gets_the_density_of_its_argument_as_its_mean_tangent() -> None:
 def test_what_a_law_reads_and_whether_it_is_smooth() -> None:
     scale = np.array([1e-7, 1e-3, 1e-7, 1e-3])
     one = np.ones(1)
-    assert list(depends(CATALOGUE["cubic"], one, scale)) == [True, False, False, False]
-    assert list(depends(CATALOGUE["displacement_damping"], one, scale)) == [True, True, False, False]
-    assert list(depends(CATALOGUE["cross_coupling"], one, scale)) == [False, False, True, False]
-    assert not rough(CATALOGUE["cubic"], one, scale)
-    assert not rough(CATALOGUE["quadratic_damping"], one, scale)
-    assert rough(CATALOGUE["coulomb"], one, scale)
-    assert rough(CATALOGUE["clearance"], np.array([1.0, 1.5e-7]), scale)
+    assert list(reads_states(CATALOGUE["cubic"], one, scale)) == [True, False, False, False]
+    assert list(reads_states(CATALOGUE["displacement_damping"], one, scale)) == [True, True, False, False]
+    assert list(reads_states(CATALOGUE["cross_coupling"], one, scale)) == [False, False, True, False]
+    assert not has_kink(CATALOGUE["cubic"], one, scale)
+    assert not has_kink(CATALOGUE["quadratic_damping"], one, scale)
+    assert has_kink(CATALOGUE["coulomb"], one, scale)
+    assert has_kink(CATALOGUE["clearance"], np.array([1.0, 1.5e-7]), scale)
 
 
 def test_the_finer_grid_takes_the_folded_harmonics_out() -> None:
     """sgn of a tone: its harmonics above the Nyquist frequency may not come back into the band."""
     f, dense = 1125.3, 64
     s = state(f=f)
-    wide = State(*(np.ascontiguousarray(z) for z in (s.x, s.v, s.xo, s.vo, s.t, s.phase)), 1.0, s.h * 0, s.valid)
+    wide = LawStates(*(np.ascontiguousarray(z) for z in (s.x, s.v, s.xo, s.vo, s.t, s.phase)), 1.0, s.h * 0, s.valid)
     fine = wide.finer(np.array([False, True, False, False]))
     out = decimated(law_force(CATALOGUE["coulomb"], np.ones(1), fine, np.array([False, True, False, False]))[0])
     assert out.size == N - 2 * MARGIN

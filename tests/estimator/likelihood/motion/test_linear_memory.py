@@ -10,7 +10,7 @@ from hidden_effects import RATE, one_bearing
 
 from estimator.effects import CATALOGUE
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.likelihood.motion.linear_memory import response, slope
+from estimator.likelihood.motion.linear_memory import linear_response, response_derivative
 from estimator.model.rig import EffectUse, Setting
 from estimator.simulation.simulator import simulate
 
@@ -19,7 +19,7 @@ M, f0, zeta, kL, c = 0.4, 2000.0, 0.05, 1e7, 60.0
 
 def test_a_pedestal_is_the_two_springs_in_series() -> None:
     """-(k + i w c)^2 / (k + i w c + M (w0^2 - w^2 + 2 i zeta w w0)): the cap's own spring and what it stands on."""
-    T = response(CATALOGUE["pedestal"], np.array([M, f0, zeta]), np.array([0.2, kL, c]))
+    T = linear_response(CATALOGUE["pedestal"], np.array([M, f0, zeta]), np.array([0.2, kL, c]))
     assert T is not None
     w = 2 * np.pi * np.geomspace(10.0, 12800.0, 200)
     w0, D = 2 * np.pi * f0, kL + 1j * w * c
@@ -28,19 +28,19 @@ def test_a_pedestal_is_the_two_springs_in_series() -> None:
 
 def test_friction_that_remembers_is_not_linear() -> None:
     for slip in (2e-7, 1e-2):  # whether it slips in this motion or not
-        assert response(CATALOGUE["bouc_wen"], np.array([1e6, slip]), np.array([0.2, 1e7, 60.0])) is None
+        assert linear_response(CATALOGUE["bouc_wen"], np.array([1e6, slip]), np.array([0.2, 1e7, 60.0])) is None
 
 
 @pytest.mark.parametrize("which", [1, 2])
 def test_a_response_changes_with_the_stiffness_and_damping_beside_it(which: int) -> None:
     effect, p, lin = CATALOGUE["pedestal"], np.array([M, f0, zeta]), np.array([0.2, kL, c])
-    found = slope(effect, p, lin, which)
+    found = response_derivative(effect, p, lin, which)
     assert found is not None
     w = 2 * np.pi * np.geomspace(100.0, 8000.0, 50)
     D, pedestal = kL + 1j * w * c, M * ((2 * np.pi * f0) ** 2 - w**2 + 2j * zeta * w * 2 * np.pi * f0)
     by_D = -D * (D + 2 * pedestal) / (D + pedestal) ** 2  # of -D^2 / (D + pedestal)
     np.testing.assert_allclose(found(w), by_D * (1.0 if which == 1 else 1j * w), rtol=1e-5)
-    assert slope(CATALOGUE["bouc_wen"], np.array([1e6, 2e-7]), lin, which) is None
+    assert response_derivative(CATALOGUE["bouc_wen"], np.array([1e6, 2e-7]), lin, which) is None
 
 
 def test_beside_a_pedestal_numbers_are_as_uncertain_as_they_are() -> None:
@@ -56,7 +56,7 @@ def test_beside_a_pedestal_numbers_are_as_uncertain_as_they_are() -> None:
     f = np.arange(rig.band[0], rig.band[1], 0.25)
 
     def log_spectrum(p: np.ndarray) -> np.ndarray:
-        T = response(CATALOGUE["pedestal"], p[:3], np.array([0.2, p[3], p[4]]))
+        T = linear_response(CATALOGUE["pedestal"], p[:3], np.array([0.2, p[3], p[4]]))
         w = 2 * np.pi * f
         return p[5] - 2 * np.log(np.abs(-0.2 * w**2 + 1j * w * p[4] + p[3] + T(w)))  # type: ignore[misc]
 

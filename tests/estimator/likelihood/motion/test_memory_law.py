@@ -13,14 +13,14 @@ from estimator.effects.engine.compiled import memory_array
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.located_law import Placed, placed_of
-from estimator.likelihood.motion.memory_law import along, passed, together
+from estimator.likelihood.motion.located_law import LocatedLaw, located_laws
+from estimator.likelihood.motion.memory_law import force_along_path, memory_force_and_response, stacked_states
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path.working_point import thinned
 from estimator.likelihood.response import impulse_probe
 from estimator.likelihood.response.fluctuation import Fluctuation, fluctuations
 from estimator.likelihood.response.impulse_probe import Probe, probed
-from estimator.likelihood.response.modal_response import alone, mean_responses
+from estimator.likelihood.response.modal_response import modal_responses, single_mass_response
 from estimator.model.rig import EffectUse
 from estimator.simulation.simulator import simulate
 
@@ -42,7 +42,7 @@ def path(seconds: float = 4.0, low: float = 150.0, high: float = 8000.0, seed: i
 
 def test_a_branch_that_never_slips_is_a_spring_at_every_frequency() -> None:
     x, v = path(1.0)
-    f, mean = along(BOUC_WEN, np.array([2.0, 1e6]), LIN, x, v, RATE)
+    f, mean = memory_force_and_response(BOUC_WEN, np.array([2.0, 1e6]), LIN, x, v, RATE)
     F, X = np.fft.rfft(f - 2.0 * (x - x[0])), np.fft.rfft(x)
     hz = np.fft.rfftfreq(x.size, 1 / RATE)
     for low, high in ((300, 2000), (2000, 5000), (5000, 7900)):  # straight lines between samples: 16 % off at the top
@@ -63,12 +63,12 @@ def test_a_branch_that_slips_at_once_is_friction(slip: float) -> None:
 def test_mean_response_is_that_to_a_random_probe() -> None:
     x, v = path(8.0)
     p = np.array([1.0, 1.0])
-    f, mean = along(BOUC_WEN, p, LIN, x, v, RATE)
+    f, mean = memory_force_and_response(BOUC_WEN, p, LIN, x, v, RATE)
     hz = np.fft.rfftfreq(x.size, 1 / RATE)
     cross, power = np.zeros(hz.size, complex), np.zeros(hz.size)
     for seed in range(1, 7):
         dx, dv = (0.02 * z for z in path(8.0, seed=seed))
-        moved, _ = along(BOUC_WEN, p, LIN, x + dx, v + dv, RATE)
+        moved, _ = memory_force_and_response(BOUC_WEN, p, LIN, x + dx, v + dv, RATE)
         F, X = np.fft.rfft(moved - f), np.fft.rfft(dx)
         cross, power = cross + F * X.conj(), power + np.abs(X) ** 2
     for low, high in ((400, 900), (900, 1200), (1200, 2500)):
@@ -80,7 +80,10 @@ def test_mean_response_is_that_to_a_random_probe() -> None:
 def test_mean_response_hardly_depends_on_the_stretch_of_path() -> None:
     """The likelihood sees 1 %: with a step every 31 cycles k scattered by another standard deviation."""
     hz = np.array([160.0, 600.0, 1100.0, 3000.0, 7900.0])
-    found = [along(BOUC_WEN, np.array([1.0, 1.0]), LIN, *path(16.0, seed=s), RATE)[1].at(hz) for s in (1, 2, 3)]
+    found = [
+        memory_force_and_response(BOUC_WEN, np.array([1.0, 1.0]), LIN, *path(16.0, seed=s), RATE)[1].at(hz)
+        for s in (1, 2, 3)
+    ]
     mean = np.mean(found, axis=0)
     assert np.abs(np.array(found) - mean).max() < 0.004
     assert abs(mean[-1] - mean[-1].real) < 0.1 * mean[-1].real  # at once it is a spring
@@ -93,26 +96,26 @@ def test_what_is_linearised_is_the_derivative_along_the_path(name: str) -> None:
     x, v = path(0.05)
     dx, dv = (1e-5 * z for z in path(0.05, seed=1))
     rest, dt = np.zeros(effect.states), 1.0 / RATE
-    f, _, about = passed(effect, p, LIN, x, v, dt, rest)
+    f, _, about = force_along_path(effect, p, LIN, x, v, dt, rest)
     assert about is not None
     states, moved = rest, []
     for k in range(x.size):
         moved.append(about.force[k] @ [*states, dx[k], dv[k]])
         if k + 1 < x.size:
             states = about.step[k] @ [*states, 0.5 * (dx[k] + dx[k + 1]), dx[k + 1] - dx[k]]
-    expected = passed(effect, p, LIN, x + dx, v + dv, dt, rest, about=False)[0] - f
+    expected = force_along_path(effect, p, LIN, x + dx, v + dv, dt, rest, about=False)[0] - f
     assert np.linalg.norm(moved - expected) < 2e-3 * np.linalg.norm(expected)
 
 
 def test_laws_together_are_each_on_its_own() -> None:
     x, v = path(0.02)
     laws = [
-        passed(CATALOGUE[name], np.array(p), LIN, x, v, 1.0 / RATE, np.zeros(CATALOGUE[name].states))[2]
+        force_along_path(CATALOGUE[name], np.array(p), LIN, x, v, 1.0 / RATE, np.zeros(CATALOGUE[name].states))[2]
         for name, p in (("bouc_wen", [2.0, 0.3]), ("pedestal", [0.4, 900.0, 0.02]))
     ]
     assert laws[0] is not None
     assert laws[1] is not None
-    both = together([laws[0], laws[1]])
+    both = stacked_states([laws[0], laws[1]])
     z, motion = np.random.default_rng(0).normal(size=3), np.array([0.3, -0.7])
     apart = [q.step[7] @ [*own, *motion] for q, own in zip((laws[0], laws[1]), (z[:1], z[1:]), strict=True)]
     assert both.step[7] @ [*z, *motion] == pytest.approx(np.concatenate(apart))
@@ -126,10 +129,10 @@ def test_a_probe_and_covariances_say_the_same_of_a_law_that_remembers_nothing() 
     y = record(rig, "quadratic_damping", 0.06, seed=5, seconds=20.0)
     model = replace(rig, effects=(*rig.effects, EffectUse("quadratic_damping", {p: {} for p in rig.places})))
     data = prepare(model, y, RATE)
-    point = fit_model(data, placed_of(model, data))
-    mean = mean_responses(data.mass, point.slopes, data.places, data.disc)
+    point = fit_model(data, located_laws(model, data))
+    mean = modal_responses(data.mass, point.slopes, data.places, data.disc)
     known = fluctuations(data, point.placed, mean, point.lin)[0]
-    idle = Placed(BOUC_WEN, "idle", (0,), np.array([1.0, data.rms[0, 0]]), (True, True))
+    idle = LocatedLaw(BOUC_WEN, "idle", (0,), np.array([1.0, data.rms[0, 0]]), (True, True))
     sent = fluctuations(data, [*point.placed, idle], mean, point.lin)[0]
     assert isinstance(known, Fluctuation)
     assert isinstance(sent, Probe)
@@ -144,8 +147,8 @@ def test_an_answer_may_have_any_number_of_lags() -> None:
     rig = one_bearing()
     data = prepare(rig, record(rig, "quadratic_damping", 0.06, seed=5, seconds=4.0), RATE)
     lin = np.array([0.2, 9e6, 60.0])
-    cap = alone(0.2, 60.0, 9e6)
-    idle = Placed(BOUC_WEN, "idle", (0,), np.array([1.0, data.rms[0, 0]]), (True, True))
+    cap = single_mass_response(0.2, 60.0, 9e6)
+    idle = LocatedLaw(BOUC_WEN, "idle", (0,), np.array([1.0, data.rms[0, 0]]), (True, True))
     taken = set()
     for slower in (1.4, 1.7, 2.0, 2.3):
         disc = complex(cap.poles[0].real / slower, 2 * np.pi * 300.0)
@@ -163,8 +166,8 @@ def test_answers_do_not_depend_on_the_pieces_they_are_followed_in(monkeypatch: p
     rig = one_bearing()
     data = prepare(rig, record(rig, "quadratic_damping", 0.06, seed=5, seconds=4.0), RATE)
     lin = np.array([0.2, 9e6, 60.0])
-    law = Placed(BOUC_WEN, "law", (0,), np.array([9e5, 2.0 * data.rms[0, 0]]), (True, True))
-    mean = alone(0.2, 60.0, 9e6)
+    law = LocatedLaw(BOUC_WEN, "law", (0,), np.array([9e5, 2.0 * data.rms[0, 0]]), (True, True))
+    mean = single_mass_response(0.2, 60.0, 9e6)
     whole = probed(data, data.f_hz, 0, [law], mean, lin)
     assert isinstance(whole, Probe)
     monkeypatch.setattr(impulse_probe, "PIECE", whole.lags)

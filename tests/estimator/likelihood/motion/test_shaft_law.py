@@ -18,7 +18,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.identification.batch.grid_start import fit_record
 from estimator.likelihood.motion.prepare import prepare
-from estimator.likelihood.motion.shaft_law import along
+from estimator.likelihood.motion.shaft_law import shaft_force
 from estimator.model.disc import Disc, disc_of
 from estimator.model.rig import Model
 from estimator.model.rotor import shaft_at_caps
@@ -73,7 +73,7 @@ def test_the_force_is_that_of_the_periodic_disc(share: float) -> None:
         t_eval=t, rtol=1e-9, atol=1e-16, method="DOP853",
     )  # fmt: skip
     exact = [0.5 * (pushed(a, s) - seen.C * v - seen.K * s) for a, s, v in zip(t, *found.y, strict=True)]
-    force, _ = along(CRACK, p, data, 0, np.ones((2, 3)))  # type: ignore[arg-type]
+    force, _ = shaft_force(CRACK, p, data, 0, np.ones((2, 3)))  # type: ignore[arg-type]
     assert np.std(force - exact) < 2e-3 * np.std(exact)
 
 
@@ -89,7 +89,7 @@ def test_noise_of_the_sensors_at_the_discs_resonance_makes_no_sidebands() -> Non
             bins=np.arange(5), f_hz=100.0 + np.arange(5), rate_hz=RATE_HZ, disc=disc, opposite=lambda i: 1 - i,
             calm=calm,
         )  # fmt: skip
-        force, _ = along(CRACK, 0.05 * disc.K * np.array([1.0, 0.6, 0.8]), data, 0, np.ones((2, 3)))  # type: ignore[arg-type]
+        force, _ = shaft_force(CRACK, 0.05 * disc.K * np.array([1.0, 0.6, 0.8]), data, 0, np.ones((2, 3)))  # type: ignore[arg-type]
         return float(np.abs(np.fft.rfft(force)[[cycle - turn, cycle + turn]]).sum())
 
     assert sidebands(-noise) < 1e-6 * sidebands(None)

@@ -13,7 +13,7 @@ from estimator.likelihood.motion.force_balance import build
 from estimator.likelihood.motion.law_columns import Columns
 from estimator.likelihood.motion.stream_record import Record, prepare
 from estimator.likelihood.motion.streaming_spectra import BlockSpectra
-from estimator.signals.blocks import gram, spectra
+from estimator.signals.blocks import block_spectra, gram_by_cell
 
 EFFECTS = ("cubic", "coulomb", "bouc_wen", "quintic", "cross_coupling")  # smooth, with a jump, with a memory
 BLOCKS, GAP = (0, 1, 2, 3, 6, 7), 6  # the last two follow on nothing
@@ -46,9 +46,9 @@ def test_the_same_gram_matrices_and_tangents_as_of_whole_blocks(record: Record) 
         stretch = record.stretch(block * grid.hop, block * grid.hop + grid.size)
         Z, tangents = stream.take(stretch, wide)
         z, sums = columns.evaluate(stretch)
-        exact = spectra(z[asked], np.zeros(1, np.intp), grid)
+        exact = block_spectra(z[asked], np.zeros(1, np.intp), grid)
         for w in (None, weights):
-            G = gram(exact if w is None else exact * np.sqrt(w), grid)
+            G = gram_by_cell(exact if w is None else exact * np.sqrt(w), grid)
             size = np.sqrt(np.einsum("ckk->k", G))
             assert np.abs(Z.gram(grid, w) - G).max(axis=0) / np.outer(size, size) == pytest.approx(0.0, abs=2e-7)
         assert tangents == pytest.approx(sums[asked], rel=1e-9, abs=1e-9 * np.abs(sums).max())
@@ -64,7 +64,9 @@ def test_motion_of_a_nanometre_and_of_a_metre(record: Record) -> None:
         columns = columns_of(replace(record, motion=motion))
         stretch = replace(record, motion=motion).stretch(0, record.grid.size)
         G = BlockSpectra(columns, np.arange(len(columns.balance.columns)), record.grid).take(stretch, False)[0]
-        exact = gram(spectra(columns.evaluate(stretch)[0], np.zeros(1, np.intp), record.grid), record.grid).sum(axis=0)
+        exact = gram_by_cell(
+            block_spectra(columns.evaluate(stretch)[0], np.zeros(1, np.intp), record.grid), record.grid
+        ).sum(axis=0)
         size = np.sqrt(np.diag(exact))
         assert (size > 0).all()
         assert G.gram(record.grid).sum(axis=0) / np.outer(size, size) == pytest.approx(

@@ -22,7 +22,7 @@ from estimator.likelihood.motion.stream_record import gather, prepare
 from estimator.likelihood.path.contour import FED, MARGIN, along, contour
 from estimator.likelihood.path.determinant import Jacobian
 from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, evidence_of
-from estimator.likelihood.response.regressor_set import response
+from estimator.likelihood.response.regressor_set import tangent_response
 from estimator.model.disc import Disc, disc_of
 from estimator.model.rig import EffectUse, Model
 from estimator.model.rotor import shaft_matrix
@@ -43,7 +43,7 @@ def value(k: float, c: float) -> tuple[float, NDArray[np.float64], float]:
     A = (MASS[0] + k / iw**2 + c / iw)[:, None, None]
     s = contour(A, MASS, D, F_HZ)
     J = Jacobian(along(s, A, MASS, D), s)
-    units = response(np.array([[[[1.0, 0.0]]], [[[0.0, 1.0]]]]), s)
+    units = tangent_response(np.array([[[[1.0, 0.0]]], [[[0.0, 1.0]]]]), s)
     return J.value(units, np.zeros(2)), J.derivatives(units, np.zeros(2))[0], float(s.real.max())
 
 
@@ -136,7 +136,7 @@ def test_a_law_on_trial_may_make_the_mode_grow(f0: float, decay: float, step: fl
     A = (MASS[0] + k / iw**2 + c / iw)[:, None, None]
     s = contour(A, MASS, D, F_HZ)
     J = Jacobian(along(s, A, MASS, D), s)
-    damping = response(np.array([[[[0.0, 1.0]]]]), s)
+    damping = tangent_response(np.array([[[[0.0, 1.0]]]]), s)
     moved = J.value(damping, np.array([2 * MASS[0] * step])) - J.value(damping, np.zeros(1))
     assert moved == pytest.approx(BLOCK_S * step, abs=0.06 * BLOCK_S * abs(step) + 0.3)
 
@@ -169,10 +169,10 @@ def test_the_likelihood_of_gram_matrices_takes_the_same_line() -> None:
 def test_a_step_that_takes_a_mode_across_the_line_is_not_taken() -> None:
     D, iw = tangents(1e7, 60.0), 2j * np.pi * F_HZ
     A = (MASS[0] + 1e7 / iw**2 + 60.0 / iw)[:, None, None]
-    J, damping = Jacobian(A), response(np.array([[[[0.0, 1.0]]]]), contour(A, MASS, D, F_HZ))
+    J, damping = Jacobian(A), tangent_response(np.array([[[[0.0, 1.0]]]]), contour(A, MASS, D, F_HZ))
     assert J.value(damping, np.array([-40.0])) < J.value(damping, np.zeros(1))
     assert J.value(damping, np.array([-100.0])) == -np.inf
-    stiffness = response(np.array([[[[1.0, 0.0]]]]), iw)
+    stiffness = tangent_response(np.array([[[[1.0, 0.0]]]]), iw)
     assert np.isfinite(J.value(stiffness, np.array([-0.99e7])))  # out of the band
 
 

@@ -12,7 +12,7 @@ from estimator.likelihood.motion.force_balance import Balance, build, restrict
 from estimator.likelihood.motion.stream_record import Bank, Record, gather, prepare
 from estimator.likelihood.path.gram_likelihood import Likelihood, Point, evidence_of, maximise
 from estimator.likelihood.path.jacobian import levels
-from estimator.likelihood.response.modal_response import alone
+from estimator.likelihood.response.modal_response import single_mass_response
 from estimator.likelihood.response.second_order import pair_energies
 
 
@@ -90,7 +90,7 @@ def test_dressing_is_causal_it_moves_response_but_adds_none() -> None:
     C = np.zeros((1, 1, 2, 2, lags))
     C[0, 0, 1, 1] = 30.0 * np.exp(-tau / 1e-3)  # covariance of the tangent damping of one law, per unit of it
     f = np.linspace(0.5, 4999.5, 20000)
-    sigma = pair_energies(C, dt, np.ones(1), alone(m, c, k), f)[:, 0, 0]
+    sigma = pair_energies(C, dt, np.ones(1), single_mass_response(m, c, k), f)[:, 0, 0]
     iw = 2j * np.pi * f
     D = k + iw * c + iw**2 * m
     # E[phi' G_v] = (1 - Sigma) G_v per unit mean tangent 1: the integral over all f of its real part is that of the

@@ -11,7 +11,7 @@ from hidden_effects import RATE, one_bearing
 from estimator.likelihood.fitting import gauss_newton, noise_level
 from estimator.likelihood.fitting.fitted_values import parameters
 from estimator.likelihood.fitting.noise_level import _least
-from estimator.likelihood.motion.located_law import placed_of
+from estimator.likelihood.motion.located_law import located_laws
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path import working_point
 from estimator.model.rig import EffectUse, Setting
@@ -23,7 +23,7 @@ def test_the_noise_is_that_of_the_values_after_a_step() -> None:
     """Of those before it, noise and stiffness went to and fro, a round apart."""
     rig = one_bearing()
     data = prepare(rig, simulate(rig, RATE, 10.0, seed=4, noise=0.1, full_scale=490.5), RATE)
-    point = gauss_newton.fit_model(data, placed_of(rig, data))
+    point = gauss_newton.fit_model(data, located_laws(rig, data))
     S = np.array([rig.linear[p]["S"].value or 0.0 for p in rig.places])
     true = 0.1**2 / (RATE / 2) / S
     np.testing.assert_allclose(point.nu, true, rtol=0.4)
@@ -38,7 +38,7 @@ def test_a_law_that_was_still_zero_can_be_looked_at_on_part_of_the_record() -> N
     uses = {f"bearing1.{d}": {"k": Setting(0.0), "gap": Setting(2e-7)} for d in "xy"}
     model = replace(rig, effects=(*rig.effects, EffectUse("clearance", uses)))
     data = prepare(model, y, RATE)
-    point = gauss_newton.fit_model(data, placed_of(model, data), rounds=0)
+    point = gauss_newton.fit_model(data, located_laws(model, data), rounds=0)
     part = working_point.thinned(point, 1.0)
     assert part.data.blocks < point.data.blocks
     assert part.columns.names == point.columns.names
@@ -61,8 +61,8 @@ def test_what_laws_do_not_see_is_that_of_the_rotor_behind_strong_noise() -> None
     m, kL, c, S = 0.2, *(rig.linear["bearing1.y"][name].value or 0.0 for name in ("kL", "c", "S"))
     rms = np.sqrt(0.03 * S / m**2 * RATE / 2)  # integrated, as much as the displacement itself
     data = prepare(rig, simulate(rig, RATE, 8.0, seed=4, noise=float(rms)), RATE)
-    own = band_limit.left_out(*(np.array([z]) for z in (m, c, kL, S)), rig.band, RATE, ["acceleration"])
-    point = gauss_newton.fit_model(data, placed_of(rig, data))
+    own = band_limit.out_of_band_sd(*(np.array([z]) for z in (m, c, kL, S)), rig.band, RATE, ["acceleration"])
+    point = gauss_newton.fit_model(data, located_laws(rig, data))
     assert point.data.left_out[1] == pytest.approx(own[0], rel=0.1)
 
 
@@ -70,7 +70,7 @@ def test_without_its_rows_a_fit_says_the_same_and_another_begins_from_it() -> No
     """Held whole while the next was made it took improve of a minute from 1.45 to 1.93 GB."""
     rig = one_bearing()
     data = prepare(rig, simulate(rig, RATE, 4.0, seed=1, noise=0.02, full_scale=490.5), RATE)
-    point = gauss_newton.fit_model(data, placed_of(rig, data))
+    point = gauss_newton.fit_model(data, located_laws(rig, data))
     bare = point.rowless()
     assert bare.data.x.size == bare.force.size == bare.whitening.data.x.size == 0
     assert parameters(bare) == parameters(point)

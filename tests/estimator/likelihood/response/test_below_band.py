@@ -18,9 +18,14 @@ from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual import missing_force
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.located_law import placed_of
+from estimator.likelihood.motion.located_law import located_laws
 from estimator.likelihood.motion.prepare import prepare
-from estimator.likelihood.response.below_band import lopsided, own_sizes, usual, with_slow
+from estimator.likelihood.response.below_band import (
+    has_even_part,
+    usual_parameters,
+    usual_sizes,
+    with_below_band_motion,
+)
 from estimator.model.rig import CustomLaw, EffectUse, Model, Setting
 from estimator.simulation.simulator import simulate
 
@@ -39,7 +44,7 @@ def test_what_pushes_a_cap_off_its_centre() -> None:
     laws = [
         e for e in CATALOGUE.values() if e.kind == "force" and e.name not in ("line", "misalignment", "local_defect")
     ]
-    found = {e.name for e in laws if lopsided(e, usual(e), own_sizes(e))}
+    found = {e.name for e in laws if has_even_part(e, usual_parameters(e), usual_sizes(e))}
     assert found == {"quadratic", "stop"}
 
 
@@ -48,8 +53,8 @@ def test_the_slow_displacement_is_the_one_that_a_sensor_would_show(truth: Model)
     sensors = tuple(replace(c, kind="displacement") for c in truth.channels)
     x = simulate(replace(truth, channels=sensors), RATE, SECONDS, seed=8)
     data = prepare(truth, y, RATE)
-    point = fit_model(data, placed_of(truth, data))
-    slow = with_slow(data, point.kL, point.c, point.placed).slow
+    point = fit_model(data, located_laws(truth, data))
+    slow = with_below_band_motion(data, point.kL, point.c, point.placed).slow
     assert slow is not None
     below = oaconvolve(x[:, 0], firwin(4001, 90.0, fs=RATE), mode="same")[np.round(data.t * RATE).astype(int)]
     inner = slice(4000, -4000)
@@ -70,7 +75,7 @@ def test_on_a_stiff_shaft_the_other_cap_moves_slowly_too() -> None:
     x = simulate(replace(law, channels=sensors), RATE, SECONDS, seed=8).mean(axis=0)
     data = prepare(law, simulate(law, RATE, SECONDS, seed=8), RATE)
     linear = [np.array([rig.linear[p][name].value for p in rig.places]) for name in ("kL", "c")]
-    slow = with_slow(data, *linear, placed_of(law, data)).slow
+    slow = with_below_band_motion(data, *linear, located_laws(law, data)).slow
     assert slow is not None
     ours = dict(zip(data.places, slow.mean(axis=1), strict=True))
     theirs = dict(zip((c.place for c in law.channels), x, strict=True))
@@ -89,7 +94,7 @@ def test_hysteresis_moves_the_cap_slowly_too() -> None:
     x = simulate(replace(law, channels=tuple(replace(c, kind="displacement") for c in law.channels)), RATE, SECONDS, 8)
     data = prepare(law, simulate(law, RATE, SECONDS, seed=8), RATE)
     linear = [np.array([rig.linear[p][name].value for p in rig.places]) for name in ("kL", "c")]
-    slow = with_slow(data, *linear, placed_of(law, data)).slow
+    slow = with_below_band_motion(data, *linear, located_laws(law, data)).slow
     assert slow is not None
     below = oaconvolve(x[:, 0], firwin(4001, 90.0, fs=RATE), mode="same")[np.round(data.t * RATE).astype(int)]
     ours = oaconvolve(slow[0], firwin(4001, 90.0, fs=RATE), mode="same")[4000:-4000]
@@ -99,7 +104,7 @@ def test_hysteresis_moves_the_cap_slowly_too() -> None:
 def test_nothing_smooth_is_left_beside_the_true_law(truth: Model) -> None:
     """Polynomials of the measured displacement alone would tell of the slow one: 200 nats and more."""
     data = prepare(truth, simulate(truth, RATE, SECONDS, seed=9, noise=0.02, full_scale=490.5), RATE)
-    point = fit_model(data, placed_of(truth, data))
+    point = fit_model(data, located_laws(truth, data))
     for i in range(2):
         _, nats, terms = gate_shape._smooth(point, i, "x", tuple(range(2, 10)))
         assert nats < 5 + 2 * terms
@@ -175,4 +180,4 @@ def test_a_typed_law_with_lengths_in_metres_is_seen_to_be_lopsided() -> None:
         use = EffectUse("mine", {"bearing1.x": {"f": Setting(0.5), "w": Setting(5e-7)}},
                         CustomLaw(expression, None, {"f": "N", "w": "m"}))  # fmt: skip
         effect = custom_effect(use)
-        assert lopsided(effect, usual(effect), own_sizes(effect)) == even
+        assert has_even_part(effect, usual_parameters(effect), usual_sizes(effect)) == even

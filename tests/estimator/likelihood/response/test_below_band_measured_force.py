@@ -12,11 +12,11 @@ from scipy.signal import resample
 
 from estimator.diagnosis.comparison.comparison import compare
 from estimator.effects import CATALOGUE
-from estimator.likelihood.motion.located_law import Placed
+from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.motion.prepare import prepare
-from estimator.likelihood.response.below_band import with_slow
+from estimator.likelihood.response.below_band import with_below_band_motion
 from estimator.model.rig import Channel, EffectUse, Model
-from estimator.signals.band_limit import left_out
+from estimator.signals.band_limit import out_of_band_sd
 
 RATE, SECONDS, BAND, FINER = 1000.0, 40.0, (10.0, 400.0), 20
 MASS, KL, C = 1.0, (100 * np.pi) ** 2, 6 * np.pi
@@ -65,8 +65,8 @@ def test_the_force_tells_what_the_accelerometer_does_not(k5: float) -> None:
     x, y = record(k5)
     data = prepare(rig(), y, RATE)
     rows = np.round(data.t * RATE).astype(int)
-    law = Placed(CATALOGUE["quintic"], "bearing1.x.quintic", (0,), np.array([k5]), (True,))
-    seen = with_slow(data, np.array([KL]), np.array([C]), [law]).seen(0)
+    law = LocatedLaw(CATALOGUE["quintic"], "bearing1.x.quintic", (0,), np.array([k5]), (True,))
+    seen = with_below_band_motion(data, np.array([KL]), np.array([C]), [law]).seen(0)
     left = x[rows] - data.x[0]
     assert left.std() > 0.06 * x.std()
     assert (x[rows] - seen).std() < 0.25 * left.std(), "but what drifts"
@@ -76,15 +76,15 @@ def test_what_is_said_to_be_left_out_is() -> None:
     x, y = record(0.0)
     data = prepare(rig(), y, RATE)
     rows = np.round(data.t * RATE).astype(int)
-    seen = with_slow(data, np.array([KL]), np.array([C]), []).seen(0)
+    seen = with_below_band_motion(data, np.array([KL]), np.array([C]), []).seen(0)
     one = np.array([MASS]), np.array([C]), np.array([KL]), np.zeros(1), BAND, RATE, ("acceleration",)
-    np.testing.assert_allclose(left_out(*one, data.driven)[0, 0], (x[rows] - seen).std(), rtol=0.5)
+    np.testing.assert_allclose(out_of_band_sd(*one, data.driven)[0, 0], (x[rows] - seen).std(), rtol=0.5)
 
 
 def test_a_resonance_below_the_band_is_none_of_its_business() -> None:
     data = prepare(replace(rig(), band=(60.0, 400.0)), record(0.0)[1], RATE)
     assert data.shaken is not None
-    let_go = with_slow(data, np.array([KL]), np.array([C]), [])
+    let_go = with_below_band_motion(data, np.array([KL]), np.array([C]), [])
     assert let_go.shaken is None
     assert let_go.slow is None
 

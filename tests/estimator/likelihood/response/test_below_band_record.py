@@ -8,10 +8,10 @@ import pytest
 from estimator.identification.batch.line_notches import start_without_lines
 from estimator.likelihood.motion import prepare as cut_record
 from estimator.likelihood.motion.stream_record import prepare
-from estimator.likelihood.response.below_band import with_slow
+from estimator.likelihood.response.below_band import with_below_band_motion
 from estimator.model.rig import Channel, EffectUse, Model
 from estimator.signals.band_limit import BandLimit, band_limit
-from estimator.signals.band_limited_record import Filtered
+from estimator.signals.band_limited_record import BandLimitedRecord
 
 RATE, SECONDS, BAND = 1000.0, 40.0, (10.0, 450.0)
 
@@ -56,7 +56,7 @@ def test_and_so_it_is_where_a_model_is_compared() -> None:
     assert data.slow is not None
     now, left = x[rows] - data.seen(0), x[rows] - data.x[0]
     assert now.std() < 0.4 * left.std()
-    assert with_slow(data, np.ones(1), np.ones(1), ()).slow is data.slow
+    assert with_below_band_motion(data, np.ones(1), np.ones(1), ()).slow is data.slow
 
 
 def test_a_stream_and_a_record_have_the_same_bits() -> None:
@@ -65,7 +65,7 @@ def test_a_stream_and_a_record_have_the_same_bits() -> None:
     assert whole.slow is None, "nobody asked"
     stream = BandLimit(["displacement"], RATE, BAND, slow=True)
     parts = [stream.push(part) for part in np.array_split(y, 37)] + [stream.flush()]
-    held = Filtered(y, ["displacement"], RATE, BAND, slow=True).whole()
+    held = BandLimitedRecord(y, ["displacement"], RATE, BAND, slow=True).whole()
     assert held.slow is not None
     assert np.array_equal(np.concatenate([p.slow for p in parts if p.slow is not None], axis=1), held.slow)
     assert np.array_equal(held.x, whole.x)

@@ -14,8 +14,8 @@ from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual import missing_force
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.located_law import placed_of, tangent_series
-from estimator.likelihood.motion.motion_record import finer
+from estimator.likelihood.motion.located_law import located_laws, tangent_series
+from estimator.likelihood.motion.motion_record import oversampled
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path.law_gain import fitted_gain
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -35,7 +35,7 @@ def strong(request: pytest.FixtureRequest) -> Case:
     y = record(rig, name, 0.06, seed=5, seconds=20.0)
     model = replace(rig, effects=(*rig.effects, EffectUse(name, {p: {} for p in rig.places})))
     data = prepare(model, y, RATE)
-    return name, model, y, fit_model(data, placed_of(model, data))
+    return name, model, y, fit_model(data, located_laws(model, data))
 
 
 @pytest.mark.slow
@@ -62,7 +62,7 @@ def test_nothing_is_found_beside_the_right_law(strong: Case) -> None:
 def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
     """Sigma is linear in the first of its two tangents."""
     point = strong[3]
-    mean = modal_response.mean_responses(point.data.mass, point.slopes, point.data.places, point.data.disc)
+    mean = modal_response.modal_responses(point.data.mass, point.slopes, point.data.places, point.data.disc)
     here = fluctuations(point.data, point.placed, mean, point.lin)[0]
     assert here is not None
     own = [u for u in point.placed if 0 in u.at]
@@ -74,7 +74,7 @@ def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
 def test_a_law_alone_is_dressed_per_unit_by_what_all_of_it_does(strong: Case) -> None:
     """Both tangents of a law beside itself have its amplitude; of two laws at a place neither is all there is."""
     point = strong[3]
-    mean = modal_response.mean_responses(point.data.mass, point.slopes, point.data.places, point.data.disc)
+    mean = modal_response.modal_responses(point.data.mass, point.slopes, point.data.places, point.data.disc)
     law = next(u for u in point.placed if 0 in u.at and u.effect.name == "quadratic_damping")
     here = fluctuations(point.data, [law], mean, point.lin)[0]
     assert isinstance(here, Fluctuation)
@@ -112,7 +112,7 @@ def test_the_finer_grid_keeps_the_motion() -> None:
     rig = one_bearing()
     data = prepare(rig, record(rig, "coulomb", 0.06, seconds=5.0), RATE)
     data = data.states(lambda z: z.astype(np.float64))
-    fine = finer(data)
+    fine = oversampled(data)
     assert np.abs(fine.x[:, ::4] - data.x).max() < 1e-9 * np.abs(data.x).max()
     assert fine.t[::4] == pytest.approx(data.t)
     assert fine.f_hz == pytest.approx(data.f_hz)
@@ -124,7 +124,7 @@ def test_the_finer_grid_does_not_leap_from_block_to_block() -> None:
     data = prepare(rig, record(rig, "coulomb", 0.06, seconds=5.0), RATE)
     rows = np.concatenate([np.arange(3 * data.block), np.arange(5 * data.block, 8 * data.block)])
     data = data.at(np.isin(np.arange(data.t.size), rows))
-    fine = finer(data)
+    fine = oversampled(data)
     assert [s.stop // fine.block for s in fine.stretches] == [3, 6]
     for rows in fine.stretches:
         x, v = fine.x[:, rows], fine.v[:, rows]
@@ -137,7 +137,7 @@ def test_a_law_that_stands_at_zero_fluctuates_nowhere() -> None:
     y = record(rig, "cubic", 0.05, seconds=6.0)
     blank = replace(rig, effects=tuple(replace(u, parameters={p: {} for p in u.parameters}) for u in rig.effects))
     data = prepare(blank, y, RATE)
-    point = fit_model(data, placed_of(blank, data))
+    point = fit_model(data, located_laws(blank, data))
     assert (np.array([use.p[0] for use in point.placed]) > 1e18).all()
 
 
@@ -183,7 +183,7 @@ def test_models_are_compared_by_the_value_whose_derivatives_their_columns_have(
 def test_a_damping_that_lets_nothing_move_has_lags_all_the_same() -> None:
     """A step of a fit went there, and improve ended with "negative shift count"."""
     for c, lags in ((60.0, 2048), (1e9, 1 << 15)):
-        assert modal_response.alone(0.2, c, 1e7).lags(1 / 25600.0, 1 << 15) == lags
+        assert modal_response.single_mass_response(0.2, c, 1e7).lags(1 / 25600.0, 1 << 15) == lags
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from estimator.effects import CATALOGUE
 from estimator.likelihood.motion import linear_memory
-from estimator.likelihood.response.modal_response import Mean, alone, mean_responses
+from estimator.likelihood.response.modal_response import ModalResponse, modal_responses, single_mass_response
 from estimator.model.disc import Disc
 from estimator.model.rig import Shaft
 from estimator.model.rotor import shaft_at_caps, shaft_matrix
@@ -40,7 +40,7 @@ def test_each_cap_answers_as_the_rotor_does(shaft: Shaft) -> None:
     for at in ([0, 1], [2, 3]):
         exact[:, np.array(at)[:, None], at] += caps
     G = np.linalg.inv(exact)
-    for i, mean in enumerate(mean_responses(MASS, D, PLACES, disc(shaft))):
+    for i, mean in enumerate(modal_responses(MASS, D, PLACES, disc(shaft))):
         assert mean.sound
         # modes of a millionth of the largest are left out
         assert np.abs(mean.at(w) - G[:, i, i]).max() < 1e-6 * np.abs(G[:, i, i]).max()
@@ -57,14 +57,14 @@ def test_an_impulse_is_followed_as_by_the_matrix_exponential() -> None:
     pushed = np.zeros(6)
     pushed[3] = 1.0 / MASS[0]
     exact = np.array([expm(free * t) @ pushed for t in tau])[:, [0, 3]].T
-    found = mean_responses(MASS[:2], D[:2, :2], PLACES[:2], disc("chain"))[0].after(tau)
+    found = modal_responses(MASS[:2], D[:2, :2], PLACES[:2], disc("chain"))[0].after(tau)
     assert np.abs(found - exact).max(axis=1) == pytest.approx(0.0, abs=1e-9 * np.abs(exact).max())
 
 
 @pytest.mark.parametrize("c", [2.0, 60.0, 4000.0])  # of 2828 critical
 def test_a_cap_by_itself(c: float) -> None:
     m, k = 0.2, 1e7
-    mean, w = alone(m, c, k), 2 * np.pi * np.linspace(0.0, 3000.0, 100)
+    mean, w = single_mass_response(m, c, k), 2 * np.pi * np.linspace(0.0, 3000.0, 100)
     exact = 1.0 / (k + 1j * w * c - m * w**2)
     assert np.abs(mean.at(w) - exact).max() < 1e-9 * np.abs(exact).max()
     x, v = mean.after(np.array([0.0]))[:, 0]
@@ -83,7 +83,7 @@ def test_an_answer_is_over_though_a_weak_mode_rings_on(slow: float) -> None:
     """slow : its share of the power, which is residue^2 over the decay."""
     decays = np.array([100.0, 2.0])
     poles = -decays + 1j * np.array([9000.0, 3000.0])
-    mean = Mean(poles, np.sqrt(np.array([1.0 - slow, slow]) * decays).astype(complex))
+    mean = ModalResponse(poles, np.sqrt(np.array([1.0 - slow, slow]) * decays).astype(complex))
     t = mean.over(left := float(np.exp(-10.0)))
     assert 0.0 < t < 5.1 / 2.0
     power = np.array([1.0 - slow, slow])
@@ -94,16 +94,16 @@ def test_an_answer_is_over_though_a_weak_mode_rings_on(slow: float) -> None:
 def test_a_mode_that_grows_is_not_sound() -> None:
     D = tangents()[:2, :2]
     D[1, 1, 1] = -500.0
-    assert not mean_responses(MASS[:2], D, PLACES[:2], disc("chain"))[0].sound  # through the shaft
-    assert mean_responses(MASS[:2], D, PLACES[:2], None)[0].sound
+    assert not modal_responses(MASS[:2], D, PLACES[:2], disc("chain"))[0].sound  # through the shaft
+    assert modal_responses(MASS[:2], D, PLACES[:2], None)[0].sound
 
 
 def test_a_pedestal_under_the_cap_answers_with_it() -> None:
     pedestal, p, lin = CATALOGUE["pedestal"], np.array([0.4, 900.0, 0.02]), np.array([0.2, 1e7, 60.0])
-    own, answer = linear_memory.states(pedestal, p, lin), linear_memory.response(pedestal, p, lin)
+    own, answer = linear_memory.state_matrix(pedestal, p, lin), linear_memory.linear_response(pedestal, p, lin)
     assert own is not None
     assert answer is not None
     w = 2 * np.pi * np.linspace(10.0, 3000.0, 100)
     exact = 1.0 / (1e7 + 60j * w - 0.2 * w**2 + answer(w))
-    mean = mean_responses(lin[:1], np.array([[[1e7, 60.0]]]), ("bearing1.x",), None, [(0, own)])[0]
+    mean = modal_responses(lin[:1], np.array([[[1e7, 60.0]]]), ("bearing1.x",), None, [(0, own)])[0]
     assert np.abs(mean.at(w) - exact).max() < 1e-6 * np.abs(exact).max()

@@ -16,7 +16,7 @@ from estimator.likelihood.motion.force_balance import build
 from estimator.likelihood.motion.law_columns import Columns
 from estimator.likelihood.motion.law_smoothing import MARGIN
 from estimator.likelihood.motion.stream_record import gather, prepare
-from estimator.likelihood.response.second_order import flutter
+from estimator.likelihood.response.second_order import tangent_noise
 from estimator.model.rig import Channel, EffectUse, Model
 
 RATE, SIGMA = 1000.0, 0.3
@@ -39,7 +39,7 @@ def test_noise_adds_the_variance_of_the_tangent_times_its_psd() -> None:
 
     record = prepare(model, x[:, None], RATE)
     columns = Columns(build(model), record.scales, 1e-9 * np.ones((1, 2)))
-    found = flutter(record, columns, 60.0)
+    found = tangent_noise(record, columns, 60.0)
     assert found is not None
     C = found.covariance
     k = len(columns.balance.columns) - 1
@@ -58,7 +58,7 @@ def test_it_is_taken_out_of_displacements_only() -> None:
         y = x + 0.05 * SIGMA * np.random.default_rng(3).normal(size=x.size)
         solution = analyse(model, y[:, None], RATE)
         columns = Columns(solution.balance, solution.record.scales, solution.start.widths)
-        found = flutter(solution.record, columns)
+        found = tangent_noise(solution.record, columns)
         assert (found is not None) == some
         bank = gather(solution.record, solution.balance, solution.start.widths)
         local = replace(solution.local, point=replace(solution.point, noise=np.array([1e-6])))
@@ -76,7 +76,7 @@ def test_sums_over_blocks_say_the_same() -> None:
     grid = record.grid
     blocks = [2 * b for b in range(2, int(len(x) / grid.size) - 2)]
     total = np.sum([sums.of(record.stretch(b * grid.hop, b * grid.hop + grid.size)) for b in blocks], axis=0)
-    exact, found = flutter(record, columns, 1e6), sums.flutter(total)
+    exact, found = tangent_noise(record, columns, 1e6), sums.flutter(total)
     assert exact is not None
     assert found.covariance == pytest.approx(exact.covariance, rel=0.05)
     assert found.bend == pytest.approx(exact.bend, rel=0.02)
