@@ -15,6 +15,30 @@ from estimator.effects import CATALOGUE
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("estimator", "daq", "drivers")
+PATCHES = {"setattr", "delattr", "setitem", "delitem"}  # of pytest's monkeypatch
+# How many names that are not public a file of tests may take from the product, and why. It is to shrink.
+LEAVES, SEAM = "leaves with the file that it tests", "no seam yet"
+INSIDE = {
+    "daq/commands/study/test_confusion.py": (4, SEAM),
+    "daq/commands/test_demo.py": (3, SEAM),
+    "daq/commands/test_entry.py": (2, "the state of a process that has been interrupted"),
+    "daq/log/test_faults.py": (1, SEAM),
+    "daq/log/test_place.py": (1, SEAM),
+    "daq/report/rerun/test_sink.py": (1, SEAM),
+    "daq/session/test_acquire.py": (4, SEAM),
+    "drivers/links/test_mute_device.py": (1, SEAM),
+    "drivers/protocol/test_codecs.py": (2, SEAM),
+    "estimator/diagnosis/hypotheses/test_trial.py": (1, SEAM),
+    "estimator/diagnosis/verdict/test_diagnosis.py": (1, SEAM),
+    "estimator/diagnosis/verdict/test_gate_second_law.py": (1, LEAVES),
+    "estimator/diagnosis/verdict/test_improvement.py": (4, SEAM),
+    "estimator/identification/batch/test_full_fit.py": (1, SEAM),
+    "estimator/identification/structure/test_filter_search.py": (1, LEAVES),
+    "estimator/identification/structure/test_transfer_faults.py": (1, SEAM),
+    "estimator/likelihood/motion/test_memory_law.py": (1, LEAVES),
+    "estimator/signals/test_band_limited_record.py": (1, LEAVES),
+    "fuzz/test_fuzz.py": (1, SEAM),
+}
 FILE_LINES = 400
 FUNCTION_LINES = 60
 LONG_FUNCTIONS = {"improve", "build", "layout", "_parse"}  # to be cut
@@ -113,6 +137,35 @@ def repeated() -> list[str]:
     return [f"{name}: {count}" for name, count in Counter(found).items() for _ in range(count - 1)]
 
 
+def product_modules(tree: ast.Module) -> dict[str, str]:
+    """Modules of the product by the names that a test has them under."""
+    return {
+        alias.asname or alias.name: f"{node.module}.{alias.name}"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in PACKAGES
+        for alias in node.names
+        if (path := ROOT / f"{node.module}.{alias.name}".replace(".", "/")).is_dir()
+        or path.with_suffix(".py").is_file()
+    }
+
+
+def inside(tree: ast.Module) -> Iterator[str]:
+    """Private names of the product that a test imports, and attributes of its modules that a test replaces."""
+    modules = product_modules(tree)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in PACKAGES:
+            yield from (f"{node.module}.{alias.name}" for alias in node.names if alias.name.startswith("_"))
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules:
+            if re.fullmatch(r"_[a-zA-Z]\w*", node.attr):
+                yield f"{modules[node.value.id]}.{node.attr}"
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in PATCHES:
+            match node.args:
+                case [ast.Constant(str(name)), *_] if name.split(".")[0] in PACKAGES:
+                    yield name
+                case [ast.Name(module), ast.Constant(name), *_] if module in modules:
+                    yield f"{modules[module]}.{name}"
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_no_file_is_long(package: str) -> None:
     long = {
@@ -172,6 +225,13 @@ def test_array_types_come_from_one_file() -> None:
         and path.name != "arrays.py"
     ]
     assert not own
+
+
+def test_tests_take_the_public_names_of_the_product() -> None:
+    found = {str(path.relative_to(ROOT / "tests")): {*inside(tree)} for path, tree in sources("tests").items()}
+    beyond = {file: names for file, names in found.items() if len(names) > INSIDE.get(file, (0, ""))[0]}
+    assert not beyond
+    assert not {file for file, (most, _) in INSIDE.items() if not most or file not in found}
 
 
 SHRINKING = {

@@ -65,11 +65,11 @@ def _left(
     least: float,
 ) -> float:  # fmt: skip
     """The same of the terms of one state."""
-    powers, nats, counts = zip(*(_smooth(after, i, state, orders) for i in sorted(places)), strict=True)
+    powers, nats, counts = zip(*(polynomial_power(after, i, state, orders) for i in sorted(places)), strict=True)
     if sum(counts) == 0 or chdtrc(sum(counts), 2 * max(sum(nats), 0.0)) > level:
         return 0.0
     rest = sum(max(power, 0.0) for power in powers)
-    was = max(sum(_smooth(before, i, state, orders)[0] + _damped(before, i, state) for i in places), least)
+    was = max(sum(polynomial_power(before, i, state, orders)[0] + _damped(before, i, state) for i in places), least)
     return float(np.sqrt(min(rest / was, 1.0))) if was > 0.0 else 0.0
 
 
@@ -95,13 +95,13 @@ def worth(point: WorkingPoint, effect: str, places: set[int]) -> dict[int, float
     earned: dict[int, float] = {}
     for i in places:
         for state, orders in STATES.get(effect, ()):
-            _, nats, count = _smooth(point, i, state, orders)
+            _, nats, count = polynomial_power(point, i, state, orders)
             if nats > count:
                 earned[i] = max(earned.get(i, 0.0), nats - count)
     return earned
 
 
-def _smooth(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) -> tuple[float, float, int]:
+def polynomial_power(point: WorkingPoint, i: int, state: str, orders: tuple[int, ...]) -> tuple[float, float, int]:
     """Mean square in N^2 explained by the polynomials of a state at place i, nats gained, number of terms."""
     data = point.data
     z = data.calmed(i) if state == "x" else data.v[i]

@@ -122,11 +122,11 @@ def _judged(point: WorkingPoint, model: Model, trial: screen.Trial, promising: b
 
 def _with_promise(model: Model, trials: list[screen.Trial]) -> list[tuple[screen.Trial, bool]]:
     """Every trial, and whether its searched parameters are worth to be refined."""
-    promising = [t for t in _promising(trials) if searched_parameters(t.effect, model)][:REFINED]
+    promising = [t for t in promising_trials(trials) if searched_parameters(t.effect, model)][:REFINED]
     return [(trial, any(trial is t for t in promising)) for trial in trials]
 
 
-def _promising(trials: list[screen.Trial]) -> list[screen.Trial]:
+def promising_trials(trials: list[screen.Trial]) -> list[screen.Trial]:
     """Those of effects that come near the best one at some bearing, all directions of it together."""
     sums: dict[tuple[str, str], float] = {}
     for t in trials:

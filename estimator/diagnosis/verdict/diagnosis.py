@@ -95,7 +95,7 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
         point, shares = as_it_is, before.shares
         before, entries, known = _ranked(model, point, y, say)
         before = replace(before, shares=shares)
-    found = _verdict(model, point, before, entries, say, known)
+    found = verdict_of_ranking(model, point, before, entries, say, known)
     if found.verdict in COLOURS:
         say(0.9, f"does {found.verdict} explain it?")
         return _coloured(model, point, y, before, found)
@@ -119,22 +119,22 @@ def _ranked(
     return found.before, entries, known
 
 
-def _verdict(
+def verdict_of_ranking(
     model: Model, point: WorkingPoint, before: MissingForce, entries: list[Entry], say: Progress,
     known: gate_residual.Seen | None = None,
 ) -> Diagnosis:  # fmt: skip
     """What the ranking comes to."""
     if not _is_claimed(entries) or _negligible(point, entries[0]):
-        return _nothing(point, before, tuple(entries))
+        return verdict_without_law(point, before, tuple(entries))
     best = entries[0]
     if best.placed and best.effect != "crack" and _loss(entries)[1] > best.gain:
-        return _nothing(point, before, tuple(entries))
+        return verdict_without_law(point, before, tuple(entries))
     if not best.placed:
         if best.effect in PERIODIC:
             say(0.85, f"{best.effect} and the model fitted together")
             entries[0] = _beside(model, point, before, best)
         return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries), messages=best.notes)
-    return _law(model, point, before, entries, say, known)
+    return verdict_of_laws(model, point, before, entries, say, known)
 
 
 def _added(model: Model, y: Array, rate_hz: float, best: Entry) -> tuple[FullFit, Array] | None:
@@ -216,7 +216,7 @@ def _beside(model: Model, point: WorkingPoint, before: MissingForce, entry: Entr
     return replace(evidence.with_settings(entry, settings), after_percent=after.percent(part))
 
 
-def _law(
+def verdict_of_laws(
     model: Model, point: WorkingPoint, before: MissingForce, entries: list[Entry], say: Progress,
     known: gate_residual.Seen | None = None,
 ) -> Diagnosis:  # fmt: skip
@@ -230,7 +230,7 @@ def _law(
         if found.left is None:
             if left:
                 continue
-            said = _verdict(model, point, before, entries[:k] + entries[k + 1 :], say)
+            said = verdict_of_ranking(model, point, before, entries[:k] + entries[k + 1 :], say)
             return replace(said, ranking=(*said.ranking, entries[k]))
         # friction may leave a third, as its step is rounded; what another state explains is no second law of its own
         two = not found.whole or (
@@ -247,7 +247,7 @@ def _law(
             return _named(entries, k, left)
     best = entries[0]
     if _little(before):
-        return _nothing(point, before, tuple(entries))
+        return verdict_without_law(point, before, tuple(entries))
     text = (
         f"{best.effect} comes nearest but leaves {100 * left[best.effect]:.0f} % of what a state explains of the "
         "missing force: no law of the catalogue has this shape"
@@ -326,7 +326,7 @@ def _little(before: MissingForce) -> bool:
     return value < 100 * missing_force.NEGLIGIBLE_FORCE_SHARE or low <= 0.0
 
 
-def _nothing(point: WorkingPoint, before: MissingForce, entries: tuple[Entry, ...]) -> Diagnosis:
+def verdict_without_law(point: WorkingPoint, before: MissingForce, entries: tuple[Entry, ...]) -> Diagnosis:
     loss, nats = _loss(entries)
     shaft = []
     if nats > SURE and point.data.disc is not None:

@@ -97,7 +97,7 @@ def _fitted(
     model: Model, point: WorkingPoint, before: MissingForce, entry: Entry, say: Progress, known: Seen | None
 ) -> Explained:  # fmt: skip
     """What an entry explains. Raises NotFiniteError where the fit with it goes far from the rotor."""
-    if _bends_a_spectrum(point, before, entry):
+    if mimics_a_spectrum(point, before, entry):
         return Explained(replace(entry, notes=(*entry.notes, BENT)), None)
     if known is None or {u.key for u in known.entry.placed} != {u.key for u in entry.placed}:
         known = seen(thinned(point, missing_force.SURVEY_SECONDS), point, before, entry)
@@ -143,7 +143,7 @@ def _most_left(point: WorkingPoint, entry: Entry) -> float:
     return max(most, SAME_SHAPE) if beside else most
 
 
-def _bends_a_spectrum(point: WorkingPoint, before: MissingForce, entry: Entry) -> bool:
+def mimics_a_spectrum(point: WorkingPoint, before: MissingForce, entry: Entry) -> bool:
     """Whether a law with a memory, where no state predicts anything, is small beside a spectrum that nothing explains:
     it answers in the mean as a resonance does, and takes some of that."""
     places = entry.places
@@ -172,10 +172,12 @@ def _told(
         or heldout_nll(after_point) > heldout_nll(point) - EARNED / samples
     ):
         return None
-    return _where_told(point, entry, after_point)
+    return at_identifiable_bearings(point, entry, after_point)
 
 
-def _where_told(point: WorkingPoint, entry: Entry, after_point: WorkingPoint) -> tuple[Entry, WorkingPoint]:
+def at_identifiable_bearings(
+    point: WorkingPoint, entry: Entry, after_point: WorkingPoint
+) -> tuple[Entry, WorkingPoint]:
     """The entry and its fit without bearings where the law, fitted at all of them together, is not told from zero and
     predicts no better: on trial by themselves they win by what they share with the one that has it, as where the
     forces at the two are coherent."""

@@ -127,7 +127,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                 if best.effect not in PERIODIC:  # a shape of the spectra that the recorder's filter was sought in
                     before = replace(before, roll_off=given.roll_off)
                 whole = replace(whole, point=(point := point.rowless()))
-                new_whole = _with_found(before, given, best.settings, y, rate_hz)
+                new_whole = refitted_with_found(before, given, best.settings, y, rate_hz)
         except DataError as problem:  # far from the rotor
             text = f"{found.verdict} was named but no fit with it is sound ({problem}): not added"
             messages.append(Message("not_added", text))
@@ -161,7 +161,9 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     return Improvement(tuple(rungs), fitted_model(model, point), whole.parameters, found, tuple(said), tuple(diagnoses))
 
 
-def _with_found(before: Model, given: Model, settings: dict[str, Settings], y: Array, rate_hz: float) -> FullFit:
+def refitted_with_found(
+    before: Model, given: Model, settings: dict[str, Settings], y: Array, rate_hz: float
+) -> FullFit:
     """The whole of a model with what was found, begun from its fit without it; where that ended too far from the rotor,
     as of a sensor that is clipped much, from the numbers that were given. Raises DataError if neither is sound."""
     try:

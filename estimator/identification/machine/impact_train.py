@@ -63,7 +63,7 @@ def find_impact_train(
         visible = int((Z[i] > VISIBLE).sum())
         if visible < 4 or gains[i] <= enough or (best is not None and clear <= won * _more(hz, fundamental)):
             continue
-        F, unit = _forces(point, s, bins + np.argmax([Zs[i, bins + d] for d in (-1, 0, 1)], axis=0) - 1, i)
+        F, unit = forces_of_lines(point, s, bins + np.argmax([Zs[i, bins + d] for d in (-1, 0, 1)], axis=0) - 1, i)
         if not _full(F, unit) or _made_by_laws(point, order, hz, F, unit, i):
             continue
         places = [point.data.places[j] for j in range(len(gains)) if gains[j] > enough]
@@ -146,7 +146,7 @@ def _centred(s: LineSpectrum, Zs: Array, hz: float, high: float) -> float:
     return hz
 
 
-def _forces(point: WorkingPoint, s: LineSpectrum, bins: NDArray[np.intp], i: int) -> tuple[Array, Array]:
+def forces_of_lines(point: WorkingPoint, s: LineSpectrum, bins: NDArray[np.intp], i: int) -> tuple[Array, Array]:
     """(lines,) N at place i of lines at some bins by a linear reading of the motion, and of what is beside them."""
     near = np.clip(bins[:, None] + np.concatenate([[0], -BESIDE, BESIDE]), 1, s.f_hz.size - 1)
     bins = near.ravel()

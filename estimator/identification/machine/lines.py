@@ -42,7 +42,7 @@ KNOWN_LEVEL = 1e-4  # at an order that is looked at on purpose
 
 def find_lines(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:
     """Every periodic force that the model does not have yet, by cause."""
-    s = _searched(model, point, y, point.data.rate_hz)
+    s = searched_spectrum(model, point, y, point.data.rate_hz)
     known = known_lines(model)
     rotation = (model.speed_rpm or 0.0) / 60.0
     tracked = [] if s.phase is None else [rotation, 2 * rotation]
@@ -98,7 +98,7 @@ def _through_disc(point: WorkingPoint, s: LineSpectrum, hz: float) -> bool:
     )
 
 
-def _searched(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> LineSpectrum:
+def searched_spectrum(model: Model, point: WorkingPoint, y: Array, rate_hz: float) -> LineSpectrum:
     """The spectrum that lines are sought in: of the motion, or beside a measured force of what it leaves."""
     if not point.data.measured_force:
         return line_spectrum(model, y, rate_hz)

@@ -134,7 +134,7 @@ def negligible_share(point: WorkingPoint, i: int) -> float:
 
 def group_p_value(problem: Subproblem, fit: PathFit, names: tuple[str, ...], gained: float) -> float:
     """p-value of the nats gained by some columns."""
-    return float(chdtrc(_effective(problem, fit, names), 2 * max(gained, 0.0)))
+    return float(chdtrc(effective_dof(problem, fit, names), 2 * max(gained, 0.0)))
 
 
 def fit_polynomial(
@@ -180,7 +180,7 @@ def ridge_information(problem: Subproblem) -> float:
     return RIDGE * float(np.mean(own)) if own.size else 0.0
 
 
-def _effective(problem: Subproblem, fit: PathFit, names: tuple[str, ...]) -> float:
+def effective_dof(problem: Subproblem, fit: PathFit, names: tuple[str, ...]) -> float:
     """Degrees of freedom of some columns: those that the base does not already span."""
     Q, _, index = freed_gram(problem, fit)
     whole = np.einsum("ifkk->k", problem.gram.G)[1 + len(problem.base) :]

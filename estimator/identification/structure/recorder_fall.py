@@ -47,18 +47,18 @@ def find_roll_off(model: Model, point: WorkingPoint) -> RollOff | None:
     shapes = [_shapes(model, point, i) for i in range(len(data.places))]
     shaped = {i: shapes[i] for i in whole if any(shapes[i])}
     plain = [i for i in whole if i not in shaped]
-    found = _of(point, _measured(point, plain)) if plain else None
+    found = _of(point, measured_cells(point, plain)) if plain else None
     if found is not None or not shaped:
         return found
-    own = _measured(point, whole)
+    own = measured_cells(point, whole)
     stands_out = any(chdtrc(c.n.size - 4.0, -2 * fit[0]) < LOOK for i, c, fit in own if i in shaped)
-    off = _fall(point, own, EXPLAINED, shaped)[1] if stands_out or _in_common(own) else None
+    off = common_fall(point, own, EXPLAINED, shaped)[1] if stands_out or _in_common(own) else None
     if off is not None:
         return dict.fromkeys(data.places, off)
     standing = [i for i in whole if not any(shapes[i][:2])]  # what is too little to be told from pedestals, beside them
     if len(standing) == len(plain):
         return None
-    return _of(point, own if standing == whole else _measured(point, standing))
+    return _of(point, own if standing == whole else measured_cells(point, standing))
 
 
 def level_doubt(model: Model, point: WorkingPoint) -> float:
@@ -66,7 +66,7 @@ def level_doubt(model: Model, point: WorkingPoint) -> float:
     whole = _judged(point)
     if not whole:
         return 0.0
-    seen = _seen(point, _measured(point, whole), {i: _shapes(model, point, i) for i in whole})
+    seen = _seen(point, measured_cells(point, whole), {i: _shapes(model, point, i) for i in whole})
     return mean_or_none(seen, _blank(point))[1]
 
 
@@ -96,11 +96,11 @@ def _shapes(model: Model, point: WorkingPoint, i: int) -> Shaped:
 def _of(point: WorkingPoint, own: list[Place]) -> RollOff | None:
     """The same by what some places show."""
     data = point.data
-    together, found = _fall(point, own, EXPLAINED)
+    together, found = common_fall(point, own, EXPLAINED)
     if found is not None and together - (df := sum(c.n.size - 4 for _, c, _ in own)) < CHANCE * np.sqrt(2.0 * df):
         return dict.fromkeys(data.places, found)
     names = tuple(data.places[i] for i, _, _ in own)
-    nodes = [(at, *_fall(point, [own[k] for k in at], ALIKE)) for at in devices(names)]
+    nodes = [(at, *common_fall(point, [own[k] for k in at], ALIKE)) for at in devices(names)]
     each_its_own = sum(after for _, after, _ in nodes) if nodes else together
     deviance, most = _all_but_one(point, own) if len(own) > 1 else (np.inf, None)
     if most is not None and deviance < each_its_own:
@@ -108,18 +108,20 @@ def _of(point: WorkingPoint, own: list[Place]) -> RollOff | None:
     apart = {names[k]: off for at, _, off in nodes if off is not None for k in at}
     if apart:  # of the other bearing too, if it shows none of its own: one recorder, not two
         off, bare = next(iter(apart.values())), [(at, after) for at, after, none in nodes if none is None]
-        apart |= {names[k]: off for at, after in bare if _explains(point, off, [own[k] for k in at], after) for k in at}
+        apart |= {
+            names[k]: off for at, after in bare if explains_half(point, off, [own[k] for k in at], after) for k in at
+        }
     if apart and (found is None or chdtrc(POWERS.size * (len(nodes) - 1), together - each_its_own) < LEVEL):
         return apart
     return None if found is None else dict.fromkeys(data.places, found)
 
 
-def _measured(point: WorkingPoint, places: list[int]) -> list[Place]:
+def measured_cells(point: WorkingPoint, places: list[int]) -> list[Place]:
     cells, fits = _without_lines(point, [cells_of(point, i) for i in places])
     return list(zip(places, cells, fits, strict=True))
 
 
-def _fall(
+def common_fall(
     point: WorkingPoint, own: list[Place], explained: float, shaped: Mapping[int, Shaped] = NOTHING
 ) -> tuple[float, Filter | None]:
     """Deviance of some places behind what they fall alike by, and that; without it where nothing falls, or something
@@ -146,7 +148,7 @@ def _all_but_one(point: WorkingPoint, own: list[Place]) -> tuple[float, Filter |
     resonance or noise, is likelier behind the same filter."""
     best, found = np.inf, None
     for k, (i, c, fit) in enumerate(own):
-        after, off = _fall(point, own[:k] + own[k + 1 :], ALIKE)
+        after, off = common_fall(point, own[:k] + own[k + 1 :], ALIKE)
         if off is None:
             continue
         behind = _behind(point, i, c, off)
@@ -156,7 +158,7 @@ def _all_but_one(point: WorkingPoint, own: list[Place]) -> tuple[float, Filter |
     return best, found
 
 
-def _explains(point: WorkingPoint, off: Filter, own: list[Place], before: float) -> bool:
+def explains_half(point: WorkingPoint, off: Filter, own: list[Place], before: float) -> bool:
     """Whether a filter takes half of some places' misfit beyond chance. before : their deviance without it."""
     behind = [(i, _behind(point, i, c, off)) for i, c, _ in own]
     after = -2 * sum(spectral_models.fit_base_model(point, i, c)[0] for i, c in behind)

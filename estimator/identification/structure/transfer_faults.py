@@ -68,11 +68,11 @@ def _at_place(
     r = response_of(point, i, lines)
     if r.n.size < FEWEST:
         return [], None
-    tried = _likeliest(model, point, i, r)
+    tried = likeliest_reading(model, point, i, r)
     if (beside := _folded(model, point, i, tried)) is not None:
         tried = beside
     elif late := of_late_sensor(r, point.data.rate_hz):
-        delayed = _likeliest(model, point, i, late)
+        delayed = likeliest_reading(model, point, i, late)
         tried = delayed if delayed.late and delayed.nats > tried.nats else tried
     found = _found(model, point, i, tried)
     return found, None if found else (tried.response, tried.base, tried.scale)
@@ -86,7 +86,7 @@ def _folded(model: Model, point: WorkingPoint, i: int, tried: TriedCauses) -> Tr
         return None
     if not all(_bent_still(r, peak, least) for peak in (tried.base, tried.best)):
         return None
-    beside = _likeliest(model, point, i, r.less(replace(r.fold, density=r.fold.rival)))
+    beside = likeliest_reading(model, point, i, r.less(replace(r.fold, density=r.fold.rival)))
     return None if _bent_still(beside.response, beside.base, least) else replace(beside, causes={})
 
 
@@ -119,7 +119,7 @@ class TriedCauses:
         return max(self.base.nats, self.best.nats - WORTH) - ALIKE * (self.response.unmeasured > 0.0)
 
 
-def _likeliest(model: Model, point: WorkingPoint, i: int, r: Response) -> TriedCauses:
+def likeliest_reading(model: Model, point: WorkingPoint, i: int, r: Response) -> TriedCauses:
     """What is left of the force at a place, where it is enough to matter, read as noise of its sensor, as a force that
     acts beside it, or as both. The first makes the rotor seem lighter and softer by its share of the force, in power.
     """
@@ -154,7 +154,7 @@ def has_unmeasured_force(model: Model, point: WorkingPoint) -> bool:
 
     def at(i: int) -> bool:
         r = response_of(point, i, lines)
-        return r.n.size >= FEWEST and _likeliest(model, point, i, r).response.unmeasured > 0.5
+        return r.n.size >= FEWEST and likeliest_reading(model, point, i, r).response.unmeasured > 0.5
 
     forced = measured_force_places(model)
     places = [
@@ -231,7 +231,8 @@ def _cause_finding(
     the peak that its gain is counted from.
     """
     before = left(r, base.A)
-    coherent = float(r.n @ (_odd(r, base)[0] / before)) - r.n.size  # beyond chance, in units of what is left
+    # beyond chance, in units of what is left
+    coherent = float(r.n @ (coherent_remainder(r, base)[0] / before)) - r.n.size
     power = float(np.maximum(before - left(r, peak.A), 0.0) @ r.hz)
     explained = float(r.n @ (1 - left(r, peak.A) / before))
     if explained < EXPLAINED * coherent or power < least:
@@ -284,7 +285,7 @@ def _both(
     return max(beside_a, beside_b, key=lambda peak: peak.nats)
 
 
-def _odd(r: Response, peak: Peak) -> tuple[Array, Array]:
+def coherent_remainder(r: Response, peak: Peak) -> tuple[Array, Array]:
     """(cells,) of the power that is left what is coherent with the motion beyond the noise in both, and what is not."""
     P, rest, s = expected(r, peak.A, peak.u)
     N, Q, H = exp(peak.u[1]) * r.noise, exp(peak.u[0]), r.answer(peak.A).conj()
@@ -296,7 +297,7 @@ def _odd(r: Response, peak: Peak) -> tuple[Array, Array]:
 
 def _rest(r: Response, peak: Peak) -> tuple[float, float]:
     """N^2 that is coherent with the motion still, and by how many standard deviations it is more than chance."""
-    odd, noise = _odd(r, peak)
+    odd, noise = coherent_remainder(r, peak)
     z = float((r.n @ (odd / noise) - r.n.size) / np.sqrt(r.n.size))  # each an exponential variable of mean 1
     return float((odd - noise / r.n) @ r.hz), z
 

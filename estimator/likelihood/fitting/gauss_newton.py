@@ -165,7 +165,7 @@ def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list
     """Values after the increments of the fit, searched parameters kept inside their limits."""
     bounds = [_bounds(point, use, kL) for use in point.placed]
     limits = {use.name(k): own for use, each in zip(point.placed, bounds, strict=True) for k, own in each.items()}
-    step = dict(zip(point.fit.names, _within(point, limits) * point.fit.scales, strict=True))
+    step = dict(zip(point.fit.names, step_within_limits(point, limits) * point.fit.scales, strict=True))
     places = point.data.places
     least = np.where(point.data.driven > 0.0, LEAST_LEFT * kL, -np.inf)  # a known force forgives no step too far
     kL = np.maximum(kL + np.array([step[f"{p}.kL"] for p in places]), least)
@@ -193,7 +193,7 @@ def _bounds(point: WorkingPoint, use: LocatedLaw, kL: Array) -> dict[int, tuple[
     return out
 
 
-def _within(point: WorkingPoint, limits: Mapping[str, tuple[float, float]]) -> Array:
+def step_within_limits(point: WorkingPoint, limits: Mapping[str, tuple[float, float]]) -> Array:
     """The increments of the fit, scaled, where those at their limit are held there and the others follow: what a law
     of much preload has in k it must not keep where the preload stops."""
     fit = point.fit

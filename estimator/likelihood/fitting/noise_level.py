@@ -30,12 +30,12 @@ def noise_of(point: WorkingPoint) -> tuple[Array, Array]:
         shape = known[i] + grid[:, None] * own[i]
         S = np.mean(power / shape, axis=1)
         cost = np.log(S) + np.mean(np.log(shape), axis=1)
-        return _least(grid, cost)
+        return grid_minimum(grid, cost)
 
     return np.array(map_threads(at, range(len(data.places)))), weight
 
 
-def _least(grid: Array, cost: Array) -> float:
+def grid_minimum(grid: Array, cost: Array) -> float:
     """Where the cost is least between the points of a geometric grid behind 0: the vertex of a parabola."""
     k = int(np.argmin(cost))
     if k < 2 or k == grid.size - 1:

@@ -11,7 +11,7 @@ from hidden_effects import RATE, ROOT
 from daq.rig.rig import load_rig
 from estimator.diagnosis.hypotheses import ranking
 from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.diagnosis.verdict.gate_residual import _where_told
+from estimator.diagnosis.verdict.gate_residual import at_identifiable_bearings
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.identification.batch.full_fit import fit_all_effects
@@ -48,7 +48,7 @@ def test_a_bearing_that_only_shares_the_force_of_the_other_is_not_named(hidden: 
     )
     both = {"bearing1": (90.0, 80.0), "bearing2": (9.0, 8.0)}
     named = Entry("stiffness_drift", NODES, 99.0, 88.0, 1e-9, 3.0, 0.0, {}, 99.0, placed=laws, by_node=both)
-    entry, after = _where_told(point, named, fit_model(point.data, [*point.placed, *laws], start=point))
+    entry, after = at_identifiable_bearings(point, named, fit_model(point.data, [*point.placed, *laws], start=point))
     assert entry.at == hidden
     assert entry.heldout_gain == sum(both[n][1] for n in hidden)
     assert {use.key for use in after.placed if use.effect is drift} == {f"{n}.x.stiffness_drift" for n in hidden}

@@ -58,7 +58,7 @@ def test_what_is_left_is_measured_by_what_the_law_explains_where_that_is_more() 
     1.6 % of the force was 39 % of that, and the contact was refused."""
     rig = one_bearing()
     point = fit_record(rig, prepare(rig, record(rig, "stop", 0.06), RATE))
-    power, _, _ = gate_shape._smooth(point, 0, "x", tuple(range(2, 10)))
+    power, _, _ = gate_shape.polynomial_power(point, 0, "x", tuple(range(2, 10)))
     plain = gate_shape.left(point, point, "stop", {0})
     assert plain == pytest.approx(1.0)
     assert gate_shape.left(point, point, "stop", {0}, least=0.5 * power) == plain

@@ -12,8 +12,8 @@ from hidden_effects import RATE, ROOT, SECONDS, one_bearing, record, schema
 
 from daq.rig.rig import load_rig
 from estimator.diagnosis.hypotheses import ranking
-from estimator.diagnosis.hypotheses.screen import _promising, extrapolating, ranked
-from estimator.diagnosis.verdict.diagnosis import Diagnosis, _law, _verdict, diagnose, quiet
+from estimator.diagnosis.hypotheses.screen import extrapolating, promising_trials, ranked
+from estimator.diagnosis.verdict.diagnosis import Diagnosis, diagnose, quiet, verdict_of_laws, verdict_of_ranking
 from estimator.diagnosis.verdict.gate_second_law import another_explains
 from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
@@ -120,7 +120,9 @@ def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
 
     def verdict(nats: float, force: float = 1.0) -> Diagnosis:
         order = [replace(ahead, score=there.score + nats), there]
-        return _law(fitted.model, fitted.point, replace(before, bearing=force * before.bearing), order, quiet)
+        return verdict_of_laws(
+            fitted.model, fitted.point, replace(before, bearing=force * before.bearing), order, quiet
+        )
 
     near, far = verdict(5.0), verdict(50.0)
     assert near.verdict == near.ranking[0].effect == right
@@ -147,7 +149,7 @@ def test_a_law_that_is_nothing_once_it_is_fitted_with_the_model_is_not_named(
     assert not before.places_found()
     seeming = next(replace(e, p_value=1e-8, explained_percent=0.5) for e in entries if e.effect == "quadratic")
     others = [e for e in entries if e.effect != "quadratic"]
-    found = _verdict(fitted.model, fitted.point, before, [seeming, *others], quiet)
+    found = verdict_of_ranking(fitted.model, fitted.point, before, [seeming, *others], quiet)
     assert found.verdict == "complete"
     assert [e.effect for e in found.ranking][-1] == "quadratic"
     assert found.ranking[-1].notes[-1].code == "refused_idle"
@@ -191,7 +193,7 @@ def test_an_effect_near_the_front_at_one_bearing_is_refined_at_the_other() -> No
         trial("clearance", "bearing1.x", 20.0), trial("clearance", "bearing2.x", 60.0),
         trial("stop", "bearing1.x", 5.0), trial("stop", "bearing2.x", 1.0),
     ]  # fmt: skip
-    found = {(t.effect.name, t.spot) for t in _promising(trials)}  # type: ignore[arg-type]
+    found = {(t.effect.name, t.spot) for t in promising_trials(trials)}  # type: ignore[arg-type]
     assert {e for e, _ in found} == {"quintic", "clearance"}
     assert ("clearance", "bearing1.x") in found
 

@@ -10,7 +10,7 @@ from hidden_effects import RATE, one_bearing
 
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict import gate_residual, gate_second_law
-from estimator.diagnosis.verdict.diagnosis import _nothing, diagnose, quiet
+from estimator.diagnosis.verdict.diagnosis import diagnose, quiet, verdict_without_law
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.errors import NotFiniteError
@@ -44,10 +44,10 @@ def test_what_may_be_nothing_by_its_interval_makes_no_model_unknown() -> None:
     point = fit_all_effects(rig, simulate(truth, RATE, 5.0, seed=2), RATE).point
     found = missing_force.survey(point, rig)
     assert found.interval()[1] > 0.0
-    assert _nothing(point, found, ()).verdict == "unknown"
+    assert verdict_without_law(point, found, ()).verdict == "unknown"
     unsure = replace(found, residuals=tuple(replace(r, sd=r.P) for r in found.residuals))
     assert unsure.interval()[:2] == (found.interval()[0], 0.0)
-    assert _nothing(point, unsure, ()).verdict == "complete"
+    assert verdict_without_law(point, unsure, ()).verdict == "complete"
 
 
 @pytest.mark.parametrize("hidden", ["hertz", "saturating"])

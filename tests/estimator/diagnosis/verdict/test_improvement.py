@@ -13,7 +13,7 @@ from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.comparison import compare
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict.diagnosis import Diagnosis, diagnose
-from estimator.diagnosis.verdict.improvement import _with_found, improve
+from estimator.diagnosis.verdict.improvement import improve, refitted_with_found
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.effects.places import places
@@ -103,12 +103,12 @@ def test_where_a_faulty_sensor_led_the_fit_astray_it_begins_from_what_was_given(
 
     monkeypatch.setattr("estimator.diagnosis.verdict.improvement.fit_all_effects", fitted)
     found = {"sensor_noise": {"bearing1.x": {"rms": Parameter(NOISE, 1e-3, "m/s^2")}}}
-    whole = _with_found(astray, given, found, y, RATE)
+    whole = refitted_with_found(astray, given, found, y, RATE)
     assert [sound for _, sound in begun] == [False, True]
     assert [use.name for use in begun[1][0].effects] == ["cubic", "sensor_noise"]
     assert whole.parameters["bearing1.x.kL"].value == pytest.approx(1e7, rel=0.01)
     with pytest.raises(DataError):
-        _with_found(astray, replace(given, linear=soft), found, np.zeros((100, 1)), RATE)
+        refitted_with_found(astray, replace(given, linear=soft), found, np.zeros((100, 1)), RATE)
 
 
 def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(

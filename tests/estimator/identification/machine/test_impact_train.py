@@ -99,13 +99,13 @@ def test_the_force_beside_harmonics_is_as_white_near_the_discs_resonance_as_else
     rig = coupled_on_a_stiff_shaft()
     y = simulate(rig, RATE, SECONDS, seed=5, noise=0.02)
     point = fit_all_effects(rig, y, RATE).point
-    s = line_forces._searched(rig, point, y, RATE)
+    s = line_forces.searched_spectrum(rig, point, y, RATE)
     notch = shaft_notch(rig)
     assert notch is not None
     near = np.abs(s.f_hz - 0.5 * sum(notch)) < 150.0
     spread = []
     for bins in (np.flatnonzero(near)[::24], np.flatnonzero((s.f_hz > 2000.0) & (s.f_hz < 6000.0))[::300]):
-        _, unit = strikes._forces(point, s, bins, 0)
+        _, unit = strikes.forces_of_lines(point, s, bins, 0)
         spread.append(np.median(unit))
     assert spread[0] == pytest.approx(spread[1], rel=0.2)
 

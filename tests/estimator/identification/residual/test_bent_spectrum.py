@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, one_bearing
 
 from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.diagnosis.verdict.gate_residual import _bends_a_spectrum
+from estimator.diagnosis.verdict.gate_residual import mimics_a_spectrum
 from estimator.effects import CATALOGUE
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.finding import DisturbanceForce
@@ -30,6 +30,6 @@ def test_hysteresis_much_smaller_than_the_spectrum_is_not_its_cause(percent: flo
     before = MissingForce((), point.bearing_force, (share,))
     law = LocatedLaw(CATALOGUE["bouc_wen"], "bearing1.x.bouc_wen", (0,), np.array([1e5, 1e-8]), (True, True))
     entry = Entry("bouc_wen", ("bearing1",), 28.0, 20.0, 1e-9, 8.0, 8.0, {}, 28.0, percent, (law,))
-    assert _bends_a_spectrum(point, before, entry) == bends
+    assert mimics_a_spectrum(point, before, entry) == bends
     cubic = LocatedLaw(CATALOGUE["cubic"], "bearing1.x.cubic", (0,), np.ones(1), (True,))
-    assert not _bends_a_spectrum(point, before, replace(entry, placed=(cubic,)))
+    assert not mimics_a_spectrum(point, before, replace(entry, placed=(cubic,)))

@@ -93,5 +93,5 @@ def test_hats_of_the_velocity_win_no_more_than_their_number() -> None:
         plain, everything = pool.without_extra(), np.arange(point.data.fold_blocks.size)
         fit = missing_force.fit_with_ridge(trial)
         won.append(2 * (trial.likelihood(fit, everything) - plain.likelihood(plain.fit(), everything)))
-        free.append(missing_force._effective(trial, fit, trial.extra))
+        free.append(missing_force.effective_dof(trial, fit, trial.extra))
     assert np.mean(won) < 1.6 * np.mean(free)

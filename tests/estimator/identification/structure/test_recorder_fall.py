@@ -476,11 +476,11 @@ def test_a_bearing_whose_own_spectra_do_not_tell_has_the_filter_of_the_other_if_
     """As beside a late sensor on a stiff shaft: each channel of the other bearing was called resonant."""
     rig, y = two_devices(4.0, "bessel", two)
     point = fit_record(rig, prepare(rig, y, RATE))
-    first, second = (recorder_fall._measured(point, at) for at in ([0, 1], [2, 3]))
-    _, off = recorder_fall._fall(point, first, 0.5)
+    first, second = (recorder_fall.measured_cells(point, at) for at in ([0, 1], [2, 3]))
+    _, off = recorder_fall.common_fall(point, first, 0.5)
     assert off is not None
     before = -2 * sum(fit[0] for _, _, fit in second)
-    assert recorder_fall._explains(point, off, second, before) == bool(two)
+    assert recorder_fall.explains_half(point, off, second, before) == bool(two)
 
 
 @pytest.mark.slow

@@ -322,7 +322,7 @@ def test_noise_of_the_force_and_a_force_beside_it_are_told_in_their_shares() -> 
     y = record(4.0, 4, noise=(0.02, rms * np.sqrt(noise)),
                unseen=lambda t: rms * np.sqrt(beside) * rng.normal(size=t.size))  # fmt: skip
     point = fit_all_effects(RIG, y, RATE).point
-    found = transfer_faults._likeliest(RIG, point, 0, response_of(point, 0))
+    found = transfer_faults.likeliest_reading(RIG, point, 0, response_of(point, 0))
     assert found.response.unmeasured == pytest.approx(beside / (noise + beside), abs=0.05)
     assert point.c[0] + found.base.u[3] == pytest.approx(C, abs=4 * float(np.sqrt(found.base.covariance[3, 3])))
     assert transfer_faults.find_transfer_faults(RIG, point) == []

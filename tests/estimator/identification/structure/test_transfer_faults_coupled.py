@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from estimator.identification.structure.transfer_faults import _odd
+from estimator.identification.structure.transfer_faults import coherent_remainder
 from estimator.likelihood.fitting.path_spectra import Folded, Response
 from estimator.likelihood.fitting.transfer_function import Peak, expected
 
@@ -51,12 +51,14 @@ def test_noise_and_what_is_folded_leave_nothing_odd(coupled: float, unmeasured: 
     unit = np.ones((2, CELLS), complex)
     r = r.less(Folded(M[HERE] / 2 * np.ones((2, CELLS)), unit, unit, m * one, True))
     peak = Peak(0.0, np.array([np.log(Q), np.log(N)]), np.eye(2), r.A)
-    odd, noise = _odd(r, peak)
+    odd, noise = coherent_remainder(r, peak)
     assert np.max(odd / noise) < 1e-20
     P, _, s = expected(r, peak.A, peak.u)
     assert pytest.approx(s, rel=1e-12) == P
     far = replace(peak, u=np.array([np.log(1e3 * Q), np.log(N)]))
-    assert np.all(_odd(r, far)[0] <= expected(r, far.A, far.u)[0]), "no more than is left, whatever is taken for Q"
+    assert np.all(coherent_remainder(r, far)[0] <= expected(r, far.A, far.u)[0]), (
+        "no more than is left, whatever is taken for Q"
+    )
     d = 0.1 * (rng.normal(size=CELLS) + 1j * rng.normal(size=CELLS))
     changed = A.copy()
     changed[:, HERE, HERE] += d

@@ -10,7 +10,7 @@ from hidden_effects import RATE, one_bearing
 
 from estimator.likelihood.fitting import gauss_newton, noise_level
 from estimator.likelihood.fitting.fitted_values import parameters
-from estimator.likelihood.fitting.noise_level import _least
+from estimator.likelihood.fitting.noise_level import grid_minimum
 from estimator.likelihood.motion.located_law import located_laws
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path import working_point
@@ -47,12 +47,12 @@ def test_a_law_that_was_still_zero_can_be_looked_at_on_part_of_the_record() -> N
 def test_the_least_of_a_grid_lies_between_its_points_and_a_flat_one_stays() -> None:
     grid = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 31)])
     for truth in (0.02, 0.5, 7.0):
-        assert _least(grid, np.log(np.maximum(grid, 1e-9) / truth) ** 2) == pytest.approx(truth, rel=1e-6)
+        assert grid_minimum(grid, np.log(np.maximum(grid, 1e-9) / truth) ** 2) == pytest.approx(truth, rel=1e-6)
     flat = np.ones(grid.size)
     flat[5:9] = 0.0
-    assert _least(grid, flat) <= grid[5] * 1.3
-    assert _least(grid, grid) == 0.0
-    assert _least(grid, -grid) == grid[-1]
+    assert grid_minimum(grid, flat) <= grid[5] * 1.3
+    assert grid_minimum(grid, grid) == 0.0
+    assert grid_minimum(grid, -grid) == grid[-1]
 
 
 def test_what_laws_do_not_see_is_that_of_the_rotor_behind_strong_noise() -> None:

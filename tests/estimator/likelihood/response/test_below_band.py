@@ -106,7 +106,7 @@ def test_nothing_smooth_is_left_beside_the_true_law(truth: Model) -> None:
     data = prepare(truth, simulate(truth, RATE, SECONDS, seed=9, noise=0.02, full_scale=490.5), RATE)
     point = fit_model(data, located_laws(truth, data))
     for i in range(2):
-        _, nats, terms = gate_shape._smooth(point, i, "x", tuple(range(2, 10)))
+        _, nats, terms = gate_shape.polynomial_power(point, i, "x", tuple(range(2, 10)))
         assert nats < 5 + 2 * terms
 
 
