@@ -30,10 +30,10 @@ from daq.rig.rig import Rig, load_rig
 BROKEN = 1e-4  # of the samples missing: it may be that which leaves too few stretches
 IN_USE = ("scipy.optimize", "scipy.ndimage")  # of every comparison
 _OUTSIDE = "the catalogue does not hold; type a law of your own into the rig file"
-_NO_LAW = "is no law of a bearing: see the notes, and mend what they name first"
+_NO_LAW = "is not a law of a bearing: see the notes, and correct what they name first"
 BELOW_DETECTION = (
-    'weaker than "detectable from", an effect cannot be told in a record of this length and level; one four times as '
-    "long halves the limit"
+    'an effect weaker than "detectable from" cannot be seen in a record of this length and level; a record four times '
+    "as long halves the limit"
 )
 Method = Literal["spectral", "fokker-planck", "score-matching", "volterra"]
 NOT_ADEQUATE = "the model is not adequate: rotorscope diagnose says what is missing"
@@ -269,7 +269,7 @@ def ending(last: Mapping[str, Any], added: Sequence[str] = ()) -> str:
         laid = message_text(last, NO_LAW_CODES)
         return f"something is left: {laid}" if laid else f"something is left that {_OUTSIDE}"
     if verdict in added:  # the last that one run adds
-        return "what is missing now was not asked"
+        return "what the last model lacks was not examined: run improve again on the rig file that it wrote"
     return f"the last diagnosis names {verdict}, which was not added"
 
 

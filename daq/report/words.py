@@ -86,7 +86,7 @@ def about_diagnosis(diagnosis: Json, past: bool = False) -> list[str]:
         if text := message_text(diagnosis, {NOT_JUDGED}):
             return [f"Diagnosis: unknown. {text[0].upper()}{text[1:]}."]
         if laid := message_text(diagnosis, NO_LAW_CODES):
-            return [f"Diagnosis: unknown. A force is missing that is no law of a bearing: {laid}."]
+            return [f"Diagnosis: unknown. A force is missing that is not a law of a bearing: {laid}."]
         near = f" The nearest are {listed([r['effect'] for r in rows[:3]])}." if rows else ""
         return [
             "Diagnosis: unknown. A force is missing, but no effect of the catalogue explains it; its shape is drawn "

@@ -118,9 +118,9 @@ class Filter:
             poles = f"a {self.name} at {cutoff_hz:.0f} Hz" if self.poles else ""
             behind = " and ".join(filter(None, (poles, means)))
             text = (
-                f"the recorder's filter changes all channels alike, by {change:.1f} dB up to {self.top_hz:g} Hz, and "
-                f"what is above half of the rate is folded into the band, as behind {behind}: that is counted in, and "
-                "is not the rotor's"
+                f"the recorder's filter changes all channels by up to {change:.1f} dB below {self.top_hz:g} Hz, and "
+                f"what is above half of the sampling rate is aliased into the band, as behind {behind}: the fit "
+                "accounts for both, and neither is a property of the rotor"
             )
             return Message("recorder_folds", text)
         if change < SAID and not self.late:
@@ -128,14 +128,14 @@ class Filter:
         if change < SAID:
             us = 1e6 * LATE * self.late / (2 * np.pi * self.top_hz)
             text = (
-                f"all channels have what is at {self.top_hz:g} Hz {us:.0f} us later than what is low in the band: "
-                "taken for the recorder's filter, and undone"
+                f"all channels delay {self.top_hz:g} Hz by {us:.0f} us more than the low end of the band: this is "
+                "taken as the phase of the recorder's filter and removed"
             )
             return Message("recorder_delays", text)
         text = (
-            f"all channels fall alike towards the end of the band, by {change:.1f} dB at {self.top_hz:g} Hz: taken for "
-            "the recorder's filter, not for the rotor's (a colour of the forces with its corner above the band looks "
-            "the same)"
+            f"all channels roll off alike towards the end of the band, by {change:.1f} dB at {self.top_hz:g} Hz: this "
+            "is taken as the recorder's filter and not as the rotor (excitation with a corner above the band would "
+            "look the same)"
         )
         return Message("recorder_rolls_off", text)
 

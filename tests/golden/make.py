@@ -22,7 +22,7 @@ from .records import RECORDS, GoldenRecord
 
 RESULTS = Path(__file__).parent / "results"
 COMMANDS = {"fit": fit, "compare": compare, "diagnose": diagnose, "improve": improve}
-TEXTS = {"messages", "message_codes", "separates", "reason"}  # wording is free
+TEXTS = {"messages", "message_codes", "notes", "region", "separates", "reason"}  # wording is free
 DRAWN = {"curves", "laws", "spectra", "densities", "orbits", "shape"}  # long series: in the digest alone
 
 

@@ -63,7 +63,7 @@ def region(point: WorkingPoint, residual: PlaceResidual, group: str) -> str:
         "other_direction": f"follows {data.places[other]}" if other is not None else "other direction",
         "other_bearing": f"follows {data.places[opposite]}" if opposite is not None else "other bearing",
         "time": f"drifts over the {data.seconds:.0f} s of the record",
-        "shaft_angle": "turns with the shaft",
+        "shaft_angle": "varies with the shaft angle",
     }.get(group, group)
 
 

@@ -25,7 +25,7 @@ from .trial import Trial
 
 Settings = dict[str, dict[str, Parameter]]  # by canonical place, by name
 JOINT = 1e-2  # p-value, after counting, for a further bearing to be named beside the best one
-FEW_CLIPPED = Message("clipped_too_few", "too few samples to make what is ahead")
+FEW_CLIPPED = Message("clipped_too_few", "too few clipped samples to explain the effect ranked first")
 PER_CLIPPED = 10.0  # nats: a clipped sample of a vibration makes 0.03 to 0.3 for the law that gains most by it
 COST = 1.5  # nats per parameter in the order of the ranking: what an idle one gains held in, and loses held out
 
@@ -176,7 +176,7 @@ def _shorter(point: WorkingPoint, used: Sequence[Trial]) -> tuple[Message, ...]:
     seconds = max(t.problem.blocks.sum() for t in used) * point.data.block / point.data.rate_hz
     if seconds > 0.99 * point.data.seconds:
         return ()
-    text = f"gain and p-value are those of {seconds:.0f} s of the record: the rest could not bring it to the front"
+    text = f"gain and p-value come from {seconds:.0f} s of the record: the rest could not change the verdict"
     return (Message("judged_on_part", text),)
 
 
@@ -269,7 +269,7 @@ def _parameters(point: WorkingPoint, t: Trial) -> dict[str, Parameter]:
         if q.linear:
             value, sd = t.values.get(q.name, (0.0, 0.0))
             if q.name not in t.values:
-                out[name] = Parameter(None, None, q.unit, False, "at its limit: not needed")
+                out[name] = Parameter(None, None, q.unit, False, "at the limit of its range: not needed")
                 continue
             out[name] = Parameter.from_estimate(value, sd, q.unit)
         elif not t.placed.free[k]:
@@ -303,5 +303,5 @@ def separates(ranking: Sequence[Entry]) -> str:
     if effect is not None and second.effect in effect.confused_with:
         text += f"; {effect.distinguish}"
     if ahead < 5.0:
-        text += "; the record hardly separates the two"
+        text += "; the record hardly separates these two"
     return text

@@ -76,7 +76,7 @@ def extrapolating(found: Ranking) -> list[Entry]:
         if told is None:
             passed.append(entry)
         elif told.refused:
-            text = f"refused: fitted to the smaller motion it makes the largest worse by {-told.gain:.0f} nats"
+            text = f"refused: fitted to the smaller amplitudes it predicts the largest worse by {-told.gain:.0f} nats"
             note = Message("refused_large_motion", text)
             refused.append(replace(entry, amplitude_gain=told.gain, notes=(*entry.notes, note)))
         else:

@@ -37,13 +37,13 @@ LEAVES = 1 / 3  # of a force in a spectrum (rms): a shape that leaves more is no
 SURE = 30.0  # nats, from which a shaft that is not the rig file's is told
 CAPS_COUPLED = Message(
     "caps_coupled_otherwise",
-    "the caps answer each other otherwise than the shaft of the rig file lets them: its spring or the disc's mass is "
-    "another, or a sensor has a wrong gain or is late",
+    "the bearings respond to each other through the shaft differently from what the rig file predicts: correct the "
+    "shaft stiffness or the disc mass there, or check the sensors for a wrong gain or a delay",
 )
 SPECTRUM = Message(
     "spectrum_unexplained",
-    "the unknown force has a spectrum that no cause of the catalogue makes, and depends on no state: look at what "
-    "excites the rotor there, and at the sensor",
+    "the missing force depends on no state, and no cause of the catalogue has its spectrum: check what excites the "
+    "rotor at these frequencies, and the sensor",
 )
 SHAFT_DIFFERS = "shaft_differs"  # code: softer or stiffer than the rig file says
 # codes of messages that lay what is missing to the rig file's shaft, a sensor or the excitation, and to no bearing
@@ -170,13 +170,13 @@ def _coloured(model: Model, point: WorkingPoint, y: Array, before: MissingForce,
         both = replace(best, settings={**best.settings, "sensor_noise": noise})
         again = _spectrum_left(model, point, y, before, both)
         if again is not None and again[1] <= LEAVES**2:
-            text = f"noise of the sensor of {', '.join(noise)} beside it leaves nothing of the spectrum"
+            text = f"together with noise of the sensor at {', '.join(noise)} it explains the whole spectrum"
             note = Message("sensor_noise_too", text)
             best, share = replace(best, notes=(*best.notes, note)), again[1]
     if share <= LEAVES**2:
         return replace(found, ranking=(best, *others))
     how_much = f"{100 * np.sqrt(share):.0f} %" if share < 1.0 else "all"
-    text = f"{best.effect} comes nearest but leaves {how_much} of what the spectrum shows"
+    text = f"{best.effect} fits best but leaves {how_much} of the missing spectrum unexplained"
     said, regions = Message("nearest_leaves", text), _regions(before)
     return Diagnosis("unknown", (best, *others), shape_of(point, before), messages=(said, *regions, SPECTRUM))
 
@@ -249,8 +249,8 @@ def verdict_of_laws(
     if _little(before):
         return verdict_without_law(point, before, tuple(entries))
     text = (
-        f"{best.effect} comes nearest but leaves {100 * left[best.effect]:.0f} % of what a state explains of the "
-        "missing force: no law of the catalogue has this shape"
+        f"{best.effect} fits best but leaves {100 * left[best.effect]:.0f} % of the state-dependent missing force "
+        "unexplained: no law of the catalogue has this shape"
     )
     return Diagnosis(
         "unknown",
@@ -278,7 +278,7 @@ def _of_two(
         found = gate_residual.fits(model, point, before, entries[k], say)
         left[name] = 1.0 if found.left is None else found.left
         entries[k] = entries[k] if found.left is None else found.entry
-    text = f"by itself it leaves {100 * left[name]:.0f} %; {other} beside it leaves nothing of that"
+    text = f"alone it leaves {100 * left[name]:.0f} % of the missing force; together with {other} nothing is left"
     note = Message("second_law_too", text)
     entries[k] = replace(entries[k], notes=(*entries[k].notes, note))
     return _named(entries, k, left)
@@ -305,7 +305,9 @@ def _close(entries: list[Entry]) -> list[int]:
 def _passed_over(left: dict[str, float]) -> tuple[Message, ...]:
     """What was ahead, and why it is not the answer. left : of each effect judged, the last one named."""
     return tuple(
-        Message("ahead_leaves", f"{effect} was ahead but leaves {100 * rest:.0f} % of what a state explains")
+        Message(
+            "ahead_leaves", f"{effect} was ahead but leaves {100 * rest:.0f} % of the state-dependent missing force"
+        )
         for effect, rest in [*left.items()][:-1]
     )
 
@@ -333,10 +335,10 @@ def verdict_without_law(point: WorkingPoint, before: MissingForce, entries: tupl
         how = "softer (or its disc heavier)" if loss > 0 else "stiffer (or its disc lighter)"
         percent = 100 * abs(loss) / point.data.disc.K
         by = f"{percent:.2g} +- {percent / np.sqrt(2 * nats):.1g} %"
-        text = f"the shaft is {how} than the rig file says, by {by}: give its true stiffness there"
+        text = f"the shaft is {how} than the rig file says, by {by}: correct the shaft stiffness or the disc mass there"
         shaft = [Message(SHAFT_DIFFERS, text)]
     if before.any_found() and not _little(before):
-        text = "the residual force can be predicted, but no effect of the catalogue does it significantly"
+        text = "part of the residual force is predictable, but no effect of the catalogue explains it significantly"
         said = [
             *shaft,
             Message("none_significant", text),
@@ -363,7 +365,7 @@ def _beside_forces(point: WorkingPoint) -> Message:
     """What is not tried where the force is measured."""
     known = [p for p, S in zip(point.data.places, point.data.driven, strict=True) if S > 0.0]
     text = (
-        f"the force at {', '.join(known)} is measured: its colour, and what it shares with another, are its own and "
-        "nothing that the model lacks"
+        f"the force at {', '.join(known)} is measured: its spectrum and its correlation with other forces are known, "
+        "and no missing effect is sought in them"
     )
     return Message("force_measured", text)

@@ -30,14 +30,14 @@ FAR = 2.0  # times what may be left, on part of the record, from which the whole
 EARNED = 5.0  # nats held out, of a law where no force is missing: ln of what a search tries
 IDLE = Message(
     "refused_idle",
-    "refused: no force is missing there, and fitted with the model it is not told from zero or predicts no better",
+    "refused: no force is missing there, and fitted with the model the effect is zero or does not improve prediction",
 )
 BENT = Message(
     "refused_small_in_spectrum",
-    "refused: no state predicts anything there, and it is small beside a spectrum that nothing explains",
+    "refused: no state predicts a force there, and the effect is small beside a spectrum that nothing explains",
 )
-ASTRAY = Message("refused_far_from_rotor", "refused: fitted with the model it goes far from the rotor")
-ROUND = "its step is not sharp, or more than friction acts against velocity"
+ASTRAY = Message("refused_far_from_rotor", "refused: a fit of the model with this effect diverges")
+ROUND = "the friction step is not sharp, or another damping force acts too"
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ def _fitted(
             after_part, gate_second_law.others(model, after_part, after, entry), after, entry
         )
     if whole and left > gate_shape.MOST and entry.effect == "coulomb":
-        note = Message("friction_not_sharp", f"{100 * left:.0f} % of what velocity explains is left: {ROUND}")
+        note = Message("friction_not_sharp", f"{100 * left:.0f} % of the velocity-dependent force is left: {ROUND}")
         entry = replace(entry, notes=(*entry.notes, note))
     return Explained(entry, left, whole)
 

@@ -106,7 +106,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             if best.placed:
                 richer = fit_model(point.data, [*point.placed, *best.placed], start=point)
                 if set(unidentifiable_laws(richer)).issuperset(use.key for use in best.placed):
-                    text = f"{found.verdict} was named but is not told from zero when fitted: not added"
+                    text = f"{found.verdict} was named but cannot be distinguished from zero when fitted: not added"
                     messages.append(Message("not_added", text))
                     break
                 new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
@@ -129,7 +129,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                 whole = replace(whole, point=(point := point.rowless()))
                 new_whole = refitted_with_found(before, given, best.settings, y, rate_hz)
         except DataError as problem:  # far from the rotor
-            text = f"{found.verdict} was named but no fit with it is sound ({problem}): not added"
+            text = f"{found.verdict} was named but the fit with it fails ({problem}): not added"
             messages.append(Message("not_added", text))
             break
         moved = shift
@@ -143,13 +143,13 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             break
         earned = (rungs[-1].heldout_nll - new.heldout_nll) * point.data.blocks * point.data.block > EARNED
         if best.effect in PERIODIC and new.missing[0] >= rungs[-1].missing[0] and not earned:
-            text = f"{found.verdict} was named but leaves as much of the force as before: not added"
+            text = f"{found.verdict} was named but does not reduce the missing force: not added"
             messages.append(Message("not_added", text))
             break
         whole, model, point, shift = new_whole, new_whole.model, new_whole.point, moved
         rungs.append(new)
     else:
-        text = f"{MOST} effects were added, the most of one run: run it again on the rig file that it wrote"
+        text = f"{MOST} effects were added, the limit of one run: run improve again on the rig file that it wrote"
         messages.append(Message("most_added", text))
     if found.verdict not in ENDED and len(diagnoses) == len(rungs):  # what it named was not upheld
         if rungs[-1].missing[0] < 100 * NEGLIGIBLE_FORCE_SHARE:
@@ -193,5 +193,5 @@ def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:
 
 def idle(point: WorkingPoint) -> list[Message]:
     """Effects of the model that earn nothing: said, never removed."""
-    text = "is not told from zero in this record"
+    text = "cannot be distinguished from zero in this record; it stays in the model"
     return [Message("effect_idle", f"{key} {text}", key.rsplit(".", 1)[0]) for key in unidentifiable_laws(point)]

@@ -162,7 +162,7 @@ def _bow_of_imbalance(model: Model, seen: list[dict[str, Parameter]]) -> dict[st
 
 def _not_found(blind: bool, q: EffectParameter) -> Parameter:
     if blind:
-        why = "bearings that hardly feel each other say nothing of it: measure the force, or give it with fixed = true"
+        why = "the bearings are too weakly coupled to identify it: measure the force, or give it with fixed = true"
     else:
         why = harmonics.UNTOLD
     return Parameter(None, None, q.unit, False, why)

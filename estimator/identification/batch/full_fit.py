@@ -238,7 +238,7 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float, begun: WorkingPo
         for place, error in sorted(off.items())
     ]  # fmt: skip
     told += [
-        Message("clipped_neighbour", f"{place}: nothing is told of it: {SPOILED}", place)
+        Message("clipped_neighbour", f"{place}: no value is reliable: {SPOILED}", place)
         for place in sorted(point.data.lost.difference(off))
     ]
     messages = (*_several_lines_message(model, further), *told)
@@ -250,7 +250,7 @@ def _several_lines_message(
 ) -> tuple[Message, ...]:
     """What to tell the user of a line that is several."""
     names = [u.name for u in model.effects if u.name in further]
-    text = f"line stands for several lines, {', '.join(['line', *names])}: fit --out writes them"
+    text = f"the effect line stands for several lines ({', '.join(['line', *names])}): fit --out writes each of them"
     return (Message("several_lines", text),) if names else ()
 
 

@@ -19,7 +19,7 @@ from estimator.signals.blocks import block_spectra, taper, valid_blocks
 from .linear_start import LinearStart
 from .maximum import inverse, maximum
 
-NO_SCALE_REASON = "the data leave it free: nothing in the model sets its scale"
+NO_SCALE_REASON = "nothing in the model sets the scale of this value: give [rig.mass]"
 BLOCK_ENERGY_CORRELATION = (
     0.106  # correlation of the energies of neighbouring blocks (sums of w^2 w'^2 over w^4, gram.taper)
 )
@@ -144,14 +144,14 @@ def _judged_parameter(value: float, sd: float, unit: str) -> Parameter:
         return judged
     if not np.isfinite(sd):
         return Parameter(None, None, unit, False, NO_SCALE_REASON)
-    return Parameter(None, None, unit, False, f"{value:.3g} +- {sd:.2g}: not told from zero by this record")
+    return Parameter(None, None, unit, False, f"{value:.3g} +- {sd:.2g}: not distinguishable from zero in this record")
 
 
 def ratios_only_message(place: str, kL: float, c: float, m: float) -> Message:
     """What to tell of a place whose mass is not known."""
     hz, zeta = np.sqrt(kL / m) / (2 * np.pi), c / (2 * np.sqrt(kL * m))
     text = (
-        f"{place}: no mass is known, so only ratios are: resonance {hz:.1f} Hz, damping {100 * zeta:.2f} % of "
-        "critical; give [rig.mass] to have stiffness in N/m"
+        f"{place}: the mass is unknown, so the record gives only ratios: resonance {hz:.1f} Hz, damping "
+        f"{100 * zeta:.2f} % of critical; give [rig.mass] to get stiffness in N/m"
     )
     return Message("mass_unknown", text, place)

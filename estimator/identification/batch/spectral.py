@@ -148,7 +148,7 @@ def spectral_messages(solution: SpectralFit) -> tuple[Message, ...]:
     out: list[Message] = []
     point, places = solution.point, solution.balance.places
     if not solution.converged:
-        out.append(Message("not_converged", "the likelihood was not brought to its maximum: values are provisional"))
+        out.append(Message("not_converged", "the fit did not converge, so all values are provisional: record longer"))
     out += excitation_level.uneven_message(solution.bank.level)
     record = solution.record
     out += unmeasured_end.unmeasured_end_messages(
@@ -156,7 +156,10 @@ def spectral_messages(solution: SpectralFit) -> tuple[Message, ...]:
     )
     if record.lines:
         out.append(
-            Message("lines_left_out", f"left out as lines: {lines_in_words(record.lines, record.model.speed_rpm)}")
+            Message(
+                "lines_left_out",
+                f"spectral lines left out of the fit: {lines_in_words(record.lines, record.model.speed_rpm)}",
+            )
         )
     values, sd = solution.values, np.sqrt(np.diag(solution.covariance))
     for i, place in enumerate(places):
@@ -172,11 +175,11 @@ def spectral_messages(solution: SpectralFit) -> tuple[Message, ...]:
         if abs(z[worst]) > 5.0 and abs(excess[worst]) > 0.05:
             f = solution.record.grid.f_hz[solution.record.grid.starts]
             text = (
-                f"{place}: the inferred force is not white: {100 * excess[worst]:+.0f} % near {f[worst]:.0f} Hz; the "
-                "model lacks something there (rotorscope compare shows where)"
+                f"{place}: the spectrum of the residual force is not white: {100 * excess[worst]:+.0f} % near "
+                f"{f[worst]:.0f} Hz; the model lacks something there, and rotorscope compare shows where"
             )
             out.append(Message("force_not_white", text, place))
         if point.noise[i] > 0 and point.noise[i] * solution.local.floor[0, i, i] > point.S[i]:
-            text = f"{place}: sensor noise is stronger than the force at the lower band edge: raise band.low"
+            text = f"{place}: sensor noise exceeds the excitation at the lower end of the band: raise band.low"
             out.append(Message("noise_at_band_low", text, place))
     return tuple(out)

@@ -24,7 +24,7 @@ from estimator.signals.channel_response import corrected_record, measured_force_
 from .measured_force import analyse
 from .report import fitted_parameters, ratios_only_message
 
-NO_MASS_REASON = "no mass is known, so only ratios are: give [rig.mass]"
+NO_MASS_REASON = "the mass is unknown: give [rig.mass]"
 
 
 def with_masses_of_shaft(model: Model, y: Array, rate_hz: float) -> tuple[Model, dict[str, Parameter]]:
@@ -93,5 +93,5 @@ def mass_messages(told: dict[str, Parameter]) -> tuple[Message, ...]:
     if not told:
         return ()
     values = ", ".join(f"{name.removesuffix('.m')} {q.value:.4g} kg" for name, q in told.items())
-    text = f"masses that the rig file leaves out are as the shaft has them: {values}; the rest is fitted with these"
+    text = f"masses missing in the rig file were estimated by the shaft stiffness: {values}; the fit rests on them"
     return (Message("mass_by_shaft", text),)

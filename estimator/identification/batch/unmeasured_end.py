@@ -34,7 +34,8 @@ def unmeasured_end_messages(model: Model, kL: Mapping[str, float]) -> tuple[Mess
     if not lacking:
         return ()
     text = (
-        f"{lacking} is not measured, and what it does comes through the shaft ({100 * most:.0f} % of the stiffness "
-        "here, at the resonance): it is taken for a force, and no number is sound; measure both ends"
+        f"{lacking} is not measured, but its motion acts through the shaft on the bearing that is ({100 * most:.0f} % "
+        "of the stiffness there, at the resonance). The fit takes it for excitation, and no value is reliable: "
+        "measure both bearings"
     )
     return (Message("end_unmeasured", text, lacking),)

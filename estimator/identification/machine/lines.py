@@ -78,7 +78,7 @@ def _of_one_cause(lines: list[Finding], s: LineSpectrum) -> list[Finding]:
     )
     if hz == 0.0:
         return lines
-    said = f"multiples of {hz:.3f} Hz, as strikes make, or the mains: with speed_rpm given, strikes are looked for"
+    said = f"multiples of {hz:.3f} Hz, as of impacts or mains hum: give speed_rpm to search for an impact train"
     return [replace(lines[0], note="; ".join(filter(None, (lines[0].note, said)))), *lines[1:]]
 
 
@@ -245,7 +245,7 @@ def _imbalance(
         against="shaft_angle",
         region=f"1 x shaft speed ({hz:.2f} Hz), forward",
         settings={"disc": {"a": Parameter(f_d.real, sd, "N"), "b": Parameter(f_d.imag, sd, "N")}},
-        note="a bow of the shaft loads the caps alike at every speed: its run-out at slow roll tells which",
+        note="a bowed shaft gives the same forces at one speed: its run-out at slow roll separates the two",
         detectable=(5 * sd, "N"),
     )
 
@@ -262,7 +262,7 @@ def _whose(point: WorkingPoint, s: LineSpectrum, hz: float) -> str:
     seen = np.abs(Y) ** 2 > 9.0 * noise
     if seen.sum() == 1:
         place = point.data.places[int(np.argmax(seen))]
-        return f"only the channel of {place} shows it: a force there, or hum in its cable, which a rotor at rest leaves"
+        return f"only the channel of {place} shows the line: a force there, or hum, which a rotor at rest leaves"
     mean = np.mean(Y)
     alike = np.abs(Y - mean) < ALIKE * abs(mean) + 3.0 * np.sqrt(noise)
     if not alike.all() or np.sqrt(noise.max()) > 5.0 * ALIKE * abs(mean):
@@ -271,7 +271,7 @@ def _whose(point: WorkingPoint, s: LineSpectrum, hz: float) -> str:
     moved = np.linalg.solve(A, np.ones(Y.size))
     if np.abs(moved / moved.mean() - 1.0).max() < 2.0 * ALIKE:
         return "the same acceleration in every channel: one force on all caps, or hum that the sensors pick up"
-    return "the same acceleration in every channel, which no force gives caps of these stiffnesses: hum in the sensors"
+    return "the same acceleration in every channel: hum in the sensors, as a force would move these caps differently"
 
 
 def _made_by_laws(point: WorkingPoint, hz: float, order: int, F: Complexes) -> NDArray[np.bool_]:

@@ -38,7 +38,7 @@ class StiffnessOrder:
 
     @property
     def text(self) -> str:
-        return f"the force follows the motion at shaft order {self.order:.4f} +- {self.sd:.1g}"
+        return f"the stiffness varies at shaft order {self.order:.4f} +- {self.sd:.1g}"
 
 
 def lacks_stiffness_order(model: Model) -> bool:

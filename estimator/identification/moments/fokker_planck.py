@@ -295,7 +295,7 @@ def fit_fokker_planck(model: Model, y: Array, rate_hz: float, form: Form = "resp
         notes += synchronous_message(model, place, x[valid, k], v[valid, k], rate_hz)
     ignored = ignored_effects(model)
     if ignored:
-        text = f"eq. (36) knows only powers of the displacement; left out: {', '.join(ignored)}"
+        text = f"fokker-planck fits only powers of the displacement; left out: {', '.join(ignored)}"
         notes.append(Message("effects_ignored", text))
     return Fit(found, None, int(valid.sum()), "fokker-planck", tuple(dict.fromkeys(notes)))
 
@@ -306,8 +306,8 @@ def _assumption_messages(plane: Plane) -> list[Message]:
 
     if plane.scale_from_shaft and any(unknown(cap) for cap in plane.caps):
         text = (
-            f"direction {plane.direction}: the masses rest on equal noise-to-damping ratios at the caps and no damping "
-            "at the disc; 1 % of undriven disc damping can flip their sign, and nothing in the record would show it"
+            f"direction {plane.direction}: the masses assume equal noise-to-damping ratios at the caps and no damping "
+            "at the disc; 1 % of undriven disc damping can flip their sign, and the record cannot show it"
         )
         return [Message("masses_by_assumption", text)]
     return []

@@ -163,7 +163,7 @@ def fit_score_matching(model: Model, y: Array, rate_hz: float, form: Form = "vel
         notes += synchronous_message(model, place, x[valid, k], v[valid, k], rate_hz)
     ignored = ignored_effects(model)
     if ignored:
-        text = f"score matching knows only powers of the displacement; left out: {', '.join(ignored)}"
+        text = f"score-matching fits only powers of the displacement; left out: {', '.join(ignored)}"
         notes.append(Message("effects_ignored", text))
     return Fit(found, None, int(valid.sum()), "score-matching", tuple(notes))
 

@@ -178,7 +178,8 @@ def density_messages(plane: Plane, x: Array, v: Array, limit: float = 4.0) -> li
     out = []
     for d in plane_diagnostics(plane, x, v):
         if abs(d.z) > limit:
-            text = f"{d.name} is {d.value:.3g} +- {d.sd:.2g}, exp(-H/T) says {d.expected:g}: {d.meaning}"
+            expected = f"the density exp(-H/T) of this method has {d.expected:g}"
+            text = f"{d.name} is {d.value:.3g} +- {d.sd:.2g}, {expected}: {d.meaning}"
             out.append(Message("density_contradicted", text))
     return out
 

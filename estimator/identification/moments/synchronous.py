@@ -80,7 +80,7 @@ def synchronous_message(model: Model, place: str, x: Array, v: Array, rate_hz: f
     if abs(bias) < 0.01:
         return []
     text = (
-        f"{place}: a line at shaft speed ({hz:g} Hz, {1e9 * line:.3g} nm) moves kL by about {100 * bias:+.1f} %: "
-        "add the imbalance effect, which removes it here, or raise band.low above it"
+        f"{place}: a line at shaft speed ({hz:g} Hz, {1e9 * line:.3g} nm) biases kL by about {100 * bias:+.1f} %: "
+        "add the imbalance effect, which removes the line here, or raise band.low above the line"
     )
     return [Message("shaft_line_biases_stiffness", text, place)]

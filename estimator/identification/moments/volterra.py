@@ -170,13 +170,13 @@ def fit_volterra(model: Model, y: Array, rate_hz: float) -> Fit:
                 raise DataError(f"{few}, {MIN_ROWS} needed: record longer")
             kernels, cov, left = nearest_kernels(part.x[0], part.a[1], rate_hz, band, cap.mass, part.valid)
             found |= _named_parameters(plane, cap.place, cap.mass, kernels, cov, model.shaft_damping)
-            text = f"{cap.place}: {100.0 * left:.2g} % of the rms displacement is left unexplained"
+            text = f"{cap.place}: {100.0 * left:.2g} % of the rms displacement is not explained by the fit"
             notes.append(Message("motion_unexplained", text, cap.place))
     if not found:
         raise DataError('no channel of kind "force" at a measured cap: volterra needs one; use another method')
     ignored = [e.name for e in model.effects if e.name != "cubic"]
     if ignored:
-        text = f"volterra knows the linear and the cubic law; left out: {', '.join(ignored)}"
+        text = f"volterra fits only the linear and the cubic law; left out: {', '.join(ignored)}"
         notes.append(Message("effects_ignored", text))
     return Fit(found, None, rows, "volterra", tuple(notes))
 

@@ -90,7 +90,7 @@ def find_clipping(model: Model, y: Array) -> list[Finding]:
                 against="level",
                 region=clipping_text(channel.name, level, count, len(y)),
                 settings={channel.place: {"level": Parameter(level, level * 1e-3, "m/s^2")}},
-                note="every other finding on this channel may follow from it: mend the range first",
+                note="clipping may cause every other finding on this channel: use a larger sensor range first",
             )
         )
     return out

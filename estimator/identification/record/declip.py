@@ -24,10 +24,10 @@ ORDER = 64  # of the autoregression, and how far a sample depends on others
 ROUNDS, SWEEPS = 3, 8  # spectra in turn with the samples; draws of every sample with one spectrum
 LEARNT_FROM = 1 << 19  # samples, for the spectrum
 MOST = 0.15  # of the samples at the ceiling. Of 11 % kNL comes out a third low, of 3 % a sixth; kL 0.5 and 0.3 % high
-RESTORED = "its sensor is clipped: what lies beyond is drawn from the samples beside it; a larger range is better"
+RESTORED = "the sensor clips: the clipped samples are reconstructed from their neighbours; a larger range is better"
 # why a number is not told, here or where the shaft brings what is not known of this cap
-SPOILED = "a sensor is clipped, here or at the other end of the shaft, and what lies beyond cannot be restored"
-LOST = "its sensor is clipped, and what lies beyond cannot be restored: take a larger range"
+SPOILED = "a sensor clips, here or at the other end of the shaft, and the clipped samples cannot be restored"
+LOST = "the sensor clips, and the clipped samples cannot be restored: use a larger range"
 
 
 def restored(model: Model, y: Array, places: frozenset[str]) -> tuple[Array, dict[str, float]]:

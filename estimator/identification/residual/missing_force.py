@@ -39,9 +39,7 @@ SURVEY_SECONDS = 24.0  # of a long record: enough to see a thousandth of the bea
 NEGLIGIBLE_FORCE_SHARE = (
     1.2e-3  # of the rms bearing force: below it lie the band limit and the integrators of any simulation
 )
-UNJUDGED = Message(
-    NOT_JUDGED, "nothing can be said of the model: the sensors of all channels are clipped, take larger ranges"
-)
+UNJUDGED = Message(NOT_JUDGED, "the model cannot be judged: the sensors of all channels clip, use larger ranges")
 LEANS = 0.6  # of what drawn motion is off by, that may look like a law: 0.18 to 0.49 of it where 1 to 3 % are drawn
 DEGREE = 9  # of the smooth curves
 RIDGE = 1e-3  # of a column's own information: keeps hat functions that nothing visits at zero

@@ -39,8 +39,8 @@ STEPS = 30  # of Newton's method at most
 DAMPED = 0.03  # of the root of stiffness and mass
 LEVEL = 1e-3  # p-value above which nothing is said
 NOTE = (
-    "told by what the caps answer each other through the shaft: the sensor of the other cap, wrong by the inverse, is "
-    "the same"
+    "found from the response of the caps to each other through the shaft: the inverse error of the other cap's sensor "
+    "would look the same"
 )
 
 
@@ -99,7 +99,7 @@ def _found(point: WorkingPoint, seen: Between, names: list[str]) -> list[Finding
     own = _parameter(name, float(z[0]) if k == seen.i else -float(z[0]), float(np.sqrt(C[0, 0])))
     force = np.abs(z[0] * np.array(FAULTS[name])) * seen.rms
     power = {seen.i: float(force[0] ** 2 + force[2] ** 2), seen.j: float(force[1] ** 2 + force[3] ** 2)}
-    where = f"{places[seen.i]} and {places[seen.j]} do not answer each other alike"
+    where = f"{places[seen.i]} and {places[seen.j]} respond to each other differently"
     return [
         Finding(
             effect=name,

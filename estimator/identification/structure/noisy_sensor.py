@@ -56,7 +56,7 @@ def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: 
                 p_value=float(np.exp(-min(gain, 700.0))),
                 power_N2={i: float(noise[i] * np.mean(heard[i]) * (data.band[1] - data.band[0]))},
                 against="frequency",
-                region=f"noise of {name}: {rms:.2g} {unit} rms, over {ratio:.1f} times its neighbours'",
+                region=f"noise of {name}: {rms:.2g} {unit} rms, over {ratio:.1f} times that of its neighbours",
                 settings={place: {"rms": Parameter(rms, float(sd), unit)}},
             )
         )
@@ -119,7 +119,7 @@ def find_noisy_sensors_under_force(
                 against="frequency",
                 region=f"noise of {name}: {rms:.2g} {unit} rms, {np.sqrt(density / floor):.1f} times its neighbours'",
                 settings={place: {"rms": Parameter(rms, 0.5 * rms * float(np.sqrt(base.covariance[1, 1])), unit)}},
-                note="the model is not wrong: a simulation cannot follow what the sensor adds",
+                note="the rotor model may be right: a simulation cannot reproduce sensor noise",
             )
         )
     return out

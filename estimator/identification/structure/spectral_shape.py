@@ -191,9 +191,7 @@ def _falls(effect: str, values: Array, top_hz: float) -> str:
     """What to say of a resonance above the band that has no peak."""
     if not is_peakless(effect, values, top_hz):
         return ""
-    return (
-        "the channel falls towards the end of the band as behind an anti-alias filter: a lower band.high leaves it out"
-    )
+    return "the channel rolls off towards the end of the band as behind an anti-alias filter: lower band.high below it"
 
 
 def _variance(point: WorkingPoint, i: int) -> float:
@@ -203,7 +201,7 @@ def _variance(point: WorkingPoint, i: int) -> float:
 
 def _where(c: Cells, r: Array) -> str:
     k = int(np.argmax(np.abs(np.log(r)) * np.sqrt(c.n)))
-    return f"force spectrum {'above' if r[k] > 1 else 'below'} the model about {c.w[k] / 2 / np.pi:.0f} Hz"
+    return f"force spectrum {'above' if r[k] > 1 else 'below'} the model near {c.w[k] / 2 / np.pi:.0f} Hz"
 
 
 def _shared(model: Model, point: WorkingPoint) -> list[Finding]:
@@ -236,7 +234,7 @@ def _shared(model: Model, point: WorkingPoint) -> list[Finding]:
                 p_value=p,
                 power_N2=power,
                 against="other_bearing",
-                region=f"the forces at {place} and {data.places[j]} share {100 * rho:.0f} %",
+                region=f"the forces at {place} and {data.places[j]} are correlated by {100 * rho:.0f} %",
                 settings={place: {"rho": Parameter(rho, float(sd), "1")}},
                 note=CATALOGUE["correlated_force"].distinguish,
                 detectable=(float(5 / np.sqrt(2 * n)), "1"),

@@ -44,8 +44,8 @@ AS_WELL = 0.99  # of the nats of the likeliest cause, that a delay brings where 
 CALIBRATED = 2e-3  # error of a gain that no calibration, and no weighing of a cap, would show to be one
 NOTES = {
     "pedestal": CATALOGUE["pedestal"].distinguish,
-    "sensor_gain": "a cap mass in the rig file that is off by as much, or a force channel by the inverse, is the same",
-    "sensor_skew": "a force channel that is early by as much is the same: only the two against each other are told",
+    "sensor_gain": "a cap mass in the rig file wrong by this factor, or a force channel by the inverse, looks the same",
+    "sensor_skew": "a force channel that is early by as much looks the same: only the relative delay is identifiable",
     "sensor_resonance": CATALOGUE["sensor_resonance"].distinguish,
 }
 
@@ -309,4 +309,4 @@ def _bent_still(r: Response, peak: Peak, least: float) -> bool:
 
 def _where(r: Response, before: Array, A: Complexes) -> str:
     k = int(np.argmax(r.n * np.log(before / left(r, A))))
-    return f"the motion does not follow the measured force as the model says about {r.w[k] / 2 / np.pi:.0f} Hz"
+    return f"the motion does not follow the measured force as the model predicts near {r.w[k] / 2 / np.pi:.0f} Hz"

@@ -12,7 +12,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
 
-LAW_NOT_REACHED = "the motion of this record does not reach this law"
+LAW_NOT_REACHED = "the motion in this record is too small to reach this law"
 
 
 def fitted_model(model: Model, point: WorkingPoint) -> Model:

@@ -31,7 +31,7 @@ from estimator.signals.band_limit import passband
 LINE_NAMES = ("line", *MORE_LINES)
 PERIODIC = ("imbalance", "bow", "misalignment", "local_defect", *LINE_NAMES)
 TURN = 1 << 14  # points of one period
-UNTOLD = "not told from zero by this record"
+UNTOLD = "not distinguishable from zero in this record"
 LEAST = 1e-4  # gain of the band filter, below which nothing comes through
 RATIOS = np.geomspace(0.1, 10.0, 1201)  # of speeds to the mean one, that a swing is known at
 STEADY = 1e-3  # of the speed: so much it may change and be constant

@@ -39,11 +39,11 @@ def shortening_messages(data: MotionRecord, y: Array) -> tuple[Message, ...]:
     """What to tell the user of a record longer than what is kept of it, or so short that little is seen in it."""
     used, whole = data.seconds, len(y) / data.rate_hz
     if data.blocks * data.block < SHORTEST:
-        text = "what it does not show may be there all the same; record half a minute or more"
-        return (Message("record_short", f"only {used:.2g} s of the record can be judged: {text}"),)
+        text = "an effect may be present and not visible; record half a minute or more"
+        return (Message("record_short", f"only {used:.2g} s of the record are usable: {text}"),)
     if whole <= 1.25 * LONGEST or used < 0.9 * LONGEST:
         return ()
-    text = f"of the record's {whole:.0f} s {used:.0f} are judged, in six stretches spread over it"
+    text = f"{used:.0f} s of the record's {whole:.0f} s are used, in six stretches spread over the record"
     return (Message("record_long", text),)
 
 

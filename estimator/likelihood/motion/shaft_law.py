@@ -79,8 +79,8 @@ def comb_message(data: MotionRecord, effects: Iterable[Effect]) -> tuple[Message
         return ()
     low, high = comb
     text = (
-        f"beside a shaft that breathes {low:.0f} to {high:.0f} Hz are left out: likelihoods compare only with those of "
-        "models that have it (the ladder of improve does so)"
+        f"the model has a breathing (cracked) shaft, so {low:.0f} to {high:.0f} Hz are left out of the fit: compare "
+        "its likelihood only with models that have it too, as improve does"
     )
     return (Message("shaft_comb_left_out", text),)
 

@@ -45,7 +45,7 @@ def uneven_message(level: Array | None) -> tuple[Message, ...]:
     """What to tell the user of a force whose level changes."""
     if level is None:
         return ()
-    text = f"the unknown force changes by a factor of {ratio(level):.1f} along the record; S is that of its mean square"
+    text = f"the excitation (rms) changes by a factor of {ratio(level):.1f} along the record; S is its average PSD"
     return (Message("excitation_uneven", text),)
 
 

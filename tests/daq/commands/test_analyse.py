@@ -64,7 +64,7 @@ def test_what_ends_at_the_shaft_does_not_ask_for_a_law() -> None:
     for code in NO_LAW_CODES:
         unknown = {"verdict": "unknown", "ranking": [], "messages": ["1st", text], "message_codes": ["", code]}
         assert ending(unknown) == f"something is left: {text}"
-        assert "is no law of a bearing: see the notes" in diagnosis_text(unknown)[-1]
+        assert "is not a law of a bearing: see the notes" in diagnosis_text(unknown)[-1]
     unknown = {"verdict": "unknown", "ranking": [], "messages": ["the first"]}
     assert "type a law of your own" in ending(unknown)
     assert "type a law of your own" in diagnosis_text(unknown)[-1]
@@ -73,7 +73,7 @@ def test_what_ends_at_the_shaft_does_not_ask_for_a_law() -> None:
 def test_an_end_that_names_an_effect_says_what_became_of_it() -> None:
     named = {"verdict": "cubic", "messages": []}
     assert ending(named) == "the last diagnosis names cubic, which was not added"
-    assert "not asked" in ending(named, ["cubic"])
+    assert "not examined" in ending(named, ["cubic"])
 
 
 def test_the_model_with_the_verdict_has_what_was_found() -> None:

@@ -68,10 +68,10 @@ def test_hum_of_the_sensors_is_told_from_a_force_where_the_channels_tell_it() ->
         return [s.note for s in found]
 
     assert said(y + hum) == [
-        "the same acceleration in every channel, which no force gives caps of these stiffnesses: hum in the sensors"
+        "the same acceleration in every channel: hum in the sensors, as a force would move these caps differently"
     ]
     (one,) = said(y + hum * [1.0, 0.0])
-    assert one.startswith("only the channel of bearing1.x shows it: a force there, or hum in its cable")
+    assert one.startswith("only the channel of bearing1.x shows the line: a force there, or hum")
     own = [rig.linear[p]["kL"].value or 0.0 for p in rig.places]
     assert said(y + hum * [1.0, own[0] / own[1]]) == [""]  # what one force on both would do
 
