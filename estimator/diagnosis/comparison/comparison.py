@@ -12,7 +12,7 @@ from estimator.identification.record import clipping
 from estimator.identification.residual import missing_force
 from estimator.identification.search import search
 from estimator.likelihood.fitting.fitted_values import fitted_model
-from estimator.likelihood.path.working_point import thinned
+from estimator.likelihood.path.working_point import point_on_part
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
 from estimator.results import Message, Parameter, messages_json
@@ -80,7 +80,7 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     whole = fit_all_effects(model, y, rate_hz)
     model, point = whole.model, whole.point
     say(0.4, "what can still be predicted")
-    part = thinned(point, missing_force.SURVEY_SECONDS)
+    part = point_on_part(point, missing_force.SURVEY_SECONDS)
     found, others, rmse, beside, nll = missing_force.survey_with(
         part, model, lambda: search(model, point, y), lambda: heldout_rmse(model, y, point.data.rate_hz),
         lambda: twin(fitted_model(model, point), point, y), lambda: heldout_nll(point),

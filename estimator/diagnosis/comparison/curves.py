@@ -128,7 +128,7 @@ def _of_hats(
     x_state = state == "displacement"
     idle, amount = ("c", point.c[i] * point.data.v[i]) if x_state else ("kL", point.kL[i] * point.data.x[i])
     aside = f"{point.data.places[i]}.{idle}"
-    base = [t for t in point.terms if i in t.series and t.name in fit.names and t.name != aside]
+    base = [t for t in point.regressors if i in t.series and t.name in fit.names and t.name != aside]
     own = (point.force[i] - point.data.known[i] - amount)[rows]
     means, visits = on_hats(z, knots, np.stack([own, *(t.series[i][rows] for t in base)]))
     model, D = means[:, 0], means[:, 1:]

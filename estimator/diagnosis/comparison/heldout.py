@@ -12,7 +12,7 @@ from estimator.errors import DataError, ModelError
 from estimator.identification.residual.missing_force import MissingForce, ridge_information
 from estimator.likelihood.fitting.fitted_values import fitted_model
 from estimator.likelihood.motion.motion_record import FOLDS
-from estimator.likelihood.path.subproblem import component, heldout_gain, subproblem
+from estimator.likelihood.path.subproblem import coupled_places, heldout_gain, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.signals.channel_response import corrected_record
@@ -36,7 +36,7 @@ def heldout_rmse(model: Model, y: Array, rate_hz: float) -> dict[str, float]:
     try:
         found = fit_all_effects(model, y[: int(FITTED * len(y))], rate_hz)
         filled = _known(fitted_model(found.model, found.point))
-        damping = np.einsum("iik->ik", found.point.slopes)[:, 1]
+        damping = np.einsum("iik->ik", found.point.mean_tangent)[:, 1]
         decay_s = float(np.max(2 * found.point.data.mass / damping))
         del found, damping  # the record cut into blocks is large
         return simulation_rmse(filled, corrected_record(filled, y, rate_hz), rate_hz, decay_s, FITTED)
@@ -63,7 +63,7 @@ def heldout_nll(point: WorkingPoint) -> float:
     total = 0.0
     left = set(range(len(point.data.places)))
     while left:
-        part = component(point, (min(left),))
+        part = coupled_places(point, (min(left),))
         left -= set(part)
         problem = subproblem(point, part)
         for f in range(FOLDS):

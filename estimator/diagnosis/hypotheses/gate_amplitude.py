@@ -22,9 +22,9 @@ from scipy.special import chdtri
 from estimator.arrays import Array
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.path.determinant import Jacobian
-from estimator.likelihood.path.path_fit import Gram, PathFit, fit, log_likelihood
-from estimator.likelihood.path.subproblem import component
-from estimator.likelihood.path.working_point import WorkingPoint, thinned
+from estimator.likelihood.path.path_fit import Gram, PathFit, fit_increments, log_likelihood
+from estimator.likelihood.path.subproblem import coupled_places
+from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.likelihood.response.regressor_set import (
     Regressor,
     linear_regressors,
@@ -69,7 +69,7 @@ def judged(effect: str) -> bool:
 
 def extrapolated(point: WorkingPoint, placed: tuple[LocatedLaw, ...]) -> Extrapolation | None:
     """How laws with given searched parameters do on the largest amplitudes. None if the lower part says nothing."""
-    point = thinned(point, SECONDS)
+    point = point_on_part(point, SECONDS)
     total, allowed = 0.0, MARGIN
     for found in map_processes([partial(_one, point, one) for one in placed]):
         if found is None:
@@ -82,7 +82,7 @@ def _one(point: WorkingPoint, placed: LocatedLaw) -> tuple[float, float] | None:
     linear = np.array([q.linear for q in placed.effect.parameters])
     placed = placed.with_values(np.where(linear, 1.0, placed.p))
     used = tuple(q.linear and placed.p[k] != 0.0 for k, q in enumerate(placed.effect.parameters))
-    at = component(point, placed.at)
+    at = coupled_places(point, placed.at)
     trial = replace(placed, free=used)
     extra = with_second_order(regressors(trial, point.data, point.lin, linear_only=True), trial, point.fluctuations)
     uses = [u for u in point.placed if set(u.at) & set(at)]
@@ -137,8 +137,10 @@ def _gram(
     names, scales = tuple(t.name for t in all_terms), np.array([t.scale for t in all_terms])
     units = tuple(t.unit for t in all_terms)
     blocks = float(np.mean([m.mean() for m in masks])) * data.blocks
-    stacked = point.jacobian.tangents(point.whitening.seen(np.stack(responses)), index)
-    return Gram(G, n, np.zeros_like(n), stacked, scales, names, units), blocks
+    stacked = point.jacobian.tangents(point.whitening.tangents_to_measured(np.stack(responses)), index)
+    return Gram(
+        G=G, n=n, log_weight=np.zeros_like(n), tangents=stacked, scales=scales, names=names, units=units
+    ), blocks
 
 
 def _in_band(point: WorkingPoint, spectrum: NDArray[np.float32]) -> Array:
@@ -156,7 +158,7 @@ def _jacobian(point: WorkingPoint, at: tuple[int, ...]) -> Jacobian:
 
 
 def _fitted(point: WorkingPoint, at: tuple[int, ...], gram: Gram, blocks: float) -> PathFit:
-    return fit(gram, _jacobian(point, at), np.array([0]), np.array([blocks]), steps=8)
+    return fit_increments(gram, _jacobian(point, at), np.array([0]), np.array([blocks]), steps=8)
 
 
 def _nats(

@@ -14,7 +14,7 @@ from scipy.special import chdtrc
 from estimator.arrays import Complexes, Series
 from estimator.identification.residual.missing_force import extra_power
 from estimator.likelihood.motion.located_law import LocatedLaw, law_along_record, own_response
-from estimator.likelihood.path.subproblem import gain, subproblem
+from estimator.likelihood.path.subproblem import likelihood_gain, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response.regressor_set import Regressor, in_single_precision, orthogonalised
 from estimator.parallel import map_threads
@@ -127,8 +127,8 @@ def polynomial_power(point: WorkingPoint, i: int, state: str, orders: tuple[int,
     terms = [t for t in map_threads(lambda one: term(*one), _hermite(u, orders)) if t is not None]
     if not terms:
         return 0.0, 0.0, 0
-    problem = subproblem(point, (i,), point.whitening.columns(terms))
-    nats, fit = gain(problem, steps=6)
+    problem = subproblem(point, (i,), point.whitening.whiten(terms))
+    nats, fit = likelihood_gain(problem, steps=6)
     return extra_power(point, problem, fit, i)[0], nats, len(terms)
 
 

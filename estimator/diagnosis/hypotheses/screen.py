@@ -13,7 +13,7 @@ from estimator.identification.residual.missing_force import MissingForce
 from estimator.identification.search import search
 from estimator.likelihood.motion.law_smoothing import compile_law
 from estimator.likelihood.motion.located_law import searched_parameters, trial_effects
-from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
+from estimator.likelihood.path.working_point import WorkingPoint, point_on_part, search_point
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
 from estimator.results import Message
@@ -45,7 +45,7 @@ class Ranking:
 def ranked(model: Model, point: WorkingPoint, y: Array, say: Progress) -> Ranking:
     """What is missing, and what could be it, as part of the record has it."""
     say(0.15, "what can still be predicted")
-    part = thinned(point, missing_force.SURVEY_SECONDS)
+    part = point_on_part(point, missing_force.SURVEY_SECONDS)
     before, others = missing_force.survey_with(part, model, lambda: search(model, point, y))
     trials = _trials(model, part, say)
     return Ranking(part, before, others, trials, ranking.entries(model, point, trials, before, others))
@@ -87,7 +87,7 @@ def extrapolating(found: Ranking) -> list[Entry]:
 def _trials(model: Model, part: WorkingPoint, say: Progress) -> list[screen.Trial]:
     """The best trial of every force effect at every spot, the most likely first; searched parameters refined for the
     promising ones."""
-    small = plain(part, SEARCH_SECONDS)
+    small = search_point(part, SEARCH_SECONDS)
     pairs = [(e, s) for e in trial_effects(model) for s in screen.spots(e, model, part)]
     for effect, _ in pairs:
         if effect.force is not None:

@@ -185,7 +185,7 @@ def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
     loose = [k for k in searched_parameters(trial.effect, model) if placed.name(k) in names]
     if not loose:
         return None
-    fit = subproblem(point, placed.at, point.whitening.columns(kept)).fit(steps=3)
+    fit = subproblem(point, placed.at, point.whitening.whiten(kept)).fit(steps=3)
     if sum(np.divide(*fit.value(placed.name(k))) ** 2 for k in loose) < 2 * LEAST:
         return None  # there already, as far as the nats go
     p = placed.p.copy()

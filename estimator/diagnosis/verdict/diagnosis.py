@@ -26,7 +26,7 @@ from estimator.identification.search import search
 from estimator.identification.structure import spectral_shape
 from estimator.likelihood.motion.harmonics import PERIODIC
 from estimator.likelihood.motion.known_spectra import COLOURS
-from estimator.likelihood.path.working_point import WorkingPoint, thinned
+from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.results import Message, messages_json
 
@@ -210,7 +210,7 @@ def _loss(entries: Sequence[Entry]) -> tuple[float, float]:
 def _beside(model: Model, point: WorkingPoint, before: MissingForce, entry: Entry) -> Entry:
     """The entry of a force of time alone, fitted together with the model: about a resonance it had spoiled the fit."""
     settings, after_point = fit_found_harmonics(model, point, entry.settings)
-    part = thinned(after_point, missing_force.SURVEY_SECONDS)
+    part = point_on_part(after_point, missing_force.SURVEY_SECONDS)
     del after_point
     after = missing_force.survey(part, model, only=before.places_found())
     return replace(evidence.with_settings(entry, settings), after_percent=after.percent(part))
@@ -237,7 +237,7 @@ def verdict_of_laws(
             found.left <= gate_shape.MOST and gate_second_law.FAMILY.get(name) in gate_second_law.OF_X
         )
         if two and found.left > gate_second_law.NEGLIGIBLE and (not left or "stop" in left):
-            part = thinned(point, missing_force.SURVEY_SECONDS)
+            part = point_on_part(point, missing_force.SURVEY_SECONDS)
             pair = gate_second_law.of_one_state(model, part, point, entries[k:])
             if pair is not None:
                 left[name] = found.left

@@ -13,9 +13,9 @@ from estimator.diagnosis.hypotheses.screen import Progress
 from estimator.errors import NotFiniteError
 from estimator.identification.residual import missing_force
 from estimator.identification.residual.missing_force import MissingForce
-from estimator.likelihood.fitting.fitted_values import parameters, unidentifiable_laws
+from estimator.likelihood.fitting.fitted_values import fitted_parameters, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.path.working_point import WorkingPoint, thinned
+from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.results import Message
 
@@ -75,7 +75,7 @@ def seen(part: WorkingPoint, point: WorkingPoint, before: MissingForce, entry: E
     left = gate_shape.left(part, after, entry.effect, entry.places, least=_across(part, entry))
     far = missing and left is not None and left > FAR * _most_left(part, entry)
     needed = far or part is point
-    return Seen(entry, after if needed else after.rowless(), missing, left, far, part is point)
+    return Seen(entry, after if needed else after.without_rows(), missing, left, far, part is point)
 
 
 def fits(
@@ -100,7 +100,7 @@ def _fitted(
     if mimics_a_spectrum(point, before, entry):
         return Explained(replace(entry, notes=(*entry.notes, BENT)), None)
     if known is None or {u.key for u in known.entry.placed} != {u.key for u in entry.placed}:
-        known = seen(thinned(point, missing_force.SURVEY_SECONDS), point, before, entry)
+        known = seen(point_on_part(point, missing_force.SURVEY_SECONDS), point, before, entry)
     after_point, smooth = known.after, known.left
     if not known.far:
         if not known.all:
@@ -111,8 +111,10 @@ def _fitted(
         entry, after_point = found
         smooth = gate_shape.left(point, after_point, entry.effect, entry.places, least=_across(point, entry))
     del known
-    joint = parameters(after_point)  # standard deviations by the curvature of the likelihood, gaps and corners too
-    after_part = thinned(after_point, missing_force.SURVEY_SECONDS)
+    joint = fitted_parameters(
+        after_point
+    )  # standard deviations by the curvature of the likelihood, gaps and corners too
+    after_part = point_on_part(after_point, missing_force.SURVEY_SECONDS)
     del after_point
     after = missing_force.survey(after_part, model, only=before.places_found())
     values = {k: joint.get(k, p) for k, p in entry.parameters.items()}

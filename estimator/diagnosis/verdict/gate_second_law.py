@@ -15,9 +15,9 @@ from estimator.diagnosis.hypotheses.screen import SEARCH_SECONDS
 from estimator.diagnosis.hypotheses.trial import Trial
 from estimator.errors import NotFiniteError
 from estimator.identification.residual.missing_force import MissingForce
-from estimator.likelihood.fitting.gauss_newton import FIRST_SECONDS, fit_model
+from estimator.likelihood.fitting.gauss_newton import FIRST_PART_S, fit_model
 from estimator.likelihood.motion.located_law import LocatedLaw, acted_on, trial_effects
-from estimator.likelihood.path.working_point import WorkingPoint, plain, thinned
+from estimator.likelihood.path.working_point import WorkingPoint, point_on_part, search_point
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
 
@@ -38,7 +38,7 @@ OF_X = ("odd in x", "even in x")
 def others(model: Model, after: WorkingPoint, left: MissingForce, best: Entry) -> Trials:
     """Every effect of another family on trial where the first, fitted, acts or leaves something; by name, those that
     are any."""
-    small, family = plain(after, SEARCH_SECONDS), FAMILY.get(best.effect, best.effect)
+    small, family = search_point(after, SEARCH_SECONDS), FAMILY.get(best.effect, best.effect)
     places = best.places.union(r.place for r in left.residuals if r.found)
     pairs = [
         (effect, spot)
@@ -95,7 +95,7 @@ def of_one_state(
     alike = OF_X if own == "even in x" else (own,)
     sure = [e for e in ranking if FAMILY.get(e.effect) in alike and e.p_value < gate_shape.LEVEL][:LAWS]
     places = set().union(*(entry.places for entry in sure))
-    short, kept = thinned(part, FIRST_SECONDS), trial_effects(model)
+    short, kept = point_on_part(part, FIRST_PART_S), trial_effects(model)
     begun: dict[frozenset[str], Begun] = {}
     for starts in map_processes([partial(_begun, model, short, entry, alike) for entry in sure], kept):
         for start in starts:
@@ -144,7 +144,7 @@ def _begun(model: Model, point: WorkingPoint, entry: Entry, alike: Sequence[str]
         after = fit_model(point.data, [*point.placed, *entry.placed], start=point, rounds=2)
     except NotFiniteError:
         return []
-    small, places = plain(after, SEARCH_SECONDS), entry.places
+    small, places = search_point(after, SEARCH_SECONDS), entry.places
     own = {u.key for u in entry.placed}
     firsts = [u for u in after.placed if u.key in own]
     out = []

@@ -18,7 +18,7 @@ from estimator.identification.structure import recorder_fall, recorder_phase
 from estimator.likelihood.fitting.fitted_values import fitted_model, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import PERIODIC
-from estimator.likelihood.path.working_point import WorkingPoint, thinned
+from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.results import Message, Parameter, messages_json
 
@@ -116,7 +116,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                 if whole.masses or shaped or taken or recorder_phase.found(new_whole.model, richer):
                     again = replace(new_whole.model, mass=given.mass, roll_off=given.roll_off)
                     del richer, new_whole  # large, as is the last one, and the next is larger while it is made
-                    whole = replace(whole, point=(point := point.rowless()))
+                    whole = replace(whole, point=(point := point.without_rows()))
                     new_whole = _refitted(again, y, rate_hz)
             else:
                 # forces of time alone make products with the motion that pass for a stiffness that turns: sought again
@@ -126,7 +126,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                 )  # fmt: skip
                 if best.effect not in PERIODIC:  # a shape of the spectra that the recorder's filter was sought in
                     before = replace(before, roll_off=given.roll_off)
-                whole = replace(whole, point=(point := point.rowless()))
+                whole = replace(whole, point=(point := point.without_rows()))
                 new_whole = refitted_with_found(before, given, best.settings, y, rate_hz)
         except DataError as problem:  # far from the rotor
             text = f"{found.verdict} was named but the fit with it fails ({problem}): not added"
@@ -185,7 +185,7 @@ def _refitted(model: Model, y: Array, rate_hz: float) -> FullFit:
 def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:
     """A model's place on the ladder."""
     found, _, nll, rmse = survey_with(
-        thinned(point, SURVEY_SECONDS), model, lambda: search(model, point, y), lambda: heldout_nll(point),
+        point_on_part(point, SURVEY_SECONDS), model, lambda: search(model, point, y), lambda: heldout_nll(point),
         lambda: heldout_rmse(model, y, point.data.rate_hz),
     )  # fmt: skip
     return Rung(tuple(u.name for u in model.effects), nll, found.interval(), rmse)

@@ -25,7 +25,7 @@ from estimator.identification.structure import (
     spectral_shape,
     transfer_bias,
 )
-from estimator.likelihood.fitting.fitted_values import parameters
+from estimator.likelihood.fitting.fitted_values import fitted_parameters
 from estimator.likelihood.motion import harmonics, shaft_law
 from estimator.likelihood.motion.known_spectra import COLOURS, OF_FORCE
 from estimator.likelihood.motion.known_spectra import excitation_shapes as colours_of
@@ -79,7 +79,7 @@ class FullFit:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
-        found = with_unidentifiable_at(self.point.data.lost, SPOILED, parameters(self.point)) | self.disturbances
+        found = with_unidentifiable_at(self.point.data.lost, SPOILED, fitted_parameters(self.point)) | self.disturbances
         seen = {place: off.doubt for place, off in (self.model.roll_off or {}).items()}
         found = recorder.doubted(seen or dict.fromkeys(self.point.data.places, self.S_sd_rel), found)
         found = unknown_mass.with_mass_uncertainty(self.model, found, self.masses)
@@ -119,15 +119,15 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
     if off and unknown_mass.places_scaled_by_shaft(given):  # what the shaft tells of them is told without the filter
         return fit_all_effects(replace(given, roll_off=off), y, rate_hz)
     if off and begun:
-        begun = begun.rowless()
+        begun = begun.without_rows()
     whole = _fit_with_stiffness_order(replace(model, roll_off=off) if off else model, y, rate_hz, begun)
     if not begun and not model.roll_off and (off := recorder_fall.find_roll_off(whole.model, whole.point)):
-        begun = whole.point.rowless()
+        begun = whole.point.without_rows()
         del whole  # two at once would be much memory
         whole = _fit_with_stiffness_order(replace(model, roll_off=off), y, rate_hz, begun)
     _refuse_without_resonance(whole.point)
     if not model.roll_off and (late := recorder_phase.found(whole.model, whole.point)):
-        begun = whole.point.rowless()
+        begun = whole.point.without_rows()
         del whole
         whole = _fit_with_stiffness_order(replace(model, roll_off=late), y, rate_hz, begun)
     if whole.model.roll_off != model.roll_off and unknown_mass.places_scaled_by_shaft(given):
@@ -160,7 +160,9 @@ def _mean_oscillators(point: WorkingPoint) -> dict[str, tuple[float, float, floa
     """By place m, c and k of the mean response while the disc stands still, and the band; of places that are judged and
     have no measured force."""
     data = point.data
-    k, c = np.einsum("iik->ki", point.slopes) + np.reshape((0.0, 0.0) if data.disc is None else data.disc.held, (2, 1))
+    k, c = np.einsum("iik->ki", point.mean_tangent) + np.reshape(
+        (0.0, 0.0) if data.disc is None else data.disc.held, (2, 1)
+    )
     own = () if data.measured_force else data.judged
     return {data.places[i]: (float(data.mass[i]), float(c[i]), float(k[i]), data.band) for i in own}
 

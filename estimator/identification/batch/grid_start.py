@@ -16,7 +16,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.identification.structure import spectral_models, transfer_bias
-from estimator.likelihood.fitting.gauss_newton import fit_model, glanced
+from estimator.likelihood.fitting.gauss_newton import coarse_fit, fit_model
 from estimator.likelihood.motion.located_law import LocatedLaw, located_laws
 from estimator.likelihood.motion.motion_record import MotionRecord, leading_blocks
 from estimator.likelihood.path import law_gain
@@ -50,7 +50,7 @@ def fit_record(
     if not loose and begun:
         return fit_model(data, list(begun.placed), begun)
     if not loose:
-        return glanced(data, uses) if glance else fit_model(data, uses)
+        return coarse_fit(data, uses) if glance else fit_model(data, uses)
     part = leading_blocks(data, GRID_S)
     kinds = {k: (uses[k].effect.name, *_searched_parameters(uses[k])) for k in loose}
     for kind in dict.fromkeys(kinds.values()):

@@ -12,9 +12,9 @@ from estimator.arrays import Array
 from estimator.errors import DataError
 from estimator.likelihood.motion.force_balance import Balance, build
 from estimator.likelihood.motion.stream_record import Bank, Record, gather
-from estimator.likelihood.path.excitation_level import level_of
+from estimator.likelihood.path.excitation_level import relative_level
 from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, active, evidence_of, maximise
-from estimator.likelihood.path.measured_force import is_known
+from estimator.likelihood.path.measured_force import is_force_measured
 from estimator.likelihood.response.second_order import (
     TangentNoise,
     mean_tangents,
@@ -99,11 +99,11 @@ def maximum(record: Record, start: LinearStart, model: Model, values: Mapping[st
 def highest(bank: Bank, start: LinearStart, point: Point) -> tuple[Bank, Local, bool]:
     """The maximum at held shapes and tangents, and the bank with the level of the unknown force."""
     local, converged = maximise(Likelihood(evidence_of(bank, start.nodes)), point)
-    if not bank.balance.laws or is_known(bank.balance):
+    if not bank.balance.laws or is_force_measured(bank.balance):
         return bank, local, converged
     B = bank.balance.coefficients(local.point.beta)
     power = np.einsum("ik,fckl,il,ci->if", B, bank.grams, B, 1 / local.spread, optimize=True) / bank.blocks
-    level = level_of(power, bank.start, float(bank.blocks.mean() * bank.grid.bins.size / 2))
+    level = relative_level(power, bank.start, float(bank.blocks.mean() * bank.grid.bins.size / 2))
     if level is None:
         return bank, local, converged
     bank = bank.levelled(level)
@@ -161,7 +161,7 @@ class Tangents:
 
 def tangents_of(record: Record, start: LinearStart, bank: Bank, local: Local) -> Tangents | None:
     """What the fluctuating tangents of the laws do at a point; None if no law has any, or the force is known."""
-    if is_known(bank.balance):  # no determinant, and a path without the sensors' noise
+    if is_force_measured(bank.balance):  # no determinant, and a path without the sensors' noise
         return None
     columns = record.columns(bank.balance, start.widths, start.linear)
     B = bank.balance.coefficients(local.point.beta)

@@ -20,7 +20,7 @@ from estimator.likelihood.motion.force_balance import force_channels, motion_cha
 from estimator.likelihood.motion.law_columns import Columns
 from estimator.likelihood.motion.stream_record import Record, prepare
 from estimator.likelihood.path.gram_likelihood import responses
-from estimator.likelihood.path.measured_force import is_known
+from estimator.likelihood.path.measured_force import is_force_measured
 from estimator.model.rig import Model
 from estimator.parallel import map_threads
 from estimator.signals.band_limit import FORCE_DRIFT, noise_shape, passband, to_acceleration
@@ -48,7 +48,7 @@ def analyse(
     y = check_record(model, y, rate_hz)
     record, start = start_without_moving_lines(*start_without_lines(prepare(model, y, rate_hz, phase)))
     solution = fit_from_start(record, start, model, values)
-    if not (is_known(solution.balance) and solution.balance.laws):
+    if not (is_force_measured(solution.balance) and solution.balance.laws):
         return solution
     for _ in range(MAX_PATHS):
         before, sd = solution.point.beta, np.sqrt(np.diag(solution.covariance))

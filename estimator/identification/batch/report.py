@@ -11,7 +11,7 @@ from estimator.arrays import Array
 from estimator.likelihood.motion.force_balance import Balance
 from estimator.likelihood.motion.stream_record import Bank, Record, stretches
 from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, active
-from estimator.likelihood.path.sandwich import excess
+from estimator.likelihood.path.sandwich import fold_tangent_scores
 from estimator.model.rig import UNITS, Model
 from estimator.results import Message, Parameter, with_unidentifiable_at
 from estimator.signals.blocks import block_spectra, taper, valid_blocks
@@ -69,7 +69,7 @@ def sandwich_covariance(likelihood: Likelihood, local: Local, bank: Bank) -> Arr
         return bread
     g = likelihood.scores(local, bank.grams, bank.blocks)
     if not likelihood.known:
-        g[:, : local.point.beta.size] -= excess(likelihood, local, bank)
+        g[:, : local.point.beta.size] -= fold_tangent_scores(likelihood, local, bank)
     g = g[:, used]
     m = float(bank.blocks.mean())
     lost = (1 + 2 * BLOCK_ENERGY_CORRELATION) / (

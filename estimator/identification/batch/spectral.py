@@ -15,9 +15,9 @@ from estimator.likelihood.motion.harmonics import PERIODIC
 from estimator.likelihood.motion.located_law import searched_parameters
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path import excitation_level
-from estimator.likelihood.path.contour import modes_of
+from estimator.likelihood.path.contour import slowest_modes
 from estimator.likelihood.path.gram_likelihood import evidence_of, responses
-from estimator.likelihood.path.measured_force import is_known
+from estimator.likelihood.path.measured_force import is_force_measured
 from estimator.likelihood.response.below_band import has_even_part, usual_parameters, usual_sizes
 from estimator.model.recorder import devices, suspected
 from estimator.model.rig import Model
@@ -71,7 +71,7 @@ def _full_fit_with_unmeasured_force(solution: SpectralFit, y: Array) -> FullFit 
     """The model fitted as compare fits it, where the force is measured everywhere, yet not all of it: another acts
     beside it. Such a fit takes what is left for noise of the sensors, and c comes out too small by its share."""
     model, rate_hz = solution.record.model, solution.record.rate_hz
-    if not is_known(solution.balance) or any(model.cap_mass(place) is None for place in model.places):
+    if not is_force_measured(solution.balance) or any(model.cap_mass(place) is None for place in model.places):
         return None
     forces = np.array([np.nanvar(y[:, k]) for _, k in sorted(force_channels(model).items())]) / (0.5 * rate_hz)
     shares = solution.point.S / forces
@@ -119,7 +119,7 @@ def _has_growing_mode(solution: SpectralFit) -> bool:
     balance, f_hz = solution.balance, solution.start.nodes.f_hz
     B = balance.coefficients(solution.point.beta)
     A = B @ responses(balance, solution.bank.tangents, f_hz)
-    modes = modes_of(A, np.diag(B), f_hz)
+    modes = slowest_modes(A, np.diag(B), f_hz)
     return bool(np.any(modes.real > 0.0))
 
 

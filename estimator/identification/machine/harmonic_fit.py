@@ -199,7 +199,7 @@ def _through_the_model(model: Model, one: PeriodicEffect, point: WorkingPoint, o
     F = np.stack([one.harmonics(model, p, orders[-1])[orders - 1] * acts_on(one, p) for p in places], axis=1)
     A = tangent_at(point, model, f)
     x = -np.linalg.solve(A, F[..., None])[..., 0] / w[:, None] ** 2
-    tangents = np.stack([t.tangent * t.scale for t in point.terms])
+    tangents = np.stack([t.tangent * t.scale for t in point.regressors])
     return np.asarray(np.einsum("tilc,cf,fl->tif", tangents, np.stack([np.ones_like(w), 1j * w]), x))
 
 

@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.denoise import restore_mean_tangent
 from estimator.likelihood.motion.motion_record import FOLDS, MotionRecord, fold_record
-from estimator.likelihood.path.subproblem import Subproblem, base_of, extended, fold_span, products, subproblem
+from estimator.likelihood.path.subproblem import (
+    Subproblem,
+    base_regressors,
+    fold_products,
+    fold_slice,
+    subproblem,
+    with_extra,
+)
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response.fluctuation import Fluctuation
 from estimator.likelihood.response.impulse_probe import Probe
@@ -157,7 +164,7 @@ def velocity_knot_step(point: WorkingPoint, i: int) -> float:
     by more than the likelihood knows (5 % damping, high = 4 f0: p under 0.001 in 8 of 60 complete records).
     """
     tau, mass = 0.5 / point.data.band[1], float(point.data.mass[i])
-    k, c = (max(float(z), 0.0) / mass for z in point.slopes[i, i])
+    k, c = (max(float(z), 0.0) / mass for z in point.mean_tangent[i, i])
     return max(V_STEP, KICKED * float(np.sqrt(2.0 * c * tau)), float(np.sqrt(k)) * tau)
 
 
@@ -249,7 +256,7 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
     """
     data, times = point.data, (float(point.data.t[0]), float(point.data.t[-1]))
     plain = subproblem(point, (i,))
-    base = base_of(point, np.array(plain.places))
+    base = base_regressors(point, np.array(plain.places))
     own = float(np.sqrt(np.vdot(point.spectra[i], point.spectra[i]) / point.spectra[i].size))
     made: list[tuple[NDArray[np.int64], Array, Array]] = []
     by_fold: list[list[RegressorGroup]] = []
@@ -259,7 +266,7 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
     )
     room = np.empty(0, np.float32)
     for f in range(FOLDS):
-        part, first = fold_record(data, f), fold_span(point, f).start
+        part, first = fold_record(data, f), fold_slice(point, f).start
         found = []
         spectra: list[Singles] = []
         for g in regressor_groups(part, i, orders, ends, times):
@@ -270,7 +277,7 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
         X = room[: len(spectra) * spectra[0].size].reshape(len(spectra), *spectra[0].shape)
         np.stack(spectra, out=X)
         del spectra
-        made.append(products(point, i, base, f, X))
+        made.append(fold_products(point, i, base, f, X))
         by_fold.append(found)
     power = np.sqrt(np.sum([np.diag(square) for _, _, square in made], axis=0) / point.spectra[i].size)
     scales = own / np.maximum(power, 1e-30)
@@ -287,7 +294,7 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
     tangents *= scales[:, None, None, None]
     names = tuple(f"{g.name}.{k}" for g in whole for k in range(len(g.tangents)))
     knots = {g.name: g.knots for g in whole if g.knots is not None}
-    return with_known_response(extended(point, plain, i, made, names, scales, tangents, apart)), knots
+    return with_known_response(with_extra(point, plain, i, made, names, scales, tangents, apart)), knots
 
 
 def with_known_response(problem: Subproblem) -> Subproblem:
@@ -318,7 +325,7 @@ def _tangents(
 ) -> Complexes:  # fmt: skip
     """(columns, places, places, bins) what the columns of a group add to A per unit. here : what dresses them."""
     P = len(point.data.places)
-    out = np.zeros((len(group.tangents), P, P, point.columns.tangents.shape[-1]), complex)
+    out = np.zeros((len(group.tangents), P, P, point.whitened.tangents.shape[-1]), complex)
     for k, t in enumerate(group.tangents):
         out[k, i] = tangent_response(t, point.whitening.s)
     if here is not None:
@@ -327,4 +334,4 @@ def _tangents(
             second_order_tangents(group.name, here, point.data.rms[:2, i], group.knots, orders, times)
         ):
             out[k, i, i] -= sigma / s2
-    return point.whitening.seen(out)
+    return point.whitening.tangents_to_measured(out)

@@ -27,7 +27,7 @@ from estimator.effects.places import kinematic
 from estimator.identification.finding import SPECTRAL_EFFECTS, DisturbanceForce, Finding, disturbance_forces
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.subproblem import Subproblem
-from estimator.likelihood.path.working_point import WorkingPoint, thinned
+from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
 from estimator.results import NOT_JUDGED, Message
@@ -153,7 +153,14 @@ def as_hat_functions(
     """The fit of the bound problem in terms of the hat functions."""
     M = block_diag(np.eye(len(problem.base)), _polynomials(problem, names, knots))
     delta, covariance = fit.delta @ M, M.T @ fit.covariance @ M
-    return PathFit(problem.gram.names, delta, covariance, fit.S, fit.log_likelihood, problem.gram.scales)
+    return PathFit(
+        names=problem.gram.names,
+        delta=delta,
+        covariance=covariance,
+        S=fit.S,
+        log_likelihood=fit.log_likelihood,
+        scales=problem.gram.scales,
+    )
 
 
 def _polynomials(problem: Subproblem, names: tuple[str, ...], knots: Array) -> Array:
@@ -289,7 +296,7 @@ def survey(
 
     seconds : of the record to look at.
     """
-    point = thinned(point, seconds)
+    point = point_on_part(point, seconds)
     found = map_processes(_questions(point, model, only))
     return MissingForce(tuple(found), _judged(point)).beside(others)
 

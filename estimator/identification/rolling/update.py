@@ -20,7 +20,7 @@ from estimator.likelihood.motion.stream_record import Record, gather
 from estimator.likelihood.motion.streaming_spectra import BlockSpectra
 from estimator.likelihood.path.gram_likelihood import Evidence, Likelihood, Local, Point, active, maximise
 from estimator.likelihood.path.jacobian import levels
-from estimator.likelihood.path.measured_force import is_known
+from estimator.likelihood.path.measured_force import is_force_measured
 from estimator.likelihood.response.second_order import second_order_change, self_energies
 from estimator.model.rig import Model
 from estimator.results import Parameter
@@ -127,7 +127,7 @@ class RollingFit:
         columns = record.columns(wide, start.widths.copy(), linear, fine=len(own.laws))
         fitted = cls(record, start, wide, len(own.laws), time_constant_s, columns)
         fitted.local, fitted.held = local, held
-        fitted.level = ExcitationLevel.of_first(local.power, record.grid.per_cell, is_known(own))
+        fitted.level = ExcitationLevel.of_first(local.power, record.grid.per_cell, is_force_measured(own))
         return fitted
 
     def settle(self, record: Record) -> None:

@@ -242,7 +242,7 @@ def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
         return out
 
     terms = [term for pair in zip(*map_threads(terms_of, range(2)), strict=True) for term in pair]
-    problem = subproblem(point, (i, j), point.whitening.columns(terms))
+    problem = subproblem(point, (i, j), point.whitening.whiten(terms))
     begun = (problem.fit(steps=STEPS, start=start) for start in (None, _damped(point, problem)))
     fitted = max(begun, key=lambda fit: fit.log_likelihood)
     at_end = [fitted.names.index(str(k)) for k in range(4)]

@@ -10,8 +10,14 @@ from scipy.special import chdtrc
 
 from estimator.arrays import Array
 from estimator.identification.finding import Finding
-from estimator.likelihood.fitting.path_spectra import Response
-from estimator.likelihood.fitting.transfer_function import Peak, exp, expected, highest, linear
+from estimator.likelihood.fitting.path_spectra import PathSpectra
+from estimator.likelihood.fitting.transfer_function import (
+    Peak,
+    clipped_exp,
+    linear_tangent,
+    maximise_path,
+    residual_and_noise,
+)
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import MOTION, Model
 from estimator.results import Parameter
@@ -77,13 +83,13 @@ def sensor_noise_rms(point: WorkingPoint, i: int) -> Parameter:
 UNEVEN = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
 
 
-def _density(r: Response, peak: Peak) -> float:
+def _density(r: PathSpectra, peak: Peak) -> float:
     """PSD of the noise of a sensor of motion, with the least of what is folded into it."""
-    return exp(peak.u[1]) + float(np.min(r.folded))
+    return clipped_exp(peak.u[1]) + float(np.min(r.folded))
 
 
 def find_noisy_sensors_under_force(
-    model: Model, point: WorkingPoint, heard: Mapping[int, tuple[Response, Peak, Array]]
+    model: Model, point: WorkingPoint, heard: Mapping[int, tuple[PathSpectra, Peak, Array]]
 ) -> list[Finding]:  # fmt: skip
     """A sensor whose noise stands out of its neighbours', where white noise of force and motion is all that is left."""
     data = point.data
@@ -91,7 +97,7 @@ def find_noisy_sensors_under_force(
     out = []
     for i, (r, base, scale) in heard.items():
         place = data.places[i]
-        P, _, s = expected(r, base.A, base.u)
+        P, _, s = residual_and_noise(r, base.A, base.u)
         off = np.log(P / s)
         others = [_density(*own[:2]) for j, own in heard.items() if j != i and data.kinds[j] == data.kinds[i]]
         depth = np.average(off**2 - 1.0 / r.n, weights=r.n)
@@ -101,7 +107,7 @@ def find_noisy_sensors_under_force(
         if density < NOISE_RATIO * floor:
             continue
         own = np.log(floor - min(float(np.min(r.folded)), 0.9 * floor))
-        quiet = highest(r, partial(linear, r), np.array([base.u[0], own, *base.u[2:]]), scale, held=1)
+        quiet = maximise_path(r, partial(linear_tangent, r), np.array([base.u[0], own, *base.u[2:]]), scale, held=1)
         gain = base.nats - quiet.nats
         if 2 * gain < NOISE_RATIO:
             continue

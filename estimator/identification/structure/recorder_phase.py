@@ -20,7 +20,7 @@ from estimator.identification.residual import missing_force
 from estimator.likelihood.motion.linear_memory import filtered_series
 from estimator.likelihood.motion.located_law import law_along_record
 from estimator.likelihood.path.subproblem import subproblem
-from estimator.likelihood.path.working_point import WorkingPoint, thinned
+from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.likelihood.response.regressor_set import Regressor, orthogonalised
 from estimator.model.recorder import LATE, POWERS, Filter, RollOff
 from estimator.model.rig import Model
@@ -44,7 +44,7 @@ def found(model: Model, point: WorkingPoint) -> RollOff | None:
     behind = [float(own.lag(np.array([own.top_hz]))[0]) for own in known.values()]
     rad = nats = 0.0
     for seconds, sure in LOOKS:
-        part = thinned(point, seconds)
+        part = point_on_part(point, seconds)
         seen = excess(part, lambda f: np.minimum(f / data.band[1], 1.0) ** LATE)
         if seen is None or abs(seen[0]) < sure * seen[1]:
             return None
@@ -88,4 +88,4 @@ def excess(point: WorkingPoint, psi: Callable[[Array], Array]) -> tuple[float, f
     term = orthogonalised(Regressor("phase", "1", series, np.zeros((P, P, 2)), 1.0 / max(rms, 1e-300)), point.spans)
     if term is None:
         return None
-    return subproblem(point, places, point.whitening.columns([term])).fit(steps=6).value("phase")
+    return subproblem(point, places, point.whitening.whiten([term])).fit(steps=6).value("phase")

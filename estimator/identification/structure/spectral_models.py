@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.likelihood.fitting.noise_level import LEAST_NOISE
+from estimator.likelihood.fitting.noise_level import MIN_NOISE_RATIO
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.results import Parameter
 
@@ -131,7 +131,7 @@ def _maximum(
 def fit_base_model(point: WorkingPoint, i: int, c: Cells) -> tuple[float, Array, Array]:
     """Likelihood and numbers of the base model at a place, and their scales."""
     scale = np.array([1.0, 1.0, point.kL[i] * 0.01, point.c[i] * 0.1 + 1e-9])
-    least = point.S[i] * LEAST_NOISE / np.mean(c.heard)
+    least = point.S[i] * MIN_NOISE_RATIO / np.mean(c.heard)
     quiet = np.array([np.log(point.S[i]), np.log(least), 0.0, 0.0])
     u0 = quiet.copy()
     u0[1] = np.log(point.nu[i] * point.S[i]) if point.nu[i] > 0.0 else quiet[1] - 10.0
@@ -191,7 +191,7 @@ def fit_shape(c: Cells, shape: SpectralShape, u: Array, scale: Array) -> tuple[f
     """Largest likelihood of the base model, at u, with a cause beside it; where, and the standard deviations there.
 
     Without the cause there may have been no noise, ln 0, and from there a search finds none."""
-    begun = np.array([u[0], max(u[1], u[0] + float(np.log(LEAST_NOISE / np.mean(c.heard)))), *u[2:]])
+    begun = np.array([u[0], max(u[1], u[0] + float(np.log(MIN_NOISE_RATIO / np.mean(c.heard)))), *u[2:]])
     starts = [np.concatenate([begun, s]) for s in shape.starts]
     if shape.idle:
         starts += [start - shape.idle * np.eye(start.size)[3] for start in starts]

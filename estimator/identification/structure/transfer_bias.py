@@ -12,8 +12,15 @@ from estimator.arrays import Array, Complexes
 from estimator.effects import CATALOGUE
 from estimator.effects.places import at, written
 from estimator.likelihood.fitting.folded_force import images, of_late_sensor
-from estimator.likelihood.fitting.path_spectra import Response
-from estimator.likelihood.fitting.transfer_function import Peak, highest, linear, noises, plain, response_of
+from estimator.likelihood.fitting.path_spectra import PathSpectra
+from estimator.likelihood.fitting.transfer_function import (
+    Peak,
+    fit_linear_path,
+    linear_tangent,
+    maximise_path,
+    noise_starts,
+    path_spectra_of,
+)
 from estimator.likelihood.motion.harmonics import known_lines
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
@@ -38,7 +45,7 @@ class Cause:
     starts: tuple[tuple[float, ...], ...]
     values: Callable[[Array], Array]
     free: Callable[[Array], Array]
-    bend: Callable[[Response, Complexes, float, float, Array], Complexes]
+    bend: Callable[[PathSpectra, Complexes, float, float, Array], Complexes]
     sensor: Callable[[Array, Array], Complexes] | None = None
 
     @property
@@ -47,7 +54,7 @@ class Cause:
 
 
 def _pedestal(mass: float, peak: float) -> Cause:
-    def bend(r: Response, A: Complexes, k: float, c: float, p: Array) -> Complexes:
+    def bend(r: PathSpectra, A: Complexes, k: float, c: float, p: Array) -> Complexes:
         return np.asarray(A + pedestal_form.stiffness_lost(r.w, k, c, p) / r.w**2)
 
     values, free = (
@@ -62,7 +69,7 @@ def _sensor(effect: str, starts: tuple[tuple[float, ...], ...], unit: float, now
     names = [q.name for q in CATALOGUE[effect].parameters]
     limits = np.array([(3.0, 13.0), (-1.5, 6.0)]).T
 
-    def bend(r: Response, A: Complexes, k: float, c: float, p: Array) -> Complexes:
+    def bend(r: PathSpectra, A: Complexes, k: float, c: float, p: Array) -> Complexes:
         return np.asarray(A / sensor(r.w, p))
 
     def sensor(w: Array, p: Array) -> Complexes:
@@ -91,20 +98,20 @@ def transfer_causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str,
 
 
 def fit_cause(
-    point: WorkingPoint, i: int, r: Response, cause: Cause, base: Peak, scale: Array, starts: list[Array]
+    point: WorkingPoint, i: int, r: PathSpectra, cause: Cause, base: Peak, scale: Array, starts: list[Array]
 ) -> Peak:  # fmt: skip
     """The likeliest numbers of a cause beside k and c."""
     k, c = float(point.kL[i]), float(point.c[i])
 
     def bend(d: Array) -> Complexes:
-        return cause.bend(r, linear(r, d), k + d[0], c + d[1], cause.values(d[2:]))
+        return cause.bend(r, linear_tangent(r, d), k + d[0], c + d[1], cause.values(d[2:]))
 
     wide = np.concatenate([scale, np.full(starts[0].size, 0.1)])
-    peaks = [highest(r, bend, np.concatenate([base.u[:4], z]), wide) for z in starts]
+    peaks = [maximise_path(r, bend, np.concatenate([base.u[:4], z]), wide) for z in starts]
     best = max(peaks, key=lambda peak: peak.nats)
 
-    def again(r: Response) -> list[Peak]:
-        return [highest(r, bend, np.concatenate([noise, best.u[2:]]), wide) for noise in noises(r, best.A)]
+    def again(r: PathSpectra) -> list[Peak]:
+        return [maximise_path(r, bend, np.concatenate([noise, best.u[2:]]), wide) for noise in noise_starts(r, best.A)]
 
     best = max([best, *again(r)], key=lambda peak: peak.nats)
     if cause.sensor is None or r.bare is None:
@@ -134,8 +141,8 @@ def cause_parameters(cause: Cause, peak: Peak, part: slice = CAUSE_NUMBERS) -> d
 
 def pedestal_from_transfer(point: WorkingPoint, i: int) -> tuple[Array, float, float]:
     """(3,) mass, frequency and damping that the motion under a measured force suggests, likely or not; kL and c."""
-    r = response_of(point, i)
-    base, scale = plain(point, i, r)
+    r = path_spectra_of(point, i)
+    base, scale = fit_linear_path(point, i, r)
     cause = transfer_causes(point, i, {})[0]
     u = fit_cause(point, i, r, cause, base, scale, [np.array(z) for z in cause.starts]).u
     return cause.values(u[4:]), float(point.kL[i] + u[2]), float(point.c[i] + u[3])
@@ -159,9 +166,9 @@ def refine_sensor_faults(model: Model, point: WorkingPoint) -> tuple[Model, dict
                 continue
             (cause,) = (c for c in transfer_causes(point, i, {use.name: now}) if c.effect == use.name)
             starts = [cause.free(np.array([now[n] for n in cause.names])), *map(np.array, cause.starts)]
-            r = response_of(point, i, lines)
+            r = path_spectra_of(point, i, lines)
             late = of_late_sensor(r, point.data.rate_hz) if use.name == "sensor_skew" else None
-            peaks = [fit_cause(point, i, z, cause, *plain(point, i, z), starts) for z in (r, late) if z]
+            peaks = [fit_cause(point, i, z, cause, *fit_linear_path(point, i, z), starts) for z in (r, late) if z]
             best = cause_parameters(cause, max(peaks, key=lambda peak: peak.nats))
             new.pop(key.split(".")[0], None)
             new[key] = {n: s if s.fixed else replace(s, value=best[n].value) for n, s in own.items()}

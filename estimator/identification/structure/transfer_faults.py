@@ -19,8 +19,15 @@ from estimator.effects import CATALOGUE
 from estimator.identification.finding import UNKNOWN_EFFECT, Finding
 from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE
 from estimator.likelihood.fitting.folded_force import of_late_sensor
-from estimator.likelihood.fitting.path_spectra import Response
-from estimator.likelihood.fitting.transfer_function import Peak, exp, expected, left, plain, response_of
+from estimator.likelihood.fitting.path_spectra import PathSpectra
+from estimator.likelihood.fitting.transfer_function import (
+    Peak,
+    clipped_exp,
+    fit_linear_path,
+    path_spectra_of,
+    residual_and_noise,
+    residual_power,
+)
 from estimator.likelihood.motion.harmonics import known_lines
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
@@ -63,9 +70,9 @@ def find_transfer_faults(model: Model, point: WorkingPoint, lines: Collection[fl
 
 def _at_place(
     model: Model, point: WorkingPoint, i: int, lines: Collection[float]
-) -> tuple[list[Finding], tuple[Response, Peak, Array] | None]:  # fmt: skip
+) -> tuple[list[Finding], tuple[PathSpectra, Peak, Array] | None]:  # fmt: skip
     """What bends the path at a place; the response as it is without, where nothing does."""
-    r = response_of(point, i, lines)
+    r = path_spectra_of(point, i, lines)
     if r.n.size < FEWEST:
         return [], None
     tried = likeliest_reading(model, point, i, r)
@@ -94,7 +101,7 @@ def _folded(model: Model, point: WorkingPoint, i: int, tried: TriedCauses) -> Tr
 class TriedCauses:
     """A place without a cause, `base`, and with each. likely : nats of the best, less what it is to bring."""
 
-    response: Response
+    response: PathSpectra
     base: Peak
     scale: Array
     causes: dict[Cause, Peak]
@@ -119,29 +126,29 @@ class TriedCauses:
         return max(self.base.nats, self.best.nats - WORTH) - ALIKE * (self.response.unmeasured > 0.0)
 
 
-def likeliest_reading(model: Model, point: WorkingPoint, i: int, r: Response) -> TriedCauses:
+def likeliest_reading(model: Model, point: WorkingPoint, i: int, r: PathSpectra) -> TriedCauses:
     """What is left of the force at a place, where it is enough to matter, read as noise of its sensor, as a force that
     acts beside it, or as both. The first makes the rotor seem lighter and softer by its share of the force, in power.
     """
     noise = _tried(model, point, i, r)
-    if float(np.average(r.share(exp(noise.base.u[0])), weights=r.n)) < MATTERS:
+    if float(np.average(r.share(clipped_exp(noise.base.u[0])), weights=r.n)) < MATTERS:
         return noise
     beside = _tried(model, point, i, replace(r, unmeasured=1.0), noise.causes)
     either = noise, beside
     share = _share(point, i, r)
-    both = plain(point, i, replace(r, unmeasured=share))[0].nats
+    both = fit_linear_path(point, i, replace(r, unmeasured=share))[0].nats
     if both < max(tried.base.nats for tried in either) + ALIKE:
         return max(either, key=lambda tried: tried.likely)
     mixed = _tried(model, point, i, replace(r, unmeasured=share), noise.causes)
     return max(*either, mixed, key=lambda tried: tried.likely)
 
 
-def _share(point: WorkingPoint, i: int, r: Response) -> float:
+def _share(point: WorkingPoint, i: int, r: PathSpectra) -> float:
     """Of what is left, the likeliest share that acts beside the measured force; the rest is noise of its sensor."""
     from scipy.optimize import minimize_scalar
 
     found = minimize_scalar(
-        lambda share: -plain(point, i, replace(r, unmeasured=float(share)))[0].nats, bounds=(0.0, 1.0),
+        lambda share: -fit_linear_path(point, i, replace(r, unmeasured=float(share)))[0].nats, bounds=(0.0, 1.0),
         method="bounded", options={"xatol": 1e-3},
     )  # fmt: skip
     return float(found.x)
@@ -153,7 +160,7 @@ def has_unmeasured_force(model: Model, point: WorkingPoint) -> bool:
     lines = known_lines(model)
 
     def at(i: int) -> bool:
-        r = response_of(point, i, lines)
+        r = path_spectra_of(point, i, lines)
         return r.n.size >= FEWEST and likeliest_reading(model, point, i, r).response.unmeasured > 0.5
 
     forced = measured_force_places(model)
@@ -166,12 +173,12 @@ def has_unmeasured_force(model: Model, point: WorkingPoint) -> bool:
 
 
 def _tried(
-    model: Model, point: WorkingPoint, i: int, r: Response, about: Mapping[Cause, Peak] | None = None
+    model: Model, point: WorkingPoint, i: int, r: PathSpectra, about: Mapping[Cause, Peak] | None = None
 ) -> TriedCauses:  # fmt: skip
     """Every cause that the model does not have at a place. about : where they are by another reading of what is left,
     which moves them little."""
     place = point.data.places[i]
-    base, scale = plain(point, i, r)
+    base, scale = fit_linear_path(point, i, r)
     taken = {u.name for u in model.effects if place in u.parameters or place.split(".")[0] in u.parameters}
     taken |= {"sensor_gain"} if model.cap_mass(place) is None else set()
     if about is None:
@@ -202,7 +209,7 @@ def _found(model: Model, point: WorkingPoint, i: int, at_place: TriedCauses) -> 
         peak = _both(point, i, r, a, b, tried, scale, everywhere=True)
         k = 4 + len(a.names)
         two = judge(a, slice(4, k), peak, tried[b]) + judge(b, slice(k, None), peak, tried[a])
-        if two and float(left(r, peak.A) @ r.hz) < HALVED * float(left(r, best.A) @ r.hz):
+        if two and float(residual_power(r, peak.A) @ r.hz) < HALVED * float(residual_power(r, best.A) @ r.hz):
             return two
     if out or not _bent_still(r, base, least):
         return out
@@ -216,13 +223,13 @@ def _found(model: Model, point: WorkingPoint, i: int, at_place: TriedCauses) -> 
             p_value=float(np.exp(-z * z / 2)),
             power_N2={i: power},
             against="frequency",
-            region=_where(r, left(r, base.A), r.A - r.ra / r.aa),
+            region=_where(r, residual_power(r, base.A), r.A - r.ra / r.aa),
         )
     ]
 
 
 def _cause_finding(
-    point: WorkingPoint, i: int, r: Response, base: Peak, least: float, cause: Cause, part: slice, peak: Peak,
+    point: WorkingPoint, i: int, r: PathSpectra, base: Peak, least: float, cause: Cause, part: slice, peak: Peak,
     without: Peak,
 ) -> list[Finding]:  # fmt: skip
     """The finding of a cause at a place, empty if it explains too little.
@@ -230,11 +237,11 @@ def _cause_finding(
     base : without any cause. least : N^2 that matter. part : where the numbers of the cause are in the peak. without :
     the peak that its gain is counted from.
     """
-    before = left(r, base.A)
+    before = residual_power(r, base.A)
     # beyond chance, in units of what is left
     coherent = float(r.n @ (coherent_remainder(r, base)[0] / before)) - r.n.size
-    power = float(np.maximum(before - left(r, peak.A), 0.0) @ r.hz)
-    explained = float(r.n @ (1 - left(r, peak.A) / before))
+    power = float(np.maximum(before - residual_power(r, peak.A), 0.0) @ r.hz)
+    explained = float(r.n @ (1 - residual_power(r, peak.A) / before))
     if explained < EXPLAINED * coherent or power < least:
         return []
     gain, q = peak.nats - without.nats, len(cause.names)
@@ -259,7 +266,7 @@ def _cause_finding(
 
 
 def _both(
-    point: WorkingPoint, i: int, r: Response, a: Cause, b: Cause, alone: Mapping[Cause, Peak], scale: Array,
+    point: WorkingPoint, i: int, r: PathSpectra, a: Cause, b: Cause, alone: Mapping[Cause, Peak], scale: Array,
     everywhere: bool = False,
 ) -> Peak:  # fmt: skip
     """The likeliest numbers of two causes together, begun where each is by itself; everywhere : or where the one is and
@@ -269,7 +276,7 @@ def _both(
     def apart(of_a: Callable[[Array], Array], of_b: Callable[[Array], Array]) -> Callable[[Array], Array]:
         return lambda z: np.concatenate([of_a(z[:k]), of_b(z[k:])])
 
-    def bend(r: Response, A: Complexes, kL: float, c: float, p: Array) -> Complexes:
+    def bend(r: PathSpectra, A: Complexes, kL: float, c: float, p: Array) -> Complexes:
         return b.bend(r, a.bend(r, A, kL, c, p[:k]), kL, c, p[k:])
 
     pair = Cause(a.effect, (), apart(a.values, b.values), apart(a.free, b.free), bend)
@@ -285,28 +292,28 @@ def _both(
     return max(beside_a, beside_b, key=lambda peak: peak.nats)
 
 
-def coherent_remainder(r: Response, peak: Peak) -> tuple[Array, Array]:
+def coherent_remainder(r: PathSpectra, peak: Peak) -> tuple[Array, Array]:
     """(cells,) of the power that is left what is coherent with the motion beyond the noise in both, and what is not."""
-    P, rest, s = expected(r, peak.A, peak.u)
-    N, Q, H = exp(peak.u[1]) * r.noise, exp(peak.u[0]), r.answer(peak.A).conj()
+    P, rest, s = residual_and_noise(r, peak.A, peak.u)
+    N, Q, H = clipped_exp(peak.u[1]) * r.noise, clipped_exp(peak.u[0]), r.answer(peak.A).conj()
     odd = rest - peak.A * N - r.share(Q) * r.af.conj() - r.unmeasured * Q * H  # what Q is of the force, or moves
     odd -= (peak.A - r.alike) * (1 - H * np.conj(r.alike)) * r.folded
     # no more than is left: what is taken for a force beside the measured one may be none, and move nothing
     return np.minimum(np.abs(odd) ** 2 / r.aa, P), np.maximum(s, P - np.abs(rest) ** 2 / r.aa)
 
 
-def _rest(r: Response, peak: Peak) -> tuple[float, float]:
+def _rest(r: PathSpectra, peak: Peak) -> tuple[float, float]:
     """N^2 that is coherent with the motion still, and by how many standard deviations it is more than chance."""
     odd, noise = coherent_remainder(r, peak)
     z = float((r.n @ (odd / noise) - r.n.size) / np.sqrt(r.n.size))  # each an exponential variable of mean 1
     return float((odd - noise / r.n) @ r.hz), z
 
 
-def _bent_still(r: Response, peak: Peak, least: float) -> bool:
+def _bent_still(r: PathSpectra, peak: Peak, least: float) -> bool:
     power, z = _rest(r, peak)
     return power > least and z > BEYOND_CHANCE
 
 
-def _where(r: Response, before: Array, A: Complexes) -> str:
-    k = int(np.argmax(r.n * np.log(before / left(r, A))))
+def _where(r: PathSpectra, before: Array, A: Complexes) -> str:
+    k = int(np.argmax(r.n * np.log(before / residual_power(r, A))))
     return f"the motion does not follow the measured force as the model predicts near {r.w[k] / 2 / np.pi:.0f} Hz"

@@ -16,10 +16,10 @@ from estimator.likelihood.motion.denoise import noise_displacement_psd, noise_is
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.parallel import map_threads
 
-SETTLED = 1e-3  # of the displacement, in power of what laws see beside it, that moves no number
+SETTLED_REL = 1e-3  # of the displacement, in power of what laws see beside it, that moves no number
 
 
-def calm_of(point: WorkingPoint, nu: Array) -> tuple[NDArray[np.float32] | None, Array | float]:
+def denoised_by_force(point: WorkingPoint, nu: Array) -> tuple[NDArray[np.float32] | None, Array | float]:
     """(places, n) m, what laws see beside the displacement, and (places, 2) sd of the displacement and velocity that
     are then in doubt; None and 0 where the noise is little. nu : (places,) noise of the sensors over S."""
     from scipy.fft import irfft, next_fast_len, rfft
@@ -51,12 +51,12 @@ def calm_of(point: WorkingPoint, nu: Array) -> tuple[NDArray[np.float32] | None,
 
 def _on_slow(point: WorkingPoint) -> NDArray[np.float32]:
     """(places, places) N/m by which laws answer to the slow displacement, of which nothing is measured."""
-    return np.asarray(point.slopes[..., 0] - np.diag(point.kL), np.float32)
+    return np.asarray(point.mean_tangent[..., 0] - np.diag(point.kL), np.float32)
 
 
-def settled(point: WorkingPoint, calm: NDArray[np.float32] | None) -> bool:
+def is_settled(point: WorkingPoint, calm: NDArray[np.float32] | None) -> bool:
     """Whether what laws see beside the displacement, (places, n), is what they saw."""
     before = point.data.calm
     if calm is None or before is None:
         return calm is before
-    return bool(np.all(np.mean((calm - before) ** 2, axis=1) <= SETTLED**2 * point.data.rms[0] ** 2))
+    return bool(np.all(np.mean((calm - before) ** 2, axis=1) <= SETTLED_REL**2 * point.data.rms[0] ** 2))

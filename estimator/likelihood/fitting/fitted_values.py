@@ -49,7 +49,7 @@ def _with_values(use: EffectUse, placed: list[LocatedLaw]) -> EffectUse:
     return replace(use, parameters=parameters)
 
 
-def parameters(point: WorkingPoint) -> dict[str, Parameter]:
+def fitted_parameters(point: WorkingPoint) -> dict[str, Parameter]:
     """Every fitted parameter by full name with its standard deviation."""
     places = point.data.places
     sd = dict(zip(point.fit.names, np.sqrt(np.diag(point.fit.covariance)) * point.fit.scales, strict=True))
@@ -74,7 +74,7 @@ def parameters(point: WorkingPoint) -> dict[str, Parameter]:
 def unidentifiable_laws(point: WorkingPoint) -> list[str]:
     """Laws, by place and name, none of whose amplitudes is told from zero."""
     out = []
-    values = parameters(point)
+    values = fitted_parameters(point)
     for use in point.placed:
         amplitudes = [values[use.name(k)] for k, q in enumerate(use.effect.parameters) if q.linear and use.free[k]]
         if amplitudes and not any(p.identifiable for p in amplitudes):

@@ -31,17 +31,23 @@ import numpy as np
 
 from estimator.arrays import Array, Complexes
 
-from .path_spectra import Folded, Response
+from .path_spectra import Folded, PathSpectra
 
-WORTH = 40.0  # of chi square, that a fold is to explain, or a delay of it
-LIKELIER = 10.0  # of chi square
-LEFT = 0.1  # of chi square beyond chance, that it may leave
-LATEST, STEP, NEAR = 3.0, 0.25, 1e-3  # samples by which a sensor is sought to be late, either way, and how near
-IN_TIME = (((0, 0), (2, 0)),)  # p, k of the density, one set of several: from both sides of the rate alike; and not,
-APART = (((0, 2), (0, 4), (0, 6)), ((2, 0), (2, 1), (2, 3)))  # behind poles, and behind a mean over a sample
+MIN_CHI2 = 40.0  # of chi square, that a fold is to explain, or a delay of it
+MIN_CHI2_LIKELIER = 10.0  # of chi square
+MAX_CHI2_LEFT_SHARE = 0.1  # of chi square beyond chance, that it may leave
+MAX_LATE_SAMPLES, LATE_STEP_SAMPLES, LATE_TOLERANCE_SAMPLES = (
+    3.0,
+    0.25,
+    1e-3,
+)  # samples by which a sensor is sought to be late, either way, and how near
+DENSITY_IN_TIME = (
+    ((0, 0), (2, 0)),
+)  # p, k of the density, one set of several: from both sides of the rate alike; and not,
+DENSITIES_APART = (((0, 2), (0, 4), (0, 6)), ((2, 0), (2, 1), (2, 3)))  # behind poles, and behind a mean over a sample
 
 
-def alike(hz: Array, rate_hz: float, mass: float, k: float, c: float) -> Complexes:
+def aliased_tangent(hz: Array, rate_hz: float, mass: float, k: float, c: float) -> Complexes:
     """(f,) A(w')*, force per acceleration of what is folded."""
     was = 2 * np.pi * (rate_hz - hz)
     return np.asarray(mass - k / was**2 - c / (1j * was))
@@ -59,7 +65,7 @@ class Coherence:
     x : (cells,) frequency over the rate; beyond : (2, cells) rad/s by which a delay turns what was below the rate, and
     beyond; rotor : (4, cells) by a wrong k, c, gain and delay."""
 
-    r: Response
+    r: PathSpectra
     back: Complexes
     passed: Complexes
     rate_hz: float
@@ -92,12 +98,12 @@ class Coherence:
         return self.by(late, weight, self.r.A * np.exp(1j * self.r.w * late) * self.r.noise)[0]
 
     def by_fold(
-        self, late: float, weight: Array, sets: Sequence[Sequence[tuple[int, int]]] = APART
+        self, late: float, weight: Array, sets: Sequence[Sequence[tuple[int, int]]] = DENSITIES_APART
     ) -> tuple[float, Folded]:  # fmt: skip
         """Chi square that what is folded back leaves, and that: of the first set, unless another is much likelier."""
         first, *others = (self._by_fold(late, weight, shapes) for shapes in sets)
         other = min(others, key=lambda found: found[0], default=first)
-        return other if other[0] < first[0] - LIKELIER else first
+        return other if other[0] < first[0] - MIN_CHI2_LIKELIER else first
 
     def _by_fold(self, late: float, weight: Array, shapes: Sequence[tuple[int, int]]) -> tuple[float, Folded]:
         r, x, back = self.r, self.x, self.back
@@ -106,21 +112,21 @@ class Coherence:
         path = r.A * np.exp(1j * r.w * late) * np.abs(through) ** 2 - back * through.conj()
         left, numbers = self.by(late, weight, *np.sum(path * sides, axis=1))
         density = np.abs(through) ** 2 * np.tensordot(numbers, sides, 1)
-        return left, Folded(density, through, self.passed, back, True)
+        return left, Folded(density=density, passed=through, undone=self.passed, back=back, likely=True)
 
     def likeliest(self, about: float, weight: Array) -> float:
         """s by which a sensor is late, near one that is about right."""
         from scipy.optimize import minimize_scalar
 
-        step = STEP / self.rate_hz
+        step = LATE_STEP_SAMPLES / self.rate_hz
         found = minimize_scalar(
             lambda late: self.by_fold(late, weight)[0], bounds=(about - step, about + step),
-            method="bounded", options={"xatol": NEAR / self.rate_hz},
+            method="bounded", options={"xatol": LATE_TOLERANCE_SAMPLES / self.rate_hz},
         )  # fmt: skip
         return float(found.x)
 
 
-def folded(r: Response, back: Complexes, passed: Complexes, rate_hz: float, late: bool = False) -> Folded:
+def folded(r: PathSpectra, back: Complexes, passed: Complexes, rate_hz: float, late: bool = False) -> Folded:
     """back : (cells,) as `alike` gives it. passed : (2, cells) H(w')* / H(w) and H(w'') / H(w). late : of a sensor that
     is late by more than is undone; nothing where that explains no more."""
     rotor = np.stack([r.aa / r.w**2, r.aa / (1j * r.w), r.A * r.aa, 1j * r.w * r.A * r.aa])
@@ -128,29 +134,33 @@ def folded(r: Response, back: Complexes, passed: Complexes, rate_hz: float, late
     c = Coherence(r, back, passed, rate_hz, r.w / (2 * np.pi * rate_hz), beyond, rotor)
 
     def told(before: float, sensor: float, after: float) -> bool:
-        return sensor - after >= WORTH and after - 2 * r.n.size <= LEFT * before
+        return sensor - after >= MIN_CHI2 and after - 2 * r.n.size <= MAX_CHI2_LEFT_SHARE * before
 
     now = c.weight(0.0)
     before, sensor = c.by(0.0, now)[0], c.by_sensor(0.0, now)
-    after, fold = c.by_fold(0.0, now, IN_TIME if np.allclose(passed, 1.0) else APART)
-    likely, rival = sensor > after and before - after > WORTH, None
-    if abs(sensor - after) < WORTH and before - after > LIKELIER and after - 2 * r.n.size <= LEFT * before:
+    after, fold = c.by_fold(0.0, now, DENSITY_IN_TIME if np.allclose(passed, 1.0) else DENSITIES_APART)
+    likely, rival = sensor > after and before - after > MIN_CHI2, None
+    if (
+        abs(sensor - after) < MIN_CHI2
+        and before - after > MIN_CHI2_LIKELIER
+        and after - 2 * r.n.size <= MAX_CHI2_LEFT_SHARE * before
+    ):
         rival = fold.density
     nothing = replace(fold, density=np.zeros_like(fold.density), likely=likely, rival=rival)
     if not late:
         return fold if told(before, sensor, after) else nothing
-    if before - min(sensor, after) < WORTH:
+    if before - min(sensor, after) < MIN_CHI2:
         return nothing
-    grid = np.arange(-LATEST, LATEST + STEP, STEP) / rate_hz
+    grid = np.arange(-MAX_LATE_SAMPLES, MAX_LATE_SAMPLES + LATE_STEP_SAMPLES, LATE_STEP_SAMPLES) / rate_hz
     about = c.likeliest(min(grid, key=lambda late: c.by_fold(late, now)[0]), now)
     then = c.weight(about)
     by = c.likeliest(about, then)
     left, turned = c.by_fold(by, then)
-    more = after - c.by_fold(by, now)[0] >= WORTH
+    more = after - c.by_fold(by, now)[0] >= MIN_CHI2
     return turned if more and told(c.by(by, then)[0], c.by_sensor(by, then), left) else nothing
 
 
-def of_late_sensor(r: Response, rate_hz: float) -> Response | None:
+def of_late_sensor(r: PathSpectra, rate_hz: float) -> PathSpectra | None:
     """The same of a sensor that is late by more than is undone; None where that explains no more."""
     if r.fold is None:
         return None

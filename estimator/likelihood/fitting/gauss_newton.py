@@ -20,31 +20,33 @@ from estimator.likelihood.motion.located_law import (
 )
 from estimator.likelihood.motion.motion_record import MotionRecord, leading_blocks, mean_psd
 from estimator.likelihood.motion.shaft_law import without_shaft_orders
-from estimator.likelihood.path.excitation_level import alike, level_of
+from estimator.likelihood.path.excitation_level import levels_agree, relative_level
 from estimator.likelihood.path.working_point import WorkingPoint, point_at
 from estimator.likelihood.response.below_band import with_below_band_motion
 from estimator.parallel import map_threads
 from estimator.signals.band_limit import out_of_band_sd
 
 from . import denoise_by_force
-from .noise_level import LEAST_NOISE, noise_of
-from .transfer_function import response_of
+from .noise_level import MIN_NOISE_RATIO, sensor_noise_ratio
+from .transfer_function import path_spectra_of
 
-FIRST_SECONDS = 8.0  # of a long record that the first rounds of a fit look at
-LEAP = 3.0  # from a part of a record to the next
-ROUNDS, LAST_ROUNDS = 6, 3  # at most, and on the whole of it
-NOISE_STEP = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
-LEAST_LEFT = 0.3  # of a stiffness, after a step, where the force is measured
-SETTLED = 0.3  # standard deviations by which the last step of a fit moves: it leaves a tenth of that, or less
-NEARLY = 0.5  # the same on a part of a record, which is not where the fit ends
-LOOKED_AT = 80  # blocks, for the spectrum of the motion
-BESIDE = 0.05  # of what laws do not see outside of the band, or of what is folded into it, that it moves by
-STILL = 1.0  # the same below which the slow displacement is left as it is
+FIRST_PART_S = 8.0  # of a long record that the first rounds of a fit look at
+PART_GROWTH = 3.0  # from a part of a record to the next
+MAX_ROUNDS, MAX_LAST_ROUNDS = 6, 3  # at most, and on the whole of it
+NOISE_TOLERANCE_REL = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
+MIN_STIFFNESS_SHARE = 0.3  # of a stiffness, after a step, where the force is measured
+MAX_LAST_STEP_SD = 0.3  # standard deviations by which the last step of a fit moves: it leaves a tenth of that, or less
+MAX_PART_STEP_SD = 0.5  # the same on a part of a record, which is not where the fit ends
+SPECTRUM_BLOCKS = 80  # blocks, for the spectrum of the motion
+LEFT_OUT_TOLERANCE_REL = (
+    0.05  # of what laws do not see outside of the band, or of what is folded into it, that it moves by
+)
+MAX_STILL_STEP_SD = 1.0  # the same below which the slow displacement is left as it is
 
 
 def fit_model(
-    data: MotionRecord, uses: list[LocatedLaw], start: WorkingPoint | None = None, rounds: int = ROUNDS,
-    moving: float = SETTLED,
+    data: MotionRecord, uses: list[LocatedLaw], start: WorkingPoint | None = None, rounds: int = MAX_ROUNDS,
+    moving: float = MAX_LAST_STEP_SD,
 ) -> WorkingPoint:  # fmt: skip
     """Fit kL, c, S and every free parameter of the effects, from a start that needs no values of the linear part.
 
@@ -53,20 +55,22 @@ def fit_model(
     data = without_shaft_orders(data, [use.effect for use in uses])
     if start is None:
         start = _approached(data, uses, rounds)
-        uses, rounds = (uses, rounds) if start is None else (list(start.placed), LAST_ROUNDS)
+        uses, rounds = (uses, rounds) if start is None else (list(start.placed), MAX_LAST_ROUNDS)
     data, kL, c, nu, S = _begun(data, uses, start)
     del start  # as the points below
     moved = np.full(1, np.inf)
     while True:
-        data = data if moved.max(initial=0.0) < STILL else with_below_band_motion(data, kL, c, uses)
+        data = data if moved.max(initial=0.0) < MAX_STILL_STEP_SD else with_below_band_motion(data, kL, c, uses)
         point = point_at(data, kL, c, nu, S, uses)
         S_old, S = S, point.S
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
         moved = moved[: moved.size - 2 * len(data.shared) - len(data.waves)]
         kL, c, uses = _moved(point, kL, c)
-        nu_old, (nu, weight) = nu, noise_of(point)
-        settled = np.allclose(nu * weight, nu_old * weight, rtol=NOISE_STEP, atol=NOISE_STEP * LEAST_NOISE)
-        settled &= not data.folded.any() or np.allclose(S, S_old, rtol=BESIDE)
+        nu_old, (nu, weight) = nu, sensor_noise_ratio(point)
+        settled = np.allclose(
+            nu * weight, nu_old * weight, rtol=NOISE_TOLERANCE_REL, atol=NOISE_TOLERANCE_REL * MIN_NOISE_RATIO
+        )
+        settled &= not data.folded.any() or np.allclose(S, S_old, rtol=LEFT_OUT_TOLERANCE_REL)
         data, settled = _renewed(point, nu, settled)
         if rounds == 0 or (moved.max(initial=0.0) < moving and settled):
             return replace(point, kL=kL, c=c, placed=tuple(uses))
@@ -95,24 +99,24 @@ def _renewed(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionRecor
     of sensors, nu now, and what is folded over are."""
     data = point.data
     folded, force = _folded_beside(point)
-    if not np.allclose(folded, data.folded_beside, rtol=BESIDE, atol=0.0):
+    if not np.allclose(folded, data.folded_beside, rtol=LEFT_OUT_TOLERANCE_REL, atol=0.0):
         data, settled = replace(data, folded_beside=folded, alike_beside=force), False
     if data.measured_force and not data.folded_beside.any():
-        calm, doubt = denoise_by_force.calm_of(point, nu)
-        settled &= denoise_by_force.settled(point, calm)
+        calm, doubt = denoise_by_force.denoised_by_force(point, nu)
+        settled &= denoise_by_force.is_settled(point, calm)
         data = replace(data, calm=calm, doubt=doubt)
     else:
         data = data if settled else _calmed(data, nu, point.S)
     beside = _left_out(point)
-    if not np.allclose(beside, data.left_out, rtol=BESIDE, atol=0.0):
+    if not np.allclose(beside, data.left_out, rtol=LEFT_OUT_TOLERANCE_REL, atol=0.0):
         data, settled = replace(data, left_out=beside), False
     level = _level(point)
-    if not alike(level, data.level):
+    if not levels_agree(level, data.level):
         data, settled = replace(data, level=level), False
     return data, settled
 
 
-def glanced(data: MotionRecord, uses: list[LocatedLaw]) -> WorkingPoint:
+def coarse_fit(data: MotionRecord, uses: list[LocatedLaw]) -> WorkingPoint:
     """The same with one step on the whole record where a part of it is enough to begin from: to look at its force.
     Laws are dressed as on that part."""
     data = without_shaft_orders(data, [use.effect for use in uses])
@@ -123,18 +127,18 @@ def glanced(data: MotionRecord, uses: list[LocatedLaw]) -> WorkingPoint:
     data, kL, c, nu, S = _begun(data, uses, start)
     point = point_at(with_below_band_motion(data, kL, c, uses), kL, c, nu, S, uses, start)
     kL, c, uses = _moved(point, kL, c)
-    return replace(point, kL=kL, c=c, placed=tuple(uses), nu=noise_of(point)[0])
+    return replace(point, kL=kL, c=c, placed=tuple(uses), nu=sensor_noise_ratio(point)[0])
 
 
-def _approached(data: MotionRecord, uses: list[LocatedLaw], rounds: int = ROUNDS) -> WorkingPoint | None:
+def _approached(data: MotionRecord, uses: list[LocatedLaw], rounds: int = MAX_ROUNDS) -> WorkingPoint | None:
     """The model fitted to a part of a long record, and by a step each to longer ones where a step is dear; None for a
     short record."""
     lin = np.stack([data.mass, *np.ones((2, len(data.places)))], axis=1)
     dear = any(has_nonlinear_memory(u, lin[u.at[0]]) for u in uses)
-    start, seconds = None, FIRST_SECONDS
+    start, seconds = None, FIRST_PART_S
     while (start is None or dear) and (part := leading_blocks(data, seconds)) is not data:
-        start = fit_model(part, uses, start, rounds if start is None else 0, NEARLY)
-        uses, seconds = list(start.placed), LEAP * seconds
+        start = fit_model(part, uses, start, rounds if start is None else 0, MAX_PART_STEP_SD)
+        uses, seconds = list(start.placed), PART_GROWTH * seconds
     return start
 
 
@@ -167,7 +171,9 @@ def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list
     limits = {use.name(k): own for use, each in zip(point.placed, bounds, strict=True) for k, own in each.items()}
     step = dict(zip(point.fit.names, step_within_limits(point, limits) * point.fit.scales, strict=True))
     places = point.data.places
-    least = np.where(point.data.driven > 0.0, LEAST_LEFT * kL, -np.inf)  # a known force forgives no step too far
+    least = np.where(
+        point.data.driven > 0.0, MIN_STIFFNESS_SHARE * kL, -np.inf
+    )  # a known force forgives no step too far
     kL = np.maximum(kL + np.array([step[f"{p}.kL"] for p in places]), least)
     c = c + np.array([step[f"{p}.c"] for p in places])
     uses = []
@@ -221,13 +227,15 @@ def _level(point: WorkingPoint) -> Array | None:
         own, noise = whitening.power(i, point.spectra[i]), point.S[i] * whitening.noise.share[i].sum()
         return np.asarray(np.maximum(own - noise, 0.1 * own))
 
-    return level_of(np.array(map_threads(power, range(len(data.places)))), data.start / data.rate_hz, data.bins.size)
+    return relative_level(
+        np.array(map_threads(power, range(len(data.places)))), data.start / data.rate_hz, data.bins.size
+    )
 
 
 def _left_out(point: WorkingPoint) -> Array:
     """(places, 2) sd of the displacement and velocity that laws do not see; as it was where the fit is far off."""
     data = point.data
-    kL, c = np.einsum("iik->ki", point.slopes)
+    kL, c = np.einsum("iik->ki", point.mean_tangent)
     if not (np.all(kL > 0.0) and np.all(c > 0.0)):
         return data.left_out
     return _unseen(data, c, kL, point.S)
@@ -262,7 +270,7 @@ def _folded_beside(point: WorkingPoint) -> tuple[Array, NDArray[np.complex128]]:
     data = point.data
     out, force = np.zeros_like(data.colour), np.zeros(data.colour.shape, complex)
     for i in np.flatnonzero(data.driven):
-        r = response_of(point, int(i), every=max(1, data.blocks // LOOKED_AT))
+        r = path_spectra_of(point, int(i), every=max(1, data.blocks // SPECTRUM_BLOCKS))
         if np.any(r.folded):
             hz = r.w / (2 * np.pi)
             out[i] = np.interp(data.f_hz, hz, r.folded)
@@ -272,5 +280,5 @@ def _folded_beside(point: WorkingPoint) -> tuple[Array, NDArray[np.complex128]]:
 
 def _spectrum(data: MotionRecord, bins: NDArray[np.int64]) -> Array:
     """(places, bins) one-sided PSD of the displacement, m^2/Hz, of some of the blocks."""
-    some = data.x.reshape(len(data.places), data.blocks, -1)[:, :: max(1, data.blocks // LOOKED_AT)]
+    some = data.x.reshape(len(data.places), data.blocks, -1)[:, :: max(1, data.blocks // SPECTRUM_BLOCKS)]
     return np.array([mean_psd(x.ravel(), data.block, data.rate_hz)[1][bins] for x in some])

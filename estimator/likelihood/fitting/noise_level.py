@@ -9,10 +9,10 @@ from estimator.likelihood.path.sensor_noise import aliased_psd, referred_psd
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.parallel import map_threads
 
-LEAST_NOISE = 1e-4  # of a sensor, over the force noise, that is looked for
+MIN_NOISE_RATIO = 1e-4  # of a sensor, over the force noise, that is looked for
 
 
-def noise_of(point: WorkingPoint) -> tuple[Array, Array]:
+def sensor_noise_ratio(point: WorkingPoint) -> tuple[Array, Array]:
     """nu, (places,), by maximum likelihood on the spectrum of the inferred force; what one of it is there of the force
     noise, in the mean over the band."""
     data = point.data
@@ -22,11 +22,11 @@ def noise_of(point: WorkingPoint) -> tuple[Array, Array]:
     weight = own.mean(axis=1)
 
     def at(i: int) -> float:
-        step = point.fit.delta[point.columns.index[i]].astype(np.float32)  # the noise is of the values after it
-        Z = point.spectra[i] + np.tensordot(step, point.columns.spectra[i], 1)
+        step = point.fit.delta[point.whitened.index[i]].astype(np.float32)  # the noise is of the values after it
+        Z = point.spectra[i] + np.tensordot(step, point.whitened.spectra[i], 1)
         Z = Z.reshape(data.blocks, -1, 2)
         power = np.einsum("bkc,bkc->k", Z, Z) / data.blocks / point.whitening.weight[i]
-        grid = np.concatenate([[0.0], np.geomspace(LEAST_NOISE, 1e3, 61) / weight[i]])
+        grid = np.concatenate([[0.0], np.geomspace(MIN_NOISE_RATIO, 1e3, 61) / weight[i]])
         shape = known[i] + grid[:, None] * own[i]
         S = np.mean(power / shape, axis=1)
         cost = np.log(S) + np.mean(np.log(shape), axis=1)

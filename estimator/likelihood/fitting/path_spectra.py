@@ -52,8 +52,8 @@ class Folded:
         return replace(self, passed=self.undone * np.stack([further[0].conj(), further[1]]))
 
 
-@dataclass(frozen=True, slots=True)
-class Response:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathSpectra:
     """Residual R and acceleration a of one place by cells of the band. w : (cells,) rad/s; n : independent numbers.
 
     rr, ra, aa, rf, af, ff : mean |R|^2, R a*, |a|^2, R f*, a f* and |f|^2, f the measured force, one-sided PSD; A :
@@ -80,7 +80,7 @@ class Response:
     apart: Array | float = 0.0  # (cells,) Folded.apart, noise of the sensor of the force
     across: Array | float = 0.0  # (cells,) of R, noise of the other caps' sensors and what is folded there
     fold: Folded | None = None  # of an acceleration, seen or not
-    bare: Response | None = None  # the same with it, where it was taken out
+    bare: PathSpectra | None = None  # the same with it, where it was taken out
 
     def share(self, Q: float) -> Array:
         """(cells,) p: what of the measured force is noise where the density Q is left."""
@@ -90,13 +90,13 @@ class Response:
         """(cells,) H where the tangent is another."""
         return np.asarray(self.H / (1 + (A - self.A) * self.H))
 
-    def through(self, further: Complexes) -> Response:
+    def through(self, further: Complexes) -> PathSpectra:
         """The same where the sensor has a response that is not undone, (2, cells) at the images of what is folded."""
         if self.fold is None or self.bare is None:
             return self
         return replace(self.bare, unmeasured=self.unmeasured).less(self.fold.through(further))
 
-    def less(self, fold: Folded) -> Response:
+    def less(self, fold: Folded) -> PathSpectra:
         """Without what the measured force tells of the fold; the rest of that is noise."""
         alike = fold.force
         folded = np.minimum(fold.seen, 0.5 * self.ff / np.abs(alike) ** 2)

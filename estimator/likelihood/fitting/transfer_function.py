@@ -30,19 +30,21 @@ from numpy.typing import NDArray
 from estimator.arrays import Array, Complexes
 from estimator.signals.band_limit import noise_shape
 
-from .folded_force import alike, folded
-from .path_spectra import Response
+from .folded_force import aliased_tangent, folded
+from .path_spectra import PathSpectra
 
 if TYPE_CHECKING:
     from estimator.likelihood.path.working_point import WorkingPoint
 
-CELLS = 900
-OVERLAPPED = 0.439  # independent numbers for each bin of a block: Hann windows every half block, 1.944 (1 + 2 / 11.7)
-BESIDE = 2.5  # bins on either side of a line that are left out
-STEPS, SETTLED = 60, 1e-4
+MAX_CELLS = 900
+INDEPENDENT_PER_BIN = (
+    0.439  # independent numbers for each bin of a block: Hann windows every half block, 1.944 (1 + 2 / 11.7)
+)
+LINE_HALF_WIDTH_BINS = 2.5  # bins on either side of a line that are left out
+MAX_STEPS, MIN_STEP_GAIN_NATS = 60, 1e-4
 
 
-def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), every: int = 1) -> Response:
+def path_spectra_of(point: WorkingPoint, i: int, lines: Collection[float] = (), every: int = 1) -> PathSpectra:
     """Of place i; bins beside `lines` (Hz) are left out. every : so manyth block is looked at, all if it is in doubt
     what is folded back."""
     data = point.data
@@ -59,11 +61,11 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), ever
     spacing = data.rate_hz / data.block
     keep = np.ones(w.size, bool)
     for hz in lines:
-        keep &= np.abs(data.f_hz - hz) > BESIDE * spacing
+        keep &= np.abs(data.f_hz - hz) > LINE_HALF_WIDTH_BINS * spacing
     scale = 2.0 / (data.rate_hz * 0.375 * data.block)
     pairs = ((R, R), (R, a), (a, a), (R, f), (a, f), (f, f))
     power = [scale * np.mean(one * other.conj(), axis=0) for one, other in pairs]
-    edges = np.unique(np.round(np.geomspace(20, keep.sum(), CELLS)).astype(int))
+    edges = np.unique(np.round(np.geomspace(20, keep.sum(), MAX_CELLS)).astype(int))
     first = np.concatenate([np.arange(min(20, edges[0])), edges[:-1]])
     width = np.diff(np.append(first, keep.sum())).astype(np.float64)
 
@@ -74,15 +76,26 @@ def response_of(point: WorkingPoint, i: int, lines: Collection[float] = (), ever
     shape = noise_shape(data.kinds[i : i + 1], w)[0] * data.sharpened[i]
     beside = data.noise_shape * (point.nu * point.S)[:, None] + data.folded_beside
     across = np.sum(np.abs(point.A[:, i]) ** 2 * beside.T, axis=1, where=others)
-    found = Response(
-        ww.real, OVERLAPPED * width * len(R), rr.real, ra, aa.real, rf, af, ff.real, A, H, mean(shape).real,
-        spacing * width, across=mean(across).real,
-    )  # fmt: skip
-    k, c = point.slopes[i, i]
-    back = alike(found.w / (2 * np.pi), data.rate_hz, float(data.mass[i]), float(k), float(c))
+    found = PathSpectra(
+        w=ww.real,
+        n=INDEPENDENT_PER_BIN * width * len(R),
+        rr=rr.real,
+        ra=ra,
+        aa=aa.real,
+        rf=rf,
+        af=af,
+        ff=ff.real,
+        A=A,
+        H=H,
+        noise=mean(shape).real,
+        hz=spacing * width,
+        across=mean(across).real,
+    )
+    k, c = point.mean_tangent[i, i]
+    back = aliased_tangent(found.w / (2 * np.pi), data.rate_hz, float(data.mass[i]), float(k), float(c))
     seen = folded(found, back, np.stack([mean(z) for z in data.passed[:, i]]), data.rate_hz)
     if every > 1 and seen.likely and not seen.density.any():
-        return response_of(point, i, lines)
+        return path_spectra_of(point, i, lines)
     return found.less(seen) if seen.density.any() else replace(found, fold=seen)
 
 
@@ -109,8 +122,8 @@ class Peak:
     A: Complexes  # (cells,) A'
 
 
-def highest(
-    r: Response, bend: Callable[[Array], Complexes], start: Array, scale: Array, held: int | None = None
+def maximise_path(
+    r: PathSpectra, bend: Callable[[Array], Complexes], start: Array, scale: Array, held: int | None = None
 ) -> Peak:
     """The likelihood climbed from a start by damped scoring. bend : A' of the numbers after ln Q and ln N.
 
@@ -119,12 +132,12 @@ def highest(
 
     def at(u: Array) -> tuple[float, Complexes, Complexes, Array]:
         A = bend(u[2:])
-        P, rest, s = expected(r, A, u)
+        P, rest, s = residual_and_noise(r, A, u)
         return float(r.n @ (P / s + np.log(s) - 2 * np.log(np.abs(1 + (A - r.A) * r.H)))), A, rest, s
 
     def slopes(u: Array, A: Complexes, rest: Complexes, s: Array) -> tuple[Array, Array]:
-        P = left(r, A, exp(u[0]))
-        own, back = exp(u[1]) * r.noise, (A - r.alike) * r.folded
+        P = residual_power(r, A, clipped_exp(u[0]))
+        own, back = clipped_exp(u[1]) * r.noise, (A - r.alike) * r.folded
         dA = np.zeros((u.size, r.w.size), complex)
         for j in range(2, u.size):
             up, down = u[2:].copy(), u[2:].copy()
@@ -132,7 +145,7 @@ def highest(
             down[j - 2] -= 1e-4 * scale[j]
             dA[j] = (bend(up) - bend(down)) / 2e-4
         ds = 2 * np.real((A * own + back).conj() * dA)
-        ds[0], ds[1] = exp(u[0]) * scale[0], np.abs(A) ** 2 * own * scale[1]
+        ds[0], ds[1] = clipped_exp(u[0]) * scale[0], np.abs(A) ** 2 * own * scale[1]
         g = (2 * np.real(dA.conj() * rest) / s + ds * (1 / s - P / s**2) - 2 * np.real(dA * r.answer(A))) @ r.n
         H = 2 * np.real((dA.conj() * (r.n * r.aa / s)) @ dA.T) + (ds * (r.n / s**2)) @ ds.T
         return g, H
@@ -140,10 +153,10 @@ def highest(
     u, damping = start.copy(), 1e-3
     cost, A, rest, s = at(u)
     if held is None:  # the noise at first what makes up for a start that is far off
-        u[:2] += np.log(np.average(left(r, A) / s, weights=r.n))
+        u[:2] += np.log(np.average(residual_power(r, A) / s, weights=r.n))
         cost, A, rest, s = at(u)
     H = np.eye(u.size)
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         g, H = slopes(u, A, rest, s)
         if held is not None:
             g[held], H[held], H[:, held], H[held, held] = 0.0, 0.0, 0.0, 1.0
@@ -161,47 +174,50 @@ def highest(
         u = u + step * scale
         cost, A, rest, s = new
         damping = max(damping / 6.0, 1e-9)
-        if gained < SETTLED:
+        if gained < MIN_STEP_GAIN_NATS:
             break
     covariance: Array = np.asarray(np.linalg.pinv(H, rcond=1e-12) * np.multiply.outer(scale, scale), np.float64)
     return Peak(-cost, u, covariance, A)
 
 
-def exp(z: float) -> float:
+def clipped_exp(z: float) -> float:
     return float(np.exp(np.clip(z, -90.0, 30.0)))
 
 
-def plain(point: WorkingPoint, i: int, r: Response) -> tuple[Peak, Array]:
+def fit_linear_path(point: WorkingPoint, i: int, r: PathSpectra) -> tuple[Peak, Array]:
     """The place without a cause, and the scales of its numbers: ln Q, ln N, changes of k and c."""
     scale = np.array([1.0, 1.0, 1e-3 * point.kL[i], 1e-2 * point.c[i] + 1e-9])
-    tried = [highest(r, partial(linear, r), np.array([*noise, 0.0, 0.0]), scale) for noise in noises(r, r.A)]
+    tried = [
+        maximise_path(r, partial(linear_tangent, r), np.array([*noise, 0.0, 0.0]), scale)
+        for noise in noise_starts(r, r.A)
+    ]
     return max(tried, key=lambda peak: peak.nats), scale
 
 
-def noises(r: Response, A: Complexes) -> list[tuple[float, float]]:
+def noise_starts(r: PathSpectra, A: Complexes) -> list[tuple[float, float]]:
     """ln Q and ln N to begin from where A' is about A: mostly the one, mostly the other."""
     heard = float(np.mean(r.noise * np.abs(A) ** 2))
-    S = float(np.exp(np.average(np.log(left(r, A)), weights=r.n)))
+    S = float(np.exp(np.average(np.log(residual_power(r, A)), weights=r.n)))
     return [(float(np.log(S * q)), float(np.log(S * n / heard))) for q, n in ((1.0, 0.1), (0.1, 1.0), (1.0, 1e-4))]
 
 
-def linear(r: Response, d: Array) -> Complexes:
+def linear_tangent(r: PathSpectra, d: Array) -> Complexes:
     """The tangent with changes of k and c."""
     return np.asarray(r.A - d[0] / r.w**2 + d[1] / (1j * r.w))
 
 
-def left(r: Response, A: Complexes, Q: float = 0.0) -> Array:
+def residual_power(r: PathSpectra, A: Complexes, Q: float = 0.0) -> Array:
     """(cells,) mean |A a - (1 - p) f|^2, with p what noise of the density Q is of the measured force."""
     p, d = r.share(Q), A - r.A
     P = r.rr + np.abs(d) ** 2 * r.aa + p**2 * r.ff + 2 * np.real(d.conj() * r.ra + p * (r.rf + d * r.af))
     return np.asarray(np.maximum(P, 1e-300))
 
 
-def expected(r: Response, A: Complexes, u: Array) -> tuple[Array, Complexes, Array]:
+def residual_and_noise(r: PathSpectra, A: Complexes, u: Array) -> tuple[Array, Complexes, Array]:
     """(cells,) each: mean |A a - (1 - p) f|^2, the same times a*, and what the first is to be by the noise of u."""
-    Q = exp(u[0])
+    Q = clipped_exp(u[0])
     p = r.share(Q)
     rest = r.ra + (A - r.A) * r.aa + p * r.af.conj()
     own = r.unmeasured * Q + (1 - p) * ((1 - r.unmeasured) * Q + r.apart)
-    s = np.abs(A) ** 2 * exp(u[1]) * r.noise + np.abs(A - r.alike) ** 2 * r.folded + own + r.across
-    return left(r, A, Q), rest, s
+    s = np.abs(A) ** 2 * clipped_exp(u[1]) * r.noise + np.abs(A - r.alike) ** 2 * r.folded + own + r.across
+    return residual_power(r, A, Q), rest, s

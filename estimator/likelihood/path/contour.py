@@ -31,8 +31,8 @@ import numpy as np
 from estimator.arrays import Array, Complexes
 from estimator.model.disc import Disc
 
-MARGIN = 1.0  # of the spacing of the bins, at least, from any mode to the line: a sum is then good to exp(-2 pi)
-FED = 4.0  # of the same, where the line is needed
+MARGIN_BINS = 1.0  # of the spacing of the bins, at least, from any mode to the line: a sum is then good to exp(-2 pi)
+WIDE_MARGIN_BINS = 4.0  # of the same, where the line is needed
 
 
 def contour(
@@ -46,25 +46,25 @@ def contour(
     resonance = np.sqrt(np.median(np.maximum(np.diag(D[..., 0]) / mass, 0.0)))
     near = int(np.argmin(np.abs(w - resonance)))
     modes = modes_at(A[near], mass, 1j * w[near], disc, places)
-    band = stretches(f_hz)
-    needed = past(modes, MARGIN / length, band) > 0.0
-    return line(w, past(modes, FED / length, band) if needed else 0.0, band)
+    band = contiguous_bands(f_hz)
+    needed = shift_past_modes(modes, MARGIN_BINS / length, band) > 0.0
+    return line_at_shift(w, shift_past_modes(modes, WIDE_MARGIN_BINS / length, band) if needed else 0.0, band)
 
 
-def line(w: Array, shift: float, band: Sequence[tuple[float, float]]) -> Complexes:
+def line_at_shift(w: Array, shift: float, band: Sequence[tuple[float, float]]) -> Complexes:
     """(w,) rad/s from the axis at the ends of all stretches to `shift` beside it."""
     inside = np.max([np.minimum(w - low, high - w) for low, high in band], axis=0)
     x = np.clip(inside / max(shift, 1e-300), 0.0, 1.0)
     return np.asarray(shift * x**2 * (3.0 - 2.0 * x) + 1j * w, np.complex128)
 
 
-def stretches(f_hz: Array) -> list[tuple[float, float]]:
+def contiguous_bands(f_hz: Array) -> list[tuple[float, float]]:
     """rad/s, where the frequencies are evenly spaced: from, to."""
     w, gaps = 2 * np.pi * f_hz, np.flatnonzero(np.diff(f_hz) > 1.5 * np.diff(f_hz).min())
     return list(zip(w[[0, *(gaps + 1)]].tolist(), w[[*gaps, -1]].tolist(), strict=True))
 
 
-def past(modes: Complexes, margin_hz: float | Array, band: Sequence[tuple[float, float]]) -> float:
+def shift_past_modes(modes: Complexes, margin_hz: float | Array, band: Sequence[tuple[float, float]]) -> float:
     """rad/s from the axis to the line past the slowest of the modes of the band, 0 where none is near the axis.
 
     margin_hz : from each mode to the line, at least. band : rad/s, its stretches.
@@ -94,7 +94,7 @@ def modes_at(
     return np.asarray(modes[modes.imag > 0.0], np.complex128)
 
 
-def modes_of(
+def slowest_modes(
     A: Complexes, mass: Array, f_hz: Array, size: Array | None = None, disc: Disc | None = None,
     places: tuple[str, ...] = (),
 ) -> Complexes:  # fmt: skip
@@ -105,7 +105,7 @@ def modes_of(
     return np.asarray(modes[inside], np.complex128)
 
 
-def along(
+def continued_tangent(
     s: Complexes, A: Complexes, mass: Array, D: Array, disc: Disc | None = None, places: tuple[str, ...] = ()
 ) -> Complexes:  # fmt: skip
     """A, known at i Im s, at s: (bins, places, places). But for the disc's the stiffness is taken to be the same in
@@ -120,7 +120,7 @@ def along(
     return np.asarray(out)
 
 
-def turns(determinant: Complexes) -> Array:
+def phase_steps(determinant: Complexes) -> Array:
     """(bins - 1,) rad by which det A (bins,) turns along a line, in all pi for every mode that lies to the left, -pi to
     the right."""
     return np.asarray(np.angle(determinant[1:] / determinant[:-1]), np.float64)

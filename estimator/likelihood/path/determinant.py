@@ -13,18 +13,20 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 
-from .contour import turns
+from .contour import phase_steps
 
 
-def times(tangents: Complexes, factor: Complexes) -> Complexes:
+def tangent_times(tangents: Complexes, factor: Complexes) -> Complexes:
     """(terms, places, places, bins) of tangents and a factor (bins, places, places), each of some of the places."""
-    term, row, made = rows_times(tangents, factor)
+    term, row, made = nonzero_rows_times(tangents, factor)
     out = np.zeros((*tangents.shape[:2], *made.shape[1:]), complex)
     out[term, row] = made
     return out
 
 
-def rows_times(tangents: Complexes, factor: Complexes) -> tuple[NDArray[np.int64], NDArray[np.int64], Complexes]:
+def nonzero_rows_times(
+    tangents: Complexes, factor: Complexes
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Complexes]:
     """The same as the rows that are not zero: of which term and place, (rows,), and these, (rows, places, bins)."""
     term, row = np.nonzero(tangents.any(axis=(2, 3)))
     by_bin = np.ascontiguousarray(np.moveaxis(factor, 0, -1))
@@ -35,8 +37,10 @@ def rows_times(tangents: Complexes, factor: Complexes) -> tuple[NDArray[np.int64
     return term, row, out
 
 
-Answer = tuple[NDArray[np.int64], Complexes]
-CROSSED = 1.5 * np.pi  # a mode that crosses its line takes two pi off the turn of det A, one that leaves the band one
+CoupledResponse = tuple[NDArray[np.int64], Complexes]
+MODE_CROSSED_RAD = (
+    1.5 * np.pi
+)  # a mode that crosses its line takes two pi off the turn of det A, one that leaves the band one
 
 
 class Jacobian:
@@ -57,11 +61,13 @@ class Jacobian:
         self.dressing = np.zeros(self.A0.shape[:2], complex) if dressing is None else dressing
         self.phase = np.zeros(len(A0) - 1) if s is None else (s.real[1:] + s.real[:-1]) / np.diff(s.imag).min()
         self.weight = 2.0 * self.kept - 1j * np.diff(self.phase, prepend=0.0, append=0.0)  # of log det A
-        self._known: dict[bytes, tuple[Jacobian, Answer | None]] = {}  # of some places: every trial there asks for it
+        self._known: dict[
+            bytes, tuple[Jacobian, CoupledResponse | None]
+        ] = {}  # of some places: every trial there asks for it
         self._begun()
 
     def _begun(self) -> None:
-        self.turned, self.half = turns(_determinants(self.A0)).sum(), 0.0
+        self.turned, self.half = phase_steps(_determinants(self.A0)).sum(), 0.0
         if self.dressing.any():
             own = np.einsum("fii->fi", np.linalg.inv(self.A0)) * self.dressing
             self.half = float((0.5 * self.weight @ own.sum(axis=1)).real)
@@ -74,14 +80,14 @@ class Jacobian:
         """The same of some places, the others as they are: what they answer through the shaft stays in A0."""
         return self._of(places)[0]
 
-    def _of(self, places: NDArray[np.int64]) -> tuple[Jacobian, Answer | None]:
+    def _of(self, places: NDArray[np.int64]) -> tuple[Jacobian, CoupledResponse | None]:
         """The same and `answer`, made when they are first asked for."""
         if (known := self._known.get(places.tobytes())) is None:
             answer = self.answer(places)
             known = self._known[places.tobytes()] = self._beside(answer, places), answer
         return known
 
-    def _beside(self, answer: Answer | None, places: NDArray[np.int64]) -> Jacobian:
+    def _beside(self, answer: CoupledResponse | None, places: NDArray[np.int64]) -> Jacobian:
         out = copy(self)
         out._known = {}
         out.A0, out.dressing = self.A0[:, places[:, None], places], self.dressing[:, places]
@@ -91,12 +97,12 @@ class Jacobian:
         share = places.size / self.A0.shape[1]
         out.offset = self.offset * share
         if answer is not None:  # all places together have what the whole has
-            whole, own = (self._sum(det, turns(det)) for det in map(_determinants, (self.A0, out.A0)))
+            whole, own = (self._sum(det, phase_steps(det)) for det in map(_determinants, (self.A0, out.A0)))
             out.offset += own - whole * share
         out._begun()
         return out
 
-    def answer(self, places: NDArray[np.int64]) -> Answer | None:
+    def answer(self, places: NDArray[np.int64]) -> CoupledResponse | None:
         """The places that the shaft couples to these, and their motion per motion of these, less its sign,
         (bins, others, places); None where there are none."""
         others = np.setdiff1d(np.arange(self.A0.shape[1], dtype=np.int64), places)
@@ -113,7 +119,7 @@ class Jacobian:
         if answer is None:
             return own
         others, follow = answer
-        return np.asarray(own - times(tangents[:, places][:, :, others], follow))
+        return np.asarray(own - tangent_times(tangents[:, places][:, :, others], follow))
 
     def of(self, tangents: Complexes, delta: Array) -> Complexes:
         """A at increments delta, (bins, places, places)."""
@@ -122,14 +128,14 @@ class Jacobian:
     def value(self, tangents: Complexes, delta: Array) -> float:
         """-inf where a mode has crossed the line: what the sum gives there is that of its mirror image."""
         determinant = _determinants(self.of(tangents, delta))
-        turned = turns(determinant)
-        if turned.sum() < self.turned - CROSSED:
+        turned = phase_steps(determinant)
+        if turned.sum() < self.turned - MODE_CROSSED_RAD:
             return -np.inf
         return self._sum(determinant, turned) - self.offset - self.half
 
     def derivatives(self, tangents: Complexes, delta: Array) -> tuple[Array, Array]:
         """Gradient (k,) and second derivative (k, k) to the increments."""
-        term, row, passed = rows_times(tangents, _inverses(self.of(tangents, delta)))  # A_j A^-1
+        term, row, passed = nonzero_rows_times(tangents, _inverses(self.of(tangents, delta)))  # A_j A^-1
         weighed, own = passed * self.weight, np.arange(term.size)
         traces = np.zeros((term.size, term.size))
         for i, j in np.ndindex(tangents.shape[1:3]):

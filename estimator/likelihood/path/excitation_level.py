@@ -12,14 +12,14 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.results import Message
 
-UNEVEN = 1.15  # of the lowest rms of a sixth of the record, from where a force counts as uneven
-SURE = 8.0  # standard deviations of that ratio
-SECONDS = 1.0  # that a level is the mean of
-SETTLED = 0.03
-COUNT = 2000  # of independent values in it, at least: its own scatter goes into the weights
+MIN_RMS_RATIO = 1.15  # of the lowest rms of a sixth of the record, from where a force counts as uneven
+MIN_RATIO_SDS = 8.0  # standard deviations of that ratio
+AVERAGE_S = 1.0  # that a level is the mean of
+LEVEL_TOLERANCE_LOG = 0.03
+MIN_INDEPENDENT_VALUES = 2000  # of independent values in it, at least: its own scatter goes into the weights
 
 
-def level_of(power: Array, at: Array, count: float) -> Array | None:
+def relative_level(power: Array, at: Array, count: float) -> Array | None:
     """(places, n) power of the unknown force of each place over its mean; None where all are even.
 
     power : (places, n) of the inferred force in each part of a record; at : (n,) s, where each begins. count :
@@ -29,14 +29,14 @@ def level_of(power: Array, at: Array, count: float) -> Array | None:
     return None if np.all(level == 1.0) else level / level.mean(axis=1, keepdims=True)
 
 
-def alike(one: Array | None, other: Array | None) -> bool:
+def levels_agree(one: Array | None, other: Array | None) -> bool:
     """Whether weighing by one is as good as by the other."""
     if one is None or other is None:
         return one is other
-    return bool(np.abs(np.log(one / other)).max() < SETTLED)
+    return bool(np.abs(np.log(one / other)).max() < LEVEL_TOLERANCE_LOG)
 
 
-def ratio(level: Array | None) -> float:
+def rms_ratio(level: Array | None) -> float:
     """Largest over least rms of a force along the record."""
     return 1.0 if level is None else float(np.sqrt((level.max(axis=1) / level.min(axis=1)).max()))
 
@@ -45,7 +45,7 @@ def uneven_message(level: Array | None) -> tuple[Message, ...]:
     """What to tell the user of a force whose level changes."""
     if level is None:
         return ()
-    text = f"the excitation (rms) changes by a factor of {ratio(level):.1f} along the record; S is its average PSD"
+    text = f"the excitation (rms) changes by a factor of {rms_ratio(level):.1f} along the record; S is its average PSD"
     return (Message("excitation_uneven", text),)
 
 
@@ -57,14 +57,17 @@ def _is_uneven(power: Array, count: float) -> bool:
     parts = np.bincount(sixth)
     rms = np.sqrt(np.bincount(sixth, power) / parts)
     sd = 0.5 * np.sqrt(2.0 / (count * parts.min()))
-    return bool(rms.max() > max(UNEVEN, 1.0 + SURE * sd) * rms.min())
+    return bool(rms.max() > max(MIN_RMS_RATIO, 1.0 + MIN_RATIO_SDS * sd) * rms.min())
 
 
 def _smooth(power: Array, at: Array, count: float) -> Array:
     """(n,) mean of the parts on either side, as far as half of SECONDS, or as it takes to have COUNT values; no farther
     than to the nearer end."""
     step = float(np.median(np.diff(at)))
-    reach = np.minimum(0.5 * max(SECONDS, step * COUNT / count), np.minimum(at - at[0], at[-1] - at)) + 0.1 * step
+    reach = (
+        np.minimum(0.5 * max(AVERAGE_S, step * MIN_INDEPENDENT_VALUES / count), np.minimum(at - at[0], at[-1] - at))
+        + 0.1 * step
+    )
     total = np.concatenate([[0.0], np.cumsum(power)])
     first, last = np.searchsorted(at, at - reach), np.searchsorted(at, at + reach)
     return np.asarray((total[last] - total[first]) / (last - first))

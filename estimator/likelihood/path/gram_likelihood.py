@@ -22,12 +22,17 @@ from estimator.likelihood.motion.stream_record import Bank
 from estimator.signals.band_limit import noise_shape
 from estimator.signals.blocks import BlockLayout, FrequencyNodes, frequency_nodes
 
-from .contour import modes_of, past, stretches, turns
+from .contour import contiguous_bands, phase_steps, shift_past_modes, slowest_modes
 from .jacobian import levels, log_determinant, noise_slope
-from .measured_force import is_known, left, seen_through, taken_back
+from .measured_force import is_force_measured, noise_bias, noise_responses, residual_over_noise
 
-WAYS, SHARES = 0.5 + 0.5 * leggauss(3)[0], 0.5 * leggauss(3)[1]  # between axis and line; a mode may be as near
-MARGIN = 2.0  # spacings of the nodes from a mode to the line of the determinant: the slopes are good to exp(-4 pi)
+SHORE_NODES, SHORE_WEIGHTS = (
+    0.5 + 0.5 * leggauss(3)[0],
+    0.5 * leggauss(3)[1],
+)  # between axis and line; a mode may be as near
+MARGIN_NODES = (
+    2.0  # spacings of the nodes from a mode to the line of the determinant: the slopes are good to exp(-4 pi)
+)
 
 
 def responses(balance: Balance, tangents: Array, f_hz: Array, shift: float = 0.0) -> Complexes:
@@ -120,12 +125,12 @@ class Likelihood:
     def __init__(self, evidence: Evidence) -> None:
         self.evidence = evidence
         balance, nodes = evidence.balance, evidence.nodes
-        self.band, grid = stretches(evidence.grid.f_hz), evidence.grid
+        self.band, grid = contiguous_bands(evidence.grid.f_hz), evidence.grid
         outwards = 0.5 * grid.rate_hz / grid.size * np.array([-1.0, 1.0])  # a bin is as wide as the next is far
         self.ends = (np.array(self.band) / (2 * np.pi) + outwards).ravel()  # Hz
         self.R = self._responses(0.0, nodes.f_hz)
-        self.known = is_known(balance)
-        self.seen = seen_through(balance, self.R) if self.known else self.R  # how the sensors' noise enters a column
+        self.known = is_force_measured(balance)
+        self.seen = noise_responses(balance, self.R) if self.known else self.R  # how the sensors' noise enters a column
         entries = [(p, i, k, x) for p, f in enumerate(balance.free) for i, k, x in f.entries]
         self.row = np.array([e[1] for e in entries], dtype=np.intp)
         self.column = np.array([e[2] for e in entries], dtype=np.intp)
@@ -158,13 +163,13 @@ class Likelihood:
         f, length, shift = nodes.f_hz, grid.size / grid.rate_hz, 0.0
         size = np.abs(np.linalg.det(A))
         if mass.min() > 0.0:
-            modes = modes_of(A, mass, f, size, self.evidence.balance.disc, self.evidence.balance.places)
+            modes = slowest_modes(A, mass, f, size, self.evidence.balance.disc, self.evidence.balance.places)
             after = np.clip(np.searchsorted(f, modes.imag / (2 * np.pi)), 1, f.size - 1)
-            margin = MARGIN / length * np.maximum(nodes.weight[after - 1], nodes.weight[after])
-            shift = past(modes, margin, self.band)
+            margin = MARGIN_NODES / length * np.maximum(nodes.weight[after - 1], nodes.weight[after])
+            shift = shift_past_modes(modes, margin, self.band)
         if shift == 0.0:
             return Line(0.0, self.R, A, self._sum(size), self.R[:0], A[:0])
-        R, ends = self._responses(shift, f), np.stack([self._responses(x * shift, self.ends) for x in WAYS])
+        R, ends = self._responses(shift, f), np.stack([self._responses(x * shift, self.ends) for x in SHORE_NODES])
         beside, there = B @ R, B @ ends
         determinant = np.linalg.det(beside)
         turned = self._turned(determinant, np.linalg.det(there))
@@ -177,8 +182,8 @@ class Likelihood:
         between its `ends` (ways, 2 stretches)."""
         f, turned = self.evidence.nodes.f_hz, 0.0
         for k, (low, high) in enumerate(self.ends.reshape(-1, 2)):
-            here = float(turns(determinant[(f >= low) & (f <= high)]).sum())
-            turned += here + float(SHARES @ np.angle(ends[:, 2 * k + 1] / ends[:, 2 * k] * np.exp(-1j * here)))
+            here = float(phase_steps(determinant[(f >= low) & (f <= high)]).sum())
+            turned += here + float(SHORE_WEIGHTS @ np.angle(ends[:, 2 * k + 1] / ends[:, 2 * k] * np.exp(-1j * here)))
         return turned
 
     def _sum(self, size: Array) -> float:
@@ -298,7 +303,9 @@ class Likelihood:
         if self.known:
             count: Array = np.asarray(self.evidence.blocks * self.evidence.grid.per_cell, dtype=np.float64)
             spread = here.point.S * self.colour[1] + trial.floor @ here.point.noise  # noise as it was before the step
-            return left(trial.power, spread, count) <= left(here.power, here.spread, count) * (1.0 + 1e-9)
+            return residual_over_noise(trial.power, spread, count) <= residual_over_noise(
+                here.power, here.spread, count
+            ) * (1.0 + 1e-9)
         return trial.nll <= here.nll + 1e-9 * abs(here.nll)
 
     def _nuisance(self, point: Point, gain: Array) -> Array:
@@ -324,7 +331,7 @@ class Likelihood:
         if self.known:
             psd = self.noise_shape * point.noise * nodes.weight[:, None]
             share = psd[:, None, :] / spread[nodes.cell][:, :, None]
-            return taken_back(A, self.seen, self.row, self.column, share)
+            return noise_bias(A, self.seen, self.row, self.column, share)
         inside = point.S * self.colour[0] + (np.abs(A) ** 2 * self.noise_shape[:, None, :]) @ point.noise
         kappa = inside / spread[nodes.cell] * nodes.weight[:, None]  # 1 per bin where S is flat within the cell
         g, h = log_determinant(line.A, line.R, self.row, self.column, kappa, hessian)
@@ -339,8 +346,8 @@ class Likelihood:
         passed = np.einsum("hseq,hsqf->hsef", line.ends[:, :, self.column], line.inverses[..., self.row])
         grid, sign = self.evidence.grid, np.tile([-1.0, 1.0], len(self.band))
         length = grid.size / grid.rate_hz * line.shift / (2 * np.pi)
-        slope = np.einsum("h,s,hsee->e", SHARES, sign, passed).imag
-        bend = -np.einsum("h,s,hsef,hsfe->ef", SHARES, sign, passed, passed).imag
+        slope = np.einsum("h,s,hsee->e", SHORE_WEIGHTS, sign, passed).imag
+        bend = -np.einsum("h,s,hsef,hsfe->ef", SHORE_WEIGHTS, sign, passed, passed).imag
         return length * slope, length * bend
 
 

@@ -15,17 +15,17 @@ from estimator.likelihood.response.regressor_set import Regressor, orthogonalise
 
 from .path_fit import PathFit
 from .subproblem import Subproblem, subproblem
-from .whitening import Columns
+from .whitening import WhitenedRegressors
 from .working_point import WorkingPoint
 
 ALL_FOLDS = np.arange(FOLDS)
 MIN_OWN_VALUES_GAIN_NATS = 2.0  # about the price of a parameter: by searched parameters of one location
 
 
-def trial_columns(point: WorkingPoint, placed: LocatedLaw) -> Columns | None:
+def whitened_law(point: WorkingPoint, placed: LocatedLaw) -> WhitenedRegressors | None:
     """Columns of the amplitudes, freed from the base; None if nothing is left of one of them."""
     kept = independent_regressors(point, placed, linear_only=True)
-    return point.whitening.columns(kept) if kept else None
+    return point.whitening.whiten(kept) if kept else None
 
 
 def independent_regressors(point: WorkingPoint, placed: LocatedLaw, linear_only: bool = False) -> list[Regressor]:
@@ -78,7 +78,7 @@ def fitted_gain(
     against : `base_fit`, if it is known.
     """
     try:
-        extra = trial_columns(point, placed)
+        extra = whitened_law(point, placed)
     except NotFiniteError:
         return None
     if extra is None:
@@ -92,6 +92,6 @@ def fitted_gain(
         spread = spread or {n.rsplit(".", 1)[1]: fit.value(n)[1] for n in problem.extra}
         inside = tuple(n for n in problem.extra if limits[n][0] <= fit.value(n)[0] <= limits[n][1])
         if inside == problem.extra:
-            return LawGain(problem.likelihood(fit, ALL_FOLDS) - level, problem, fit, spread)
+            return LawGain(gain=problem.likelihood(fit, ALL_FOLDS) - level, problem=problem, fit=fit, spread=spread)
         problem = problem.only(inside)
-    return LawGain(0.0, plain, base, spread)
+    return LawGain(gain=0.0, problem=plain, fit=base, spread=spread)

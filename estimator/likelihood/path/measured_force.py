@@ -18,19 +18,19 @@ from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.force_balance import Balance
 
 
-def is_known(balance: Balance) -> bool:
+def is_force_measured(balance: Balance) -> bool:
     """Whether the force is measured at every place."""
     return {c.row for c in balance.columns if c.kind == "f"} == set(range(len(balance.places)))
 
 
-def seen_through(balance: Balance, R: Complexes) -> Complexes:
+def noise_responses(balance: Balance, R: Complexes) -> Complexes:
     """The responses R (f, columns, places) by which the noise of the sensors enters each column: laws have none."""
     out = R.copy()
     out[:, [c.kind == "law" for c in balance.columns]] = 0.0
     return out
 
 
-def taken_back(
+def noise_bias(
     A: Complexes, R: Complexes, row: NDArray[np.intp], column: NDArray[np.intp], share: Array
 ) -> tuple[Array, Array]:
     """Gradient (E,) and Hessian (E, E) by the entries of B of half of sum(|A|^2 N / S_r), S_r held; A = B R.
@@ -44,6 +44,6 @@ def taken_back(
     return g, np.where(row[:, None] == row, h, 0.0)
 
 
-def left(power: Array, spread: Array, count: Array) -> float:
+def residual_over_noise(power: Array, spread: Array, count: Array) -> float:
     """What is left of the force over noise of this PSD, which judges a step; (cells, P) and count : (cells,) bins."""
     return float(count @ (power / spread).sum(axis=1))

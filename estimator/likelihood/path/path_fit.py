@@ -24,14 +24,14 @@ from estimator.likelihood.response.regressor_set import tangent_response
 from estimator.parallel import map_threads
 
 from .determinant import Jacobian
-from .whitening import Columns, Spectrum, Whitening
+from .whitening import Spectrum, WhitenedRegressors, Whitening
 
 # Mean tangents are known to about a part in a hundred. Where columns of a law of many parameters cancel to a part in
 # ten thousand of their power, what is left of the tangents is that error, and the determinant follows it anywhere.
 MIN_INFORMATION_SHARE = 1e-5
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Gram:
     """G by place and fold, (places, folds, 1 + terms, 1 + terms), row 0 the force; n : (places, folds) complex bins."""
 
@@ -61,8 +61,17 @@ class Gram:
         at = [self.names.index(k) for k in names]
         rows = np.array([0] + [1 + k for k in at])
         apart = None if self.apart is None else self.apart[at]
-        return Gram(self.G[:, :, rows[:, None], rows], self.n, self.log_weight, self.tangents[at], self.scales[at],
-                    tuple(names), tuple(self.units[k] for k in at), apart, self.s)  # fmt: skip
+        return Gram(
+            G=self.G[:, :, rows[:, None], rows],
+            n=self.n,
+            log_weight=self.log_weight,
+            tangents=self.tangents[at],
+            scales=self.scales[at],
+            names=tuple(names),
+            units=tuple(self.units[k] for k in at),
+            apart=apart,
+            s=self.s,
+        )
 
     def combined(self, names: tuple[str, ...], weights: Array) -> Gram:
         """The same with the last q terms replaced by `names`, weights (len(names), q) sums of them, scaled units."""
@@ -73,17 +82,27 @@ class Gram:
         scales = np.concatenate([self.scales[:first], np.ones(len(names))])
         units = self.units[:first] + ("1",) * len(names)
         apart = None if self.apart is None else np.tensordot(block_diag(np.eye(first), weights), self.apart, 1)
-        return Gram(G, self.n, self.log_weight, tangents, scales, self.names[:first] + names, units, apart, self.s)
+        return Gram(
+            G=G,
+            n=self.n,
+            log_weight=self.log_weight,
+            tangents=tangents,
+            scales=scales,
+            names=self.names[:first] + names,
+            units=units,
+            apart=apart,
+            s=self.s,
+        )
 
 
-def gram(whitening: Whitening, force: dict[int, Spectrum], *columns: Columns) -> Gram:
+def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *columns: WhitenedRegressors) -> Gram:
     """Gram matrices of the force and all columns, by place and time fold."""
     data = whitening.data
     P = len(data.places)
     total = sum(len(c.names) for c in columns)
     G = np.zeros((P, FOLDS, 1 + total, 1 + total))
     n = np.zeros((P, FOLDS))
-    kept = np.ones_like(whitening.weight) if whitening.rings is None else whitening.rings.kept
+    kept = np.ones_like(whitening.weight) if whitening.ringing is None else whitening.ringing.kept
     log_weight = np.zeros((P, FOLDS))
 
     def at_place(i: int) -> None:
@@ -104,17 +123,23 @@ def gram(whitening: Whitening, force: dict[int, Spectrum], *columns: Columns) ->
             n[i, f] = here.size * kept[i].sum()
             log_weight[i, f] = here.size * (kept[i] @ np.log(whitening.weight[i]))
             if data.level is not None:
-                log_weight[i, f] -= (np.log(whitening.rise(i, data.level[i, here])) @ kept[i]).sum()
+                log_weight[i, f] -= (np.log(whitening.relative_psd(i, data.level[i, here])) @ kept[i]).sum()
 
     map_threads(at_place, range(P))
     return Gram(
-        G, n, log_weight, np.concatenate([c.tangents for c in columns]), np.concatenate([c.scales for c in columns]),
-        tuple(k for c in columns for k in c.names), tuple(u for c in columns for u in c.units),
-        np.concatenate([c.apart for c in columns]), whitening.s,
-    )  # fmt: skip
+        G=G,
+        n=n,
+        log_weight=log_weight,
+        tangents=np.concatenate([c.tangents for c in columns]),
+        scales=np.concatenate([c.scales for c in columns]),
+        names=tuple(k for c in columns for k in c.names),
+        units=tuple(u for c in columns for u in c.units),
+        apart=np.concatenate([c.apart for c in columns]),
+        s=whitening.s,
+    )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PathFit:
     """Increments delta (terms,) in scaled units, their covariance, S by place, and the log-likelihood, nats."""
 
@@ -142,7 +167,7 @@ def log_likelihood(
     return float(out + blocks[folds].sum() * jacobian.value(gram.tangents_in(folds, blocks), delta))
 
 
-def fit(
+def fit_increments(
     gram: Gram,
     jacobian: Jacobian,
     folds: NDArray[np.int64],
@@ -195,7 +220,7 @@ def fit(
     b = np.concatenate([[1.0], delta])
     S = np.einsum("a,iab,b->i", b, G, b) / n
     value = log_likelihood(gram, jacobian, delta, S, folds, blocks)
-    return PathFit(gram.names, delta, _inverse(H), S, value, gram.scales)
+    return PathFit(names=gram.names, delta=delta, covariance=_inverse(H), S=S, log_likelihood=value, scales=gram.scales)
 
 
 def _solve(H: Array, g: Array, min_information: float = 0.0) -> Array:

@@ -16,7 +16,7 @@ from estimator.likelihood.motion.stream_record import Bank
 from .gram_likelihood import Likelihood, Local
 
 
-def excess(likelihood: Likelihood, local: Local, bank: Bank) -> Array:
+def fold_tangent_scores(likelihood: Likelihood, local: Local, bank: Bank) -> Array:
     """(folds, p) what is to be taken off the scores of folds, by beta.
 
     Of a fold with another level of the force it is that of its tangents at its level: the rest is what S of the fold

@@ -26,7 +26,7 @@ from estimator.likelihood.motion.motion_record import MotionRecord
 MIN_CORRELATION = 1e-4  # correlation of two rows, anywhere in the band, that moves nothing
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SensorNoise:
     """weight : (places, bins), S over the PSD of each inferred force; root : (bins, places) one over its root. share :
     (places, bins) what of that PSD is noise of sensors, which does not rise with the force. shared : (bins, places,
@@ -66,7 +66,7 @@ def referred_noise(data: MotionRecord, A: Complexes, nu: Array, S: Array) -> Sen
     root = np.sqrt(weight / S[:, None]).T
     shared = R * root[:, :, None] * root[:, None, :]
     correlated = np.abs(shared).max(initial=0.0) > MIN_CORRELATION
-    found = SensorNoise(weight, referred * weight, root, shared if correlated else None)
+    found = SensorNoise(weight=weight, share=referred * weight, root=root, shared=shared if correlated else None)
     if not data.folded_beside.any():
         return found
     B = A.copy()

@@ -12,16 +12,16 @@ from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.motion_record import FOLDS
 
 from .determinant import Jacobian
-from .path_fit import MIN_INFORMATION_SHARE, Gram, PathFit, fit, log_likelihood
-from .whitening import Columns, Spectrum
+from .path_fit import MIN_INFORMATION_SHARE, Gram, PathFit, fit_increments, log_likelihood
+from .whitening import Spectrum, WhitenedRegressors
 from .working_point import WorkingPoint
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Subproblem:
     """Gram and Jacobian of some places; `base` names the model's own terms, `extra` those on trial.
 
-    caution : (base,) what keeps searched parameters of the model near, as in its own fit.
+    prior_information : (base,) what keeps searched parameters of the model near, as in its own fit.
     """
 
     places: tuple[int, ...]
@@ -30,7 +30,7 @@ class Subproblem:
     blocks: Array
     base: tuple[str, ...]
     extra: tuple[str, ...]
-    caution: Array
+    prior_information: Array
 
     def without_extra(self) -> Subproblem:
         return replace(self, gram=self.gram.keep(self.base), extra=())
@@ -47,15 +47,17 @@ class Subproblem:
         self, folds: NDArray[np.int64] | None = None, ridge: float = 0.0, steps: int = 30, start: Array | None = None
     ) -> PathFit:
         """Maximum likelihood; `ridge` is a prior information on the scaled extra terms. start : (terms,) scaled."""
-        penalty = np.concatenate([self.caution, np.full(len(self.extra), ridge)])
+        penalty = np.concatenate([self.prior_information, np.full(len(self.extra), ridge)])
         folds = np.arange(FOLDS) if folds is None else folds
-        return fit(self.gram, self.jacobian, folds, self.blocks, start, penalty, steps, MIN_INFORMATION_SHARE)
+        return fit_increments(
+            self.gram, self.jacobian, folds, self.blocks, start, penalty, steps, MIN_INFORMATION_SHARE
+        )
 
     def likelihood(self, found: PathFit, folds: NDArray[np.int64]) -> float:
         return log_likelihood(self.gram, self.jacobian, found.delta, found.S, folds, self.blocks)
 
 
-def component(point: WorkingPoint, places: tuple[int, ...]) -> tuple[int, ...]:
+def coupled_places(point: WorkingPoint, places: tuple[int, ...]) -> tuple[int, ...]:
     """The places together with those that share a parameter of the model with them."""
     found = set(places)
     while True:
@@ -65,18 +67,18 @@ def component(point: WorkingPoint, places: tuple[int, ...]) -> tuple[int, ...]:
         found = grown
 
 
-def base_of(point: WorkingPoint, at: NDArray[np.int64]) -> list[int]:
+def base_regressors(point: WorkingPoint, at: NDArray[np.int64]) -> list[int]:
     """Numbers of the model's terms that act at some places."""
-    own = point.columns
+    own = point.whitened
     return [k for k in range(len(own.names)) if any(k in own.index[int(i)] for i in at if int(i) in own.index)]
 
 
-def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: Columns | None = None) -> Subproblem:
+def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: WhitenedRegressors | None = None) -> Subproblem:
     """Cut the places out of the working point and add columns. Other places go on answering through the shaft, in the
     force (it is known) and in the Jacobian."""
-    at = np.array(component(point, places))
-    own = point.columns
-    base = base_of(point, at)
+    at = np.array(coupled_places(point, places))
+    own = point.whitened
+    base = base_regressors(point, at)
     q = 0 if extra is None else len(extra.names)
     size = 1 + len(base) + q
     G = np.zeros((at.size, FOLDS, size, size))
@@ -93,14 +95,29 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: Columns | No
     tangents = point.jacobian.tangents(tangents, at)
     new = () if extra is None else extra.names
     merged = Gram(
-        G, point.gram.n[at], point.gram.log_weight[at], tangents, scales, names + new,
-        units + (() if extra is None else extra.units), _among(apart, at), point.whitening.s,
-    )  # fmt: skip
+        G=G,
+        n=point.gram.n[at],
+        log_weight=point.gram.log_weight[at],
+        tangents=tangents,
+        scales=scales,
+        names=names + new,
+        units=units + (() if extra is None else extra.units),
+        apart=_among(apart, at),
+        s=point.whitening.s,
+    )
     inside = tuple(int(i) for i in at)
-    return Subproblem(inside, merged, point.jacobian.at(at), point.data.fold_blocks, names, new, point.caution[base])
+    return Subproblem(
+        places=inside,
+        gram=merged,
+        jacobian=point.jacobian.at(at),
+        blocks=point.data.fold_blocks,
+        base=names,
+        extra=new,
+        prior_information=point.prior_information[base],
+    )
 
 
-def extended(
+def with_extra(
     point: WorkingPoint, plain: Subproblem, i: int, made: Sequence[tuple[NDArray[np.int64], Array, Array]],
     names: tuple[str, ...], scales: Array, tangents: Complexes, apart: Array,
 ) -> Subproblem:  # fmt: skip
@@ -113,12 +130,18 @@ def extended(
     G = np.zeros((*old.G.shape[:2], size, size))
     G[:, :, :first, :first] = old.G
     for f, one in enumerate(made):
-        fill(G[plain.places.index(i), f], np.arange(first, size), *one)
+        fill_products(G[plain.places.index(i), f], np.arange(first, size), *one)
     joined = Gram(
-        G, old.n, old.log_weight, np.concatenate([old.tangents, point.jacobian.tangents(tangents, at)]),
-        np.concatenate([old.scales, scales]), old.names + names, old.units + ("N",) * len(names),
-        np.concatenate([old.apart, _among(apart, at)]), old.s,
-    )  # fmt: skip
+        G=G,
+        n=old.n,
+        log_weight=old.log_weight,
+        tangents=np.concatenate([old.tangents, point.jacobian.tangents(tangents, at)]),
+        scales=np.concatenate([old.scales, scales]),
+        names=old.names + names,
+        units=old.units + ("N",) * len(names),
+        apart=np.concatenate([old.apart, _among(apart, at)]),
+        s=old.s,
+    )
     return replace(plain, gram=joined, extra=names)
 
 
@@ -127,42 +150,42 @@ def _among(apart: Array, at: NDArray[np.int64]) -> Array:
     return np.asarray(apart[:, :, at[:, None], at])
 
 
-def _extend(point: WorkingPoint, i: int, extra: Columns, base: list[int], G: Array) -> None:
+def _extend(point: WorkingPoint, i: int, extra: WhitenedRegressors, base: list[int], G: Array) -> None:
     """Fill the rows of the extra columns of one place into G (folds, 1 + terms, 1 + terms)."""
     if i not in extra.spectra:
         return
     X = extra.spectra[i]
     at_extra = 1 + len(base) + extra.index[i]
     for f in range(FOLDS):
-        fill(G[f], at_extra, *products(point, i, base, f, X[:, fold_span(point, f)]))
+        fill_products(G[f], at_extra, *fold_products(point, i, base, f, X[:, fold_slice(point, f)]))
 
 
-def fold_span(point: WorkingPoint, f: int) -> slice:
+def fold_slice(point: WorkingPoint, f: int) -> slice:
     """The blocks of a fold."""
     here = np.flatnonzero(point.data.fold == f)
     return slice(int(here[0]), int(here[-1]) + 1)
 
 
-def products(
+def fold_products(
     point: WorkingPoint, i: int, base: list[int], f: int, X: Spectrum
 ) -> tuple[NDArray[np.int64], Array, Array]:  # fmt: skip
     """Rows of G that the force and the base terms have at place i, their products with X (q, blocks, 2 bins) of fold f,
     (rows, q), and those of X with itself."""
-    own, span = point.columns, fold_span(point, f)
+    own, span = point.whitened, fold_slice(point, f)
     Z = X.reshape(len(X), -1)
     cross = np.concatenate([point.spectra[i][None, span], own.spectra[i][:, span]]).reshape(-1, Z.shape[1])
     rows = np.array([0] + [1 + base.index(int(k)) for k in own.index[i]])
     return rows, (cross @ Z.T).astype(np.float64), (Z @ Z.T).astype(np.float64)
 
 
-def fill(G: Array, at: NDArray[np.int64], rows: NDArray[np.int64], C: Array, square: Array) -> None:
+def fill_products(G: Array, at: NDArray[np.int64], rows: NDArray[np.int64], C: Array, square: Array) -> None:
     """Put products into G, where the new terms are at `at`."""
     G[rows[:, None], at] = C
     G[at[:, None], rows] = C.T
     G[at[:, None], at] = square
 
 
-def gain(problem: Subproblem, ridge: float = 0.0, steps: int = 30) -> tuple[float, PathFit]:
+def likelihood_gain(problem: Subproblem, ridge: float = 0.0, steps: int = 30) -> tuple[float, PathFit]:
     """Log-likelihood gained by the extra terms over the refitted base, nats, on the whole record."""
     everything = np.arange(FOLDS)
     full = problem.fit(ridge=ridge, steps=steps)

@@ -13,16 +13,16 @@ from estimator.likelihood.motion.motion_record import FOLDS, MotionRecord
 from estimator.likelihood.response.regressor_set import Regressor, regressor_response
 from estimator.parallel import map_threads
 
-from .determinant import times
+from .determinant import tangent_times
 from .disc_ringing import Ringing, ringing
 from .sensor_noise import SensorNoise
 
 Spectrum = NDArray[np.float32]
-TOGETHER = 32  # blocks at a time: more do not stay in the cache
+BLOCKS_PER_FFT = 32  # blocks at a time: more do not stay in the cache
 
 
-@dataclass(frozen=True, slots=True)
-class Columns:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WhitenedRegressors:
     """Terms turned into weighted spectra, by place: (terms there, blocks, 2 bins) float32."""
 
     names: tuple[str, ...]
@@ -45,17 +45,17 @@ class Whitening:
     measured: Complexes | None = None
     _root: NDArray[np.float32] = field(init=False)  # (places, 2 bins), of real and imaginary parts
     _bins: slice | NDArray[np.int64] = field(init=False)
-    _even: list[Spectrum] | None = field(init=False)
-    rings: Ringing | None = field(init=False)
+    _level_root: list[Spectrum] | None = field(init=False)
+    ringing: Ringing | None = field(init=False)
 
     def __post_init__(self) -> None:
         # one-sided PSD normalisation: the mean of |F|^2 over bins is S
         self._root = np.sqrt(self.weight * 2.0 / (self.data.rate_hz * self.data.block)).astype(np.float32)
         bins = self.data.bins
-        self._even = None if self.data.level is None else [
-            (1.0 / np.sqrt(self.rise(i, own))).astype(np.float32) for i, own in enumerate(self.data.level)
+        self._level_root = None if self.data.level is None else [
+            (1.0 / np.sqrt(self.relative_psd(i, own))).astype(np.float32) for i, own in enumerate(self.data.level)
         ]  # fmt: skip
-        self.rings = ringing(self.data, self._root)
+        self.ringing = ringing(self.data, self._root)
         self._root = np.repeat(self._root, 2, axis=1)
         unbroken = bins[-1] - bins[0] == bins.size - 1  # a slice is read four times faster
         self._bins = slice(int(bins[0]), int(bins[-1]) + 1) if unbroken else bins
@@ -79,21 +79,21 @@ class Whitening:
             out = np.empty((len(z), root.size), np.float32)
         single = z.dtype == np.float32
         root = root * np.float32(scale) if single else root
-        for a in range(0, len(z), TOGETHER):
-            part, made = z[a : a + TOGETHER], out[a : a + TOGETHER]
+        for a in range(0, len(z), BLOCKS_PER_FFT):
+            part, made = z[a : a + BLOCKS_PER_FFT], out[a : a + BLOCKS_PER_FFT]
             part = part if single else (scale * part).astype(np.float32)  # it may be too small for that before
             np.multiply(self._in_band(np.asarray(rfft(part, axis=1))).view(np.float32), root, out=made)
-            if self.rings is not None:
-                self.rings.take_out(i, made)
-            if self._even is not None:
-                made.view(np.complex64)[...] *= self._even[i][first + a : first + a + len(made)]
+            if self.ringing is not None:
+                self.ringing.take_out(i, made)
+            if self._level_root is not None:
+                made.view(np.complex64)[...] *= self._level_root[i][first + a : first + a + len(made)]
         return out
 
     def _in_band(self, Z: NDArray[Any]) -> NDArray[Any]:
         """The bins of the band, (blocks, bins), of all: a view of them, if nothing is left out between."""
         return Z[:, self._bins] if isinstance(self._bins, slice) else np.take(Z, self._bins, axis=1)
 
-    def rise(self, i: int, level: Array) -> Array:
+    def relative_psd(self, i: int, level: Array) -> Array:
         """(blocks, bins) PSD of the inferred force at place i in blocks of a level (blocks,), over that of the record:
         the level of the force but for noise of sensors, which does not rise with it."""
         return np.asarray(level[:, None] + (1.0 - level[:, None]) * self.noise.share[i])
@@ -101,17 +101,17 @@ class Whitening:
     def power(self, i: int, Z: Spectrum) -> Array:
         """(blocks,) power of a spectrum seen at place i (blocks, 2 bins), as it was before blocks were weighed by the
         level of the force."""
-        if self._even is not None:
-            Z = (Z.view(np.complex64) / self._even[i]).view(np.float32)
+        if self._level_root is not None:
+            Z = (Z.view(np.complex64) / self._level_root[i]).view(np.float32)
         return np.asarray(np.einsum("bk,bk->b", Z, Z), np.float64)
 
-    def seen(self, tangents: Complexes) -> Complexes:
+    def tangents_to_measured(self, tangents: Complexes) -> Complexes:
         """Tangents (terms, places, places, bins) as the determinant needs them: to what is measured."""
         if self.measured is None:
             return tangents
-        return times(tangents, self.measured)
+        return tangent_times(tangents, self.measured)
 
-    def columns(self, terms: list[Regressor]) -> Columns:
+    def whiten(self, terms: list[Regressor]) -> WhitenedRegressors:
         index: dict[int, list[int]] = {}
         for k, term in enumerate(terms):
             for i in term.series:
@@ -126,9 +126,15 @@ class Whitening:
             return out
 
         spectra = dict(zip(index, map_threads(at, index), strict=True))
-        tangents = self.seen(np.array([regressor_response(t, self.s) for t in terms]))
-        return Columns(
-            tuple(t.name for t in terms), tuple(t.unit for t in terms), np.array([t.scale for t in terms]), tangents,
-            spectra, {i: np.array(k) for i, k in index.items()},
-            np.array([np.zeros((FOLDS, *t.tangent.shape)) if t.apart is None else t.apart * t.scale for t in terms]),
-        )  # fmt: skip
+        tangents = self.tangents_to_measured(np.array([regressor_response(t, self.s) for t in terms]))
+        return WhitenedRegressors(
+            names=tuple(t.name for t in terms),
+            units=tuple(t.unit for t in terms),
+            scales=np.array([t.scale for t in terms]),
+            tangents=tangents,
+            spectra=spectra,
+            index={i: np.array(k) for i, k in index.items()},
+            apart=np.array(
+                [np.zeros((FOLDS, *t.tangent.shape)) if t.apart is None else t.apart * t.scale for t in terms]
+            ),
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,16 +31,18 @@ from estimator.likelihood.response.regressor_set import (
 from estimator.model.rig import Model
 from estimator.parallel import map_threads
 
-from .contour import along, contour
+from .contour import continued_tangent, contour
 from .determinant import Jacobian
-from .path_fit import Gram, PathFit, fit, gram
+from .path_fit import Gram, PathFit, fit_increments, gram_matrices
 from .sensor_noise import force_correlation, referred_noise
-from .whitening import Columns, Spectrum, Whitening
+from .whitening import Spectrum, WhitenedRegressors, Whitening
 
-STRIDE = 0.3  # of the reach of a searched parameter: one standard deviation of the step that is taken at once
+MAX_STEP_OF_REACH = (
+    0.3  # of the reach of a searched parameter: one standard deviation of the step that is taken at once
+)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WorkingPoint:
     """A fitted model on a record. kL, c, S : (places,); nu : (places,) sensor noise PSD, in its unit^2/Hz, over S.
 
@@ -55,14 +58,14 @@ class WorkingPoint:
     force: Series  # (places, n) N, inferred excitation
     whitening: Whitening
     spectra: dict[int, Spectrum]  # of the force
-    terms: tuple[Regressor, ...]
-    columns: Columns
+    regressors: tuple[Regressor, ...]
+    whitened: WhitenedRegressors
     gram: Gram
     jacobian: Jacobian
     fit: PathFit
-    caution: Array  # (terms,) information that keeps searched parameters near, in every fit about this point
+    prior_information: Array  # (terms,) information that keeps searched parameters near, in every fit about this point
     A: NDArray[np.complex128]  # (bins, places, places)
-    slopes: Array  # (places, places, 2) mean tangent
+    mean_tangent: Array  # (places, places, 2) mean tangent
     fluctuations: tuple[Fluctuation | Probe | None, ...]  # by place, of the laws of the model
     spans: Spans  # of the model's own columns, by place
     units: UnitRegressors  # of the law on trial
@@ -81,7 +84,7 @@ class WorkingPoint:
             power = power.reshape(len(power), self.data.blocks, -1).mean(axis=2) / self.data.level
         return np.asarray(np.sqrt(np.mean(power, axis=1)))
 
-    def rowless(self) -> WorkingPoint:
+    def without_rows(self) -> WorkingPoint:
         """Itself without rows, which are large: for a fit of another record to begin from."""
         none = np.zeros(self.data.x.shape[1], bool)
         data, still = self.data.at(none), (None,) * len(self.fluctuations)
@@ -89,7 +92,7 @@ class WorkingPoint:
                        fluctuations=still)  # fmt: skip
 
 
-def thinned(point: WorkingPoint, seconds: float) -> WorkingPoint:
+def point_on_part(point: WorkingPoint, seconds: float) -> WorkingPoint:
     """The same model on part of the record: for searching, and for pictures."""
     part = leading_blocks(point.data, seconds)
     if part is point.data:
@@ -97,12 +100,12 @@ def thinned(point: WorkingPoint, seconds: float) -> WorkingPoint:
     return point_at(part, point.kL, point.c, point.nu, point.S, list(point.placed), point)
 
 
-def plain(point: WorkingPoint, seconds: float) -> WorkingPoint:
+def search_point(point: WorkingPoint, seconds: float) -> WorkingPoint:
     """The same on part of the record for a quick search, far from where it ends: no law is dressed by the others, as
     what dresses it holds for small steps of theirs only."""
     remembering = {u.name(k) for u in point.placed if u.effect.kind == "memory" for k in range(u.p.size)}
-    bare = tuple(t if t.name in remembering else replace(t, memory={}) for t in point.terms)
-    longer = replace(point, terms=bare, fluctuations=(None,) * len(point.fluctuations))
+    bare = tuple(t if t.name in remembering else replace(t, memory={}) for t in point.regressors)
+    longer = replace(point, regressors=bare, fluctuations=(None,) * len(point.fluctuations))
     return point_at(
         leading_blocks(point.data, seconds), point.kL, point.c, point.nu, point.S, list(point.placed), longer
     )
@@ -154,7 +157,7 @@ def _forces(
 def tangent_at(point: WorkingPoint, model: Model, f_hz: Array) -> NDArray[np.complex128]:
     """(f, places, places) force per acceleration at any frequency, memory effects left out. model : of the point."""
     w = 2 * np.pi * f_hz[:, None, None]
-    D = point.slopes
+    D = point.mean_tangent
     shaft = shaft_response(model, point.data.places, f_hz)
     return np.asarray(np.diag(point.data.mass)[None] - (shaft + D[..., 0]) / w**2 + D[..., 1] / (1j * w))
 
@@ -171,10 +174,10 @@ def point_at(
     s = contour(A, data.mass, D, data.f_hz, data.disc, data.places)
 
     def along_line(A: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        return along(s, A, data.mass, D, data.disc, data.places)
+        return continued_tangent(s, A, data.mass, D, data.disc, data.places)
 
     noise = referred_noise(data, A, nu, S)
-    whitening = Whitening(data, noise, s, noise.to_measured(along_line(A)))
+    whitening = Whitening(data=data, noise=noise, s=s, measured=noise.to_measured(along_line(A)))
     spectra = dict(enumerate(map_threads(lambda i: whitening.spectrum(i, F[i]), range(P))))
     mean = _means(data, D, uses, own, lin)
     around = fluctuations(data, uses, mean, lin) if longer is None else longer.fluctuations
@@ -184,24 +187,48 @@ def point_at(
         own = map_threads(lambda k: _as_longer(own[k], uses[k], longer), range(len(uses)))
     common = {(i, j): force_correlation(data, A, noise.weight, i, j) for i, j in data.shared}
     made = _all_terms(data, lin, uses, own) + _in_common(data, F, noise.weight, common)
-    columns = whitening.columns(made)
-    G = gram(whitening, spectra, columns)
-    dressing = np.zeros((len(A), P), complex)
-    for i, here in enumerate(around):
-        if here is not None:
-            dressing[:, i] = here.whole / (2 * np.pi * data.f_hz) ** 2
-            A[:, i, i] += dressing[:, i]
+    columns = whitening.whiten(made)
+    G = gram_matrices(whitening, spectra, columns)
+    correction = _add_second_order(A, data.f_hz, around)
     there = (1j * s.imag / s) ** 2  # over -w^2 becomes over s^2
-    kept = None if whitening.rings is None else whitening.rings.kept.mean(axis=0)
-    jacobian = Jacobian(along_line(A), s, dressing * there[:, None], kept)
+    kept = None if whitening.ringing is None else whitening.ringing.kept.mean(axis=0)
+    jacobian = Jacobian(along_line(A), s, correction * there[:, None], kept)
     caution = _caution(data, G, uses)
     result = _cautious(G, jacobian, data.fold_blocks, caution)
     own_terms = tuple(in_single_precision(t) for t in made)
     coarse = tuple(here and here.coarse(data.rate_hz, about) for here, about in zip(around, mean, strict=True))
     return WorkingPoint(
-        data, kL, c, _whole_power(data, result, common), nu, tuple(uses), F, whitening, spectra, own_terms, columns, G,
-        jacobian, result, caution, A, D, coarse, Spans(own_terms), UnitRegressors(),
-    )  # fmt: skip
+        data=data,
+        kL=kL,
+        c=c,
+        S=_whole_power(data, result, common),
+        nu=nu,
+        placed=tuple(uses),
+        force=F,
+        whitening=whitening,
+        spectra=spectra,
+        regressors=own_terms,
+        whitened=columns,
+        gram=G,
+        jacobian=jacobian,
+        fit=result,
+        prior_information=caution,
+        A=A,
+        mean_tangent=D,
+        fluctuations=coarse,
+        spans=Spans(own_terms),
+        units=UnitRegressors(),
+    )
+
+
+def _add_second_order(A: Complexes, f_hz: Array, around: Sequence[Fluctuation | Probe | None]) -> Complexes:
+    """(bins, places) kg: what the fluctuating tangents of the laws at a place add to A (bins, places, places)."""
+    out = np.zeros(A.shape[:2], complex)
+    for i, here in enumerate(around):
+        if here is not None:
+            out[:, i] = here.whole / (2 * np.pi * f_hz) ** 2
+            A[:, i, i] += out[:, i]
+    return out
 
 
 def _means(
@@ -247,7 +274,7 @@ def _as_longer(own: list[Regressor], use: LocatedLaw, longer: WorkingPoint) -> l
     A law that remembers answers as it does here at these values: with the answer from before the last step, a fifth of
     a standard deviation off, force and determinant do not balance, and a complete model gained 27 nats by its level.
     """
-    known = {t.name: t.memory for t in longer.terms}
+    known = {t.name: t.memory for t in longer.regressors}
     there = [t for t in own if t.name in known]
     if any(has_nonlinear_memory(use, longer.lin[i]) and longer.fluctuations[i] is not None for i in use.at):
         return with_second_order(there, use, longer.fluctuations)
@@ -260,7 +287,7 @@ def _caution(data: MotionRecord, G: Gram, uses: list[LocatedLaw]) -> Array:
     caution = np.zeros(len(G.names))
     for use in uses:
         for k, q in enumerate(use.effect.parameters):
-            far = STRIDE * parameter_scale(use, k, data)
+            far = MAX_STEP_OF_REACH * parameter_scale(use, k, data)
             if not q.linear and far > 0.0 and use.name(k) in G.names:
                 j = G.names.index(use.name(k))
                 caution[j] = (G.scales[j] / far) ** 2
@@ -270,10 +297,10 @@ def _caution(data: MotionRecord, G: Gram, uses: list[LocatedLaw]) -> Array:
 def _cautious(G: Gram, jacobian: Jacobian, blocks: Array, caution: Array) -> PathFit:
     """The fit with its step in searched parameters kept short, and what goes with them."""
     everything = np.arange(FOLDS)
-    result = fit(G, jacobian, everything, blocks)
+    result = fit_increments(G, jacobian, everything, blocks)
     if not caution.any():
         return result
-    return replace(fit(G, jacobian, everything, blocks, ridge=caution), covariance=result.covariance)
+    return replace(fit_increments(G, jacobian, everything, blocks, ridge=caution), covariance=result.covariance)
 
 
 def _in_common(

@@ -20,7 +20,12 @@ from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.search import search
 from estimator.identification.structure import transfer_bias, transfer_faults
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.fitting.transfer_function import left, linear, plain, response_of
+from estimator.likelihood.fitting.transfer_function import (
+    fit_linear_path,
+    linear_tangent,
+    path_spectra_of,
+    residual_power,
+)
 from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import EffectUse, Model
 
@@ -92,8 +97,8 @@ def test_stiffness_and_damping_by_the_path_alone() -> None:
     w, part = 2 * np.pi * point.data.f_hz, 0.002
     bent = point.A - part * (KL / w**2 + 1j * C / w)[:, None, None]
     off = replace(point, force=point.force + part * (KL * point.data.x + C * point.data.v), A=bent)
-    r = response_of(off, 0)
-    peak, _ = plain(off, 0, r)
+    r = path_spectra_of(off, 0)
+    peak, _ = fit_linear_path(off, 0, r)
     sd = np.sqrt(np.diag(peak.covariance))
     k, c = point.kL[0] + part * KL + peak.u[2], point.c[0] + part * C + peak.u[3]
     assert abs(k - KL) < 3 * sd[2]
@@ -101,8 +106,8 @@ def test_stiffness_and_damping_by_the_path_alone() -> None:
     assert sd[2] < 2e-5 * KL
     for u, rms, spread in zip(peak.u, (0.003, 0.1), sd, strict=False):
         assert abs(u - np.log(rms**2 / (RATE / 2))) < 3 * spread < 0.2
-    assert np.array_equal(left(r, r.A), r.rr)
-    assert np.array_equal(linear(r, np.zeros(2)), r.A)
+    assert np.array_equal(residual_power(r, r.A), r.rr)
+    assert np.array_equal(linear_tangent(r, np.zeros(2)), r.A)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -231,8 +236,8 @@ def test_twice_the_nats_of_an_idle_cause_are_chi_square_whatever_the_noise() -> 
     for seed in range(40):
         noise = (10 ** rng.uniform(-1.0, 0.3), 10 ** rng.uniform(-2.0, -0.5))
         point = fit_model(prepare(RIG, record(seed=seed, noise=noise), RATE), [])
-        r = response_of(point, 0)
-        base, scale = plain(point, 0, r)
+        r = path_spectra_of(point, 0)
+        base, scale = fit_linear_path(point, 0, r)
         for cause in transfer_bias.transfer_causes(point, 0, {}):
             starts = [np.array(z) for z in cause.starts]
             nats = transfer_bias.fit_cause(point, 0, r, cause, base, scale, starts).nats - base.nats
@@ -322,7 +327,7 @@ def test_noise_of_the_force_and_a_force_beside_it_are_told_in_their_shares() -> 
     y = record(4.0, 4, noise=(0.02, rms * np.sqrt(noise)),
                unseen=lambda t: rms * np.sqrt(beside) * rng.normal(size=t.size))  # fmt: skip
     point = fit_all_effects(RIG, y, RATE).point
-    found = transfer_faults.likeliest_reading(RIG, point, 0, response_of(point, 0))
+    found = transfer_faults.likeliest_reading(RIG, point, 0, path_spectra_of(point, 0))
     assert found.response.unmeasured == pytest.approx(beside / (noise + beside), abs=0.05)
     assert point.c[0] + found.base.u[3] == pytest.approx(C, abs=4 * float(np.sqrt(found.base.covariance[3, 3])))
     assert transfer_faults.find_transfer_faults(RIG, point) == []

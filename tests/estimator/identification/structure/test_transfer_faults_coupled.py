@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from estimator.identification.structure.transfer_faults import coherent_remainder
-from estimator.likelihood.fitting.path_spectra import Folded, Response
-from estimator.likelihood.fitting.transfer_function import Peak, expected
+from estimator.likelihood.fitting.path_spectra import Folded, PathSpectra
+from estimator.likelihood.fitting.transfer_function import Peak, residual_and_noise
 
 Complexes = NDArray[np.complex128]
 CELLS, PLACES, HERE = 40, 3, 1
@@ -43,20 +43,20 @@ def test_noise_and_what_is_folded_leave_nothing_odd(coupled: float, unmeasured: 
     a, f = motion[:, HERE], force[:, HERE]
     across = sum(np.abs(A[:, HERE, j]) ** 2 * M[j] for j in range(PLACES) if j != HERE)
     one = np.ones(CELLS)
-    r = Response(
+    r = PathSpectra(
         w=one, n=one, rr=mean(R, R, power).real, ra=mean(R, a, power), aa=mean(a, a, power).real,
         rf=mean(R, f, power), af=mean(a, f, power), ff=mean(f, f, power).real, A=A[:, HERE, HERE], H=H[:, HERE, HERE],
         noise=one, hz=one, unmeasured=unmeasured, across=across + 0.0 * one,
     )  # fmt: skip
     unit = np.ones((2, CELLS), complex)
-    r = r.less(Folded(M[HERE] / 2 * np.ones((2, CELLS)), unit, unit, m * one, True))
+    r = r.less(Folded(density=M[HERE] / 2 * np.ones((2, CELLS)), passed=unit, undone=unit, back=m * one, likely=True))
     peak = Peak(0.0, np.array([np.log(Q), np.log(N)]), np.eye(2), r.A)
     odd, noise = coherent_remainder(r, peak)
     assert np.max(odd / noise) < 1e-20
-    P, _, s = expected(r, peak.A, peak.u)
+    P, _, s = residual_and_noise(r, peak.A, peak.u)
     assert pytest.approx(s, rel=1e-12) == P
     far = replace(peak, u=np.array([np.log(1e3 * Q), np.log(N)]))
-    assert np.all(coherent_remainder(r, far)[0] <= expected(r, far.A, far.u)[0]), (
+    assert np.all(coherent_remainder(r, far)[0] <= residual_and_noise(r, far.A, far.u)[0]), (
         "no more than is left, whatever is taken for Q"
     )
     d = 0.1 * (rng.normal(size=CELLS) + 1j * rng.normal(size=CELLS))

@@ -12,8 +12,8 @@ from scipy.signal import bessel, sosfreqz
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual.missing_force import survey
 from estimator.identification.structure import transfer_faults
-from estimator.likelihood.fitting.folded_force import alike
-from estimator.likelihood.fitting.transfer_function import response_of
+from estimator.likelihood.fitting.folded_force import aliased_tangent
+from estimator.likelihood.fitting.transfer_function import path_spectra_of
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 
 Floats = NDArray[np.float64]
@@ -77,7 +77,7 @@ def psd(z: Floats, block: int = 4096) -> Floats:
 def test_what_is_folded_into_the_force_is_as_that_into_the_acceleration() -> None:
     record, f = sampled(), np.fft.rfftfreq(4096, 1 / RATE)
     inside = (f > BAND[0]) & (f < BAND[1])
-    through = np.abs(alike(f, RATE, M, K, C)) ** 2
+    through = np.abs(aliased_tangent(f, RATE, M, K, C)) ** 2
     np.testing.assert_allclose(psd(record.f)[inside], (through * psd(record.n))[inside], rtol=0.01)
 
 
@@ -89,7 +89,7 @@ def test_it_bends_no_path_and_its_density_is_seen() -> None:
         assert p.value == pytest.approx(true, abs=4 * (p.sd or 0.0))
     assert not transfer_faults.find_transfer_faults(RIG, whole.point)
     assert not survey(whole.point, RIG).any_found()
-    r = response_of(whole.point, 0)
+    r = path_spectra_of(whole.point, 0)
     hz, f = r.w / (2 * np.pi), np.fft.rfftfreq(4096, 1 / RATE)
     off = r.folded / np.interp(hz, f, psd(record.n))
     np.testing.assert_allclose([np.median(off[(hz > a) & (hz < 2 * a)]) for a in (200, 400, 800)], 1.0, rtol=0.15)
@@ -131,7 +131,7 @@ def test_all_of_the_record_is_looked_at_where_a_part_is_not_enough() -> None:
     """In doubt the fold was left out, by turns of a fit: a cubic was 9 % too weak, 26 standard deviations."""
     record = sampled(noise=0.05)
     point = fit_all_effects(RIG, record.y, RATE).point
-    assert all(np.any(response_of(point, 0, every=every).folded) for every in (1, 2, 4, 8))
+    assert all(np.any(path_spectra_of(point, 0, every=every).folded) for every in (1, 2, 4, 8))
 
 
 @pytest.mark.parametrize("kind", ["velocity", "displacement"])
@@ -163,7 +163,7 @@ def test_nor_does_its_path_bend_where_shape_or_noise_make_it_hard_to_see(
 
 @pytest.mark.parametrize("noise", [1e-3, 0.03])
 def test_noise_of_sensors_is_no_fold(noise: float) -> None:
-    r = response_of(fit_all_effects(RIG, sampled(filtered=False, noise=noise).y, RATE).point, 0)
+    r = path_spectra_of(fit_all_effects(RIG, sampled(filtered=False, noise=noise).y, RATE).point, 0)
     assert not np.any(r.folded)
 
 

@@ -16,7 +16,7 @@ from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import LocatedLaw, located_laws
 from estimator.likelihood.motion.memory_law import force_along_path, memory_force_and_response, stacked_states
 from estimator.likelihood.motion.prepare import prepare
-from estimator.likelihood.path.working_point import thinned
+from estimator.likelihood.path.working_point import point_on_part
 from estimator.likelihood.response import impulse_probe
 from estimator.likelihood.response.fluctuation import Fluctuation, fluctuations
 from estimator.likelihood.response.impulse_probe import Probe, probed
@@ -130,7 +130,7 @@ def test_a_probe_and_covariances_say_the_same_of_a_law_that_remembers_nothing() 
     model = replace(rig, effects=(*rig.effects, EffectUse("quadratic_damping", {p: {} for p in rig.places})))
     data = prepare(model, y, RATE)
     point = fit_model(data, located_laws(model, data))
-    mean = modal_responses(data.mass, point.slopes, data.places, data.disc)
+    mean = modal_responses(data.mass, point.mean_tangent, data.places, data.disc)
     known = fluctuations(data, point.placed, mean, point.lin)[0]
     idle = LocatedLaw(BOUC_WEN, "idle", (0,), np.array([1.0, data.rms[0, 0]]), (True, True))
     sent = fluctuations(data, [*point.placed, idle], mean, point.lin)[0]
@@ -208,7 +208,7 @@ def test_part_of_a_record_has_the_response_of_the_values_it_is_at() -> None:
     law = next(u for u in point.placed if u.effect is BOUC_WEN)
     moved = law.with_values(law.p * np.array([1.0, 1.1]))
     after = replace(point, placed=tuple(moved if u is law else u for u in point.placed))
-    responses = [{t.name: t.memory.get(0) for t in thinned(one, 6.0).terms} for one in (point, after)]
+    responses = [{t.name: t.memory.get(0) for t in point_on_part(one, 6.0).regressors} for one in (point, after)]
     k, slip = law.name(0), law.name(1)
     changed = responses[1][k] - responses[0][k]
     told = 0.1 * law.p[1] / law.p[0] * 0.5 * (responses[0][slip] + responses[1][slip])

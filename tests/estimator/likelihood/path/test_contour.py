@@ -19,7 +19,7 @@ from estimator.identification.batch.spectral import fit_spectral
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.motion.force_balance import build
 from estimator.likelihood.motion.stream_record import gather, prepare
-from estimator.likelihood.path.contour import FED, MARGIN, along, contour
+from estimator.likelihood.path.contour import MARGIN_BINS, WIDE_MARGIN_BINS, continued_tangent, contour
 from estimator.likelihood.path.determinant import Jacobian
 from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, evidence_of
 from estimator.likelihood.response.regressor_set import tangent_response
@@ -42,7 +42,7 @@ def value(k: float, c: float) -> tuple[float, NDArray[np.float64], float]:
     iw = 2j * np.pi * F_HZ
     A = (MASS[0] + k / iw**2 + c / iw)[:, None, None]
     s = contour(A, MASS, D, F_HZ)
-    J = Jacobian(along(s, A, MASS, D), s)
+    J = Jacobian(continued_tangent(s, A, MASS, D), s)
     units = tangent_response(np.array([[[[1.0, 0.0]]], [[[0.0, 1.0]]]]), s)
     return J.value(units, np.zeros(2)), J.derivatives(units, np.zeros(2))[0], float(s.real.max())
 
@@ -58,11 +58,13 @@ def test_the_sum_is_linear_in_the_damping_whether_the_mode_decays_or_grows(f0: f
     k, c = MASS[0] * (2 * np.pi * f0) ** 2, 2 * MASS[0] * decay
     spacing = 2 * np.pi / BLOCK_S
     here, slopes, shift = value(k, c)
-    if abs(decay - MARGIN * spacing) > 1.0:
-        assert shift == pytest.approx(FED * spacing - decay if decay < MARGIN * spacing else 0.0, abs=1.0)
+    if abs(decay - MARGIN_BINS * spacing) > 1.0:
+        assert shift == pytest.approx(
+            WIDE_MARGIN_BINS * spacing - decay if decay < MARGIN_BINS * spacing else 0.0, abs=1.0
+        )
     assert slopes[1] == pytest.approx(BLOCK_S / (2 * MASS[0]), rel=0.06)  # T d(-Re p)/dc
     broad, slopes_there, _ = value(k, 2 * MASS[0] * 300.0)
-    by_chance = np.exp(-2 * np.pi * MARGIN) * BLOCK_S * 2 * np.pi * f0 / k  # where the mode lies between two bins
+    by_chance = np.exp(-2 * np.pi * MARGIN_BINS) * BLOCK_S * 2 * np.pi * f0 / k  # where the mode lies between two bins
     assert slopes[0] == pytest.approx(slopes_there[0], rel=0.03, abs=2 * by_chance)
     assert here - broad == pytest.approx(BLOCK_S * (decay - 300.0), abs=0.05 * BLOCK_S * abs(300.0 - decay) + 0.3)
 
@@ -89,7 +91,7 @@ def test_a_disc_moves_with_the_caps_as_a_mode_that_nothing_damps(c: float, f_dis
     def value(c: float) -> float:
         A, D, disc = rotor(c, f_disc, 2 * np.pi * f)
         s = contour(A, CAPS, D, f, disc, BOTH)
-        return Jacobian(along(s, A, CAPS, D, disc, BOTH), s).value(np.zeros((0, 2, 2, f.size)), np.zeros(0))
+        return Jacobian(continued_tangent(s, A, CAPS, D, disc, BOTH), s).value(np.zeros((0, 2, 2, f.size)), np.zeros(0))
 
     def decay(c: float) -> float:
         _, D, disc = rotor(c, f_disc, np.ones(1))
@@ -121,7 +123,7 @@ def test_the_slopes_are_those_of_the_axis_where_bins_are_left_out(f_disc: float)
 
     s = contour(A, CAPS, D, f, disc, BOTH)
     assert s.real.max() > 50.0
-    found = Jacobian(along(s, A, CAPS, D, disc, BOTH), s).derivatives(terms(s), np.zeros(5))[0]
+    found = Jacobian(continued_tangent(s, A, CAPS, D, disc, BOTH), s).derivatives(terms(s), np.zeros(5))[0]
     on_axis = rotor(30.0, f_disc, 2 * np.pi * spread)[0]
     wanted = Jacobian(on_axis).derivatives(terms(2j * np.pi * spread), np.zeros(5))[0] / fine
     assert found == pytest.approx(wanted, rel=0.02)
@@ -135,7 +137,7 @@ def test_a_law_on_trial_may_make_the_mode_grow(f0: float, decay: float, step: fl
     D, iw = tangents(k, c), 2j * np.pi * F_HZ
     A = (MASS[0] + k / iw**2 + c / iw)[:, None, None]
     s = contour(A, MASS, D, F_HZ)
-    J = Jacobian(along(s, A, MASS, D), s)
+    J = Jacobian(continued_tangent(s, A, MASS, D), s)
     damping = tangent_response(np.array([[[[0.0, 1.0]]]]), s)
     moved = J.value(damping, np.array([2 * MASS[0] * step])) - J.value(damping, np.zeros(1))
     assert moved == pytest.approx(BLOCK_S * step, abs=0.06 * BLOCK_S * abs(step) + 0.3)

@@ -18,7 +18,7 @@ from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual import missing_force
 from estimator.likelihood.motion.located_law import LocatedLaw, law_along_record
 from estimator.likelihood.motion.motion_record import FOLDS, fold_record
-from estimator.likelihood.path.excitation_level import level_of, ratio
+from estimator.likelihood.path.excitation_level import relative_level, rms_ratio
 from estimator.likelihood.response.regressor_set import regressors
 from estimator.simulation.simulator import simulate
 
@@ -35,7 +35,7 @@ def test_the_level_follows_the_force_and_an_even_force_has_none() -> None:
     at = grown.data.start + grown.data.block // 2
     for level in grown.data.level:
         np.testing.assert_allclose(level, ramp[at, 0] ** 2 / np.mean(ramp[at] ** 2), rtol=0.1)
-    assert abs(ratio(grown.data.level) - 2.0) < 0.15
+    assert abs(rms_ratio(grown.data.level) - 2.0) < 0.15
     assert whole.messages[0].code == "excitation_uneven"
 
 
@@ -60,15 +60,15 @@ def test_chance_is_no_level() -> None:
     rng = np.random.default_rng(0)
     at = np.arange(60.0)
     for _ in range(50):
-        assert level_of(rng.chisquare(60, size=(4, 60)), at, 30.0) is None
+        assert relative_level(rng.chisquare(60, size=(4, 60)), at, 30.0) is None
     struck = np.ones((1, 60))
     struck[0, 30] = 3.0
-    assert level_of(struck, at, 1000.0) is None
+    assert relative_level(struck, at, 1000.0) is None
 
 
 def test_a_handful_of_parts_is_even() -> None:
     """Of a record of two seconds: no sixth of it has a part of its own."""
-    assert level_of(np.array([[1.0, 2.0, 3.0, 4.0, 5.0]]), np.arange(5.0), 1000.0) is None
+    assert relative_level(np.array([[1.0, 2.0, 3.0, 4.0, 5.0]]), np.arange(5.0), 1000.0) is None
 
 
 def test_a_complete_model_under_a_growing_force_lacks_nothing() -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from estimator.likelihood.motion.motion_record import FOLDS
 from estimator.likelihood.path.determinant import Jacobian
-from estimator.likelihood.path.path_fit import Gram, fit
+from estimator.likelihood.path.path_fit import Gram, fit_increments
 from estimator.likelihood.path.subproblem import Subproblem
 
 
@@ -27,10 +27,26 @@ def test_columns_that_cancel_are_not_told_apart_by_the_error_of_their_tangents()
     t = 0.1j / A0[:, 0, 0]
     tangents = np.stack([t, 0.97 * t])[:, None, None]
     count = np.full((1, FOLDS), 1000.0)
-    gram = Gram(G, count, np.zeros((1, FOLDS)), tangents, np.ones(2), ("a", "b"), ("N", "N"))
+    gram = Gram(
+        G=G,
+        n=count,
+        log_weight=np.zeros((1, FOLDS)),
+        tangents=tangents,
+        scales=np.ones(2),
+        names=("a", "b"),
+        units=("N", "N"),
+    )
     blocks = np.full(FOLDS, 1000.0 / bins)
-    free = fit(gram, Jacobian(A0), np.arange(FOLDS), blocks, steps=6)
-    held = Subproblem((0,), gram, Jacobian(A0), blocks, ("a",), ("b",), np.zeros(1)).fit(steps=6)
+    free = fit_increments(gram, Jacobian(A0), np.arange(FOLDS), blocks, steps=6)
+    held = Subproblem(
+        places=(0,),
+        gram=gram,
+        jacobian=Jacobian(A0),
+        blocks=blocks,
+        base=("a",),
+        extra=("b",),
+        prior_information=np.zeros(1),
+    ).fit(steps=6)
     assert np.abs(held.delta).max() < 0.1
     assert np.abs(free.delta).max() > 10 * np.abs(held.delta).max()
 

@@ -13,7 +13,7 @@ from estimator.identification.batch.measured_force import analyse
 from estimator.identification.batch.report import SpectralFit
 from estimator.likelihood.motion.law_columns import Columns
 from estimator.likelihood.path.gram_likelihood import Likelihood, evidence_of
-from estimator.likelihood.path.sandwich import excess
+from estimator.likelihood.path.sandwich import fold_tangent_scores
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def test_it_is_the_gradient_with_the_tangents_of_the_fold_less_that_with_the_mea
     evidence = evidence_of(bank, solution.start.nodes)
     mean = np.average(bank.fold_tangents, axis=0, weights=bank.blocks)
     likelihood = Likelihood(replace(evidence, tangents=mean))
-    found = excess(likelihood, local, bank)
+    found = fold_tangent_scores(likelihood, local, bank)
     assert found.sum(axis=0) == pytest.approx(0.0, abs=1e-9 * np.abs(found).max())
     B = evidence.balance.coefficients(local.point.beta)
     A = B @ likelihood.R

@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, one_bearing
 
 from estimator.likelihood.fitting import gauss_newton, noise_level
-from estimator.likelihood.fitting.fitted_values import parameters
+from estimator.likelihood.fitting.fitted_values import fitted_parameters
 from estimator.likelihood.fitting.noise_level import grid_minimum
 from estimator.likelihood.motion.located_law import located_laws
 from estimator.likelihood.motion.prepare import prepare
@@ -28,7 +28,7 @@ def test_the_noise_is_that_of_the_values_after_a_step() -> None:
     true = 0.1**2 / (RATE / 2) / S
     np.testing.assert_allclose(point.nu, true, rtol=0.4)
     off = working_point.point_at(point.data, 0.9 * point.kL, 1.2 * point.c, point.nu, point.S, list(point.placed))
-    np.testing.assert_allclose(noise_level.noise_of(off)[0], true, rtol=0.4)
+    np.testing.assert_allclose(noise_level.sensor_noise_ratio(off)[0], true, rtol=0.4)
 
 
 def test_a_law_that_was_still_zero_can_be_looked_at_on_part_of_the_record() -> None:
@@ -39,9 +39,9 @@ def test_a_law_that_was_still_zero_can_be_looked_at_on_part_of_the_record() -> N
     model = replace(rig, effects=(*rig.effects, EffectUse("clearance", uses)))
     data = prepare(model, y, RATE)
     point = gauss_newton.fit_model(data, located_laws(model, data), rounds=0)
-    part = working_point.thinned(point, 1.0)
+    part = working_point.point_on_part(point, 1.0)
     assert part.data.blocks < point.data.blocks
-    assert part.columns.names == point.columns.names
+    assert part.whitened.names == point.whitened.names
 
 
 def test_the_least_of_a_grid_lies_between_its_points_and_a_flat_one_stays() -> None:
@@ -71,8 +71,8 @@ def test_without_its_rows_a_fit_says_the_same_and_another_begins_from_it() -> No
     rig = one_bearing()
     data = prepare(rig, simulate(rig, RATE, 4.0, seed=1, noise=0.02, full_scale=490.5), RATE)
     point = gauss_newton.fit_model(data, located_laws(rig, data))
-    bare = point.rowless()
+    bare = point.without_rows()
     assert bare.data.x.size == bare.force.size == bare.whitening.data.x.size == 0
-    assert parameters(bare) == parameters(point)
+    assert fitted_parameters(bare) == fitted_parameters(point)
     again = gauss_newton.fit_model(replace(data), list(bare.placed), bare)
     np.testing.assert_allclose(again.kL, point.kL, rtol=1e-4)

@@ -62,7 +62,7 @@ def test_nothing_is_found_beside_the_right_law(strong: Case) -> None:
 def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
     """Sigma is linear in the first of its two tangents."""
     point = strong[3]
-    mean = modal_response.modal_responses(point.data.mass, point.slopes, point.data.places, point.data.disc)
+    mean = modal_response.modal_responses(point.data.mass, point.mean_tangent, point.data.places, point.data.disc)
     here = fluctuations(point.data, point.placed, mean, point.lin)[0]
     assert here is not None
     own = [u for u in point.placed if 0 in u.at]
@@ -74,7 +74,7 @@ def test_the_laws_together_are_the_sum_of_each(strong: Case) -> None:
 def test_a_law_alone_is_dressed_per_unit_by_what_all_of_it_does(strong: Case) -> None:
     """Both tangents of a law beside itself have its amplitude; of two laws at a place neither is all there is."""
     point = strong[3]
-    mean = modal_response.modal_responses(point.data.mass, point.slopes, point.data.places, point.data.disc)
+    mean = modal_response.modal_responses(point.data.mass, point.mean_tangent, point.data.places, point.data.disc)
     law = next(u for u in point.placed if 0 in u.at and u.effect.name == "quadratic_damping")
     here = fluctuations(point.data, [law], mean, point.lin)[0]
     assert isinstance(here, Fluctuation)
