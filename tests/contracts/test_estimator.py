@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
 import gc
 import tracemalloc
 from collections.abc import Callable
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from daq.session.estimators import METHODS, maker
-from estimator import Channel, EffectUse, Estimate, Model, RollingEstimator, Setting, simulate
+from estimator import Channel, EffectUse, Estimate, Model, Setting, simulate
 from estimator.results import OnlineEstimator
 
 RATE_HZ = 4096.0
@@ -177,9 +176,3 @@ def test_memory_does_not_grow(make: Callable[[], OnlineEstimator], record: np.nd
     tracemalloc.stop()
     assert 4 * len(blocks(record)) > 200
     assert bytes_held[-1] - bytes_held[1] < 0.05 * bytes_held[1]
-
-
-def test_the_example_of_the_rolling_estimator_runs() -> None:
-    (example,) = doctest.DocTestFinder(recurse=False).find(RollingEstimator, "RollingEstimator")
-    assert doctest.DocTestRunner().run(example) == (0, len(example.examples))
-    assert example.examples

@@ -20,10 +20,14 @@ def stored(record: GoldenRecord) -> dict[str, Any]:
 
 
 def assert_as_stored(record: GoldenRecord, commands: Sequence[str]) -> None:
-    """Every command answers what is stored."""
+    """Every command answers what is stored. Of a diagnosis that is known to be wrong the verdict alone is compared."""
     golden, now = stored(record), answers(record, commands)
-    found = [*differences({name: golden[name] for name in commands}, {name: now[name] for name in commands})]
-    assert not found, [*found, record.known_wrong]
+    for name in commands:
+        was, is_now = golden[name]["result"], now[name]["result"]
+        if record.known_wrong and "verdict" in was:
+            was, is_now = was["verdict"], is_now["verdict"]
+        found = [*differences(was, is_now, name)]
+        assert not found, [*found, record.known_wrong]
 
 
 @pytest.mark.parametrize("record", RECORDS, ids=lambda record: record.name)
