@@ -1,14 +1,22 @@
-"""What data and models can be wrong in."""
+"""Exceptions that the estimator raises about a record or a model."""
 
 from __future__ import annotations
 
 
 class DataError(ValueError):
-    """The record cannot answer the question. One line: what, where (channel, sample), what to do."""
+    """The record cannot answer the question. The message is one line: what, where (channel, sample), what to do."""
 
 
 class NotFiniteError(DataError):
-    """A law is not a number somewhere along the record."""
+    """The force of a law is not finite somewhere along the measured motion.
+
+    Parameters
+    ----------
+    effect : str
+        Name of the effect.
+    place : str
+        Location, such as ``"bearing1.x"``.
+    """
 
     def __init__(self, effect: str, place: str) -> None:
         text = "is not finite along the measured motion: check its expression and limits"
@@ -16,4 +24,4 @@ class NotFiniteError(DataError):
 
 
 class ModelError(ValueError):
-    """The model cannot do what is asked of it (a value is missing, no stationary density). One line, as above."""
+    """The model cannot do what is asked of it: a value is missing, or it has no stationary density. One line."""

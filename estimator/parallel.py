@@ -1,5 +1,8 @@
-"""Work on two cores at once: in threads where the arrays are large, as numpy, scipy.fft and numba let go of the
-interpreter; in two processes where it is many small steps, which hold it."""
+"""Work on two cores at once.
+
+Threads suit large arrays: numpy, scipy.fft and numba release the interpreter. Two processes suit many small steps,
+which hold the interpreter.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +14,31 @@ from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
 from typing import Any, TypeVar
 
-CORES = 2
-PATIENCE = 100  # turns given to threads that have ended but are not gone
+MAX_THREADS = 2
+MAX_YIELDS = 100  # scheduler turns given to threads that have ended but are still listed
 T = TypeVar("T")
 R = TypeVar("R")
 
 
 def map_threads(function: Callable[[T], R], items: Iterable[T], done: Callable[[int], None] | None = None) -> list[R]:
-    """function of every item, in order, two at a time; `done` hears in this thread how many there are so far.
+    """The results of a function for every item, in order, computed in two threads.
 
-    The first exception is raised.
+    Parameters
+    ----------
+    function : callable
+        Applied to each item.
+    items : iterable
+        Its arguments.
+    done : callable or None
+        Called in this thread with the number of results so far; None: nobody is told.
+
+    Raises
+    ------
+    Exception
+        The first exception of `function`.
     """
     out: list[R] = []
-    with ThreadPoolExecutor(CORES) as pool:
+    with ThreadPoolExecutor(MAX_THREADS) as pool:
         for result in pool.map(function, items):
             out.append(result)
             if done is not None:
@@ -34,11 +49,21 @@ def map_threads(function: Callable[[T], R], items: Iterable[T], done: Callable[[
 def map_processes(
     questions: Sequence[Callable[[], R]], kept: Sequence[object] = (), done: Callable[[int], None] | None = None
 ) -> list[R]:
-    """The answers, in order, of two processes that take one question after the other; `done` hears about how far they
-    are. In threads of one process where it has others already, or no fork.
+    """The results of functions without arguments, in order, computed by two processes.
 
-    The second process is a copy of this one and ends with the call. What it finds comes back pickled, but for the
-    objects `kept`: laws and the like, which cannot be. What it cannot answer is asked here, and raises here.
+    The second process is a fork of this one and ends with the call. It runs in threads instead where this process has
+    other threads already, or where there is no fork. A function that fails in the second process is called again here,
+    and raises here.
+
+    Parameters
+    ----------
+    questions : sequence of callable
+        The functions. Each process takes the next one when it is free.
+    kept : sequence of object
+        Objects that results of the second process may hold but that cannot be pickled, such as laws: references to
+        them are sent.
+    done : callable or None
+        Called with the approximate number of results so far; None: nobody is told.
     """
     if len(questions) < 2 or not _alone():
         return map_threads(lambda question: question(), questions, done)
@@ -74,10 +99,10 @@ def map_processes(
 
 
 def _alone() -> bool:
-    """Whether this process has one thread, so that a copy of it finds no lock that nobody will open."""
+    """Whether this process has one thread. A fork of several threads may inherit a lock that nobody opens."""
     if not hasattr(os, "fork") or not os.path.isdir("/proc/self/task"):
         return False
-    for _ in range(PATIENCE):
+    for _ in range(MAX_YIELDS):
         if len(os.listdir("/proc/self/task")) == 1:
             return True
         os.sched_yield()
@@ -85,7 +110,7 @@ def _alone() -> bool:
 
 
 def _forked() -> int | None:
-    """As os.fork; None where the machine has no room for another process."""
+    """The process id that os.fork returns; None where the machine has no room for another process."""
     try:
         return os.fork()
     except OSError:
@@ -95,7 +120,7 @@ def _forked() -> int | None:
 def _answer_in_copy(
     questions: Sequence[Callable[[], Any]], kept: Sequence[object], todo: int, found: int, parent: int
 ) -> None:
-    """What the second process does; it never returns."""
+    """Run the second process. It never returns."""
     try:
         out = {}
         while os.getppid() == parent and (k := _next(todo)) is not None:
@@ -108,12 +133,13 @@ def _answer_in_copy(
 
 
 def _next(todo: int) -> int | None:
-    """The number of the next question: whoever reads it first has it."""
+    """The number of the next function, from a pipe that both processes read; None at its end."""
     read = os.read(todo, 2)
     return int.from_bytes(read, "little") if read else None
 
 
 def _pickled(found: Any, kept: Sequence[object]) -> bytes:
+    """The results as bytes, objects of `kept` by their number."""
     at = {id(one): k for k, one in enumerate(kept)}
     stream = BytesIO()
     pickler = pickle.Pickler(stream, protocol=5)
@@ -123,6 +149,7 @@ def _pickled(found: Any, kept: Sequence[object]) -> bytes:
 
 
 def _unpickled(data: bytes, kept: Sequence[object]) -> dict[int, Any]:
+    """The results of `_pickled`."""
     unpickler = pickle.Unpickler(BytesIO(data))
     unpickler.persistent_load = lambda k: kept[k]  # type: ignore[method-assign]
     return dict(unpickler.load())

@@ -10,15 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 NOT_JUDGED = "not_judged"  # code of the message of a record of which nothing can be judged
-MAX_P_VALUE_DIFFERENT = 0.01  # p-value under which the places are said to differ
+MAX_P_VALUE_DIFFERENT = 0.01  # places differ below this p-value
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
     """A remark of an estimator for the user.
 
-    code : stable snake_case word; programs compare codes, never texts. text : one line for the user; its wording may
-    change. place : location such as "bearing1.x" or "bearing1"; "" where the remark is about the whole record.
+    Parameters
+    ----------
+    code : str
+        Stable snake_case word. Programs compare codes, never texts.
+    text : str
+        One line for the user. Its wording may change.
+    place : str
+        Location such as ``"bearing1.x"`` or ``"bearing1"``; empty where the remark is about the whole record.
     """
 
     code: str
@@ -33,7 +39,21 @@ def messages_json(messages: Sequence[Message]) -> dict[str, list[str]]:
 
 @dataclass(frozen=True, slots=True)
 class SharedValue:
-    """The mean by precision and its standard deviation. p_equal : of chi^2 of the places about it."""
+    """One value of a law's parameter for several places: their mean, weighted by precision.
+
+    Parameters
+    ----------
+    value : float
+        Weighted mean, in `unit`.
+    sd : float
+        Standard deviation of `value`.
+    unit : str
+        SI unit.
+    places : tuple of str
+        Locations that the mean is of, such as ``"bearing1.x"``.
+    p_equal : float
+        p-value of the hypothesis that all places have this value (chi-square about the mean).
+    """
 
     value: float
     sd: float
@@ -42,12 +62,12 @@ class SharedValue:
     p_equal: float
 
     def to_json(self) -> dict[str, Any]:
-        """The `shared` of a fit: value, sd, unit, places, p_equal."""
+        """An entry of `shared` in the JSON of a fit."""
         own = ("value", "sd", "unit", "p_equal")
         return {name: getattr(self, name) for name in own} | {"places": list(self.places)}
 
     def sentence(self, name: str) -> str:
-        """In one line."""
+        """One line for the user about the parameter `name`."""
         if self.p_equal < MAX_P_VALUE_DIFFERENT:
             return f"{name}: the {len(self.places)} places differ (p = {self.p_equal:.2g} that one value holds)"
         per_cent = f" ({100 * self.sd / abs(self.value):.2g} %)" if self.value else ""
@@ -58,10 +78,28 @@ class SharedValue:
 
 
 def shared(parameters: Mapping[str, Parameter]) -> dict[str, SharedValue]:
-    """By "EFFECT.PARAMETER", where it was estimated at two places or more and is identifiable at all of them.
+    """Parameters of laws that several places have in common.
 
-    Places are taken as independent, which they nearly are: a force balance is of one place, and the disc's force is
-    known from their motion.
+    The places are taken as independent. They nearly are: a force balance holds at one place, and the force of the disc
+    follows from the measured motion.
+
+    Parameters
+    ----------
+    parameters : mapping of str to Parameter
+        Estimates by full name, such as ``"bearing1.x.cubic.kNL"``.
+
+    Returns
+    -------
+    dict of str to SharedValue
+        By ``"EFFECT.PARAMETER"``, where two places or more have an estimate and all of these are identifiable.
+
+    Examples
+    --------
+    >>> from estimator.results import Parameter, shared
+    >>> places = {"bearing1.x": 1.0e18, "bearing2.x": 1.1e18}
+    >>> found = shared({f"{place}.cubic.kNL": Parameter(k, 1e17, "N/m^3") for place, k in places.items()})
+    >>> print(found["cubic.kNL"].sentence("kNL"))
+    kNL: the 2 places agree (p = 0.48); one value for all of them would be 1.05e+18 +- 7.1e+16 N/m^3 (6.7 %)
     """
     groups: dict[str, dict[str, Parameter]] = {}
     for name, p in parameters.items():
@@ -76,6 +114,7 @@ def shared(parameters: Mapping[str, Parameter]) -> dict[str, SharedValue]:
 
 
 def _mean(group: Mapping[str, Parameter]) -> SharedValue:
+    """The estimates of one parameter by place as one value."""
     from scipy.special import chdtrc  # scipy takes longer to import than all of this file
 
     value = np.array([p.value for p in group.values()], float)
@@ -83,15 +122,33 @@ def _mean(group: Mapping[str, Parameter]) -> SharedValue:
     mean = float(weight @ value / weight.sum())
     chi2 = float(weight @ (value - mean) ** 2)
     unit = next(iter(group.values())).unit
-    return SharedValue(mean, float(weight.sum() ** -0.5), unit, tuple(group), float(chdtrc(len(value) - 1, chi2)))
+    p_equal = float(chdtrc(len(value) - 1, chi2))
+    return SharedValue(value=mean, sd=float(weight.sum() ** -0.5), unit=unit, places=tuple(group), p_equal=p_equal)
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Parameters by full name ("bearing1.x.kL"), in SI. log_likelihood in nats, None where a method has none.
+    """The result of fitting a model to a record.
 
-    method : spectral | fokker-planck | score-matching | volterra. messages : one line each, for the user to read
-    (assumptions the data contradict, what was left out).
+    Parameters
+    ----------
+    parameters : mapping of str to Parameter
+        By full name, such as ``"bearing1.x.kL"``, in SI units.
+    log_likelihood : float or None
+        Log-likelihood in nats at the maximum; None where the method has no likelihood.
+    samples : int
+        Rows of the record that the fit rests on.
+    method : {"spectral", "fokker-planck", "score-matching", "volterra"}
+        Estimator that was used.
+    messages : tuple of Message
+        Remarks: assumptions that the data contradict, parts of the record that were left out.
+
+    Examples
+    --------
+    >>> from estimator import Fit, Parameter
+    >>> fit = Fit({"bearing1.x.kL": Parameter(1.0e7, 2.0e4, "N/m")}, None, 25600, "fokker-planck")
+    >>> fit.to_json()["parameters"]["bearing1.x.kL"]
+    {'value': 10000000.0, 'sd': 20000.0, 'unit': 'N/m', 'identifiable': True}
     """
 
     parameters: Mapping[str, Parameter]
@@ -101,7 +158,7 @@ class Fit:
     messages: tuple[Message, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """As schemas/fit.json, and `shared`: of each law's parameter, one value for all places."""
+        """The fit as schemas/fit.json has it, with one value for all places under `shared`."""
         return {
             "schema": 1,
             "parameters": {name: p.to_json() for name, p in self.parameters.items()},
@@ -114,8 +171,30 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A value with its standard deviation. Where the data cannot tell it is not identifiable, `reason` says why, and
-    `value` is None or, for the fit of the rest, the best one among many: it is not shown."""
+    """An estimate of one number of a model.
+
+    Parameters
+    ----------
+    value : float or None
+        Estimate, in `unit`. Where the number is not identifiable: None, or the value that the other parameters were
+        fitted with, which is not shown.
+    sd : float or None
+        Standard deviation of `value`; 0 for a number that was given; None where it is unknown.
+    unit : str
+        SI unit; ``"1"`` for a number without one.
+    identifiable : bool
+        Whether the data determine the value.
+    reason : str
+        Why the number is not identifiable, or ``"given"``; empty where there is nothing to say.
+
+    Examples
+    --------
+    >>> from estimator import Parameter
+    >>> Parameter.from_estimate(60.0, 1.5, "N s/m")
+    Parameter(value=60.0, sd=1.5, unit='N s/m', identifiable=True, reason='')
+    >>> Parameter.from_estimate(60.0, 45.0, "N s/m").reason
+    'relative standard deviation over 50 %'
+    """
 
     value: float | None
     sd: float | None
@@ -125,13 +204,23 @@ class Parameter:
 
     @classmethod
     def from_estimate(cls, value: float, sd: float, unit: str, limit: float = 0.5) -> Parameter:
-        """The parameter, or "not identifiable" if sd exceeds `limit` of the value (physics.md section 3)."""
+        """The parameter of an estimate; not identifiable where the standard deviation is too large.
+
+        Parameters
+        ----------
+        value, sd : float
+            Estimate and its standard deviation, in `unit`.
+        unit : str
+            SI unit.
+        limit : float
+            Largest relative standard deviation of an identifiable parameter.
+        """
         if np.isfinite(value) and np.isfinite(sd) and sd <= limit * abs(value):
             return cls(float(value), float(sd), unit)
         return cls(None, None, unit, False, f"relative standard deviation over {100 * limit:.0f} %")
 
     def to_json(self) -> dict[str, Any]:
-        """As in the JSON results: value, sd, unit, identifiable and, where there is one, reason."""
+        """The parameter as the JSON results have it: `reason` only where there is one."""
         value, sd = (self.value, self.sd) if self.identifiable else (None, None)
         out: dict[str, Any] = {"value": value, "sd": sd, "unit": self.unit, "identifiable": self.identifiable}
         return out | ({"reason": self.reason} if self.reason else {})
@@ -140,57 +229,81 @@ class Parameter:
 def with_unidentifiable_at(
     places: Collection[str], reason: str, numbers: Mapping[str, Parameter], unit: str = ""
 ) -> dict[str, Parameter]:
-    """Numbers by full name without those at some places, and of laws at their nodes, in units that begin so: "N" where
-    nothing tells the mass of a cap."""
+    """Parameters by full name, those at some places replaced by "not identifiable".
 
-    def adrift(name: str) -> bool:
-        return any(is_of_place(name, place) for place in places)
-
+    places : locations such as "bearing1.x". unit : only parameters whose unit begins with this are replaced, such as
+    "N" where the mass of a bearing cap is unknown.
+    """
     return {
-        name: Parameter(None, None, q.unit, False, reason) if q.unit.startswith(unit) and adrift(name) else q
+        name: Parameter(None, None, q.unit, identifiable=False, reason=reason)
+        if q.unit.startswith(unit) and any(is_of_place(name, place) for place in places)
+        else q
         for name, q in numbers.items()
     }
 
 
 def is_of_place(name: str, place: str) -> bool:
-    """Whether a number by its full name is of a place, or of a law at the node of the place."""
+    """Whether a full name belongs to a location ("bearing1.x"), or to a law at the node of the location."""
     node, direction = name.split(".")[:2]
     return place == f"{node}.{direction}" if direction in ("x", "y") else place.split(".")[0] == node
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A snapshot. parameters : "bearing1.x.kL" -> Parameter; samples : rows that it rests on, effectively."""
+    """The estimate of a rolling estimator at one instant.
 
-    index: int  # absolute sample index that the estimate is up to
+    Parameters
+    ----------
+    index : int
+        Absolute sample index of the last row that the estimate uses.
+    parameters : mapping of str to Parameter
+        By full name, such as ``"bearing1.x.kL"``, in SI units; empty where nothing is shown.
+    samples : float
+        Effective number of rows that the estimate rests on.
+    log_likelihood : float or None
+        Log-likelihood in nats; None where the estimator has none.
+    status : str
+        ``"ok"``, ``"warming up"``, or why nothing is shown.
+    extra : mapping of str to float, or None
+        Further numbers by name, such as ``missing_force_percent``; None where there are none.
+    """
+
+    index: int
     parameters: Mapping[str, Parameter]
     samples: float
     log_likelihood: float | None = None
-    status: str = "ok"  # ok | warming up | a reason why nothing is shown
-    extra: Mapping[str, float] | None = None  # e.g. missing_force_percent of the rolling comparison
+    status: str = "ok"
+    extra: Mapping[str, float] | None = None
 
 
-MISSING_FORCE_KEY = (
-    "missing_force_percent"  # in `extra`: of all candidates; with _NAME behind it: of one that is certain
-)
+# Key of `Estimate.extra`, per cent of the bearing force: of all candidates together; with "_EFFECT" behind it, of one
+# candidate that is certainly missing.
+MISSING_FORCE_KEY = "missing_force_percent"
 
 
 def certain_missing_effects(extra: Mapping[str, float]) -> list[str]:
-    """The candidate effects that an estimate is certain to be missing, strongest first."""
+    """The candidate effects that an estimate is certain to be missing, strongest first. extra : of an `Estimate`."""
     names = [n for n in extra if n.startswith(MISSING_FORCE_KEY + "_")]
     return [n.removeprefix(MISSING_FORCE_KEY + "_") for n in sorted(names, key=lambda n: -extra[n])]
 
 
 class OnlineEstimator(Protocol):
-    """Fed fixed-size consecutive blocks (live and replay agree bit for bit); deterministic; never raises on data.
+    """What every rolling estimator does.
 
-    Construct as cls(model: Model, rate_hz: float, time_constant_s: float).
+    It is constructed as ``cls(model, rate_hz, time_constant_s)`` and fed consecutive blocks of one size. It is
+    deterministic: live and replay agree bit for bit. It never raises on data.
     """
 
     def update(self, block: NDArray[np.float64]) -> None:
-        """Take the next rows, (n, channels of the model) in SI units; NaN where a sample is missing or clipped."""
+        """Take the next rows.
+
+        Parameters
+        ----------
+        block : (n, channels) float64
+            Samples in SI units, channels in the model's order; NaN where a sample is missing or clipped.
+        """
         ...
 
     def snapshot(self) -> Estimate:
-        """The estimate as of the last update; changes nothing."""
+        """The estimate as of the last `update`, without side effect."""
         ...
