@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from promises import PATIENCE_S
 
-from drivers.contract.reading import REASONS, Block, Driver, Gap, Info, Notice, Reading
+from drivers.contract.reading import GAP_REASONS, Block, Driver, Gap, Info, Notice, Reading
 from drivers.links.links import make_driver, parse_link
 from drivers.served.serve import serve
 from drivers.simulated.simulated import DeviceConfig, SimulatedDevice
@@ -64,7 +64,7 @@ class Record:
             elif isinstance(reading, Gap):
                 assert reading.index == self.next_index
                 assert reading.count > 0
-                assert reading.reason in REASONS
+                assert reading.reason in GAP_REASONS
                 self.next_index += reading.count
                 self.gaps.append(reading)
             else:

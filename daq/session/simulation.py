@@ -14,7 +14,7 @@ from daq.base.contract.errors import ConfigError
 from daq.rig.rig import Rig
 from drivers.can import CanDecoder, CanFrames
 from drivers.contract import Event, Link, LinkStats, Reading
-from drivers.protocol import KINDS
+from drivers.protocol import FAULT_KINDS
 from drivers.simulated import DeviceConfig, SimulatedDevice
 from estimator.effects import NAMED
 from estimator.model import UNITS, Effect, EffectUse, Model, Setting
@@ -175,8 +175,8 @@ def fault_rates(faults: Sequence[str]) -> dict[str, float]:
             rates[kind] = float(share)
         except ValueError:
             rates[kind] = -1.0
-        if kind not in KINDS or not 0 <= rates[kind] <= 1:
-            known = f"KIND is one of {', '.join(KINDS)}, RATE a share of the frames from 0 to 1"
+        if kind not in FAULT_KINDS or not 0 <= rates[kind] <= 1:
+            known = f"KIND is one of {', '.join(FAULT_KINDS)}, RATE a share of the frames from 0 to 1"
             raise ConfigError(f"--fault {text}: {known}, as in drop:0.001")
     return rates
 

@@ -15,7 +15,7 @@ from drivers.contract.link import Event, LinkLost
 from drivers.contract.link_config import CanConfig
 
 from .can_errors import describe_error
-from .can_frames import ERROR, EXTENDED, REMOTE, CanFrames
+from .can_frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, CanFrames
 from .socketcan import BulkReceiver, KernelQueue, check_up
 
 MAX_BATCH = 1024
@@ -150,7 +150,9 @@ class BusSource:
                     self._events.extend(describe_error(message.arbitration_id, bytes(message.data)))
                     continue
                 # is_fd and dlc are not to be believed (socketcand): the data says how long it is
-                flags = (EXTENDED if message.is_extended_id else 0) | (REMOTE if message.is_remote_frame else 0)
+                flags = (EXTENDED_FLAG if message.is_extended_id else 0) | (
+                    REMOTE_FLAG if message.is_remote_frame else 0
+                )
                 frames.append((message.arbitration_id | flags, bytes(message.data), int(message.timestamp * 1e9)))
         except Exception as error:  # noqa: BLE001 - python-can's interfaces raise their vendors' own errors
             raise LinkLost(_line(error)) from error
@@ -161,7 +163,7 @@ class BusSource:
         frames = bulk.receive(timeout_s)
         if frames is None:
             return None
-        wrong = (frames.ids & np.uint32(ERROR)) != 0
+        wrong = (frames.ids & np.uint32(ERROR_FLAG)) != 0
         for identifier, payload in zip(frames.ids[wrong].tolist(), frames.payload[wrong], strict=True):
             self._events.extend(describe_error(identifier, payload[:8].tobytes()))
         good = frames.pick(~wrong)

@@ -11,7 +11,7 @@ from drivers.contract.reading import Info, LinkStats, Reading
 from drivers.protocol import protocol
 from drivers.protocol.continuity import Continuity
 from drivers.protocol.device_info import DeviceInfo, Expected
-from drivers.protocol.protocol import CLASSIC, FD16, VERSION, SampleFrames
+from drivers.protocol.protocol import CLASSIC_LAYOUT, FD16_LAYOUT, PROTOCOL_VERSION, SampleFrames
 
 from .can_frames import CanFrames
 from .classic import ClassicWindow
@@ -74,7 +74,9 @@ class CanDecoder:
                 self._run(kind, frames.payload[start:stop], frames.lengths[start:stop], t_host_ns, out)
         return out + self.notices.take()
 
-    def _run(self, kind: int, payload: protocol.U8, lengths: protocol.U8, t_host_ns: int, out: list[Reading]) -> None:
+    def _run(
+        self, kind: int, payload: protocol.U8Array, lengths: protocol.U8Array, t_host_ns: int, out: list[Reading]
+    ) -> None:
         if self._device.mixed(t_host_ns) and kind not in (protocol.ID_INFO, protocol.ID_INFO_PART):
             self.stats.count("mixed_frames", len(payload))
             return
@@ -101,12 +103,12 @@ class CanDecoder:
 
     def _ours(self, flags: int, t_host_ns: int) -> bool:
         version = (flags >> 2) & 3
-        if version != VERSION:
+        if version != PROTOCOL_VERSION:
             self._device.other_version(version, t_host_ns)
-        return version == VERSION
+        return version == PROTOCOL_VERSION
 
     def _samples(
-        self, kind: int, payload: protocol.U8, lengths: protocol.U8, t_host_ns: int, out: list[Reading]
+        self, kind: int, payload: protocol.U8Array, lengths: protocol.U8Array, t_host_ns: int, out: list[Reading]
     ) -> None:
         layout, info = self._device.layout, self._device.info
         if layout is None or info is None:
@@ -116,7 +118,7 @@ class CanDecoder:
             text = f"sample frames of another layout than the device's info says ({layout.name}): dropped"
             self.notices.add(t_host_ns, "warning", "layout_mismatch", text)
             return
-        if layout is CLASSIC:
+        if layout is CLASSIC_LAYOUT:
             whole = lengths >= 8
             self.stats.frames += int(whole.sum())
             if not whole.all():
@@ -124,7 +126,7 @@ class CanDecoder:
             self._classic.add(payload[whole])
             return
         # 0 good, 1 too short, 2 another version; both FD layouts have the flags in byte 3
-        state = np.where(protocol.flags_version(payload[:, 3]) == VERSION, 0, 2)
+        state = np.where(protocol.flags_version(payload[:, 3]) == PROTOCOL_VERSION, 0, 2)
         state[lengths < protocol.FD_LENGTH] = 1
         cuts = (np.flatnonzero(np.diff(state)) + 1).tolist()
         for start, stop in zip([0, *cuts], [*cuts, len(state)], strict=True):
@@ -132,7 +134,7 @@ class CanDecoder:
                 self._refuse(state[start] == 1, payload[start:stop], t_host_ns)
                 continue
             self.stats.frames += stop - start
-            if layout is FD16:
+            if layout is FD16_LAYOUT:
                 frames = protocol.unpack_fd16(payload[start:stop], len(info.signals))
             else:
                 frames = self._timed(protocol.unpack_fd24(payload[start:stop], len(info.signals)), info, t_host_ns)
@@ -157,7 +159,7 @@ class CanDecoder:
         # one oscillator drives both
         return old.epoch == new.epoch and abs(elapsed_us - counted_us) <= 50 + 1e-4 * elapsed_us
 
-    def _refuse(self, short: bool, payload: protocol.U8, t_host_ns: int) -> None:
+    def _refuse(self, short: bool, payload: protocol.U8Array, t_host_ns: int) -> None:
         if short:
             self.stats.crc_errors += len(payload)
             self.notices.add(t_host_ns, "warning", "short_frame", "sample frames with too few bytes: dropped")
@@ -179,7 +181,7 @@ class CanDecoder:
 
     def _sync_classic(self, index: int, flags: int, time_us: int, t_host_ns: int, out: list[Reading]) -> None:
         info = self._device.info
-        if info is None or self._device.layout is not CLASSIC or not self._ours(flags, t_host_ns):
+        if info is None or self._device.layout is not CLASSIC_LAYOUT or not self._ours(flags, t_host_ns):
             return
         if not self._synchronise(_Sync(index, time_us, flags >> 4, t_host_ns), protocol.SYNC_MODULUS):
             return  # the next one closes this window too, if it was this one that is wrong

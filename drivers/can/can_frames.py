@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-EXTENDED = 0x8000_0000  # set in `ids` for a 29-bit identifier, as in Linux's can_id
-REMOTE = 0x4000_0000
-ERROR = 0x2000_0000
+EXTENDED_FLAG = 0x8000_0000  # set in `ids` for a 29-bit identifier, as in Linux's can_id
+REMOTE_FLAG = 0x4000_0000  # a remote request, CAN_RTR_FLAG of linux/can.h
+ERROR_FLAG = 0x2000_0000  # an error frame, CAN_ERR_FLAG of linux/can.h
 
 
 @dataclass(frozen=True, slots=True)

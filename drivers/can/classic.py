@@ -22,7 +22,7 @@ class ClassicWindow:
     def __init__(self, stats: LinkStats, notices: Notices) -> None:
         self._stats = stats
         self._notices = notices
-        self._payload: list[protocol.U8] = []
+        self._payload: list[protocol.U8Array] = []
         self._held = 0
         self._start: tuple[int, int, int] | None = None  # index, epoch, time of the sync frame before the window
 
@@ -30,7 +30,7 @@ class ClassicWindow:
         """The link was lost: the window cannot be completed."""
         self._payload, self._held, self._start = [], 0, None
 
-    def add(self, payload: protocol.U8) -> None:
+    def add(self, payload: protocol.U8Array) -> None:
         """(n, 64) sample payloads."""
         if self._start is None or len(payload) == 0:
             return

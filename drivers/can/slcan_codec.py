@@ -13,20 +13,20 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from .can_frames import EXTENDED, REMOTE, CanFrames
+from .can_frames import EXTENDED_FLAG, REMOTE_FLAG, CanFrames
 
 MAX_LINE = 160  # the longest is 1 + 8 + 1 + 128 + 8
+Bytes = NDArray[np.uint8]
+Integers = NDArray[np.int64]
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-_LENGTHS = np.array(FD_LENGTHS, np.int64)
-_HEX = np.full(256, 255, np.uint8)
+_LENGTH_OF_CODE = np.array(FD_LENGTHS, np.int64)  # bytes, by data length code
+_HEX_VALUES = np.full(256, 255, np.uint8)  # by ASCII code; 255 where the character is no hexadecimal digit
 for _digit, _character in enumerate("0123456789ABCDEF"):
-    _HEX[ord(_character)] = _HEX[ord(_character.lower())] = _digit
-
-_GOOD, _DAMAGED, _REPLY, _REFUSED = 0, 1, 2, 3
+    _HEX_VALUES[ord(_character)] = _HEX_VALUES[ord(_character.lower())] = _digit
 
 
 @nb.njit(cache=True)
-def _number(data: NDArray[np.uint8], start: int, digits: int, hexadecimal: NDArray[np.uint8]) -> int:
+def _number(data: Bytes, start: int, digits: int, hexadecimal: Bytes) -> int:
     """Value of a run of hexadecimal digits, -1 if one is none."""
     value = 0
     for i in range(start, start + digits):
@@ -38,10 +38,60 @@ def _number(data: NDArray[np.uint8], start: int, digits: int, hexadecimal: NDArr
 
 
 @nb.njit(cache=True)
+def _is_extended(kind: int) -> bool:
+    """Whether a line of this letter is a frame of a 29-bit identifier: T R D B."""
+    return kind == 84 or kind == 82 or kind == 68 or kind == 66
+
+
+@nb.njit(cache=True)
+def _is_standard(kind: int) -> bool:
+    """Whether a line of this letter is a frame of an 11-bit identifier: t r d b."""
+    return kind == 116 or kind == 114 or kind == 100 or kind == 98
+
+
+@nb.njit(cache=True)
+def _is_reply(kind: int, length: int) -> bool:
+    """Whether a line answers a command; z Z: sent; V N F: version, number, status."""
+    sent = length == 1 and (kind == 122 or kind == 90)
+    return sent or (length <= 5 and (kind == 86 or kind == 78 or kind == 70))
+
+
+@nb.njit(cache=True)
+def _is_remote(kind: int) -> bool:
+    """Whether a line of this letter is a remote request: R r."""
+    return kind == 82 or kind == 114
+
+
+@nb.njit(cache=True)
+def _is_valid(identifier: int, code: int, kind: int) -> bool:
+    """Whether identifier and data length code are possible in a frame of this letter; D d B b are CAN FD."""
+    fd = kind == 68 or kind == 100 or kind == 66 or kind == 98
+    largest = 0x1FFFFFFF if _is_extended(kind) else 0x7FF
+    return 0 <= identifier <= largest and code >= 0 and (fd or code <= 8)
+
+
+@nb.njit(cache=True)
+def _is_stamp(digits: int, stamp_digits: int) -> bool:
+    """Whether what follows the payload is a time stamp, or none, as in the lines before (-1: not known yet)."""
+    return (digits == 0 or digits == 4 or digits == 8) and (stamp_digits < 0 or digits == stamp_digits)
+
+
+@nb.njit(cache=True)
+def _payload(data: Bytes, start: int, size: int, hexadecimal: Bytes, payload: Bytes, row: int) -> bool:
+    """Write `size` bytes from pairs of hexadecimal digits into `row` of the payload; False if a digit is none."""
+    for k in range(size):
+        high = hexadecimal[data[start + 2 * k]]
+        low = hexadecimal[data[start + 2 * k + 1]]
+        if high > 15 or low > 15:
+            return False
+        payload[row, k] = high * 16 + low
+    return True
+
+
+@nb.njit(cache=True)
 def _parse(
-    data: NDArray[np.uint8], stamp_digits: int, damaged_run: int, hexadecimal: NDArray[np.uint8],
-    lengths_of: NDArray[np.int64], ids: NDArray[np.uint32], lengths: NDArray[np.uint8], payload: NDArray[np.uint8],
-    stamps: NDArray[np.int64], damaged: NDArray[np.int64], first_bad: int,
+    data: Bytes, stamp_digits: int, damaged_run: int, hexadecimal: Bytes, lengths_of: Integers, ids: NDArray[np.uint32],
+    lengths: Bytes, payload: Bytes, stamps: Integers, damaged: Integers, first_bad: int,
 ) -> tuple[int, int, int, int, int, int]:  # fmt: skip
     """Returns frames, bytes consumed, refusals (BEL), other replies, stamp digits, damaged lines in a row.
 
@@ -53,8 +103,7 @@ def _parse(
         byte = data[end]
         if byte == 7:
             refused += 1
-            if end > consumed:
-                damaged[frames] += 1
+            damaged[frames] += end > consumed
             consumed = end + 1
             continue
         if byte != 13:
@@ -65,55 +114,36 @@ def _parse(
         if length == 0:
             continue
         kind = data[begin]
-        extended = kind == 84 or kind == 82 or kind == 68 or kind == 66  # T R D B
-        standard = kind == 116 or kind == 114 or kind == 100 or kind == 98  # t r d b
+        extended = _is_extended(kind)
         good = first_bad == 0 or begin > 0
-        if good and not extended and not standard:
-            sent = length == 1 and (kind == 122 or kind == 90)
-            if sent or (length <= 5 and (kind == 86 or kind == 78 or kind == 70)):
-                replies += 1  # z Z: sent; V N F: version, number, status
+        if good and not extended and not _is_standard(kind):
+            if _is_reply(kind, length):
+                replies += 1
                 continue
             good = False
         head = 10 if extended else 5
-        identifier, code, size, tail = 0, 0, 0, 0
+        identifier, code, size, tail, stamp = -1, 0, 0, 0, -1
         if good and length >= head:
             identifier = _number(data, begin + 1, head - 2, hexadecimal)
             code = _number(data, begin + head - 1, 1, hexadecimal)
-            remote = kind == 82 or kind == 114
-            fd = kind == 68 or kind == 100 or kind == 66 or kind == 98
-            good = identifier >= 0 and code >= 0 and (fd or code <= 8)
-            good = good and identifier <= (0x1FFFFFFF if extended else 0x7FF)
-            if good:
-                size = 0 if remote else lengths_of[code]
-                tail = length - head - 2 * size
-                good = tail == 0 or tail == 4 or tail == 8
-                good = good and (stamp_digits < 0 or tail == stamp_digits)
-        else:
-            good = False
+        good = _is_valid(identifier, code, kind)
         if good:
-            for k in range(size):
-                high = hexadecimal[data[begin + head + 2 * k]]
-                low = hexadecimal[data[begin + head + 2 * k + 1]]
-                if high > 15 or low > 15:
-                    good = False
-                    break
-                payload[frames, k] = high * 16 + low
-        stamp = -1
+            size = 0 if _is_remote(kind) else lengths_of[code]
+            tail = length - head - 2 * size
+            good = _is_stamp(tail, stamp_digits)
+        good = good and _payload(data, begin + head, size, hexadecimal, payload, frames)
         if good and tail > 0:
             stamp = _number(data, end - tail, tail, hexadecimal)
             good = stamp >= 0
         if not good:
-            for k in range(64):
-                payload[frames, k] = 0
+            payload[frames, :] = 0
             damaged[frames] += 1
             damaged_run += 1
-            if damaged_run >= 8:
-                stamp_digits = -1
+            stamp_digits = -1 if damaged_run >= 8 else stamp_digits
             continue
         damaged_run = 0
         stamp_digits = tail
-        flags = (0x80000000 if extended else 0) | (0x40000000 if kind == 82 or kind == 114 else 0)
-        ids[frames] = identifier | flags
+        ids[frames] = identifier | (0x80000000 if extended else 0) | (0x40000000 if _is_remote(kind) else 0)
         lengths[frames] = size
         stamps[frames] = stamp
         frames += 1
@@ -157,8 +187,8 @@ class SlcanCodec:
         payload, stamps = np.zeros((n + 1, 64), np.uint8), np.empty(n + 1, np.int64)
         damaged = np.empty(n + 2, np.int64)
         frames, consumed, refused, replies, self._stamp_digits, self._damaged_run = _parse(
-            np.frombuffer(raw, np.uint8), self._stamp_digits, self._damaged_run, _HEX, _LENGTHS, ids, lengths, payload,
-            stamps, damaged, int(self._overlong),
+            np.frombuffer(raw, np.uint8), self._stamp_digits, self._damaged_run, _HEX_VALUES, _LENGTH_OF_CODE,
+            ids, lengths, payload, stamps, damaged, int(self._overlong),
         )  # fmt: skip
         if consumed:
             self._overlong = False
@@ -184,12 +214,12 @@ class SlcanCodec:
 
 
 def encode_line(identifier: int, data: bytes, fd: bool, brs: bool = True, stamp_ms: int | None = None) -> bytes:
-    """One frame as a line; EXTENDED and REMOTE may be set in the identifier.
+    """One frame as a line; EXTENDED_FLAG and REMOTE_FLAG may be set in the identifier.
 
     >>> encode_line(0x300, bytes(8), fd=False)
     b't30080000000000000000\\r'
     """
-    extended, remote = bool(identifier & EXTENDED), bool(identifier & REMOTE)
+    extended, remote = bool(identifier & EXTENDED_FLAG), bool(identifier & REMOTE_FLAG)
     kind = "r" if remote else "t" if not fd else "b" if brs else "d"
     code = FD_LENGTHS.index(len(data))
     number = f"{identifier & 0x1FFFFFFF:08X}" if extended else f"{identifier & 0x7FF:03X}"

@@ -21,14 +21,14 @@ from drivers.contract.link import LinkLost
 from .can_frames import CanFrames
 
 QUEUE_BYTES = 4 << 20  # asked for; the kernel charges near 800 bytes a frame, so its default holds about 270 frames
-BATCH = 256  # frames a system call
-_MTU, _SO_TIMESTAMPNS = 72, 35  # struct canfd_frame; asm-generic/socket.h
-_CONTROL = np.dtype(
+BATCH_FRAMES = 256  # frames a system call
+_FRAME_BYTES, _SO_TIMESTAMPNS = 72, 35  # struct canfd_frame; asm-generic/socket.h
+_CONTROL_DTYPE = np.dtype(
     [("length", "=u8"), ("level", "=i4"), ("type", "=i4"), ("s", "=i8"), ("ns", "=i8"), ("more", "V64")]
 )
-_CONTROL_BYTES = _CONTROL.itemsize
-_UP = 1
-_SO_RCVBUFFORCE, _SO_MEMINFO, _DROPS = 33, 55, 8  # asm-generic/socket.h, linux/sock_diag.h
+_CONTROL_BYTES = _CONTROL_DTYPE.itemsize
+_IFF_UP = 1  # linux/if.h
+_SO_RCVBUFFORCE, _SO_MEMINFO, _SK_MEMINFO_DROPS = 33, 55, 8  # asm-generic/socket.h, linux/sock_diag.h
 
 
 def check_up(target: str, name: str) -> None:
@@ -38,7 +38,7 @@ def check_up(target: str, name: str) -> None:
     except (OSError, ValueError) as error:
         text = f"{target}: there is no interface {name}: plug it in, or look for it with `rotorscope ports`"
         raise LinkOpenError(text) from error
-    if not flags & _UP:
+    if not flags & _IFF_UP:
         text = f"the interface {name} is down: bring it up with `ip link set {name} up type can bitrate 1000000`"
         raise LinkOpenError(f"{target}: {text}")
 
@@ -67,7 +67,7 @@ class KernelQueue:
             return 0
         values = struct.unpack(f"{len(told) // 4}I", told)
         self.empty = values[0] == 0
-        return int(values[_DROPS]) if len(values) > _DROPS else 0
+        return int(values[_SK_MEMINFO_DROPS]) if len(values) > _SK_MEMINFO_DROPS else 0
 
 
 class _IoVec(ctypes.Structure):
@@ -91,16 +91,18 @@ class BulkReceiver:
 
     def __init__(self, sock: socket.socket) -> None:
         self._sock = sock
-        self._data = np.zeros((BATCH, _MTU), np.uint8)
-        self._control = np.zeros(BATCH, _CONTROL)
-        self._iov = (_IoVec * BATCH)()
-        self._messages = (_MMsgHdr * BATCH)()
-        for k in range(BATCH):
-            self._iov[k].base, self._iov[k].length = self._data.ctypes.data + k * _MTU, _MTU
+        self._data = np.zeros((BATCH_FRAMES, _FRAME_BYTES), np.uint8)
+        self._control = np.zeros(BATCH_FRAMES, _CONTROL_DTYPE)
+        self._iov = (_IoVec * BATCH_FRAMES)()
+        self._messages = (_MMsgHdr * BATCH_FRAMES)()
+        for k in range(BATCH_FRAMES):
+            self._iov[k].base, self._iov[k].length = self._data.ctypes.data + k * _FRAME_BYTES, _FRAME_BYTES
             header = self._messages[k].header
             header.iov, header.iov_length = ctypes.addressof(self._iov[k]), 1
             header.control = self._control.ctypes.data + k * _CONTROL_BYTES
-        memory = np.frombuffer(memoryview(self._messages).cast("B"), np.uint8).reshape(BATCH, ctypes.sizeof(_MMsgHdr))
+        memory = np.frombuffer(memoryview(self._messages).cast("B"), np.uint8).reshape(
+            BATCH_FRAMES, ctypes.sizeof(_MMsgHdr)
+        )
         at, size = _MsgHdr.control_length.offset, ctypes.sizeof(ctypes.c_size_t)
         self._control_lengths = memory[:, at : at + size]
         self._control_room = np.frombuffer(bytes(ctypes.c_size_t(_CONTROL_BYTES)), np.uint8)
@@ -115,7 +117,7 @@ class BulkReceiver:
         if not self._poll.poll(timeout_s * 1000):
             return None
         self._control_lengths[:] = self._control_room
-        n = self._recvmmsg(self._sock.fileno(), self._messages, BATCH, socket.MSG_DONTWAIT, None)
+        n = self._recvmmsg(self._sock.fileno(), self._messages, BATCH_FRAMES, socket.MSG_DONTWAIT, None)
         if n < 0:
             error = ctypes.get_errno()
             if error in (errno.EAGAIN, errno.EINTR):
@@ -128,7 +130,7 @@ class BulkReceiver:
         if n == 0 or not lengths.all():
             raise LinkLost("the socket was closed")
         data = self._data[:n].copy()
-        for k in np.flatnonzero(lengths < _MTU):
+        for k in np.flatnonzero(lengths < _FRAME_BYTES):
             data[k, lengths[k] :] = 0  # left over from a longer frame in this slot
         ids = np.ascontiguousarray(data[:, :4]).view(np.uint32)[:, 0]
         # byte 4 is the length; byte 5 has the FD flags, which the kernel may decorate (CANFD_FDF): not needed

@@ -59,7 +59,7 @@ class Gap:
     reason: str
 
 
-REASONS = (
+GAP_REASONS = (
     "sequence", "crc", "device_lost", "restart", "reconnect", "overflow", "duplicate", "version", "silent",
     "source", "stuck",
 )  # fmt: skip

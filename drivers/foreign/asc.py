@@ -14,8 +14,8 @@ from typing import Any, TextIO
 
 import can
 
-_FRAME = re.compile(r"\d+\.\d+\s+(?:\d+\s+(?:\w+\s+(?:Tx|Rx)|ErrorFrame)|(?-i:CANFD)\s)", re.ASCII | re.IGNORECASE)
-_OTHER = re.compile(
+_FRAME_LINE = re.compile(r"\d+\.\d+\s+(?:\d+\s+(?:\w+\s+(?:Tx|Rx)|ErrorFrame)|(?-i:CANFD)\s)", re.ASCII | re.IGNORECASE)
+_OTHER_LINE = re.compile(
     r"$|//|;|date\s|base\s|(?:no\s+)?internal\s+events\s+logged|begin\s+trigger|end\s+trigger|previous\s+log"
     r"|\d+\.\d+\s+(?:CAN\s+\d+\s+Status|\d+\s+(?:Statistic|J1939TP|OverloadFrame)|(?!CAN)[A-Z][A-Z0-9_]+[\s:])",
     re.ASCII | re.IGNORECASE,
@@ -63,7 +63,7 @@ class _Lines:
         line = next(self._lines)
         self._number += 1
         text = line.strip()
-        if not _FRAME.match(text) and not _OTHER.match(text):
+        if not _FRAME_LINE.match(text) and not _OTHER_LINE.match(text):
             raise ValueError(f"line {self._number} is neither a frame nor an event of another kind")
         return line
 

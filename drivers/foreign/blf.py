@@ -18,12 +18,12 @@ import can
 LARGEST_HEAD = 1 << 16  # bytes; it has 144
 LARGEST_CONTAINER = 16 << 20  # bytes, packed or not; loggers write 128 kB
 LARGEST_OBJECT = 1 << 20  # bytes
-LEAST = {1: 16, 86: 16, 73: 32, 100: 84, 101: 40}  # bytes behind the headers of an object of CAN, by type
-HEADERS = {1: 32, 2: 40}  # bytes, by version
-CONTAINER, PLAIN, DEFLATED = 10, 0, 2
-STEP = 1 << 16
-_OBJECT = struct.Struct("<4sHHII")  # signature, length of the header, its version, length of the whole, type
-_PACKED = struct.Struct("<H6xI4x")  # how, and the size before
+LEAST_BODY_BYTES = {1: 16, 86: 16, 73: 32, 100: 84, 101: 40}  # bytes behind the headers of an object of CAN, by type
+HEADER_BYTES = {1: 32, 2: 40}  # bytes, by version
+CONTAINER_TYPE, UNCOMPRESSED_KIND, DEFLATED_KIND = 10, 0, 2  # of an object that holds others; its compression
+READ_BYTES = 1 << 16  # a call
+_OBJECT_STRUCT = struct.Struct("<4sHHII")  # signature, length of the header, its version, length of the whole, type
+_CONTAINER_STRUCT = struct.Struct("<H6xI4x")  # how, and the size before
 
 
 class BlfReader(can.BLFReader):  # type: ignore[misc]
@@ -67,16 +67,16 @@ class BlfReader(can.BLFReader):  # type: ignore[misc]
         """What the next container holds; None at the end of the file. Raises ValueError at damage, once."""
         while True:
             at = file.tell()
-            head = file.read(_OBJECT.size)
+            head = file.read(_OBJECT_STRUCT.size)
             if not head:
                 return None
             try:
                 kind, content = _object(head, file)
-                if kind == CONTAINER:
+                if kind == CONTAINER_TYPE:
                     return _unpacked(content)
-                if kind in LEAST:  # in no container
+                if kind in LEAST_BODY_BYTES:  # in no container
                     return head + content
-                if self._tail or content[:1] == b"\2" and content[_PACKED.size :][:1] == b"x":
+                if self._tail or content[:1] == b"\2" and content[_CONTAINER_STRUCT.size :][:1] == b"x":
                     raise ValueError(f"an object of type {kind} where a container should be")
             except (ValueError, struct.error, zlib.error):
                 self._forget()
@@ -85,22 +85,22 @@ class BlfReader(can.BLFReader):  # type: ignore[misc]
 
 
 def _object(head: bytes, file: BinaryIO) -> tuple[int, bytes]:
-    signature, _, _, size, kind = _OBJECT.unpack(head)
-    if signature != b"LOBJ" or not _OBJECT.size <= size <= LARGEST_CONTAINER:
+    signature, _, _, size, kind = _OBJECT_STRUCT.unpack(head)
+    if signature != b"LOBJ" or not _OBJECT_STRUCT.size <= size <= LARGEST_CONTAINER:
         raise ValueError("no object where one should begin")
-    content = file.read(size - _OBJECT.size)
-    if len(content) < size - _OBJECT.size:
+    content = file.read(size - _OBJECT_STRUCT.size)
+    if len(content) < size - _OBJECT_STRUCT.size:
         raise ValueError("the file ends inside a container")
     file.read(size % 4)
     return kind, content
 
 
 def _unpacked(content: bytes) -> bytes:
-    how, _ = _PACKED.unpack_from(content)
-    content = content[_PACKED.size :]
-    if how == PLAIN:
+    how, _ = _CONTAINER_STRUCT.unpack_from(content)
+    content = content[_CONTAINER_STRUCT.size :]
+    if how == UNCOMPRESSED_KIND:
         return content
-    if how != DEFLATED:
+    if how != DEFLATED_KIND:
         raise ValueError(f"a container packed in an unknown way ({how})")
     unpacker = zlib.decompressobj()
     data = unpacker.decompress(content, LARGEST_CONTAINER)
@@ -113,19 +113,20 @@ def _seek_container(file: BinaryIO, at: int) -> None:
     """Go to the next container after `at`, or to the end."""
     while True:
         file.seek(at)
-        piece = file.read(STEP)
+        piece = file.read(READ_BYTES)
         found = piece.find(b"LOBJ")
-        if found < 0 and len(piece) < STEP:
+        if found < 0 and len(piece) < READ_BYTES:
             file.seek(0, 2)
             return
         if found < 0:
-            at += STEP - 3
+            at += READ_BYTES - 3
             continue
         file.seek(at + found)
-        head = file.read(_OBJECT.size)
-        if len(head) == _OBJECT.size:
-            _, size, _, whole, kind = _OBJECT.unpack(head)
-            if (size, kind) == (_OBJECT.size, CONTAINER) and whole >= _OBJECT.size + _PACKED.size:
+        head = file.read(_OBJECT_STRUCT.size)
+        if len(head) == _OBJECT_STRUCT.size:
+            _, size, _, whole, kind = _OBJECT_STRUCT.unpack(head)
+            outer = size == _OBJECT_STRUCT.size and kind == CONTAINER_TYPE
+            if outer and whole >= _OBJECT_STRUCT.size + _CONTAINER_STRUCT.size:
                 file.seek(at + found)
                 return
         at += found + 1
@@ -134,9 +135,9 @@ def _seek_container(file: BinaryIO, at: int) -> None:
 def _check(data: bytes) -> None:
     """Raise ValueError unless each object is as long as its type needs, and no longer than one may be."""
     at = 0
-    while (at := data.find(b"LOBJ", at, at + 8)) >= 0 and at + _OBJECT.size <= len(data):
-        _, _, version, size, kind = _OBJECT.unpack_from(data, at)
-        least = HEADERS.get(version, 16) + LEAST.get(kind, 0)
-        if not least <= size <= LARGEST_OBJECT or kind == CONTAINER:
+    while (at := data.find(b"LOBJ", at, at + 8)) >= 0 and at + _OBJECT_STRUCT.size <= len(data):
+        _, _, version, size, kind = _OBJECT_STRUCT.unpack_from(data, at)
+        least = HEADER_BYTES.get(version, 16) + LEAST_BODY_BYTES.get(kind, 0)
+        if not least <= size <= LARGEST_OBJECT or kind == CONTAINER_TYPE:
             raise ValueError(f"an object of {size} bytes")
         at += size

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from drivers.can.can_frames import ERROR, EXTENDED, REMOTE, CanFrames
+from drivers.can.can_frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, CanFrames
 
-BATCH = 4096  # frames
+BATCH_FRAMES = 4096
 LARGEST_ID = 0x1FFF_FFFF
 LATEST_NS = 2**62  # the year 2116; later is damage, and would not fit
 
@@ -38,7 +38,7 @@ def batches_of(reader: Any, bus: str | None, file: Path) -> Generator[Batch, Non
         while not ended:
             frames: list[tuple[int, bytes, int]] = []
             damaged, why = 0, ""
-            while len(frames) < BATCH and damaged < BATCH and not ended:
+            while len(frames) < BATCH_FRAMES and damaged < BATCH_FRAMES and not ended:
                 try:
                     message = next(messages, None)
                 except Exception as error:  # noqa: BLE001 - a damaged file: python-can raises whatever it trips over
@@ -66,8 +66,8 @@ def batches_of(reader: Any, bus: str | None, file: Path) -> Generator[Batch, Non
 
 def _frame(message: Any) -> tuple[int, bytes, int] | str:
     """Identifier, data and time; or why it is none."""
-    flags = EXTENDED if message.is_extended_id else 0
-    flags |= (REMOTE if message.is_remote_frame else 0) | (ERROR if message.is_error_frame else 0)
+    flags = EXTENDED_FLAG if message.is_extended_id else 0
+    flags |= (REMOTE_FLAG if message.is_remote_frame else 0) | (ERROR_FLAG if message.is_error_frame else 0)
     # seconds as a float carry microseconds for today's dates, no more
     t_ns = round(message.timestamp * 1e6) * 1000
     if abs(t_ns) > LATEST_NS:

@@ -8,13 +8,13 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
-from drivers.can.can_frames import ERROR, EXTENDED, REMOTE, CanFrames
+from drivers.can.can_frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, CanFrames
 from drivers.contract.errors import LinkOpenError, LinkUnavailable
 
-from .capture_batches import BATCH, LATEST_NS, Batch, Batches, batches_of
+from .capture_batches import BATCH_FRAMES, LATEST_NS, Batch, Batches, batches_of
 
-SUFFIXES = (".log", ".blf", ".asc", ".mf4")
-_LINE = re.compile(
+CAPTURE_SUFFIXES = (".log", ".blf", ".asc", ".mf4")  # of recorded CAN traffic
+_CANDUMP_LINE = re.compile(
     r"\((\d+)\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})(?:#R(\d?)|##([0-9A-Fa-f])|#)([0-9A-Fa-f.]*)(?:\s+[RT])?"
 )
 
@@ -23,9 +23,9 @@ def open_capture(path: str, bus: str | None) -> Batches:
     """Batches of a file, in the order of time. Raises LinkOpenError | LinkUnavailable before the first batch only."""
     file = Path(path)
     suffix = file.suffix.lower()
-    if suffix not in SUFFIXES:
+    if suffix not in CAPTURE_SUFFIXES:
         what = suffix or "a file without ending"
-        raise LinkOpenError(f"capture:{path}: cannot read {what}: use {', '.join(SUFFIXES)}")
+        raise LinkOpenError(f"capture:{path}: cannot read {what}: use {', '.join(CAPTURE_SUFFIXES)}")
     try:
         if file.exists() and not file.is_file():  # a pipe would hold us until somebody writes
             raise LinkOpenError(f"capture:{path}: is not a file that can be read to its end: save the traffic first")
@@ -79,7 +79,7 @@ def _candump(file: Path, bus: str | None) -> Generator[Batch, None, None]:
     damaged, why = 0, ""
     with file.open("r", encoding="ascii", errors="replace") as lines:
         for number, line in enumerate(_bounded(lines), 1):
-            match = _LINE.fullmatch(line.strip())
+            match = _CANDUMP_LINE.fullmatch(line.strip())
             if match is None:
                 if line.strip():
                     damaged += 1
@@ -91,7 +91,7 @@ def _candump(file: Path, bus: str | None) -> Generator[Batch, None, None]:
                     why = why or f"line {number} has a wrong length or time"
                 else:
                     frames.append(frame)
-            if len(frames) >= BATCH or damaged >= BATCH:
+            if len(frames) >= BATCH_FRAMES or damaged >= BATCH_FRAMES:
                 yield Batch(CanFrames.build(frames), damaged, why)
                 frames, damaged, why = [], 0, ""
     yield Batch(CanFrames.build(frames), damaged, why)
@@ -109,9 +109,9 @@ def _parse(match: re.Match[str]) -> tuple[int, bytes, int] | None:
         return None
     identifier = number
     if len(match[4]) == 8:
-        identifier = number & 0x1FFF_FFFF | (ERROR if number & ERROR else EXTENDED)
+        identifier = number & 0x1FFF_FFFF | (ERROR_FLAG if number & ERROR_FLAG else EXTENDED_FLAG)
     if match[5] is not None:
-        identifier |= REMOTE
+        identifier |= REMOTE_FLAG
         digits = ""
     t_ns = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
     if t_ns > LATEST_NS:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.can.can_frames import ERROR, REMOTE, CanFrames
+from drivers.can.can_frames import ERROR_FLAG, REMOTE_FLAG, CanFrames
 from drivers.contract.notices import Notices
 from drivers.contract.reading import Block, Gap, Info, LinkStats, Reading
 from drivers.protocol.device_info import Expected
@@ -121,7 +121,7 @@ class MappedDecoder:
     def _which(self, frames: CanFrames, t_host_ns: int) -> NDArray[np.int64]:
         """(n,) number of the mapped message each frame is, -1 for none."""
         which = np.full(len(frames), -1, np.int64)
-        plain = (frames.ids & np.uint32(ERROR | REMOTE)) == 0
+        plain = (frames.ids & np.uint32(ERROR_FLAG | REMOTE_FLAG)) == 0
         for number, message in enumerate(self._plan.messages):
             hit = plain & ((frames.ids & np.uint32(message.mask)) == message.identifier)
             if message.mask != 0xFFFF_FFFF and hit.any():

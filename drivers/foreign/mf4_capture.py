@@ -25,10 +25,10 @@ from drivers.contract.errors import LinkOpenError, LinkUnavailable
 
 from .capture_batches import Batch, batches_of
 
-OPENED, UNAVAILABLE, REFUSED, BATCH, END = (bytes((letter,)) for letter in b"OURBZ")
-_PART = struct.Struct("<cI")
-_COUNTS = struct.Struct("<III")  # frames, damaged records, bytes of the reason
-LEAST_BYTES, FACTOR = 2 << 30, 100  # memory that the process may take: this, and so many times the file's size
+OPENED_TAG, UNAVAILABLE_TAG, REFUSED_TAG, BATCH_TAG, END_TAG = (bytes((letter,)) for letter in b"OURBZ")
+_PART_STRUCT = struct.Struct("<cI")  # tag, length
+_COUNTS_STRUCT = struct.Struct("<III")  # frames, damaged records, bytes of the reason
+LEAST_BYTES, FILE_SIZE_FACTOR = 2 << 30, 100  # memory that the process may take: this, and a multiple of the file
 LEAST_S, BYTES_PER_S = 20, 100_000  # and CPU time: on some damaged files asammdf does not come to an end
 
 Opened = TypeVar("Opened")
@@ -52,11 +52,11 @@ class Mf4Batches:
         )  # fmt: skip
         self._out: Any = self._child.stdout
         kind, content = self._part()
-        if kind == OPENED:
+        if kind == OPENED_TAG:
             return
         self.close()
         text = content.decode("utf-8", "replace") or _ended(self._child.returncode)
-        if kind == UNAVAILABLE:
+        if kind == UNAVAILABLE_TAG:
             raise LinkUnavailable(f"capture:{file}: {text}: install the missing library")
         raise LinkOpenError(f"capture:{file}: not a .mf4 file ({text}): check the file")
 
@@ -67,10 +67,10 @@ class Mf4Batches:
         if self._out.closed:
             raise StopIteration
         kind, content = self._part()
-        if kind == BATCH:
+        if kind == BATCH_TAG:
             return _unpacked(content)
         self.close()
-        if kind == END:
+        if kind == END_TAG:
             raise StopIteration
         return Batch(CanFrames.build([]), 1, _ended(self._child.returncode))
 
@@ -86,10 +86,10 @@ class Mf4Batches:
 
     def _part(self) -> tuple[bytes, bytes]:
         """The next part; two empty ones if the process ended without END."""
-        head = self._out.read(_PART.size)
-        if len(head) < _PART.size:
+        head = self._out.read(_PART_STRUCT.size)
+        if len(head) < _PART_STRUCT.size:
             return b"", b""
-        kind, size = _PART.unpack(head)
+        kind, size = _PART_STRUCT.unpack(head)
         content = self._out.read(size)
         return (kind, content) if len(content) == size else (b"", b"")
 
@@ -97,17 +97,17 @@ class Mf4Batches:
 def _packed(batch: Batch) -> bytes:
     f, why = batch.frames, batch.why.encode()
     arrays = (f.ids, f.lengths, f.t_ns, f.payload)
-    return _COUNTS.pack(len(f), batch.damaged, len(why)) + why + b"".join(array.tobytes() for array in arrays)
+    return _COUNTS_STRUCT.pack(len(f), batch.damaged, len(why)) + why + b"".join(array.tobytes() for array in arrays)
 
 
 def _unpacked(content: bytes) -> Batch:
-    n, damaged, size = _COUNTS.unpack_from(content)
-    at, arrays = _COUNTS.size + size, list[Any]()
+    n, damaged, size = _COUNTS_STRUCT.unpack_from(content)
+    at, arrays = _COUNTS_STRUCT.size + size, list[Any]()
     for kind, width in ((np.uint32, 1), (np.uint8, 1), (np.int64, 1), (np.uint8, 64)):
         arrays.append(np.frombuffer(content, kind, n * width, at))
         at += arrays[-1].nbytes
     ids, lengths, t_ns, payload = arrays
-    why = content[_COUNTS.size : _COUNTS.size + size].decode("utf-8", "replace")
+    why = content[_COUNTS_STRUCT.size : _COUNTS_STRUCT.size + size].decode("utf-8", "replace")
     return Batch(CanFrames(ids, lengths, payload.reshape(n, 64), t_ns), damaged, why)
 
 
@@ -140,13 +140,13 @@ def _bounded(file_bytes: int) -> None:
     seconds = LEAST_S + file_bytes // BYTES_PER_S
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    wanted = LEAST_BYTES + FACTOR * file_bytes
+    wanted = LEAST_BYTES + FILE_SIZE_FACTOR * file_bytes
     resource.setrlimit(resource.RLIMIT_AS, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
 
 
 def _serve(out: BinaryIO, path: Path, bus: str | None) -> None:
     def say(kind: bytes, content: bytes = b"") -> None:
-        out.write(_PART.pack(kind, len(content)) + content)
+        out.write(_PART_STRUCT.pack(kind, len(content)) + content)
         out.flush()
 
     try:
@@ -155,14 +155,14 @@ def _serve(out: BinaryIO, path: Path, bus: str | None) -> None:
         _bounded(path.stat().st_size)
         reader = _opened_quietly(lambda: can.MF4Reader(path))
     except ImportError as error:
-        say(UNAVAILABLE, str(error).encode())
+        say(UNAVAILABLE_TAG, str(error).encode())
     except Exception as error:  # a damaged file may raise anything in the library
-        say(REFUSED, str(error).encode())
+        say(REFUSED_TAG, str(error).encode())
     else:
-        say(OPENED)
+        say(OPENED_TAG)
         for batch in batches_of(reader, bus, path):
-            say(BATCH, _packed(batch))
-        say(END)
+            say(BATCH_TAG, _packed(batch))
+        say(END_TAG)
 
 
 if __name__ == "__main__":

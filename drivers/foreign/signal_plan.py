@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.can.can_frames import EXTENDED
+from drivers.can.can_frames import EXTENDED_FLAG
 from drivers.contract.errors import LinkError
 from drivers.contract.reading import Signal
 
@@ -23,8 +23,8 @@ FLOAT_STEP = 1e-6
 _J1939_PGN = 0x03FF_FF00  # priority and source address do not matter
 _J1939_PGN_ADDRESSED = 0x03FF_0000  # PDU1: nor does the destination
 
-U8 = NDArray[np.uint8]
-U64 = NDArray[np.uint64]
+U8Array = NDArray[np.uint8]
+U64Array = NDArray[np.uint64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class Bits:
         end = begin + length
         return cls(begin // 8, (end + 7) // 8 - begin // 8, -end % 8, length, True)
 
-    def read(self, payload: U8) -> U64:
+    def read(self, payload: U8Array) -> U64Array:
         """(n, 64) payloads -> (n,) field values."""
         columns = range(self.first, self.first + self.count)
         order = columns if self.big_endian else reversed(columns)  # most significant first
@@ -75,7 +75,7 @@ class Field:
     selector: Bits | None = None
     selected: frozenset[int] = frozenset()
 
-    def read(self, payload: U8, lengths: U8) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    def read(self, payload: U8Array, lengths: U8Array) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
         """(n,) counts and (n,) valid. Too short, of another multiplex page, out of its range: not valid."""
         raw = self.bits.read(payload)
         valid = lengths >= self.bits.first + self.bits.count
@@ -197,10 +197,10 @@ def _field(message: Any, signal: Any, channel: str) -> Field:
 def _message(message: Any, fields: list[tuple[int, Field]]) -> Message:
     mask, identifier = 0xFFFF_FFFF, int(message.frame_id)
     if message.is_extended_frame:
-        identifier |= EXTENDED
+        identifier |= EXTENDED_FLAG
     if message.protocol == "j1939":
         addressed = (identifier >> 16) & 0xFF < 240
-        mask = EXTENDED | (_J1939_PGN_ADDRESSED if addressed else _J1939_PGN)
+        mask = EXTENDED_FLAG | (_J1939_PGN_ADDRESSED if addressed else _J1939_PGN)
     return Message(
         message.name, identifier & mask, mask, tuple(each for _, each in fields), tuple(column for column, _ in fields)
     )

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from drivers.foreign.mapped import MappedDecoder
     from drivers.simulated.simulated import SimulatedDevice
 
-FORMS = {
+LINK_FORMS = {
     "virtual": "virtual:[?speed=1]",
     "can": "can:INTERFACE:CHANNEL?bitrate=500000[&fd=1][&data_bitrate=2000000][&id=0x300][&option.NAME=VALUE]",
     "slcan": "slcan:PORT_OR_URL?bitrate=1000000[&data_bitrate=5000000][&baud=..][&id=0x300][&setup=1]",
@@ -51,13 +51,13 @@ _PYSERIAL_OPTIONS = {
 def parse_link(url: str) -> LinkConfig:
     """The configuration a link's name stands for. Raises LinkError, which lists the valid forms."""
     kind, colon, rest = url.partition(":")
-    if not colon and kind in FORMS:
-        raise LinkError(f"link {url!r}: a colon is missing; write {FORMS[kind]}")
-    if not colon or kind not in FORMS:
-        raise LinkError(f"link {url!r}: {_instead(kind, FORMS)}; valid are {' | '.join(FORMS.values())}")
+    if not colon and kind in LINK_FORMS:
+        raise LinkError(f"link {url!r}: a colon is missing; write {LINK_FORMS[kind]}")
+    if not colon or kind not in LINK_FORMS:
+        raise LinkError(f"link {url!r}: {_instead(kind, LINK_FORMS)}; valid are {' | '.join(LINK_FORMS.values())}")
     rest, _, query = rest.partition("?")
     options = _Options(url, kind, query)
-    config = _PARSERS[kind](rest, options)
+    config = _PARSER_OF_KIND[kind](rest, options)
     options.finish()
     return config
 
@@ -136,7 +136,7 @@ class _Options:
         self._left = dict(parse_qsl(query, keep_blank_values=True))
 
     def fail(self, text: str) -> LinkError:
-        return LinkError(f"{self._where}: {text}; write {FORMS[self._kind]}")
+        return LinkError(f"{self._where}: {text}; write {LINK_FORMS[self._kind]}")
 
     def text(self, name: str) -> str | None:
         self._asked.add(name)
@@ -267,6 +267,6 @@ def _replay(rest: str, options: _Options) -> ReplayConfig:
     return ReplayConfig(rest, options.speed())
 
 
-_PARSERS: dict[str, Callable[[str, _Options], LinkConfig]] = {
+_PARSER_OF_KIND: dict[str, Callable[[str, _Options], LinkConfig]] = {
     "virtual": _virtual, "can": _can, "slcan": _slcan, "serial": _serial, "capture": _capture, "replay": _replay,
 }  # fmt: skip

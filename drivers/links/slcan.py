@@ -12,7 +12,7 @@ from drivers.contract.link_config import SlcanConfig
 from drivers.contract.reading import Reading
 from drivers.serial.byte_port import PortSource
 
-BITRATES = {
+BITRATE_COMMANDS = {
     10_000: "S0", 20_000: "S1", 50_000: "S2", 100_000: "S3", 125_000: "S4", 250_000: "S5", 500_000: "S6",
     750_000: "S7", 800_000: "S7", 1_000_000: "S8", 83_300: "S9",
 }  # fmt: skip
@@ -23,10 +23,10 @@ def slcan_source(config: SlcanConfig) -> PortSource:
     """The port, with the commands that set the bit rates and open the channel."""
     if not config.setup:
         return PortSource(config.target, config.port, config.baud)
-    if config.bitrate not in BITRATES:
-        known = ", ".join(str(rate) for rate in BITRATES)
+    if config.bitrate not in BITRATE_COMMANDS:
+        known = ", ".join(str(rate) for rate in BITRATE_COMMANDS)
         raise LinkOpenError(f"{config.target}: slcan has no bitrate {config.bitrate}; it has {known}")
-    commands = ["", "C", BITRATES[config.bitrate]]
+    commands = ["", "C", BITRATE_COMMANDS[config.bitrate]]
     if config.data_bitrate is not None:
         if config.data_bitrate not in DATA_BITRATES:
             known = ", ".join(str(rate) for rate in DATA_BITRATES)

@@ -20,9 +20,10 @@ from .neighbours import Neighbours, follows
 from .protocol import SampleFrames
 from .starts import Starts
 
-_CAUSES = ("reconnect", "stuck", "silent", "version", "crc", "overflow")  # what a hole is blamed on, first match wins
+# what a hole is blamed on, first match wins
+_CAUSES_BY_PRIORITY = ("reconnect", "stuck", "silent", "version", "crc", "overflow")
 FAR_S = 86_400.0  # a device's clock this far ahead of what passed here is another start's
-AHEAD_S, FAST = 5.0, 0.2  # so are counter and clock this much ahead of it, and by this share of it
+AHEAD_S, AHEAD_SHARE = 5.0, 0.2  # so are counter and clock this much ahead of it, and by this share of it
 LATE_FRAMES = 64  # a frame this far behind is late; further behind, the device has started again
 
 
@@ -185,7 +186,7 @@ class Continuity:
         slack = 0.5 * rows + min(1e-4 * abs(elapsed), f.modulus / 64)
         # samples that never were, up to centuries of them, would be a gap
         claimed, most_s = elapsed if timed else total, FAR_S if ahead == last.rows else AHEAD_S
-        far = claimed - (1.0 + FAST) * max(host, 0.0) > (most_s + self._late_s) * self.rate_hz
+        far = claimed - (1.0 + AHEAD_SHARE) * max(host, 0.0) > (most_s + self._late_s) * self.rate_hz
         if total < 0 or far or (timed and elapsed < -slack):
             if not self._starts.began(t_host_ns):
                 return self._undescribed(stop - start, t_host_ns)
@@ -243,7 +244,8 @@ class Continuity:
         by_device = min(max(count, 0), (int(f.lost[start]) - last.lost) % 256 * f.counts.shape[1])
         self.lose(by_device, "device_lost", out)
         if count > by_device:
-            self.lose(count - by_device, next((each for each in _CAUSES if each in self._causes), "sequence"), out)
+            cause = next((each for each in _CAUSES_BY_PRIORITY if each in self._causes), "sequence")
+            self.lose(count - by_device, cause, out)
             self._causes.clear()
 
     def _restart(self, why: str, arrived: int, t_host_ns: int, out: list[Reading]) -> None:

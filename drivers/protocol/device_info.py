@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from drivers.contract.notices import Notices
 from drivers.contract.reading import Info, Signal
 
-from .protocol import LAYOUTS, PARTS, VERSION, InfoRecord, Layout, unpack_info
+from .protocol import INFO_PARTS, LAYOUT_OF_NAME, PROTOCOL_VERSION, InfoRecord, Layout, unpack_info
 from .starts import Starts
 
-_BY_CODE = {layout.code: layout for layout in LAYOUTS.values()}
+_BY_CODE = {layout.code: layout for layout in LAYOUT_OF_NAME.values()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class DeviceInfo:
         if record is None:
             self._notices.add(t_host_ns, "warning", "bad_info", "an info record makes no sense: ignored")
             return None
-        if record.version != VERSION:
+        if record.version != PROTOCOL_VERSION:
             self.other_version(record.version, t_host_ns)
             return None
         self._listen(record.serial_number, t_host_ns)
@@ -128,14 +128,16 @@ class DeviceInfo:
             parts.clear()
             return None
         parts.append(payload[2:8])
-        if len(parts) < PARTS:
+        if len(parts) < INFO_PARTS:
             return None
         data = b"".join(parts)[:64]
         parts.clear()
         return self.record(data, t_host_ns)
 
     def other_version(self, version: int, t_host_ns: int) -> None:
-        text = f"a frame of protocol version {version}, this host reads {VERSION}: dropped; update one of the two"
+        text = (
+            f"a frame of protocol version {version}, this host reads {PROTOCOL_VERSION}: dropped; update one of the two"
+        )
         self._notices.add(t_host_ns, "error", "other_version", text)
 
     def _compare(self, info: Info, t_host_ns: int) -> None:

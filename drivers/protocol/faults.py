@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-KINDS = (
+FAULT_KINDS = (
     "drop",         # frames lost on the way
     "duplicate",    # frames sent twice
     "reorder",      # a frame comes after its successor
@@ -30,8 +30,8 @@ class Fault:
     count: int = 1
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ValueError(f"no fault {self.kind!r}; there are {', '.join(KINDS)}")
+        if self.kind not in FAULT_KINDS:
+            raise ValueError(f"no fault {self.kind!r}; there are {', '.join(FAULT_KINDS)}")
         if self.at < 0 or self.count < 1:
             raise ValueError(f"fault {self.kind}: at >= 0 and count >= 1, got {self.at} and {self.count}")
 

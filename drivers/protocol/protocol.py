@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 
 from drivers.contract.reading import Signal
 
-VERSION = 1
+PROTOCOL_VERSION = 1
 FD_LENGTH = 64  # bytes of payload of a CAN FD frame
 TIME_MODULUS_US = 1 << 32
 NO_MODULUS = 1 << 62  # of the serial frame's 64-bit fields
 SYNC_MODULUS = 1 << 24
 SYNC_HZ = 10.0
-UNITS = ("", "m/s^2", "m/s", "m", "N", "V", "rad/s", "pulse")  # wire code -> unit
+UNIT_OF_CODE = ("", "m/s^2", "m/s", "m", "N", "V", "rad/s", "pulse")  # wire code -> unit
 
-U8 = NDArray[np.uint8]
-I32 = NDArray[np.int32]
-I64 = NDArray[np.int64]
+U8Array = NDArray[np.uint8]
+I32Array = NDArray[np.int32]
+I64Array = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +48,14 @@ class Layout:
         return self.counter * self.rows(channels)
 
 
-FD16 = Layout("fd16", 1, 16, 8, 1 << 16, 8)
-FD24 = Layout("fd24", 2, 24, 4, 1 << 16, 8)
-CLASSIC = Layout("classic", 3, 15, 0, 16, 4)
-SERIAL16 = Layout("serial16", 4, 16, 24, 1, 64)
-SERIAL24 = Layout("serial24", 5, 24, 24, 1, 64)
-LAYOUTS = {layout.name: layout for layout in (FD16, FD24, CLASSIC, SERIAL16, SERIAL24)}
+FD16_LAYOUT = Layout("fd16", 1, 16, 8, 1 << 16, 8)
+FD24_LAYOUT = Layout("fd24", 2, 24, 4, 1 << 16, 8)
+CLASSIC_LAYOUT = Layout("classic", 3, 15, 0, 16, 4)
+SERIAL16_LAYOUT = Layout("serial16", 4, 16, 24, 1, 64)
+SERIAL24_LAYOUT = Layout("serial24", 5, 24, 24, 1, 64)
+LAYOUT_OF_NAME = {
+    layout.name: layout for layout in (FD16_LAYOUT, FD24_LAYOUT, CLASSIC_LAYOUT, SERIAL16_LAYOUT, SERIAL24_LAYOUT)
+}
 
 # CAN identifiers: base + offset, 11 bit; a second device on the bus takes another base, a multiple of 8.
 BASE_ID = 0x300
@@ -62,7 +64,7 @@ SAMPLE_ID = {"fd16": ID_FD16, "fd24": ID_FD24, "classic": ID_CLASSIC}
 
 _FD16_HEAD = np.dtype([("seq", "<u2"), ("lost", "u1"), ("flags", "u1"), ("time", "<u4")])
 _FD24_HEAD = np.dtype([("seq", "<u2"), ("lost", "u1"), ("flags", "u1")])
-_INFO = np.dtype(
+_INFO_DTYPE = np.dtype(
     [
         ("version", "u1"), ("layout", "u1"), ("channels", "u1"), ("channel", "u1"),
         ("count_bits", "u1"), ("unit", "u1"), ("flags", "u1"), ("reserved", "u1"),
@@ -71,19 +73,19 @@ _INFO = np.dtype(
     ]
 )  # fmt: skip
 PART_BYTES = 6
-PARTS = -(-_INFO.itemsize // PART_BYTES)  # CAN classic frames that carry one info record
+INFO_PARTS = -(-_INFO_DTYPE.itemsize // PART_BYTES)  # CAN classic frames that carry one info record
 
 
-def make_flags(clipped: NDArray[np.bool_] | bool, epoch: int, version: int = VERSION) -> U8:
+def make_flags(clipped: NDArray[np.bool_] | bool, epoch: int, version: int = PROTOCOL_VERSION) -> U8Array:
     """Flags byte: bit 0 some sample clipped, bits 2-3 protocol version, bits 4-7 number of the start (epoch)."""
     return (np.asarray(clipped).astype(np.uint8) | ((version & 3) << 2) | ((epoch & 15) << 4)).astype(np.uint8)
 
 
-def flags_version(flags: U8) -> U8:
+def flags_version(flags: U8Array) -> U8Array:
     return np.asarray((flags >> 2) & 3, np.uint8)
 
 
-def flags_epoch(flags: U8) -> U8:
+def flags_epoch(flags: U8Array) -> U8Array:
     return np.asarray(flags >> 4, np.uint8)
 
 
@@ -96,19 +98,19 @@ class SampleFrames:
     `time_modulus`, or None. counts : (n, rows, channels).
     """
 
-    position: I64
+    position: I64Array
     modulus: int
-    lost: U8
-    epoch: U8
-    time_us: I64 | None
+    lost: U8Array
+    epoch: U8Array
+    time_us: I64Array | None
     time_modulus: int
-    counts: I32
+    counts: I32Array
 
     def __len__(self) -> int:
         return len(self.position)
 
 
-def pack_fd16(seq: I64, lost: U8, flags: U8, time_us: I64, counts: I32) -> U8:
+def pack_fd16(seq: I64Array, lost: U8Array, flags: U8Array, time_us: I64Array, counts: I32Array) -> U8Array:
     """(n, rows, channels) counts -> (n, 64) payloads; rows and channels as the layout has them."""
     n = len(seq)
     head = np.zeros(n, _FD16_HEAD)
@@ -120,26 +122,26 @@ def pack_fd16(seq: I64, lost: U8, flags: U8, time_us: I64, counts: I32) -> U8:
     return out
 
 
-def unpack_fd16(payload: U8, channels: int) -> SampleFrames:
+def unpack_fd16(payload: U8Array, channels: int) -> SampleFrames:
     """(n, 64) payloads -> frames. Reads any bytes; the caller checks length and version."""
-    n, rows = len(payload), FD16.rows(channels)
+    n, rows = len(payload), FD16_LAYOUT.rows(channels)
     head = np.ascontiguousarray(payload[:, :8]).view(_FD16_HEAD)[:, 0]
     body = payload[:, 8 : 8 + 2 * rows * channels]
     counts = np.ascontiguousarray(body).view("<i2").astype(np.int32).reshape(n, rows, channels)
     return SampleFrames(
-        head["seq"].astype(np.int64) * rows, FD16.modulus(channels), head["lost"], flags_epoch(head["flags"]),
+        head["seq"].astype(np.int64) * rows, FD16_LAYOUT.modulus(channels), head["lost"], flags_epoch(head["flags"]),
         head["time"].astype(np.int64), TIME_MODULUS_US, counts,
     )  # fmt: skip
 
 
-def pack_int24(counts: I32) -> U8:
+def pack_int24(counts: I32Array) -> U8Array:
     """(n, ...) counts -> (n, 3 * values) bytes, little endian two's complement."""
     n = len(counts)
     wide = np.ascontiguousarray(counts.reshape(n, -1), "<i4").view(np.uint8).reshape(n, -1, 4)
     return np.ascontiguousarray(wide[:, :, :3]).reshape(n, -1)
 
 
-def unpack_int24(body: U8) -> I32:
+def unpack_int24(body: U8Array) -> I32Array:
     """(n, 3 * values) bytes -> (n, values) int32."""
     n = len(body)
     wide = np.zeros((n, body.shape[1] // 3, 4), np.uint8)
@@ -147,7 +149,7 @@ def unpack_int24(body: U8) -> I32:
     return (wide.view("<i4")[:, :, 0] >> 8).astype(np.int32)
 
 
-def pack_fd24(seq: I64, lost: U8, flags: U8, counts: I32) -> U8:
+def pack_fd24(seq: I64Array, lost: U8Array, flags: U8Array, counts: I32Array) -> U8Array:
     n = len(seq)
     head = np.zeros(n, _FD24_HEAD)
     head["seq"], head["lost"], head["flags"] = seq & 0xFFFF, lost, flags
@@ -158,17 +160,17 @@ def pack_fd24(seq: I64, lost: U8, flags: U8, counts: I32) -> U8:
     return out
 
 
-def unpack_fd24(payload: U8, channels: int) -> SampleFrames:
-    n, rows = len(payload), FD24.rows(channels)
+def unpack_fd24(payload: U8Array, channels: int) -> SampleFrames:
+    n, rows = len(payload), FD24_LAYOUT.rows(channels)
     head = np.ascontiguousarray(payload[:, :4]).view(_FD24_HEAD)[:, 0]
     counts = unpack_int24(payload[:, 4 : 4 + 3 * rows * channels]).reshape(n, rows, channels)
     return SampleFrames(
-        head["seq"].astype(np.int64) * rows, FD24.modulus(channels), head["lost"], flags_epoch(head["flags"]),
+        head["seq"].astype(np.int64) * rows, FD24_LAYOUT.modulus(channels), head["lost"], flags_epoch(head["flags"]),
         None, TIME_MODULUS_US, counts,
     )  # fmt: skip
 
 
-def pack_classic(seq: I64, counts: I32) -> U8:
+def pack_classic(seq: I64Array, counts: I32Array) -> U8Array:
     """(n, channels <= 4) counts -> (n, 8): bits 0-3 the counter, then four 15-bit two's complement samples."""
     word = (seq & 15).astype(np.uint64)
     for channel in range(counts.shape[1]):
@@ -177,7 +179,7 @@ def pack_classic(seq: I64, counts: I32) -> U8:
     return np.ascontiguousarray(word, "<u8").view(np.uint8).reshape(-1, 8)
 
 
-def unpack_classic(payload: U8, channels: int) -> tuple[I64, I32]:
+def unpack_classic(payload: U8Array, channels: int) -> tuple[I64Array, I32Array]:
     """(n, >=8) payloads -> counter (n,), counts (n, channels)."""
     word = np.ascontiguousarray(payload[:, :8]).view("<u8")[:, 0]
     raw = np.stack([(word >> np.uint64(4 + 15 * c)) & np.uint64(0x7FFF) for c in range(channels)], axis=1)
@@ -219,14 +221,14 @@ class InfoRecord:
     full_scale: float
     epoch: int = 0
     firmware: int = 0
-    version: int = VERSION
+    version: int = PROTOCOL_VERSION
 
 
 def pack_info(record: InfoRecord) -> bytes:
-    row = np.zeros(1, _INFO)
+    row = np.zeros(1, _INFO_DTYPE)
     row["version"], row["layout"], row["channels"], row["channel"] = (
         record.version, record.layout, record.channels, record.channel)  # fmt: skip
-    row["count_bits"], row["unit"] = record.count_bits, UNITS.index(record.signal.unit)
+    row["count_bits"], row["unit"] = record.count_bits, UNIT_OF_CODE.index(record.signal.unit)
     row["flags"] = make_flags(False, record.epoch, record.version)
     row["serial_number"], row["firmware"], row["rate_hz"] = record.serial_number, record.firmware, record.rate_hz
     row["scale"], row["offset"], row["range"] = record.signal.scale, record.signal.offset, record.full_scale
@@ -236,22 +238,22 @@ def pack_info(record: InfoRecord) -> bytes:
 
 def unpack_info(data: bytes) -> InfoRecord | None:
     """The record, or None if these bytes cannot be one. The version is in byte 0 of every version's record."""
-    if len(data) != _INFO.itemsize:
+    if len(data) != _INFO_DTYPE.itemsize:
         return None
-    row = np.frombuffer(data, _INFO)[0]
+    row = np.frombuffer(data, _INFO_DTYPE)[0]
+    unit = UNIT_OF_CODE[row["unit"]] if row["unit"] < len(UNIT_OF_CODE) else ""
     record = InfoRecord(
         layout=int(row["layout"]), channels=int(row["channels"]), channel=int(row["channel"]),
         count_bits=int(row["count_bits"]), serial_number=int(row["serial_number"]), rate_hz=float(row["rate_hz"]),
         signal=Signal(
-            bytes(row["name"]).decode("ascii", "replace"), UNITS[row["unit"]] if row["unit"] < len(UNITS) else "",
-            float(row["scale"]), float(row["offset"]),
+            bytes(row["name"]).decode("ascii", "replace"), unit, float(row["scale"]), float(row["offset"]),
         ),
         full_scale=float(row["range"]), epoch=int(row["flags"]) >> 4, firmware=int(row["firmware"]),
         version=int(row["version"]),
     )  # fmt: skip
-    if record.version != VERSION:
+    if record.version != PROTOCOL_VERSION:
         return record  # only the version means anything
-    layout = next((each for each in LAYOUTS.values() if each.code == record.layout), None)
+    layout = next((each for each in LAYOUT_OF_NAME.values() if each.code == record.layout), None)
     finite = np.isfinite([record.rate_hz, record.signal.scale, record.signal.offset, record.full_scale]).all()
     if layout is None or not finite or not 0 < record.rate_hz <= 1e7 or record.signal.scale == 0:
         return None
@@ -264,5 +266,5 @@ def unpack_info(data: bytes) -> InfoRecord | None:
 
 def pack_info_parts(record: InfoRecord) -> list[bytes]:
     """The record as classic CAN payloads: channel, part number, six bytes of the record."""
-    data = pack_info(record).ljust(PARTS * PART_BYTES, b"\0")
-    return [bytes((record.channel, k)) + data[k * PART_BYTES : (k + 1) * PART_BYTES] for k in range(PARTS)]
+    data = pack_info(record).ljust(INFO_PARTS * PART_BYTES, b"\0")
+    return [bytes((record.channel, k)) + data[k * PART_BYTES : (k + 1) * PART_BYTES] for k in range(INFO_PARTS)]

@@ -8,16 +8,16 @@ from __future__ import annotations
 import sys
 
 from . import protocol
-from .protocol import FD16, FD24, PARTS
+from .protocol import FD16_LAYOUT, FD24_LAYOUT, INFO_PARTS
 
-_COMMENTS = {
+_COMMENT_OF_LAYOUT = {
     "fd16": "CAN FD, int16 samples. sequence = (sample index / rows) mod 65536; time of row 0. docs/protocol.md",
     "fd24": "CAN FD, int24 samples. Stamped by sync_fd ten times a second",
     "classic": "Classic CAN, 15-bit samples, one row a frame; counter = sample index mod 16. Placed by sync",
     "sync": "Ten times a second on classic CAN, before the sample it names",
     "sync_fd": "Ten times a second with fd24, before the frame it names",
     "info": "Once a second and at the start, one frame for each channel",
-    "info_part": f"The info frame in {PARTS} parts of six bytes, for classic CAN",
+    "info_part": f"The info frame in {INFO_PARTS} parts of six bytes, for classic CAN",
 }
 
 
@@ -34,8 +34,8 @@ def dbc_text(channels: int = 4, base_id: int = protocol.BASE_ID) -> str:
             lines.append(f' SG_ {signal} : {start}|{bits}@1{sign} ({scale},0) [{low}|{high}] "{unit}" host')
         lines.append("")
     for name, offset, _, _ in messages:
-        lines.append(f'CM_ BO_ {base_id + offset} "{_COMMENTS[name]}";')
-    formats = ",".join(f'"{name}"' for name in _FORMATS)
+        lines.append(f'CM_ BO_ {base_id + offset} "{_COMMENT_OF_LAYOUT[name]}";')
+    formats = ",".join(f'"{name}"' for name in _FRAME_FORMATS)
     lines += [f'BA_DEF_ BO_ "VFrameFormat" ENUM {formats};', 'BA_DEF_DEF_ "VFrameFormat" "StandardCAN";']
     for _, offset, length, _ in messages:
         if length > 8:
@@ -48,7 +48,7 @@ def dbc_text(channels: int = 4, base_id: int = protocol.BASE_ID) -> str:
 
 
 # What tools expect of this attribute: 14 is a standard CAN FD frame.
-_FORMATS = ("StandardCAN", "ExtendedCAN", "reserved", "J1939PG", *(f"reserved{k}" for k in range(4, 14)),
+_FRAME_FORMATS = ("StandardCAN", "ExtendedCAN", "reserved", "J1939PG", *(f"reserved{k}" for k in range(4, 14)),
             "StandardCAN_FD", "ExtendedCAN_FD")  # fmt: skip
 _Row = tuple[str, int, int, str, str, str, str, str, bool]
 _Message = tuple[str, int, int, list[_Row]]
@@ -84,11 +84,11 @@ def _samples(first_bit: int, bits: int, rows: int, channels: int) -> list[_Row]:
 
 def _fd16(channels: int) -> _Message:
     head = [*_head(), _unsigned("time", 32, 32, "us")]
-    return "fd16", protocol.ID_FD16, 64, head + _samples(64, 16, FD16.rows(channels), channels)
+    return "fd16", protocol.ID_FD16, 64, head + _samples(64, 16, FD16_LAYOUT.rows(channels), channels)
 
 
 def _fd24(channels: int) -> _Message:
-    return "fd24", protocol.ID_FD24, 64, _head() + _samples(32, 24, FD24.rows(channels), channels)
+    return "fd24", protocol.ID_FD24, 64, _head() + _samples(32, 24, FD24_LAYOUT.rows(channels), channels)
 
 
 def _classic(channels: int) -> _Message:

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 LOOK_AHEAD_S = 1.0  # a real logger was seen to catch up for 0.7 s after a stall
 MAX_LOOK_AHEAD = 4096  # samples
-DRIFT = 5e-4  # relative rate error that is followed
-LEARN = 32  # samples needed to estimate a rate
+MAX_DRIFT_REL = 5e-4  # relative rate error that is followed
+RATE_SAMPLES = 32  # samples needed to estimate a rate
 
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
+F64Array = NDArray[np.float64]
+I64Array = NDArray[np.int64]
 
 
 class TimeAxis:
@@ -36,7 +36,7 @@ class TimeAxis:
     def held(self) -> int:
         return len(self._held)
 
-    def place(self, t_ns: I64, final: bool = False) -> I64:
+    def place(self, t_ns: I64Array, final: bool = False) -> I64Array:
         """Indices of the oldest held samples, as many as are certain; with `final`, of all."""
         times = np.concatenate([self._held, t_ns])
         self._held = times
@@ -62,7 +62,7 @@ class TimeAxis:
         self._missing = int(missing[sure - 1])
         return index
 
-    def _levels(self, behind: F64, whole: int, ahead: int, final: bool) -> tuple[I64, int]:
+    def _levels(self, behind: F64Array, whole: int, ahead: int, final: bool) -> tuple[I64Array, int]:
         """(n,) samples missing before each, and how many of these are certain.
 
         A step up counts if it is more than frames have lately been late, or if it lasts for the whole look-ahead.
@@ -84,11 +84,11 @@ class TimeAxis:
             result[start:] = level
         return result, sure
 
-    def _learn(self, times: I64, final: bool) -> bool:
+    def _learn(self, times: I64Array, final: bool) -> bool:
         """Estimate the rate from the first samples, if it was not given."""
         if self.rate_hz is not None:
             return True
-        if len(times) < LEARN and not (final and len(times) > 1):
+        if len(times) < RATE_SAMPLES and not (final and len(times) > 1):
             return False
         steps = np.diff(times)
         step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
@@ -100,17 +100,17 @@ class TimeAxis:
         self.rate_hz = _round_rate(1e9 / float(np.mean(even if len(even) else step)))
         return True
 
-    def _follow(self, lag: F64, n: int) -> None:
+    def _follow(self, lag: F64Array, n: int) -> None:
         """Move the base line with the device's clock, slowly."""
         base = self._base or 0.0
         error = float(np.median(lag)) - base
         if error < -0.5:  # frames cannot be early: those before were late, or the clock was set back
             self._base = base + error
         else:
-            self._base = base + float(np.clip(error, -DRIFT * n, DRIFT * n))
+            self._base = base + float(np.clip(error, -MAX_DRIFT_REL * n, MAX_DRIFT_REL * n))
 
 
-def _earliest(lag: F64, ahead: int) -> F64:
+def _earliest(lag: F64Array, ahead: int) -> F64Array:
     """(n,) minimum of lag over each sample and the `ahead - 1` after it, by doubling the window."""
     result, width = lag.copy(), 1
     while width < ahead:

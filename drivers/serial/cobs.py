@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 MAX_FRAME = 4096  # encoded bytes between two zeros; more is garbage and is dropped unseen
 
-U8 = NDArray[np.uint8]
+U8Array = NDArray[np.uint8]
 
 
 def _crc_tables() -> NDArray[np.uint32]:
@@ -31,11 +31,11 @@ def _crc_tables() -> NDArray[np.uint32]:
     return table
 
 
-_TABLES = _crc_tables()
+_CRC_TABLES = _crc_tables()
 
 
 @nb.njit(cache=True)
-def _crc32(data: U8, start: int, stop: int, tables: NDArray[np.uint32]) -> np.uint32:
+def _crc32(data: U8Array, start: int, stop: int, tables: NDArray[np.uint32]) -> np.uint32:
     crc = np.uint32(0xFFFFFFFF)
     i = start
     while i + 8 <= stop:
@@ -57,7 +57,7 @@ def _crc32(data: U8, start: int, stop: int, tables: NDArray[np.uint32]) -> np.ui
 
 @nb.njit(cache=True)
 def _deframe(
-    data: U8, tables: NDArray[np.uint32], out: U8, starts: NDArray[np.int64], stops: NDArray[np.int64]
+    data: U8Array, tables: NDArray[np.uint32], out: U8Array, starts: NDArray[np.int64], stops: NDArray[np.int64]
 ) -> tuple[int, int]:
     """Decode every zero-terminated frame. stops[k] = -1 marks a damaged one. Returns (frames, bytes consumed)."""
     n, frames, consumed, write = data.size, 0, 0, 0
@@ -108,7 +108,7 @@ def _deframe(
 class Bodies:
     """What one feed decoded: body k is data[starts[k]:stops[k]], damaged if stops[k] < 0; good bodies are adjacent."""
 
-    data: U8
+    data: U8Array
     starts: NDArray[np.int64]
     stops: NDArray[np.int64]
 
@@ -135,7 +135,7 @@ class Deframer:
         zeros = raw.count(0)
         starts, stops = np.empty(zeros, np.int64), np.empty(zeros, np.int64)
         out = np.empty(len(raw) + 1, np.uint8)
-        frames, consumed = _deframe(data, _TABLES, out, starts, stops)
+        frames, consumed = _deframe(data, _CRC_TABLES, out, starts, stops)
         starts, stops = starts[:frames], stops[:frames]
         self._tail = raw[consumed:]
         if frames and self._skipping:
@@ -166,7 +166,7 @@ def stuff(data: bytes) -> bytes:
 
 
 @nb.njit(cache=True)
-def _stuff(data: U8, out: U8) -> int:
+def _stuff(data: U8Array, out: U8Array) -> int:
     """Returns the bytes written."""
     code_at, write, open_block = 0, 1, True
     for k in range(data.size):

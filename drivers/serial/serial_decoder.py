@@ -11,13 +11,13 @@ from drivers.contract.reading import LinkStats, Reading
 from drivers.protocol import protocol
 from drivers.protocol.continuity import Continuity
 from drivers.protocol.device_info import DeviceInfo, Expected
-from drivers.protocol.protocol import NO_MODULUS, SERIAL16, SERIAL24, VERSION, SampleFrames
+from drivers.protocol.protocol import NO_MODULUS, PROTOCOL_VERSION, SERIAL16_LAYOUT, SERIAL24_LAYOUT, SampleFrames
 
 from .cobs import Bodies, Deframer
 
 KIND_SAMPLES16, KIND_SAMPLES24, KIND_INFO = 1, 2, 3
 INFO_BODY = 8 + 64
-_HEAD = np.dtype(
+_HEAD_DTYPE = np.dtype(
     [
         ("version", "u1"), ("kind", "u1"), ("channels", "u1"), ("rows", "u1"),
         ("flags", "u1"), ("lost", "u1"), ("reserved", "<u2"), ("index", "<u8"), ("time", "<u8"),
@@ -25,11 +25,11 @@ _HEAD = np.dtype(
 )  # fmt: skip
 
 
-def pack_samples(index: int, lost: int, flags: int, time_us: int, counts: protocol.I32, bits: int = 16) -> bytes:
+def pack_samples(index: int, lost: int, flags: int, time_us: int, counts: protocol.I32Array, bits: int = 16) -> bytes:
     """(rows, channels) counts -> the body of one frame, before CRC and COBS."""
     rows, channels = counts.shape
     kind = KIND_SAMPLES16 if bits == 16 else KIND_SAMPLES24
-    head = struct.pack("<6BHQQ", VERSION, kind, channels, rows, flags, lost, 0, index, time_us)
+    head = struct.pack("<6BHQQ", PROTOCOL_VERSION, kind, channels, rows, flags, lost, 0, index, time_us)
     if bits == 16:
         return head + np.ascontiguousarray(counts, "<i2").tobytes()
     return head + protocol.pack_int24(counts.reshape(1, -1)).tobytes()
@@ -75,11 +75,11 @@ class SerialDecoder:
                 self._frames(frames, t_host_ns, out)
         return out + self.notices.take()
 
-    def _frames(self, bodies: protocol.U8, t_host_ns: int, out: list[Reading]) -> None:
+    def _frames(self, bodies: protocol.U8Array, t_host_ns: int, out: list[Reading]) -> None:
         """(n, length) bodies with the same first four bytes."""
         n, length = bodies.shape
         version, kind = int(bodies[0, 0]), int(bodies[0, 1]) if length > 1 else 0
-        if version != VERSION:
+        if version != PROTOCOL_VERSION:
             self._device.other_version(version, t_host_ns)
             self.stats.count("other_version", n)
             self._axis.cause("version")
@@ -91,12 +91,12 @@ class SerialDecoder:
                     out.append(info)
         elif self._device.mixed(t_host_ns):
             self.stats.count("mixed_frames", n)
-        elif kind in (KIND_SAMPLES16, KIND_SAMPLES24) and length >= _HEAD.itemsize:
-            self._samples(bodies, SERIAL16 if kind == KIND_SAMPLES16 else SERIAL24, t_host_ns, out)
+        elif kind in (KIND_SAMPLES16, KIND_SAMPLES24) and length >= _HEAD_DTYPE.itemsize:
+            self._samples(bodies, SERIAL16_LAYOUT if kind == KIND_SAMPLES16 else SERIAL24_LAYOUT, t_host_ns, out)
         else:
             self._unknown(n, t_host_ns)
 
-    def _samples(self, bodies: protocol.U8, layout: protocol.Layout, t_host_ns: int, out: list[Reading]) -> None:
+    def _samples(self, bodies: protocol.U8Array, layout: protocol.Layout, t_host_ns: int, out: list[Reading]) -> None:
         n, length = bodies.shape
         channels, rows = int(bodies[0, 2]), int(bodies[0, 3])
         info = self._device.info
@@ -105,13 +105,13 @@ class SerialDecoder:
         if channels != len(info.signals) or rows == 0 or length != layout.header + rows * channels * layout.bits // 8:
             self._unknown(n, t_host_ns)
             return
-        head = np.ascontiguousarray(bodies[:, : _HEAD.itemsize]).view(_HEAD)[:, 0]
+        head = np.ascontiguousarray(bodies[:, : _HEAD_DTYPE.itemsize]).view(_HEAD_DTYPE)[:, 0]
         if int(head["index"].max()) >= NO_MODULUS // 2 or int(head["time"].max()) >= NO_MODULUS // 2:
             self._unknown(n, t_host_ns)
             return
         self.stats.frames += n
         body = bodies[:, layout.header :]
-        if layout is SERIAL16:
+        if layout is SERIAL16_LAYOUT:
             counts = np.ascontiguousarray(body).view("<i2").astype(np.int32)
         else:
             counts = protocol.unpack_int24(body)

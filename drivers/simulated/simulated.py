@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from drivers.contract.reading import Signal
 from drivers.protocol import protocol
-from drivers.protocol.faults import KINDS, Fault, active
-from drivers.protocol.protocol import LAYOUTS, SAMPLE_ID, InfoRecord
+from drivers.protocol.faults import FAULT_KINDS, Fault, active
+from drivers.protocol.protocol import LAYOUT_OF_NAME, SAMPLE_ID, InfoRecord
 from drivers.serial.serial_decoder import pack_info_body, pack_samples
 
 Samples = Callable[[int], NDArray[np.float64]]
@@ -44,23 +44,23 @@ class DeviceConfig:
     fault_rates: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        layout = LAYOUTS.get(self.layout)
+        layout = LAYOUT_OF_NAME.get(self.layout)
         if layout is None:
-            raise ValueError(f"no layout {self.layout!r}; there are {', '.join(LAYOUTS)}")
+            raise ValueError(f"no layout {self.layout!r}; there are {', '.join(LAYOUT_OF_NAME)}")
         if not 1 <= len(self.channels) <= layout.max_channels:
             many = len(self.channels)
             raise ValueError(f"layout {self.layout} carries 1 to {layout.max_channels} channels, not {many}")
-        unknown = set(self.fault_rates) - set(KINDS)
+        unknown = set(self.fault_rates) - set(FAULT_KINDS)
         if unknown:
-            raise ValueError(f"no fault {', '.join(sorted(unknown))}; there are {', '.join(KINDS)}")
+            raise ValueError(f"no fault {', '.join(sorted(unknown))}; there are {', '.join(FAULT_KINDS)}")
 
     @property
     def bits(self) -> int:
-        return self.count_bits or LAYOUTS[self.layout].bits
+        return self.count_bits or LAYOUT_OF_NAME[self.layout].bits
 
     @property
     def frame_rows(self) -> int:
-        return self.rows if self.serial else LAYOUTS[self.layout].rows(len(self.channels))
+        return self.rows if self.serial else LAYOUT_OF_NAME[self.layout].rows(len(self.channels))
 
     @property
     def serial(self) -> bool:
@@ -137,7 +137,7 @@ class SimulatedDevice:
         rate = self.config.fault_rates.get(kind, 0.0)
         return mask | (self._rng.random(n) < rate) if rate else mask
 
-    def _counts(self, n: int) -> tuple[protocol.I32, NDArray[np.bool_]]:
+    def _counts(self, n: int) -> tuple[protocol.I32Array, NDArray[np.bool_]]:
         """(n, rows, channels) counts, and which frames have a clipped one."""
         limit = 2 ** (self.config.bits - 1) - 1
         raw = np.rint(self._source(n * self.config.frame_rows) / self._scale)
@@ -152,7 +152,7 @@ class SimulatedDevice:
         stamp = np.round(index * (1e6 / config.rate_hz)).astype(np.int64)
         away = self._hit("device_lost", n)
         lost = (self._lost + np.cumsum(away)).astype(np.int64)
-        version = np.where(self._hit("version", n), protocol.VERSION + 1, protocol.VERSION)
+        version = np.where(self._hit("version", n), protocol.PROTOCOL_VERSION + 1, protocol.PROTOCOL_VERSION)
         keep = ~(away | self._hit("drop", n) | self._hit("silent", n))
         twice, flip, short = self._hit("duplicate", n), self._hit("flip", n), self._hit("short", n)
         payloads = self._pack(self._stick(index), lost & 255, version, clipped, stamp, counts)
@@ -171,7 +171,7 @@ class SimulatedDevice:
         self.frames_made += n
         return out
 
-    def _stick(self, index: protocol.I64) -> protocol.I64:
+    def _stick(self, index: protocol.I64Array) -> protocol.I64Array:
         """The index as sent: it stands still while a "stuck" fault lasts."""
         stuck = self._hit("stuck", len(index))
         if not stuck.any():
@@ -203,13 +203,13 @@ class SimulatedDevice:
         return np.asarray(due)
 
     def _pack(
-        self, index: protocol.I64, lost: protocol.I64, version: NDArray[np.int64], clipped: NDArray[np.bool_],
-        stamp: protocol.I64, counts: protocol.I32,
+        self, index: protocol.I64Array, lost: protocol.I64Array, version: NDArray[np.int64], clipped: NDArray[np.bool_],
+        stamp: protocol.I64Array, counts: protocol.I32Array,
     ) -> list[bytes]:  # fmt: skip
         layout, n = self.config.layout, len(index)
         flags = (clipped.astype(np.int64) | (version & 3) << 2 | self._epoch << 4).astype(np.uint8)
         if self.config.serial:
-            bits = LAYOUTS[layout].bits
+            bits = LAYOUT_OF_NAME[layout].bits
             bodies = [
                 pack_samples(int(index[k]), int(lost[k]), int(flags[k]), int(stamp[k]), counts[k], bits)
                 for k in range(n)
@@ -237,7 +237,7 @@ class SimulatedDevice:
                 else:
                     out.append(WireFrame(due_s, base + protocol.ID_INFO, protocol.pack_info(record)))
         if layout in ("fd24", "classic") and _crosses(index, rows, rate / protocol.SYNC_HZ):
-            flags = protocol.VERSION << 2 | self._epoch << 4
+            flags = protocol.PROTOCOL_VERSION << 2 | self._epoch << 4
             if layout == "fd24":
                 out.append(WireFrame(due_s, base + protocol.ID_SYNC_FD, protocol.pack_sync_fd(index, flags, stamp)))
             else:
@@ -249,7 +249,7 @@ class SimulatedDevice:
         scale = np.broadcast_to(config.full_scale, len(config.channels)).tolist()
         return [
             InfoRecord(
-                LAYOUTS[config.layout].code, len(config.channels), k, config.bits, config.serial_number,
+                LAYOUT_OF_NAME[config.layout].code, len(config.channels), k, config.bits, config.serial_number,
                 config.rate_hz, signal, scale[k], self._epoch,
             )
             for k, signal in enumerate(self._signals)

@@ -15,7 +15,7 @@ import tty
 import numpy as np
 
 from drivers.contract.reading import Signal
-from drivers.protocol.protocol import SERIAL16, InfoRecord
+from drivers.protocol.protocol import SERIAL16_LAYOUT, InfoRecord
 from drivers.serial import cobs
 from drivers.serial.serial_decoder import pack_info_body, pack_samples
 
@@ -38,7 +38,9 @@ def frames(rate_hz: float, seconds: float) -> tuple[bytes, list[bytes]]:
     info = b"".join(
         cobs.encode(
             pack_info_body(
-                InfoRecord(SERIAL16.code, 4, c, 16, 1, rate_hz, Signal(name, "m/s^2", 490.5 / 32767), 490.5, epoch=1)
+                InfoRecord(
+                    SERIAL16_LAYOUT.code, 4, c, 16, 1, rate_hz, Signal(name, "m/s^2", 490.5 / 32767), 490.5, epoch=1
+                )
             )
         )
         for c, name in enumerate(CHANNELS)

@@ -150,7 +150,7 @@ def totals(stats: LinkStats) -> list[int]:
 
 
 def test_every_kind_of_link_is_in_this_suite(name: str) -> None:
-    assert {each.split()[0] for each in DRIVERS} == set(links.FORMS)
+    assert {each.split()[0] for each in DRIVERS} == set(links.LINK_FORMS)
 
 
 def test_each_index_is_in_one_block_or_gap_and_stats_only_grow(name: str, driver: Driver) -> None:

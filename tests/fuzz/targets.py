@@ -30,7 +30,7 @@ from daq.log.reader import read_log
 from daq.log.recover import recover
 from daq.rig.rig import Rig, load_rig
 from drivers.can.can_decoder import CanDecoder
-from drivers.can.can_frames import EXTENDED, CanFrames
+from drivers.can.can_frames import EXTENDED_FLAG, CanFrames
 from drivers.can.slcan_codec import MAX_LINE, SlcanCodec, encode_line
 from drivers.contract.errors import LinkError
 from drivers.contract.reading import Block, Gap, LinkStats, Reading
@@ -182,7 +182,7 @@ def mapped(data: bytes, folder: Path) -> None:
     for k in range(0, len(data), 10):
         step, piece = data[k : k + 2], data[k + 2 : k + 10]
         t_ns += int.from_bytes(step, "little", signed=True) << (12 if len(step) > 1 and step[1] & 1 else 22)
-        frames.append((256 if k % 30 else (512 | EXTENDED), piece, t_ns))
+        frames.append((256 if k % 30 else (512 | EXTENDED_FLAG), piece, t_ns))
     at = 0
     for part in (frames[: len(frames) // 2], frames[len(frames) // 2 :]):
         at = assert_axis(decoder.feed(CanFrames.build(part), 0, final=part is not frames), at)

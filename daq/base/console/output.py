@@ -177,9 +177,9 @@ def spare(path: Path, *others: str) -> None:
     that it is not to replace, would be lost."""
     if not path.is_file():
         return
-    from drivers.foreign import SUFFIXES
+    from drivers.foreign import CAPTURE_SUFFIXES
 
-    kept = (".mcap", *IMPORTED_SUFFIXES, *SUFFIXES, *others)
+    kept = (".mcap", *IMPORTED_SUFFIXES, *CAPTURE_SUFFIXES, *others)
     with contextlib.suppress(OSError), path.open("rb") as file:
         if path.suffix.lower() in kept or file.read(len(LOG_MAGIC)) == LOG_MAGIC:
             raise ConfigError(f"{path}: a result is not written over a file of this kind; choose another name")

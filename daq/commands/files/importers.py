@@ -25,7 +25,7 @@ from daq.exchange.formats import read
 from daq.rig.rig import Rig, load_rig
 from daq.rig.units import SI
 from drivers.contract import Block, Gap, Info, Notice, Reading, Signal
-from drivers.foreign import SUFFIXES
+from drivers.foreign import CAPTURE_SUFFIXES
 
 ROWS = 8192  # in a block
 COUNT_BITS = 32
@@ -35,7 +35,7 @@ def import_file(output: Output, path: Path, rig_path: Path, out: Path, rate_hz: 
     rig = load_rig(rig_path)
     if out.resolve() == path.resolve():
         raise LogError(f"{out}: is the file to import; choose another name for the log")
-    if path.suffix.lower() in SUFFIXES and (path.suffix.lower() != ".mf4" or rig.link.signals):
+    if path.suffix.lower() in CAPTURE_SUFFIXES and (path.suffix.lower() != ".mf4" or rig.link.signals):
         _import_capture(output, path, rig, out)
         return
     found: list[Notice] = []  # for the log, too: whoever has only that is to know

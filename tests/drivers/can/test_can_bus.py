@@ -22,7 +22,7 @@ from ramp_device import Record, ramp_device, read_for, read_until
 
 from drivers.can.can_bus import BusSource
 from drivers.can.can_errors import describe_error
-from drivers.can.can_frames import EXTENDED, CanFrames
+from drivers.can.can_frames import EXTENDED_FLAG, CanFrames
 from drivers.can.slcan_codec import encode_line
 from drivers.can.socketcan import BulkReceiver
 from drivers.contract.errors import LinkError, LinkOpenError
@@ -250,7 +250,7 @@ def test_python_cans_slcan_as_a_bus_survives_what_kills_its_notifier() -> None:
 def test_other_frames_on_the_bus_are_passed_over() -> None:
     source = ramp_device("fd16").next(20)
     decoder_frames = [(f.identifier, f.data, 0) for f in source]
-    noise = [(0x123, bytes(8), 0), (0x300 | EXTENDED, bytes(64), 0), (0x7FF, b"", 0)]
+    noise = [(0x123, bytes(8), 0), (0x300 | EXTENDED_FLAG, bytes(64), 0), (0x7FF, b"", 0)]
     mixed = [frame for pair in zip(decoder_frames, noise * 10, strict=False) for frame in pair]
     driver = make_driver(CanConfig("virtual", "unused"))
     record = Record()
@@ -285,12 +285,12 @@ class TestBulkReceiver:
     def test_frames_of_both_kinds_and_the_kernels_fd_flag(self) -> None:
         theirs, ours, receiver = self.pair()
         fd = struct.pack("=IBBxx64s", 0x300, 64, 0x05, bytes(range(64)))  # BRS, and CANFD_FDF as Linux 6 adds it
-        classic = struct.pack("=IB3x8s", EXTENDED | 0x123, 3, b"\1\2\3")
+        classic = struct.pack("=IB3x8s", EXTENDED_FLAG | 0x123, 3, b"\1\2\3")
         for frame in (fd, classic, fd):
             theirs.send(frame)
         frames = receiver.receive(1.0)
         assert frames is not None
-        assert frames.ids.tolist() == [0x300, EXTENDED | 0x123, 0x300]
+        assert frames.ids.tolist() == [0x300, EXTENDED_FLAG | 0x123, 0x300]
         assert frames.lengths.tolist() == [64, 3, 64]
         assert frames.payload[0].tobytes() == bytes(range(64))
         assert frames.payload[1].tobytes() == b"\1\2\3".ljust(64, b"\0")

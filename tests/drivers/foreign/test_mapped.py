@@ -12,7 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from ramp_device import Record, read_until
 
-from drivers.can.can_frames import EXTENDED, CanFrames
+from drivers.can.can_frames import EXTENDED_FLAG, CanFrames
 from drivers.contract.errors import LinkError
 from drivers.contract.link_config import CanConfig
 from drivers.contract.reading import Block, LinkStats
@@ -71,7 +71,7 @@ def values(record: Record) -> np.ndarray:
 def test_j1939_from_any_source_address() -> None:
     """cantools' decode_message ignores frame_id_mask; the frame's source and priority differ from the DBC's."""
     raw = [(32000 + 100 * k, 33000, 31000) for k in range(50)]
-    frames = [(0x08F02D0B | EXTENDED, struct.pack("<3Hxx", *row), 10 * MS * k) for k, row in enumerate(raw)]
+    frames = [(0x08F02D0B | EXTENDED_FLAG, struct.pack("<3Hxx", *row), 10 * MS * k) for k, row in enumerate(raw)]
     record = decode(frames, {"x": "ACS.Lateral", "z": "ACS.Vertical"})
     assert np.allclose(values(record)[:, 0], [-320 + 0.01 * row[0] for row in raw])
     assert np.allclose(values(record)[:, 1], -10.0)
@@ -81,8 +81,8 @@ def test_j1939_not_available_is_a_gap_and_a_second_source_is_told() -> None:
     frames = []
     for k in range(50):
         lateral = 0xFFFF if 20 <= k < 23 else 32000
-        frames.append((0x08F02D0B | EXTENDED, struct.pack("<3Hxx", lateral, 32000, 32000), 10 * MS * k))
-        frames.append((0x08F02D11 | EXTENDED, struct.pack("<3Hxx", 1, 1, 1), 10 * MS * k + MS))
+        frames.append((0x08F02D0B | EXTENDED_FLAG, struct.pack("<3Hxx", lateral, 32000, 32000), 10 * MS * k))
+        frames.append((0x08F02D11 | EXTENDED_FLAG, struct.pack("<3Hxx", 1, 1, 1), 10 * MS * k + MS))
     record = decode(frames, {"x": "ACS.Lateral"})
     assert [(gap.index, gap.count, gap.reason) for gap in record.gaps] == [(20, 3, "source")]
     assert np.allclose(values(record), 0.0)
@@ -90,7 +90,7 @@ def test_j1939_not_available_is_a_gap_and_a_second_source_is_told() -> None:
 
 
 def test_ifm_extended_identifier_is_not_the_standard_one() -> None:
-    frames = [(0x04FF0319 | EXTENDED, struct.pack("<3h", k, -k, 1000), 10 * MS * k) for k in range(40)]
+    frames = [(0x04FF0319 | EXTENDED_FLAG, struct.pack("<3h", k, -k, 1000), 10 * MS * k) for k in range(40)]
     frames += [(0x319, struct.pack("<3h", 9, 9, 9), 10 * MS * k) for k in range(40)]
     record = decode(frames, {"x": "JN2300.X", "y": "JN2300.Y"})
     assert record.samples == 40
@@ -187,7 +187,7 @@ def test_live_on_a_bus() -> None:
     assert [(gap.index, gap.count) for gap in record.gaps] == [(100, 3)]
 
 
-@given(st.lists(st.tuples(st.sampled_from([0x600, 0x601, 0x50, 0x18F02DFE | EXTENDED]), st.binary(max_size=64),
+@given(st.lists(st.tuples(st.sampled_from([0x600, 0x601, 0x50, 0x18F02DFE | EXTENDED_FLAG]), st.binary(max_size=64),
                           st.integers(-(10**12), 10**12)), max_size=60), st.integers(1, 20))  # fmt: skip
 @example([(0x50, b"", 0), (0x600, b"\x7f\x81", 0)], 1)  # a signalling NaN
 def test_any_frames_at_any_times_never_raise(frames: list[tuple[int, bytes, int]], batch: int) -> None:

@@ -21,7 +21,7 @@ from drivers.contract.link_config import (
     VirtualConfig,
 )
 from drivers.contract.reading import LinkStats
-from drivers.links.links import FORMS, make_driver, parse_link
+from drivers.links.links import LINK_FORMS, make_driver, parse_link
 from drivers.protocol.device_info import Expected
 from drivers.serial import cobs
 from drivers.serial.serial_decoder import SerialDecoder
@@ -84,7 +84,7 @@ def test_mistakes(url: str, says: str) -> None:
 
 @given(st.text(max_size=60))
 def test_any_text_is_a_link_or_a_link_error(text: str) -> None:
-    for url in (text, *(kind + ":" + text for kind in FORMS)):
+    for url in (text, *(kind + ":" + text for kind in LINK_FORMS)):
         with contextlib.suppress(LinkError):
             parse_link(url)
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from drivers.can.can_frames import EXTENDED, REMOTE
+from drivers.can.can_frames import EXTENDED_FLAG, REMOTE_FLAG
 from drivers.can.slcan_codec import FD_LENGTHS, MAX_LINE, SlcanCodec, encode_line
 from drivers.serial import cobs
 
@@ -85,7 +85,7 @@ def test_compiled_cobs_and_crc_equal_plain_ones(data: bytes) -> None:
         else:
             out += bytes((len(piece) + 1,)) + piece
     assert cobs.stuff(data) == bytes(out)
-    assert int(cobs._crc32(np.frombuffer(data, np.uint8), 0, len(data), cobs._TABLES)) == zlib.crc32(data)
+    assert int(cobs._crc32(np.frombuffer(data, np.uint8), 0, len(data), cobs._CRC_TABLES)) == zlib.crc32(data)
 
 
 def test_overlong_frame_is_dropped_unseen() -> None:
@@ -124,7 +124,7 @@ def test_slcan_round_trip_at_any_split(frames: list, cuts: list[int], stamp: int
     want, wire = [], b""
     for identifier, extended, fd, length, random in frames:
         data = random.randbytes(length if fd else min(length, 8))
-        number = identifier | (EXTENDED if extended else 0)
+        number = identifier | (EXTENDED_FLAG if extended else 0)
         want.append((number, data))
         wire += encode_line(number, data, fd, brs=length % 2 == 0, stamp_ms=stamp)
     assert lines_of(SlcanCodec(), pieces(wire, cuts)) == (want, 0)
@@ -192,7 +192,7 @@ def test_slcan_replies_are_no_frames() -> None:
 
 def test_slcan_remote_frames_have_no_data() -> None:
     lines = SlcanCodec().feed(b"r1238\rR000001234\r", 0)
-    assert lines.frames.ids.tolist() == [0x123 | REMOTE, 0x123 | REMOTE | EXTENDED]
+    assert lines.frames.ids.tolist() == [0x123 | REMOTE_FLAG, 0x123 | REMOTE_FLAG | EXTENDED_FLAG]
     assert lines.frames.lengths.tolist() == [0, 0]
 
 
@@ -209,6 +209,6 @@ def test_slcan_lines_equal_what_python_can_sends(frames: list) -> None:
             bus.send(can.Message(arbitration_id=identifier, is_extended_id=extended, data=data, is_fd=fd,
                                  bitrate_switch=fd))  # fmt: skip
             wire = bus.serialPortOrig.read(bus.serialPortOrig.in_waiting)
-            assert encode_line(identifier | (EXTENDED if extended else 0), data, fd) == wire
+            assert encode_line(identifier | (EXTENDED_FLAG if extended else 0), data, fd) == wire
     finally:
         bus.shutdown()

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from drivers.can.slcan_codec import encode_line
 from drivers.contract.reading import Signal
 from drivers.protocol import protocol
-from drivers.protocol.protocol import LAYOUTS, InfoRecord
+from drivers.protocol.protocol import LAYOUT_OF_NAME, InfoRecord
 from drivers.protocol.protocol_dbc import dbc_text
 from drivers.serial import cobs
 from drivers.serial.serial_decoder import pack_samples
@@ -109,7 +109,7 @@ def test_dbc_describes_every_frame(channels: int) -> None:
     database = cantools.database.load_string(dbc_text(channels))
     rng = np.random.default_rng(channels)
     for name in ("fd16", "fd24"):
-        layout = LAYOUTS[name]
+        layout = LAYOUT_OF_NAME[name]
         rows, limit = layout.rows(channels), 2 ** (layout.bits - 1)
         counts = rng.integers(-limit, limit, (1, rows, channels)).astype(np.int32)
         seq, lost = np.array([51234]), np.array([200], np.uint8)
@@ -142,16 +142,16 @@ def test_dbc_describes_sync_info_and_classic() -> None:
     assert {m.frame_id - protocol.BASE_ID for m in database.messages} == set(range(7))
 
 
-@pytest.mark.parametrize("name", LAYOUTS)
+@pytest.mark.parametrize("name", LAYOUT_OF_NAME)
 @given(data=st.data())
 def test_info_round_trip(name: str, data: st.DataObject) -> None:
-    layout = LAYOUTS[name]
+    layout = LAYOUT_OF_NAME[name]
     channels = data.draw(st.integers(1, layout.max_channels))
     number = st.floats(1e-9, 1e9)
     record = InfoRecord(
         layout.code, channels, data.draw(st.integers(0, channels - 1)), data.draw(st.integers(2, 32)),
         data.draw(st.integers(0, 2**32 - 1)), data.draw(st.floats(1e-3, 1e7)),
-        Signal(data.draw(st.text("abcxyz019_", max_size=16)), data.draw(st.sampled_from(protocol.UNITS)),
+        Signal(data.draw(st.text("abcxyz019_", max_size=16)), data.draw(st.sampled_from(protocol.UNIT_OF_CODE)),
                data.draw(number), data.draw(number)),
         data.draw(number), epoch=data.draw(st.integers(0, 15)),
     )  # fmt: skip
@@ -165,8 +165,8 @@ def test_info_of_any_bytes_is_a_record_or_none(data: bytes) -> None:
 
 
 def test_rows_of_the_document() -> None:
-    assert [LAYOUTS["fd16"].rows(n) for n in range(1, 9)] == [28, 14, 9, 7, 5, 4, 4, 3]
-    assert [LAYOUTS["fd24"].rows(n) for n in range(1, 9)] == [20, 10, 6, 5, 4, 3, 2, 2]
+    assert [LAYOUT_OF_NAME["fd16"].rows(n) for n in range(1, 9)] == [28, 14, 9, 7, 5, 4, 4, 3]
+    assert [LAYOUT_OF_NAME["fd24"].rows(n) for n in range(1, 9)] == [20, 10, 6, 5, 4, 3, 2, 2]
 
 
 def test_device_config_refuses_what_cannot_be_sent() -> None:
