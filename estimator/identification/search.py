@@ -119,7 +119,7 @@ def _outside(found: Finding, bad: set[str], point: WorkingPoint) -> Finding | No
     at = tuple(location for location in found.at if location not in bad)
     if len(at) == len(found.at):
         return found
-    if not at or found.effect not in harmonics.PERIODIC:
+    if not at or found.effect not in harmonics.PERIODIC_EFFECTS:
         return None
     power_N2 = {i: P for i, P in found.power_N2.items() if point.data.places[i] not in bad}
     settings = {location: own for location, own in found.settings.items() if location not in bad}

@@ -26,23 +26,23 @@ from estimator.arrays import Array, Complexes
 from estimator.errors import DataError
 
 MAX_SAMPLE_SI = 1e15  # no sensor reads more: a larger sample counts as missing, as its powers would overflow
-DRIFT = 0.05  # of the lower band edge: below lie offset and drift of a sensor; the filter is as long as the band's
-FORCE_DRIFT = 0.02  # the same of a sensor of force, whose whole record is filtered
-RINGS = 2  # times as long are filters beside one that holds a resonance
-ABOUT = 2001  # frequencies about the lower edge, at which a resonance is looked for
-FINE_HZ = 0.05  # resolves a resonance that rings for some seconds
+DRIFT_OVER_LOW_EDGE = 0.05  # share of the lower band edge below which a displacement sensor shows offset and drift
+FORCE_DRIFT_OVER_LOW_EDGE = 0.02  # share of the lower band edge below which a force sensor shows offset and drift
+RESONANT_FILTER_LENGTHS = 2  # length of filters beside one that holds a resonance, over their usual length
+EDGE_SEARCH_POINTS = 2001  # frequencies about the lower edge at which a resonance is searched
+RESONANCE_GRID_HZ = 0.05  # resolves a resonance that rings for some seconds
 # powers of (i w) that turn what is measured into (a, v, x)
-_POWERS = {"acceleration": (0, -1, -2), "velocity": (1, 0, -1), "displacement": (2, 1, 0), "force": (0,)}
+_POWERS_OF_IW = {"acceleration": (0, -1, -2), "velocity": (1, 0, -1), "displacement": (2, 1, 0), "force": (0,)}
 
 
 def to_acceleration(kinds: Sequence[str], w: float | Array) -> NDArray[np.complex128]:
     """(..., channels) acceleration at w (...) rad/s per unit of what sensors of these kinds measure there."""
-    return np.stack([(1j * np.asarray(w)) ** _POWERS[kind][0] for kind in kinds], axis=-1)
+    return np.stack([(1j * np.asarray(w)) ** _POWERS_OF_IW[kind][0] for kind in kinds], axis=-1)
 
 
 def noise_shape(kinds: Sequence[str], w: Array) -> Array:
     """(channels, f) PSD of acceleration over that of noise that is white in the unit of a sensor; w (f,) rad/s."""
-    return np.array([w ** (2.0 * _POWERS[kind][0]) for kind in kinds])
+    return np.array([w ** (2.0 * _POWERS_OF_IW[kind][0]) for kind in kinds])
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ def passband(f_hz: Array, rate_hz: float, band: tuple[float, float]) -> Array:
 
 def below_band_gain(f_hz: Array, rate_hz: float, band: tuple[float, float]) -> Array:
     """The real gain from what a sensor of displacement measures to what laws see of it below the band."""
-    steady = np.exp(-0.5 * (f_hz / (DRIFT * band[0])) ** 2)
+    steady = np.exp(-0.5 * (f_hz / (DRIFT_OVER_LOW_EDGE * band[0])) ** 2)
     return np.where(np.abs(f_hz) < band[0], (1.0 - passband(f_hz, rate_hz, band)) * (1.0 - steady), 0.0)
 
 
@@ -169,10 +169,10 @@ def _held(
     Of a resonance at the lower edge, which no straight line goes on from, the lines begin where those fits do.
     """
     low, high = band
-    width = 2 * RINGS * rate_hz / half  # left out on either side of it: balance.shaft_notch
-    about = np.linspace(low - width, low + width, ABOUT)
+    width = 2 * RESONANT_FILTER_LENGTHS * rate_hz / half  # left out on either side of it: balance.shaft_notch
+    about = np.linspace(low - width, low + width, EDGE_SEARCH_POINTS)
     peak = int(np.argmax(np.abs(response(about))))
-    if 0 < peak < ABOUT - 1:
+    if 0 < peak < EDGE_SEARCH_POINTS - 1:
         low = float(about[peak]) + width
     step = 1e-3 * low
 
@@ -184,7 +184,7 @@ def _held(
             out[beyond] = at + (f[beyond] - edge) * (near - at) / inward
         return out
 
-    size = 1 << int(np.ceil(np.log2(rate_hz / FINE_HZ)))
+    size = 1 << int(np.ceil(np.log2(rate_hz / RESONANCE_GRID_HZ)))
     f: Array = np.asarray(np.fft.rfftfreq(size, 1.0 / rate_hz), dtype=np.float64)
     fine = continued(f)
     inside = np.abs(fine[(f > low) & (f < high)])
@@ -227,7 +227,7 @@ class BandLimit:
         slow: bool = False,
     ) -> None:
         self.kinds, self.rate_hz, self.band = tuple(kinds), rate_hz, band
-        self.half = half_length(rate_hz, band) * (1 if extra is None else RINGS)
+        self.half = half_length(rate_hz, band) * (1 if extra is None else RESONANT_FILTER_LENGTHS)
         self._size = _block_size(self.half, rate_hz)
         self._hop = self._size - 2 * self.half  # fixed, so that block positions never depend on the chunks
         slow = slow and "displacement" in self.kinds
@@ -237,9 +237,9 @@ class BandLimit:
         if extra is not None and set(self.kinds) != {"force"}:
             held = _held(extra, rate_hz, band, self.half)
         for kind in set(self.kinds):
-            responses = [_power(e) for e in _POWERS[kind]]
+            responses = [_power(e) for e in _POWERS_OF_IW[kind]]
             if held is not None and kind != "force":
-                p = _POWERS[kind][2]
+                p = _POWERS_OF_IW[kind][2]
                 responses.append(lambda f, p=p: (2j * np.pi * f) ** float(p) * held(f))  # type: ignore[misc]
             taps = np.array([_taps(r, rate_hz, band, self.half) for r in responses])
             if slow and kind == "displacement":
@@ -361,7 +361,7 @@ def out_of_band_sd(
     f = np.concatenate([np.linspace(0.0, band[0], 200), np.geomspace(band[0], 1e3 * rate_hz, 4000)[1:]])
     lost = np.array([unmeasured_gain(f, rate_hz, band, kind) for kind in kinds]) ** 2
     w = 2 * np.pi * f
-    S = S[:, None] + np.multiply.outer(driven, (f < FORCE_DRIFT * band[0]) | (f >= band[0]))
+    S = S[:, None] + np.multiply.outer(driven, (f < FORCE_DRIFT_OVER_LOW_EDGE * band[0]) | (f >= band[0]))
     response = S / np.abs(kL[:, None] + 1j * w * c[:, None] - m[:, None] * w**2) ** 2
     both = np.stack([np.trapezoid(response * lost, f), np.trapezoid(response * lost * w**2, f)], axis=1)
     return np.asarray(np.sqrt(both))
@@ -373,4 +373,6 @@ def below_band_force(force: Array, rate_hz: float, band: tuple[float, float]) ->
 
     size = next_fast_len(force.size, real=True)
     F, f = rfft(force - force.mean(), size), np.fft.rfftfreq(size, 1 / rate_hz)
-    return np.asarray(irfft(np.where((f >= FORCE_DRIFT * band[0]) & (f < band[0]), F, 0.0), size)[: force.size])
+    return np.asarray(
+        irfft(np.where((f >= FORCE_DRIFT_OVER_LOW_EDGE * band[0]) & (f < band[0]), F, 0.0), size)[: force.size]
+    )

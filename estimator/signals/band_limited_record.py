@@ -15,7 +15,7 @@ from estimator.parallel import map_threads
 
 from .band_limit import BandLimit, BandLimitedMotion
 
-LARGE = 3e8  # bytes of motion above which it is computed where it is asked for, every time
+MAX_HELD_BYTES = 3e8  # of motion; a larger record is filtered anew at every access
 
 
 class BandLimitedRecord(BandLimit):
@@ -47,7 +47,7 @@ class BandLimitedRecord(BandLimit):
 
     @property
     def large(self) -> bool:
-        return len(self.outputs) * self._y.nbytes > LARGE
+        return len(self.outputs) * self._y.nbytes > MAX_HELD_BYTES
 
     def _filtered(self, b: int, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
         """(outputs, channels, hop) of the rows b hop ... of the grid that a stream has."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from estimator.arrays import Array
 from estimator.errors import DataError
 
-CELLS = 24
+FREQUENCY_CELLS = 24  # of the band, by default
 
 
 @cache
@@ -109,7 +109,7 @@ def block_layout(
     rate_hz: float,
     band: tuple[float, float],
     notches: tuple[tuple[float, float], ...] = (),
-    cells: int = CELLS,
+    cells: int = FREQUENCY_CELLS,
     longer: int = 1,
 ) -> BlockLayout:
     """Blocks long enough for the lower band edge; bins of the band without the notches (f1, f2) in Hz.

@@ -19,10 +19,10 @@ from estimator.parallel import map_threads
 
 from .band_limit import to_acceleration
 
-BLIND = ("sensor_gain", "sensor_skew")  # caps that are not coupled say nothing of them: diagnosis.md
-LINEAR = (*BLIND, "sensor_resonance")  # faults that are a response
-SHAPES = {"sensor_resonance": ("frequency", "quality"), "coloured_excitation": ("gain", "corner")}
-GRID = 8192  # frequencies that a filter is computed at, straight lines between: to a millionth
+GAIN_AND_DELAY = ("sensor_gain", "sensor_skew")  # identifiable beside a measured force or on coupled bearing caps only
+RESPONSE_EFFECTS = (*GAIN_AND_DELAY, "sensor_resonance")  # sensor faults that are a linear response
+SHAPE_PARAMETERS = {"sensor_resonance": ("frequency", "quality"), "coloured_excitation": ("gain", "corner")}
+FILTER_GRID_POINTS = 8192  # of a filter's response, linear between: error 1e-6
 
 
 def measured_force_places(model: Model) -> frozenset[str]:
@@ -83,7 +83,7 @@ def passed_of_images(model: Model, place: str, rate_hz: float, f_hz: Array) -> C
 def fitted_shape(model: Model, place: str, effect: str) -> tuple[float, float] | None:
     """Numbers of a shape of the spectrum at a place, an effect of SHAPES, as the model has it."""
     numbers = [_numbers(use, model, place) for use in model.effects if use.name == effect]
-    a, b = (numbers[0].get(name) if numbers else None for name in SHAPES[effect])
+    a, b = (numbers[0].get(name) if numbers else None for name in SHAPE_PARAMETERS[effect])
     return (a, b) if a and b else None
 
 
@@ -91,7 +91,7 @@ def _faults(model: Model, place: str, w: Array) -> Complexes:
     """Of the sensor, of the shape of w."""
     out = np.ones(w.shape, complex)
     for use in model.effects:
-        if use.name not in LINEAR:
+        if use.name not in RESPONSE_EFFECTS:
             continue
         out *= fault_response(use.name, _numbers(use, model, place), w)
     return out
@@ -106,12 +106,12 @@ def _numbers(use: EffectUse, model: Model, place: str) -> dict[str, float | None
 
 def corrected_record(model: Model, y: Array, rate_hz: float) -> Array:
     """The record (n, channels), SI, with the responses of its sensors that the model knows of taken back."""
-    if not model.roll_off and not any(use.name in LINEAR for use in model.effects):
+    if not model.roll_off and not any(use.name in RESPONSE_EFFECTS for use in model.effects):
         return y
     f: Array = np.asarray(np.fft.rfftfreq(len(y), 1 / rate_hz), dtype=np.float64)
     heard = [k for k, channel in enumerate(model.channels) if channel.kind in (*MOTION, "force")]
     filters = {own for k in heard if (own := anti_alias_filter(model, model.channels[k].place)) is not None}
-    grid = np.linspace(0.0, model.band[1], GRID)
+    grid = np.linspace(0.0, model.band[1], FILTER_GRID_POINTS)
     known = {own: np.interp(f, grid, own.response(grid)) for own in filters}
 
     def column(k: int) -> Array:

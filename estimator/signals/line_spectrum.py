@@ -16,12 +16,12 @@ from estimator.parallel import map_threads
 from .band_limit import to_acceleration
 from .shaft_angle import measured_phase
 
-NEIGHBOURS, THIN = 240, 4  # bins either side for the local noise, of which every fourth is looked at
-FEWEST = 30  # the same near 0, where all are
-BESIDE = 20  # bins on either side that a line is to be the main thing in
-LEAST_HZ, CHUNK = 2.0, 1 << 16  # Hz below which no force is inferred; bins at a time
-UNUSUAL = 6.0  # over its surroundings, in power, from where a bin counts for less in them
-STEADY = 0.45  # of the power of these bins beyond the noise, what has the shape of a line
+NOISE_REACH_BINS, NOISE_STRIDE_BINS = 240, 4  # neighbours on either side for the local noise; step between them
+MIN_NOISE_REACH_BINS = 30  # neighbours on either side near 0 Hz, all used
+LINE_REACH_BINS = 20  # neighbours on either side among which a line has to dominate
+MIN_FORCE_HZ, BINS_PER_CHUNK = 2.0, 1 << 16  # no residual force below; bins processed at a time
+OUTLIER_POWER_RATIO = 6.0  # power over the local noise above which a bin counts less in the local noise
+MIN_LINE_POWER_SHARE = 0.45  # of the power above the noise that has the shape of a line
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,27 +85,27 @@ class LineSpectrum:
     def about(self, hz: float) -> slice:
         """The bins that the noise at a frequency is told by."""
         k = round(hz * self.seconds)
-        first = max(k - NEIGHBOURS, int(LEAST_HZ * self.seconds), 1)
-        return slice(first, max(k + NEIGHBOURS, first + NEIGHBOURS) + 1, THIN)
+        first = max(k - NOISE_REACH_BINS, int(MIN_FORCE_HZ * self.seconds), 1)
+        return slice(first, max(k + NOISE_REACH_BINS, first + NOISE_REACH_BINS) + 1, NOISE_STRIDE_BINS)
 
     def steady(self, hz: float) -> bool:
         """Whether what stands out at a frequency has the shape of a line, where it is largest, in phase as in power: a
         sharp resonance under random forces (of a disc, say, whose mass is not quite known) wanders over its width."""
-        k = int(np.clip(round(hz * self.seconds), BESIDE, self.f_hz.size - 1 - BESIDE))
-        Y = self.Y[:, k - BESIDE : k + BESIDE + 1]
-        i = int(np.argmax(np.abs(Y[:, BESIDE]) ** 2 / self.noise[:, k]))
+        k = int(np.clip(round(hz * self.seconds), LINE_REACH_BINS, self.f_hz.size - 1 - LINE_REACH_BINS))
+        Y = self.Y[:, k - LINE_REACH_BINS : k + LINE_REACH_BINS + 1]
+        i = int(np.argmax(np.abs(Y[:, LINE_REACH_BINS]) ** 2 / self.noise[:, k]))
         Y, noise = Y[i], Y.shape[1] * self.noise[i, k]
-        x = hz * self.seconds - np.arange(k - BESIDE, k + BESIDE + 1) + 1e-9
+        x = hz * self.seconds - np.arange(k - LINE_REACH_BINS, k + LINE_REACH_BINS + 1) + 1e-9
         line = np.exp(1j * np.pi * x) * np.sinc(x) / (1 - x * x)  # of a tone under the window
         tone = np.abs(np.vdot(line, Y)) ** 2 / np.vdot(line, line).real
-        return bool(tone > STEADY * max(np.vdot(Y, Y).real - noise, tone))
+        return bool(tone > MIN_LINE_POWER_SHARE * max(np.vdot(Y, Y).real - noise, tone))
 
     def over_neighbours(self, hz: float) -> float:
         """Power at a frequency over that of the bins about it, where it is largest: the surroundings of a resonance as
         narrow as theirs are no measure of what chance makes of it."""
-        k = int(np.clip(round(hz * self.seconds), BESIDE, self.f_hz.size - 1 - BESIDE))
-        near = np.abs(self.Y[:, k - BESIDE : k + BESIDE + 1]) ** 2
-        own = slice(BESIDE - 2, BESIDE + 3)
+        k = int(np.clip(round(hz * self.seconds), LINE_REACH_BINS, self.f_hz.size - 1 - LINE_REACH_BINS))
+        near = np.abs(self.Y[:, k - LINE_REACH_BINS : k + LINE_REACH_BINS + 1]) ** 2
+        own = slice(LINE_REACH_BINS - 2, LINE_REACH_BINS + 3)
         beside = np.delete(near, own, axis=1).mean(axis=1)
         return float((near[:, own].max(axis=1) / np.maximum(beside, 1e-300)).max())
 
@@ -140,8 +140,8 @@ def residual_spectrum(
     P, n = s.windowed.shape
     Y = np.stack(map_threads(lambda z: rfft(z.astype(np.float64)), s.windowed))
     R = np.zeros_like(Y)
-    for a in range(max(1, int(LEAST_HZ * s.seconds)), Y.shape[1], CHUNK):
-        here = slice(a, a + CHUNK)
+    for a in range(max(1, int(MIN_FORCE_HZ * s.seconds)), Y.shape[1], BINS_PER_CHUNK):
+        here = slice(a, a + BINS_PER_CHUNK)
         w = 2 * np.pi * s.f_hz[here]
         derived = to_acceleration(s.kinds, w).T
         R[:, here] = np.einsum("fij,jf->if", stiffness(s.f_hz[here]), derived * Y[:, here])
@@ -151,11 +151,11 @@ def residual_spectrum(
         F = np.asarray(rfft(np.nan_to_num(y[:n, column]) * window))
         R[i] -= F
         R[i, F.size - 1] = 0.0
-        PR, PF = (np.maximum(local_noise(z.real**2 + z.imag**2, NEIGHBOURS), 1e-300) for z in (R[i], F))
-        weight = 1.0 / np.maximum(np.maximum(np.abs(R[i]) ** 2 / PR, np.abs(F) ** 2 / PF) / UNUSUAL, 1.0)
+        PR, PF = (np.maximum(local_noise(z.real**2 + z.imag**2, NOISE_REACH_BINS), 1e-300) for z in (R[i], F))
+        weight = 1.0 / np.maximum(np.maximum(np.abs(R[i]) ** 2 / PR, np.abs(F) ** 2 / PF) / OUTLIER_POWER_RATIO, 1.0)
         proportion = _smooth(weight * R[i] * F.conj()) / np.maximum(_smooth(weight * np.abs(F) ** 2), 1e-300)
-        R[i] -= np.where(s.f_hz > LEAST_HZ, proportion * F, 0.0)
-        uneasy[i] += np.abs(F) ** 2 / PF / (2 * NEIGHBOURS)
+        R[i] -= np.where(s.f_hz > MIN_FORCE_HZ, proportion * F, 0.0)
+        uneasy[i] += np.abs(F) ** 2 / PF / (2 * NOISE_REACH_BINS)
     out = _spectrum(np.asarray(irfft(R, n, axis=1), dtype=np.float32), ("force",) * P, s.model, s.rate_hz, s.phase)
     return replace(out, noise=out.noise * uneasy)
 
@@ -163,7 +163,7 @@ def residual_spectrum(
 def _smooth(z: NDArray[Any]) -> NDArray[Any]:
     from scipy.ndimage import uniform_filter1d
 
-    return np.asarray(uniform_filter1d(z, 2 * NEIGHBOURS + 1, mode="reflect"))
+    return np.asarray(uniform_filter1d(z, 2 * NOISE_REACH_BINS + 1, mode="reflect"))
 
 
 def order_spectrum(s: LineSpectrum) -> LineSpectrum:
@@ -187,7 +187,7 @@ def _spectrum(
         map_threads(rfft, windowed)
     )  # scipy's own workers would stay: map_processes then has no second process
     Y *= 2 / (0.5 * (n - 1))
-    noise = np.stack([local_noise(z.real**2 + z.imag**2, NEIGHBOURS) for z in Y])
+    noise = np.stack([local_noise(z.real**2 + z.imag**2, NOISE_REACH_BINS) for z in Y])
     return LineSpectrum(f, Y, noise, n / rate_hz, windowed, kinds, rate_hz, model, phase)
 
 
@@ -201,7 +201,7 @@ def local_noise(power: NDArray[np.floating], reach: int) -> Array:
         median = median_filter(power[::thin], 2 * reach // thin + 1, mode="reflect") / np.log(2)
         return np.asarray(np.repeat(median, thin)[: power.size], dtype=np.float64)
 
-    out = local(power, reach, THIN)
-    while (reach := reach // 2) >= FEWEST:
+    out = local(power, reach, NOISE_STRIDE_BINS)
+    while (reach := reach // 2) >= MIN_NOISE_REACH_BINS:
         out[: 4 * reach] = local(power[: 6 * reach], reach, 1)[: 4 * reach]
     return np.maximum(out, 1e-300)

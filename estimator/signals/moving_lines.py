@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from estimator.arrays import Array
 
 AnyComplexes = NDArray[np.complex128] | NDArray[np.complex64]
-FALSE_ALARM = 1e-4  # of a block
-NEAR, FAR = 4, 10  # bins away, where the surroundings are
-AVERAGED = 5.0  # blocks
-INDEPENDENT = 0.5  # of neighbouring bins under the window, and of neighbouring blocks
+FALSE_ALARMS_PER_BLOCK = 1e-4
+NEAR_BINS, FAR_BINS = 4, 10  # range of the neighbours that a bin is compared with
+AVERAGED_BLOCKS = 5.0  # memory of the running average
+INDEPENDENT_SHARE = 0.5  # of neighbouring bins under the window, and of neighbouring blocks
 
 
 @cache
@@ -29,21 +29,21 @@ def _limit(bins: int, places: int, blocks: float) -> float:
     """Ratio of a bin to the larger of its two sides that noise reaches in one block of `1 / FALSE_ALARM`."""
     from scipy.stats import f
 
-    own = 2.0 * places * max(1.0, 1.5 * INDEPENDENT * blocks)
-    return float(f.isf(FALSE_ALARM / bins, own, own * (FAR - NEAR + 1) * INDEPENDENT))
+    own = 2.0 * places * max(1.0, 1.5 * INDEPENDENT_SHARE * blocks)
+    return float(f.isf(FALSE_ALARMS_PER_BLOCK / bins, own, own * (FAR_BINS - NEAR_BINS + 1) * INDEPENDENT_SHARE))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _stand_out(power, limit, out):  # type: ignore[no-untyped-def]
     """Fill out (n,) with what `line_ratio` gives; the sides are running sums, mirrored at the ends."""
-    n, reach = power.size, FAR - NEAR + 1
-    sums = np.empty(n + 2 * FAR + 1)
+    n, reach = power.size, FAR_BINS - NEAR_BINS + 1
+    sums = np.empty(n + 2 * FAR_BINS + 1)
     sums[0] = 0.0
-    for i in range(n + 2 * FAR):
-        k = abs(i - FAR)
+    for i in range(n + 2 * FAR_BINS):
+        k = abs(i - FAR_BINS)
         sums[i + 1] = sums[i] + power[k if k < n else 2 * (n - 1) - k]
     for i in range(n):
-        below, above = sums[i + reach] - sums[i], sums[i + 2 * FAR + 1] - sums[i + FAR + NEAR]
+        below, above = sums[i + reach] - sums[i], sums[i + 2 * FAR_BINS + 1] - sums[i + FAR_BINS + NEAR_BINS]
         ratio = power[i] / max(max(below, above) / reach, 1e-300)
         out[i] = ratio if ratio > limit else 0.0
 
@@ -107,10 +107,10 @@ class MovingLines:
             self._speed_hz = self._speed_hz or speed_hz
             scale = speed_hz / self._speed_hz
         by_order = power if scale == 1.0 else np.interp(self._f_hz * scale, self._f_hz, power)
-        keep = 1.0 - 1.0 / AVERAGED
+        keep = 1.0 - 1.0 / AVERAGED_BLOCKS
         self._mean = keep * self._mean + by_order
         self._blocks = keep * self._blocks + 1.0
-        if self._blocks > 0.5 * AVERAGED:
+        if self._blocks > 0.5 * AVERAGED_BLOCKS:
             averaged = line_bins(line_ratio(self._mean / self._blocks, places, 2.0 * self._blocks - 1.0))
             if averaged.any():
                 out |= averaged if scale == 1.0 else np.interp(self._f_hz / scale, self._f_hz, averaged) > 0.0

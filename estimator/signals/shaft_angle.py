@@ -57,10 +57,10 @@ class ShaftAngle:
         return out
 
 
-FEWEST_PULSES = 4
-HYSTERESIS = 0.1  # of the pulse height: a pulse counts once the signal has been so far below its middle
-LONG = 1.5  # of the turns around it: such a distance between pulses holds several turns (missing samples, a weak pulse)
-SHORT = 0.5  # and such a one is no turn at all (ringing, interference)
+MIN_PULSES = 4
+HYSTERESIS_OVER_HEIGHT = 0.1  # a pulse counts once the signal was this share of the pulse height below its middle
+LONG_OVER_PERIOD = 1.5  # a longer distance between pulses holds several turns (missing samples, a weak pulse)
+SHORT_OVER_PERIOD = 0.5  # a shorter distance between pulses is no turn (ringing, interference)
 
 
 def measured_phase(model: Model, y: Array, rate_hz: float) -> Array | None:
@@ -89,13 +89,13 @@ def shaft_angle(pulses: Array, rate_hz: float, name: str = "tacho") -> Array:
     pulses : (n,) any height and width, NaN where a sample is missing. Raises DataError with fewer than four pulses.
     """
     edges = rising_edges(pulses)
-    if edges.size >= FEWEST_PULSES:
-        edges = edges[np.concatenate([[True], np.diff(edges) > SHORT * np.median(np.diff(edges))])]
-    if edges.size < FEWEST_PULSES:
-        raise DataError(f"channel {name}: {edges.size} tacho pulses; at least {FEWEST_PULSES} are needed, one a turn")
+    if edges.size >= MIN_PULSES:
+        edges = edges[np.concatenate([[True], np.diff(edges) > SHORT_OVER_PERIOD * np.median(np.diff(edges))])]
+    if edges.size < MIN_PULSES:
+        raise DataError(f"channel {name}: {edges.size} tacho pulses; at least {MIN_PULSES} are needed, one a turn")
     distance = np.diff(edges)
     period = _usual(distance)
-    turns = np.where(distance > LONG * period, np.rint(distance / period), 1.0)
+    turns = np.where(distance > LONG_OVER_PERIOD * period, np.rint(distance / period), 1.0)
     angle = np.concatenate([[0.0], np.cumsum(turns)])
     n = np.arange(len(pulses), dtype=np.float64)
     out = _between(edges, angle, n)
@@ -124,7 +124,7 @@ def rising_edges(pulses: Array) -> Array:
     if high <= low:
         return np.empty(0)
     middle = 0.5 * (low + high)
-    armed = middle - HYSTERESIS * (high - low)
+    armed = middle - HYSTERESIS_OVER_HEIGHT * (high - low)
     state = np.where(y >= middle, 1, np.where(y < armed, -1, 0))  # 0: keeps what it was
     last = np.maximum.accumulate(np.where(state != 0, np.arange(y.size), 0))
     state = state[last]

@@ -11,7 +11,7 @@ from estimator.arrays import Array
 from estimator.errors import DataError, ModelError
 from estimator.identification.residual.missing_force import MissingForce, ridge_information
 from estimator.likelihood.fitting.fitted_values import fitted_model
-from estimator.likelihood.motion.motion_record import FOLDS
+from estimator.likelihood.motion.motion_record import TIME_FOLDS
 from estimator.likelihood.path.subproblem import coupled_places, heldout_gain, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
@@ -66,8 +66,8 @@ def heldout_nll(point: WorkingPoint) -> float:
         part = coupled_places(point, (min(left),))
         left -= set(part)
         problem = subproblem(point, part)
-        for f in range(FOLDS):
-            rest = np.array([k for k in range(FOLDS) if k != f])
+        for f in range(TIME_FOLDS):
+            rest = np.array([k for k in range(TIME_FOLDS) if k != f])
             total -= problem.likelihood(problem.fit(rest), np.array([f]))
     total -= point.data.blocks * np.log(point.data.sharpened).sum()  # of what was measured, not of what was undone
     for i, _ in point.data.shared:  # each of the two was given the other: what they share has counted twice
@@ -104,7 +104,7 @@ def cell_powers(point: WorkingPoint, i: int) -> tuple[Array, Array, NDArray[np.i
     first = cells(power.shape[1])
     width = np.diff(np.append(first, power.shape[1]))
     sums = np.add.reduceat(power, first, axis=1)
-    folded = np.stack([sums[data.fold == f].sum(axis=0) for f in range(FOLDS)])
+    folded = np.stack([sums[data.fold == f].sum(axis=0) for f in range(TIME_FOLDS)])
     n = np.outer(data.fold_blocks, width)
     return folded / n, n, first
 
@@ -113,8 +113,8 @@ def _free_spectrum_gain(point: WorkingPoint, i: int) -> float:
     """Nats on held-out folds of a free force spectrum over the white one."""
     ratio, n, _ = cell_powers(point, i)
     total = 0.0
-    for f in range(FOLDS):
-        rest = [k for k in range(FOLDS) if k != f]
+    for f in range(TIME_FOLDS):
+        rest = [k for k in range(TIME_FOLDS) if k != f]
         trained = (ratio[rest] * n[rest]).sum(axis=0) / n[rest].sum(axis=0)
         flat = (ratio[rest] * n[rest]).sum() / n[rest].sum()
         here = ratio[f] * n[f]

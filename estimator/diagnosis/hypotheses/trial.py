@@ -13,9 +13,9 @@ from estimator.arrays import Array
 from estimator.effects.engine.strength import search_range
 from estimator.effects.places import kinematic
 from estimator.effects.places import places as canonical_places
-from estimator.likelihood.motion.harmonics import PERIODIC
+from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.motion.located_law import (
-    FORCES,
+    FORCE_KINDS,
     LocatedLaw,
     acted_on,
     natural_sizes,
@@ -73,7 +73,7 @@ class Trial:
 
 def spots(effect: Effect, model: Model, point: WorkingPoint) -> list[str]:
     """Canonical places where a force effect could be added: measured, and not in the model there already."""
-    if effect.kind not in FORCES or effect.name in PERIODIC or effect.name == "pedestal":
+    if effect.kind not in FORCE_KINDS or effect.name in PERIODIC_EFFECTS or effect.name == "pedestal":
         return []
     taken = {u.key for u in point.placed}
     return [

@@ -24,8 +24,8 @@ from estimator.identification.residual import missing_force
 from estimator.identification.residual.missing_force import MissingForce
 from estimator.identification.search import search
 from estimator.identification.structure import spectral_shape
-from estimator.likelihood.motion.harmonics import PERIODIC
-from estimator.likelihood.motion.known_spectra import COLOURS
+from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
+from estimator.likelihood.motion.known_spectra import SPECTRAL_SHAPES
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.results import Message, messages_json
@@ -96,7 +96,7 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
         before, entries, known = _ranked(model, point, y, say)
         before = replace(before, shares=shares)
     found = verdict_of_ranking(model, point, before, entries, say, known)
-    if found.verdict in COLOURS:
+    if found.verdict in SPECTRAL_SHAPES:
         say(0.9, f"does {found.verdict} explain it?")
         return _coloured(model, point, y, before, found)
     return _restored(model, point, y, before, found) if found.verdict == "sensor_clipping" else found
@@ -130,7 +130,7 @@ def verdict_of_ranking(
     if best.placed and best.effect != "crack" and _loss(entries)[1] > best.gain:
         return verdict_without_law(point, before, tuple(entries))
     if not best.placed:
-        if best.effect in PERIODIC:
+        if best.effect in PERIODIC_EFFECTS:
             say(0.85, f"{best.effect} and the model fitted together")
             entries[0] = _beside(model, point, before, best)
         return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries), messages=best.notes)

@@ -17,7 +17,7 @@ from estimator.identification.search import search
 from estimator.identification.structure import recorder_fall, recorder_phase
 from estimator.likelihood.fitting.fitted_values import fitted_model, unidentifiable_laws
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.harmonics import PERIODIC
+from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.results import Message, Parameter, messages_json
@@ -124,7 +124,9 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                     fitted_model(model, point),
                     ball_pass_order=given.ball_pass_order, order_found=False, mass=given.mass,
                 )  # fmt: skip
-                if best.effect not in PERIODIC:  # a shape of the spectra that the recorder's filter was sought in
+                if (
+                    best.effect not in PERIODIC_EFFECTS
+                ):  # a shape of the spectra that the recorder's filter was sought in
                     before = replace(before, roll_off=given.roll_off)
                 whole = replace(whole, point=(point := point.without_rows()))
                 new_whole = refitted_with_found(before, given, best.settings, y, rate_hz)
@@ -142,7 +144,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
             messages.append(Message("not_added", text))
             break
         earned = (rungs[-1].heldout_nll - new.heldout_nll) * point.data.blocks * point.data.block > EARNED
-        if best.effect in PERIODIC and new.missing[0] >= rungs[-1].missing[0] and not earned:
+        if best.effect in PERIODIC_EFFECTS and new.missing[0] >= rungs[-1].missing[0] and not earned:
             text = f"{found.verdict} was named but does not reduce the missing force: not added"
             messages.append(Message("not_added", text))
             break

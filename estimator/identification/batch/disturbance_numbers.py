@@ -16,7 +16,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.effect import EffectParameter
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Parameter
-from estimator.signals.channel_response import BLIND, LINEAR, measured_force_places
+from estimator.signals.channel_response import GAIN_AND_DELAY, RESPONSE_EFFECTS, measured_force_places
 
 MAX_SETTLED_CHANGE_SD = 0.5  # standard deviations by which a colour may still move
 
@@ -53,13 +53,15 @@ def further_lines_found(model: Model, seen: list[Finding]) -> dict[str, dict[str
 
 def is_identifiable_by_force(use: EffectUse, model: Model) -> bool:
     """Whether it is a sensor's response beside a measured force, which tells it."""
-    return use.name in LINEAR and bool(measured_force_places(model).intersection(at(NAMED[use.name], use, model)))
+    return use.name in RESPONSE_EFFECTS and bool(
+        measured_force_places(model).intersection(at(NAMED[use.name], use, model))
+    )
 
 
 def is_undone_as_given(use: EffectUse, model: Model) -> bool:
     """Whether it is a sensor's response that is undone before anything is known of it: as the rig file gives it."""
     if not is_identifiable_by_force(use, model):
-        return use.name in BLIND
+        return use.name in GAIN_AND_DELAY
     names = [q.name for q in NAMED[use.name].parameters]
     return all(own.get(n, Setting()).value is not None for own in use.parameters.values() for n in names)
 
@@ -107,7 +109,7 @@ def _with_resolved_use(
                 found[name] = own[q.name]
                 setting = replace(setting, value=own[q.name].value)
             else:
-                blind = use.name in BLIND and not is_identifiable_by_force(use, model)
+                blind = use.name in GAIN_AND_DELAY and not is_identifiable_by_force(use, model)
                 found[name] = _not_found(blind, q)
                 setting = setting if blind else replace(setting, value=None)
             new[key][q.name] = setting
@@ -164,5 +166,5 @@ def _not_found(blind: bool, q: EffectParameter) -> Parameter:
     if blind:
         why = "the bearings are too weakly coupled to identify it: measure the force, or give it with fixed = true"
     else:
-        why = harmonics.UNTOLD
+        why = harmonics.NOT_IDENTIFIABLE_TEXT
     return Parameter(None, None, q.unit, False, why)

@@ -27,7 +27,7 @@ from estimator.identification.structure import (
 )
 from estimator.likelihood.fitting.fitted_values import fitted_parameters
 from estimator.likelihood.motion import harmonics, shaft_law
-from estimator.likelihood.motion.known_spectra import COLOURS, OF_FORCE
+from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, SPECTRAL_SHAPES
 from estimator.likelihood.motion.known_spectra import excitation_shapes as colours_of
 from estimator.likelihood.motion.located_law import clipped_places
 from estimator.likelihood.motion.motion_record import MotionRecord
@@ -37,7 +37,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model import recorder
 from estimator.model.rig import EffectUse, Model, Setting
 from estimator.results import Fit, Message, Parameter, with_unidentifiable_at
-from estimator.signals.channel_response import BLIND, LINEAR
+from estimator.signals.channel_response import GAIN_AND_DELAY, RESPONSE_EFFECTS
 from estimator.signals.shaft_angle import with_measured_speed
 
 from . import unknown_mass, unmeasured_end
@@ -52,7 +52,7 @@ from .disturbance_numbers import (
 from .grid_start import fit_record
 from .linear_start import refuse_without_resonance, resonates
 
-SPECTRAL_AND_SENSOR_EFFECTS = (*COLOURS, "correlated_force", "sensor_clipping", "sensor_noise")
+SPECTRAL_AND_SENSOR_EFFECTS = (*SPECTRAL_SHAPES, "correlated_force", "sensor_clipping", "sensor_noise")
 MIN_RESOLVING_ROUNDS = 2  # of the numbers of periodic forces and colours, which the rest of the fit depends on
 MAX_RESOLVING_ROUNDS = 6  # while the answers of two caps to each other still move
 
@@ -99,7 +99,7 @@ class FullFit:
 
 def is_disturbance(use: EffectUse) -> bool:
     """Whether an effect is none of the laws that a fit of the states has columns for."""
-    return use.name in (*harmonics.PERIODIC, *SPECTRAL_AND_SENSOR_EFFECTS, *BLIND)
+    return use.name in (*harmonics.PERIODIC_EFFECTS, *SPECTRAL_AND_SENSOR_EFFECTS, *GAIN_AND_DELAY)
 
 
 def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
@@ -212,16 +212,18 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float, begun: WorkingPo
         with_further_effects(model, further), numbered | further.keys(), seen, point
     )
     point = fit_record(model, prepared(model))
-    colours = {u.name for u in uses if u.name in OF_FORCE}
+    colours = {u.name for u in uses if u.name in FORCE_SHAPES}
     for _ in range(MIN_RESOLVING_ROUNDS if colours else 0):  # found among laws that they distort
         data = point.data
-        flat = replace(point, data=replace(data, colour=colours_of(bare, data.places, data.f_hz, OF_FORCE)))
+        flat = replace(point, data=replace(data, colour=colours_of(bare, data.places, data.f_hz, FORCE_SHAPES)))
         renewed, again = with_resolved_parameters(model, colours, spectral_shape.find_spectral_shapes(bare, flat), flat)
         if not parameters_have_moved(found, again):
             break
         model, found = renewed, found | again
         point = fit_record(model, prepared(model))
-    for done in range(MAX_RESOLVING_ROUNDS if any(u.name in (*harmonics.PERIODIC, *LINEAR) for u in uses) else 0):
+    for done in range(
+        MAX_RESOLVING_ROUNDS if any(u.name in (*harmonics.PERIODIC_EFFECTS, *RESPONSE_EFFECTS) for u in uses) else 0
+    ):
         model, bent = transfer_bias.refine_sensor_faults(model, point)
         model, mutual = coupled_caps.refined(model, point)
         model, stepped = harmonic_fit.settle_harmonics(model, point)

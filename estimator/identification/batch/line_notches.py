@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 from estimator.errors import DataError
-from estimator.likelihood.motion.force_balance import build
-from estimator.likelihood.motion.law_smoothing import MARGIN
+from estimator.likelihood.motion.force_balance import build_balance
+from estimator.likelihood.motion.law_smoothing import MARGIN_ROWS
 from estimator.likelihood.motion.stream_record import CELLS_WITH_FORCE, Record, notches, stretches
 from estimator.parallel import map_threads
-from estimator.signals.blocks import CELLS, block_layout, block_spectra, valid_blocks
+from estimator.signals.blocks import FREQUENCY_CELLS, block_layout, block_spectra, valid_blocks
 from estimator.signals.moving_lines import MovingLines
 
 from .linear_start import LinearStart, linear_start, may_be_fed_energy, with_denoised_displacement
@@ -39,14 +39,14 @@ def spectrum_by_bin(record: Record, B: Array | None, start: LinearStart | None) 
     a."""
     columns = None
     if B is not None and start is not None:
-        columns = record.columns(build(replace(record.model, effects=())), start.widths)
+        columns = record.columns(build_balance(replace(record.model, effects=())), start.widths)
     blocks = valid_blocks(record.motion.valid, record.grid)
 
     def part(group: NDArray[np.intp]) -> Array:
         first, last = int(group[0]) * record.grid.hop, int(group[-1]) * record.grid.hop + record.grid.size
         stretch = record.stretch(first, last)
         if B is None or columns is None:
-            force: Array = stretch.a[:, MARGIN:-MARGIN]
+            force: Array = stretch.a[:, MARGIN_ROWS:-MARGIN_ROWS]
         else:
             force = B @ columns.evaluate(stretch)[0]
         F = block_spectra(force, group - group[0], record.grid)
@@ -59,7 +59,7 @@ def spectrum_by_bin(record: Record, B: Array | None, start: LinearStart | None) 
 
 def linear_coefficients(record: Record, start: LinearStart) -> Array:
     """(places, columns) coefficients of the linear start."""
-    balance = build(replace(record.model, effects=()))
+    balance = build_balance(replace(record.model, effects=()))
     return balance.coefficients(initial(balance, start, {}).beta)
 
 
@@ -150,7 +150,7 @@ def start_without_moving_lines(record: Record, start: LinearStart) -> tuple[Reco
     if np.ptp(speed_hz[blocks]) <= CONSTANT_SPEED_REL * np.abs(speed_hz[blocks]).max():
         return record, start
     B, lines = linear_coefficients(record, start), MovingLines(grid.f_hz, orders=True)
-    columns = record.columns(build(replace(model, effects=())), start.widths)
+    columns = record.columns(build_balance(replace(model, effects=())), start.widths)
     weights, before = np.ones((begins.size, grid.bins.size)), -1
     for group in stretches(blocks, 12):
         stretch = record.stretch(int(group[0]) * grid.hop, int(group[-1]) * grid.hop + grid.size)
@@ -168,7 +168,7 @@ def start_without_moving_lines(record: Record, start: LinearStart) -> tuple[Reco
 
 
 def _without_lines(record: Record, lines: tuple[tuple[float, float], ...], longer: int) -> Record:
-    cells = CELLS_WITH_FORCE if record.force else CELLS
+    cells = CELLS_WITH_FORCE if record.force else FREQUENCY_CELLS
     grid = block_layout(record.rate_hz, record.model.band, (*notches(record.model), *lines), cells, longer)
     return replace(record, grid=grid, lines=lines)
 

@@ -10,8 +10,8 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.errors import DataError
 from estimator.likelihood.motion.denoise import denoising_filter, noise_displacement_psd, noise_is_negligible
-from estimator.likelihood.motion.force_balance import build, motion_channels
-from estimator.likelihood.motion.law_smoothing import MARGIN, NEAREST
+from estimator.likelihood.motion.force_balance import build_balance, motion_channels
+from estimator.likelihood.motion.law_smoothing import MARGIN_ROWS, MIN_SMOOTHING_SD
 from estimator.likelihood.motion.stream_record import Record, gather, notches
 from estimator.likelihood.path.gram_likelihood import (
     Evidence,
@@ -82,7 +82,7 @@ def _mean_logs(w0: bytes, zeta: bytes, f_hz: bytes) -> Array:
 def linear_start(record: Record) -> LinearStart:
     """The linear fit from a scan. Raises DataError if the band holds no resonance or the record is too short."""
     model = replace(record.model, effects=())
-    balance = build(model)
+    balance = build_balance(model)
     P = len(balance.places)
     bank = gather(record, balance, np.zeros((P, 2)), seconds=LINEAR_START_S)
     evidence = evidence_of(bank)
@@ -125,7 +125,10 @@ def with_denoised_displacement(record: Record, start: LinearStart) -> tuple[Reco
     seen = np.zeros_like(noise)
     for block in blocks.tolist():
         stretch = record.stretch(block * grid.hop, block * grid.hop + grid.size)
-        seen += np.abs(block_spectra(stretch.x[:, MARGIN:-MARGIN], np.zeros(1, np.intp), grid)[:, 0]) ** 2 / blocks.size
+        seen += (
+            np.abs(block_spectra(stretch.x[:, MARGIN_ROWS:-MARGIN_ROWS], np.zeros(1, np.intp), grid)[:, 0]) ** 2
+            / blocks.size
+        )
     calm = denoising_filter(grid.f_hz, seen, noise, half_length(record.rate_hz, record.model.band))
     return replace(record, calm=calm), replace(start, widths=np.hypot(start.widths, calm.doubt))
 
@@ -148,7 +151,7 @@ def _widths_and_nodes(record: Record, evidence: Evidence, B: Array, S: Array) ->
     at = frequency_nodes(record.grid, *(np.concatenate(z) for z in zip(coupled, alone, left_out_there, strict=True)))
     widths = out_of_band_sd(m, c, kL, S + record.driven, record.model.band, record.rate_hz, evidence.balance.kinds)
     doubt = 0.0 if record.calm is None else record.calm.doubt
-    return np.maximum(np.hypot(widths, doubt), NEAREST * record.scales), at
+    return np.maximum(np.hypot(widths, doubt), MIN_SMOOTHING_SD * record.scales), at
 
 
 def _mean_oscillators(B: Array) -> tuple[Array, Array, Array]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 from estimator.errors import DataError
-from estimator.likelihood.motion.force_balance import Balance, build
+from estimator.likelihood.motion.force_balance import Balance, build_balance
 from estimator.likelihood.motion.stream_record import Bank, Record, gather
 from estimator.likelihood.path.excitation_level import relative_level
 from estimator.likelihood.path.gram_likelihood import Likelihood, Local, Point, active, evidence_of, maximise
@@ -64,8 +64,8 @@ def maximum(record: Record, start: LinearStart, model: Model, values: Mapping[st
     compared with their standard deviation, then on the whole record.
     """
     known = dict(values or {})
-    held = build(model, start.sizes, known, search=False)
-    searching = len(build(model, start.sizes, known).free) > len(held.free)
+    held = build_balance(model, start.sizes, known, search=False)
+    searching = len(build_balance(model, start.sizes, known).free) > len(held.free)
     bank = gather(record, held, start.widths, start.linear, seconds=SHAPE_SEARCH_S if searching else np.inf)
     first = initial(held, start, known)
     if values is None:
@@ -82,7 +82,7 @@ def maximum(record: Record, start: LinearStart, model: Model, values: Mapping[st
     for rounds, seconds in ((ROUGH_ROUNDS, SHAPE_SEARCH_S), (FINE_ROUNDS, np.inf)):
         whole = not np.isfinite(seconds)
         for _ in range(rounds):
-            balance = build(model, start.sizes, known)
+            balance = build_balance(model, start.sizes, known)
             bank = gather(record, balance, start.widths, start.linear, seconds=seconds)
             point = replace(initial(balance, start, known), S=local.point.S, noise=local.point.noise)
             bank, local, converged = highest(bank, start, point)

@@ -23,7 +23,7 @@ from estimator.likelihood.path.gram_likelihood import responses
 from estimator.likelihood.path.measured_force import is_force_measured
 from estimator.model.rig import Model
 from estimator.parallel import map_threads
-from estimator.signals.band_limit import FORCE_DRIFT, noise_shape, passband, to_acceleration
+from estimator.signals.band_limit import FORCE_DRIFT_OVER_LOW_EDGE, noise_shape, passband, to_acceleration
 from estimator.signals.blocks import taper
 
 from .line_notches import start_without_lines, start_without_moving_lines
@@ -86,7 +86,7 @@ def _filters(solution: SpectralFit, size: int) -> tuple[Complexes, Array]:
     record, balance, point = solution.record, solution.balance, solution.point
     rate, (low, high), P = record.rate_hz, record.model.band, len(balance.places)
     f: Array = np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64)
-    path, known = np.zeros((f.size, P, 3 * P), complex), (f >= FORCE_DRIFT * low) & (f <= high)
+    path, known = np.zeros((f.size, P, 3 * P), complex), (f >= FORCE_DRIFT_OVER_LOW_EDGE * low) & (f <= high)
     f = f[known]
     w: Array = np.asarray(2 * np.pi * f, dtype=np.float64)
     B = balance.coefficients(point.beta)
@@ -107,7 +107,7 @@ def _filters(solution: SpectralFit, size: int) -> tuple[Complexes, Array]:
     left = np.where(below, through @ S @ through.conj().transpose(0, 2, 1), N - gain @ A @ N) / s2**2
     variance = np.einsum("fii->i", left).real * rate / size
     drift = through[0] / s2[0]
-    variance += FORCE_DRIFT * low * np.einsum("ij,j,ij->i", drift, record.driven, drift.conj()).real
+    variance += FORCE_DRIFT_OVER_LOW_EDGE * low * np.einsum("ij,j,ij->i", drift, record.driven, drift.conj()).real
     return path, np.sqrt(variance)
 
 

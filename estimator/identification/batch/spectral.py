@@ -11,7 +11,7 @@ from estimator.errors import DataError
 from estimator.identification.structure import transfer_faults
 from estimator.likelihood.motion.checks import check_record
 from estimator.likelihood.motion.force_balance import force_channels
-from estimator.likelihood.motion.harmonics import PERIODIC
+from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.motion.located_law import searched_parameters
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path import excitation_level
@@ -98,7 +98,7 @@ def _has_more_than_laws(model: Model) -> bool:
     """Whether the model has effects that the Gram matrices do not hold; those that move a cap off its centre they hold
     where the force is measured."""
     effects = [effect_of(use) for use in model.effects]
-    more = any(e.kind != "force" or e.name in PERIODIC for e in effects)
+    more = any(e.kind != "force" or e.name in PERIODIC_EFFECTS for e in effects)
     if not measured_force_places(model):
         more |= any(has_even_part(e, usual_parameters(e), usual_sizes(e)) for e in effects)
         timed = bool(model.speed_rpm) or model.tacho is not None

@@ -14,7 +14,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.effects.engine.custom import effect_of
 from estimator.errors import DataError
-from estimator.likelihood.motion.harmonics import PERIODIC
+from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.model.rotor import shaft_matrix
@@ -32,7 +32,7 @@ def with_masses_of_shaft(model: Model, y: Array, rate_hz: float) -> tuple[Model,
     left_out = places_scaled_by_shaft(model)
     if not left_out:
         return model, {}
-    laws = tuple(u for u in model.effects if effect_of(u).kind == "force" and u.name not in PERIODIC)
+    laws = tuple(u for u in model.effects if effect_of(u).kind == "force" and u.name not in PERIODIC_EFFECTS)
     try:
         fitted = fitted_parameters(analyse(replace(model, effects=laws), corrected_record(model, y, rate_hz), rate_hz))
     except DataError:  # the fit that follows says what is wrong

@@ -19,9 +19,9 @@ from estimator.effects.places import written
 from estimator.identification.finding import effect_use
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import (
-    FREQUENCY,
+    FREQUENCY_PARAMETER,
     LINE_NAMES,
-    UNTOLD,
+    NOT_IDENTIFIABLE_TEXT,
     PeriodicEffect,
     acts_on,
     below_band_forces,
@@ -122,7 +122,7 @@ def refine_harmonics(model: Model, point: WorkingPoint, force: Series) -> tuple[
             found[f"{one.key}.{one.effect.name}.{q.name}"] = (
                 Parameter(value, 0.0, q.unit, True, "given") if not one.free[k]
                 else Parameter(value, spread, q.unit) if told[k]
-                else Parameter(None, None, q.unit, False, f"{value:.3g} +- {spread:.2g}: {UNTOLD}")
+                else Parameter(None, None, q.unit, False, f"{value:.3g} +- {spread:.2g}: {NOT_IDENTIFIABLE_TEXT}")
             )  # fmt: skip
     effects = tuple(replace(u, parameters=uses[u.name]) for u in model.effects)
     return replace(model, effects=effects), found
@@ -157,7 +157,7 @@ def _step(model: Model, one: PeriodicEffect, point: WorkingPoint, force: Series)
         seen = demodulate(force[i], one.angle(data.t, data.phase), count)[:, inside]
         slopes = np.zeros((len(loose), *seen.shape), complex)
         for j, k in enumerate(loose):
-            if k == FREQUENCY.get(one.effect.name):
+            if k == FREQUENCY_PARAMETER.get(one.effect.name):
                 F = one.harmonics(model, place, count)[inside]
                 slopes[j] = 1j * (1 + inside) * F * middle[:, None]
             else:

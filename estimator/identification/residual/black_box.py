@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.denoise import restore_mean_tangent
-from estimator.likelihood.motion.motion_record import FOLDS, MotionRecord, fold_record
+from estimator.likelihood.motion.motion_record import TIME_FOLDS, MotionRecord, fold_record
 from estimator.likelihood.path.subproblem import (
     Subproblem,
     base_regressors,
@@ -265,7 +265,7 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
         hat_knots(data.v[i], float(data.rms[1, i]), velocity_knot_step(point, i)),
     )
     room = np.empty(0, np.float32)
-    for f in range(FOLDS):
+    for f in range(TIME_FOLDS):
         part, first = fold_record(data, f), fold_slice(point, f).start
         found = []
         spectra: list[Singles] = []
@@ -273,7 +273,7 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
             spectra += [point.whitening.spectrum(i, z, first=first) for z in g.series]
             found.append(RegressorGroup(g.name, [], g.tangents, g.knots))
         if not room.size:  # the same for all folds: memory that is new takes longer than what is computed in it
-            room = np.empty(len(spectra) * -(-data.blocks // FOLDS) * spectra[0].shape[1], np.float32)
+            room = np.empty(len(spectra) * -(-data.blocks // TIME_FOLDS) * spectra[0].shape[1], np.float32)
         X = room[: len(spectra) * spectra[0].size].reshape(len(spectra), *spectra[0].shape)
         np.stack(spectra, out=X)
         del spectra
@@ -282,7 +282,7 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
     power = np.sqrt(np.sum([np.diag(square) for _, _, square in made], axis=0) / point.spectra[i].size)
     scales = own / np.maximum(power, 1e-30)
     made = [(rows, C * scales, square * np.multiply.outer(scales, scales)) for rows, C, square in made]
-    apart = np.zeros((scales.size, FOLDS, len(data.places), len(data.places), 2))
+    apart = np.zeros((scales.size, TIME_FOLDS, len(data.places), len(data.places), 2))
     apart[:, :, i] = np.swapaxes([[t for g in found for t in g.tangents] for found in by_fold], 0, 1)
     mean = data.over_folds(np.swapaxes(apart, 0, 1))
     apart = (apart - mean[:, None]) * scales[:, None, None, None, None]

@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.likelihood.motion.law_columns import Columns, Stretch
-from estimator.likelihood.motion.law_smoothing import MARGIN, LawStates
+from estimator.likelihood.motion.law_smoothing import MARGIN_ROWS, LawStates
 from estimator.likelihood.motion.stream_record import Record
 from estimator.likelihood.response.below_band import (
     below_band_compliance,
@@ -52,13 +52,13 @@ class SlowMotion:
         """Rows start ... stop - 1 of a record with it."""
         if not self._laws:
             return record.stretch(start, stop)
-        more = self.reach + MARGIN
+        more = self.reach + MARGIN_ROWS
         slow = self._along(record.stretch(start - more, stop + more), B)[:, self.reach : -self.reach]
         return replace(record.stretch(start, stop), slow=slow)
 
     def _along(self, stretch: Stretch, B: Array) -> Array:
         """(places, rows), sound but for `reach` rows at either end; a missing sample has the mean of the force."""
-        balance, P, inner = self._columns.balance, len(B), slice(MARGIN, MARGIN + stretch.rows)
+        balance, P, inner = self._columns.balance, len(B), slice(MARGIN_ROWS, MARGIN_ROWS + stretch.rows)
         measured = np.zeros((P, stretch.t.size)) if stretch.slow is None else stretch.slow
         valid, out = stretch.valid[inner], np.zeros((P, stretch.rows))
         if not valid.any():
@@ -68,7 +68,7 @@ class SlowMotion:
         response = below_band_compliance(own, self._rate_hz, self._band, balance.kinds)
         rest = response(np.zeros(1))[0].real
         for _ in range(CENTRE_ROUNDS):
-            seen = replace(stretch, slow=measured + np.pad(out, [(0, 0), (MARGIN, MARGIN)], mode="edge"))
+            seen = replace(stretch, slow=measured + np.pad(out, [(0, 0), (MARGIN_ROWS, MARGIN_ROWS)], mode="edge"))
             states: dict[tuple[int, bool], LawStates] = {}
             push, out = {}, np.zeros_like(out)
             for row, laws in self._laws.items():

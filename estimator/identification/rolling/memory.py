@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.law_columns import Columns, Stretch
-from estimator.likelihood.motion.law_smoothing import MARGIN
+from estimator.likelihood.motion.law_smoothing import MARGIN_ROWS
 from estimator.likelihood.response.second_order import TangentNoise
 
 MAX_STALE_SHARE = 1e-2  # share of other self-energies that is let go
@@ -100,7 +100,7 @@ class TangentNoiseSums:
         """(size,) of one block: the products of 1, x^2 and the tangents, summed over its rows."""
         out = []
         for row, laws in self._laws.items():
-            inner = slice(MARGIN, MARGIN + stretch.rows)
+            inner = slice(MARGIN_ROWS, MARGIN_ROWS + stretch.rows)
             series = [np.ones(stretch.rows), stretch.x[row, inner] ** 2]
             for k in laws:
                 along_x, _, finer = self._columns.tangent_series(k, stretch)

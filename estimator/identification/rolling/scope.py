@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at, kinematic, written
-from estimator.likelihood.motion.harmonics import PERIODIC
-from estimator.likelihood.motion.known_spectra import COLOURS
+from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
+from estimator.likelihood.motion.known_spectra import SPECTRAL_SHAPES
 from estimator.model.disc import disc_of
 from estimator.model.effect import Effect
 from estimator.model.rig import DIRECTIONS, EffectUse, Model, Setting
 from estimator.results import Parameter
-from estimator.signals.channel_response import BLIND
+from estimator.signals.channel_response import GAIN_AND_DELAY
 
 FIT_HINT = "rotorscope fit has its numbers"
 CLIPPED_REASON = "its sensor is clipped: what that took away is missing from the motion"
@@ -68,7 +68,7 @@ def rolling_scope(model: Model) -> RollingScope:
             if not _is_estimated_or_held(effect) or missing:
                 why = _reason_not_estimated(effect, missing)
                 not_estimated |= {names[q.name]: Parameter(None, None, q.unit, False, why) for q in effect.parameters}
-                if effect.kind == "shaft" and effect.name not in PERIODIC:
+                if effect.kind == "shaft" and effect.name not in PERIODIC_EFFECTS:
                     lacking |= {p: BREATHING_SHAFT_REASON for p in model.places if _crack_is_felt(own, model, p)}
                 elif effect.name == "sensor_clipping":
                     lacking |= dict.fromkeys([key], CLIPPED_REASON)
@@ -99,11 +99,11 @@ def _crack_is_felt(own: Mapping[str, Setting], model: Model, place: str) -> bool
 
 def _is_estimated_or_held(effect: Effect) -> bool:
     """Whether an effect is estimated or held, not left to a fit."""
-    return _is_state_law(effect) or effect.kind == "memory" or effect.name in (*COLOURS, "sensor_gain")
+    return _is_state_law(effect) or effect.kind == "memory" or effect.name in (*SPECTRAL_SHAPES, "sensor_gain")
 
 
 def _is_state_law(effect: Effect) -> bool:
-    return effect.kind == "force" and effect.name not in PERIODIC
+    return effect.kind == "force" and effect.name not in PERIODIC_EFFECTS
 
 
 def _held_parameters(effect: Effect, model: Model, remembers: bool) -> list[str]:
@@ -112,7 +112,7 @@ def _held_parameters(effect: Effect, model: Model, remembers: bool) -> list[str]
     Nor is the order at which stiffness turns: the first seconds tell it to some thousandths of a turn a second, and the
     phase is lost within the memory.
     """
-    if effect.name in (*COLOURS, "sensor_gain"):
+    if effect.name in (*SPECTRAL_SHAPES, "sensor_gain"):
         return [q.name for q in effect.parameters]
     if effect.kind != "memory" and not _is_state_law(effect):
         return []
@@ -124,8 +124,8 @@ def _held_parameters(effect: Effect, model: Model, remembers: bool) -> list[str]
 def _reason_not_estimated(effect: Effect, missing: list[str]) -> str:
     if missing and effect.name != "sensor_gain":
         return f"to be given: {WRITE_HINT}"
-    if effect.name in PERIODIC:
+    if effect.name in PERIODIC_EFFECTS:
         return f"as it rolls its lines are left out: {FIT_HINT}"
-    if effect.name in BLIND:
+    if effect.name in GAIN_AND_DELAY:
         return "bearings that hardly feel each other say nothing of it: give it"
     return f"not estimated as it rolls: {FIT_HINT}"

@@ -12,10 +12,10 @@ from estimator.arrays import Array
 from estimator.identification.batch.linear_start import LinearStart, restarted_about
 from estimator.identification.batch.maximum import Maximum, initial, inverse, maximum, without_noise
 from estimator.identification.batch.report import BLOCK_ENERGY_CORRELATION
-from estimator.likelihood.motion.force_balance import Balance, build, restrict
+from estimator.likelihood.motion.force_balance import Balance, build_balance, restrict
 from estimator.likelihood.motion.known_spectra import excitation_shapes
 from estimator.likelihood.motion.law_columns import Columns
-from estimator.likelihood.motion.law_smoothing import MARGIN
+from estimator.likelihood.motion.law_smoothing import MARGIN_ROWS
 from estimator.likelihood.motion.stream_record import Record, gather
 from estimator.likelihood.motion.streaming_spectra import BlockSpectra
 from estimator.likelihood.path.gram_likelihood import Evidence, Likelihood, Local, Point, active, maximise
@@ -99,13 +99,15 @@ class RollingFit:
         values: dict[str, float] = {}
         held: dict[str, Parameter] = {}
         linear = start.linear.copy()
-        searched = len(build(model, start.sizes).free) > len(build(model, start.sizes, search=False).free)
+        searched = len(build_balance(model, start.sizes).free) > len(
+            build_balance(model, start.sizes, search=False).free
+        )
         point: Point | None = None
         for _ in range(MAX_CENTRE_FITS):
             if searched:
                 best = maximum(record, start, model)  # the shapes as the first seconds have them
                 values, held = best.values, _held_parameters(best)
-            own = build(model, start.sizes, values, search=False)
+            own = build_balance(model, start.sizes, values, search=False)
             point = point or initial(own, start, values)
             B = own.coefficients(point.beta)
             linear[:] = linear_of(own, B)
@@ -123,7 +125,7 @@ class RollingFit:
                 break
             start = restarted_about(start, record, first, point)
             record = centre.whole(record, own.coefficients(point.beta))
-        wide = build(with_candidates(model, watch), start.sizes, values, search=False)
+        wide = build_balance(with_candidates(model, watch), start.sizes, values, search=False)
         columns = record.columns(wide, start.widths.copy(), linear, fine=len(own.laws))
         fitted = cls(record, start, wide, len(own.laws), time_constant_s, columns)
         fitted.local, fitted.held = local, held
@@ -175,7 +177,7 @@ class RollingFit:
     @property
     def margin(self) -> int:
         """Rows of a record that a block needs on either side of its own."""
-        return MARGIN + self.centre.reach + (0 if self.calm is None else self.calm.reach)
+        return MARGIN_ROWS + self.centre.reach + (0 if self.calm is None else self.calm.reach)
 
     def take(self, record: Record, at: int, measured: bool) -> None:
         """Add the block that begins at row `at`, its lines left out. measured : the angle is that of a tacho."""

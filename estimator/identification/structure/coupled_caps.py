@@ -26,9 +26,9 @@ from estimator.model.rig import EffectUse, Model, Setting
 from estimator.model.rotor import between_caps, shaft_matrix
 from estimator.parallel import map_threads
 from estimator.results import Parameter
-from estimator.signals.channel_response import BLIND, LINEAR
+from estimator.signals.channel_response import GAIN_AND_DELAY, RESPONSE_EFFECTS
 
-GAIN, SKEW = BLIND
+GAIN, SKEW = GAIN_AND_DELAY
 # Changes of B: ln of its size in the first cap's force and in the second's, its delay (s) and, in the second's, advance
 FAULTS = {GAIN: (1.0, -1.0, 0.0, 0.0), SKEW: (0.0, 0.0, 1.0, 1.0)}
 OTHERWISE = ((1.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, -1.0), (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0))  # shaft, masses
@@ -72,7 +72,7 @@ def find_coupled_sensor_faults(model: Model, point: WorkingPoint) -> list[Findin
     out = []
     for i, j in _pairs(model, point):
         here = {point.data.places[i], point.data.places[j]}
-        uses = [use for use in model.effects if use.name in LINEAR]
+        uses = [use for use in model.effects if use.name in RESPONSE_EFFECTS]
         used = {use.name for use in uses if here.intersection(at(CATALOGUE[use.name], use, model))}
         if "sensor_resonance" in used:  # undone, by numbers whose errors would be a delay
             continue
@@ -139,7 +139,7 @@ def refined(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Paramet
     parameters. Of two sensors of a pair the first."""
     found: dict[str, Parameter] = {}
     uses = {use.name: use for use in model.effects}
-    for i, j in _pairs(model, point) if uses.keys() & set(BLIND) else ():
+    for i, j in _pairs(model, point) if uses.keys() & set(GAIN_AND_DELAY) else ():
         sought: dict[str, tuple[str, float]] = {}
         for name in set(_told(model, point, i, j)) & uses.keys():
             keys = at(CATALOGUE[name], uses[name], model)
@@ -202,7 +202,7 @@ def _told(model: Model, point: WorkingPoint, i: int, j: int) -> list[str]:
     known = all(model.cap_mass(data.places[k]) is not None for k in (i, j))
     sd = {GAIN: (per_bin * mutual.sum()) ** -0.5 if known else np.inf,
           SKEW: (per_bin * (w**2 * mutual).sum()) ** -0.5 * data.rate_hz}  # fmt: skip
-    return [name for name in BLIND if sd[name] < LOOKED[name]]
+    return [name for name in GAIN_AND_DELAY if sd[name] < LOOKED[name]]
 
 
 def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:

@@ -21,7 +21,7 @@ from estimator.likelihood.fitting.transfer_function import (
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import MOTION, Model
 from estimator.results import Parameter
-from estimator.signals.channel_response import SHAPES, fitted_shape
+from estimator.signals.channel_response import SHAPE_PARAMETERS, fitted_shape
 
 FOLDED = 0.01  # of what sampling folds back, that noise of a sensor has to be NOISE_RATIO times as strong as
 NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
@@ -38,7 +38,7 @@ def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: 
     out, heard = [], data.heard(point.A)
     have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
     known = [k for k in range(len(data.places)) if k not in shaped]
-    plain = [k for k in known if not any(fitted_shape(model, data.places[k], name) for name in SHAPES)]
+    plain = [k for k in known if not any(fitted_shape(model, data.places[k], name) for name in SHAPE_PARAMETERS)]
     for i in known:
         place, kind = data.places[i], data.kinds[i]
         others = noise[[k for k in plain if k != i and data.kinds[k] == kind]]

@@ -15,7 +15,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.recorder import POWERS, Filter, RollOff, devices, images
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
-from estimator.signals.channel_response import SHAPES, fitted_shape
+from estimator.signals.channel_response import SHAPE_PARAMETERS, fitted_shape
 
 from . import spectral_models
 from .filter_search import Seen, Standing, likeliest, mean_or_none
@@ -85,7 +85,7 @@ def _seen(point: WorkingPoint, own: list[Place], shaped: Mapping[int, Shaped]) -
 
 
 def _shapes(model: Model, point: WorkingPoint, i: int) -> Shaped:
-    resonance, colour = (fitted_shape(model, point.data.places[i], name) for name in SHAPES)
+    resonance, colour = (fitted_shape(model, point.data.places[i], name) for name in SHAPE_PARAMETERS)
     for use in point.placed:
         if use.effect.name == "pedestal" and i in use.at:
             mass, frequency, damping = use.p.tolist()

@@ -16,7 +16,7 @@ from estimator.arrays import Array
 from estimator.effects import CATALOGUE
 from estimator.identification.finding import UNKNOWN_EFFECT, Finding
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.known_spectra import OF_FORCE, excitation_shapes
+from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes
 from estimator.likelihood.path.sensor_noise import force_correlation
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
@@ -42,7 +42,9 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
     taken = {(u.name, place) for u in model.effects for place in u.parameters}
     out: list[Finding] = []
     noise = np.zeros(len(data.places))
-    seen = data.colour / excitation_shapes(model, data.places, data.f_hz, OF_FORCE)  # of a spectrum as it is: see below
+    seen = data.colour / excitation_shapes(
+        model, data.places, data.f_hz, FORCE_SHAPES
+    )  # of a spectrum as it is: see below
     shaped = set(np.flatnonzero(np.ptp(seen, axis=1) > UNLIKE * seen.mean(axis=1)).tolist())
     white: list[tuple[int, Cells, float, Array, Array]] = []
     for i, place in enumerate(data.places):

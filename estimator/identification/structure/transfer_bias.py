@@ -25,7 +25,7 @@ from estimator.likelihood.motion.harmonics import known_lines
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.results import Parameter
-from estimator.signals.channel_response import LINEAR, fault_response, measured_force_places
+from estimator.signals.channel_response import RESPONSE_EFFECTS, fault_response, measured_force_places
 
 from . import pedestal_form
 from .spectral_models import resonance_hz
@@ -156,7 +156,7 @@ def refine_sensor_faults(model: Model, point: WorkingPoint) -> tuple[Model, dict
     uses = []
     for use in model.effects:
         new = {key: dict(own) for key, own in use.parameters.items()}
-        for key in at(CATALOGUE[use.name], use, model) if use.name in LINEAR else ():
+        for key in at(CATALOGUE[use.name], use, model) if use.name in RESPONSE_EFFECTS else ():
             own = written(CATALOGUE[use.name], use, model, key)
             now = {n: s.value for n, s in own.items()}
             i = point.data.places.index(key)

@@ -10,7 +10,7 @@ from estimator.model.rig import Model
 
 from .located_law import clipped_places
 
-SMALLEST, LARGEST = 1e-15, 1e15  # what is less or more is a mistake, and its powers are no numbers
+MIN_PEAK_SI, MAX_PEAK_SI = 1e-15, 1e15  # a peak outside is a wrong unit, and its powers overflow
 
 
 def check_moves(name: str, z: NDArray[np.float64]) -> tuple[float, float]:
@@ -22,12 +22,12 @@ def check_moves(name: str, z: NDArray[np.float64]) -> tuple[float, float]:
         what = "is zero throughout" if low == 0 else f"is constant at {low:g}"
         raise DataError(f"channel {name} {what}: check the sensor and its cable")
     largest = max(high, -low)
-    if not SMALLEST < largest < LARGEST:
+    if not MIN_PEAK_SI < largest < MAX_PEAK_SI:
         raise DataError(f"channel {name} reaches {largest:.3g} in SI units: check its unit and its scale")
     return low, high
 
 
-CLIPPED = 0.002  # fraction of samples at the extreme value that is no accident
+MAX_SHARE_AT_EXTREME = 0.002  # of the samples at the extreme value; more is clipping
 
 
 def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArray[np.float64]:
@@ -53,7 +53,7 @@ def check_record(model: Model, y: NDArray[np.float64], rate_hz: float) -> NDArra
         if channel.place in clipped_places(model):
             continue  # the model says so: the fit does, beside its numbers
         at_end = max(np.mean(z == low), np.mean(z == high))
-        if at_end > CLIPPED and at_end * z.size > 4 and np.unique(z[:100000]).size > 16:
+        if at_end > MAX_SHARE_AT_EXTREME and at_end * z.size > 4 and np.unique(z[:100000]).size > 16:
             raise DataError(
                 f"channel {channel.name} is clipped: {100 * at_end:.1f} % of its samples are at {high:g} or {low:g}; "
                 "use a larger range, lower the excitation, or add sensor_clipping to the model"

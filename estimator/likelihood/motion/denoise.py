@@ -24,8 +24,8 @@ from estimator.signals.band_limit import noise_shape
 
 from .linear_memory import filtered_series
 
-LITTLE = 5e-4  # of the displacement, in power: noise under it bends no law by more than twice as much
-WIDTH = 7  # bins over which the spectrum of the motion is smooth
+MAX_NOISE_POWER_SHARE = 5e-4  # of the displacement; noise below it biases a cubic by at most twice as much
+SMOOTHING_BINS = 7  # over which the spectrum of the motion is smooth
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ def noise_displacement_psd(kinds: Sequence[str], f_hz: Array, noise: Array) -> A
 
 def noise_is_negligible(f_hz: Array, e: Array, x2: Array) -> bool:
     """Whether noise e, (places, f) m^2/Hz, is little beside the displacement, x2 (places,) m^2, everywhere."""
-    return bool((e @ np.gradient(f_hz) <= LITTLE * x2).all())
+    return bool((e @ np.gradient(f_hz) <= MAX_NOISE_POWER_SHARE * x2).all())
 
 
 def denoising_filter(f_hz: Array, seen: Array, e: Array, reach: int) -> DenoisingFilter:
@@ -88,5 +88,5 @@ def restore_mean_tangent(
 
 def _smooth(power: Array) -> Array:
     """Means of WIDTH neighbours, (places, f)."""
-    count = np.convolve(np.ones(power.shape[1]), np.ones(WIDTH), "same")
-    return np.array([np.convolve(z, np.ones(WIDTH), "same") / count for z in power])
+    count = np.convolve(np.ones(power.shape[1]), np.ones(SMOOTHING_BINS), "same")
+    return np.array([np.convolve(z, np.ones(SMOOTHING_BINS), "same") / count for z in power])

@@ -20,7 +20,7 @@ from estimator.model.disc import Disc, disc_of
 from estimator.model.effect import Effect
 from estimator.model.rig import MOTION, UNITS, Model, Setting
 
-UNKNOWN = Setting()
+UNKNOWN_SETTING = Setting()
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +160,46 @@ def _split(effect: Effect) -> tuple[tuple[int, ...], tuple[int, ...]]:
     return tuple(linear), tuple(rest)
 
 
-def build(
+class _Entries:
+    """Entries of B while a balance is built: fixed ones, and those of free parameters by name."""
+
+    def __init__(self) -> None:
+        self.of: dict[str, list[tuple[int, int, float]]] = {}
+        self.about: dict[str, tuple[str, Setting, float, bool]] = {}  # unit, limits, start, whether searched
+        self.fixed: list[tuple[int, int, float]] = []
+
+    def add(self, name: str, unit: str, setting: Setting, start: float, entry: tuple[int, int, float]) -> None:
+        """An entry (row, column, coefficient) of a parameter, fixed or free as its setting says."""
+        if setting.fixed and setting.value is not None:
+            self.fixed.append((entry[0], entry[1], entry[2] * setting.value))
+            return
+        self.of.setdefault(name, []).append(entry)
+        self.about[name] = (unit, setting, start, False)
+
+    def B0(self, rows: int, columns: int) -> Array:  # noqa: N802
+        """(rows, columns) the part of B without free parameters."""
+        out = np.zeros((rows, columns))
+        for i, k, coefficient in self.fixed:
+            out[i, k] += coefficient
+        return out
+
+    def free(self) -> tuple[Free, ...]:
+        """The free parameters."""
+        out = []
+        for name, where in self.of.items():
+            unit, setting, start, searched = self.about[name]
+            low = -np.inf if setting.low is None else setting.low
+            high = np.inf if setting.high is None else setting.high
+            out.append(
+                Free(
+                    name=name, unit=unit, start=float(start), entries=tuple(where), low=low, high=high,
+                    searched=searched,
+                )
+            )  # fmt: skip
+        return tuple(out)
+
+
+def build_balance(
     model: Model,
     sizes: Mapping[str, Mapping[str, float]] | None = None,
     values: Mapping[str, float] | None = None,
@@ -173,95 +212,104 @@ def build(
     search : whether searched parameters are free (their laws need an amplitude then), or held at their values.
     """
     places, values = model.places, values or {}
-    rows = range(len(places))
-    common = shaft_reaction(model)
-    columns = [Column(kind, i) for kind in "avx" for i in rows]
-    entries: dict[str, list[tuple[int, int, float]]] = {}
-    about: dict[str, tuple[str, Setting, float, bool]] = {}
-    fixed: list[tuple[int, int, float]] = []
-
-    def add(name: str, unit: str, setting: Setting, start: float, entry: tuple[int, int, float]) -> None:
-        if setting.fixed and setting.value is not None:
-            fixed.append((entry[0], entry[1], entry[2] * setting.value))
-            return
-        entries.setdefault(name, []).append(entry)
-        about[name] = (unit, setting, start, False)
-
-    for i, place in enumerate(places):
-        linear = model.linear.get(place, {})
-        mass = model.cap_mass(place)
-        add(f"{place}.m", UNITS["m"], Setting(mass, fixed=mass is not None), values.get(f"{place}.m", 0.0), (i, i, 1.0))
-        for key, k in (("c", len(places) + i), ("kL", 2 * len(places) + i)):
-            setting = linear.get(key, UNKNOWN)
-            add(f"{place}.{key}", UNITS[key], setting, values.get(f"{place}.{key}", setting.value or 0.0), (i, k, 1.0))
+    common, entries = shaft_reaction(model), _Entries()
+    columns = [Column(kind, i) for kind in "avx" for i in range(len(places))]
+    _add_caps(model, values, entries)
     if common is not None:
-        for i in rows:
-            if model.shaft == "chain":
-                fixed.append((i, len(places) + i, model.shaft_damping))
-                fixed.append((i, 2 * len(places) + i, model.shaft_stiffness))
-            for j in rows:
-                if places[i].split(".")[1] == places[j].split(".")[1]:
-                    fixed.append((i, len(columns) + j, 1.0))
-        columns += [Column("u", i) for i in rows]
+        _add_shaft(model, columns, entries)
     for i in force_channels(model):
-        fixed.append((i, len(columns), -1.0))
+        entries.fixed.append((i, len(columns), -1.0))
         columns.append(Column("f", i))
-
     laws: list[Law] = []
     for use in model.effects:
         effect = effect_of(use)
         if effect.kind not in ("force", "memory"):
             continue
-        linear_parts, rest = _split(effect)
         for key in at(effect, use, model):
             own = written(effect, use, model, key)
             both = effect.scope == "node"
-            for row in [i for i in rows if places[i] == key or (both and places[i].split(".")[0] == key)]:
-                size = (sizes or {}).get(places[row], {})
-                p, steps = np.zeros(len(effect.parameters)), np.zeros(len(effect.parameters))
-                searched = []
-                for j, q in enumerate(effect.parameters):
-                    setting, name = own.get(q.name, UNKNOWN), f"{key}.{effect.name}.{q.name}"
-                    scale = size.get(q.scale, 1.0)
-                    known = values.get(name, setting.value)
-                    if known is None:
-                        known = kinematic(q.scale, model)
-                    p[j] = q.default * scale if known is None else known
-                    least = scale if j in rest and (q.scale != "1" or p[j] == 0.0) else 0.0
-                    steps[j] = 1e-3 * max(abs(p[j]), least)
-                    if search and j in rest and not setting.fixed and kinematic(q.scale, model) is None:
-                        searched.append(j)
-                laws.append(Law(effect, key, row, p, linear_parts, tuple(searched), steps))
-                law = len(laws) - 1
-                if not linear_parts:
-                    fixed.append((row, len(columns), 1.0))
-                    columns.append(Column("law", row, law))
-                for j in (*linear_parts, *searched):
-                    q, name = effect.parameters[j], laws[law].name(j)
-                    setting = own.get(q.name, UNKNOWN)
-                    start = p[j] if j in searched else values.get(name, setting.value or 0.0)
-                    add(name, q.unit, setting, start, (row, len(columns), 1.0))
-                    if name in about:
-                        limits = (setting.low, setting.high)
-                        scale = size.get(q.scale, 1.0) if j in searched else 1.0
-                        low, high = (
-                            (q.low * scale if limits[0] is None else limits[0]),
-                            (q.high * scale if limits[1] is None else limits[1]),
-                        )
-                        about[name] = (q.unit, Setting(setting.value, False, low, high), start, j in searched)
-                    columns.append(Column("law", row, law, j))
+            for row, place in enumerate(places):
+                if place == key or (both and place.split(".")[0] == key):
+                    size = (sizes or {}).get(place, {})
+                    laws.append(_law(model, effect, key, row, own, size, values, search))
+                    _add_law(laws, own, size, values, columns, entries)
+    return Balance(
+        places=places, kinds=tuple(model.channels[c].kind for c in motion_channels(model)), columns=tuple(columns),
+        laws=tuple(laws), free=entries.free(), fixed=entries.B0(len(places), len(columns)), common=common,
+        disc=disc_of(model),
+    )  # fmt: skip
 
-    B0 = np.zeros((len(places), len(columns)))
-    for i, k, coefficient in fixed:
-        B0[i, k] += coefficient
-    free = []
-    for name, where in entries.items():
-        unit, setting, start, searched_one = about[name]
-        low = -np.inf if setting.low is None else setting.low
-        high = np.inf if setting.high is None else setting.high
-        free.append(Free(name, unit, float(start), tuple(where), low, high, searched_one))
-    kinds = tuple(model.channels[c].kind for c in motion_channels(model))
-    return Balance(places, kinds, tuple(columns), tuple(laws), tuple(free), B0, common, disc_of(model))
+
+def _add_caps(model: Model, values: Mapping[str, float], entries: _Entries) -> None:
+    """Mass, damping and stiffness of every bearing cap."""
+    places = model.places
+    for i, place in enumerate(places):
+        linear = model.linear.get(place, {})
+        mass = model.cap_mass(place)
+        setting, start = Setting(mass, fixed=mass is not None), values.get(f"{place}.m", 0.0)
+        entries.add(f"{place}.m", UNITS["m"], setting, start, (i, i, 1.0))
+        for key, k in (("c", len(places) + i), ("kL", 2 * len(places) + i)):
+            setting = linear.get(key, UNKNOWN_SETTING)
+            start = values.get(f"{place}.{key}", setting.value or 0.0)
+            entries.add(f"{place}.{key}", UNITS[key], setting, start, (i, k, 1.0))
+
+
+def _add_shaft(model: Model, columns: list[Column], entries: _Entries) -> None:
+    """The reaction of shaft and disc."""
+    places = model.places
+    rows = range(len(places))
+    for i in rows:
+        if model.shaft == "chain":
+            entries.fixed.append((i, len(places) + i, model.shaft_damping))
+            entries.fixed.append((i, 2 * len(places) + i, model.shaft_stiffness))
+        for j in rows:
+            if places[i].split(".")[1] == places[j].split(".")[1]:
+                entries.fixed.append((i, len(columns) + j, 1.0))
+    columns += [Column("u", i) for i in rows]
+
+
+def _law(
+    model: Model, effect: Effect, key: str, row: int, own: Mapping[str, Setting], size: Mapping[str, float],
+    values: Mapping[str, float], search: bool,
+) -> Law:  # fmt: skip
+    """The law of an effect at a row, with current values of its parameters."""
+    linear, rest = _split(effect)
+    p, steps = np.zeros(len(effect.parameters)), np.zeros(len(effect.parameters))
+    searched = []
+    for j, q in enumerate(effect.parameters):
+        setting, name = own.get(q.name, UNKNOWN_SETTING), f"{key}.{effect.name}.{q.name}"
+        scale = size.get(q.scale, 1.0)
+        known = values.get(name, setting.value)
+        if known is None:
+            known = kinematic(q.scale, model)
+        p[j] = q.default * scale if known is None else known
+        least = scale if j in rest and (q.scale != "1" or p[j] == 0.0) else 0.0
+        steps[j] = 1e-3 * max(abs(p[j]), least)
+        if search and j in rest and not setting.fixed and kinematic(q.scale, model) is None:
+            searched.append(j)
+    return Law(effect=effect, key=key, row=row, p=p, linear=linear, searched=tuple(searched), steps=steps)
+
+
+def _add_law(
+    laws: list[Law], own: Mapping[str, Setting], size: Mapping[str, float], values: Mapping[str, float],
+    columns: list[Column], entries: _Entries,
+) -> None:  # fmt: skip
+    """The columns of the last law and the entries of its parameters."""
+    law, number = laws[-1], len(laws) - 1
+    if not law.linear:
+        entries.fixed.append((law.row, len(columns), 1.0))
+        columns.append(Column("law", law.row, number))
+    for j in (*law.linear, *law.searched):
+        q, name = law.effect.parameters[j], law.name(j)
+        setting = own.get(q.name, UNKNOWN_SETTING)
+        start = law.p[j] if j in law.searched else values.get(name, setting.value or 0.0)
+        entries.add(name, q.unit, setting, start, (law.row, len(columns), 1.0))
+        if name in entries.about:
+            scale = size.get(q.scale, 1.0) if j in law.searched else 1.0
+            low = q.low * scale if setting.low is None else setting.low
+            high = q.high * scale if setting.high is None else setting.high
+            entries.about[name] = (q.unit, Setting(setting.value, False, low, high), start, j in law.searched)
+        columns.append(Column("law", law.row, number, j))
 
 
 def restrict(balance: Balance, laws: set[int]) -> tuple[Balance, list[int]]:

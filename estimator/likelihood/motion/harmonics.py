@@ -29,15 +29,15 @@ from estimator.model.rotor import shaft_at_caps
 from estimator.signals.band_limit import passband
 
 LINE_NAMES = ("line", *MORE_LINES)
-PERIODIC = ("imbalance", "bow", "misalignment", "local_defect", *LINE_NAMES)
-TURN = 1 << 14  # points of one period
-UNTOLD = "not distinguishable from zero in this record"
-LEAST = 1e-4  # gain of the band filter, below which nothing comes through
-RATIOS = np.geomspace(0.1, 10.0, 1201)  # of speeds to the mean one, that a swing is known at
-STEADY = 1e-3  # of the speed: so much it may change and be constant
-SMOOTHED_S = 0.25  # to either side, that a speed is the mean of
-LINES = 399  # harmonics that are looked at
-FREQUENCY = {"local_defect": 1} | dict.fromkeys(LINE_NAMES, 2)  # number of the parameter that turns the angle
+PERIODIC_EFFECTS = ("imbalance", "bow", "misalignment", "local_defect", *LINE_NAMES)
+POINTS_PER_TURN = 1 << 14
+NOT_IDENTIFIABLE_TEXT = "not distinguishable from zero in this record"
+MIN_BAND_GAIN = 1e-4  # gain of the band filter below which a harmonic is neglected
+SPEED_RATIOS = np.geomspace(0.1, 10.0, 1201)  # speeds over the mean speed at which a speed gain is tabulated
+MAX_SPEED_CHANGE_REL = 1e-3  # up to which the speed counts as constant
+SPEED_REACH_S = 0.25  # to either side, over which the speed is averaged
+MAX_HARMONICS = 399
+FREQUENCY_PARAMETER = {"local_defect": 1} | dict.fromkeys(LINE_NAMES, 2)  # index of the parameter that scales the angle
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,15 +59,17 @@ class PeriodicEffect:
     def harmonics(self, model: Model, place: str, count: int, p: Array | None = None) -> Complexes:
         """(count,) F_1, F_2, ... in N of the force on a cap; the mean is of no interest."""
         p = self.p if p is None else p
-        theta = 2 * np.pi * (np.arange(TURN) + 0.5) / TURN
-        f = FREQUENCY.get(self.effect.name)
+        theta = 2 * np.pi * (np.arange(POINTS_PER_TURN) + 0.5) / POINTS_PER_TURN
+        f = FREQUENCY_PARAMETER.get(self.effect.name)
         own = p.copy()
         if f is not None:
             own[f] = 1.0  # the law over one turn does not depend on it
         t = theta / (2 * np.pi)
-        law = force_array(self.effect, own, np.zeros(TURN), t=t, phase=theta, s=1.0 if place.endswith("x") else -1.0)
+        law = force_array(
+            self.effect, own, np.zeros(POINTS_PER_TURN), t=t, phase=theta, s=1.0 if place.endswith("x") else -1.0
+        )
         k = np.arange(1.0, count + 1)
-        F = -2.0 / TURN * np.fft.rfft(law)[1 : count + 1] * np.exp(-0.5j * k * 2 * np.pi / TURN)
+        F = -2.0 / POINTS_PER_TURN * np.fft.rfft(law)[1 : count + 1] * np.exp(-0.5j * k * 2 * np.pi / POINTS_PER_TURN)
         if self.effect.kind in ("disc", "shaft"):
             F *= cap_force_per_shaft_force(model, place, np.asarray(2 * np.pi * self.hz * k)) - (
                 0.5 if self.effect.name == "bow" else 0.0
@@ -76,7 +78,7 @@ class PeriodicEffect:
 
     def highest(self, band: tuple[float, float]) -> int:
         """The last order of its angle that a band, Hz, reaches."""
-        return int(min(band[1] / self.hz, TURN // 8))
+        return int(min(band[1] / self.hz, POINTS_PER_TURN // 8))
 
     def within(self, band: tuple[float, float]) -> NDArray[np.int64]:
         """The orders that its law has in a band, Hz."""
@@ -97,7 +99,7 @@ def present_harmonics(name: str, count: int) -> NDArray[np.bool_]:
 
 def fundamental_hz(effect: Effect, own: Mapping[str, Setting], model: Model) -> float:
     """Hz at which the angle of a periodic effect with these settings turns; 0 where that is not known."""
-    rotation, k = (model.speed_rpm or 0.0) / 60.0, FREQUENCY.get(effect.name)
+    rotation, k = (model.speed_rpm or 0.0) / 60.0, FREQUENCY_PARAMETER.get(effect.name)
     if k is None:
         return rotation
     q = effect.parameters[k]
@@ -109,9 +111,9 @@ def known_lines(model: Model) -> list[float]:
     """Hz of the lines that the model's own effects make, whether their strength is known or not."""
     out: dict[float, None] = {}
     for use in model.effects:
-        if use.name in PERIODIC:
+        if use.name in PERIODIC_EFFECTS:
             effect = NAMED[use.name]
-            orders = 1 + np.flatnonzero(present_harmonics(use.name, LINES))
+            orders = 1 + np.flatnonzero(present_harmonics(use.name, MAX_HARMONICS))
             for key in at(effect, use, model):
                 hz = fundamental_hz(effect, written(effect, use, model, key), model)
                 out |= dict.fromkeys((hz * orders).tolist() if hz > 0.0 else ())
@@ -129,7 +131,7 @@ def periodic_effects(model: Model) -> list[PeriodicEffect]:
     """The model's periodic effects whose numbers are all known, by place."""
     out = []
     for use in model.effects:
-        if use.name not in PERIODIC:
+        if use.name not in PERIODIC_EFFECTS:
             continue
         effect = NAMED[use.name]
         for key in at(effect, use, model):
@@ -173,7 +175,7 @@ class PeriodicForce:
         if i not in self.swings:
             return out
         ratio = shaft_speeds(t, phase) / (2 * np.pi * self.one.hz)
-        if np.abs(ratio - 1.0).max() < STEADY:
+        if np.abs(ratio - 1.0).max() < MAX_SPEED_CHANGE_REL:
             return out
         g = speed_gain_at(self.swings[i], ratio)
         return np.asarray(out * g.real + g.imag * _along(theta + 0.5 * np.pi, self.tables[i]))  # Re(g F e^(i theta))
@@ -194,7 +196,7 @@ def _along(theta, table):  # type: ignore[no-untyped-def]
 def shaft_speeds(t: Array, phase: Array) -> Array:
     """(n,) rad/s along t in s and phase in rad, which need not be evenly spaced; smooth, as pulses are few."""
     rows = np.arange(t.size)
-    reach = max(1, int(SMOOTHED_S / max(float(t[1] - t[0]), 1e-12))) if t.size > 1 else 0
+    reach = max(1, int(SPEED_REACH_S / max(float(t[1] - t[0]), 1e-12))) if t.size > 1 else 0
     before, after = np.maximum(rows - reach, 0), np.minimum(rows + reach, t.size - 1)
     return np.asarray((phase[after] - phase[before]) / np.maximum(t[after] - t[before], 1e-12))
 
@@ -203,15 +205,15 @@ def speed_gain(model: Model, one: PeriodicEffect, place: str) -> Complexes | Non
     """(RATIOS,) force on a cap over that at the mean speed; None where it does not depend on the speed."""
     if one.effect.kind not in ("disc", "shaft") or one.sounding(2)[1]:
         return None
-    omega = 2 * np.pi * one.hz * np.append(RATIOS, 1.0)
+    omega = 2 * np.pi * one.hz * np.append(SPEED_RATIOS, 1.0)
     through = cap_force_per_shaft_force(model, place, omega) - (0.5 if one.effect.name == "bow" else 0.0)
-    grown = RATIOS**2 if one.effect.name == "imbalance" else np.ones(RATIOS.size)
+    grown = SPEED_RATIOS**2 if one.effect.name == "imbalance" else np.ones(SPEED_RATIOS.size)
     return np.asarray(grown * through[:-1] / through[-1])
 
 
 def speed_gain_at(swing: Complexes, ratio: Array) -> Complexes:
     """(n,) a swing at these ratios of the speed to the mean one."""
-    return np.asarray(np.interp(ratio, RATIOS, swing.real) + 1j * np.interp(ratio, RATIOS, swing.imag))
+    return np.asarray(np.interp(ratio, SPEED_RATIOS, swing.real) + 1j * np.interp(ratio, SPEED_RATIOS, swing.imag))
 
 
 def _swings(model: Model, one: PeriodicEffect, places: tuple[str, ...]) -> dict[int, Complexes]:
@@ -278,7 +280,7 @@ def below_band_forces(model: Model, places: tuple[str, ...]) -> tuple[BelowBandF
     """The model's periodic forces, their part below the band."""
     out = []
     for one in periodic_effects(model):
-        count = int(min(model.band[0] / one.hz, TURN // 8))
+        count = int(min(model.band[0] / one.hz, POINTS_PER_TURN // 8))
         heard = one.sounding(count)
         if heard.any():
             force = {i: one.harmonics(model, p, count) * heard for i, p in enumerate(places) if acts_on(one, p)}
@@ -288,18 +290,18 @@ def below_band_forces(model: Model, places: tuple[str, ...]) -> tuple[BelowBandF
 
 def _turned(harmonics: Complexes) -> Array:
     """(TURN + 1,) of harmonics (orders,), from the first, over a turn of the angle."""
-    spectrum = np.zeros(TURN // 2 + 1, complex)
-    spectrum[1 : harmonics.size + 1] = 0.5 * TURN * harmonics
-    wave = np.fft.irfft(spectrum, TURN)
+    spectrum = np.zeros(POINTS_PER_TURN // 2 + 1, complex)
+    spectrum[1 : harmonics.size + 1] = 0.5 * POINTS_PER_TURN * harmonics
+    wave = np.fft.irfft(spectrum, POINTS_PER_TURN)
     return np.append(wave, wave[0])
 
 
 def _tables(model: Model, one: PeriodicEffect, places: tuple[str, ...], rate_hz: float) -> dict[int, Array]:
     """(TURN + 1,) N over a turn of the angle by index of the places it acts on, if the band lets it through."""
-    count = int(min(0.5 * rate_hz / one.hz, TURN // 8))
+    count = int(min(0.5 * rate_hz / one.hz, POINTS_PER_TURN // 8))
     gain = passband(np.asarray(one.hz * np.arange(1.0, count + 1)), rate_hz, model.band)
     tables: dict[int, Array] = {}
-    if not ((gain > LEAST) & one.sounding(count)).any():
+    if not ((gain > MIN_BAND_GAIN) & one.sounding(count)).any():
         return tables
     for i, place in enumerate(places):
         if acts_on(one, place):

@@ -13,8 +13,8 @@ from estimator.signals.channel_response import channel_response, folded_images, 
 
 from .force_balance import shaft_notch
 
-OF_FORCE = ("coloured_excitation",)  # effects that are a shape of the spectrum of the force itself
-COLOURS = (*OF_FORCE, "sensor_resonance")  # and those that look like one where they are not undone in the record
+FORCE_SHAPES = ("coloured_excitation",)  # effects that are a spectral shape of the force itself
+SPECTRAL_SHAPES = (*FORCE_SHAPES, "sensor_resonance")  # with those that look like one where the record is not corrected
 
 
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
@@ -48,7 +48,9 @@ def folded_noise(model: Model, places: tuple[str, ...], kinds: tuple[str, ...], 
     return out
 
 
-def excitation_shapes(model: Model, places: tuple[str, ...], f_hz: Array, names: tuple[str, ...] = COLOURS) -> Array:
+def excitation_shapes(
+    model: Model, places: tuple[str, ...], f_hz: Array, names: tuple[str, ...] = SPECTRAL_SHAPES
+) -> Array:
     """(places, f) what the model's own effects make of a white force: coloured excitation and, where that is not undone
     in the record, a resonant sensor. names : of the effects."""
     known = measured_force_places(model)

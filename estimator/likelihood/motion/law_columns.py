@@ -13,9 +13,9 @@ from estimator.errors import NotFiniteError
 from .denoise import restore_mean_tangent
 from .force_balance import Balance
 from .law_smoothing import (
-    FINER,
-    HALF,
-    MARGIN,
+    FINE_GRID_FACTOR,
+    HALF_SUPPORT_ROWS,
+    MARGIN_ROWS,
     LawStates,
     compile_law,
     decimated,
@@ -50,7 +50,7 @@ class Stretch:
 
     @property
     def rows(self) -> int:
-        return int(self.t.size - 2 * MARGIN)
+        return int(self.t.size - 2 * MARGIN_ROWS)
 
     def seen(self, row: int) -> Array:
         """(n,) displacement at a place as its laws see it."""
@@ -62,7 +62,7 @@ class Stretch:
 
     def part(self, start: int, stop: int) -> Stretch:
         """Rows start ... stop - 1 with their margins."""
-        rows = slice(start, stop + 2 * MARGIN)
+        rows = slice(start, stop + 2 * MARGIN_ROWS)
         a, v, x, u = (z[:, rows] for z in (self.a, self.v, self.x, self.u))
         force = {i: z[rows] for i, z in self.force.items()}
         slow, calm = (None if z is None else z[:, rows] for z in (self.slow, self.calm))
@@ -147,7 +147,7 @@ class Columns:
     def along(self, stretch: Stretch, piece: int) -> tuple[Array, Array]:
         """The same with the sums of tangents of every `piece` rows, (pieces, columns, 4)."""
         starts = range(0, stretch.rows, piece)
-        inner = slice(MARGIN, MARGIN + stretch.rows)
+        inner = slice(MARGIN_ROWS, MARGIN_ROWS + stretch.rows)
         out = np.empty((len(self.balance.columns), stretch.rows))
         tangents = np.zeros((len(starts), len(self.balance.columns), 4))
         for k, column in enumerate(self.balance.columns):
@@ -177,7 +177,7 @@ class Columns:
         column, law = self.balance.columns[k], self._laws[k]
         effect = self.balance.laws[column.law].effect
         if effect.kind == "memory":
-            return self._memory(k, stretch, slice(MARGIN, MARGIN + stretch.rows))
+            return self._memory(k, stretch, slice(MARGIN_ROWS, MARGIN_ROWS + stretch.rows))
         key = (column.row, law.fine)
         if key not in states:
             wide = self.state(column.row, stretch)
@@ -192,9 +192,9 @@ class Columns:
             total += weight * force
             tangents += weight * sums
         if law.fine:
-            total, tangents = decimated(total), tangents / FINER
+            total, tangents = decimated(total), tangents / FINE_GRID_FACTOR
         if stretch.calm is not None:
-            inner = slice(MARGIN, MARGIN + stretch.rows)
+            inner = slice(MARGIN_ROWS, MARGIN_ROWS + stretch.rows)
             mean = tangents / max(1, int(stretch.valid[inner].sum()))
             restore_mean_tangent(total, mean, stretch.calm[:, inner], column.row, self.balance.other(column.row))
         return total, tangents
@@ -217,7 +217,11 @@ class Columns:
             kx += weight * series[0]
             kv += weight * series[1]
         if law.fine:
-            return kx[HALF * FINER : -HALF * FINER], kv[HALF * FINER : -HALF * FINER], FINER
+            return (
+                kx[HALF_SUPPORT_ROWS * FINE_GRID_FACTOR : -HALF_SUPPORT_ROWS * FINE_GRID_FACTOR],
+                kv[HALF_SUPPORT_ROWS * FINE_GRID_FACTOR : -HALF_SUPPORT_ROWS * FINE_GRID_FACTOR],
+                FINE_GRID_FACTOR,
+            )
         return kx, kv, 1
 
     def mean_response(self, k: int, stretch: Stretch | None, f_hz: Array) -> NDArray[np.complex128] | None:

@@ -5,9 +5,9 @@ What the in-band force sees of a law phi is then E_e[phi(x + e)], and its mean t
 point Gauss-Hermite rule gives both: nodes at -h, 0, +h with h = sqrt(3) sd(e), weights 1/6, 2/3, 1/6; the derivative
 is the central difference over the same nodes (Stein's identity), so a jump such as sgn(v) gets its density term.
 
-A law with a jump or a kink has harmonics above the Nyquist frequency; sampled, they would fold back into the band. It
-is evaluated on a grid finer by `FINER` and brought back through a low-pass filter. So is a smooth law at a resonance so
-high that its own few harmonics fold.
+A law with a jump or a kink has harmonics above the Nyquist frequency. Sampled, they would alias into the band. Such a
+law is evaluated on a grid finer by `FINE_GRID_FACTOR`, and its force is low-pass filtered and decimated. The same is
+done for a smooth law at a resonance so high that its few harmonics alias.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from estimator.effects.engine.law_loop import Signals, compiled, force_array, la
 from estimator.model.effect import Effect
 from estimator.signals import low_pass
 
-NEAREST = 0.02  # least smoothing, in standard deviations of the state: a step needs some width to have a derivative
-FINER = 4
-FASTEST = 9  # harmonic of a smooth law that is looked at
-HEARD = 0.02  # of the fundamental: a harmonic of a law that counts
-ORBITS = (1.3, 2.6, 4.1)  # standard deviations, that a law is tried along
-SPREAD = 1.1  # over the mean frequency of a motion, of what is still strong in it
-HALF = 12  # half support of the interpolation, in samples of the coarse grid
-MARGIN = 2 * HALF  # rows needed on either side of those that come out
+MIN_SMOOTHING_SD = 0.02  # least half-width over the state's sd: a jump needs some width to have a tangent
+FINE_GRID_FACTOR = 4  # rate of the fine grid over the sampling rate
+MAX_HARMONIC = 9  # highest harmonic of a smooth law that is checked for aliasing
+MIN_HARMONIC_REL = 0.02  # of the fundamental, from which a harmonic of a law counts
+ORBIT_SIZES_SD = (1.3, 2.6, 4.1)  # amplitudes over the state's rms at which a law is tried
+FREQUENCY_SPREAD = 1.1  # highest strong frequency of a motion over its mean frequency
+HALF_SUPPORT_ROWS = 12  # of the interpolation, rows of the coarse grid
+MARGIN_ROWS = 2 * HALF_SUPPORT_ROWS  # rows needed on either side of the result
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract"})
@@ -80,10 +80,12 @@ def _decimate(z, taps, finer, out):  # type: ignore[no-untyped-def]
 @cache
 def _prototype(finer: int) -> tuple[Array, Array]:
     """(U, 2 half) taps of the interpolation and (2 half U + 1,) of the decimation: one Kaiser low-pass, -80 dB."""
-    h = low_pass.kaiser_low_pass(2 * HALF * finer + 1, 1.0 / finer, 8.0)
+    h = low_pass.kaiser_low_pass(2 * HALF_SUPPORT_ROWS * finer + 1, 1.0 / finer, 8.0)
     # value at i + u / U from samples i - half + 1 ... i + half
-    offset = (HALF - 1 - np.arange(2 * HALF))[None, :] * finer + np.arange(finer)[:, None]
-    return np.ascontiguousarray(h[offset + HALF * finer] / h[HALF * finer]), h  # through the samples
+    offset = (HALF_SUPPORT_ROWS - 1 - np.arange(2 * HALF_SUPPORT_ROWS))[None, :] * finer + np.arange(finer)[:, None]
+    return np.ascontiguousarray(
+        h[offset + HALF_SUPPORT_ROWS * finer] / h[HALF_SUPPORT_ROWS * finer]
+    ), h  # through the samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +122,7 @@ class LawStates:
 
     def inner(self) -> LawStates:
         """Without the margins."""
-        k = slice(MARGIN, -MARGIN)
+        k = slice(MARGIN_ROWS, -MARGIN_ROWS)
         x, v, xo, vo, t, phase = (
             np.ascontiguousarray(z[k]) for z in (self.x, self.v, self.xo, self.vo, self.t, self.phase)
         )
@@ -128,19 +130,21 @@ class LawStates:
 
     def finer(self, reads: NDArray[np.bool_]) -> LawStates:
         """On the finer grid, HALF (coarse) rows wider than the inner rows on either side; zero what is not read."""
-        n = (self.x.size - 2 * HALF) * FINER
+        n = (self.x.size - 2 * HALF_SUPPORT_ROWS) * FINE_GRID_FACTOR
         zero = np.zeros(n)
 
         def linear(z: Series) -> Array:
             out = np.empty(n)
-            _between(z[HALF : n // FINER + HALF + 1], out)
+            _between(z[HALF_SUPPORT_ROWS : n // FINE_GRID_FACTOR + HALF_SUPPORT_ROWS + 1], out)
             return out
 
         x, v, xo, vo = (
             interpolated(z) if u else zero for z, u in zip((self.x, self.v, self.xo, self.vo), reads, strict=True)
         )
-        valid = np.repeat(self.valid[HALF:-HALF], FINER)
-        valid[: HALF * FINER] = valid[-HALF * FINER :] = False  # the margins do not count in the mean tangents
+        valid = np.repeat(self.valid[HALF_SUPPORT_ROWS:-HALF_SUPPORT_ROWS], FINE_GRID_FACTOR)
+        valid[: HALF_SUPPORT_ROWS * FINE_GRID_FACTOR] = valid[-HALF_SUPPORT_ROWS * FINE_GRID_FACTOR :] = (
+            False  # the margins do not count in the mean tangents
+        )
         return LawStates(x, v, xo, vo, linear(self.t), linear(self.phase), self.s, self.h, valid)
 
 
@@ -179,15 +183,15 @@ def harmonics_alias(effect: Effect, p: Array, scale: Array, folding_hz: float) -
     less the upper band edge. scale : (4,) rms of x, v, xo, vo."""
     x, v = scale[::2], scale[1::2]
     moving = x > 0.0
-    hz = SPREAD * float((v[moving] / (2 * np.pi * x[moving])).max(initial=0.0))
-    return FASTEST * hz > folding_hz and highest_harmonic(effect, p, scale) * hz > folding_hz
+    hz = FREQUENCY_SPREAD * float((v[moving] / (2 * np.pi * x[moving])).max(initial=0.0))
+    return MAX_HARMONIC * hz > folding_hz and highest_harmonic(effect, p, scale) * hz > folding_hz
 
 
 def highest_harmonic(effect: Effect, p: Array, scale: Array) -> int:
-    """The highest harmonic that the law makes of an orbit of 2.6 standard deviations, none above `FASTEST`."""
+    """The highest harmonic that the law makes of an orbit of 2.6 standard deviations, none above `MAX_HARMONIC`."""
     x, v, xo, vo = 2.6 * scale[:, None] * _orbit(np.linspace(0.0, 2 * np.pi, 63, endpoint=False))
-    size = np.abs(np.fft.rfft(force_array(effect, p, x, v, xo, vo)))[1 : FASTEST + 1]
-    return 1 + int(np.flatnonzero(size > HEARD * size.max(initial=0.0)).max(initial=0))
+    size = np.abs(np.fft.rfft(force_array(effect, p, x, v, xo, vo)))[1 : MAX_HARMONIC + 1]
+    return 1 + int(np.flatnonzero(size > MIN_HARMONIC_REL * size.max(initial=0.0)).max(initial=0))
 
 
 def _shrinking(effect: Effect, p: Array, scale: Array, points: int) -> float:
@@ -205,10 +209,9 @@ def _shrinking(effect: Effect, p: Array, scale: Array, points: int) -> float:
 
 @cache
 def _orbits(n: int) -> tuple[Array, Array]:
-    """Angles of a turn in n steps, and (4, ...) x, v, xo, vo there in units of their rms, one of `ORBITS` after the
-    other."""
+    """Angles of the orbits in n steps each, rad, and (4, ...) x, v, xo, vo along them over their rms."""
     at = np.linspace(0.0, 2 * np.pi, n)
-    return np.tile(at, len(ORBITS)), np.concatenate([size * _orbit(at) for size in ORBITS], axis=1)
+    return np.tile(at, len(ORBIT_SIZES_SD)), np.concatenate([size * _orbit(at) for size in ORBIT_SIZES_SD], axis=1)
 
 
 def _orbit(at: Array) -> Array:
@@ -248,15 +251,15 @@ def compile_law(effect: Effect, p: Array) -> None:
     compiled(law_of(effect, p))
 
 
-def interpolated(z: Series, finer: int = FINER) -> Array:
+def interpolated(z: Series, finer: int = FINE_GRID_FACTOR) -> Array:
     """A signal on the finer grid, without HALF (coarse) rows on either side."""
-    out = np.empty((z.size - 2 * HALF) * finer)
+    out = np.empty((z.size - 2 * HALF_SUPPORT_ROWS) * finer)
     _interpolate(np.asarray(z, np.float64), _prototype(finer)[0], out)
     return out
 
 
-def decimated(force: Array, finer: int = FINER) -> Array:
+def decimated(force: Array, finer: int = FINE_GRID_FACTOR) -> Array:
     """The inner rows of a force on the finer grid of `State.finer`, without what does not fit under Nyquist."""
-    out = np.empty(force.size // finer - 2 * HALF)
+    out = np.empty(force.size // finer - 2 * HALF_SUPPORT_ROWS)
     _decimate(force, _prototype(finer)[1], finer, out)
     return out

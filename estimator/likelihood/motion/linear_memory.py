@@ -10,9 +10,9 @@ import numpy as np
 from estimator.arrays import Array, Complexes
 from estimator.model.effect import Effect
 
-SLOWEST = 1e-3  # rad/s: a state that only integrates has no response at rest
-DISTINCT = 1e6  # condition of the modes of its states, below which they are taken one by one
-BESIDE = 1e-3  # of a stiffness or damping, by which the derivative of a response is taken
+MIN_RAD_S = 1e-3  # a state that only integrates has no response at rest
+MAX_MODE_CONDITION = 1e6  # condition of the modal matrix up to which the response is summed mode by mode
+DERIVATIVE_STEP_REL = 1e-3  # of a stiffness or damping, for derivatives of the response
 
 
 def state_matrix(effect: Effect, p: Array, lin: Array) -> Array | None:
@@ -45,10 +45,10 @@ def linear_response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], C
     own, reads = M[:n, :n], M[n]
 
     rates_at, modes = np.linalg.eig(own)
-    apart = n > 0 and np.linalg.cond(modes) < DISTINCT
+    apart = n > 0 and np.linalg.cond(modes) < MAX_MODE_CONDITION
 
     def transfer(w: Array) -> Complexes:
-        iw = 1j * np.maximum(w, SLOWEST)
+        iw = 1j * np.maximum(w, MIN_RAD_S)
         if apart:  # a sum over the modes: many times faster than to solve at every frequency
             by_mode = (reads[:n] @ modes) * np.linalg.solve(modes, M[:n, n:]).T
             through = sum((a + iw * b) / (iw - rate) for a, b, rate in zip(*by_mode, rates_at, strict=True))
@@ -63,7 +63,7 @@ def linear_response(effect: Effect, p: Array, lin: Array) -> Callable[[Array], C
 def response_derivative(effect: Effect, p: Array, lin: Array, which: int) -> Callable[[Array], Complexes] | None:
     """Derivative of the response by the linear stiffness (which = 1) or damping (2) beside it, per unit; None if it is
     not linear or does not depend on it."""
-    step = BESIDE * np.eye(3)[which] * abs(lin[which])
+    step = DERIVATIVE_STEP_REL * np.eye(3)[which] * abs(lin[which])
     up, down = linear_response(effect, p, lin + step), linear_response(effect, p, lin - step)
     if up is None or down is None or not step.any():
         return None

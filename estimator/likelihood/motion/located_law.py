@@ -20,12 +20,21 @@ from estimator.model.rig import Model
 
 from . import linear_memory, shaft_law
 from .denoise import restore_mean_tangent
-from .harmonics import PERIODIC
-from .law_smoothing import FINER, MARGIN, LawStates, decimated, harmonics_alias, has_jump, law_force, reads_states
+from .harmonics import PERIODIC_EFFECTS
+from .law_smoothing import (
+    FINE_GRID_FACTOR,
+    MARGIN_ROWS,
+    LawStates,
+    decimated,
+    harmonics_alias,
+    has_jump,
+    law_force,
+    reads_states,
+)
 from .memory_law import memory_force_and_response
-from .motion_record import FOLDS, MotionRecord
+from .motion_record import TIME_FOLDS, MotionRecord
 
-FORCES = ("force", "memory", "shaft")  # kinds that act through the motion of the caps
+FORCE_KINDS = ("force", "memory", "shaft")  # kinds of effects that act through the motion of the bearing caps
 
 
 def natural_sizes(data: MotionRecord, i: int, kL: float) -> Size:
@@ -75,7 +84,7 @@ def located_laws(model: Model, data: MotionRecord) -> list[LocatedLaw]:
     out = []
     for use in model.effects:
         effect = effect_of(use)
-        if effect.kind not in FORCES or effect.name in PERIODIC:
+        if effect.kind not in FORCE_KINDS or effect.name in PERIODIC_EFFECTS:
             continue
         loose = set(searched_parameters(effect, model))
         for canonical in at(effect, use, model):
@@ -106,8 +115,8 @@ def clipped_places(model: Model) -> frozenset[str]:
     return frozenset(p for p in model.places if p in named or p.split(".")[0] in named)
 
 
-PIECE = 1 << 15  # rows of a record at a time: what a law needs of them stays in the cache
-LARGEST = 1e12  # N: no bearing bears it, and what a step makes of more has no square in single precision
+ROWS_PER_PIECE = 1 << 15  # rows evaluated at a time: they stay in the cache
+MAX_FORCE_N = 1e12  # more is divergence, and has no square in single precision
 LawAlongPath = tuple[Array, Array, NDArray[np.complex128] | None]
 
 
@@ -144,7 +153,7 @@ def law_along_record(
     in v it is the Ito correction of this path.
     """
     p = np.ascontiguousarray(placed.p if p is None else p, dtype=np.float64)
-    slopes = np.zeros((FOLDS, len(data.places), 2))
+    slopes = np.zeros((TIME_FOLDS, len(data.places), 2))
     if placed.effect.kind == "memory":
         linear = linear_memory.linear_response(placed.effect, p, lin[i])
         if linear is not None:
@@ -189,20 +198,20 @@ def _along(
     sharp = tangents is None and needs_finer_grid(effect, p, data, i)
     zero, states = np.zeros(n), product((i, o), (data.calmed, data.v.__getitem__))
     seen = [of(j) if read and j is not None else zero for (j, of), read in zip(states, reads.tolist(), strict=True)]
-    out, sums = np.empty(n), np.zeros((FOLDS, 4))
+    out, sums = np.empty(n), np.zeros((TIME_FOLDS, 4))
     for f, a, b in _pieces(data):
-        rows = np.clip(np.arange(a - MARGIN, b + MARGIN), 0, n - 1) if sharp else slice(a, b)
+        rows = np.clip(np.arange(a - MARGIN_ROWS, b + MARGIN_ROWS), 0, n - 1) if sharp else slice(a, b)
         x, v, xo, vo, t, phase = (z[rows] for z in (*seen, data.t, data.phase))
         valid = np.ones(x.size, bool)
         state = LawStates(x, v, xo, vo, t, phase, data.sign(i), data.smoothing(i), valid)
         if sharp:
             force, part = law_force(effect, p, state.finer(reads), reads)
-            out[a:b], part = decimated(force), part / FINER
+            out[a:b], part = decimated(force), part / FINE_GRID_FACTOR
         else:
             series = None if tangents is None else (tangents[0, a:b], tangents[1, a:b])
             out[a:b], part = law_force(effect, p, state, reads, series)
         sums[f] += part
-    if not (np.isfinite(sums).all() and max(out.max(), -out.min()) < LARGEST):
+    if not (np.isfinite(sums).all() and max(out.max(), -out.min()) < MAX_FORCE_N):
         raise NotFiniteError(effect.name, data.places[i])
     sums /= np.maximum(data.fold_rows, 1)[:, None]
     if data.calm is not None:
@@ -215,8 +224,8 @@ def _pieces(data: MotionRecord) -> Iterator[tuple[int, int, int]]:
     """The time fold of a piece of the record, its first row and the one after its last."""
     last = np.cumsum(data.fold_rows)
     for f, (rows, end) in enumerate(zip(data.fold_rows.tolist(), last.tolist(), strict=True)):
-        for a in range(end - rows, end, PIECE):
-            yield f, a, min(a + PIECE, end)
+        for a in range(end - rows, end, ROWS_PER_PIECE):
+            yield f, a, min(a + ROWS_PER_PIECE, end)
 
 
 def tangent_series(placed: LocatedLaw, data: MotionRecord, i: int, p: Array) -> Series:

@@ -32,9 +32,9 @@ from estimator.arrays import Array, Complexes, Series
 from estimator.effects.engine.compiled import rise
 from estimator.model.effect import Effect
 
-from .law_smoothing import MARGIN, decimated, interpolated
+from .law_smoothing import MARGIN_ROWS, decimated, interpolated
 
-SMALL = 1e-7  # change of a state or of the motion over its largest value, for derivatives
+DERIVATIVE_STEP_REL = 1e-7  # change of a state or of the motion over its largest value
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ def force_along_path(
     out, states, step, force = np.empty(n), np.empty((n, S)), np.empty((rows, S, S + 2)), np.empty((rows, S + 2))
     states[0] = start
     size = np.array([*np.maximum(np.abs(start), np.abs(x).max()), np.abs(x).max(), np.abs(v).max()])
-    small = SMALL * np.maximum(size, 1e-300)
+    small = DERIVATIVE_STEP_REL * np.maximum(size, 1e-300)
     law = _compiled(effect.rates, effect.memory_force, S)
     law(*(np.ascontiguousarray(z, dtype=np.float64) for z in (p, lin, x, v)), dt, small,
         np.array([True] * S + [*reads_motion(effect, p, lin)]), states, out, step, force)  # fmt: skip
@@ -160,12 +160,12 @@ def _compiled(rates: Callable[..., None], force: Callable[..., float], S: int) -
     return along  # type: ignore[no-any-return]
 
 
-FINER = 2  # of the grid that states are integrated on
-PIECE = 1 << 13  # rows at a time: what is linearised about them stays in the cache
-STRIDE, ENOUGH = 3, 40  # at most, of pieces of which one has steps; how many do, before others are left out
-CYCLES = 8.0  # of the motion, after which a step is forgotten or kept for good
-OFTEN = 2.6  # steps launched in a cycle, at ever other phases: what they do at once counts most, and costs little
-HALVINGS = 5  # every second step is followed to half of CYCLES at most, every second of these to a quarter, ...
+FINE_GRID_FACTOR = 2  # rate of the grid for the states over the sampling rate
+ROWS_PER_PIECE = 1 << 13  # rows linearised at a time: they stay in the cache
+MAX_PIECE_STRIDE, MIN_PIECES = 3, 40  # steps are launched in every so manyth piece, in at least so many pieces
+MEMORY_CYCLES = 8.0  # of the motion, after which the response to a step has settled
+STEPS_PER_CYCLE = 2.6  # launched, at changing phases of the motion
+FOLLOWED_HALVINGS = 5  # every second step is followed for half of MEMORY_CYCLES, every fourth for a quarter, ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,18 +188,18 @@ def memory_force(
     effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float, mean: StepResponses | None = None
 ) -> Array:  # fmt: skip
     """(n,) N of a force along a path, its states from rest. lin : (3,) m, kL, c. mean : to be given steps."""
-    n, rate = x.size, FINER * rate_hz
+    n, rate = x.size, FINE_GRID_FACTOR * rate_hz
     out, start = np.empty(n), np.zeros(effect.states)
-    fast, stride = reads_motion(effect, p, lin)[1], min(max(n // PIECE // ENOUGH, 1), STRIDE)
-    for a in range(0, n, PIECE):
-        b = min(a + PIECE, n)
-        rows = np.clip(np.arange(a - MARGIN, b + MARGIN), 0, n - 1)
-        fine = interpolated(x[rows], FINER)
-        speed = interpolated(v[rows], FINER) if fast else np.zeros_like(fine)
-        stepped = mean is not None and a // PIECE % stride == 0
+    fast, stride = reads_motion(effect, p, lin)[1], min(max(n // ROWS_PER_PIECE // MIN_PIECES, 1), MAX_PIECE_STRIDE)
+    for a in range(0, n, ROWS_PER_PIECE):
+        b = min(a + ROWS_PER_PIECE, n)
+        rows = np.clip(np.arange(a - MARGIN_ROWS, b + MARGIN_ROWS), 0, n - 1)
+        fine = interpolated(x[rows], FINE_GRID_FACTOR)
+        speed = interpolated(v[rows], FINE_GRID_FACTOR) if fast else np.zeros_like(fine)
+        stepped = mean is not None and a // ROWS_PER_PIECE % stride == 0
         force, states, about = force_along_path(effect, p, lin, fine, speed, 1.0 / rate, start, stepped)
-        start = states[(b - a) * FINER].copy()  # HALF rows before the end: where the next piece begins
-        out[a:b] = decimated(force, FINER)
+        start = states[(b - a) * FINE_GRID_FACTOR].copy()  # HALF rows before the end: where the next piece begins
+        out[a:b] = decimated(force, FINE_GRID_FACTOR)
         if mean is not None and about is not None:
             mean.add(about)
     return out
@@ -209,7 +209,7 @@ def memory_force_and_response(
     effect: Effect, p: Array, lin: Array, x: Series, v: Series, rate_hz: float
 ) -> tuple[Array, MeanResponse]:
     """The same with the mean response."""
-    mean = StepResponses(x, v, 1.0 / (FINER * rate_hz))
+    mean = StepResponses(x, v, 1.0 / (FINE_GRID_FACTOR * rate_hz))
     return memory_force(effect, p, lin, x, v, rate_hz, mean), mean.response()
 
 
@@ -218,13 +218,13 @@ class StepResponses:
 
     def __init__(self, x: Series, v: Series, dt: float) -> None:
         cycle = 2 * np.pi * float(np.sqrt(np.dot(x, x) / np.dot(v, v))) / dt  # rows
-        self.dt, self.stride = dt, max(1, int(cycle / OFTEN))
-        self.sums, self.counts = np.zeros((2, int(CYCLES * cycle) + 2))
+        self.dt, self.stride = dt, max(1, int(cycle / STEPS_PER_CYCLE))
+        self.sums, self.counts = np.zeros((2, int(MEMORY_CYCLES * cycle) + 2))
         self.rows, self.tangent = 0, 0.0
 
     def add(self, about: LinearisedMemory) -> None:
         """Steps along a piece of it."""
-        _launch(about.step, about.force, self.stride, HALVINGS, self.sums, self.counts)
+        _launch(about.step, about.force, self.stride, FOLLOWED_HALVINGS, self.sums, self.counts)
         self.rows, self.tangent = self.rows + len(about.force), self.tangent + float(about.force[:, -1].sum())
 
     def response(self) -> MeanResponse:

@@ -14,11 +14,11 @@ from estimator.model.disc import Disc
 from estimator.signals.band_limit import noise_shape
 
 from .harmonics import BelowBandForce, PeriodicForce
-from .law_smoothing import HALF, NEAREST, interpolated
+from .law_smoothing import HALF_SUPPORT_ROWS, MIN_SMOOTHING_SD, interpolated
 
-FOLDS = 6
-_OTHER = {"x": "y", "y": "x"}
-SPOILS = 0.1  # of the motion of a cap: off by more, nothing is told of it
+TIME_FOLDS = 6  # of every record, for held-out errors and standard deviations
+_OTHER_DIRECTION = {"x": "y", "y": "x"}
+MAX_MOTION_ERROR_REL = 0.1  # of the motion of a cap; with a larger error the cap is not judged
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +94,7 @@ class MotionRecord:
                 shaft = float(np.abs(self.shaft[near, o, i]))
                 bearing = self.mass[o] * self.rms[1, o] ** 2 / self.rms[0, o]  # m w^2 x, as k x at its resonance
                 brought = min(own, 1.0) * shaft * self.rms[0, i] / bearing
-                out[o] = max(out[o], brought if brought < SPOILS else np.inf)
+                out[o] = max(out[o], brought if brought < MAX_MOTION_ERROR_REL else np.inf)
         return out
 
     @property
@@ -114,7 +114,7 @@ class MotionRecord:
     @property
     def fold_blocks(self) -> Array:
         """(folds,) blocks of each time fold."""
-        return np.bincount(self.fold, minlength=FOLDS).astype(np.float64)
+        return np.bincount(self.fold, minlength=TIME_FOLDS).astype(np.float64)
 
     @property
     def fold_rows(self) -> NDArray[np.int64]:
@@ -154,7 +154,7 @@ class MotionRecord:
     def other(self, i: int) -> int | None:
         """Index of the other direction at the same node."""
         node, direction = self.places[i].split(".")
-        name = f"{node}.{_OTHER[direction]}"
+        name = f"{node}.{_OTHER_DIRECTION[direction]}"
         return self.places.index(name) if name in self.places else None
 
     def opposite(self, i: int) -> int | None:
@@ -181,7 +181,7 @@ class MotionRecord:
         o = self.other(i)
         both = np.hypot(self.left_out, self.doubt)
         lost = np.concatenate([both[i], np.zeros(2) if o is None else both[o]])
-        return np.asarray(np.sqrt(3.0) * np.maximum(lost, NEAREST * self.sizes(i)))
+        return np.asarray(np.sqrt(3.0) * np.maximum(lost, MIN_SMOOTHING_SD * self.sizes(i)))
 
     def sign(self, i: int) -> float:
         return 1.0 if self.places[i].endswith("x") else -1.0
@@ -216,10 +216,10 @@ class MotionRecord:
 
 def leading_blocks(data: MotionRecord, seconds: float) -> MotionRecord:
     """Some consecutive blocks of every time fold, about `seconds` in all; the data themselves if they are no longer."""
-    per_fold = max(2, int(seconds * data.rate_hz / data.block / FOLDS))
-    if data.blocks <= 1.25 * per_fold * FOLDS:
+    per_fold = max(2, int(seconds * data.rate_hz / data.block / TIME_FOLDS))
+    if data.blocks <= 1.25 * per_fold * TIME_FOLDS:
         return data
-    pick = np.concatenate([np.flatnonzero(data.fold == f)[:per_fold] for f in range(FOLDS)])
+    pick = np.concatenate([np.flatnonzero(data.fold == f)[:per_fold] for f in range(TIME_FOLDS)])
     return data.at(joined_blocks(pick * data.block, data.block), **data.of_blocks(pick))
 
 
@@ -252,7 +252,7 @@ def oversampled(data: MotionRecord, by: int = 4) -> MotionRecord:
         return np.concatenate([of(z[rows]).astype(z.dtype, copy=False) for rows in stretches])
 
     def smooth(z: Array) -> Array:
-        return interpolated(np.pad(z, HALF, mode="edge"), by)
+        return interpolated(np.pad(z, HALF_SUPPORT_ROWS, mode="edge"), by)
 
     def straight(z: Array) -> Array:
         step = np.diff(z, append=2 * z[-1] - z[-2])

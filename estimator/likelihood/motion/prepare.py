@@ -23,25 +23,25 @@ from estimator.signals.shaft_angle import measured_phase
 from .checks import check_moves
 from .force_balance import shaft_reaction
 from .harmonics import below_band_forces, periodic_amplitudes, periodic_series
-from .known_spectra import OF_FORCE, excitation_shapes, fitted_bins, folded_noise, shaft_response, undone_noise_gain
-from .motion_record import FOLDS, MotionRecord, joined_blocks, leading_blocks
+from .known_spectra import FORCE_SHAPES, excitation_shapes, fitted_bins, folded_noise, shaft_response, undone_noise_gain
+from .motion_record import TIME_FOLDS, MotionRecord, joined_blocks, leading_blocks
 
-SHORTEST = 2**16  # samples, 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
-LONGEST = 240.0  # s of a record that is kept in memory, about 10 MB each; six stretches of it, spread over the whole
+MIN_SAMPLES = 2**16  # 2.6 s at 25.6 kHz: with fewer even strong effects may be missed
+MAX_RECORD_S = 240.0  # of a record that are kept (10 MB/s), in TIME_FOLDS stretches spread over the whole
 
 
 def prepare(model: Model, y: Array, rate_hz: float) -> MotionRecord:
     """Blocks of a record y (n, channels), SI. Raises DataError as `motion_record` does."""
-    return leading_blocks(motion_record(model, corrected_record(model, y, rate_hz), rate_hz), LONGEST)
+    return leading_blocks(motion_record(model, corrected_record(model, y, rate_hz), rate_hz), MAX_RECORD_S)
 
 
 def shortening_messages(data: MotionRecord, y: Array) -> tuple[Message, ...]:
     """What to tell the user of a record longer than what is kept of it, or so short that little is seen in it."""
     used, whole = data.seconds, len(y) / data.rate_hz
-    if data.blocks * data.block < SHORTEST:
+    if data.blocks * data.block < MIN_SAMPLES:
         text = "an effect may be present and not visible; record half a minute or more"
         return (Message("record_short", f"only {used:.2g} s of the record are usable: {text}"),)
-    if whole <= 1.25 * LONGEST or used < 0.9 * LONGEST:
+    if whole <= 1.25 * MAX_RECORD_S or used < 0.9 * MAX_RECORD_S:
         return ()
     text = f"{used:.0f} s of the record's {whole:.0f} s are used, in six stretches spread over the record"
     return (Message("record_long", text),)
@@ -63,7 +63,7 @@ def motion_record(model: Model, y: Array, rate_hz: float, block: int = 8192) -> 
         used, [model.channels[k].kind for k in columns], rate_hz, model.band, shaft_reaction(model), slow=True
     ).whole(np.float32)
     starts = _valid_starts(motion.valid, block)
-    if starts.size < 2 * FOLDS:
+    if starts.size < 2 * TIME_FOLDS:
         raise DataError(_too_short(used, starts.size, rate_hz, block))
     P = len(places)
     stretches = joined_blocks(starts, block)
@@ -91,7 +91,7 @@ def motion_record(model: Model, y: Array, rate_hz: float, block: int = 8192) -> 
     periodic = periodic_series(model, places, t, phase, rate_hz)
     if periodic is not None:
         known -= periodic
-    fold = np.minimum(np.arange(starts.size) * FOLDS // starts.size, FOLDS - 1)
+    fold = np.minimum(np.arange(starts.size) * TIME_FOLDS // starts.size, TIME_FOLDS - 1)
     bins = fitted_bins(model, rate_hz, block)
     f = np.asarray(bins * (rate_hz / block), dtype=np.float64)
     kinds = tuple(model.channels[k].kind for k in moving)
@@ -110,7 +110,7 @@ def _spectra_of_model(model: Model, kinds: tuple[str, ...], mass: Array, rate_hz
     zero = np.zeros((len(places), f_hz.size))
     return {
         "shaft": shaft_response(model, places, f_hz),
-        "colour": excitation_shapes(model, places, f_hz, OF_FORCE),
+        "colour": excitation_shapes(model, places, f_hz, FORCE_SHAPES),
         "sharpened": undone_noise_gain(model, places, f_hz),
         "echoes": folded_noise(model, places, kinds, mass, f_hz),
         "folded_beside": zero,
@@ -140,7 +140,7 @@ def _columns(model: Model, y: Array) -> tuple[list[int], dict[str, int]]:
 
 def _too_short(used: Array, blocks: int, rate_hz: float, block: int) -> str:
     """Why a record is refused that has no more valid blocks than these."""
-    needed = f"at least {2 * FOLDS * block / rate_hz:.2g} s are needed"
+    needed = f"at least {2 * TIME_FOLDS * block / rate_hz:.2g} s are needed"
     if np.isfinite(used).all():
         left = f"{len(used) / rate_hz:.2g} s, {blocks * block / rate_hz:.2g} s of it behind the analysis filter"
         return f"the record has {left}; {needed}: record half a minute or more"

@@ -14,16 +14,23 @@ from estimator.model.rig import Model
 from estimator.parallel import map_threads
 from estimator.signals.band_limit import BandLimitedMotion
 from estimator.signals.band_limited_record import BandLimitedRecord
-from estimator.signals.blocks import CELLS, BlockLayout, block_layout, block_spectra, gram_by_cell, valid_blocks
+from estimator.signals.blocks import (
+    FREQUENCY_CELLS,
+    BlockLayout,
+    block_layout,
+    block_spectra,
+    gram_by_cell,
+    valid_blocks,
+)
 
 from .denoise import DenoisingFilter
 from .force_balance import Balance, force_channels, motion_channels, shaft_notch, shaft_reaction
 from .law_columns import Columns, Stretch
-from .law_smoothing import MARGIN
+from .law_smoothing import MARGIN_ROWS
 
 BLOCKS_PER_FOLD = 3
 CELLS_WITH_FORCE = 300  # what is left is sensor noise seen through A, which varies within a resonance
-_MEMORY = 4e7  # complex bins held at a time, about
+_HELD_BINS = 4e7  # complex bins held at a time, about
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,13 +101,13 @@ class Record:
             calm = self.calm.of(np.where(wide.valid, wide.x, 0.0), self.rate_hz)
             return replace(wide, calm=calm).part(more, more + stop - start)
         m, n = self.motion, self.motion.rows
-        lo, hi = max(start - MARGIN, 0), min(stop + MARGIN, n)
-        pad = (lo - start + MARGIN, stop + MARGIN - hi)
+        lo, hi = max(start - MARGIN_ROWS, 0), min(stop + MARGIN_ROWS, n)
+        pad = (lo - start + MARGIN_ROWS, stop + MARGIN_ROWS - hi)
 
         def padded(z: Array) -> Array:
             return np.pad(z, [(0, 0)] * (z.ndim - 1) + [pad]) if any(pad) else z
 
-        t = (m.start + np.arange(start - MARGIN, stop + MARGIN)) / self.rate_hz
+        t = (m.start + np.arange(start - MARGIN_ROWS, stop + MARGIN_ROWS)) / self.rate_hz
         valid = np.pad(m.valid[lo:hi], pad)
         force = {i: padded(f[lo:hi]) for i, f in self.force.items()}
         phase = np.pad(self.phase[lo:hi], pad, mode="edge") if any(pad) else self.phase[lo:hi]
@@ -143,7 +150,7 @@ def prepare(model: Model, y: Array, rate_hz: float, phase: Array | None = None) 
     if phase is None:
         turns_per_s = (model.speed_rpm or 0.0) / 60.0
         phase = np.asarray(2 * np.pi * turns_per_s / rate_hz * np.arange(motion.rows), dtype=np.float64)
-    grid = block_layout(rate_hz, model.band, notches(model), CELLS if not forces else CELLS_WITH_FORCE)
+    grid = block_layout(rate_hz, model.band, notches(model), FREQUENCY_CELLS if not forces else CELLS_WITH_FORCE)
     if (whole := valid_blocks(motion.valid, grid).size) < 8:
         raise DataError(_too_little(model, grid, motion, whole))
     return Record(model, rate_hz, motion, force, np.asarray(phase, np.float64), grid)
@@ -241,7 +248,7 @@ def gather(
     columns = record.columns(balance, widths, linear, fine)
     if record.force:
         per_fold *= 4
-    most = max(1, min(8, int(_MEMORY / (k * grid.size) / per_fold))) * per_fold
+    most = max(1, min(8, int(_HELD_BINS / (k * grid.size) / per_fold))) * per_fold
     usable = valid_blocks(record.motion.valid, grid)
     usable = usable[: max(8, int(min(usable.size, seconds * record.rate_hz / grid.hop)))]
 

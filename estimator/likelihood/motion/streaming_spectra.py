@@ -18,7 +18,7 @@ from estimator.arrays import Array
 from estimator.signals.blocks import BlockLayout
 
 from .law_columns import Columns, Stretch
-from .law_smoothing import MARGIN, LawStates
+from .law_smoothing import MARGIN_ROWS, LawStates
 
 Complex64s = NDArray[np.complex64]
 
@@ -131,4 +131,4 @@ class BlockSpectra:
 
 
 def _split(z: Array, hop: int) -> tuple[Array, Array]:
-    return z[MARGIN : MARGIN + hop], z[MARGIN + hop : MARGIN + 2 * hop]
+    return z[MARGIN_ROWS : MARGIN_ROWS + hop], z[MARGIN_ROWS + hop : MARGIN_ROWS + 2 * hop]

@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.errors import NotFiniteError
 from estimator.likelihood.motion.located_law import LocatedLaw
-from estimator.likelihood.motion.motion_record import FOLDS
+from estimator.likelihood.motion.motion_record import TIME_FOLDS
 from estimator.likelihood.response.regressor_set import Regressor, orthogonalised, regressors, with_second_order
 
 from .path_fit import PathFit
@@ -18,7 +18,7 @@ from .subproblem import Subproblem, subproblem
 from .whitening import WhitenedRegressors
 from .working_point import WorkingPoint
 
-ALL_FOLDS = np.arange(FOLDS)
+ALL_FOLDS = np.arange(TIME_FOLDS)
 MIN_OWN_VALUES_GAIN_NATS = 2.0  # about the price of a parameter: by searched parameters of one location
 
 

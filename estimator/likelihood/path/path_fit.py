@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from estimator.arrays import Array, Complexes
-from estimator.likelihood.motion.motion_record import FOLDS
+from estimator.likelihood.motion.motion_record import TIME_FOLDS
 from estimator.likelihood.response.regressor_set import tangent_response
 from estimator.parallel import map_threads
 
@@ -51,7 +51,7 @@ class Gram:
         A law that motion makes strong has another mean tangent where the motion is another: friction under a force that
         grows by 2.1 lost 700 nats on a fold by the tangent of the record, and gains 50 to 180 on each by its own.
         """
-        if self.apart is None or self.s is None or folds.size == FOLDS:
+        if self.apart is None or self.s is None or folds.size == TIME_FOLDS:
             return self.tangents
         moved = np.average(self.apart[:, folds], axis=1, weights=blocks[folds])
         return self.tangents + tangent_response(moved, self.s)
@@ -100,10 +100,10 @@ def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *columns: Wh
     data = whitening.data
     P = len(data.places)
     total = sum(len(c.names) for c in columns)
-    G = np.zeros((P, FOLDS, 1 + total, 1 + total))
-    n = np.zeros((P, FOLDS))
+    G = np.zeros((P, TIME_FOLDS, 1 + total, 1 + total))
+    n = np.zeros((P, TIME_FOLDS))
     kept = np.ones_like(whitening.weight) if whitening.ringing is None else whitening.ringing.kept
-    log_weight = np.zeros((P, FOLDS))
+    log_weight = np.zeros((P, TIME_FOLDS))
 
     def at_place(i: int) -> None:
         rows = [0]
@@ -115,7 +115,7 @@ def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *columns: Wh
                 rows += list(offset + c.index[i])
             offset += len(c.names)
         at = np.array(rows)
-        for f in range(FOLDS):
+        for f in range(TIME_FOLDS):
             here = np.flatnonzero(data.fold == f)
             span = slice(int(here[0]), int(here[-1]) + 1)
             Z = np.concatenate([s[:, span].reshape(len(s), -1) for s in stacks])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
-from estimator.likelihood.motion.motion_record import FOLDS
+from estimator.likelihood.motion.motion_record import TIME_FOLDS
 
 from .determinant import Jacobian
 from .path_fit import MIN_INFORMATION_SHARE, Gram, PathFit, fit_increments, log_likelihood
@@ -48,7 +48,7 @@ class Subproblem:
     ) -> PathFit:
         """Maximum likelihood; `ridge` is a prior information on the scaled extra terms. start : (terms,) scaled."""
         penalty = np.concatenate([self.prior_information, np.full(len(self.extra), ridge)])
-        folds = np.arange(FOLDS) if folds is None else folds
+        folds = np.arange(TIME_FOLDS) if folds is None else folds
         return fit_increments(
             self.gram, self.jacobian, folds, self.blocks, start, penalty, steps, MIN_INFORMATION_SHARE
         )
@@ -81,7 +81,7 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: WhitenedRegr
     base = base_regressors(point, at)
     q = 0 if extra is None else len(extra.names)
     size = 1 + len(base) + q
-    G = np.zeros((at.size, FOLDS, size, size))
+    G = np.zeros((at.size, TIME_FOLDS, size, size))
     rows = np.array([0] + [1 + k for k in base])
     G[:, :, : rows.size, : rows.size] = point.gram.G[at][:, :, rows[:, None], rows]
     tangents, scales, apart = own.tangents[base], own.scales[base], own.apart[base]
@@ -156,7 +156,7 @@ def _extend(point: WorkingPoint, i: int, extra: WhitenedRegressors, base: list[i
         return
     X = extra.spectra[i]
     at_extra = 1 + len(base) + extra.index[i]
-    for f in range(FOLDS):
+    for f in range(TIME_FOLDS):
         fill_products(G[f], at_extra, *fold_products(point, i, base, f, X[:, fold_slice(point, f)]))
 
 
@@ -187,7 +187,7 @@ def fill_products(G: Array, at: NDArray[np.int64], rows: NDArray[np.int64], C: A
 
 def likelihood_gain(problem: Subproblem, ridge: float = 0.0, steps: int = 30) -> tuple[float, PathFit]:
     """Log-likelihood gained by the extra terms over the refitted base, nats, on the whole record."""
-    everything = np.arange(FOLDS)
+    everything = np.arange(TIME_FOLDS)
     full = problem.fit(ridge=ridge, steps=steps)
     plain = problem.without_extra()
     base = plain.fit(steps=steps)
@@ -197,9 +197,9 @@ def likelihood_gain(problem: Subproblem, ridge: float = 0.0, steps: int = 30) ->
 def heldout_gain(problem: Subproblem, ridge: float = 0.0) -> Array:
     """(folds,) nats gained on each time fold by parameters fitted to the others."""
     plain = problem.without_extra()
-    out = np.zeros(FOLDS)
-    for f in range(FOLDS):
-        rest = np.array([k for k in range(FOLDS) if k != f])
+    out = np.zeros(TIME_FOLDS)
+    for f in range(TIME_FOLDS):
+        rest = np.array([k for k in range(TIME_FOLDS) if k != f])
         here = np.array([f])
         out[f] = problem.likelihood(problem.fit(rest, ridge), here) - plain.likelihood(plain.fit(rest), here)
     return out

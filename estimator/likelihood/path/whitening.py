@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
-from estimator.likelihood.motion.motion_record import FOLDS, MotionRecord
+from estimator.likelihood.motion.motion_record import TIME_FOLDS, MotionRecord
 from estimator.likelihood.response.regressor_set import Regressor, regressor_response
 from estimator.parallel import map_threads
 
@@ -135,6 +135,6 @@ class Whitening:
             spectra=spectra,
             index={i: np.array(k) for i, k in index.items()},
             apart=np.array(
-                [np.zeros((FOLDS, *t.tangent.shape)) if t.apart is None else t.apart * t.scale for t in terms]
+                [np.zeros((TIME_FOLDS, *t.tangent.shape)) if t.apart is None else t.apart * t.scale for t in terms]
             ),
         )

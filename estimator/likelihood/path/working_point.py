@@ -13,7 +13,7 @@ from estimator.likelihood.motion import linear_memory
 from estimator.likelihood.motion.harmonics import PeriodicForce
 from estimator.likelihood.motion.known_spectra import shaft_response
 from estimator.likelihood.motion.located_law import LocatedLaw, has_nonlinear_memory, law_along_record
-from estimator.likelihood.motion.motion_record import FOLDS, MotionRecord, leading_blocks
+from estimator.likelihood.motion.motion_record import TIME_FOLDS, MotionRecord, leading_blocks
 from estimator.likelihood.response.fluctuation import Fluctuation, fluctuations
 from estimator.likelihood.response.impulse_probe import Probe
 from estimator.likelihood.response.modal_response import ModalResponse, modal_responses
@@ -296,7 +296,7 @@ def _caution(data: MotionRecord, G: Gram, uses: list[LocatedLaw]) -> Array:
 
 def _cautious(G: Gram, jacobian: Jacobian, blocks: Array, caution: Array) -> PathFit:
     """The fit with its step in searched parameters kept short, and what goes with them."""
-    everything = np.arange(FOLDS)
+    everything = np.arange(TIME_FOLDS)
     result = fit_increments(G, jacobian, everything, blocks)
     if not caution.any():
         return result

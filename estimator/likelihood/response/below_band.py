@@ -30,18 +30,18 @@ from estimator.signals.band_limit import unmeasured_gain
 
 from .modal_response import compliance
 
-EVEN = 1e-3  # of a law's size: less of it is even in x by rounding alone
-STEPS = 40  # points from which that is seen
-ROUNDS = 3  # beside measured forces: each leaves the change of a law's tangent over the stiffness of the error
+MIN_EVEN_PART_REL = 1e-3  # of a law's size; a smaller even part is rounding
+TRIED_STATES = 40  # random states at which a law is tried
+MEASURED_FORCE_ROUNDS = 3  # of the iteration for the tangents of laws under a measured force
 
 
 def has_even_part(effect: Effect, p: Array, sizes: Array) -> bool:
     """Whether a law has a part that is even in the motion; sizes : (4,) of x, v, xo, vo."""
     if effect.kind != "force" or effect.force is None:
         return False
-    x, v, xo, vo = np.random.default_rng(0).normal(size=(4, STEPS)) * sizes[:, None]
+    x, v, xo, vo = np.random.default_rng(0).normal(size=(4, TRIED_STATES)) * sizes[:, None]
     there, back = force_array(effect, p, x, v, xo, vo), force_array(effect, p, -x, -v, -xo, -vo)
-    return bool(np.abs(there + back).max() > EVEN * np.abs(there - back).max() + 1e-300)
+    return bool(np.abs(there + back).max() > MIN_EVEN_PART_REL * np.abs(there - back).max() + 1e-300)
 
 
 def usual_parameters(effect: Effect) -> Array:
@@ -99,7 +99,7 @@ def with_below_band_motion(data: MotionRecord, kL: Array, c: Array, uses: Sequen
     own = [[u for u in uses if i in u.at and u.p.any() and _pushes(u, data, i, lin)] for i in range(len(data.places))]
     if not any(own) and not data.pushes and data.shaken is None:
         return data
-    for _ in range(1 if data.shaken is None else ROUNDS):
+    for _ in range(1 if data.shaken is None else MEASURED_FORCE_ROUNDS):
         push, tangents = _pushed(data, own, lin)
         D = np.stack([np.diag(kL), np.diag(c)], axis=-1)
         if data.shaken is not None:  # the caps then move much, and a strong law answers as its mean tangent

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.located_law import LocatedLaw, has_nonlinear_memory, needs_finer_grid, tangent_series
-from estimator.likelihood.motion.memory_law import FINER
+from estimator.likelihood.motion.memory_law import FINE_GRID_FACTOR
 from estimator.likelihood.motion.motion_record import MotionRecord, decimated_record, leading_blocks, oversampled
 from estimator.parallel import map_threads
 
-from .impulse_probe import LEAST, SHARE, Probe, probed
+from .impulse_probe import MIN_RECORD_S, RECORD_SHARE, Probe, probed
 from .modal_response import ModalResponse
 from .self_energy import (
-    DECAYS,
-    SECONDS,
+    COVARIANCE_DECAYS,
+    MIN_COVARIANCE_S,
     TangentSpectra,
     second_order_response,
     self_energy,
@@ -29,7 +29,7 @@ from .self_energy import (
     tangent_spectra,
 )
 
-PER_CYCLE = 40.0  # samples of a cycle: covariances with a jump fall within few, and the error with their square
+SAMPLES_PER_CYCLE = 40.0  # of the motion: the covariance of a jump falls within few samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ class Fluctuation:
         """The same at the rate of the record, for laws without jumps, if that follows how fast the motion leaves one of
         their kinks; if not, at more."""
         by = round(self.data.rate_hz / rate_hz)
-        while by > 1 and self.data.rate_hz / by < PER_CYCLE * mean.hz:
+        while by > 1 and self.data.rate_hz / by < SAMPLES_PER_CYCLE * mean.hz:
             by //= 2
         if by == 1:
             return self
@@ -107,10 +107,18 @@ def fluctuations(
     remembering = [[u for u in uses if i in u.at and has_nonlinear_memory(u, lin[i])] for i in range(len(mean))]
     used = [i for i, laws in enumerate(own) if laws and mean[i].sound and not remembering[i]]
     probing = [i for i, laws in enumerate(remembering) if laws and mean[i].sound]
-    part = leading_blocks(data, max(mean[i].seconds(SECONDS, DECAYS) for i in used)).in_one() if used else data
+    part = (
+        leading_blocks(data, max(mean[i].seconds(MIN_COVARIANCE_S, COVARIANCE_DECAYS) for i in used)).in_one()
+        if used
+        else data
+    )
     if any(needs_finer_grid(u.effect, u.p, data, i) for i in used for u in own[i]):
         part = oversampled(part)
-    path = oversampled(leading_blocks(data, max(LEAST, SHARE * data.seconds)), FINER) if probing else data
+    path = (
+        oversampled(leading_blocks(data, max(MIN_RECORD_S, RECORD_SHARE * data.seconds)), FINE_GRID_FACTOR)
+        if probing
+        else data
+    )
     dt = 1.0 / part.rate_hz
 
     def at(i: int) -> Fluctuation | Probe | None:

@@ -30,11 +30,14 @@ from estimator.likelihood.motion.motion_record import MotionRecord, decimated_re
 
 from .modal_response import ModalResponse
 
-SHARE, LEAST = 0.08, 2.0  # of a record that impulses go along, and s of it at least: their scatter beside the record's
-APART, SERIES = 0.375, (16, 48)  # decays between two impulses; series of them, launched one after the other
+RECORD_SHARE, MIN_RECORD_S = 0.08, 2.0  # of a record along which impulses are launched
+IMPULSE_DISTANCE_DECAYS, IMPULSE_SERIES = (
+    0.375,
+    (16, 48),
+)  # decays between impulses; series launched one after the other
 TO_COME = np.exp(-10.0)  # of the power of an answer, to where it is followed: five decays
-LEFT = 0.1  # power of the last eighth of an answer over that of the first, from which it does not die out
-PIECE = 1 << 14  # rows at a time
+MAX_POWER_LEFT = 0.1  # power of the last eighth of a response over that of the first, above which it does not decay
+ROWS_PER_PIECE = 1 << 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +101,7 @@ def probed(
     tangents -= tangents.mean(axis=1, keepdims=True)
     laws = [(u, u.p) for u in uses if u.effect.kind == "memory"]
     lags = min(int(mean.over(TO_COME) * rate), n // 2)
-    series = int(np.clip(np.ceil(lags / (APART * mean.quick * rate)), *SERIES))
+    series = int(np.clip(np.ceil(lags / (IMPULSE_DISTANCE_DECAYS * mean.quick * rate)), *IMPULSE_SERIES))
     lags = lags // (2 * series) * 2 * series
     motion = np.zeros((2, series, n), np.float32)
     modes = np.zeros((series, mean.poles.size), complex)
@@ -108,7 +111,7 @@ def probed(
         _send(law.step, law.force, tangents, *free, 1.0 / rate, lags, a, modes, states, motion)
     answer = _centred(motion, lags)
     eighth = lags // 8
-    if not np.sum(answer[-eighth:] ** 2) < LEFT * np.sum(answer[:eighth] ** 2):
+    if not np.sum(answer[-eighth:] ** 2) < MAX_POWER_LEFT * np.sum(answer[:eighth] ** 2):
         return None
     G = _transform(answer, rate, f_hz)
     probe = Probe(data, i, lin, motion, lags, f_hz, G, np.zeros_like(G))
@@ -126,8 +129,8 @@ def _pieces(
     dt = 1.0 / data.rate_hz
     starts, seen = [np.zeros(u.effect.states) for u, _ in laws], data.seen(i)
     for stretch in data.stretches:
-        for a in range(stretch.start, stretch.stop, PIECE):
-            size = min(PIECE, stretch.stop - a)
+        for a in range(stretch.start, stretch.stop, ROWS_PER_PIECE):
+            size = min(ROWS_PER_PIECE, stretch.stop - a)
             rows = np.minimum(np.arange(a, a + size + 1), stretch.stop - 1)  # one more: where the next piece begins
             found = []
             for q, (u, p) in enumerate(laws):

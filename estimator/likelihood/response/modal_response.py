@@ -16,10 +16,10 @@ from estimator.arrays import Array, Complexes
 from estimator.model.disc import Disc
 from estimator.model.rotor import shaft_at_caps, shaft_matrix
 
-TAKES_PART = 0.01  # of the variance that white force makes by the largest mode: less is not waited for
-OVER = 1000  # times, to look for the end of an answer at
-SLOWLY = 0.1  # as many decays of the slowest mode as of all by their power: beside a stiff shaft 240 s were asked for
-FELT = 1e-6  # of the largest residue: modes with less are those of other caps
+MIN_MODE_POWER_REL = 0.01  # variance under white force over that of the largest mode; weaker modes are not waited for
+END_SEARCH_POINTS = 1000  # times at which the end of a response is searched
+SLOWEST_MODE_SHARE = 0.1  # decays of the slowest mode over decays of the mean over modes that a record has to hold
+MIN_RESIDUE_REL = 1e-6  # of the largest residue; smaller ones are modes of other caps
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class ModalResponse:
     @property
     def decay(self) -> float:
         """s in which free motion falls by e, in the slowest mode that takes part."""
-        part = self._power > TAKES_PART * self._power.max()
+        part = self._power > MIN_MODE_POWER_REL * self._power.max()
         return float((-1.0 / self.poles.real[part]).max())
 
     @property
@@ -64,7 +64,7 @@ class ModalResponse:
         apart."""
         power, decays = self._power / self._power.sum(), 2.0 * np.abs(self.poles.real)
         part = power > left
-        t = np.linspace(0.0, -1.01 * np.log(left) / decays[part].min(), OVER)
+        t = np.linspace(0.0, -1.01 * np.log(left) / decays[part].min(), END_SEARCH_POINTS)
         return float(t[np.argmax(np.exp(-np.multiply.outer(t, decays[part])) @ power[part] <= left)])
 
     @property
@@ -91,7 +91,7 @@ class ModalResponse:
     def seconds(self, least: float, decays: float) -> float:
         """Of the record that covariances of its motion need: so many times as its power forgets, and of a mode that
         rings on with a smaller part of it a tenth as many."""
-        return max(least, decays * self.quick, SLOWLY * decays * self.decay)
+        return max(least, decays * self.quick, SLOWEST_MODE_SHARE * decays * self.decay)
 
     def lags(self, dt: float, most: int) -> int:
         """Number of lags after which free motion has died out, a power of two unless `most`; a step of a fit may try a
@@ -149,7 +149,7 @@ def modal_responses(
 
     def of(i: int) -> ModalResponse:
         residues = double * right[i] * left[:, i]
-        felt = above & (np.abs(residues) > FELT * np.abs(residues).max())
+        felt = above & (np.abs(residues) > MIN_RESIDUE_REL * np.abs(residues).max())
         return ModalResponse(np.asarray(poles[felt], np.complex128), np.asarray(residues[felt], np.complex128))
 
     return tuple(of(i) for i in range(n))

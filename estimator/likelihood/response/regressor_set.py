@@ -19,16 +19,16 @@ from estimator.likelihood.motion.located_law import (
     own_response,
     tangent_series,
 )
-from estimator.likelihood.motion.motion_record import FOLDS, MotionRecord
+from estimator.likelihood.motion.motion_record import TIME_FOLDS, MotionRecord
 from estimator.parallel import map_threads
 
 from .fluctuation import Fluctuation
 from .impulse_probe import Probe
 
 T = TypeVar("T")
-SPAN = 0.1  # of a searched parameter of a law with memory: over less its mean response is that of few kinks
-SMALL = 1e-4  # of the shaft's stiffness, that a law of the shaft is stepped by
-LEAST = 1e-30  # rms per unit that single precision holds: x^5 of a quiet bearing is below
+MIN_SEARCHED_STEP_REL = 0.1  # of a searched parameter of a law with memory; less meets few kinks of its response
+SHAFT_STEP_REL = 1e-4  # step of a law of the shaft over the shaft's stiffness
+MIN_SINGLE_RMS = 1e-30  # rms per unit that single precision holds (x^5 of a quiet bearing is below)
 
 
 class UnitRegressors:
@@ -70,7 +70,7 @@ def regressors(placed: LocatedLaw, data: MotionRecord, lin: Array, linear_only: 
         q = placed.effect.parameters[k]
         series: dict[int, NDArray[Any]] = {}
         memory: dict[int, Complexes] = {}
-        slopes = np.zeros((FOLDS, len(data.places), len(data.places), 2))
+        slopes = np.zeros((TIME_FOLDS, len(data.places), len(data.places), 2))
         ends = _ends(placed, k, data)
         for i in placed.at:
             made = [
@@ -137,7 +137,7 @@ def _ends(placed: LocatedLaw, k: int, data: MotionRecord) -> list[tuple[Array, f
     """Parameter vectors and weights whose sum of forces is the force per unit of parameter k."""
     parameters = placed.effect.parameters
     if placed.effect.kind == "shaft" and data.disc is not None:  # linear in the first order only: it moves the disc
-        near = SMALL * data.disc.K * np.eye(placed.p.size)[k]
+        near = SHAFT_STEP_REL * data.disc.K * np.eye(placed.p.size)[k]
         if np.abs(placed.p).max() <= near[k]:  # on trial
             return [(near, 1.0 / near[k])]
         return [(placed.p + near, 0.5 / near[k]), (placed.p - near, -0.5 / near[k])]
@@ -148,7 +148,11 @@ def _ends(placed: LocatedLaw, k: int, data: MotionRecord) -> list[tuple[Array, f
     amplitudes = [j for j, q in enumerate(parameters) if q.linear]
     if placed.effect.kind == "memory" and len(amplitudes) == 1:
         # one force is that of the amplitude; a column need not be the derivative to give no bias
-        unit, a, step = _ends(placed, amplitudes[0], data)[0][0], placed.p[amplitudes[0]], SPAN * abs(placed.p[k])
+        unit, a, step = (
+            _ends(placed, amplitudes[0], data)[0][0],
+            placed.p[amplitudes[0]],
+            MIN_SEARCHED_STEP_REL * abs(placed.p[k]),
+        )
         up = unit.copy()
         up[k] += step
         return [(up, a / step), (unit, -a / step)]
@@ -177,7 +181,7 @@ def _summed(parts: Iterator[Any]) -> Any:
 
 def in_single_precision(term: Regressor) -> Regressor:
     """The term for keeping: its own series in single precision if that can hold it, views of the record as they are."""
-    if term.scale > 1.0 / LEAST:
+    if term.scale > 1.0 / MIN_SINGLE_RMS:
         return term
     return replace(
         term, series={i: z if z.base is not None else z.astype(np.float32, copy=False) for i, z in term.series.items()}
@@ -203,18 +207,18 @@ def add_to(z, weight, other):  # type: ignore[no-untyped-def]
         z[i] += weight * other[i]
 
 
-STRIDE = 4  # of the samples that the projection is computed from; it need not be exact, only subtracted exactly
+PROJECTION_STRIDE = 4  # every so manyth sample gives the weights of the projection, which is then subtracted exactly
 
 
 def span_at(base: Sequence[Regressor], i: int) -> Span:
     """The base at place i."""
     own = tuple(b for b in base if i in b.series)
-    part = np.stack([(b.series[i][::STRIDE] * b.scale).astype(np.float32) for b in own])
+    part = np.stack([(b.series[i][::PROJECTION_STRIDE] * b.scale).astype(np.float32) for b in own])
     wide = part.astype(np.float64)
     more = next((b.memory[i] for b in own if i in b.memory), None)
     memory = None if more is None else np.stack([b.memory.get(i, 0.0 * more) * b.scale for b in own])
     slopes = np.stack([b.tangent[i] * b.scale for b in own])
-    still = np.zeros((FOLDS, *slopes.shape[1:]))
+    still = np.zeros((TIME_FOLDS, *slopes.shape[1:]))
     apart = np.stack([still if b.apart is None else b.apart[:, i] * b.scale for b in own])
     return Span(own, part, wide @ wide.T, slopes, apart, memory)
 
@@ -242,7 +246,7 @@ def orthogonalised(term: Regressor, spans: Spans, least: float = 1e-4) -> Regres
     before = after = 0.0
     for i, z in term.series.items():
         base = spans[i]
-        weights = np.linalg.lstsq(base.gram, base.part @ z[::STRIDE], rcond=1e-10)[0]
+        weights = np.linalg.lstsq(base.gram, base.part @ z[::PROJECTION_STRIDE], rcond=1e-10)[0]
         rest = z.astype(np.float64)
         for weight, b in zip(weights, base.base, strict=True):
             add_to(rest, -weight * b.scale, b.series[i])

@@ -14,11 +14,18 @@ from estimator.likelihood.motion.stream_record import Record, stretches
 from estimator.signals.blocks import valid_blocks
 
 from .modal_response import ModalResponse, modal_responses
-from .self_energy import DECAYS, SECONDS, second_order_response, self_energy, tangent_covariance, tangent_spectra
+from .self_energy import (
+    COVARIANCE_DECAYS,
+    MIN_COVARIANCE_S,
+    second_order_response,
+    self_energy,
+    tangent_covariance,
+    tangent_spectra,
+)
 
 
 def self_energies(
-    record: Record, columns: Columns, B: Array, tangents: Array, f_hz: Array, seconds: float = SECONDS
+    record: Record, columns: Columns, B: Array, tangents: Array, f_hz: Array, seconds: float = MIN_COVARIANCE_S
 ) -> Complexes | None:
     """(f, columns, columns) N/m, at f_hz, per pair of law columns at one place: Sigma_j is its sum over k times B_k.
 
@@ -56,7 +63,7 @@ class TangentNoise:
     bend: Array
 
 
-def tangent_noise(record: Record, columns: Columns, seconds: float = SECONDS) -> TangentNoise | None:
+def tangent_noise(record: Record, columns: Columns, seconds: float = MIN_COVARIANCE_S) -> TangentNoise | None:
     """What noise does in the laws; None where no sensor is one of displacement (integrated, that of others is small).
 
     The noise enters the force of a law as phi'(x) e + phi''(x) e^2 / 2. The mean tangent is seen through A; by what it
@@ -90,7 +97,7 @@ def _covariances(
 ) -> tuple[Array, float]:
     """(laws, laws, 2, 2, lags) <kappa_ja(t + lag) kappa_kb(t)>, a and b: along x and v; and the time step."""
     usable = valid_blocks(record.motion.valid, record.grid)[::2]  # each row once
-    usable = usable[: max(2, int(mean.seconds(seconds, DECAYS) * record.rate_hz / record.grid.size))]
+    usable = usable[: max(2, int(mean.seconds(seconds, COVARIANCE_DECAYS) * record.rate_hz / record.grid.size))]
     series, factor = _series(record, columns, laws, usable)  # (laws, 2, blocks, n)
     dt = 1.0 / (factor * record.rate_hz)
     series -= series.mean(axis=(2, 3), keepdims=True)

@@ -24,14 +24,11 @@ from estimator.arrays import Array, Complexes
 from .modal_response import ModalResponse
 
 TangentSpectra = tuple[NDArray[np.complex64] | None, ...]
-SECONDS, DECAYS = 8.0, 1000.0  # of the record that the covariances are taken from: the longer of the two
-ROUNDS = 10  # of the self-consistent response
-STRONG = 1.0  # rms of the tangent stiffness over its mean, above which the second order is not used
-# the same over the least dynamic stiffness, c w0 of a cap by itself: beside a cubic of 20 to 50 of it, dressed, the
-# scatter was 1.7 to 2.8 times what the intervals say, undressed 0.8; at 18 (one degree at rms 1, 30 records) kNL is
-# 0.55 % small and its 95 % interval covers 87 %, undressed 0.85 and 57 %
-WIDE = 19.0
-UNFINISHED = 0.02  # of the power of free motion, at most, after the lags
+MIN_COVARIANCE_S, COVARIANCE_DECAYS = 8.0, 1000.0  # record length for the covariances: the longer of the two
+RESPONSE_ROUNDS = 10  # iterations of the self-consistent response
+MAX_STIFFNESS_SD_REL = 1.0  # rms of the tangent stiffness over its mean, above which no correction is made
+MAX_STIFFNESS_SD_OVER_WIDTH = 19.0  # rms of the tangent stiffness over the least dynamic stiffness (c w0 of one cap)
+MAX_POWER_AFTER_LAGS = 0.02  # share of the power of free motion after the last lag
 
 
 def tangent_spectra(tangents: NDArray[np.floating], lags: int) -> TangentSpectra:
@@ -72,14 +69,14 @@ def second_order_response(total: Array, dt: float, mean: ModalResponse) -> Array
     pushed does not come to rest within the lags.
     """
     lags = total.shape[2]
-    if not mean.sound or mean.unfinished(lags * dt) > UNFINISHED:
+    if not mean.sound or mean.unfinished(lags * dt) > MAX_POWER_AFTER_LAGS:
         return None
-    if total[0, 0, 0] > min(STRONG * mean.stiffness, WIDE * mean.width) ** 2:
+    if total[0, 0, 0] > min(MAX_STIFFNESS_SD_REL * mean.stiffness, MAX_STIFFNESS_SD_OVER_WIDTH * mean.width) ** 2:
         return None
     w: Array = np.asarray(2 * np.pi * np.fft.rfftfreq(2 * lags, dt), np.float64)
     G, bare, iw = mean.at(w), mean.after(np.arange(lags, dtype=np.float64) * dt), 1j * w
     sigma, g = np.zeros(iw.size, complex), bare
-    for _ in range(ROUNDS):
+    for _ in range(RESPONSE_ROUNDS):
         sigma = 0.5 * (sigma + _transform(total, g, dt))
         change = sigma * G**2 / (1.0 - sigma * G)
         g = bare + np.fft.irfft(np.stack([change, iw * change]), axis=1)[:, :lags] / dt

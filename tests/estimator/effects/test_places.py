@@ -11,7 +11,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import Size, search_range, size, strengths, with_effect
 from estimator.effects.places import at, kinematic, places, values, written
 from estimator.errors import ModelError
-from estimator.likelihood.motion.force_balance import build
+from estimator.likelihood.motion.force_balance import build_balance
 from estimator.model.rig import BearingGeometry, Channel, EffectUse, Model, Setting
 
 LINEAR = {
@@ -82,7 +82,7 @@ def test_what_is_written_for_the_place_comes_before_what_is_written_for_its_node
 
 def test_a_fit_borrows_no_number_of_another_bearing() -> None:
     parameters = {"bearing1.x": {"gap": Setting(3e-7, fixed=True)}, "bearing2.x": {}}
-    balance = build(replace(RIG, effects=(EffectUse("clearance", parameters),)))
+    balance = build_balance(replace(RIG, effects=(EffectUse("clearance", parameters),)))
     assert "bearing1.x.clearance.gap" not in balance.names
     assert "bearing2.x.clearance.gap" in balance.names
 

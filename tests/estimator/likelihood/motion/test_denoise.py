@@ -15,7 +15,7 @@ from estimator.identification.batch.measured_force import analyse
 from estimator.identification.batch.report import fitted_parameters
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.law_smoothing import MARGIN
+from estimator.likelihood.motion.law_smoothing import MARGIN_ROWS
 from estimator.likelihood.motion.prepare import motion_record
 from estimator.likelihood.motion.stream_record import prepare
 from estimator.model.rig import Channel, EffectUse, Model, Setting
@@ -69,7 +69,7 @@ def test_the_fit_sees_the_same_as_compare() -> None:
     part = record.stretch(rows.start, rows.stop)
     there = int(np.argmin(np.abs(data.t - rows.start / RATE)))
     own = data.calmed(0)[there : there + 10_000]
-    assert np.std(own - part.calmed(0)[MARGIN:-MARGIN]) < 0.15 * np.std(data.x[0] - data.calmed(0))
+    assert np.std(own - part.calmed(0)[MARGIN_ROWS:-MARGIN_ROWS]) < 0.15 * np.std(data.x[0] - data.calmed(0))
 
 
 @pytest.mark.parametrize(("kind", "share"), [("acceleration", 0.001), ("displacement", 0.1)])

@@ -10,7 +10,14 @@ from scipy.special import erf
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.compiled import address
 from estimator.effects.engine.law_loop import force_array
-from estimator.likelihood.motion.law_smoothing import MARGIN, LawStates, decimated, has_kink, law_force, reads_states
+from estimator.likelihood.motion.law_smoothing import (
+    MARGIN_ROWS,
+    LawStates,
+    decimated,
+    has_kink,
+    law_force,
+    reads_states,
+)
 
 N, RATE = 20000, 25600.0
 
@@ -63,8 +70,8 @@ def test_the_finer_grid_takes_the_folded_harmonics_out() -> None:
     wide = LawStates(*(np.ascontiguousarray(z) for z in (s.x, s.v, s.xo, s.vo, s.t, s.phase)), 1.0, s.h * 0, s.valid)
     fine = wide.finer(np.array([False, True, False, False]))
     out = decimated(law_force(CATALOGUE["coulomb"], np.ones(1), fine, np.array([False, True, False, False]))[0])
-    assert out.size == N - 2 * MARGIN
-    inner = slice(MARGIN, N - MARGIN)
+    assert out.size == N - 2 * MARGIN_ROWS
+    inner = slice(MARGIN_ROWS, N - MARGIN_ROWS)
     at = np.arange(N * dense) / (RATE * dense)
     w, rng = 2 * np.pi * f, np.random.default_rng(0)
     a, b = rng.normal(size=2)

@@ -9,7 +9,7 @@ import pytest
 from reference_rig import RATE, rig_model, rig_record
 
 from estimator.errors import DataError
-from estimator.likelihood.motion.force_balance import build
+from estimator.likelihood.motion.force_balance import build_balance
 from estimator.likelihood.motion.law_columns import Columns
 from estimator.likelihood.motion.stream_record import Record, prepare
 from estimator.likelihood.motion.streaming_spectra import BlockSpectra
@@ -25,7 +25,7 @@ def record() -> Record:
 
 
 def columns_of(record: Record, fine: int | None = None) -> Columns:
-    balance = build(record.model, search=False)
+    balance = build_balance(record.model, search=False)
     return Columns(balance, record.scales, 0.05 * record.scales, fine=fine)
 
 

@@ -17,7 +17,7 @@ from estimator.identification.batch.line_notches import start_without_lines
 from estimator.identification.batch.linear_start import MIN_DAMPING_RATIO, linear_start
 from estimator.identification.batch.spectral import fit_spectral
 from estimator.identification.rolling.estimator import RollingEstimator
-from estimator.likelihood.motion.force_balance import build
+from estimator.likelihood.motion.force_balance import build_balance
 from estimator.likelihood.motion.stream_record import gather, prepare
 from estimator.likelihood.path.contour import MARGIN_BINS, WIDE_MARGIN_BINS, continued_tangent, contour
 from estimator.likelihood.path.determinant import Jacobian
@@ -146,7 +146,7 @@ def test_a_law_on_trial_may_make_the_mode_grow(f0: float, decay: float, step: fl
 def test_the_likelihood_of_gram_matrices_takes_the_same_line() -> None:
     """From decay to growth its value has no fold, and its slope is its own; on the axis both turned round."""
     record = prepare(rig_model("cross_coupling"), rig_record(6.0, seed=2), RATE)
-    balance = build(record.model, search=False)
+    balance = build_balance(record.model, search=False)
     likelihood = Likelihood(evidence_of(gather(record, balance, 0.05 * record.scales)))
     true = {f"{p}.{key}": TRUTH[key][i] for i, p in enumerate(PLACES) for key in ("kL", "c")}
     j, step = balance.names.index("bearing1.cross_coupling.k"), 200.0

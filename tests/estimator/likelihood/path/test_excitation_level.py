@@ -17,7 +17,7 @@ from estimator.identification.batch import spectral
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.residual import missing_force
 from estimator.likelihood.motion.located_law import LocatedLaw, law_along_record
-from estimator.likelihood.motion.motion_record import FOLDS, fold_record
+from estimator.likelihood.motion.motion_record import TIME_FOLDS, fold_record
 from estimator.likelihood.path.excitation_level import relative_level, rms_ratio
 from estimator.likelihood.response.regressor_set import regressors
 from estimator.simulation.simulator import simulate
@@ -95,7 +95,7 @@ def test_friction_under_a_growing_force_gains_on_every_fold() -> None:
     term = regressors(placed, point.data, point.lin)[0]
     assert term.apart is not None
     assert point.data.over_folds(term.apart) == pytest.approx(0.0, abs=1e-9 * np.abs(term.apart).max())
-    for f in range(FOLDS):
+    for f in range(TIME_FOLDS):
         own = law_along_record(placed.with_values(np.ones(1)), fold_record(point.data, f), 0, point.lin)[1]
         np.testing.assert_allclose(own[f], term.tangent[0] + term.apart[f, 0], rtol=1e-4)
     found = screen.best_at(point, rig, coulomb, "bearing1.x")

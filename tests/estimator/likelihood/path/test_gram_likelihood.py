@@ -8,7 +8,7 @@ from reference_rig import RATE, rig_model, rig_record
 
 from estimator.identification.batch.linear_start import LinearStart, linear_start
 from estimator.identification.batch.maximum import initial, inverse
-from estimator.likelihood.motion.force_balance import Balance, build, restrict
+from estimator.likelihood.motion.force_balance import Balance, build_balance, restrict
 from estimator.likelihood.motion.stream_record import Bank, Record, gather, prepare
 from estimator.likelihood.path.gram_likelihood import Likelihood, Point, evidence_of, maximise
 from estimator.likelihood.path.jacobian import levels
@@ -20,7 +20,7 @@ from estimator.likelihood.response.second_order import pair_energies
 def fitted() -> tuple[Record, LinearStart, Balance, Bank]:
     record = prepare(rig_model("cubic", "cross_coupling"), rig_record(8.0, seed=3), RATE)
     start = linear_start(record)
-    balance = build(record.model, start.sizes)
+    balance = build_balance(record.model, start.sizes)
     return record, start, balance, gather(record, balance, start.widths, start.linear)
 
 
@@ -62,7 +62,7 @@ def test_a_bank_restricted_to_fewer_laws_is_the_bank_of_the_smaller_model(
 ) -> None:
     record, start, balance, bank = fitted
     cubic = {i for i, law in enumerate(balance.laws) if law.effect.name == "cubic"}
-    small = build(replace(record.model, effects=record.model.effects[:1]), start.sizes)
+    small = build_balance(replace(record.model, effects=record.model.effects[:1]), start.sizes)
     part, _ = restrict(balance, cubic)
     assert part.names == small.names
     assert part.columns == small.columns

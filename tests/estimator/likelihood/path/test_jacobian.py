@@ -70,9 +70,9 @@ def record() -> Record:
 
 @pytest.mark.parametrize("noise", [0.0, 3e-7])
 def test_value_gradient_and_hessian_are_those_of_the_likelihood(record: Record, noise: float) -> None:
-    from estimator.likelihood.motion.force_balance import build
+    from estimator.likelihood.motion.force_balance import build_balance
 
-    balance = build(record.model, search=False)
+    balance = build_balance(record.model, search=False)
     evidence = evidence_of(gather(record, balance, 0.05 * record.scales))
     rng = np.random.default_rng(1)
     beta = np.array([{"kL": 1e7, "c": 60.0}.get(f.name.rsplit(".", 1)[-1], 0.1) for f in balance.free])

@@ -14,7 +14,7 @@ from estimator.identification.batch.linear_start import linear_start
 from estimator.identification.batch.maximum import initial
 from estimator.identification.batch.measured_force import along_likely_path
 from estimator.identification.batch.report import fit_from_start
-from estimator.likelihood.motion.force_balance import build
+from estimator.likelihood.motion.force_balance import build_balance
 from estimator.likelihood.motion.stream_record import gather, prepare
 from estimator.likelihood.path.gram_likelihood import Likelihood, Point, evidence_of
 from estimator.model.rig import Channel, EffectUse, Model, Setting
@@ -46,7 +46,7 @@ def noisy() -> Floats:
 def test_the_slope_is_that_of_what_is_left_at_held_noise(noisy: Floats) -> None:
     record = prepare(rig(*MOTION, *FORCE), noisy, RATE)
     start = linear_start(record)
-    balance = build(record.model, start.sizes)
+    balance = build_balance(record.model, start.sizes)
     bank = gather(record, balance, start.widths, start.linear)
     likelihood = Likelihood(evidence_of(bank, start.nodes))
     point = initial(balance, start, {})

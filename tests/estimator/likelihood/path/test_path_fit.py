@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from estimator.likelihood.motion.motion_record import FOLDS
+from estimator.likelihood.motion.motion_record import TIME_FOLDS
 from estimator.likelihood.path.determinant import Jacobian
 from estimator.likelihood.path.path_fit import Gram, fit_increments
 from estimator.likelihood.path.subproblem import Subproblem
@@ -20,24 +20,24 @@ def test_columns_that_cancel_are_not_told_apart_by_the_error_of_their_tangents()
     nats worse for a law that the record cannot tell from damping, 7 with it.
     """
     rng, bins = np.random.default_rng(0), 300
-    force, x, own = (rng.standard_normal(FOLDS * 2000) for _ in range(3))
-    Z = np.stack([force, x, x + 1e-4 * own]).reshape(3, FOLDS, -1)
+    force, x, own = (rng.standard_normal(TIME_FOLDS * 2000) for _ in range(3))
+    Z = np.stack([force, x, x + 1e-4 * own]).reshape(3, TIME_FOLDS, -1)
     G = np.einsum("afn,bfn->fab", Z, Z)[None]
     A0 = (1.0 + 0.2j * np.linspace(-1, 1, bins))[:, None, None]
     t = 0.1j / A0[:, 0, 0]
     tangents = np.stack([t, 0.97 * t])[:, None, None]
-    count = np.full((1, FOLDS), 1000.0)
+    count = np.full((1, TIME_FOLDS), 1000.0)
     gram = Gram(
         G=G,
         n=count,
-        log_weight=np.zeros((1, FOLDS)),
+        log_weight=np.zeros((1, TIME_FOLDS)),
         tangents=tangents,
         scales=np.ones(2),
         names=("a", "b"),
         units=("N", "N"),
     )
-    blocks = np.full(FOLDS, 1000.0 / bins)
-    free = fit_increments(gram, Jacobian(A0), np.arange(FOLDS), blocks, steps=6)
+    blocks = np.full(TIME_FOLDS, 1000.0 / bins)
+    free = fit_increments(gram, Jacobian(A0), np.arange(TIME_FOLDS), blocks, steps=6)
     held = Subproblem(
         places=(0,),
         gram=gram,

@@ -12,9 +12,9 @@ from estimator.identification.batch.measured_force import analyse
 from estimator.identification.batch.report import fitted_parameters
 from estimator.identification.rolling.estimator import RollingEstimator
 from estimator.identification.rolling.memory import TangentNoiseSums
-from estimator.likelihood.motion.force_balance import build
+from estimator.likelihood.motion.force_balance import build_balance
 from estimator.likelihood.motion.law_columns import Columns
-from estimator.likelihood.motion.law_smoothing import MARGIN
+from estimator.likelihood.motion.law_smoothing import MARGIN_ROWS
 from estimator.likelihood.motion.stream_record import gather, prepare
 from estimator.likelihood.response.second_order import tangent_noise
 from estimator.model.rig import Channel, EffectUse, Model
@@ -38,12 +38,12 @@ def test_noise_adds_the_variance_of_the_tangent_times_its_psd() -> None:
     psd = (0.02 * SIGMA) ** 2 / (RATE / 2)
 
     record = prepare(model, x[:, None], RATE)
-    columns = Columns(build(model), record.scales, 1e-9 * np.ones((1, 2)))
+    columns = Columns(build_balance(model), record.scales, 1e-9 * np.ones((1, 2)))
     found = tangent_noise(record, columns, 60.0)
     assert found is not None
     C = found.covariance
     k = len(columns.balance.columns) - 1
-    seen = record.stretch(0, record.motion.rows).seen(0)[MARGIN:-MARGIN]
+    seen = record.stretch(0, record.motion.rows).seen(0)[MARGIN_ROWS:-MARGIN_ROWS]
     e = prepare(model, noise[:, None], RATE).motion.x[0]
     tangent = 3 * seen**2
     assert C[0, k, k] == pytest.approx(np.var(tangent[record.motion.valid]), rel=0.05)
@@ -71,7 +71,7 @@ def test_it_is_taken_out_of_displacements_only() -> None:
 def test_sums_over_blocks_say_the_same() -> None:
     model, x = oscillation("displacement")
     record = prepare(model, x[:, None], RATE)
-    columns = Columns(build(model), record.scales, record.scales * 0.01)
+    columns = Columns(build_balance(model), record.scales, record.scales * 0.01)
     sums = TangentNoiseSums(columns)
     grid = record.grid
     blocks = [2 * b for b in range(2, int(len(x) / grid.size) - 2)]
@@ -81,7 +81,7 @@ def test_sums_over_blocks_say_the_same() -> None:
     assert found.covariance == pytest.approx(exact.covariance, rel=0.05)
     assert found.bend == pytest.approx(exact.bend, rel=0.02)
     other = oscillation("acceleration")[0]
-    assert TangentNoiseSums(Columns(build(other), record.scales, record.scales)).size == 0
+    assert TangentNoiseSums(Columns(build_balance(other), record.scales, record.scales)).size == 0
 
 
 def test_the_rolling_estimate_has_no_other_bias_than_the_fit() -> None:
