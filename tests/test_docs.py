@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from promises import PATIENCE_S
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 SOURCE = re.compile(r"`((?:estimator|daq|drivers|tests|configs)/[\w/.<>*-]*)`")
 LINK = re.compile(r"\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)")
 DEVELOPERS = ("ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md")
-NAMES_A_SOURCE_FILE = re.compile(r"`?\b(?:estimator|daq|drivers)/[\w/]+\.py\b|\([a-z_]+\.py\)")
+NAMES_A_SOURCE_FILE = re.compile(r"`?\b(?:estimator|daq|drivers)/[\w/]+\.py\b|(?<!\])\([a-z_]+\.py\)")
 REVISION = re.compile(r"\b(?=[0-9a-f]*[0-9])(?=[0-9a-f]*[a-f])[0-9a-f]{7}\b")
 ARCHITECTURE_LINES = 120
+RIG = ROOT / "tests" / "data" / "one_cap.toml"
 
 
 def anchors(page: Path) -> set[str]:
@@ -45,3 +49,31 @@ def test_the_manual_names_no_source_file_and_no_revision(page: Path) -> None:
 
 def test_architecture_is_one_page() -> None:
     assert len((ROOT / "ARCHITECTURE.md").read_text("utf-8").splitlines()) <= ARCHITECTURE_LINES
+
+
+def test_the_library_page_shows_the_script_that_is_run() -> None:
+    script = (ROOT / "docs" / "notebook.py").read_text("utf-8")
+    shown = script.replace("sys.argv[1]", '"rig.toml"').replace("sys.argv[2]", '"day1.mcap"')
+    page = (ROOT / "docs" / "library.md").read_text("utf-8")
+    for line in shown.split("import sys\n")[1].splitlines():
+        assert f"    {line}".rstrip() in page
+    assert len([line for line in script.splitlines() if line.strip()]) <= 20
+
+
+def test_the_script_goes_from_a_log_to_a_named_effect(tmp_path: Path) -> None:
+    """One bearing of the paper's rig; friction is hidden in the record."""
+    known = RIG.read_text("utf-8")
+    (tmp_path / "known.toml").write_text(known)
+    hidden = known.replace('effects = ["cubic"]', 'effects = ["cubic", "coulomb"]')
+    (tmp_path / "hidden.toml").write_text(hidden + "\n[model.coulomb]\nfc = 0.07\n")
+    simulate = ["-m", "daq", "simulate", "hidden.toml", "--out", "day1.mcap", "--seconds", "6", "--speed", "max"]
+    script = [str(ROOT / "docs" / "notebook.py"), "known.toml", "day1.mcap"]
+    said = ""
+    for arguments in (simulate, script):
+        done = subprocess.run(
+            [sys.executable, *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+        said = done.stdout
+    assert "verdict: coulomb" in said
+    assert said.splitlines()[-1] == "cubic, coulomb: 0.00 % missing"
