@@ -47,14 +47,14 @@ ROOMS = {"model", "effects", "signals", "likelihood", "simulation", "identificat
 ROOT_FILES = {"__init__.py", "arrays.py", "errors.py", "parallel.py", "results.py", "py.typed"}
 # Ratchets: a change may lower these numbers and never raise them.
 EFFECT_NAMING_FILES = 36  # files of estimator/ outside effects/ with an effect's name in a string: six is the aim
-ONE_WORD_CONSTANTS = {"estimator": 294, "daq": 169, "drivers": 0}  # upper-case, at module level: none is the aim
-SAME_OPENINGS = 39  # docstrings in estimator/ that open with "The same": none is the aim
-POSITIONAL_CALLS = 183  # constructions of classes in estimator/ with more than four positional arguments: none
+ONE_WORD_CONSTANTS = {"estimator": 258, "daq": 168, "drivers": 0}  # upper-case, at module level: none is the aim
+SAME_OPENINGS = 34  # docstrings in estimator/ that open with "The same": none is the aim
+POSITIONAL_CALLS = 157  # constructions of classes in estimator/ with more than four positional arguments: none
 REPEATED_FUNCTIONS = {
     "find", "left", "own", "seen", "judged", "moved", "alike", "told", "said", "plain", "at", "of", "along", "build",
     "gain", "response",
 }  # fmt: skip
-REPEATED = 7  # how many modules define one of these beyond the first of each name: none is the aim
+REPEATED = 1  # how many modules define one of these beyond the first of each name: none is the aim
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Fit of a whole record."""
+"""Fit of a record: by Gram matrices where that is enough, else the full fit."""
 
 from .full_fit import FullFit, fit_all_effects
 from .spectral import fit_spectral

@@ -1,9 +1,8 @@
-"""Starting values for parameters that no linear fit can find: a gap, a corner, an exponent typed as a guess.
+"""Starting values for parameters that a law is not linear in: a gap, a corner frequency, an exponent.
 
-Newton's method finds them from near by. What a rig file says may be far off, so each effect with such parameters is
-first tried on a coarse grid about its values, on a part of the record, beside the model without it. A pedestal, which
-has no amplitude to judge a node by, is also begun from what the spectrum of the force suggests, or the motion under a
-measured force.
+Gauss-Newton finds such a parameter from nearby. The value of the rig file may be far off, so a coarse grid about it is
+tried first, on a part of the record, together with the model without the effect. A pedestal has no amplitude to score
+a grid node by. It starts from the spectrum of the residual force, or from the transfer function of a measured force.
 """
 
 from __future__ import annotations
@@ -26,31 +25,32 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model, Setting
 from estimator.parallel import map_threads
 
-GRID_S = 6.0
-PEDESTAL_START_S = 20.0  # for the spectrum of the force
-GRID_FACTORS = {1: np.geomspace(0.1, 10.0, 13), 2: np.geomspace(0.1, 10.0, 5)}
-COARSE_FACTORS = np.array([0.3, 1.0, 3.0])
-MAX_NEGATIVE_DAMPING_REL = (
-    0.1  # of a damping without a pedestal: a fit with one may end as far below zero, on its way to a light one
-)
-FINE_FACTORS = np.array([0.56, 1.0, 1.8])  # about the best node of a grid of several numbers, whose steps are wide
+GRID_S = 6.0  # of the record, on which a grid is tried
+PEDESTAL_START_S = 20.0  # of the record, for the spectrum of the residual force
+GRID_FACTORS = {1: np.geomspace(0.1, 10.0, 13), 2: np.geomspace(0.1, 10.0, 5)}  # of the start, by number of parameters
+COARSE_FACTORS = np.array([0.3, 1.0, 3.0])  # for three parameters or more
+FINE_FACTORS = np.array([0.56, 1.0, 1.8])  # about the best node, where the grid was wide
+MAX_NEGATIVE_DAMPING_REL = 0.1  # of the damping without a pedestal: an intermediate fit may fall that far below zero
 
 
 def fit_record(
-    model: Model, data: MotionRecord, begun: WorkingPoint | None = None, glance: bool = False
+    model: Model, data: MotionRecord, start: WorkingPoint | None = None, coarse: bool = False
 ) -> WorkingPoint:
-    """The model fitted to a record, whatever values its rig file starts from. begun : the same fitted to nearly the
-    same record, to begin from where only amplitudes are sought. glance : there, near enough to look at the force."""
+    """The laws of a model fitted to a record, from any start values.
+
+    start : a fit to nearly the same record, to start from where all free parameters are linear.
+    coarse : there, a coarse fit is enough.
+    """
     uses, near = _with_pedestal_starts(
         data, located_laws(model, data), located_laws(_without_pedestal_values(model), data)
     )
     loose = [k for k, use in enumerate(uses) if _searched_parameters(use)]
     if not loose and near:
         return fit_model(data, uses, near)
-    if not loose and begun:
-        return fit_model(data, list(begun.placed), begun)
+    if not loose and start:
+        return fit_model(data, list(start.placed), start)
     if not loose:
-        return coarse_fit(data, uses) if glance else fit_model(data, uses)
+        return coarse_fit(data, uses) if coarse else fit_model(data, uses)
     part = leading_blocks(data, GRID_S)
     kinds = {k: (uses[k].effect.name, *_searched_parameters(uses[k])) for k in loose}
     for kind in dict.fromkeys(kinds.values()):
@@ -62,7 +62,7 @@ def fit_record(
 
 
 def _without_pedestal_values(model: Model) -> Model:
-    """The model with no values for the free numbers of its pedestals."""
+    """The model without start values for the free parameters of its pedestals."""
 
     def bare(own: Mapping[str, Setting]) -> dict[str, Setting]:
         return {name: s if s.fixed else replace(s, value=None) for name, s in own.items()}
@@ -77,11 +77,12 @@ def _without_pedestal_values(model: Model) -> Model:
 def _with_pedestal_starts(
     data: MotionRecord, uses: list[LocatedLaw], natural: list[LocatedLaw]
 ) -> tuple[list[LocatedLaw], WorkingPoint | None]:  # fmt: skip
-    """The uses with their pedestals begun where the force of a model without them suggests, or at the natural size, if
-    that fits better; beside a measured force, which forgives no distance, with the point to begin from.
+    """The laws with start values for their pedestals, and the working point of that start; None without a pedestal.
 
-    Beside a shaft as stiff as the bearings, all four caps on pedestals, what the force suggested at one of them led to
-    a stiffness a hundred times too small; the natural size led to the rotor.
+    Without a measured force three starts are fitted and the likeliest is kept: the suggestion of the residual force,
+    the given values, and the natural size.
+
+    uses : located laws at the values of the model. natural : the same laws with pedestals at their natural size.
     """
     shaped = [k for k, use in enumerate(uses) if use.effect.name == "pedestal" and any(use.free)]
     others = [use for k, use in enumerate(uses) if k not in shaped and not _searched_parameters(use)]
@@ -89,7 +90,7 @@ def _with_pedestal_starts(
         return uses, None
     part = leading_blocks(data, PEDESTAL_START_S)
     without = fit_model(part, others)
-    begun = {}
+    started = {}
     kL, c = without.kL.copy(), without.c.copy()
     for k in shaped:
         i = uses[k].at[0]
@@ -97,15 +98,15 @@ def _with_pedestal_starts(
             suggest = (
                 transfer_bias.pedestal_from_transfer if data.driven[i] > 0.0 else spectral_models.pedestal_from_spectrum
             )
-            suggested, kL[i], c[i] = suggest(without, i)
-            begun[k] = uses[k].with_values(np.where(uses[k].free, suggested, uses[k].p))
-    own = [begun.get(k, uses[k]) for k in shaped]
+            values, kL[i], c[i] = suggest(without, i)
+            started[k] = uses[k].with_values(np.where(uses[k].free, values, uses[k].p))
+    own = [started.get(k, uses[k]) for k in shaped]
     if data.measured_force:
         best = fit_model(part, [*others, *own], replace(without, kL=kL, c=c))
     else:
-        beside = replace(without, kL=kL, c=c, placed=(*others, *own))
+        suggested_point = replace(without, kL=kL, c=c, placed=(*others, *own))
         points = [
-            fit_model(part, [*others, *own], beside),
+            fit_model(part, [*others, *own], suggested_point),
             *(fit_model(part, [*others, *(given[k] for k in shaped)]) for given in (uses, natural)),
         ]
         least = -MAX_NEGATIVE_DAMPING_REL * np.abs(without.c)
@@ -116,8 +117,8 @@ def _with_pedestal_starts(
 
 
 def _searched_parameters(use: LocatedLaw) -> list[int]:
-    """Numbers of the free parameters that are no amplitudes, if there are amplitudes to judge them by; not of a shaft
-    order, which no grid finds (stiffness_order.py)."""
+    """Indices of the free parameters that a grid can find: the law is not linear in them, is linear in another one, and
+    they are no shaft order."""
     if not any(q.linear and free for q, free in zip(use.effect.parameters, use.free, strict=True)):
         return []
     return [
@@ -127,19 +128,20 @@ def _searched_parameters(use: LocatedLaw) -> list[int]:
 
 
 def _best_of_grids(point: WorkingPoint, uses: list[LocatedLaw]) -> list[LocatedLaw]:
-    """The uses of one effect at the best of a grid about their values, amplitudes as they fit there; of several numbers
-    also of a closer one about that."""
+    """The laws of one effect at the best node of a grid, and then of a finer grid if there are several parameters."""
     loose = len(_searched_parameters(uses[0]))
-    begun = _best_of_grid(point, uses, GRID_FACTORS.get(loose, COARSE_FACTORS), turned=True)
-    return begun if loose == 1 else _best_of_grid(point, begun, FINE_FACTORS)
+    started = _best_of_grid(point, uses, GRID_FACTORS.get(loose, COARSE_FACTORS), both_signs=True)
+    return started if loose == 1 else _best_of_grid(point, started, FINE_FACTORS)
 
 
 def _best_of_grid(
-    point: WorkingPoint, uses: list[LocatedLaw], factors: Array, turned: bool = False
+    point: WorkingPoint, uses: list[LocatedLaw], factors: Array, both_signs: bool = False
 ) -> list[LocatedLaw]:
-    """The same of the grid of these factors. Places are alike unless the record says otherwise: one has a node of its
-    own where that is worth MIN_OWN_VALUES_GAIN_NATS."""
-    nodes = [_grid_nodes(use, factors, turned) for use in uses]
+    """The laws at the best node of the grid of these factors, amplitudes as fitted there.
+
+    All locations share a node. A location gets its own node where that gains MIN_OWN_VALUES_GAIN_NATS.
+    """
+    nodes = [_grid_nodes(use, factors, both_signs) for use in uses]
     pairs = [use for own in nodes for use in own]
     found = map_threads(lambda use: law_gain.fitted_gain(point, use), pairs)
     tried = [found[k : k + len(nodes[0])] for k in range(0, len(pairs), len(nodes[0]))]
@@ -154,12 +156,14 @@ def _best_of_grid(
     return out
 
 
-def _grid_nodes(use: LocatedLaw, factors: Array, turned: bool) -> list[LocatedLaw]:
-    """The use at every node, its free amplitudes 1. turned : also with the other sign, where the effect has numbers of
-    both: the side that a stop is on, preload or clearance."""
+def _grid_nodes(use: LocatedLaw, factors: Array, both_signs: bool) -> list[LocatedLaw]:
+    """The law at every node of the grid, with its free amplitudes at 1.
+
+    both_signs : also nodes of the other sign where the parameter may have both, as the side of a stop.
+    """
     loose = _searched_parameters(use)
     limits = [(use.effect.parameters[k].low, use.effect.parameters[k].high) for k in loose]
-    both = [turned and -np.inf < low < 0.0 < high < np.inf for low, high in limits]
+    both = [both_signs and -np.inf < low < 0.0 < high < np.inf for low, high in limits]
     axes = [np.append(factors, -factors) if signed else factors for signed in both]
     p = np.where([q.linear and free for q, free in zip(use.effect.parameters, use.free, strict=True)], 1.0, use.p)
     nodes = []
@@ -171,7 +175,7 @@ def _grid_nodes(use: LocatedLaw, factors: Array, turned: bool) -> list[LocatedLa
 
 
 def _with_fitted_amplitudes(use: LocatedLaw, problem: Subproblem, fit: PathFit) -> LocatedLaw:
-    """The use with the amplitudes of its fit, 0 for those that would be out of their limits."""
+    """The law with its fitted amplitudes; 0 for an amplitude that the fit left out, as it was outside its limits."""
     p = use.p.copy()
     for k, q in enumerate(use.effect.parameters):
         if q.linear and use.free[k]:

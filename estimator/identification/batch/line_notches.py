@@ -1,9 +1,9 @@
-"""Lines in the inferred force: shaft orders, mains and other tones, found and left out of the likelihood.
+"""Spectral lines of the residual force: shaft orders, mains and other tones, found and left out of the likelihood.
 
-A tone is no part of a Gaussian force, and a rotor's tones stand on its resonances. They are seen in the force, which is
-otherwise smooth, so that a resonance is not taken for one: a bin that stands out from those three and four bins away.
-Its neighbourhood is taken out of the Gram matrices and of the Jacobian alike, which costs a little information and no
-bias, and needs no knowledge of the speed. The tone's motion stays in the displacement that the effects see.
+A tone is no part of a Gaussian force. Lines are sought in the residual force, whose spectrum is smooth, so that a
+resonance is not taken for a line: a bin counts that exceeds those four and five bins away. Its neighbourhood is left
+out of the Gram matrices and of the Jacobian. This costs a little information and no bias, and needs no shaft speed. The
+motion of the tone stays in the displacement that the laws act along.
 """
 
 from __future__ import annotations
@@ -25,18 +25,21 @@ from estimator.signals.moving_lines import MovingLines
 from .linear_start import LinearStart, linear_start, may_be_fed_energy, with_denoised_displacement
 from .maximum import initial
 
-FALSE_ALARMS_PER_RECORD = 1e-5  # of a record
-MAX_BLOCK_LENGTHENING, MIN_LONG_BLOCKS = 4, 60  # blocks as much longer as leave this many, to resolve lines
-STRONG_LINE_RATIO = 8.0  # over its surroundings, of a tone that is taken out before anything is known of the rotor
-CONSTANT_SPEED_REL = 3e-3  # of the speed, by which it changes where its lines stand still
+FALSE_ALARMS_PER_RECORD = 1e-5  # probability of a line in a record without any
+MAX_BLOCK_LENGTHENING = 4  # factor, to resolve lines
+MIN_LONG_BLOCKS = 60  # that lengthening must leave
+STRONG_LINE_RATIO = 8.0  # power over the surroundings of a line that is left out before any fit
+CONSTANT_SPEED_REL = 3e-3  # change of the speed up to which its lines do not move
 MAX_TONE_FOURTH_MOMENT = (
     1.5  # mean square over squared mean of a bin's powers, block by block: 1 of a tone, 2 of random motion
 )
 
 
 def spectrum_by_bin(record: Record, B: Array | None, start: LinearStart | None) -> tuple[Array, Array, float]:
-    """(bins, places) mean |F|^2 and |F|^4 of the force of the linear balance B, and the number of blocks; without B: of
-    a."""
+    """(bins, places) mean |F|^2 and |F|^4 over blocks, and the number of blocks.
+
+    F is the residual force of the linear coefficients B; without B it is the acceleration.
+    """
     columns = None
     if B is not None and start is not None:
         columns = record.columns(build_balance(replace(record.model, effects=())), start.widths)
@@ -58,30 +61,31 @@ def spectrum_by_bin(record: Record, B: Array | None, start: LinearStart | None) 
 
 
 def linear_coefficients(record: Record, start: LinearStart) -> Array:
-    """(places, columns) coefficients of the linear start."""
+    """(places, columns) coefficients of the force balance at the linear start."""
     balance = build_balance(replace(record.model, effects=()))
     return balance.coefficients(initial(balance, start, {}).beta)
 
 
 def strong_lines(record: Record) -> tuple[tuple[float, float], ...]:
-    """Those that stand out of the acceleration, in Hz. A resonance of light damping does too in bins of its width, but
-    its motion comes and goes from block to block."""
+    """Lines of the acceleration as (f1, f2) in Hz. A lightly damped resonance is as narrow, but its power varies from
+    block to block."""
     power, fourth, blocks = spectrum_by_bin(record, None, None)
     return find_lines(power, blocks, record.grid.f_hz, STRONG_LINE_RATIO, fourth < MAX_TONE_FOURTH_MOMENT * power**2)
 
 
 def find_lines(
-    power: Array, blocks: float, f_hz: Array, least: float = 1.0, steady: NDArray[np.bool_] | None = None
+    power: Array, blocks: float, f_hz: Array, min_ratio: float = 1.0, steady: NDArray[np.bool_] | None = None
 ) -> tuple[tuple[float, float], ...]:
-    """Stretches (f1, f2) in Hz to leave out. power : (bins, places); f_hz : (bins,) evenly spaced but for notches.
+    """Stretches (f1, f2) in Hz to leave out.
 
-    least : ratio to the surroundings that a line must have, at least. steady : (bins, places) where one may be.
+    power : (bins, places) mean power of `blocks` blocks. f_hz : (bins,) evenly spaced but for notches.
+    min_ratio : least power of a line over its surroundings. steady : (bins, places) where a line may be; None: all.
     """
     from scipy.special import betaincinv  # scipy.stats would take 0.7 s to import
 
     n, independent = power.shape[0], max(blocks * 0.75, 1.0)  # neighbouring blocks share half their rows
     tail = betaincinv(4 * independent, independent, FALSE_ALARMS_PER_RECORD / power.size)
-    limit = max(4.0 * (1.0 - tail) / tail, least)  # of an F ratio with 2 and 8 degrees of freedom per block
+    limit = max(4.0 * (1.0 - tail) / tail, min_ratio)  # of an F ratio with 2 and 8 degrees of freedom per block
     padded = np.pad(power, ((5, 5), (0, 0)), mode="reflect")
     around = np.stack([padded[5 + d : 5 + d + n] for d in (-5, -4, 4, 5)])
     # of four neighbours the larger ones: the side of a steep spectrum is no line
@@ -105,8 +109,8 @@ def start_without_lines(
 ) -> tuple[Record, LinearStart]:
     """The record with its lines left out, and its linear start. Raises DataError as `linear_start` does.
 
-    Strong lines are taken out of the acceleration first, so that the start is sound; then what stands out of the force.
-    longest : how much longer the blocks may be made, to resolve lines. known : stretches in Hz to leave out anyhow.
+    Strong lines of the acceleration are left out first, so that the start is sound; then lines of the residual force.
+    longest : factor by which blocks may be lengthened to resolve lines. known : stretches in Hz to leave out anyhow.
     """
     if not valid_blocks(record.motion.valid, record.grid).size:
         length = record.grid.size / record.rate_hz
@@ -124,7 +128,7 @@ def start_without_lines(
         record = _without_lines(record, (*known, *strong), longer)
     start = linear_start(record)
     power, fourth, count = spectrum_by_bin(record, linear_coefficients(record, start), start)
-    # what feeds a rotor makes resonances that the start knows nothing of
+    # an effect that feeds energy makes resonances that the linear start does not have
     steady = (
         fourth < MAX_TONE_FOURTH_MOMENT * power**2
         if any(may_be_fed_energy(record.model, p) for p in record.model.places)
@@ -138,8 +142,8 @@ def start_without_lines(
 
 
 def start_without_moving_lines(record: Record, start: LinearStart) -> tuple[Record, LinearStart]:
-    """The same without the lines that a changing speed carries along, where a tacho tells it: block by block, as the
-    rolling estimate leaves them out. Raises DataError as `linear_start` does."""
+    """The record and its start without the lines that move with a changing shaft speed, block by block; unchanged
+    without a tacho or at constant speed. Raises DataError as `linear_start` does."""
     grid, model = record.grid, record.model
     if model.tacho is None:
         return record, start
@@ -168,13 +172,14 @@ def start_without_moving_lines(record: Record, start: LinearStart) -> tuple[Reco
 
 
 def _without_lines(record: Record, lines: tuple[tuple[float, float], ...], longer: int) -> Record:
+    """The record with stretches (Hz) left out, in blocks that are `longer` times as long."""
     cells = CELLS_WITH_FORCE if record.force else FREQUENCY_CELLS
     grid = block_layout(record.rate_hz, record.model.band, (*notches(record.model), *lines), cells, longer)
     return replace(record, grid=grid, lines=lines)
 
 
 def lines_in_words(lines: tuple[tuple[float, float], ...], speed_rpm: float | None, most: int = 6) -> str:
-    """The middles of the stretches, as orders of the shaft where they are."""
+    """The centres of stretches (Hz) in words, the first `most` of them, with the shaft order where there is one."""
     words = []
     for a, b in lines[:most]:
         f, shaft = 0.5 * (a + b), (speed_rpm or 0.0) / 60.0

@@ -1,4 +1,4 @@
-"""A start that knows nothing of the answer: a scan over resonance and damping, and the linear fit from there."""
+"""The linear start of a fit, without any start values: a scan over resonance and damping, then the linear fit."""
 
 from __future__ import annotations
 
@@ -26,17 +26,21 @@ from estimator.model.rig import Model
 from estimator.signals.band_limit import half_length, out_of_band_sd
 from estimator.signals.blocks import FrequencyNodes, block_spectra, frequency_nodes, valid_blocks
 
-LINEAR_START_S = 20.0  # of the record that the start is taken from
-MIN_DAMPING_RATIO = 0.002  # of critical: where the scan begins
-ENERGY_FEEDING_EFFECTS = ("cross_coupling", "rub")  # do work on the rotor: without them it may seem to lose nothing
-START_MASSES_REL = np.array([0.05, 0.15, 0.5, 1.5])  # of the disc, that unknown cap masses are started from
+LINEAR_START_S = 20.0  # of the record, for the start
+MIN_DAMPING_RATIO = 0.002  # of critical: lower end of the scan
+ENERGY_FEEDING_EFFECTS = ("cross_coupling", "rub")  # do work on the rotor: a fit without them may have no damping
+START_MASSES_REL = np.array([0.05, 0.15, 0.5, 1.5])  # of the disc: start values of unknown cap masses
 
 
 @dataclass(frozen=True, slots=True)
 class LinearStart:
-    """Linear point and natural sizes. m, c, kL, S, noise : (places,). widths : (places, 2) sd left out of x and v.
+    """A linear fit, from which a fit of all laws starts.
 
-    nodes : where the Jacobian of these resonances is evaluated.
+    m, c, kL : (places,) kg, N s/m, N/m, the part of the shaft included.
+    S : (places,) one-sided PSD of the excitation, N^2/Hz. noise : (places,) one-sided PSD of the sensor noise.
+    widths : (places, 2) standard deviation of displacement (m) and velocity (m/s) that the band leaves out.
+    sizes : place -> natural sizes of its motion and force, by name.
+    nodes : frequencies at which the Jacobian of these resonances is evaluated.
     """
 
     m: Array
@@ -50,11 +54,15 @@ class LinearStart:
 
     @property
     def linear(self) -> Array:
+        """(places, 3) m, kL, c."""
         return np.stack([self.m, self.kL, self.c], axis=1)
 
 
 def best_oscillator(evidence: Evidence, row: int, mass: float, band: tuple[float, float]) -> tuple[float, float, float]:
-    """(c, kL, S) of the best single oscillator at a place, over resonances in the band and dampings of 0.2 to 80 %."""
+    """(c, kL, S) of the likeliest single oscillator of a mass, for resonances in the band and 0.2 to 80 % damping.
+
+    row : index of the place. mass : kg. band : Hz.
+    """
     P, grid = len(evidence.balance.places), evidence.grid
     G = evidence.gram.sum(axis=0)[np.ix_([row, P + row, 2 * P + row], [row, P + row, 2 * P + row])]
     w0 = 2 * np.pi * np.geomspace(band[0], band[1], 240)
@@ -74,13 +82,13 @@ def best_oscillator(evidence: Evidence, row: int, mass: float, band: tuple[float
 
 @lru_cache(maxsize=4)
 def _mean_logs(w0: bytes, zeta: bytes, f_hz: bytes) -> Array:
-    """(resonances, dampings) mean over frequency of log |det A|^2 per mass: the same for every place."""
+    """(resonances, dampings) mean over frequency of log |A|^2 for unit mass. Arguments : bytes of float64 arrays."""
     r = (np.frombuffer(w0)[:, None] / (2 * np.pi * np.frombuffer(f_hz))) ** 2
     return np.stack([np.log((1 - r) ** 2 + 4 * z * z * r).mean(axis=1) for z in np.frombuffer(zeta)], axis=1)
 
 
 def linear_start(record: Record) -> LinearStart:
-    """The linear fit from a scan. Raises DataError if the band holds no resonance or the record is too short."""
+    """The linear fit of a record. Raises DataError if the band holds no resonance or the record is too short."""
     model = replace(record.model, effects=())
     balance = build_balance(model)
     P = len(balance.places)
@@ -111,11 +119,12 @@ def linear_start(record: Record) -> LinearStart:
         for i, place in enumerate(balance.places)
     }  # fmt: skip
     widths, at = _widths_and_nodes(record, evidence, B, local.point.S)
-    return LinearStart(m, c, kL, local.point.S, local.point.noise, widths, sizes, at)
+    return LinearStart(m=m, c=c, kL=kL, S=local.point.S, noise=local.point.noise, widths=widths, sizes=sizes, nodes=at)
 
 
 def with_denoised_displacement(record: Record, start: LinearStart) -> tuple[Record, LinearStart]:
-    """The same with what the laws see beside the noise of sensors (denoise.py), where no force is measured."""
+    """The record with denoised displacements for the laws, and the start with the widths that this leaves; both
+    unchanged where a force is measured or the sensor noise is small."""
     grid, kinds = record.grid, [record.model.channels[c].kind for c in motion_channels(record.model)]
     noise = noise_displacement_psd(kinds, grid.f_hz, start.noise)
     if record.force or noise_is_negligible(grid.f_hz, noise, record.rms("x") ** 2):
@@ -134,19 +143,19 @@ def with_denoised_displacement(record: Record, start: LinearStart) -> tuple[Reco
 
 
 def restarted_about(start: LinearStart, record: Record, evidence: Evidence, point: Point) -> LinearStart:
-    """The start about a better point, where the first one was blind to what shapes the force."""
+    """The start with values and widths of a better point of the linear parameters."""
     B = evidence.balance.coefficients(point.beta)
     m, c, kL = _mean_oscillators(B)
     widths, at = _widths_and_nodes(record, evidence, B, point.S)
-    return LinearStart(m, c, kL, point.S, point.noise, widths, start.sizes, at)
+    return LinearStart(m=m, c=c, kL=kL, S=point.S, noise=point.noise, widths=widths, sizes=start.sizes, nodes=at)
 
 
 def _widths_and_nodes(record: Record, evidence: Evidence, B: Array, S: Array) -> tuple[Array, FrequencyNodes]:
-    """`widths` and `frequency_nodes` of a start about coefficients B."""
+    """Widths (places, 2) and Jacobian nodes at coefficients B (places, columns). S : (places,) N^2/Hz."""
     m, c, kL = _mean_oscillators(B)
-    coupled = resonances(evidence, B)  # with a stiff shaft far from those of each place alone
+    coupled = resonances(evidence, B)  # on a stiff shaft far from the resonance of each place alone
     alone = np.sqrt(kL / m) / (2 * np.pi), c / m / (2 * np.pi)
-    middle = [0.5 * (low + high) for low, high in notches(record.model)]  # what the shaft answers is steep beside them
+    middle = [0.5 * (low + high) for low, high in notches(record.model)]  # the response of the shaft is steep near them
     left_out_there = np.array(middle), np.zeros(len(middle))
     at = frequency_nodes(record.grid, *(np.concatenate(z) for z in zip(coupled, alone, left_out_there, strict=True)))
     widths = out_of_band_sd(m, c, kL, S + record.driven, record.model.band, record.rate_hz, evidence.balance.kinds)
@@ -155,14 +164,14 @@ def _widths_and_nodes(record: Record, evidence: Evidence, B: Array, S: Array) ->
 
 
 def _mean_oscillators(B: Array) -> tuple[Array, Array, Array]:
-    """(places,) m, c, kL, the shaft's part included."""
+    """(places,) m, c, kL of coefficients B (places, columns), the part of the shaft included."""
     P = len(B)
     m, c, kL = (np.diag(B[:, i * P : (i + 1) * P]).copy() for i in range(3))
     return m, c, kL
 
 
 def _highest_maximum(likelihood: Likelihood, first: Point, model: Model) -> Local:
-    """The highest of the maxima found. Where the shaft is to set the scale of unknown masses there are several."""
+    """The highest maximum of the likelihood, for unknown masses on a known shaft from several start masses."""
     balance = likelihood.evidence.balance
     unknown = {p for p in balance.places if model.cap_mass(p) is None}
     if balance.common is None or not unknown:
@@ -179,7 +188,7 @@ def _highest_maximum(likelihood: Likelihood, first: Point, model: Model) -> Loca
 
 
 def resonances(evidence: Evidence, B: Array) -> tuple[Array, Array]:
-    """Hz: peaks of the response of the balance B, all places together, and their half-power widths."""
+    """Peaks of the displacement response at coefficients B, all places together, and their half-power widths; Hz."""
     f = evidence.grid.f_hz
     A = B @ responses(evidence.balance, evidence.tangents, f)
     power = np.sum(np.abs(np.linalg.inv(A)) ** 2, axis=(1, 2)) / f**4  # of the displacement, which has a peak
@@ -195,14 +204,14 @@ def resonances(evidence: Evidence, B: Array) -> tuple[Array, Array]:
 
 
 def resonates(m: float, c: float, kL: float, band: tuple[float, float]) -> bool:
-    """Whether a place with this mean response resonates inside the band, Hz."""
+    """Whether an oscillator of m (kg), c (N s/m), kL (N/m) resonates inside the band (Hz)."""
     low, high = band
     f0 = np.sqrt(kL / m) / (2 * np.pi) if kL > 0 and m > 0 else 0.0
     return bool(1.02 * low < f0 < 0.98 * high and c <= 1.8 * np.sqrt(kL * m))
 
 
 def refuse_without_resonance(place: str, m: float, c: float, kL: float, band: tuple[float, float]) -> None:
-    """Raises DataError if a place with this mean response does not resonate inside the band, Hz."""
+    """Raise DataError if a place of m (kg), c (N s/m), kL (N/m) does not resonate inside the band (Hz)."""
     if not resonates(m, c, kL, band):
         low, high = band
         raise DataError(
@@ -212,6 +221,7 @@ def refuse_without_resonance(place: str, m: float, c: float, kL: float, band: tu
 
 
 def _refuse_bad_start(place: str, m: float, c: float, kL: float, record: Record) -> None:
+    """Raise DataError if a place has no resonance in the band or the record is under ten correlation times long."""
     refuse_without_resonance(place, m, c if c > 0 else np.inf, kL, record.model.band)
     correlation = 2 * m / c
     if correlation > record.seconds:
@@ -227,6 +237,6 @@ def _refuse_bad_start(place: str, m: float, c: float, kL: float, record: Record)
 
 
 def may_be_fed_energy(model: Model, place: str) -> bool:
-    """Whether the model has an effect there that may give back what damping takes."""
+    """Whether the model has an effect at a place that may do work on the rotor."""
     own = (place, place.split(".")[0])
     return any(p in own for u in model.effects if u.name in ENERGY_FEEDING_EFFECTS or u.custom for p in u.parameters)

@@ -76,7 +76,7 @@ def maximum(record: Record, start: LinearStart, model: Model, values: Mapping[st
         bank = without_flutter(record, bank, local, tangents)
         likelihood, local, converged = dress(bank, start, local, tangents, converged)
         known |= dict(zip(held.names, local.point.beta.tolist(), strict=True))
-        return Maximum(held, bank, likelihood, local, known, converged)
+        return Maximum(balance=held, bank=bank, likelihood=likelihood, local=local, values=known, converged=converged)
     known |= dict(zip(held.names, local.point.beta.tolist(), strict=True))
     tangents = None
     for rounds, seconds in ((ROUGH_ROUNDS, SHAPE_SEARCH_S), (FINE_ROUNDS, np.inf)):
@@ -93,7 +93,14 @@ def maximum(record: Record, start: LinearStart, model: Model, values: Mapping[st
             moved = _move(balance, local, known, last=whole)
             if moved < MAX_SETTLED_STEP_SD:
                 break
-    return Maximum(balance, bank, likelihood, local, known, converged and moved < MAX_SETTLED_STEP_SD)
+    return Maximum(
+        balance=balance,
+        bank=bank,
+        likelihood=likelihood,
+        local=local,
+        values=known,
+        converged=converged and moved < MAX_SETTLED_STEP_SD,
+    )
 
 
 def highest(bank: Bank, start: LinearStart, point: Point) -> tuple[Bank, Local, bool]:

@@ -1,4 +1,4 @@
-"""A model fitted to a prepared record from its Gram matrices: values, covariance, the force that is left."""
+"""A model fitted to the Gram matrices of a record: values, covariance, residual force."""
 
 from __future__ import annotations
 
@@ -27,9 +27,13 @@ BLOCK_ENERGY_CORRELATION = (
 
 @dataclass(frozen=True, slots=True)
 class SpectralFit:
-    """A fitted model: the record, the balance and its Gram matrices, the point and its uncertainty.
+    """A model fitted to the Gram matrices of a record.
 
-    covariance : (p + 2 P, p + 2 P) of beta, log S, noise (see likelihood.Local); inf where the data leave it free.
+    record : the band-limited record. start : the linear fit that it started from.
+    balance : the force balance with p free parameters at P places. bank : its Gram matrices by fold of time.
+    local : the likelihood at the maximum.
+    covariance : (p + 2 P, p + 2 P) of the parameters, log S and the sensor noise; inf where the data leave one free.
+    converged : whether the maximum was reached.
     """
 
     record: Record
@@ -42,11 +46,12 @@ class SpectralFit:
 
     @property
     def point(self) -> Point:
+        """Parameters, S and sensor noise at the maximum."""
         return self.local.point
 
     @property
     def values(self) -> dict[str, float]:
-        """Free parameters by name; searched ones at their current value."""
+        """Free parameters by full name, SI."""
         return {
             f.name: (f.start + b if f.searched else b)
             for f, b in zip(self.balance.free, self.local.point.beta.tolist(), strict=True)
@@ -56,14 +61,22 @@ class SpectralFit:
 def fit_from_start(
     record: Record, start: LinearStart, model: Model, values: Mapping[str, float] | None = None
 ) -> SpectralFit:
-    """Fit a model to a prepared record from a linear start. values : known ones by name, before the model's own."""
+    """A model fitted to a record from a linear start. values : start values by full name; they override the model's."""
     best = maximum(record, start, model, values)
     covariance = sandwich_covariance(best.likelihood, best.local, best.bank)
-    return SpectralFit(record, start, best.balance, best.bank, best.local, covariance, best.converged)
+    return SpectralFit(
+        record=record,
+        start=start,
+        balance=best.balance,
+        bank=best.bank,
+        local=best.local,
+        covariance=covariance,
+        converged=best.converged,
+    )
 
 
 def sandwich_covariance(likelihood: Likelihood, local: Local, bank: Bank) -> Array:
-    """Covariance H^-1 J H^-1 with J from the scores of the folds of time; H^-1 alone if they are too few."""
+    """(p + 2 P, p + 2 P) covariance H^-1 J H^-1, J from the scores of the folds of time; H^-1 if the folds are few."""
     bread, used, folds = inverse(local), active(local.point), bank.blocks.size
     if folds < 3 * used.size:
         return bread
@@ -85,14 +98,14 @@ def sandwich_covariance(likelihood: Likelihood, local: Local, bank: Bank) -> Arr
     return bread
 
 
-def residual_force(solution: SpectralFit) -> Array:
-    """(places, n) N: the force that the model does not explain, in the band, NaN where nothing is known.
+def residual_force(gram_fit: SpectralFit) -> Array:
+    """(places, n) residual force in the band, N; NaN where no whole block is valid.
 
-    Synthesised from the same blocks as the likelihood: window, bins of the band, window, overlap and add.
+    Synthesised from the blocks of the likelihood: window, bins of the band, window, overlap and add.
     """
-    record, grid, balance = solution.record, solution.record.grid, solution.balance
-    columns = record.columns(balance, solution.start.widths, solution.start.linear)
-    B = balance.coefficients(solution.point.beta)
+    record, grid, balance = gram_fit.record, gram_fit.record.grid, gram_fit.balance
+    columns = record.columns(balance, gram_fit.start.widths, gram_fit.start.linear)
+    B = balance.coefficients(gram_fit.point.beta)
     out, weight = np.zeros((len(balance.places), record.motion.rows)), np.zeros(record.motion.rows)
     w = taper(grid.size)
     for group in stretches(valid_blocks(record.motion.valid, grid), 8):
@@ -110,13 +123,16 @@ def residual_force(solution: SpectralFit) -> Array:
     return out
 
 
-def fitted_parameters(solution: SpectralFit) -> dict[str, Parameter]:
-    """Every parameter by full name, judged."""
-    return judged_parameters(solution.balance, solution.point, solution.covariance, solution.record.model)
+def fitted_parameters(gram_fit: SpectralFit) -> dict[str, Parameter]:
+    """Every parameter by full name with its standard deviation, or the reason why it is not identifiable."""
+    return judged_parameters(gram_fit.balance, gram_fit.point, gram_fit.covariance, gram_fit.record.model)
 
 
 def judged_parameters(balance: Balance, point: Point, covariance: Array, model: Model) -> dict[str, Parameter]:
-    """Parameters by full name: kL, c, m and S of each place, then those of the effects."""
+    """Parameters by full name: kL, c, m and S of each place, then those of the effects.
+
+    covariance : (p + 2 P, p + 2 P) of the parameters, log S and the sensor noise.
+    """
     sd = np.sqrt(np.diag(covariance))
     free = {
         f.name: (f, (f.start + b if f.searched else b), sd[j])
@@ -131,7 +147,7 @@ def judged_parameters(balance: Balance, point: Point, covariance: Array, model: 
             if name in free:
                 out[name] = _judged_parameter(free[name][1], free[name][2], UNITS[key])
             elif given is not None:
-                out[name] = Parameter(given, 0.0, UNITS[key], True, "given")
+                out[name] = Parameter(given, 0.0, UNITS[key], reason="given")
         out[f"{place}.S"] = _judged_parameter(point.S[i], point.S[i] * sd[point.beta.size + i], UNITS["S"])
     out |= {name: _judged_parameter(value, s, f.unit) for name, (f, value, s) in free.items() if name not in out}
     adrift = [p for p in balance.places if f"{p}.m" in free and not np.isfinite(free[f"{p}.m"][2])]
@@ -139,16 +155,23 @@ def judged_parameters(balance: Balance, point: Point, covariance: Array, model: 
 
 
 def _judged_parameter(value: float, sd: float, unit: str) -> Parameter:
+    """The parameter, or the reason why it is not identifiable."""
     judged = Parameter.from_estimate(value, sd, unit)
     if judged.identifiable:
         return judged
     if not np.isfinite(sd):
-        return Parameter(None, None, unit, False, NO_SCALE_REASON)
-    return Parameter(None, None, unit, False, f"{value:.3g} +- {sd:.2g}: not distinguishable from zero in this record")
+        return Parameter(None, None, unit, identifiable=False, reason=NO_SCALE_REASON)
+    return Parameter(
+        None,
+        None,
+        unit,
+        identifiable=False,
+        reason=f"{value:.3g} +- {sd:.2g}: not distinguishable from zero in this record",
+    )
 
 
 def ratios_only_message(place: str, kL: float, c: float, m: float) -> Message:
-    """What to tell of a place whose mass is not known."""
+    """A message with the resonance and the damping ratio of a place of unknown mass. kL, c, m : at any scale."""
     hz, zeta = np.sqrt(kL / m) / (2 * np.pi), c / (2 * np.sqrt(kL * m))
     text = (
         f"{place}: the mass is unknown, so the record gives only ratios: resonance {hz:.1f} Hz, damping "

@@ -1,4 +1,4 @@
-"""Parameters by the spectral path likelihood (docs/estimator.md), the default method of `rotorscope fit`."""
+"""Parameters by the spectral path likelihood, the default method of a fit."""
 
 from __future__ import annotations
 
@@ -31,50 +31,75 @@ from .line_notches import lines_in_words
 from .measured_force import analyse
 from .report import SpectralFit, fitted_parameters, ratios_only_message
 
-COARSE_FIT_S = 20.0  # of a record, for where a gap is begun
-MAX_UNMEASURED_POWER_REL = (
-    1e-3  # of the measured force, in power, from which on it matters whether the rest is noise or a force
-)
-MAX_SHARED_NOISE_REL = (
-    0.03  # of the PSD of an inferred force in a cell: with 0.17, kL was one standard deviation high, with 0.9 five
-)
+COARSE_FIT_S = 20.0  # of the record, for the start of a parameter that a law is not linear in
+MAX_UNMEASURED_POWER_REL = 1e-3  # of the power of the measured force: a smaller rest is noise or force, either will do
+MAX_SHARED_NOISE_REL = 0.03  # of the PSD of a residual force in a cell; 0.17 moved kL by one standard deviation
 
 
 def fit_spectral(model: Model, y: Array, rate_hz: float, phase: Array | None = None) -> Fit:
-    """Parameters with standard deviations from (n, channels) rows in SI. Raises DataError.
+    """Parameters of a rig from a record, by the spectral path likelihood.
 
-    A model with more than laws of the states of a cap, with a force that remembers, or with a law that moves the cap
-    off its centre is fitted as compare fits it, and so are a record behind a filter that shows, a rotor beyond whirl,
-    a force beside those measured, noise of a sensor that comes through the shaft into the force at another, and a law
-    with searched numbers whose likelihood is not brought to its maximum here.
+    The Gram matrices of the record are enough for laws of the displacement and velocity of a cap. The full fit takes
+    over for: disturbances, forces with memory, laws with an even part, a visible anti-alias roll-off, a mode that the
+    mean response lets grow, an unmeasured force beside a measured one, sensor noise that acts through the
+    shaft, and a search for nonlinear parameters that does not converge.
+
+    Parameters
+    ----------
+    model : Model
+        The rig. Values that are None are fitted.
+    y : (n, channels) float64
+        Samples in SI units, columns in the order of ``model.channels``. NaN where a sample is missing or clipped.
+    rate_hz : float
+        Sampling rate, Hz.
+    phase : (n,) float64, optional
+        Measured shaft angle, rad. None: that of the given shaft speed.
+
+    Returns
+    -------
+    Fit
+        Parameters by full name, each with its standard deviation, and messages for the user.
+
+    Raises
+    ------
+    DataError
+        The record cannot answer: too short, a dead channel, no resonance in the band.
     """
-    known = not unknown_mass.places_without_mass(model) or bool(unknown_mass.places_scaled_by_shaft(model))
-    solution: SpectralFit | None = None
-    if not (known and _has_more_than_laws(model)):
-        solution = analyse(model, y, rate_hz, phase, _coarse_values(model, y, rate_hz) if known else None)
-    lost = (
-        solution is not None
-        and known
-        and (search_has_failed(solution) or _has_growing_mode(solution) or _shares_sensor_noise(solution))
+    has_scale = not unknown_mass.places_without_mass(model) or bool(unknown_mass.places_scaled_by_shaft(model))
+    gram_fit: SpectralFit | None = None
+    if not (has_scale and _has_more_than_laws(model)):
+        gram_fit = analyse(model, y, rate_hz, phase, _coarse_values(model, y, rate_hz) if has_scale else None)
+    failed = (
+        gram_fit is not None
+        and has_scale
+        and (search_has_failed(gram_fit) or _has_growing_mode(gram_fit) or _shares_sensor_noise(gram_fit))
     )
-    if solution is None or lost or (known and _shows_roll_off(solution)):
+    if gram_fit is None or failed or (has_scale and _shows_roll_off(gram_fit)):
         found = full_fit.fit_all_effects(model, check_record(model, y, rate_hz), rate_hz)
-        if solution is None or lost or found.model.roll_off:
+        if gram_fit is None or failed or found.model.roll_off:
             return found.to_fit()
-    if (beside := _full_fit_with_unmeasured_force(solution, y)) is not None:
-        return beside.to_fit()
-    samples = int(solution.record.motion.valid.sum())
-    return Fit(fitted_parameters(solution), -solution.local.nll, samples, "spectral", spectral_messages(solution))
+    if (with_unmeasured := _full_fit_with_unmeasured_force(gram_fit, y)) is not None:
+        return with_unmeasured.to_fit()
+    samples = int(gram_fit.record.motion.valid.sum())
+    return Fit(
+        parameters=fitted_parameters(gram_fit),
+        log_likelihood=-gram_fit.local.nll,
+        samples=samples,
+        method="spectral",
+        messages=spectral_messages(gram_fit),
+    )
 
 
-def _full_fit_with_unmeasured_force(solution: SpectralFit, y: Array) -> FullFit | None:
-    """The model fitted as compare fits it, where the force is measured everywhere, yet not all of it: another acts
-    beside it. Such a fit takes what is left for noise of the sensors, and c comes out too small by its share."""
-    model, rate_hz = solution.record.model, solution.record.rate_hz
-    if not is_force_measured(solution.balance) or any(model.cap_mass(place) is None for place in model.places):
+def _full_fit_with_unmeasured_force(gram_fit: SpectralFit, y: Array) -> FullFit | None:
+    """The full fit where every place has a measured force and an unmeasured one beside it; None elsewhere.
+
+    The Gram fit takes the whole residual for sensor noise, and c would be too small by the share of that force.
+    """
+    model, rate_hz = gram_fit.record.model, gram_fit.record.rate_hz
+    if not is_force_measured(gram_fit.balance) or any(model.cap_mass(place) is None for place in model.places):
         return None
     forces = np.array([np.nanvar(y[:, k]) for _, k in sorted(force_channels(model).items())]) / (0.5 * rate_hz)
-    shares = solution.point.S / forces
+    shares = gram_fit.point.S / forces
     if (shares < MAX_UNMEASURED_POWER_REL).all():
         return None
     found = full_fit.fit_all_effects(model, check_record(model, y, rate_hz), rate_hz)
@@ -82,8 +107,10 @@ def _full_fit_with_unmeasured_force(solution: SpectralFit, y: Array) -> FullFit 
 
 
 def _coarse_values(model: Model, y: Array, rate_hz: float) -> dict[str, float] | None:
-    """Values by name to begin from, where a law has numbers that no linear fit finds, as compare finds them: from a
-    gap of another size Gauss-Newton ends at a maximum of its own. None without such a law."""
+    """Start values by full name for a model with laws that are not linear in a free parameter; None without such a law.
+
+    Gauss-Newton alone ends at a local maximum if a gap starts far off.
+    """
     if not any(searched_parameters(effect_of(use), model) for use in model.effects):
         return None
     part = y[: int(COARSE_FIT_S * rate_hz)]
@@ -95,8 +122,8 @@ def _coarse_values(model: Model, y: Array, rate_hz: float) -> dict[str, float] |
 
 
 def _has_more_than_laws(model: Model) -> bool:
-    """Whether the model has effects that the Gram matrices do not hold; those that move a cap off its centre they hold
-    where the force is measured."""
+    """Whether the model needs the full fit: it has more than force laws of the states of a cap, or laws with an even
+    part and no measured force."""
     effects = [effect_of(use) for use in model.effects]
     more = any(e.kind != "force" or e.name in PERIODIC_EFFECTS for e in effects)
     if not measured_force_places(model):
@@ -106,80 +133,77 @@ def _has_more_than_laws(model: Model) -> bool:
     return more
 
 
-def search_has_failed(solution: SpectralFit) -> bool:
-    """Whether the search for a law's numbers has not come to rest, or has left for where they do nothing: of two that
-    nearly do the same, say."""
-    sd = np.sqrt(np.diag(solution.covariance))
-    told = [np.isfinite(sd[j]) for j, f in enumerate(solution.balance.free) if f.searched]
-    return bool(told) and not (solution.converged and all(told))
+def search_has_failed(gram_fit: SpectralFit) -> bool:
+    """Whether the search for nonlinear parameters did not converge, or ended where one of them has no effect."""
+    sd = np.sqrt(np.diag(gram_fit.covariance))
+    identifiable = [np.isfinite(sd[j]) for j, f in enumerate(gram_fit.balance.free) if f.searched]
+    return bool(identifiable) and not (gram_fit.converged and all(identifiable))
 
 
-def _has_growing_mode(solution: SpectralFit) -> bool:
-    """Whether a mode of the mean response grows, so that only the law's bend holds it: see contour.py."""
-    balance, f_hz = solution.balance, solution.start.nodes.f_hz
-    B = balance.coefficients(solution.point.beta)
-    A = B @ responses(balance, solution.bank.tangents, f_hz)
+def _has_growing_mode(gram_fit: SpectralFit) -> bool:
+    """Whether a mode of the mean response grows, so that only a nonlinearity limits the motion."""
+    balance, f_hz = gram_fit.balance, gram_fit.start.nodes.f_hz
+    B = balance.coefficients(gram_fit.point.beta)
+    A = B @ responses(balance, gram_fit.bank.tangents, f_hz)
     modes = slowest_modes(A, np.diag(B), f_hz)
     return bool(np.any(modes.real > 0.0))
 
 
-def _shares_sensor_noise(solution: SpectralFit) -> bool:
-    """Whether noise of a sensor is much of the force that is inferred at another place, through the shaft: rows are
-    taken as independent here, and are not then (sensor_noise.py)."""
-    point, local = solution.point, solution.local
+def _shares_sensor_noise(gram_fit: SpectralFit) -> bool:
+    """Whether the noise of one sensor is a large part of the residual force at another place, through the shaft.
+
+    The Gram fit takes the residual forces of the places as independent.
+    """
+    point, local = gram_fit.point, gram_fit.local
     shares = point.noise * local.floor / local.spread[:, :, None]
     return bool(np.max(shares, where=~np.eye(point.S.size, dtype=bool), initial=0.0) > MAX_SHARED_NOISE_REL)
 
 
-def _shows_roll_off(solution: SpectralFit) -> bool:
-    """Whether the force seems to fall alike at all places, or those of a bearing, as behind a filter of the recorder:
-    recorder.py."""
-    record, local, grid = solution.record, solution.local, solution.record.grid
+def _shows_roll_off(gram_fit: SpectralFit) -> bool:
+    """Whether the residual force falls towards the upper band edge alike at all places or at those of one bearing, as
+    behind an anti-alias filter."""
+    record, local, grid = gram_fit.record, gram_fit.local, gram_fit.record.grid
     if record.force:
         return False
-    count = evidence_of(solution.bank).blocks * grid.per_cell.astype(np.float64)
-    peaks = [solution.start.sizes[place]["hz_peak"] for place in solution.balance.places]
-    ratio, f_hz, places = local.power / local.spread, grid.mean_by_cell(grid.f_hz), solution.balance.places
+    count = evidence_of(gram_fit.bank).blocks * grid.per_cell.astype(np.float64)
+    peaks = [gram_fit.start.sizes[place]["hz_peak"] for place in gram_fit.balance.places]
+    ratio, f_hz, places = local.power / local.spread, grid.mean_by_cell(grid.f_hz), gram_fit.balance.places
     return any(suspected(ratio[:, own], f_hz, count, max(peaks)) for own in ([*range(len(places))], *devices(places)))
 
 
-def spectral_messages(solution: SpectralFit) -> tuple[Message, ...]:
-    """What the user should know beside the numbers: what was assumed and does not hold, what sets no scale."""
+def spectral_messages(gram_fit: SpectralFit) -> tuple[Message, ...]:
+    """Messages of a Gram fit: no convergence, lines left out, assumptions that do not hold, a scale that is missing."""
     out: list[Message] = []
-    point, places = solution.point, solution.balance.places
-    if not solution.converged:
+    point, places = gram_fit.point, gram_fit.balance.places
+    if not gram_fit.converged:
         out.append(Message("not_converged", "the fit did not converge, so all values are provisional: record longer"))
-    out += excitation_level.uneven_message(solution.bank.level)
-    record = solution.record
+    out += excitation_level.uneven_message(gram_fit.bank.level)
+    record = gram_fit.record
     out += unmeasured_end.unmeasured_end_messages(
-        record.model, {p: solution.values.get(f"{p}.kL", 0.0) for p in places}
+        record.model, {p: gram_fit.values.get(f"{p}.kL", 0.0) for p in places}
     )
     if record.lines:
-        out.append(
-            Message(
-                "lines_left_out",
-                f"spectral lines left out of the fit: {lines_in_words(record.lines, record.model.speed_rpm)}",
-            )
-        )
-    values, sd = solution.values, np.sqrt(np.diag(solution.covariance))
+        words = lines_in_words(record.lines, record.model.speed_rpm)
+        out.append(Message("lines_left_out", f"spectral lines left out of the fit: {words}"))
+    values, sd = gram_fit.values, np.sqrt(np.diag(gram_fit.covariance))
     for i, place in enumerate(places):
         name = f"{place}.m"
-        if name in values and not np.isfinite(sd[solution.balance.names.index(name)]):
+        if name in values and not np.isfinite(sd[gram_fit.balance.names.index(name)]):
             out.append(ratios_only_message(place, values[f"{place}.kL"], values[f"{place}.c"], values[name]))
-        if solution.record.force:  # what is left is the sensor's noise, not a force
+        if gram_fit.record.force:  # the residual is sensor noise, not a force
             continue
-        excess = solution.local.power[:, i] / (solution.local.spread[:, i] * record.counted) - 1.0
-        count = 0.5 * solution.bank.blocks.sum() * solution.record.grid.per_cell
+        excess = gram_fit.local.power[:, i] / (gram_fit.local.spread[:, i] * record.counted) - 1.0
+        count = 0.5 * gram_fit.bank.blocks.sum() * gram_fit.record.grid.per_cell
         z = excess * np.sqrt(count)
         worst = int(np.argmax(np.abs(z)))
         if abs(z[worst]) > 5.0 and abs(excess[worst]) > 0.05:
-            f = solution.record.grid.f_hz[solution.record.grid.starts]
+            f = gram_fit.record.grid.f_hz[gram_fit.record.grid.starts]
             text = (
                 f"{place}: the spectrum of the residual force is not white: {100 * excess[worst]:+.0f} % near "
                 f"{f[worst]:.0f} Hz; the model lacks something there, and rotorscope compare shows where"
             )
             out.append(Message("force_not_white", text, place))
-        if point.noise[i] > 0 and point.noise[i] * solution.local.floor[0, i, i] > point.S[i]:
+        if point.noise[i] > 0 and point.noise[i] * gram_fit.local.floor[0, i, i] > point.S[i]:
             text = f"{place}: sensor noise exceeds the excitation at the lower end of the band: raise band.low"
             out.append(Message("noise_at_band_low", text, place))
     return tuple(out)

@@ -1,7 +1,6 @@
-"""Masses of caps that the rig file leaves out, where the shaft, whose spring and disc are known, sets their scale.
+"""Bearing cap masses that the rig file leaves out, estimated by the known stiffness of the shaft and mass of the disc.
 
-Without them the motion blocks would weigh a cap 1 kg: right in proportion where nothing couples the caps, but beside a
-shaft of known stiffness it is another rotor.
+Without a scale a cap counts as 1 kg. Then all ratios are right if nothing couples the caps, but not on a known shaft.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ NO_MASS_REASON = "the mass is unknown: give [rig.mass]"
 
 
 def with_masses_of_shaft(model: Model, y: Array, rate_hz: float) -> tuple[Model, dict[str, Parameter]]:
-    """The model with the masses that its shaft and a record (n, channels) tell, and these as parameters by name."""
+    """The model with the cap masses found by its shaft, and these as parameters by full name. y : (n, channels), SI."""
     left_out = places_scaled_by_shaft(model)
     if not left_out:
         return model, {}
@@ -37,24 +36,24 @@ def with_masses_of_shaft(model: Model, y: Array, rate_hz: float) -> tuple[Model,
         fitted = fitted_parameters(analyse(replace(model, effects=laws), corrected_record(model, y, rate_hz), rate_hz))
     except DataError:  # the fit that follows says what is wrong
         return model, {}
-    told = {f"{p}.m": fitted[f"{p}.m"] for p in left_out}
-    found = {p: q.value for p in left_out if (q := told[f"{p}.m"]).identifiable and q.value and q.value > 0.0}
-    return replace(model, mass={**model.mass, **found}), {f"{p}.m": told[f"{p}.m"] for p in found}
+    estimated = {f"{p}.m": fitted[f"{p}.m"] for p in left_out}
+    found = {p: q.value for p in left_out if (q := estimated[f"{p}.m"]).identifiable and q.value and q.value > 0.0}
+    return replace(model, mass={**model.mass, **found}), {f"{p}.m": estimated[f"{p}.m"] for p in found}
 
 
 def places_scaled_by_shaft(model: Model) -> list[str]:
-    """Places whose mass the shaft tells. Where a force is measured it sets the scale, and the mass is left to it."""
+    """Places of unknown mass that the shaft gives a scale. A measured force sets the scale of its own place."""
     coupled = model.shaft != "none" and model.shaft_stiffness > 0.0 and "disc" in model.mass
     return places_without_mass(model) if coupled else []
 
 
 def places_without_mass(model: Model) -> list[str]:
-    """Places whose mass nothing tells."""
+    """Places of unknown mass and without a measured force."""
     return [p for p in model.places if model.cap_mass(p) is None and p not in measured_force_places(model)]
 
 
 def ratio_messages(model: Model, point: WorkingPoint) -> tuple[Message, ...]:
-    """What to tell the user of places whose mass nothing tells."""
+    """A message for each place of unknown mass, with the resonance and the damping ratio."""
     at = [point.data.places.index(p) for p in places_without_mass(model)]
     return tuple(
         ratios_only_message(point.data.places[i], point.kL[i], point.c[i], point.data.mass[i])
@@ -65,10 +64,10 @@ def ratio_messages(model: Model, point: WorkingPoint) -> tuple[Message, ...]:
 def with_mass_uncertainty(
     model: Model, found: Mapping[str, Parameter], masses: Mapping[str, Parameter]
 ) -> dict[str, Parameter]:
-    """Numbers by full name with the standard deviations that those of the masses add.
+    """Parameters by full name with standard deviations that include those of the masses.
 
-    What a fit beside given masses says in newtons goes with the mass of its cap, S with its square; kL and c together
-    with what the shaft holds the cap by.
+    A fit at given masses gives forces in proportion to the mass of the cap, and S to its square; kL and c in proportion
+    together with the part of the shaft.
     """
     out = dict(found)
     for name, p in found.items():
@@ -83,15 +82,15 @@ def with_mass_uncertainty(
 
 
 def _shaft_part(model: Model, name: str) -> float:
-    """What the shaft adds to kL or c of a place, as these are in the motion of its cap above the disc's resonance."""
+    """Stiffness (N/m) or damping (N s/m) that the shaft adds to kL or c of a cap above the resonance of the disc."""
     added = {"kL": model.shaft_stiffness, "c": model.shaft_damping}
     return float(shaft_matrix(model.shaft, added.get(name.rsplit(".", 1)[1], 0.0))[0, 0])
 
 
-def mass_messages(told: dict[str, Parameter]) -> tuple[Message, ...]:
-    """What to tell the user of them."""
-    if not told:
+def mass_messages(masses: dict[str, Parameter]) -> tuple[Message, ...]:
+    """A message that names the masses found. masses : by full name."""
+    if not masses:
         return ()
-    values = ", ".join(f"{name.removesuffix('.m')} {q.value:.4g} kg" for name, q in told.items())
+    values = ", ".join(f"{name.removesuffix('.m')} {q.value:.4g} kg" for name, q in masses.items())
     text = f"masses missing in the rig file were estimated by the shaft stiffness: {values}; the fit rests on them"
     return (Message("mass_by_shaft", text),)

@@ -1,4 +1,4 @@
-"""A shaft with one bearing measured: what the other does reaches this one through the shaft, and nothing tells it."""
+"""A shaft with one measured bearing: the motion of the other bearing acts on it through the shaft, unknown."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from estimator.likelihood.motion.force_balance import shaft_reaction
 from estimator.model.rig import NODES, Model
 from estimator.results import Message
 
-MIN_SHAFT_STIFFNESS_REL = 0.01  # of the stiffness at a place: what comes through the shaft at the resonance there
+MIN_SHAFT_STIFFNESS_REL = 0.01  # of the stiffness at a place: a weaker coupling through the shaft does not matter
 
 
 def unmeasured_end_messages(model: Model, kL: Mapping[str, float]) -> tuple[Message, ...]:
-    """What to tell of it. kL : by place, N/m."""
+    """A message if an unmeasured bearing acts on a measured one through the shaft. kL : by place, N/m."""
     try:
         reaction = shaft_reaction(model)
     except DataError:  # said elsewhere
