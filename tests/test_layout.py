@@ -20,13 +20,8 @@ PATCHES = {"setattr", "delattr", "setitem", "delitem"}  # of pytest's monkeypatc
 LEAVES, SEAM = "leaves with the file that it tests", "no seam yet"
 INSIDE = {
     "daq/commands/study/test_confusion.py": (4, SEAM),
-    "daq/commands/test_demo.py": (3, SEAM),
     "daq/commands/test_entry.py": (2, "the state of a process that has been interrupted"),
-    "daq/log/test_faults.py": (1, SEAM),
     "daq/log/test_place.py": (1, SEAM),
-    "daq/report/rerun/test_sink.py": (1, SEAM),
-    "daq/session/test_acquire.py": (4, SEAM),
-    "drivers/links/test_mute_device.py": (1, SEAM),
     "drivers/protocol/test_codecs.py": (2, SEAM),
     "estimator/diagnosis/hypotheses/test_trial.py": (1, SEAM),
     "estimator/diagnosis/verdict/test_diagnosis.py": (1, SEAM),
@@ -37,7 +32,6 @@ INSIDE = {
     "estimator/identification/structure/test_transfer_faults.py": (1, SEAM),
     "estimator/likelihood/motion/test_memory_law.py": (1, LEAVES),
     "estimator/signals/test_band_limited_record.py": (1, LEAVES),
-    "fuzz/test_fuzz.py": (1, SEAM),
 }
 FILE_LINES = 400
 FUNCTION_LINES = 60

@@ -62,11 +62,11 @@ def demo(output: Output, out: Path) -> None:
         "lacks, meanwhile:",
     )
     log, recording = out / "measurement.mcap", out / "measurement.rrd"
-    _acquire(output, rig, truth, log, recording)
+    acquire_demo(output, rig, truth, log, recording)
     files += [log, recording]
 
     output.say(Rule("2  replay"))
-    _replay(output, log)
+    replay_demo(output, log)
 
     steps, report = _improve(output, rig, truth, log, out)
     files += report
@@ -88,7 +88,10 @@ def truth_text(rig: Rig) -> str:
     return with_effect(with_known, HIDDEN, [HIDDEN_AT], hidden)
 
 
-def _acquire(output: Output, rig: Rig, truth: Rig, log: Path, recording: Path) -> None:
+def acquire_demo(
+    output: Output, rig: Rig, truth: Rig, log: Path, recording: Path, seconds: float = SECONDS
+) -> None:  # fmt: skip
+    """Acquire the true machine over the virtual bus into a log and a recording for the viewer."""
     from daq.commands.live.parts import Operator
     from daq.log.writer import LogWriter
     from daq.report.rerun.sink import RerunSink
@@ -97,11 +100,11 @@ def _acquire(output: Output, rig: Rig, truth: Rig, log: Path, recording: Path) -
     from drivers.contract import VirtualConfig
     from drivers.links import make_driver
 
-    device = machine(rig, truth=truth, seed=SEED, seconds=SECONDS).device
+    device = machine(rig, truth=truth, seed=SEED, seconds=seconds).device
     driver = make_driver(VirtualConfig(None), device=device)
     sinks: list[Sink] = [LogWriter(log), RerunSink(str(recording)), Watch(output, known_values(truth))]
     metadata = {"command": "demo", "link": "virtual:"}
-    summary = acquire_from(rig, driver, sinks, SECONDS, metadata=metadata, notify=Operator(output))
+    summary = acquire_from(rig, driver, sinks, seconds, metadata=metadata, notify=Operator(output))
     lost = f"{summary.lost_samples} samples lost" if summary.lost_samples else "no sample lost"
     output.say(f"{summary.samples} samples of each channel, {lost}")
 
@@ -146,7 +149,8 @@ class Watch:
     def close(self) -> None: ...
 
 
-def _replay(output: Output, log: Path) -> None:
+def replay_demo(output: Output, log: Path) -> None:
+    """Replay the log; CheckFailed if the estimates are others."""
     from daq.log.reader import read_log
     from daq.session.replay import replay_into
 

@@ -213,13 +213,15 @@ class Recording:
             )
 
 
-def read_log(path: str | Path) -> Recording:
+def read_log(path: str | Path, *, max_events: int = MOST_EVENTS) -> Recording:
     """Read a log (MCAP), in one pass that checks every chunk; samples are read when they are asked for.
 
     Parameters
     ----------
     path : path
         The log. One that is being written is read up to where it is now.
+    max_events : int
+        Gaps, notices, estimates and damage at most; a log with more was not made by Rotorscope.
 
     Returns
     -------
@@ -229,7 +231,7 @@ def read_log(path: str | Path) -> Recording:
     Raises
     ------
     LogError
-        The file is missing, is no Rotorscope log, or holds nothing intact.
+        The file is missing, is no Rotorscope log, holds nothing intact or too many events.
 
     Examples
     --------
@@ -249,8 +251,8 @@ def read_log(path: str | Path) -> Recording:
     for entry, _ in walk(path, findings):
         if entry is not None:
             said.take(entry)
-        if said.events + len(findings.damage) > MOST_EVENTS:
-            text = f"holds more than {MOST_EVENTS} gaps, notices and estimates; it was not made by Rotorscope"
+        if said.events + len(findings.damage) > max_events:
+            text = f"holds more than {max_events} gaps, notices and estimates; it was not made by Rotorscope"
             raise LogError(f"{path}: {text}")
     if said.info is None and written:
         raise LogError(f"{path}: is being written, and holds nothing yet; try again when samples have come")

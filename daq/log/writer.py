@@ -34,6 +34,7 @@ class LogWriter:
         are not stored, and a Gap of reason "storage" says which. A full or failing disk is tried again every 0.5 s
         and the same file goes on when it recovers. False: the caller waits for the disk (import, fast replay), and a
         fault of the disk is a LogError from any method. The log gets its name when it is complete, if `wanted` then.
+    file : makes the file from its path.
     A log without samples or gaps is not left behind; a measurement that lay there gets another name, and stays.
     A file that was removed, alone or with its folder, is put back with all its bytes; one that was moved is followed;
     of one that another program cut, what is gone is gone. `health` tells the operator.
@@ -41,10 +42,10 @@ class LogWriter:
 
     def __init__(
         self, path: str | Path, *, live: bool = True, limit_bytes: int = 64 << 20, clock: Clock | None = None,
-        wanted: Callable[[], bool] = lambda: True,
+        wanted: Callable[[], bool] = lambda: True, file: Callable[..., LogFile] = LogFile,
     ) -> None:  # fmt: skip
         self._clock: Clock = clock or SystemClock()
-        self._file = LogFile(Path(path), whole=not live)
+        self._file = file(Path(path), whole=not live)
         self._wanted = wanted
         self._holds_data = False
         self._encoder = LogEncoder(self._file)

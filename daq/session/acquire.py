@@ -20,9 +20,10 @@ from drivers.contract import Driver, Gap, LinkStats, Notice
 from estimator.results import Estimate
 
 from .estimation import block_rows
+from .estimator_runner import BUSY_BLOCKS
 from .estimators import MakeEstimator, maker, warm_up
 from .pipeline import Pipeline, Plan
-from .reading_queue import ReadingQueue
+from .reading_queue import QUEUE_BYTES, ReadingQueue
 
 FINITE_KINDS = ("capture", "replay", "simulated")  # kinds of link that wait for us; all others are live
 READ_S = 0.1
@@ -102,11 +103,14 @@ def acquire_from(
     rig: Rig, driver: Driver, sinks: Sequence[Sink], seconds: float | None = None, stop: threading.Event | None = None,
     *, device: str = "", metadata: Mapping[str, str] | None = None, notify: Notify | None = None,
     clock: Clock | None = None, make: MakeEstimator | None = None,
+    grace_s: float = GRACE_S, queue_bytes: int = QUEUE_BYTES, busy_blocks: int = BUSY_BLOCKS,
 ) -> RunSummary:  # fmt: skip
     """Acquire until `seconds` of data have come, the source ends or `stop` is set. Sinks are closed in any case.
 
     device : name of the device in a service with several. metadata : into the log, beside versions and link kind.
     notify : called from this thread with everything an operator should read. make : instead of the rig's estimator.
+    grace_s : a live link may take this much longer than `seconds`. queue_bytes : of readings between the reader of the
+    link and this thread. busy_blocks : that may wait for the estimator.
     Raises LinkError if the link cannot be opened, ConfigError if it does not have the rig's channels, and whatever a
     driver raised against its contract, after the sinks are closed.
     """
@@ -116,10 +120,28 @@ def acquire_from(
     make = make or maker(rig.estimator.method, rig.estimator.time_constant_s, rig.estimator.watch)
     rate_hz = rig.acquisition.rate_hz if rig.acquisition else None
     about = _about(driver, clock) | dict(metadata or {})
-    plan = Plan(rig.model, make, rate_hz, device=device, attachments=rig.attachments(), metadata=about, limit_s=seconds)
-    queue = ReadingQueue(live=live)
+    plan = Plan(
+        rig.model,
+        make,
+        rate_hz,
+        device=device,
+        attachments=rig.attachments(),
+        metadata=about,
+        limit_s=seconds,
+        busy_blocks=busy_blocks,
+    )
+    queue = ReadingQueue(queue_bytes, live)
     pipeline = Pipeline(plan, sinks, clock, live=live, notify=notify, wake=queue.wake if live else None)
-    core = _Core(driver=driver, queue=queue, pipeline=pipeline, clock=clock, stop=stop, seconds=seconds, live=live)
+    core = _Core(
+        driver=driver,
+        queue=queue,
+        pipeline=pipeline,
+        clock=clock,
+        stop=stop,
+        seconds=seconds,
+        live=live,
+        grace_s=grace_s,
+    )
     try:
         if live:
             _open_unless_stopped(driver, stop, lambda: _warm_up(make, rig, rate_hz))
@@ -144,6 +166,7 @@ class _Core:
     stop: threading.Event
     seconds: float | None  # of data to acquire; None: until the source ends or `stop` is set
     live: bool  # the device does not wait for us
+    grace_s: float
 
     def follow(self) -> None:
         """Step the pipeline with what the link delivers, until the end; then close the link."""
@@ -163,7 +186,7 @@ class _Core:
                     begin_ns, flowing = self.clock.now_ns(), True
                 if self._late(begin_ns):
                     if flowing and self.seconds is not None:
-                        self.pipeline.step([_short(self.pipeline, self.seconds, self.clock)])
+                        self.pipeline.step([_short(self.pipeline, self.seconds, self.grace_s, self.clock)])
                     break
         finally:
             self.queue.close()
@@ -189,11 +212,11 @@ class _Core:
     def _late(self, begin_ns: int) -> bool:
         """Whether a live link has taken longer than the seconds asked for, and the grace."""
         limited = self.live and self.seconds is not None
-        return limited and self.clock.now_ns() > begin_ns + ((self.seconds or 0.0) + GRACE_S) * 1e9
+        return limited and self.clock.now_ns() > begin_ns + ((self.seconds or 0.0) + self.grace_s) * 1e9
 
 
-def _short(pipeline: Pipeline, seconds: float, clock: Clock) -> Notice:
-    text = f"{pipeline.seconds:.4g} s of data came in {seconds + GRACE_S:g} s, where {seconds:g} s were asked for"
+def _short(pipeline: Pipeline, seconds: float, grace_s: float, clock: Clock) -> Notice:
+    text = f"{pipeline.seconds:.4g} s of data came in {seconds + grace_s:g} s, where {seconds:g} s were asked for"
     return Notice(clock.now_ns(), "warning", "short", f"{text}: the run ends here; is the device silent, or too slow?")
 
 

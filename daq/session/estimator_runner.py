@@ -38,9 +38,12 @@ class EstimatorRunner:
     An estimator that raises is dropped; `failure` says why.
     """
 
-    def __init__(self, estimator: OnlineEstimator | None, wake: Callable[[], None] | None = None) -> None:
+    def __init__(
+        self, estimator: OnlineEstimator | None, wake: Callable[[], None] | None = None, busy_blocks: int = BUSY_BLOCKS
+    ) -> None:
         self._estimator = estimator
         self._wake = wake
+        self._busy_blocks = busy_blocks
         self._changed = threading.Condition()
         self._work: deque[tuple[NDArray[np.float64] | None, Ask | None]] = deque()
         self._bytes = 0
@@ -53,7 +56,7 @@ class EstimatorRunner:
 
     @property
     def busy(self) -> bool:
-        return len(self._work) >= BUSY_BLOCKS or self._bytes >= BUSY_BYTES
+        return len(self._work) >= self._busy_blocks or self._bytes >= BUSY_BYTES
 
     def put(self, block: NDArray[np.float64] | None, ask: Ask | None) -> None:
         """The next block (None: no more rows, only a question)."""

@@ -19,7 +19,7 @@ from estimator.model import Model
 from estimator.results import Estimate
 
 from .estimation import Estimation
-from .estimator_runner import EstimatorRunner
+from .estimator_runner import BUSY_BLOCKS, EstimatorRunner
 from .estimators import MakeEstimator
 from .ledger import Ledger
 from .watch import Watch
@@ -48,6 +48,7 @@ class Plan:
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     metadata: Mapping[str, str] = field(default_factory=dict)
     limit_s: float | None = None  # of data
+    busy_blocks: int = BUSY_BLOCKS  # that wait for the estimator at most
 
 
 class Pipeline:
@@ -327,7 +328,7 @@ class Pipeline:
                     estimator = self._plan.make(self._plan.model, rate_hz)
                 except ValueError as error:
                     self._say("warning", "no_estimate", f"no rolling estimate: {error}")
-            runner = EstimatorRunner(estimator, self._wake)
+            runner = EstimatorRunner(estimator, self._wake, self._plan.busy_blocks)
             self._estimation = Estimation(runner, len(self._plan.model.channels), rate_hz, index)
         return self._estimation
 

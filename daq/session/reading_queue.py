@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from drivers.contract import Block, Gap, Reading
 
 SMALL = 256  # bytes that a reading without samples is counted as
+QUEUE_BYTES = 32 << 20
 OLDEST = "overflow"
 
 
@@ -19,7 +20,7 @@ class ReadingQueue:
         takes their place. Gaps, notices and infos are never dropped. False: `put` waits (a file can).
     """
 
-    def __init__(self, limit_bytes: int = 32 << 20, live: bool = True) -> None:
+    def __init__(self, limit_bytes: int = QUEUE_BYTES, live: bool = True) -> None:
         self._limit = limit_bytes
         self._live = live
         self._changed = threading.Condition()

@@ -62,11 +62,15 @@ class Decoder(Protocol[In]):
 
 
 class Link:
-    """A driver made of a source and a decoder (see drivers.contract.reading.Driver)."""
+    """A driver made of a source and a decoder (see drivers.contract.reading.Driver).
+
+    mute_s : without samples, though frames come, before that is told.
+    """
 
     def __init__(self, kind: str, target: str, source: Source[Data], decoder: Decoder[Data]) -> None:
         self.kind = kind
         self.target = target
+        self.mute_s = MUTE_S
         self.stats = decoder.stats
         self._source = source
         self._decoder = decoder
@@ -145,9 +149,9 @@ class Link:
         """A device may describe itself, or others on its bus talk, while its samples stay away."""
         if any(isinstance(reading, Block) for reading in out):
             self._last_samples_s, self._mute = time.monotonic(), False
-        elif not self._mute and time.monotonic() - self._last_samples_s > MUTE_S:
+        elif not self._mute and time.monotonic() - self._last_samples_s > self.mute_s:
             self._mute = True
-            text = f"{self.target} is not silent, but sends no samples for {MUTE_S:g} s: check the device"
+            text = f"{self.target} is not silent, but sends no samples for {self.mute_s:g} s: check the device"
             self._decoder.notices.add(now_ns, "warning", "no_samples", text)
             self._decoder.cause("silent")
 

@@ -35,17 +35,25 @@ class RerunSink:
 
     wall_offset_ns : Unix time minus the monotonic time of the readings; None: this host's, now.
     live : False for a replay or a capture, which waits for the viewer rather than lose anything (while there is one).
+    viewer_port : of the viewer that "spawn" starts.
     dropped : samples that the viewer will never show. `health` tells when a viewer is lost and when it is back.
     Raises ConfigError for a target that is none of these.
     """
 
     def __init__(
-        self, target: str, *, capacity_bytes: int | None = None, wall_offset_ns: int | None = None, live: bool = True
+        self,
+        target: str,
+        *,
+        capacity_bytes: int | None = None,
+        wall_offset_ns: int | None = None,
+        live: bool = True,
+        viewer_port: int = VIEWER_PORT,
     ) -> None:
         self._target = viewer_target(target)
         self._file = self._target.endswith(".rrd")
         self._capacity = capacity_bytes or (FILE_BYTES if self._file else LIVE_BYTES)
         self._live = live
+        self._viewer_port = viewer_port
         self._wall_ns = time.time_ns() - time.monotonic_ns() if wall_offset_ns is None else wall_offset_ns
         self._queue: deque[tuple[int, Item, int]] = deque()  # bytes, item, monotonic ns
         self._bytes = 0
@@ -171,9 +179,9 @@ class RerunSink:
             return self._target
         url = self._target
         if url == "spawn":
-            url = f"rerun+http://127.0.0.1:{VIEWER_PORT}/proxy"
+            url = f"rerun+http://127.0.0.1:{self._viewer_port}/proxy"
             if self._window is None and not answers(url):
-                self._window = start_viewer(VIEWER_PORT)
+                self._window = start_viewer(self._viewer_port)
                 for _ in range(100):
                     if answers(url) or self._closing.wait(0.1) or self._window.poll() is not None:
                         break

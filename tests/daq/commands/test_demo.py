@@ -31,14 +31,11 @@ def test_the_truth_has_the_hidden_effect_and_the_rig_has_not() -> None:
     assert known["bearing2.y.kL"] == demo.LINEAR["bearing2.y"][0]
 
 
-def test_acquired_over_the_virtual_bus_and_replayed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(demo, "SECONDS", 5.0)
+def test_acquired_over_the_virtual_bus_and_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = demo_rig()
     log = tmp_path / "m.mcap"
-    demo._acquire(Output(), rig, Rig.parse(demo.truth_text(rig)), log, tmp_path / "m.rrd")
-    demo._replay(Output(), log)
+    demo.acquire_demo(Output(), rig, Rig.parse(demo.truth_text(rig)), log, tmp_path / "m.rrd", seconds=5.0)
+    demo.replay_demo(Output(), log)
     text = capsys.readouterr().out
     assert "no sample lost" in text
     assert "from the truth" in text

@@ -129,7 +129,7 @@ def test_a_full_disk_and_names_that_are_no_text(tmp_path: Path, record_property:
 
 
 def test_a_disk_full_for_long_costs_the_newest_by_name(tmp_path: Path, record_property: Property) -> None:
-    feeder = Feeder(LogWriter(tmp_path / "a.mcap", limit_bytes=1 << 20))
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap", limit_bytes=1 << 20, file=StalledFile))
     with file_size_limit(300_000):
         feeder.until(lambda: feeder.heard("log_overflow"))
         feeder.feed(2000)
@@ -375,12 +375,9 @@ class StalledFile(LogFile):
 
 
 @pytest.mark.parametrize("seconds", [1.5])
-def test_a_stalled_disk_never_makes_acquisition_wait(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, record_property: Property
-) -> None:
-    monkeypatch.setattr("daq.log.writer.LogFile", StalledFile)
+def test_a_stalled_disk_never_makes_acquisition_wait(tmp_path: Path, seconds: float, record_property: Property) -> None:
     StalledFile.gate.clear()
-    feeder = Feeder(LogWriter(tmp_path / "a.mcap", limit_bytes=1 << 20))
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap", limit_bytes=1 << 20, file=StalledFile))
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         feeder.feed(5, 0.001)
@@ -397,10 +394,9 @@ def test_a_stalled_disk_never_makes_acquisition_wait(
     record_property("reliability", f"{row} | {measured}")
 
 
-def test_a_disk_stalled_at_the_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.log.writer.LogFile", StalledFile)
+def test_a_disk_stalled_at_the_end_is_given_up(tmp_path: Path) -> None:
     StalledFile.gate.clear()
-    feeder = Feeder(LogWriter(tmp_path / "a.mcap"))
+    feeder = Feeder(LogWriter(tmp_path / "a.mcap", file=StalledFile))
     feeder.feed(10)
     begin = time.monotonic()
     feeder.close()

@@ -126,21 +126,21 @@ def test_seconds_are_of_data_and_exact(tmp_path: Path) -> None:
     assert (summary.samples, summary.seconds) == (64_000, 2.5)
 
 
-def test_a_silent_device_does_not_hold_a_run_of_given_length(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.session.acquire.GRACE_S", 0.2)
+def test_a_silent_device_does_not_hold_a_run_of_given_length() -> None:
     recorder = Recorder()
     begin = time.monotonic()
-    summary = acquire_from(RIG, ScriptedDriver([[INFO]], ends=False), [recorder], seconds=0.3, make=MomentEstimator)
+    summary = acquire_from(
+        RIG, ScriptedDriver([[INFO]], ends=False), [recorder], seconds=0.3, make=MomentEstimator, grace_s=0.2
+    )
     within(time.monotonic() - begin, 3.0)
     assert summary.samples == 0
     assert recorder.of("close") == [None]
 
 
-def test_a_device_that_is_too_slow_for_a_run_of_given_length_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.session.acquire.GRACE_S", 0.2)
+def test_a_device_that_is_too_slow_for_a_run_of_given_length_is_told() -> None:
     told: list[Notice] = []
     slow = ScriptedDriver(endless(pause_s=0.04), ends=False)  # a quarter of its rate
-    summary = acquire_from(RIG, slow, [], seconds=0.4, notify=told.append, make=MomentEstimator)
+    summary = acquire_from(RIG, slow, [], seconds=0.4, notify=told.append, make=MomentEstimator, grace_s=0.2)
     assert 0.0 < summary.seconds < 0.4
     assert [n.code for n in told] == ["short"]
     assert "s of data came in 0.6 s, where 0.4 s were asked for" in told[0].text
@@ -245,6 +245,9 @@ class Slow(MomentEstimator):
             Slow.over = True
 
 
+STOP_AFTER_S = 2.5  # later than the estimator is warm
+
+
 def flood(rows: int = 4096, count: int = 100) -> Iterator[list[Reading]]:
     yield [INFO]
     for k in range(count):
@@ -256,17 +259,13 @@ def test_a_stalled_estimator_costs_the_oldest_by_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Property
 ) -> None:
     """The reader goes on; what the queue had to drop is a gap with its exact indices, in log, summary and status."""
-    from daq.session.reading_queue import ReadingQueue
-
-    monkeypatch.setattr("daq.session.acquire.ReadingQueue", lambda live: ReadingQueue(2 << 20, live))
-    monkeypatch.setattr("daq.session.estimator_runner.BUSY_BLOCKS", 8)
-    monkeypatch.setattr("daq.session.acquire._warm_up", lambda *_: None)
     path = tmp_path / "a.mcap"
     monkeypatch.setattr(Slow, "over", False)
     told: list[bool] = []
     summary = acquire_from(
         RIG, ScriptedDriver(flood()), [LogWriter(path)], make=Slow,
         notify=lambda notice: told.append(Slow.over) if notice.code == "overflow" else None,
+        queue_bytes=2 << 20, busy_blocks=8,
     )  # fmt: skip
     log = read_log(path)
     assert summary.samples + summary.lost_samples == 409_600
@@ -287,9 +286,7 @@ def test_a_stalled_estimator_costs_the_oldest_by_name(
     assert replay_into(log, check=True, make=MomentEstimator).identical
 
 
-def test_a_stalled_estimator_delays_neither_log_nor_viewer(
-    monkeypatch: pytest.MonkeyPatch, record_property: Property
-) -> None:
+def test_a_stalled_estimator_delays_neither_log_nor_viewer(record_property: Property) -> None:
     """It has a thread of its own and ten seconds of patience: raw readings reach the sinks meanwhile."""
 
     class Timed(Recorder):
@@ -297,7 +294,6 @@ def test_a_stalled_estimator_delays_neither_log_nor_viewer(
             self.calls.append(("at", time.monotonic()))
             super().readings(batch)
 
-    monkeypatch.setattr("daq.session.acquire._warm_up", lambda *_: None)
     sink = Timed()
     summary = acquire_from(RIG, ScriptedDriver(flood(rows=512)), [sink], make=Slow)
     assert (summary.samples, summary.lost_samples) == (51_200, 0)
@@ -308,9 +304,7 @@ def test_a_stalled_estimator_delays_neither_log_nor_viewer(
     within(longest, 0.5)
 
 
-def test_a_hanging_estimator_does_not_hold_the_stop(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Property
-) -> None:
+def test_a_hanging_estimator_does_not_hold_the_stop(tmp_path: Path, record_property: Property) -> None:
     """At the stop the backlog is logged though there is no time to estimate from it, and the log says so."""
 
     class Crawl(MomentEstimator):
@@ -318,13 +312,12 @@ def test_a_hanging_estimator_does_not_hold_the_stop(
             super().update(block)
             time.sleep(0.05)
 
-    monkeypatch.setattr("daq.session.acquire._warm_up", lambda *_: None)
     stop = threading.Event()
-    threading.Timer(1.2, stop.set).start()
+    threading.Timer(STOP_AFTER_S, stop.set).start()
     begin = time.monotonic()
     path = tmp_path / "a.mcap"
     summary = acquire_from(RIG, ScriptedDriver(flood(count=10**6)), [LogWriter(path)], stop=stop, make=Crawl)
-    took = time.monotonic() - begin - 1.2
+    took = time.monotonic() - begin - STOP_AFTER_S
     within(took, 2.0)
     row = "estimator far too slow at the stop | 50 ms for each 40 ms block | complete log within 2 s, rest logged"
     record_property("reliability", f"{row} and named | {took:.2f} s")

@@ -132,8 +132,7 @@ def test_targets() -> None:
 def test_spawn_without_a_display_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("daq.report.rerun.sink.VIEWER_PORT", free_port())
-    sink = RerunSink("spawn")
+    sink = RerunSink("spawn", viewer_port=free_port())
     sink.start(session())
     assert wait(lambda: "is there a display" in str(sink._problem))
     sink.close()
