@@ -58,11 +58,11 @@ def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") 
     True
     """
     clipped = clipping.find_clipping(model, y)
-    y, off = declip.restored(model, y, frozenset(place for s in clipped for place in s.at))
+    y, off = declip.restore_clipped(model, y, frozenset(place for s in clipped for place in s.at))
     result = _FIT_METHODS[method](model, y, rate_hz)
     drawn = {place for place, error in off.items() if error < np.inf}
     said = [
-        Message("clipped_restored", f"{s.region}: {declip.RESTORED}", s.at[0])
+        Message("clipped_restored", f"{s.region}: {declip.RESTORED_MESSAGE}", s.at[0])
         if s.at[0] in drawn else clipping.clipped_message(s)
         for s in clipped
     ]  # fmt: skip

@@ -80,7 +80,7 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
     whole = fit_all_effects(model, y, rate_hz)
     model, point = whole.model, whole.point
     say(0.4, "what can still be predicted")
-    part = point_on_part(point, missing_force.SURVEY_SECONDS)
+    part = point_on_part(point, missing_force.SURVEY_S)
     found, others, rmse, beside, nll = missing_force.survey_with(
         part, model, lambda: search(model, point, y), lambda: heldout_rmse(model, y, point.data.rate_hz),
         lambda: twin(fitted_model(model, point), point, y), lambda: heldout_nll(point),

@@ -33,15 +33,16 @@ class Where:
 
 def where_of(point: WorkingPoint, found: MissingForce, channel: dict[str, str]) -> tuple[Where, ...]:
     """Every state found, largest share first."""
-    total = sum(f.power for r in found.residuals for f in r.found) + sum(s.power_N2 for s in found.shares)
+    total = sum(f.power_N2 for r in found.residuals for f in r.found) + sum(s.power_N2 for s in found.disturbances)
     out = [
-        Where(channel[point.data.places[r.place]], f.group, region(point, r, f.group), 100 * f.power / total)
+        Where(channel[point.data.places[r.place]], f.group, region(point, r, f.group), 100 * f.power_N2 / total)
         for r in found.residuals
         for f in r.found
         if total > 0
     ]
     out += [
-        Where(channel[point.data.places[s.place]], s.against, s.region, 100 * s.power_N2 / total) for s in found.shares
+        Where(channel[point.data.places[s.place]], s.against, s.region, 100 * s.power_N2 / total)
+        for s in found.disturbances
     ]
     return tuple(sorted(out, key=lambda w: -w.share_percent))
 

@@ -58,7 +58,9 @@ def shape_of(point: WorkingPoint, found: MissingForce, otherwise: tuple[int, str
 
     otherwise : place and state to draw if the survey alone finds neither.
     """
-    best = [(f.gain, r, f.group) for r in found.residuals for f in r.found if f.group in ("displacement", "velocity")]
+    best = [
+        (f.gain_nats, r, f.group) for r in found.residuals for f in r.found if f.group in ("displacement", "velocity")
+    ]
     if not best and otherwise is not None:
         best = [(0.0, r, otherwise[1]) for r in found.residuals if r.place == otherwise[0]]
     if not best:

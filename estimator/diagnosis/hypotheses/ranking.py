@@ -130,7 +130,7 @@ def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: MissingFor
     heldout = float(sum(t.heldout.sum() for t in used))
     p = min(1.0, min(odds[n] for n in at) * tried)
     places = tuple(sorted({i for t in used for i in t.placed.at}))
-    scale = float(np.sum(before.bearing[list(places)] ** 2))
+    scale = float(np.sum(before.bearing_force_N[list(places)] ** 2))
     power = sum(_power(point, t) for t in used)
     was = before.interval(places)[0]
     left = max(was**2 - 1e4 * power / scale, 0.0) ** 0.5
@@ -186,7 +186,7 @@ def _suspected(model: Model, point: WorkingPoint, own: list[Finding], before: Mi
     regions = dict.fromkeys(s.region for s in own)
     places = tuple(sorted({i for s in own for i in s.power_N2}))
     was = before.interval(places)[0]
-    scale = float(np.sum(before.bearing[list(places)] ** 2))
+    scale = float(np.sum(before.bearing_force_N[list(places)] ** 2))
     part = sum(p for s in own for p in s.power_N2.values())
     settings = _layers(model, own)
     first = float("inf") if own[0].effect == "sensor_clipping" else gain - COST * df

@@ -45,7 +45,7 @@ class Ranking:
 def ranked(model: Model, point: WorkingPoint, y: Array, say: Progress) -> Ranking:
     """What is missing, and what could be it, as part of the record has it."""
     say(0.15, "what can still be predicted")
-    part = point_on_part(point, missing_force.SURVEY_SECONDS)
+    part = point_on_part(point, missing_force.SURVEY_S)
     before, others = missing_force.survey_with(part, model, lambda: search(model, point, y))
     trials = _trials(model, part, say)
     return Ranking(part, before, others, trials, ranking.entries(model, point, trials, before, others))

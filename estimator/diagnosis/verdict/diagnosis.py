@@ -91,10 +91,10 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
     """The same from a model already fitted."""
     before, entries, known = _ranked(model, point, y, say)
     law = max((entry.gain for entry in entries), default=0.0)
-    if before.shares and (as_it_is := spectral_shape.refit_with_seen_spectra(model, point, law)) is not None:
-        point, shares = as_it_is, before.shares
+    if before.disturbances and (as_it_is := spectral_shape.refit_with_seen_spectra(model, point, law)) is not None:
+        point, shares = as_it_is, before.disturbances
         before, entries, known = _ranked(model, point, y, say)
-        before = replace(before, shares=shares)
+        before = replace(before, disturbances=shares)
     found = verdict_of_ranking(model, point, before, entries, say, known)
     if found.verdict in SPECTRAL_SHAPES:
         say(0.9, f"does {found.verdict} explain it?")
@@ -114,7 +114,7 @@ def _ranked(
         say(0.6, f"does {entries[0].effect} explain it?")
         with suppress(NotFiniteError):  # where it goes far from the rotor: said once it is asked of the whole
             known = gate_residual.seen(found.part, point, found.before, entries[0])
-    if found.part is not point and (known is None or not known.far or found.before.shares):
+    if found.part is not point and (known is None or not known.far or found.before.disturbances):
         entries = extrapolating(on_whole(model, point, found, say))
     return found.before, entries, known
 
@@ -140,7 +140,7 @@ def verdict_of_ranking(
 def _added(model: Model, y: Array, rate_hz: float, best: Entry) -> tuple[FullFit, Array] | None:
     """The model with what was found, fitted to the first part of the record, and that; None where too little of it is
     whole."""
-    part = y[: int(missing_force.SURVEY_SECONDS * rate_hz)]
+    part = y[: int(missing_force.SURVEY_S * rate_hz)]
     try:
         return fit_all_effects(with_found_effects(model, best.settings), part, rate_hz), part
     except DataError:
@@ -193,7 +193,7 @@ def _spectrum_left(
     after = missing_force.survey(whole.point, whole.model, only=before.places_found(), others=beside)
     places = tuple(sorted({whole.point.data.places.index(p) for own in best.settings.values() for p in own}))
     # what goes with a state is another effect's
-    was, rest = (sum(s.power_N2 for s in it.shares if s.place in places) for it in (before, after))
+    was, rest = (sum(s.power_N2 for s in it.disturbances if s.place in places) for it in (before, after))
     return replace(best, after_percent=after.interval(places)[0]), rest / max(was, 1e-300), beside
 
 
@@ -210,7 +210,7 @@ def _loss(entries: Sequence[Entry]) -> tuple[float, float]:
 def _beside(model: Model, point: WorkingPoint, before: MissingForce, entry: Entry) -> Entry:
     """The entry of a force of time alone, fitted together with the model: about a resonance it had spoiled the fit."""
     settings, after_point = fit_found_harmonics(model, point, entry.settings)
-    part = point_on_part(after_point, missing_force.SURVEY_SECONDS)
+    part = point_on_part(after_point, missing_force.SURVEY_S)
     del after_point
     after = missing_force.survey(part, model, only=before.places_found())
     return replace(evidence.with_settings(entry, settings), after_percent=after.percent(part))
@@ -237,7 +237,7 @@ def verdict_of_laws(
             found.left <= gate_shape.MOST and gate_second_law.FAMILY.get(name) in gate_second_law.OF_X
         )
         if two and found.left > gate_second_law.NEGLIGIBLE and (not left or "stop" in left):
-            part = point_on_part(point, missing_force.SURVEY_SECONDS)
+            part = point_on_part(point, missing_force.SURVEY_S)
             pair = gate_second_law.of_one_state(model, part, point, entries[k:])
             if pair is not None:
                 left[name] = found.left
@@ -347,18 +347,20 @@ def verdict_without_law(point: WorkingPoint, before: MissingForce, entries: tupl
         groups = {f.group for r in before.residuals for f in r.found}
         if "other_bearing" in groups:
             said.append(CAPS_COUPLED)
-        if not groups and before.shares and not point.data.measured_force:  # beside one it is the path that is bent
+        if (
+            not groups and before.disturbances and not point.data.measured_force
+        ):  # beside one it is the path that is bent
             said.append(SPECTRUM)
         return Diagnosis("unknown", entries, shape_of(point, before), messages=tuple(said))
     if not before.looked_anywhere():
-        return Diagnosis("unknown", entries, messages=(*shaft, missing_force.UNJUDGED))
+        return Diagnosis("unknown", entries, messages=(*shaft, missing_force.UNJUDGED_MESSAGE))
     forces = [_beside_forces(point)] if point.data.measured_force else []
     return Diagnosis("complete", entries, messages=(*shaft, *forces))
 
 
 def _regions(before: missing_force.MissingForce) -> tuple[Message, ...]:
     """Where the parts of the missing force lie that no state explains."""
-    return tuple(Message("missing_where", region) for region in dict.fromkeys(s.region for s in before.shares))
+    return tuple(Message("missing_where", region) for region in dict.fromkeys(s.region for s in before.disturbances))
 
 
 def _beside_forces(point: WorkingPoint) -> Message:

@@ -100,7 +100,7 @@ def _fitted(
     if mimics_a_spectrum(point, before, entry):
         return Explained(replace(entry, notes=(*entry.notes, BENT)), None)
     if known is None or {u.key for u in known.entry.placed} != {u.key for u in entry.placed}:
-        known = seen(point_on_part(point, missing_force.SURVEY_SECONDS), point, before, entry)
+        known = seen(point_on_part(point, missing_force.SURVEY_S), point, before, entry)
     after_point, smooth = known.after, known.left
     if not known.far:
         if not known.all:
@@ -114,7 +114,7 @@ def _fitted(
     joint = fitted_parameters(
         after_point
     )  # standard deviations by the curvature of the likelihood, gaps and corners too
-    after_part = point_on_part(after_point, missing_force.SURVEY_SECONDS)
+    after_part = point_on_part(after_point, missing_force.SURVEY_S)
     del after_point
     after = missing_force.survey(after_part, model, only=before.places_found())
     values = {k: joint.get(k, p) for k, p in entry.parameters.items()}
@@ -151,7 +151,9 @@ def mimics_a_spectrum(point: WorkingPoint, before: MissingForce, entry: Entry) -
     places = entry.places
     if all(law.effect.kind != "memory" for law in entry.placed) or _by_state(before, places):
         return False
-    return _power(point, entry) < SMALL**2 * sum(share.power_N2 for share in before.shares if share.place in places)
+    return _power(point, entry) < SMALL**2 * sum(
+        share.power_N2 for share in before.disturbances if share.place in places
+    )
 
 
 def _power(point: WorkingPoint, entry: Entry) -> float:
@@ -211,5 +213,5 @@ def _by_state(found: MissingForce, places: set[int]) -> dict[str, float]:
     out: dict[str, float] = {}
     for r in found.residuals:
         for f in r.found if r.place in places else ():
-            out[f.group] = out.get(f.group, 0.0) + f.power
+            out[f.group] = out.get(f.group, 0.0) + f.power_N2
     return out

@@ -62,7 +62,7 @@ def another_explains(point: WorkingPoint, trials: Trials, left: MissingForce, be
     half, which takes a part of what an odd law of the wrong shape leaves. Where the first has no single state, as
     hysteresis, it is its own state: beside an odd curve any odd law takes a part.
     """
-    found = {r.place: sum(f.gain for f in r.found) for r in left.residuals if r.found}
+    found = {r.place: sum(f.gain_nats for f in r.found) for r in left.residuals if r.found}
     smooth = gate_shape.worth(point, best.effect, best.places)
     for name, own in trials.items():
         earned, asked, seen = 0.0, sum(smooth.values()), False

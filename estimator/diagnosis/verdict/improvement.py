@@ -12,7 +12,7 @@ from estimator.diagnosis.hypotheses.ranking import Settings
 from estimator.errors import DataError
 from estimator.identification.batch.disturbance_numbers import with_found_effects
 from estimator.identification.batch.full_fit import SPECTRAL_AND_SENSOR_EFFECTS, FullFit, fit_all_effects
-from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE, SURVEY_SECONDS, survey_with
+from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE, SURVEY_S, survey_with
 from estimator.identification.search import search
 from estimator.identification.structure import recorder_fall, recorder_phase
 from estimator.likelihood.fitting.fitted_values import fitted_model, unidentifiable_laws
@@ -113,7 +113,7 @@ def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
                 # masses, shapes of spectra, and what the recorder takes and delays, were sought beside what was missing
                 taken = model.roll_off is not given.roll_off or recorder_fall.find_roll_off(new_whole.model, richer)
                 shaped = any(use.name in SPECTRAL_AND_SENSOR_EFFECTS for use in model.effects)
-                if whole.masses or shaped or taken or recorder_phase.found(new_whole.model, richer):
+                if whole.masses or shaped or taken or recorder_phase.find_recorder_phase(new_whole.model, richer):
                     again = replace(new_whole.model, mass=given.mass, roll_off=given.roll_off)
                     del richer, new_whole  # large, as is the last one, and the next is larger while it is made
                     whole = replace(whole, point=(point := point.without_rows()))
@@ -187,7 +187,7 @@ def _refitted(model: Model, y: Array, rate_hz: float) -> FullFit:
 def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:
     """A model's place on the ladder."""
     found, _, nll, rmse = survey_with(
-        point_on_part(point, SURVEY_SECONDS), model, lambda: search(model, point, y), lambda: heldout_nll(point),
+        point_on_part(point, SURVEY_S), model, lambda: search(model, point, y), lambda: heldout_nll(point),
         lambda: heldout_rmse(model, y, point.data.rate_hz),
     )  # fmt: skip
     return Rung(tuple(u.name for u in model.effects), nll, found.interval(), rmse)

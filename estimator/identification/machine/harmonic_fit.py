@@ -38,8 +38,9 @@ from estimator.model.rig import Model, Setting
 from estimator.results import Parameter
 
 Settings = Mapping[str, Mapping[str, Parameter]]  # by canonical place, by name
-PIECES = 16  # of the record, to see a phase that turns
-STEPS, SETTLED = 8, 0.1  # of the numbers about a model, at most; standard deviations of the last
+RECORD_PIECES = 16  # of equal length, to see a phase that drifts
+MAX_STEPS = 8  # of the parameters at one working point
+SETTLED_STEP_SD = 0.1  # of the last step, in standard deviations
 
 
 def fit_found_harmonics(
@@ -53,14 +54,14 @@ def fit_found_harmonics(
     """
     uses = tuple(effect_use(name, own) for name, own in settings.items())
     alone, bare = replace(model, effects=uses), point.data
-    alone, _ = _stepped(alone, point, point.force)
+    alone, _ = _step_until_settled(alone, point, point.force)
     added = periodic_amplitudes(alone, bare.places, bare.rate_hz)
     pushed = (*bare.pushes, *below_band_forces(alone, bare.places))
-    data = replace(bare, known=bare.known - _series(alone, bare), waves=(*bare.waves, *added), pushes=pushed)
+    data = replace(bare, known=bare.known - _periodic_series(alone, bare), waves=(*bare.waves, *added), pushes=pushed)
     point = fit_model(data, [*point.placed])
     whole = bare.known - data.known
     whole += point.force
-    _, found = _stepped(alone, point, whole)
+    _, found = _step_until_settled(alone, point, whole)
     named = {
         name: {key: {n: found.get(f"{key}.{name}.{n}", p) for n, p in values.items()} for key, values in own.items()}
         for name, own in settings.items()
@@ -71,29 +72,29 @@ def fit_found_harmonics(
 def settle_harmonics(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:
     """The numbers of a model's periodic effects `refined` until they stand still beside the rest of it as it is. After
     two steps from the mean over all periods strikes of 0.05 rad were 6 to 10 % weak."""
-    return _stepped(model, point, point.force + _series(model, point.data))
+    return _step_until_settled(model, point, point.force + _periodic_series(model, point.data))
 
 
-def _stepped(alone: Model, point: WorkingPoint, whole: Series) -> tuple[Model, dict[str, Parameter]]:
+def _step_until_settled(alone: Model, point: WorkingPoint, whole: Series) -> tuple[Model, dict[str, Parameter]]:
     """Steps of the numbers. alone : a model with the effects; whole : (places, n) N inferred without them."""
     found: dict[str, Parameter] = {}
-    for _ in range(STEPS):
-        wave = _series(alone, point.data)
+    for _ in range(MAX_STEPS):
+        wave = _periodic_series(alone, point.data)
         before = found
         alone, found = refine_harmonics(alone, point, np.subtract(whole, wave, out=wave))
-        if _moved(before, found) < SETTLED:
+        if _largest_step_sd(before, found) < SETTLED_STEP_SD:
             break
     return alone, found
 
 
-def _moved(before: Mapping[str, Parameter], now: Mapping[str, Parameter]) -> float:
+def _largest_step_sd(before: Mapping[str, Parameter], now: Mapping[str, Parameter]) -> float:
     """Standard deviations that numbers known both times differ by, at most; infinite without any."""
     pairs = ((p, before[name]) for name, p in now.items() if name in before)
     moves = [abs(p.value - q.value) / p.sd for p, q in pairs if p.sd and p.value is not None and q.value is not None]
     return max(moves, default=np.inf)
 
 
-def _series(model: Model, data: MotionRecord) -> Series:
+def _periodic_series(model: Model, data: MotionRecord) -> Series:
     wave = periodic_series(model, data.places, data.t, data.phase, data.rate_hz)
     return np.zeros_like(data.known) if wave is None else wave
 
@@ -107,7 +108,7 @@ def refine_harmonics(model: Model, point: WorkingPoint, force: Series) -> tuple[
     found: dict[str, Parameter] = {}
     uses = {use.name: dict(use.parameters) for use in model.effects}
     for one in periodic_effects(model):
-        stepped = _step(model, one, point, force)
+        stepped = _one_step(model, one, point, force)
         if stepped is None:
             continue
         p, sd = stepped
@@ -116,7 +117,7 @@ def refine_harmonics(model: Model, point: WorkingPoint, force: Series) -> tuple[
             q.name: replace(old.get(q.name, Setting()), value=float(v))
             for q, v in zip(one.effect.parameters, p, strict=True)
         }
-        told = _told(one, p, sd)
+        told = _identifiable(one, p, sd)
         for k, q in enumerate(one.effect.parameters):
             value, spread = float(p[k]), float(sd[k])
             found[f"{one.key}.{one.effect.name}.{q.name}"] = (
@@ -128,7 +129,7 @@ def refine_harmonics(model: Model, point: WorkingPoint, force: Series) -> tuple[
     return replace(model, effects=effects), found
 
 
-def _told(one: PeriodicEffect, p: Array, sd: Array) -> list[bool]:
+def _identifiable(one: PeriodicEffect, p: Array, sd: Array) -> list[bool]:
     """Whether each number is known: the two components of a phasor together, an angle whatever its value."""
     names = [q.name for q in one.effect.parameters]
     amplitude = [k for k, q in enumerate(one.effect.parameters) if q.linear]
@@ -137,7 +138,7 @@ def _told(one: PeriodicEffect, p: Array, sd: Array) -> list[bool]:
             for k, (name, v, s) in enumerate(zip(names, p, sd, strict=True))]  # fmt: skip
 
 
-def _step(model: Model, one: PeriodicEffect, point: WorkingPoint, force: Series) -> tuple[Array, Array] | None:
+def _one_step(model: Model, one: PeriodicEffect, point: WorkingPoint, force: Series) -> tuple[Array, Array] | None:
     """(k,) numbers after the step and their standard deviations; None if none is free, or no harmonic in the band."""
     data = point.data
     count, inside = one.highest(data.band), one.within(data.band) - 1
@@ -146,10 +147,10 @@ def _step(model: Model, one: PeriodicEffect, point: WorkingPoint, force: Series)
         return None
     # theta per unit of the frequency parameter
     turned = 2 * np.pi * data.t if one.effect.name in LINE_NAMES else data.phase
-    pieces = _pieces(turned.size)
+    pieces = _piece_index(turned.size)
     middle = np.bincount(pieces, turned) / np.bincount(pieces)
     ratio = np.bincount(pieces, shaft_speeds(data.t, data.phase)) / np.bincount(pieces) / (2 * np.pi * one.hz)
-    through = _through_the_model(model, one, point, 1 + inside)
+    through = _model_leakage(model, one, point, 1 + inside)
     rows, right, unsure = [], [], []
     for i, place in enumerate(data.places):
         if not acts_on(one, place):
@@ -161,15 +162,15 @@ def _step(model: Model, one: PeriodicEffect, point: WorkingPoint, force: Series)
                 F = one.harmonics(model, place, count)[inside]
                 slopes[j] = 1j * (1 + inside) * F * middle[:, None]
             else:
-                slopes[j] = _slope(model, one, place, count, k)[inside]
+                slopes[j] = _harmonic_slope(model, one, place, count, k)[inside]
                 if (swinging := speed_gain(model, one, place)) is not None:
                     slopes[j] *= speed_gain_at(swinging, ratio)[:, None]
         psd = point.S[i] / np.interp(one.hz * (1 + inside), data.f_hz, point.whitening.weight[i])
-        scale = np.sqrt(data.t.size / PIECES / (psd * data.rate_hz))  # 1 / sd of a real part, by order
+        scale = np.sqrt(data.t.size / RECORD_PIECES / (psd * data.rate_hz))  # 1 / sd of a real part, by order
         rows.append((slopes * scale).reshape(len(loose), -1))
         right.append((seen * scale).ravel())
-        unsure.append(np.tile(through[:, i] * scale, PIECES))
-    J, d, G = (_real(np.concatenate(z, axis=-1)) for z in (rows, right, unsure))
+        unsure.append(np.tile(through[:, i] * scale, RECORD_PIECES))
+    J, d, G = (_real_parts(np.concatenate(z, axis=-1)) for z in (rows, right, unsure))
     size = np.sqrt(np.sum(J * J, axis=1))
     size[size == 0] = 1.0
     information = (J @ J.T) / np.multiply.outer(size, size)
@@ -187,11 +188,11 @@ def _step(model: Model, one: PeriodicEffect, point: WorkingPoint, force: Series)
     return p, sd
 
 
-def _real(z: Complexes) -> Array:
+def _real_parts(z: Complexes) -> Array:
     return np.concatenate([z.real, z.imag], axis=-1)
 
 
-def _through_the_model(model: Model, one: PeriodicEffect, point: WorkingPoint, orders: NDArray[np.int64]) -> Complexes:
+def _model_leakage(model: Model, one: PeriodicEffect, point: WorkingPoint, orders: NDArray[np.int64]) -> Complexes:
     """(terms, places, orders) N by which the inferred force of an effect is off per scaled unit of each parameter of
     the rest: the mean tangent of its term at the motion that the effect makes."""
     f = np.asarray(one.hz * orders, dtype=np.float64)
@@ -203,7 +204,7 @@ def _through_the_model(model: Model, one: PeriodicEffect, point: WorkingPoint, o
     return np.asarray(np.einsum("tilc,cf,fl->tif", tangents, np.stack([np.ones_like(w), 1j * w]), x))
 
 
-def _slope(model: Model, one: PeriodicEffect, place: str, count: int, k: int) -> Complexes:
+def _harmonic_slope(model: Model, one: PeriodicEffect, place: str, count: int, k: int) -> Complexes:
     """(count,) change of the harmonics with parameter k."""
     q = one.effect.parameters[k]
     h = 1.0 if q.linear else 0.01 if q.name == "angle" else 0.01 * abs(one.p[k])
@@ -214,17 +215,17 @@ def _slope(model: Model, one: PeriodicEffect, place: str, count: int, k: int) ->
     return np.asarray((next(both) - next(both)) / (2 * h))
 
 
-def _pieces(n: int) -> NDArray[np.int64]:
+def _piece_index(n: int) -> NDArray[np.int64]:
     """(n,) the piece that each sample is in."""
-    return np.minimum((np.arange(n) * PIECES) // n, PIECES - 1)
+    return np.minimum((np.arange(n) * RECORD_PIECES) // n, RECORD_PIECES - 1)
 
 
 def demodulate(force: Series, angle: Array, count: int) -> Complexes:
     """(PIECES, count) harmonics of a force (n,) over an angle, by folding each piece."""
-    pieces = _pieces(force.size)
+    pieces = _piece_index(force.size)
     bins = 1 << int(np.ceil(np.log2(8 * count)))
     cell = ((angle / (2 * np.pi)) % 1.0 * bins).astype(np.int64) % bins
-    folded = np.bincount(pieces * bins + cell, force, PIECES * bins).reshape(PIECES, bins)
+    folded = np.bincount(pieces * bins + cell, force, RECORD_PIECES * bins).reshape(RECORD_PIECES, bins)
     k = np.arange(1, count + 1)
     F = np.fft.rfft(folded, axis=1)[:, 1 : count + 1] * np.exp(-1j * np.pi * k / bins) / np.sinc(k / bins)
     return np.asarray(2 * F / np.bincount(pieces)[:, None])

@@ -25,15 +25,19 @@ from estimator.signals.line_spectrum import LineSpectrum
 
 from . import beyond_harmonics
 
-FIRST = 12  # harmonics that a train is sought by
-MOST = 20.0  # that one of them counts for
-SURE, LEVEL = 1.3, 1e-4  # the local noise is known to about a tenth; chance of a false train in a record
-LEAST_ORDER, MOST_ORDER = 0.3, 30.0  # of the shaft, as the effect's own limits
-VISIBLE, PLAIN = 8.0, 25.0  # power over noise of a harmonic that is seen, and of one that cannot be overlooked
-BESIDE = np.arange(4, 16)  # bins on either side of a line that tell what is beside it
-SAME = 1e-3  # of the ratio of two fundamentals, that it may be off a whole number by
-COMB, APART = 5, 20.0  # lines, and bins between them, that make multiples of one frequency no chance
-GAP, GAPS = 0.25, 0.2  # of the power of its neighbours, under which a harmonic is left out; share that may be
+SEARCHED_HARMONICS = 12  # of each candidate frequency in the blind search
+MAX_LINE_POWER_RATIO = 20.0  # power over noise that one harmonic may contribute
+NOISE_MARGIN_REL = 1.3  # as the local noise is known to about 10 %
+FALSE_TRAIN_CHANCE = 1e-4  # of a false train in a record
+MIN_ORDER, MAX_ORDER = 0.3, 30.0  # of the shaft, the limits of the effect's order
+VISIBLE_POWER_RATIO = 8.0  # power over noise of a visible harmonic
+UNMISSABLE_POWER_RATIO = 25.0  # power over noise of a harmonic that cannot be overlooked
+NEIGHBOUR_BINS = np.arange(4, 16)  # on either side of a line, for its noise
+RATIO_TOLERANCE_REL = 1e-3  # of the ratio of two fundamentals from a whole number
+MIN_COMB_LINES = 5  # lines at multiples of one frequency that are no chance
+MIN_COMB_SPACING_BINS = 20.0  # between these lines
+MISSING_POWER_REL = 0.25  # of the power of its neighbours, below which a harmonic is missing
+MAX_MISSING_SHARE = 0.2  # of the harmonics of a train
 
 
 def find_impact_train(
@@ -48,7 +52,7 @@ def find_impact_train(
         Zs[:, np.abs(s.f_hz - hz) <= s.width(hz)] = 0.0
     best: Finding | None = None
     fundamental = won = 0.0
-    for order in dict.fromkeys(round(o, 4) for o in _orders(model, s, Zs, lines, rotation)):
+    for order in dict.fromkeys(round(o, 4) for o in _candidate_orders(model, s, Zs, lines, rotation)):
         hz = order * rotation
         if abs(order - round(order)) < 0.02 and order < 2.5:
             continue
@@ -57,27 +61,29 @@ def find_impact_train(
         Z: Array = np.asarray(np.max([Zs[:, bins + d] for d in (-1, 0, 1)], axis=0))
         # a Hann line fills three bins; the largest of three is about 1.8 by chance
         gains = np.maximum(Z - 3.0, 0.0).sum(axis=1) - 0.15 * harmonics.size
-        clear = float(np.sum(np.clip(Z - 3.0, 0.0, MOST))) - 0.15 * Z.size  # one of them may be a resonance
+        clear = (
+            float(np.sum(np.clip(Z - 3.0, 0.0, MAX_LINE_POWER_RATIO))) - 0.15 * Z.size
+        )  # one of them may be a resonance
         enough = 40 + 5 * np.sqrt(harmonics.size)
         i = int(np.argmax(gains))
-        visible = int((Z[i] > VISIBLE).sum())
-        if visible < 4 or gains[i] <= enough or (best is not None and clear <= won * _more(hz, fundamental)):
+        visible = int((Z[i] > VISIBLE_POWER_RATIO).sum())
+        if visible < 4 or gains[i] <= enough or (best is not None and clear <= won * _clarity_ratio(hz, fundamental)):
             continue
         F, unit = forces_of_lines(point, s, bins + np.argmax([Zs[i, bins + d] for d in (-1, 0, 1)], axis=0) - 1, i)
-        if not _full(F, unit) or _made_by_laws(point, order, hz, F, unit, i):
+        if not _has_all_harmonics(F, unit) or _made_by_laws(point, order, hz, F, unit, i):
             continue
         places = [point.data.places[j] for j in range(len(gains)) if gains[j] > enough]
-        best, fundamental, won = _defect(point, s, order, rotation, places, float(np.sum(gains))), hz, clear
+        best, fundamental, won = _defect_finding(point, s, order, rotation, places, float(np.sum(gains))), hz, clear
     return best, fundamental
 
 
 def common_fundamental(lines: Sequence[float], seconds: float) -> float:
     """Hz that all but a fifth of at least `COMB` lines are multiples of, to a bin; 0 if there is none. lines : Hz."""
-    best, most = 0.0, max(COMB, (1.0 - GAPS) * len(lines))
+    best, most = 0.0, max(MIN_COMB_LINES, (1.0 - MAX_MISSING_SHARE) * len(lines))
     rising = sorted(lines)
     for candidate in {round(hz / q, 3) for hz in rising[:4] for q in (1, 2, 3, 4)}:
         hz, count = candidate, 0
-        for line in rising if candidate * seconds > APART else ():
+        for line in rising if candidate * seconds > MIN_COMB_SPACING_BINS else ():
             k = round(line / hz)
             if k and abs(line - k * hz) < 1.0 / seconds:
                 hz, count = line / k, count + 1  # the k-th tells it k times as well
@@ -86,18 +92,18 @@ def common_fundamental(lines: Sequence[float], seconds: float) -> float:
     return best
 
 
-def _more(hz: float, other: float) -> float:
+def _clarity_ratio(hz: float, other: float) -> float:
     """How many times as clear as a train another must be, fundamentals in Hz. One of a q-th of the other's has all that
     the other has and q - 1 times as many harmonics between: if strikes are there they are as clear each. By chance and
     a resonance on one of them half of the weak trains of 20 s at order 2.1 went by 0.7."""
     q = max(hz / other, other / hz)
-    if abs(q - round(q)) > SAME * q:
+    if abs(q - round(q)) > RATIO_TOLERANCE_REL * q:
         return 1.0
     share = 0.5 * (1.0 + round(q))  # half of what they would win
     return share if hz < other else 1.0 / share
 
 
-def _orders(model: Model, s: LineSpectrum, Zs: Array, lines: list[float], rotation: float) -> list[float]:
+def _candidate_orders(model: Model, s: LineSpectrum, Zs: Array, lines: list[float], rotation: float) -> list[float]:
     """Orders of the shaft at which a train is looked for."""
     out = []
     bpfo = kinematic("bpfo", model)
@@ -108,17 +114,19 @@ def _orders(model: Model, s: LineSpectrum, Zs: Array, lines: list[float], rotati
     steady = [hz for hz in lines if s.steady(hz)]  # in a short record a resonance stands out of its surroundings too
     if len(steady) >= 4:  # the spacing that most of the lines share
         spacing = np.diff(np.sort(steady))
-        out += [float(d / rotation) for d in np.unique(np.round(spacing, 2)) if d > LEAST_ORDER * rotation][:20]
-    return out + [hz / rotation for hz in _combs(s, Zs, rotation, model.band[1])]
+        out += [float(d / rotation) for d in np.unique(np.round(spacing, 2)) if d > MIN_ORDER * rotation][:20]
+    return out + [hz / rotation for hz in _comb_fundamentals(s, Zs, rotation, model.band[1])]
 
 
-def _combs(s: LineSpectrum, Zs: Array, rotation: float, high: float) -> list[float]:
+def _comb_fundamentals(s: LineSpectrum, Zs: Array, rotation: float, high: float) -> list[float]:
     """Hz whose first harmonics together stand out most, in any channel, with what it is a third to thrice of."""
-    low, top = LEAST_ORDER * rotation, min(MOST_ORDER * rotation, high / 4)
-    grid = np.arange(np.ceil(low * FIRST * s.seconds), np.floor(top * FIRST * s.seconds)) / (FIRST * s.seconds)
+    low, top = MIN_ORDER * rotation, min(MAX_ORDER * rotation, high / 4)
+    grid = np.arange(np.ceil(low * SEARCHED_HARMONICS * s.seconds), np.floor(top * SEARCHED_HARMONICS * s.seconds)) / (
+        SEARCHED_HARMONICS * s.seconds
+    )
     totals, count = np.zeros((len(Zs), grid.size), np.float32), np.zeros(grid.size)
-    bounded = np.minimum(Zs, MOST, dtype=np.float32)
-    for k in range(1, FIRST + 1):
+    bounded = np.minimum(Zs, MAX_LINE_POWER_RATIO, dtype=np.float32)
+    for k in range(1, SEARCHED_HARMONICS + 1):
         inside = int(np.searchsorted(grid, high / k))
         at = np.rint(k * grid[:inside] * s.seconds).astype(np.intp)
         for total, Z in zip(totals, bounded, strict=True):
@@ -126,20 +134,23 @@ def _combs(s: LineSpectrum, Zs: Array, rotation: float, high: float) -> list[flo
         count[:inside] += 1
     best, found = 0.0, 0.0
     for total in totals if grid.size else ():
-        clear = total / SURE - count
+        clear = total / NOISE_MARGIN_REL - count
         top = int(np.argmax(clear))
-        if clear[top] > best and gammaincc(count[top], total[top] / SURE) * grid.size * len(Zs) < LEVEL:
+        if (
+            clear[top] > best
+            and gammaincc(count[top], total[top] / NOISE_MARGIN_REL) * grid.size * len(Zs) < FALSE_TRAIN_CHANCE
+        ):
             best, found = float(clear[top]), float(grid[top])
-    return [_centred(s, Zs, found * q, high) for q in (1.0, 1 / 2, 1 / 3, 2.0, 3.0)] if found else []
+    return [_refined_fundamental(s, Zs, found * q, high) for q in (1.0, 1 / 2, 1 / 3, 2.0, 3.0)] if found else []
 
 
-def _centred(s: LineSpectrum, Zs: Array, hz: float, high: float) -> float:
+def _refined_fundamental(s: LineSpectrum, Zs: Array, hz: float, high: float) -> float:
     """A fundamental, refined by its visible harmonics, the lowest first: the k-th tells it k times as well."""
     Z = Zs.max(axis=0)
     for k in range(1, int(high / hz) + 1):
         at = int(round(k * hz * s.seconds))
         near = Z[max(at - 1, 0) : at + 2]
-        if near.size == 3 and near[1] > VISIBLE and near[1] >= near.max():
+        if near.size == 3 and near[1] > VISIBLE_POWER_RATIO and near[1] >= near.max():
             a, b, c = np.sqrt(near)
             shift = (2 * c - b) / (b + c) if c >= a else -(2 * a - b) / (a + b)
             hz += (at / s.seconds + float(np.clip(shift, -0.7, 0.7)) / s.seconds - k * hz) / k * 0.5
@@ -148,7 +159,7 @@ def _centred(s: LineSpectrum, Zs: Array, hz: float, high: float) -> float:
 
 def forces_of_lines(point: WorkingPoint, s: LineSpectrum, bins: NDArray[np.intp], i: int) -> tuple[Array, Array]:
     """(lines,) N at place i of lines at some bins by a linear reading of the motion, and of what is beside them."""
-    near = np.clip(bins[:, None] + np.concatenate([[0], -BESIDE, BESIDE]), 1, s.f_hz.size - 1)
+    near = np.clip(bins[:, None] + np.concatenate([[0], -NEIGHBOUR_BINS, NEIGHBOUR_BINS]), 1, s.f_hz.size - 1)
     bins = near.ravel()
     if set(s.kinds) == {"force"}:
         F = np.abs(s.Y[i, bins])
@@ -158,30 +169,30 @@ def forces_of_lines(point: WorkingPoint, s: LineSpectrum, bins: NDArray[np.intp]
     return np.asarray(F[:, 0]), np.sqrt(np.median(F[:, 1:] ** 2, axis=1) / np.log(2.0))
 
 
-def _full(F: Array, unit: Array) -> bool:
+def _has_all_harmonics(F: Array, unit: Array) -> bool:
     """Whether a train has all its harmonics, as far as they would be seen beside their neighbours.
 
     F, unit : (harmonics,) N of its force, and of what is beside each harmonic.
     """
     expected = 0.5 * (F[:-2] + F[2:])
-    plain = (expected / unit[1:-1]) ** 2 > PLAIN
-    left_out = plain & (F[1:-1] ** 2 < GAP * expected**2)
-    return bool(left_out.sum() <= GAPS * plain.sum())
+    plain = (expected / unit[1:-1]) ** 2 > UNMISSABLE_POWER_RATIO
+    left_out = plain & (F[1:-1] ** 2 < MISSING_POWER_REL * expected**2)
+    return bool(left_out.sum() <= MAX_MISSING_SHARE * plain.sum())
 
 
 def _made_by_laws(point: WorkingPoint, order: float, hz: float, F: Array, unit: Array, i: int) -> bool:
     """Whether the laws of the model make the harmonics that are seen out of other lines. F, unit : as `_full` has
     them."""
     over = F / unit
-    seen = (over**2 > VISIBLE) & beyond_harmonics.residual_tells(point, hz * np.arange(1.0, over.size + 1))
+    seen = (over**2 > VISIBLE_POWER_RATIO) & beyond_harmonics.residual_tells(point, hz * np.arange(1.0, over.size + 1))
     if point.data.measured_force or not seen.any():
         return False
     left = beyond_harmonics.residual_harmonics(point, i, order * point.data.phase, over.size)[seen]
     over_noise = np.abs(left / unit[seen]) ** 2  # one beside a resonance is many times the others
-    return bool(np.sum(over_noise) < beyond_harmonics.LEAST**2 * np.sum(over[seen] ** 2))
+    return bool(np.sum(over_noise) < beyond_harmonics.MIN_UNEXPLAINED_REL**2 * np.sum(over[seen] ** 2))
 
 
-def _defect(
+def _defect_finding(
     point: WorkingPoint, s: LineSpectrum, order: float, rotation: float, places: list[str], gained: float
 ) -> Finding:
     """Strike, angle and width from the folded inferred force: the mean over all periods."""

@@ -22,11 +22,11 @@ from estimator.parallel import map_threads
 from estimator.results import Message
 from estimator.signals.line_spectrum import local_noise
 
-from .lines import LEVEL, SURE
+from .lines import FALSE_LINE_CHANCE, NOISE_MARGIN_REL
 
-LOW, HIGH = 0.3, 30.0  # orders looked at
-NEIGHBOURS = 200  # bins of the padded spectrum on either side that the floor is the median of
-FINER = 4  # bins of the zero-padded spectrum for one of the record, at least
+MIN_ORDER, MAX_ORDER = 0.3, 30.0  # of the shaft, searched
+FLOOR_BINS = 200  # of the padded spectrum on either side, whose median is the floor
+MIN_PADDING = 4  # bins of the padded spectrum for one of the record
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,9 @@ class StiffnessOrder:
 def lacks_stiffness_order(model: Model) -> bool:
     """Whether the model leaves the ball-pass order to be found: it has a speed, and no such law with an order typed."""
     orders = [
-        own.get("order", Setting()).value for use in ball_pass_uses(model) for own in _written(model, use).values()
+        own.get("order", Setting()).value
+        for use in ball_pass_uses(model)
+        for own in _parameters_by_location(model, use).values()
     ]
     return bool(model.speed_rpm) and model.ball_pass_order is None and (not orders or None in orders)
 
@@ -54,7 +56,7 @@ def ball_pass_uses(model: Model) -> tuple[EffectUse, ...]:
     return tuple(u for u in model.effects if u.name == BALL_PASS.name)
 
 
-def _written(model: Model, use: EffectUse) -> dict[str, dict[str, Setting]]:
+def _parameters_by_location(model: Model, use: EffectUse) -> dict[str, dict[str, Setting]]:
     return {place: written(BALL_PASS, use, model, place) for place in at(BALL_PASS, use, model)}
 
 
@@ -64,7 +66,7 @@ def with_start_orders(model: Model) -> Model:
     return replace(
         model,
         effects=tuple(
-            replace(u, parameters={place: order | own for place, own in _written(model, u).items()})
+            replace(u, parameters={place: order | own for place, own in _parameters_by_location(model, u).items()})
             if u in ball_pass_uses(model) else u
             for u in model.effects
         ),
@@ -93,18 +95,18 @@ def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
     rotation = data.speed / (2 * np.pi)
     if rotation <= 0.0:
         return None
-    thin = max(1, int(data.rate_hz / (4.0 * HIGH * rotation)))
+    thin = max(1, int(data.rate_hz / (4.0 * MAX_ORDER * rotation)))
     turned = (data.phase - data.phase[0]) / data.speed  # s, at the mean speed: a line of the shaft's stays one
     rows = np.rint(turned * data.rate_hz).astype(np.int64) // thin
-    size = next_fast_len(FINER * (int(rows[-1]) + 1), real=True)
+    size = next_fast_len(MIN_PADDING * (int(rows[-1]) + 1), real=True)
     f = np.fft.rfftfreq(size, thin / data.rate_hz)
     seconds = float(data.t[-1] - data.t[0])
-    usable = (f > max(LOW * rotation, 10.0 / seconds)) & (f < HIGH * rotation)
+    usable = (f > max(MIN_ORDER * rotation, 10.0 / seconds)) & (f < MAX_ORDER * rotation)
     for k in (1.0, 2.0):
         usable &= np.abs(f - k * rotation) > 3.0 / seconds
     if not usable.any():
         return None
-    looked = int(np.flatnonzero(usable)[-1]) + 2 * NEIGHBOURS  # bins
+    looked = int(np.flatnonzero(usable)[-1]) + 2 * FLOOR_BINS  # bins
     usable = usable[:looked]
 
     def clearest(i: int) -> tuple[float, float]:
@@ -113,12 +115,12 @@ def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
         product = np.bincount(rows, force * data.x[i]).astype(np.float32)
         line = np.asarray(rfft(product, size))[:looked]
         power = line.real**2 + line.imag**2
-        nats = power / local_noise(power, NEIGHBOURS)
+        nats = power / local_noise(power, FLOOR_BINS)
         k = int(np.argmax(np.where(usable, nats, 0.0)))
-        return float(nats[k]), float(f[k] + _between(power[k - 1 : k + 2]) * f[1])  # its floor may step
+        return float(nats[k]), float(f[k] + _peak_offset_bins(power[k - 1 : k + 2]) * f[1])  # its floor may step
 
     nats, hz = max(map_threads(clearest, range(len(data.places))))
-    if nats < SURE * np.log(np.count_nonzero(usable) * len(data.places) / LEVEL):
+    if nats < NOISE_MARGIN_REL * np.log(np.count_nonzero(usable) * len(data.places) / FALSE_LINE_CHANCE):
         return None
     return StiffnessOrder(hz / rotation, float(np.sqrt(6.0 / nats) / (2 * np.pi * seconds)) / rotation)
 
@@ -126,7 +128,7 @@ def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
 def order_trials(point: WorkingPoint) -> float:
     """Frequencies that `turning` looks at, independent ones: as many trials are behind an order of the record."""
     data = point.data
-    return max(1.0, (HIGH - LOW) * data.speed / (2 * np.pi) * float(data.t[-1] - data.t[0]))
+    return max(1.0, (MAX_ORDER - MIN_ORDER) * data.speed / (2 * np.pi) * float(data.t[-1] - data.t[0]))
 
 
 def _without_lines(force: Array) -> Array:
@@ -136,14 +138,14 @@ def _without_lines(force: Array) -> Array:
 
     Z = rfft(force * np.hanning(force.size))
     power = Z.real**2 + Z.imag**2
-    lines = power > SURE * np.log(Z.size / LEVEL) * local_noise(power, NEIGHBOURS)
+    lines = power > NOISE_MARGIN_REL * np.log(Z.size / FALSE_LINE_CHANCE) * local_noise(power, FLOOR_BINS)
     if not lines.any():
         return force
     Z[np.convolve(lines, np.ones(5, bool), mode="same")] = 0.0
     return np.asarray(irfft(Z, force.size))
 
 
-def _between(three: NDArray[np.floating[Any]]) -> float:
+def _peak_offset_bins(three: NDArray[np.floating[Any]]) -> float:
     """Where between its neighbours a peak lies, bins, by the parabola through their logarithms."""
     if three.size < 3 or three.min() <= 0.0:
         return 0.0

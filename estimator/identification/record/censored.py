@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 
-LONGEST = 48  # samples drawn together
-TURNS = 2  # of the axes, each time
+MAX_RUN_SAMPLES = 48  # samples drawn together
+AXIS_TURNS = 2  # of the axes, each time
 
 
 def runs(rows: NDArray[np.intp], sides: Array) -> NDArray[np.intp]:
@@ -24,7 +24,7 @@ def runs(rows: NDArray[np.intp], sides: Array) -> NDArray[np.intp]:
     new = np.append(True, (np.diff(rows) != 1) | (np.diff(sides) != 0))
     first = np.flatnonzero(new)
     within = np.arange(rows.size) - first[np.cumsum(new) - 1]
-    return np.append(np.flatnonzero(within % LONGEST == 0), rows.size)
+    return np.append(np.flatnonzero(within % MAX_RUN_SAMPLES == 0), rows.size)
 
 
 def axes(precision: Array) -> Array:
@@ -32,10 +32,10 @@ def axes(precision: Array) -> Array:
     standard deviations. precision : (lags,) of the samples of the process."""
     from scipy.linalg import eigh, toeplitz
 
-    out = np.zeros((LONGEST,) * 3)
-    row = np.zeros(LONGEST)
-    row[: precision.size] = precision[:LONGEST]
-    for k in range(LONGEST):
+    out = np.zeros((MAX_RUN_SAMPLES,) * 3)
+    row = np.zeros(MAX_RUN_SAMPLES)
+    row[: precision.size] = precision[:MAX_RUN_SAMPLES]
+    for k in range(MAX_RUN_SAMPLES):
         q, V = eigh(toeplitz(row[: k + 1]))
         out[k, : k + 1, : k + 1] = V / np.sqrt(np.maximum(q, 1e-12 * q[-1]))
     return out
@@ -68,7 +68,7 @@ def sweep(
                 squared += A[i, j] ** 2
                 along += A[i, j] * u[i]
             e[j] = pulled + along / squared
-        for _ in range(TURNS):
+        for _ in range(AXIS_TURNS):
             for j in range(size):
                 far = np.sqrt(e[j] ** 2 + 2.0 * rng.standard_exponential())
                 low, high = -far - e[j], far - e[j]

@@ -10,8 +10,8 @@ from estimator.identification.finding import Finding
 from estimator.model.rig import Model
 from estimator.results import Message, Parameter
 
-FAR = 0.3  # of the extremes: less far in are a few samples of any vibration
-PILE = 20  # samples of one and the same extreme value, beside three times as many as have the next
+EXTREME_RANGE_REL = 0.3  # of the range of a channel from its extreme: so close to it are few samples of a vibration
+MIN_PILE_SAMPLES = 20  # of one extreme value, besides three times as many as have the next value
 
 
 def clipping_level(y: Array) -> tuple[float, int] | None:
@@ -28,7 +28,7 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
     if found:
         return max(level for level, _ in found), sum(count for _, count in found)
     top = float(max(high, -low))
-    size = np.abs(y[(y > (1.0 - FAR) * top) | (y < (FAR - 1.0) * top)])
+    size = np.abs(y[(y > (1.0 - EXTREME_RANGE_REL) * top) | (y < (EXTREME_RANGE_REL - 1.0) * top)])
     if size.size <= 40:
         return None
     edge = np.partition(size, -20)[-20:].mean()  # a spike in the noise does not make the level
@@ -41,8 +41,8 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
 
 def extreme_pileups(y: Array, low: float, high: float) -> tuple[tuple[float, int] | None, tuple[float, int] | None]:
     """`_piled` of the samples near the largest, and of those near the smallest with their sign turned."""
-    reach = FAR * (high - low)
-    return _piled(y[y >= high - reach]), _piled(-y[y <= low + reach])
+    reach = EXTREME_RANGE_REL * (high - low)
+    return _pileup(y[y >= high - reach]), _pileup(-y[y <= low + reach])
 
 
 def clipping_text(name: str, level: float, count: int, samples: int) -> str:
@@ -51,20 +51,20 @@ def clipping_text(name: str, level: float, count: int, samples: int) -> str:
     return f"{name} is limited to +-{level:.3g} in {f'{share:.2g}' if share < 99.5 else '100'} % of its samples"
 
 
-def _piled(z: Array) -> tuple[float, int] | None:
+def _pileup(z: Array) -> tuple[float, int] | None:
     """Largest value and number of samples that have it, if that is more than the fall of a density allows."""
     top = z.max()
     count = int(np.count_nonzero(z == top))
     below = z[z < top]
-    if count <= PILE or not below.size:
+    if count <= MIN_PILE_SAMPLES or not below.size:
         return None
-    return (float(top), count) if count > 3 * np.count_nonzero(below == below.max()) + PILE else None
+    return (float(top), count) if count > 3 * np.count_nonzero(below == below.max()) + MIN_PILE_SAMPLES else None
 
 
 def pileup_p_value(count: int) -> float:
     """p-value of the fewest that count as clipped: so many at the extreme value, a third of what is beyond PILE at the
     next, where both are as likely (the density of a vibration falls)."""
-    return float(betainc(count, max(count - PILE, 0) / 3 + 1, 0.5))
+    return float(betainc(count, max(count - MIN_PILE_SAMPLES, 0) / 3 + 1, 0.5))
 
 
 def find_clipping(model: Model, y: Array) -> list[Finding]:

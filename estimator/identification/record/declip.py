@@ -20,17 +20,19 @@ from estimator.model.rig import MOTION, Model
 from .censored import axes, runs, sweep
 from .clipping import clipping_level, extreme_pileups
 
-ORDER = 64  # of the autoregression, and how far a sample depends on others
-ROUNDS, SWEEPS = 3, 8  # spectra in turn with the samples; draws of every sample with one spectrum
-LEARNT_FROM = 1 << 19  # samples, for the spectrum
-MOST = 0.15  # of the samples at the ceiling. Of 11 % kNL comes out a third low, of 3 % a sixth; kL 0.5 and 0.3 % high
-RESTORED = "the sensor clips: the clipped samples are reconstructed from their neighbours; a larger range is better"
+AR_ORDER = 64  # of the autoregression, and how far a sample depends on others
+SPECTRUM_ROUNDS, SWEEPS_PER_SPECTRUM = 3, 8  # spectra in turn with the samples; draws of every sample with one spectrum
+SPECTRUM_SAMPLES = 1 << 19  # samples, for the spectrum
+MAX_CLIPPED_SHARE = 0.15  # of the samples of a channel, that are restored
+RESTORED_MESSAGE = (
+    "the sensor clips: the clipped samples are reconstructed from their neighbours; a larger range is better"
+)
 # why a number is not told, here or where the shaft brings what is not known of this cap
-SPOILED = "a sensor clips, here or at the other end of the shaft, and the clipped samples cannot be restored"
-LOST = "the sensor clips, and the clipped samples cannot be restored: use a larger range"
+SPOILED_MESSAGE = "a sensor clips, here or at the other end of the shaft, and the clipped samples cannot be restored"
+LOST_MESSAGE = "the sensor clips, and the clipped samples cannot be restored: use a larger range"
 
 
-def restored(model: Model, y: Array, places: frozenset[str]) -> tuple[Array, dict[str, float]]:
+def restore_clipped(model: Model, y: Array, places: frozenset[str]) -> tuple[Array, dict[str, float]]:
     """The record (n, channels), SI, with the motion channels at these places beyond their ceilings, itself if nothing
     is to be restored; and by place how far off that is, rms over that of the channel: inf where something was taken
     that cannot be restored. The same draws for the same record."""
@@ -40,7 +42,7 @@ def restored(model: Model, y: Array, places: frozenset[str]) -> tuple[Array, dic
             continue
         low, high = ceilings(y[:, k])
         at = (y[:, k] <= low) | (y[:, k] >= high)
-        if at.any() and at.mean() < MOST:
+        if at.any() and at.mean() < MAX_CLIPPED_SHARE:
             out = y.copy() if out is y else out
             out[:, k], error = _beyond(y[:, k], at, low, high, np.random.default_rng(k))
             off[channel.place] = error / float(np.nanstd(out[:, k]))
@@ -56,18 +58,18 @@ def _beyond(y: Array, at: NDArray[np.bool_], low: float, high: float, rng: np.ra
     middle = float(np.mean(y[there]))
     z = np.where(there, y - middle, 0.0)
     inner = np.flatnonzero(at)
-    inner = inner[(inner >= ORDER) & (inner < y.size - ORDER)]
+    inner = inner[(inner >= AR_ORDER) & (inner < y.size - AR_ORDER)]
     sides = np.where(y[inner] >= high, 1.0, -1.0)
     limits = np.where(sides > 0, high, -low) - sides * middle
     begins = runs(inner, sides)
     before = z
-    for turn in range(ROUNDS + 1):
-        if turn < ROUNDS:
+    for turn in range(SPECTRUM_ROUNDS + 1):
+        if turn < SPECTRUM_ROUNDS:
             precision = _precision(z)
             own = axes(precision)
         else:  # another draw by the last spectrum
             before = z.copy()
-        for _ in range(SWEEPS):
+        for _ in range(SWEEPS_PER_SPECTRUM):
             sweep(z, inner, begins, sides, limits, precision, own, rng)
     out = y.copy()
     out[inner] = sides * np.maximum(sides * (z[inner] + middle), np.where(sides > 0, high, -low))  # but for rounding
@@ -78,11 +80,11 @@ def _precision(z: Array) -> Array:
     """(ORDER + 1,) inverse covariance of the samples, by lag."""
     from scipy.linalg import solve_toeplitz
 
-    part = z[:LEARNT_FROM]
+    part = z[:SPECTRUM_SAMPLES]
     power = np.abs(np.fft.rfft(part, 2 * part.size)) ** 2
-    r = np.fft.irfft(power)[: ORDER + 1] / part.size
+    r = np.fft.irfft(power)[: AR_ORDER + 1] / part.size
     a = np.append(1.0, -solve_toeplitz(r[:-1], r[1:]))
-    return np.asarray(np.correlate(a, a, "full")[ORDER:] / (a @ r))
+    return np.asarray(np.correlate(a, a, "full")[AR_ORDER:] / (a @ r))
 
 
 def ceilings(y: Array) -> tuple[float, float]:

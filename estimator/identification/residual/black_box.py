@@ -32,13 +32,15 @@ from estimator.likelihood.response.regressor_set import tangent_response
 
 from .black_box_tangents import legendre_in_time, second_order_tangents, shaft_waves
 
-Singles = NDArray[np.float32]
+Float32Series = NDArray[np.float32]
 GROUP_NAMES = ("displacement", "velocity", "level", "other_direction", "other_bearing", "time", "shaft_angle")
-X_STEP, V_STEP, SPAN = 0.35, 0.5, 3.7
-KNOWN = 1e-3  # of a column's power: with less beside the model's own columns it says nothing of its own
-VISITED = 30  # samples beyond the last knot but one, on each side, that the last is there for
-DRESSED_S = 5.0  # of the record, for what the columns fluctuate by: a gain is within 0.04 nats of that of 33 s
-KICKED = 2.5  # widths of a hat of velocity, at least, over what the force moves the velocity by within the band's tau
+X_KNOT_STEP_RMS = 0.35  # between knots of the displacement, over its rms
+V_KNOT_STEP_RMS = 0.5  # between knots of the velocity, over its rms
+KNOT_SPAN_RMS = 3.7  # knots on either side reach this far, over the rms
+MIN_OWN_POWER_SHARE = 1e-3  # of a regressor's power beside the model's own: with less it has no response of its own
+MIN_VISIT_SAMPLES = 30  # beyond the last knot but one, on each side
+SECOND_ORDER_RECORD_S = 5.0  # of the record, for second-order corrections: gains are within 0.04 nats of those of 33 s
+MIN_HAT_WIDTH_KICKS = 2.5  # of a hat of velocity, over the change of velocity by the force within tau of the band
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,7 @@ class RegressorGroup:
     """Columns of one place (k, n) float32 N-free, their tangents (k, places, 2) and, for hats, their knots (SI)."""
 
     name: str
-    series: list[Singles]
+    series: list[Float32Series]
     tangents: list[Array]
     knots: Array | None = None
 
@@ -119,10 +121,10 @@ def _other_direction_regressors(u, uo, wo, out, slopes):  # type: ignore[no-unty
             slopes[8 + 2 * k, 2] += over + bend * y * y
 
 
-LEVELS, BESIDE = 5, 11  # columns of these
+LEVEL_REGRESSORS, OTHER_DIRECTION_REGRESSORS = 5, 11  # columns of these
 
 
-def _filled(law: Callable[..., None], columns: int, *states: Singles) -> tuple[list[Singles], Array]:
+def _evaluated(law: Callable[..., None], columns: int, *states: Float32Series) -> tuple[list[Float32Series], Array]:
     """Singles of the columns, and the means of their slopes."""
     out, slopes = np.empty((columns, states[0].size), np.float32), np.zeros((columns, 4))
     law(*states, out, slopes)
@@ -135,8 +137,8 @@ def hat_knots(z: NDArray[np.floating[Any]], scale: float, step: float) -> Array:
     A column that is not zero at one sample only, little as it is there, has a mean slope as one that is 1: for the
     determinant of it 790 nats were won, in a complete model whose damping grows with the motion and thins its tails.
     """
-    half = int(np.ceil(SPAN / step))
-    while half > 2 and min(np.sum(side > (half - 1) * step * scale) for side in (z, -z)) < VISITED:
+    half = int(np.ceil(KNOT_SPAN_RMS / step))
+    while half > 2 and min(np.sum(side > (half - 1) * step * scale) for side in (z, -z)) < MIN_VISIT_SAMPLES:
         half -= 1
     return np.arange(-half, half + 1, dtype=np.float64) * step * scale
 
@@ -165,10 +167,10 @@ def velocity_knot_step(point: WorkingPoint, i: int) -> float:
     """
     tau, mass = 0.5 / point.data.band[1], float(point.data.mass[i])
     k, c = (max(float(z), 0.0) / mass for z in point.mean_tangent[i, i])
-    return max(V_STEP, KICKED * float(np.sqrt(2.0 * c * tau)), float(np.sqrt(k)) * tau)
+    return max(V_KNOT_STEP_RMS, MIN_HAT_WIDTH_KICKS * float(np.sqrt(2.0 * c * tau)), float(np.sqrt(k)) * tau)
 
 
-def _group(data: MotionRecord, i: int, name: str, series: list[Singles], slopes: Array) -> RegressorGroup:
+def _state_group(data: MotionRecord, i: int, name: str, series: list[Float32Series], slopes: Array) -> RegressorGroup:
     """slopes : (columns, 4) mean d/du, d/dw, d/duo, d/dwo."""
     o = data.other(i)
     tangents = np.zeros((len(series), len(data.places), 2))
@@ -184,16 +186,16 @@ def other_direction_group(data: MotionRecord, i: int) -> RegressorGroup | None:
     if o is None:
         return None
     states = [data.calmed(i) / data.rms[0, i], data.calmed(o) / data.rms[0, o], data.v[o] / data.rms[1, o]]
-    found = _group(
+    found = _state_group(
         data,
         i,
         "other_direction",
-        *_filled(_other_direction_regressors, BESIDE, *(z.astype(np.float32) for z in states)),
+        *_evaluated(_other_direction_regressors, OTHER_DIRECTION_REGRESSORS, *(z.astype(np.float32) for z in states)),
     )
-    return _as_laws(found, data, i)
+    return _on_denoised_displacement(found, data, i)
 
 
-def _as_laws(group: RegressorGroup, data: MotionRecord, i: int) -> RegressorGroup:
+def _on_denoised_displacement(group: RegressorGroup, data: MotionRecord, i: int) -> RegressorGroup:
     """The group, made of the displacements that laws see, with their mean tangents along the whole of these, as laws
     have them. With the noise of sensors in it x^2 v beside itself won 290 nats (behind a mean over a sample)."""
     if data.calm is not None:
@@ -224,10 +226,12 @@ def regressor_groups(
     yield hat_group("displacement", data.seen(i), knots[0], i, 0, P)
     yield hat_group("velocity", data.v[i], knots[1], i, 1, P)
 
-    def m(z: Singles) -> float:
+    def m(z: Float32Series) -> float:
         return float(np.mean(z, dtype=np.float64))
 
-    yield _as_laws(_group(data, i, "level", *_filled(_level_regressors, LEVELS, u, w)), data, i)
+    yield _on_denoised_displacement(
+        _state_group(data, i, "level", *_evaluated(_level_regressors, LEVEL_REGRESSORS, u, w)), data, i
+    )
     beside = other_direction_group(data, i)
     if beside is not None:
         yield beside
@@ -242,11 +246,13 @@ def regressor_groups(
     slopes = np.zeros((4, 4))
     slopes[0, 0] = slopes[1, 1] = m(tau)
     slopes[2, 0] = slopes[3, 1] = m(second)
-    yield _as_laws(_group(data, i, "time", [tau * u, tau * w, second * u, second * w], slopes), data, i)
+    yield _on_denoised_displacement(
+        _state_group(data, i, "time", [tau * u, tau * w, second * u, second * w], slopes), data, i
+    )
     if data.speed > 0.0:
         turning = shaft_waves(data.phase, orders)
         slopes = np.array([[m(z), 0.0, 0.0, 0.0] for z in turning])
-        yield _as_laws(_group(data, i, "shaft_angle", [z * u for z in turning], slopes), data, i)
+        yield _on_denoised_displacement(_state_group(data, i, "shaft_angle", [z * u for z in turning], slopes), data, i)
 
 
 def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subproblem, dict[str, Array]]:
@@ -261,14 +267,14 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
     made: list[tuple[NDArray[np.int64], Array, Array]] = []
     by_fold: list[list[RegressorGroup]] = []
     ends = (
-        hat_knots(data.seen(i), float(data.rms[0, i]), X_STEP),
+        hat_knots(data.seen(i), float(data.rms[0, i]), X_KNOT_STEP_RMS),
         hat_knots(data.v[i], float(data.rms[1, i]), velocity_knot_step(point, i)),
     )
     room = np.empty(0, np.float32)
     for f in range(TIME_FOLDS):
         part, first = fold_record(data, f), fold_slice(point, f).start
         found = []
-        spectra: list[Singles] = []
+        spectra: list[Float32Series] = []
         for g in regressor_groups(part, i, orders, ends, times):
             spectra += [point.whitening.spectrum(i, z, first=first) for z in g.series]
             found.append(RegressorGroup(g.name, [], g.tangents, g.knots))
@@ -289,8 +295,8 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
     columns = np.split(mean[:, i], np.cumsum([len(g.tangents) for g in by_fold[0]])[:-1])
     whole = [replace(g, tangents=[*own]) for g, own in zip(by_fold[0], columns, strict=True)]
     around = point.fluctuations[i]
-    here = around and around.shorter(DRESSED_S)
-    tangents: Complexes = np.concatenate([_tangents(point, i, g, here, orders, times) for g in whole])
+    here = around and around.shorter(SECOND_ORDER_RECORD_S)
+    tangents: Complexes = np.concatenate([_group_tangents(point, i, g, here, orders, times) for g in whole])
     tangents *= scales[:, None, None, None]
     names = tuple(f"{g.name}.{k}" for g in whole for k in range(len(g.tangents)))
     knots = {g.name: g.knots for g in whole if g.knots is not None}
@@ -310,7 +316,7 @@ def with_known_response(problem: Subproblem) -> Subproblem:
     size = np.sqrt(np.maximum(np.diag(own), 1e-300))
     weights = np.linalg.pinv(own / np.multiply.outer(size, size), rcond=1e-10) @ (cross / size[:, None]) / size[:, None]
     left = 1.0 - np.einsum("bk,bk->k", cross, weights) / np.maximum(np.diag(G)[b:], 1e-300)
-    known = np.flatnonzero(left < KNOWN)
+    known = np.flatnonzero(left < MIN_OWN_POWER_SHARE)
     tangents = gram.tangents.copy()
     tangents[b + known] = np.tensordot(weights[:, known].T, tangents[:b], 1)
     apart = None if gram.apart is None else gram.apart.copy()
@@ -319,7 +325,7 @@ def with_known_response(problem: Subproblem) -> Subproblem:
     return replace(problem, gram=replace(gram, tangents=tangents, apart=apart))
 
 
-def _tangents(
+def _group_tangents(
     point: WorkingPoint, i: int, group: RegressorGroup, here: Fluctuation | Probe | None, orders: tuple[float, ...],
     times: tuple[float, float],
 ) -> Complexes:  # fmt: skip

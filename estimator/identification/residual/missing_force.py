@@ -1,12 +1,12 @@
-"""What of the inferred force can still be predicted, state by state: the missing force.
+"""The missing force: the part of the residual force that a flexible black box can still predict from a state.
 
-Groups of flexible columns (black_box.py) enter one after the other, by significance of the likelihood they gain, until
-none is significant given the number of groups tried: a complete model is left with nothing, and its missing force is
-0. The power of the part found is unbiased: the square of the estimate minus its own noise,
+Groups of regressors enter one after the other, the most significant first, until no group is significant after a
+correction for the number of groups tried. Of a complete model no group enters, and its missing force is 0. The estimate
+of the power found is unbiased, as the power of the estimate's own noise is subtracted:
 
     P = theta' Q theta - tr(Q Cov),    var P = 2 tr (Q Cov)^2 + 4 theta' Q Cov Q theta
 
-with Q the Gram matrix of the found columns per second, freed from what the model's own parameters could take over.
+Q is the Gram matrix per second of the regressors found, after projection on the complement of the model's own.
 """
 
 from __future__ import annotations
@@ -34,47 +34,80 @@ from estimator.results import NOT_JUDGED, Message
 
 from . import black_box
 
-LEVEL = 1e-3  # of a group at a place, after counting the groups and places tried
-SURVEY_SECONDS = 24.0  # of a long record: enough to see a thousandth of the bearing force
-NEGLIGIBLE_FORCE_SHARE = (
-    1.2e-3  # of the rms bearing force: below it lie the band limit and the integrators of any simulation
+MAX_GROUP_P_VALUE = 1e-3  # of a group at a location, after correction for the groups and locations tried
+SURVEY_S = 24.0  # of a long record: enough to see a thousandth of the bearing force
+NEGLIGIBLE_FORCE_SHARE = 1.2e-3  # of the rms bearing force: errors of band limit and integrators are smaller
+UNJUDGED_MESSAGE = Message(
+    NOT_JUDGED, "the model cannot be judged: the sensors of all channels clip, use larger ranges"
 )
-UNJUDGED = Message(NOT_JUDGED, "the model cannot be judged: the sensors of all channels clip, use larger ranges")
-LEANS = 0.6  # of what drawn motion is off by, that may look like a law: 0.18 to 0.49 of it where 1 to 3 % are drawn
-DEGREE = 9  # of the smooth curves
-RIDGE = 1e-3  # of a column's own information: keeps hat functions that nothing visits at zero
+LAW_LIKE_ERROR_SHARE = 0.6  # of the error of restored motion, that may look like a law (0.18 to 0.49 at 1 to 3 %)
+POLYNOMIAL_DEGREE = 9  # of the smooth curves
+RIDGE_SHARE = 1e-3  # of a regressor's own information: holds hat functions without samples at zero
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FoundGroup:
-    """A group found at a place: power in N^2, nats gained, p-value; the fit that holds its coefficients."""
+    """A group of regressors that a location's residual force follows.
+
+    Attributes
+    ----------
+    place : int
+        Index of the location in the motion record.
+    group : str
+        Name of the group, one of the black box's `GROUP_NAMES`.
+    power_N2 : float
+        Mean square of the force that the group adds to those found before it, N^2.
+    gain_nats : float
+        Log-likelihood that it adds, nats.
+    p_value : float
+        After a correction for the groups and locations tried.
+    """
 
     place: int
     group: str
-    power: float
-    gain: float
+    power_N2: float
+    gain_nats: float
     p_value: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlaceResidual:
-    """What is found at one place. P, sd : N^2 of all groups together; problem, fit : the groups found, fitted."""
+    """The predictable part of the residual force at one location.
+
+    Attributes
+    ----------
+    place : int
+        Index of the location in the motion record.
+    found : tuple of FoundGroup
+        Significant groups in the order of their selection.
+    power_N2, power_sd_N2 : float
+        Mean square of the force of all groups found, N^2, and its standard deviation.
+    problem, fit : Subproblem, PathFit
+        The model with the groups found, and its fit.
+    knots : dict of str to (k,) float64
+        Knots of the groups of hat functions, m or m/s, by name of the group.
+    pool : Subproblem
+        The model with every group.
+    hidden_N2 : float
+        Upper 95 % limit of the power that the largest group tested could have, N^2.
+    """
 
     place: int
     found: tuple[FoundGroup, ...]
-    P: float
-    sd: float
+    power_N2: float
+    power_sd_N2: float
     problem: Subproblem
     fit: PathFit
-    knots: dict[str, Array]  # of the groups of hat functions, SI
-    pool: Subproblem  # every group
-    upper: float  # N^2: what could hide from the largest group tested, 95 %
+    knots: dict[str, Array]
+    pool: Subproblem
+    hidden_N2: float
 
 
 def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) -> PlaceResidual:
-    """Forward selection of groups at place i. tries : groups tested over all places, for the significance.
+    """Groups that the residual force at location i follows, by forward selection.
 
-    Hat functions of a state are tried free, and bound to a smooth curve.
+    orders : of the shaft, at which stiffness may vary. tries : groups tested at all locations, for the significance.
+    Hat functions of a state are tried free and bound to a polynomial.
     """
     problem, knots = black_box.group_pool(point, i, orders)
     names: dict[str, tuple[str, ...]] = {}
@@ -83,7 +116,7 @@ def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries:
     plain = problem.without_extra()
     base = plain.fit()
     everything = np.arange(point.data.fold_blocks.size)
-    tries += len(point.data.places) * len(knots)  # the smooth curves
+    tries += len(point.data.places) * len(knots)  # the polynomials
     level = plain.likelihood(base, everything)
     chosen: list[str] = []
     found: list[FoundGroup] = []
@@ -101,7 +134,7 @@ def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries:
             reached = trial.likelihood(fit, everything)
             gained, p = reached - level, group_p_value(trial, fit, names[name], reached - level)
             if not chosen:
-                upper = max(upper, _hidden(point, trial, fit, i))
+                upper = max(upper, _hidden_power(point, trial, fit, i))
             if name in knots:
                 bound, curve, own = fit_polynomial(trial, names[name], knots[name])
                 again = bound.likelihood(curve, everything) - level
@@ -110,7 +143,7 @@ def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries:
                     gained, p, fit = again, bound_p, as_hat_functions(trial, bound, curve, names[name], knots[name])
             if best is None or (p, -gained) < (best[4], -best[0]):
                 best = (gained, name, trial, fit, p, reached)
-        if best is None or min(1.0, best[4] * tries) > LEVEL:
+        if best is None or min(1.0, best[4] * tries) > MAX_GROUP_P_VALUE:
             break
         gained, name, current_new, fitted_new, p, reached = best
         total, _ = extra_power(point, current_new, fitted_new, i)
@@ -119,28 +152,43 @@ def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries:
         current, fitted = current_new, fitted_new
         chosen.append(name)
         level = reached
-        found.append(FoundGroup(i, name, max(total - power, 0.0), gained, min(1.0, p * tries)))
+        found.append(
+            FoundGroup(
+                place=i, group=name, power_N2=max(total - power, 0.0), gain_nats=gained, p_value=min(1.0, p * tries)
+            )
+        )
         power = max(total, power)
     P, sd = extra_power(point, current, fitted, i) if chosen else (0.0, 0.0)
-    return PlaceResidual(i, tuple(found), P, sd, current, fitted, knots, problem, upper)
+    return PlaceResidual(
+        place=i,
+        found=tuple(found),
+        power_N2=P,
+        power_sd_N2=sd,
+        problem=current,
+        fit=fitted,
+        knots=knots,
+        pool=problem,
+        hidden_N2=upper,
+    )
 
 
 def negligible_share(point: WorkingPoint, i: int) -> float:
-    """Share of the bearing force at a place below which nothing is told of it."""
-    return max(NEGLIGIBLE_FORCE_SHARE, LEANS * point.data.unsure(i))
+    """Share of the rms bearing force at location i below which a missing force is not claimed."""
+    return max(NEGLIGIBLE_FORCE_SHARE, LAW_LIKE_ERROR_SHARE * point.data.unsure(i))
 
 
 def group_p_value(problem: Subproblem, fit: PathFit, names: tuple[str, ...], gained: float) -> float:
-    """p-value of the nats gained by some columns."""
+    """p-value of the log-likelihood (nats) that the named regressors gain."""
     return float(chdtrc(effective_dof(problem, fit, names), 2 * max(gained, 0.0)))
 
 
 def fit_polynomial(
     problem: Subproblem, names: tuple[str, ...], knots: Array
 ) -> tuple[Subproblem, PathFit, tuple[str, ...]]:
-    """The last extra columns, hat functions of one state, bound to a polynomial of degree 2 to DEGREE; its fit; names.
+    """The problem with hat functions bound to polynomials of degree 2 to 9, its fit, and the names of the polynomials.
 
-    Few parameters see a weak smooth law that is lost among the noise of free hat functions.
+    names : of the last extra regressors, hat functions of one state at the knots (k,). A weak smooth law that is lost
+    in the noise of free hat functions is significant with few parameters.
     """
     weights = _polynomials(problem, names, knots)
     bound = problem.combined(weights)
@@ -150,7 +198,7 @@ def fit_polynomial(
 def as_hat_functions(
     problem: Subproblem, bound: Subproblem, fit: PathFit, names: tuple[str, ...], knots: Array
 ) -> PathFit:
-    """The fit of the bound problem in terms of the hat functions."""
+    """The fit of a problem bound to polynomials, expressed in the free hat functions."""
     M = block_diag(np.eye(len(problem.base)), _polynomials(problem, names, knots))
     delta, covariance = fit.delta @ M, M.T @ fit.covariance @ M
     return PathFit(
@@ -164,29 +212,32 @@ def as_hat_functions(
 
 
 def _polynomials(problem: Subproblem, names: tuple[str, ...], knots: Array) -> Array:
-    """(before + DEGREE - 1, extra) the earlier extra columns as they are, then polynomials of the hat functions."""
+    """(earlier + 8, extra) weights: earlier extra regressors unchanged, then polynomials of the hat functions."""
     u = 3.7 * knots / knots[-1]  # about in rms
-    rows = [hermeval(u, np.eye(DEGREE + 1)[d]) / math.sqrt(math.factorial(d)) for d in range(2, DEGREE + 1)]
+    rows = [
+        hermeval(u, np.eye(POLYNOMIAL_DEGREE + 1)[d]) / math.sqrt(math.factorial(d))
+        for d in range(2, POLYNOMIAL_DEGREE + 1)
+    ]
     own = np.stack(rows) / problem.gram.scales[-len(names) :]
     return np.asarray(block_diag(np.eye(len(problem.extra) - len(names)), own))
 
 
 def fit_with_ridge(problem: Subproblem) -> PathFit:
-    """Fit with a weak prior, RIDGE of the mean information of an extra column."""
+    """Fit with a weak prior on the extra regressors."""
     return problem.fit(ridge=ridge_information(problem), steps=6)
 
 
 def ridge_information(problem: Subproblem) -> float:
-    """The prior information that goes with RIDGE."""
+    """Information of the weak prior: `RIDGE_SHARE` of the mean information of an extra regressor."""
     G = problem.gram.G.sum(axis=1)
     n = problem.gram.n.sum(axis=1)
     S = G[:, 0, 0] / n
     own = 2 * np.einsum("ikk->ik", G / S[:, None, None]).sum(axis=0)[1 + len(problem.base) :]
-    return RIDGE * float(np.mean(own)) if own.size else 0.0
+    return RIDGE_SHARE * float(np.mean(own)) if own.size else 0.0
 
 
 def effective_dof(problem: Subproblem, fit: PathFit, names: tuple[str, ...]) -> float:
-    """Degrees of freedom of some columns: those that the base does not already span."""
+    """Degrees of freedom of the named regressors that the others do not span."""
     Q, _, index = freed_gram(problem, fit)
     whole = np.einsum("ifkk->k", problem.gram.G)[1 + len(problem.base) :]
     at = [index.index(n) for n in names if n in index]
@@ -197,12 +248,12 @@ def effective_dof(problem: Subproblem, fit: PathFit, names: tuple[str, ...]) -> 
         A = A - B @ np.linalg.pinv(Q[np.ix_(others, others)], rcond=1e-6) @ B.T
     d = np.sqrt(np.maximum(whole[at], 1e-300))
     e = np.linalg.eigvalsh(A / np.multiply.outer(d, d))
-    return float(max(1.0, np.sum(np.maximum(e, 0) / (np.maximum(e, 0) + RIDGE))))
+    return float(max(1.0, np.sum(np.maximum(e, 0) / (np.maximum(e, 0) + RIDGE_SHARE))))
 
 
 def freed_gram(problem: Subproblem, fit: PathFit) -> tuple[Array, Array, tuple[str, ...]]:
-    """Q (extra, extra), the Gram of the extra columns freed from the base, summed over bins in N^2/Hz units; their
-    covariance; and their names."""
+    """Gram matrix (extra, extra) of the extra regressors, N^2/Hz, projected on the complement of the base; the
+    covariance (extra, extra) of their coefficients; and their names."""
     G = problem.gram.G.sum(axis=(0, 1))
     b = len(problem.base)
     Gb, Ge, Gc = G[1 : 1 + b, 1 : 1 + b], G[1 + b :, 1 + b :], G[1 + b :, 1 : 1 + b]
@@ -211,7 +262,7 @@ def freed_gram(problem: Subproblem, fit: PathFit) -> tuple[Array, Array, tuple[s
 
 
 def extra_power(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) -> tuple[float, float]:
-    """Unbiased mean square in N^2 of the extra terms' force at place i, and its standard deviation."""
+    """Unbiased mean square of the force of the extra regressors at location i, N^2, and its standard deviation."""
     Q, cov, _ = freed_gram(problem, fit)
     if not len(Q):
         return 0.0, 0.0
@@ -223,104 +274,135 @@ def extra_power(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) 
     return P, float(np.sqrt(max(variance, 0.0))) * per_second
 
 
-def _hidden(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) -> float:
-    """Power that a group which was not found could still have, 95 % (normal approximation)."""
+def _hidden_power(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) -> float:
+    """Upper 95 % limit of the power (N^2) of a group that was not found, by the normal approximation."""
     P, sd = extra_power(point, problem, fit, i)
     return max(P, 0.0) + 1.645 * sd
 
 
 @dataclass(frozen=True, slots=True)
 class MissingForce:
-    """What is found at every place. bearing : (places,) N rms, 0 where nothing is judged; total of the missing force as
-    a share of it."""
+    """The force that a model lacks: its predictable part at every location, and what no state explains.
+
+    Attributes
+    ----------
+    residuals : tuple of PlaceResidual
+        One per judged location.
+    bearing_force_N : (places,) float64
+        Rms of the bearing force, N; 0 where nothing is judged.
+    disturbances : tuple of DisturbanceForce
+        Forces of findings that no state explains.
+    """
 
     residuals: tuple[PlaceResidual, ...]
-    bearing: Array
-    shares: tuple[DisturbanceForce, ...] = ()
+    bearing_force_N: Array
+    disturbances: tuple[DisturbanceForce, ...] = ()
 
-    def beside(self, others: Sequence[Finding]) -> MissingForce:
-        """The survey with findings that no state explains."""
-        by_state = {r.place: sum(f.gain for f in r.found) for r in self.residuals}
-        # a law that is missing also bends the spectrum of the inferred force: not a second finding
-        kept = [
-            s
-            for s in others
-            if s.effect not in SPECTRAL_EFFECTS or all(s.gain_nats > by_state.get(i, 0.0) for i in s.power_N2)
-        ]
-        return replace(self, shares=tuple(disturbance_forces(kept)))
+    def with_findings(self, others: Sequence[Finding]) -> MissingForce:
+        """The missing force with findings that no state explains."""
+        by_state = {r.place: sum(f.gain_nats for f in r.found) for r in self.residuals}
+
+        def counts(f: Finding) -> bool:
+            """Whether a finding is one of its own: a missing law shapes the spectrum of the residual force too."""
+            return f.effect not in SPECTRAL_EFFECTS or all(f.gain_nats > by_state.get(i, 0.0) for i in f.power_N2)
+
+        return replace(self, disturbances=tuple(disturbance_forces([f for f in others if counts(f)])))
 
     def looked_anywhere(self) -> bool:
-        """Whether any place was judged: where a sensor is clipped none is."""
+        """Whether any location was judged. Locations of clipped sensors are not."""
         return bool(self.residuals)
 
     def any_found(self) -> bool:
-        return bool(self.shares) or any(r.found for r in self.residuals)
+        """Whether any force is missing."""
+        return bool(self.disturbances) or any(r.found for r in self.residuals)
 
     def places_found(self) -> tuple[int, ...]:
+        """Indices of locations whose residual force follows a state."""
         return tuple(r.place for r in self.residuals if r.found)
 
     def percent(self, point: WorkingPoint, places: tuple[int, ...] | None = None) -> float:
-        """rms of the missing force over the rms bearing force, all places together or some."""
+        """Rms of the missing force, per cent of the rms bearing force, over all locations or some."""
         return self.interval(places)[0]
 
     def interval(self, places: tuple[int, ...] | None = None) -> tuple[float, float, float]:
-        """Value, low, high in per cent: 95 %; where nothing is found, high is what could hide there: all of it where
-        nothing was looked at."""
-        if not self.looked_anywhere() and not self.shares:
+        """Rms of the missing force and its 95 % limits, per cent of the rms bearing force.
+
+        Where nothing is found, the upper limit is the force that could hide there; it is 100 where nothing was judged.
+        """
+        if not self.looked_anywhere() and not self.disturbances:
             return 0.0, 0.0, 100.0
-        own = [r for r in self.residuals if places is None or r.place in places]
-        scale = float(np.sum(self.bearing[list(range(self.bearing.size) if places is None else places)] ** 2))
-        P = sum(r.P for r in own) + sum(s.power_N2 for s in self.shares if places is None or s.place in places)
-        sd = float(np.sqrt(sum(r.sd**2 for r in own)))
-        hidden = sum(r.upper for r in own if not r.found)
+        at = range(self.bearing_force_N.size) if places is None else places
+        own = [r for r in self.residuals if r.place in at]
+        scale = float(np.sum(self.bearing_force_N[list(at)] ** 2))
+        P = sum(r.power_N2 for r in own) + sum(s.power_N2 for s in self.disturbances if s.place in at)
+        sd = float(np.sqrt(sum(r.power_sd_N2**2 for r in own)))
+        hidden = sum(r.hidden_N2 for r in own if not r.found)
         low = P - 1.96 * sd if P > 0 else 0.0
         return tuple(100 * float(np.sqrt(max(z, 0.0) / scale)) for z in (P, low, P + 1.96 * sd + hidden))  # type: ignore[return-value]
 
 
 def unjudged_messages(found: MissingForce) -> tuple[Message, ...]:
-    """What to say of a record of which nothing is judged."""
-    return () if found.looked_anywhere() else (UNJUDGED,)
+    """The message on a record of which no location is judged; empty otherwise."""
+    return () if found.looked_anywhere() else (UNJUDGED_MESSAGE,)
 
 
 def stiffness_orders(model: Model) -> tuple[float, ...]:
-    """Shaft orders at which stiffness is expected to turn: 1, 2 and the ball pass."""
+    """Shaft orders at which stiffness is expected to vary: 1, 2 and the ball pass."""
     known = kinematic("bpfo", model)
     return (1.0, 2.0) if known is None else (1.0, 2.0, float(known))
 
 
 def survey(
     point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None, others: Sequence[Finding] = (),
-    seconds: float = SURVEY_SECONDS,
+    seconds: float = SURVEY_S,
 ) -> MissingForce:  # fmt: skip
-    """Every place (or some; the rest count as explained); `others` are findings that no state explains.
+    """The missing force of a model, from part of a long record.
 
-    seconds : of the record to look at.
+    Parameters
+    ----------
+    point : WorkingPoint
+        The model fitted to the record.
+    model : Model
+        The rig, for the shaft orders of its stiffness.
+    only : tuple of int or None
+        Indices of the locations to judge; None judges all. The others count as explained.
+    others : sequence of Finding
+        Findings that no state explains.
+    seconds : float
+        Length of the part of the record that is used, s.
+
+    Returns
+    -------
+    MissingForce
+        Groups of regressors found at each location, and the forces of the findings.
     """
     point = point_on_part(point, seconds)
-    found = map_processes(_questions(point, model, only))
-    return MissingForce(tuple(found), _judged(point)).beside(others)
+    found = map_processes(_group_selections(point, model, only))
+    return MissingForce(tuple(found), _judged_bearing_force(point)).with_findings(others)
 
 
 def survey_with(
     point: WorkingPoint, model: Model, others: Callable[[], list[Finding]], *more: Callable[[], Any]
 ) -> tuple[MissingForce, list[Finding], *tuple[Any, ...]]:
-    """The survey of every place, on all of `point`, beside what `others` finds; that; and the answers to what else is
-    asked: by two processes."""
-    asked: list[Callable[[], Any]] = [others, *more, *_questions(point, model)]  # the longest, as they are, first
-    suspects, *found = map_processes(asked)
-    own = MissingForce(tuple(found[len(more) :]), _judged(point))
-    return own.beside(suspects), suspects, *found[: len(more)]
+    """The missing force on all of the record with the findings of `others`, these findings, and the answers of `more`.
+
+    All are computed by two processes.
+    """
+    asked: list[Callable[[], Any]] = [others, *more, *_group_selections(point, model)]  # longest first
+    findings, *found = map_processes(asked)
+    own = MissingForce(tuple(found[len(more) :]), _judged_bearing_force(point))
+    return own.with_findings(findings), findings, *found[: len(more)]
 
 
-def _judged(point: WorkingPoint) -> Array:
-    """(places,) N rms, bearing force of the places that are judged, 0 at the others."""
+def _judged_bearing_force(point: WorkingPoint) -> Array:
+    """(places,) rms of the bearing force at judged locations, N; 0 at the others."""
     return np.where(np.isin(np.arange(len(point.data.places)), point.data.judged), point.bearing_force, 0.0)
 
 
-def _questions(
+def _group_selections(
     point: WorkingPoint, model: Model, only: tuple[int, ...] | None = None
 ) -> list[Callable[[], PlaceResidual]]:
-    """What a survey asks at every place (or some), to be answered in any order."""
+    """The selection of groups at every judged location, as calls in any order."""
     places = [i for i in point.data.judged if only is None or i in only]
     tries = len(point.data.places) * len(black_box.GROUP_NAMES)
     return [partial(select_groups, point, i, stiffness_orders(model), tries) for i in places]

@@ -28,17 +28,25 @@ from estimator.parallel import map_threads
 from estimator.results import Parameter
 from estimator.signals.channel_response import GAIN_AND_DELAY, RESPONSE_EFFECTS
 
-GAIN, SKEW = GAIN_AND_DELAY
+GAIN_EFFECT, SKEW_EFFECT = GAIN_AND_DELAY
 # Changes of B: ln of its size in the first cap's force and in the second's, its delay (s) and, in the second's, advance
-FAULTS = {GAIN: (1.0, -1.0, 0.0, 0.0), SKEW: (0.0, 0.0, 1.0, 1.0)}
-OTHERWISE = ((1.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, -1.0), (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0))  # shaft, masses
-LOOKED = {GAIN: 0.05, SKEW: 0.3}  # standard deviation, of 1 and of a sample, beyond which nothing is said
-CALIBRATED = {GAIN: 2e-3, SKEW: 0.01}  # that no calibration would show
-FEWEST = 10.0  # nats, for a cause, and for another one beside it
-STEPS = 30  # of Newton's method at most
-DAMPED = 0.03  # of the root of stiffness and mass
-LEVEL = 1e-3  # p-value above which nothing is said
-NOTE = (
+FAULT_PATTERNS = {GAIN_EFFECT: (1.0, -1.0, 0.0, 0.0), SKEW_EFFECT: (0.0, 0.0, 1.0, 1.0)}
+OTHER_PATTERNS = (
+    (1.0, 1.0, 0.0, 0.0),
+    (0.0, 0.0, 1.0, -1.0),
+    (1.0, 0.0, 0.0, 0.0),
+    (0.0, 1.0, 0.0, 0.0),
+)  # shaft, masses
+MAX_SD_BY_EFFECT = {
+    GAIN_EFFECT: 0.05,
+    SKEW_EFFECT: 0.3,
+}  # standard deviation, of 1 and of a sample, beyond which nothing is said
+MIN_FAULT_BY_EFFECT = {GAIN_EFFECT: 2e-3, SKEW_EFFECT: 0.01}  # that no calibration would show
+MIN_GAIN_NATS = 10.0  # nats, for a cause, and for another one beside it
+MAX_STEPS = 30  # of Newton's method at most
+DAMPING_REL = 0.03  # of the root of stiffness and mass
+MAX_FAULT_P_VALUE = 1e-3  # p-value above which nothing is said
+FINDING_NOTE = (
     "found from the response of the caps to each other through the shaft: the inverse error of the other cap's sensor "
     "would look the same"
 )
@@ -84,20 +92,20 @@ def find_coupled_sensor_faults(model: Model, point: WorkingPoint) -> list[Findin
 def _found(point: WorkingPoint, seen: Between, names: list[str]) -> list[Finding]:
     """The likeliest fault, if nothing else that may be wrong with B is likelier."""
     places, rate = point.data.places, point.data.rate_hz
-    name = max(names, key=lambda one: seen.nats(FAULTS[one]))
-    alone, other = seen.nats(FAULTS[name]), max(OTHERWISE, key=lambda one: seen.nats(one))
-    both = seen.nats(FAULTS[name], other) > alone + FEWEST
-    gain = seen.nats(FAULTS[name], other) - seen.nats(other) if both else alone
-    z, C = seen.along(FAULTS[name], *([other] if both else []))
-    p = float(chdtrc(1, 2 * gain)) * len(FAULTS) * len(places)
-    unit = 1.0 / rate if name == SKEW else 1.0
-    if abs(z[0]) < CALIBRATED[name] * unit or C[0, 0] > (LOOKED[name] * unit) ** 2:
+    name = max(names, key=lambda one: seen.nats(FAULT_PATTERNS[one]))
+    alone, other = seen.nats(FAULT_PATTERNS[name]), max(OTHER_PATTERNS, key=lambda one: seen.nats(one))
+    both = seen.nats(FAULT_PATTERNS[name], other) > alone + MIN_GAIN_NATS
+    gain = seen.nats(FAULT_PATTERNS[name], other) - seen.nats(other) if both else alone
+    z, C = seen.along(FAULT_PATTERNS[name], *([other] if both else []))
+    p = float(chdtrc(1, 2 * gain)) * len(FAULT_PATTERNS) * len(places)
+    unit = 1.0 / rate if name == SKEW_EFFECT else 1.0
+    if abs(z[0]) < MIN_FAULT_BY_EFFECT[name] * unit or C[0, 0] > (MAX_SD_BY_EFFECT[name] * unit) ** 2:
         return []
-    if alone < seen.nats(other) or gain < FEWEST or p > LEVEL:
+    if alone < seen.nats(other) or gain < MIN_GAIN_NATS or p > MAX_FAULT_P_VALUE:
         return []
     k = _whose(point, seen, name, float(z[0]))
     own = _parameter(name, float(z[0]) if k == seen.i else -float(z[0]), float(np.sqrt(C[0, 0])))
-    force = np.abs(z[0] * np.array(FAULTS[name])) * seen.rms
+    force = np.abs(z[0] * np.array(FAULT_PATTERNS[name])) * seen.rms
     power = {seen.i: float(force[0] ** 2 + force[2] ** 2), seen.j: float(force[1] ** 2 + force[3] ** 2)}
     where = f"{places[seen.i]} and {places[seen.j]} respond to each other differently"
     return [
@@ -111,14 +119,14 @@ def _found(point: WorkingPoint, seen: Between, names: list[str]) -> list[Finding
             against="other_bearing",
             region=where,
             settings={places[k]: own},
-            note=NOTE,
+            note=FINDING_NOTE,
         )
     ]
 
 
 def _whose(point: WorkingPoint, seen: Between, name: str, z: float) -> int:
     """Which of the two: the one that is late; of a gain the one without which forces of both directions are alike."""
-    if name == SKEW:
+    if name == SKEW_EFFECT:
         return seen.i if z > 0 else seen.j
     apart = np.zeros(2)
     for row, k in enumerate((seen.i, seen.j)):
@@ -129,7 +137,7 @@ def _whose(point: WorkingPoint, seen: Between, name: str, z: float) -> int:
 
 def _parameter(name: str, z: float, sd: float) -> dict[str, Parameter]:
     """The number of a fault that is a change of B by z."""
-    if name == SKEW:
+    if name == SKEW_EFFECT:
         return {"delay": Parameter(z, sd, "s")}
     return {"error": Parameter(float(np.expm1(z)), float(np.exp(z)) * sd, "1")}
 
@@ -149,7 +157,7 @@ def refined(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Paramet
                 sought[name] = here[0]
         if not sought:
             continue
-        z, C = _between(model, point, i, j).along(*(FAULTS[name] for name in sought))
+        z, C = _between(model, point, i, j).along(*(FAULT_PATTERNS[name] for name in sought))
         for k, (name, (key, sign)) in enumerate(sought.items()):
             ((q, old),) = written(CATALOGUE[name], uses[name], model, key).items()
             now = _now(name, old.value or 0.0) + sign * float(z[k])
@@ -170,7 +178,7 @@ def _damped(point: WorkingPoint, problem: Subproblem) -> Array:
     shaft, at a maximum that ends at the line which no mode crosses, and no step leads away from there."""
     out = np.zeros(len(problem.gram.names))
     for i in problem.places:
-        least = DAMPED * np.sqrt(max(point.kL[i], 0.0) * point.data.mass[i])
+        least = DAMPING_REL * np.sqrt(max(point.kL[i], 0.0) * point.data.mass[i])
         k = problem.gram.names.index(f"{point.data.places[i]}.c")
         out[k] = max(least - point.c[i], 0.0) / problem.gram.scales[k]
     return out
@@ -178,7 +186,7 @@ def _damped(point: WorkingPoint, problem: Subproblem) -> Array:
 
 def _now(name: str, value: float) -> float:
     """The change of B that a number is."""
-    return value if name == SKEW else float(np.log1p(value))
+    return value if name == SKEW_EFFECT else float(np.log1p(value))
 
 
 def _pairs(model: Model, point: WorkingPoint) -> list[tuple[int, int]]:
@@ -200,9 +208,9 @@ def _told(model: Model, point: WorkingPoint, i: int, j: int) -> list[str]:
     mutual = np.abs(data.shaft[:, i, j]) ** 2 * (a[:, j] / point.S[i] + a[:, i] / point.S[j]) / w**4
     per_bin = 2 * data.seconds * data.rate_hz / data.block
     known = all(model.cap_mass(data.places[k]) is not None for k in (i, j))
-    sd = {GAIN: (per_bin * mutual.sum()) ** -0.5 if known else np.inf,
-          SKEW: (per_bin * (w**2 * mutual).sum()) ** -0.5 * data.rate_hz}  # fmt: skip
-    return [name for name in GAIN_AND_DELAY if sd[name] < LOOKED[name]]
+    sd = {GAIN_EFFECT: (per_bin * mutual.sum()) ** -0.5 if known else np.inf,
+          SKEW_EFFECT: (per_bin * (w**2 * mutual).sum()) ** -0.5 * data.rate_hz}  # fmt: skip
+    return [name for name in GAIN_AND_DELAY if sd[name] < MAX_SD_BY_EFFECT[name]]
 
 
 def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
@@ -243,7 +251,7 @@ def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
 
     terms = [term for pair in zip(*map_threads(terms_of, range(2)), strict=True) for term in pair]
     problem = subproblem(point, (i, j), point.whitening.whiten(terms))
-    begun = (problem.fit(steps=STEPS, start=start) for start in (None, _damped(point, problem)))
+    begun = (problem.fit(steps=MAX_STEPS, start=start) for start in (None, _damped(point, problem)))
     fitted = max(begun, key=lambda fit: fit.log_likelihood)
     at_end = [fitted.names.index(str(k)) for k in range(4)]
     scale = fitted.scales[at_end]

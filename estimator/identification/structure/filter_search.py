@@ -29,23 +29,27 @@ from estimator.signals.filter_designs import chebyshev, designs
 
 from . import pedestal_form
 from .spectral_cells import Cells
-from .spectral_models import DARKEST, coloured_power, resonant_power
+from .spectral_models import MAX_DIMMING_SHARE, coloured_power, resonant_power
 
 MOST_MEANS = 8.0
 FALLS_DB = (0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0, 16.0)  # at the end of the band, that searches for a design begin with
-ORDERS, RIPPLES_DB, EDGES = range(3, 9), (0.1, 0.7), np.linspace(0.55, 1.1, 12)  # of Chebyshev filters; top by cutoff
+CHEBYSHEV_ORDERS, RIPPLES_DB, BAND_END_REL = (
+    range(3, 9),
+    (0.1, 0.7),
+    np.linspace(0.55, 1.1, 12),
+)  # of Chebyshev filters; top by cutoff
 MOST_RIPPLE = 0.41  # 1.5 dB
-CUTOFFS = (0.1, 100.0)  # over the end of the band: what lies beyond is no recorder, or no filter
+CUTOFF_RANGE_REL = (0.1, 100.0)  # over the end of the band: what lies beyond is no recorder, or no filter
 MOST_ECHO = 2.0  # of what a design folds back
 MOST_FLAT = 1.0  # white, of what is folded back
 MOST_KEPT = 0.25  # of the samples that poles worked on: beside a colour, half of them are like means over a sample
-LEAST_WORTH = 1e-3  # of a filter, over that of the best, to count in what is in doubt
-DIGITAL = 4  # designs, the likeliest, that are also tried on more samples than are kept
+MIN_LIKELIHOOD_REL = 1e-3  # of a filter, over that of the best, to count in what is in doubt
+DIGITAL_DESIGNS = 4  # designs, the likeliest, that are also tried on more samples than are kept
 MOST_MOVED = 1.0  # of the logarithm of a number of a shape
-SMALL = 1e-5  # change of a filter's number, for its derivative
-STEPS, ENOUGH = 60, 0.01  # at most; in deviance, that a step is to bring
-OWN = 4  # numbers of a place: ln S, noise, k and c
-NONE: Array = np.zeros(0)
+DERIVATIVE_STEP = 1e-5  # change of a filter's number, for its derivative
+MAX_STEPS, MIN_STEP_DEVIANCE = 60, 0.01  # at most; in deviance, that a step is to bring
+NUMBERS_PER_PLACE = 4  # numbers of a place: ln S, noise, k and c
+NO_NUMBERS: Array = np.zeros(0)
 
 
 class Standing(NamedTuple):
@@ -137,7 +141,9 @@ def likeliest(seen: Sequence[Seen], blank: Filter) -> tuple[float, Filter]:
     )
     ways = [any_form, *_ways(blank)]
     tried = sorted(map_processes([partial(_tried, seen, way) for way in ways], ways), key=lambda one: one.information)
-    digital = [one.more("kept", 0.1, 0.0, MOST_KEPT) for one in tried if one.way.made(one.numbers).poles][:DIGITAL]
+    digital = [one.more("kept", 0.1, 0.0, MOST_KEPT) for one in tried if one.way.made(one.numbers).poles][
+        :DIGITAL_DESIGNS
+    ]
     tried += map_processes([partial(_tried, seen, way) for way in digital], digital)
     for further in _further(min(tried, key=lambda one: one.information)):
         tried.append(_tried(seen, further))
@@ -165,7 +171,7 @@ def _doubt(taken: Tried, tried: Sequence[Tried]) -> float:
     total, doubt, least = 0.0, 0.0, min(one.information for one in tried)
     for one in tried:
         worth = float(np.exp(0.5 * (least - one.information)))
-        if worth > LEAST_WORTH:
+        if worth > MIN_LIKELIHOOD_REL:
             total += worth
             doubt += worth * (float(np.mean(one.u[:, 0] - taken.u[:, 0])) ** 2 + one.variance)
     return float(np.sqrt(doubt / total))
@@ -174,7 +180,7 @@ def _doubt(taken: Tried, tried: Sequence[Tried]) -> float:
 def _ways(blank: Filter) -> Iterator[Way]:
     """Filters of one or two numbers."""
 
-    lowest, highest = np.log(np.array(CUTOFFS) * blank.top_hz).tolist()
+    lowest, highest = np.log(np.array(CUTOFF_RANGE_REL) * blank.top_hz).tolist()
 
     def poles(name: str, own: tuple[float, ...], z: Array) -> Filter:
         return replace(blank, poles=own, name=name, cutoff_hz=float(np.exp(z[0])))
@@ -186,8 +192,8 @@ def _ways(blank: Filter) -> Iterator[Way]:
     for name, own in designs().items():
         cutoffs = np.log(blank.top_hz) - 0.5 * np.log(_squares(own))
         yield Way(partial(poles, name, own), tuple((z,) for z in cutoffs.tolist()), (lowest,), (highest,))
-    for order in ORDERS:
-        first = [(float(np.log(blank.top_hz / x)), 10 ** (dB / 10) - 1) for x in EDGES for dB in RIPPLES_DB]
+    for order in CHEBYSHEV_ORDERS:
+        first = [(float(np.log(blank.top_hz / x)), 10 ** (dB / 10) - 1) for x in BAND_END_REL for dB in RIPPLES_DB]
         yield Way(partial(rippled, order), tuple(first), (lowest, 0.0), (highest, MOST_RIPPLE))
 
 
@@ -224,7 +230,7 @@ def _schwarz(seen: Sequence[Seen]) -> float:
 
 def _begun(seen: Sequence[Seen], way: Way, z: Array) -> tuple[float, Array]:
     """Deviance and numbers (places, OWN) at the model's own k and c."""
-    deviance, out = 0.0, np.zeros((len(seen), OWN))
+    deviance, out = 0.0, np.zeros((len(seen), NUMBERS_PER_PLACE))
     for own, at, (passed, back, _) in zip(seen, out, _effects(seen, way, z), strict=True):
         c = own.cells
         X, m = np.stack([c.colour * passed + back, c.heard]), c.power
@@ -264,9 +270,9 @@ def _effects(seen: Sequence[Seen], way: Way, z: Array) -> list[tuple[Array, Arra
             beyond = beyond * resonant_power(images(off.rate_hz, hz)[: len(beyond)], *now) / was
         if own.colour is not None:
             gain, corner = own.colour
-            now = moved(gain + DARKEST, corner) - [DARKEST, 0.0]
+            now = moved(gain + MAX_DIMMING_SHARE, corner) - [MAX_DIMMING_SHARE, 0.0]
             through = through * coloured_power(hz, *now) / coloured_power(hz, gain, corner)
-        pedestal = NONE if own.standing is None else moved(*own.standing.pedestal)
+        pedestal = NO_NUMBERS if own.standing is None else moved(*own.standing.pedestal)
         here, others = own.cells.white
         out.append((through, beyond.sum(axis=0) * here + echoes[own.kind].sum(axis=0) * others, pedestal))
     return out
@@ -277,7 +283,7 @@ def _deviance(c: Cells, m: Array) -> float:
     return float(2 * c.n @ (ratio - 1 - np.log(ratio)))
 
 
-def _spectrum(own: Seen, u: Array, passed: Array, back: Array, pedestal: Array = NONE) -> tuple[Array, Array]:
+def _spectrum(own: Seen, u: Array, passed: Array, back: Array, pedestal: Array = NO_NUMBERS) -> tuple[Array, Array]:
     """(cells,) model, as Cells.spectrum, and (OWN, cells) its derivatives. pedestal : its numbers, if there is one."""
     c, S, (noise, k, d) = own.cells, np.exp(u[0]), u[1:]
     A, left = c.tangent(np.concatenate([u[:2], [k, d]])), np.ones(c.w.size, np.complex128)
@@ -306,22 +312,22 @@ def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, 
 
     def of(x: Array) -> float:
         total = 0.0
-        for own, at, there in zip(seen, x[q:].reshape(-1, OWN), _effects(seen, way, x[:q]), strict=True):
+        for own, at, there in zip(seen, x[q:].reshape(-1, NUMBERS_PER_PLACE), _effects(seen, way, x[:q]), strict=True):
             total += _deviance(own.cells, np.maximum(_spectrum(own, at, *there)[0], 1e-300))
         return total
 
     x, cautious = np.concatenate([z, u.ravel()]), 1e-3
     now = of(x)
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         H, g = np.zeros((size, size)), np.zeros(size)
-        here, *moved = (_effects(seen, way, x[:q] + SMALL * one) for one in np.eye(q + 1, q, -1))
+        here, *moved = (_effects(seen, way, x[:q] + DERIVATIVE_STEP * one) for one in np.eye(q + 1, q, -1))
         for i, own in enumerate(seen):
-            c, at = own.cells, q + OWN * i + np.arange(OWN)
+            c, at = own.cells, q + NUMBERS_PER_PLACE * i + np.arange(NUMBERS_PER_PLACE)
             m, J = _spectrum(own, x[at], *here[i])
-            whole = np.zeros((q + OWN, m.size))
+            whole = np.zeros((q + NUMBERS_PER_PLACE, m.size))
             whole[q:] = J
             for row, other in zip(whole, moved, strict=False):
-                row[:] = (_spectrum(own, x[at], *other[i])[0] - m) / SMALL
+                row[:] = (_spectrum(own, x[at], *other[i])[0] - m) / DERIVATIVE_STEP
             index = np.concatenate([np.arange(q), at])
             whole /= np.maximum(m, 1e-300)
             H[index[:, None], index] += (whole * c.n) @ whole.T
@@ -341,9 +347,9 @@ def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, 
         if gained < -1e-9:
             break
         x, now, cautious = new, now - gained, cautious / 10
-        if gained < ENOUGH:
+        if gained < MIN_STEP_DEVIANCE:
             break
-    return now, x[:q], x[q:].reshape(-1, OWN), _variance(scaled, scale, free, q)
+    return now, x[:q], x[q:].reshape(-1, NUMBERS_PER_PLACE), _variance(scaled, scale, free, q)
 
 
 def _variance(scaled: Array, scale: Array, free: NDArray[np.bool_], q: int) -> float:
@@ -355,7 +361,7 @@ def _variance(scaled: Array, scale: Array, free: NDArray[np.bool_], q: int) -> f
         told = np.flatnonzero(free & ~known)
         out = np.zeros(free.size)
         out[told] = np.diag(np.linalg.pinv(scaled[np.ix_(told, told)], rcond=1e-12, hermitian=True)) * scale[told] ** 2
-        return out[q::OWN]
+        return out[q::NUMBERS_PER_PLACE]
 
     filters = np.arange(free.size) < q
     return float(np.mean(np.maximum(variances(np.zeros_like(filters)) - variances(filters), 0.0)))

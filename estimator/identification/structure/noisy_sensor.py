@@ -23,8 +23,8 @@ from estimator.model.rig import MOTION, Model
 from estimator.results import Parameter
 from estimator.signals.channel_response import SHAPE_PARAMETERS, fitted_shape
 
-FOLDED = 0.01  # of what sampling folds back, that noise of a sensor has to be NOISE_RATIO times as strong as
-NOISE_RATIO = 6.0  # in power, of one sensor's noise over its neighbours', to call it faulty
+MIN_FOLDED_SHARE = 0.01  # of the aliased force: sensor noise must be `NOISE_RATIO` times as strong
+NOISE_RATIO = 6.0  # power of a faulty sensor's noise over that of its neighbours
 
 
 def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: Collection[int]) -> list[Finding]:
@@ -46,7 +46,7 @@ def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: 
             continue
         # noise counts where it is loudest: that of an accelerometer low in the band, that of displacement at its top
         folded = point.S[i] * float(heard[i] @ data.folded[i] / (heard[i] @ data.noise_shape[i]))
-        floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i].max()), FOLDED * folded)
+        floor = max(float(np.median(others)), 0.2 * point.S[i] / float(heard[i].max()), MIN_FOLDED_SHARE * folded)
         if noise[i] < NOISE_RATIO * floor:
             continue
         rms = float(np.sqrt(noise[i] * data.rate_hz / 2))
@@ -80,7 +80,7 @@ def sensor_noise_rms(point: WorkingPoint, i: int) -> Parameter:
     return Parameter.from_estimate(rms, 0.5 * rms * sd, MOTION[data.kinds[i]])
 
 
-UNEVEN = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
+MAX_UNEVENNESS_RMS = 0.3  # rms of ln(power / model) of noise beyond its scatter, above which it is no noise of a sensor
 
 
 def _density(r: PathSpectra, peak: Peak) -> float:
@@ -101,7 +101,7 @@ def find_noisy_sensors_under_force(
         off = np.log(P / s)
         others = [_density(*own[:2]) for j, own in heard.items() if j != i and data.kinds[j] == data.kinds[i]]
         depth = np.average(off**2 - 1.0 / r.n, weights=r.n)
-        if not others or place in have or depth > UNEVEN**2:
+        if not others or place in have or depth > MAX_UNEVENNESS_RMS**2:
             continue
         density, floor = _density(r, base), float(np.median(others))
         if density < NOISE_RATIO * floor:

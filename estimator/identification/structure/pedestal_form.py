@@ -7,7 +7,7 @@ import numpy as np
 
 from estimator.arrays import Array, Complexes
 
-LOW, HIGH = np.array([-2.3, 2.0, -6.0]), np.array([3.0, 11.0, -0.36])  # ln mass over the cap's, ln Hz, ln damping
+LOWER_LIMITS, UPPER_LIMITS = np.array([-2.3, 2.0, -6.0]), np.array([3.0, 11.0, -0.36])  # of the three coordinates
 
 
 def pedestal_starts(peak_hz: float) -> tuple[tuple[float, ...], ...]:
@@ -17,12 +17,12 @@ def pedestal_starts(peak_hz: float) -> tuple[tuple[float, ...], ...]:
 
 def pedestal_values(z: Array, cap_mass: float) -> Array:
     """(3,) kg, Hz and damping ratio of a point (3,) of the search; of points (3, m, 1) too."""
-    return np.asarray((np.exp(np.clip(z.T, LOW, HIGH)) * [cap_mass, 1.0, 1.0]).T)
+    return np.asarray((np.exp(np.clip(z.T, LOWER_LIMITS, UPPER_LIMITS)) * [cap_mass, 1.0, 1.0]).T)
 
 
 def is_at_limit(z: Array) -> bool:
     """Whether a search ended at an end of what a pedestal may be, but for one that is too heavy or stiff to be told."""
-    return bool(z[0] <= LOW[0] or z[1] <= LOW[1] or z[2] >= HIGH[2])
+    return bool(z[0] <= LOWER_LIMITS[0] or z[1] <= LOWER_LIMITS[1] or z[2] >= UPPER_LIMITS[2])
 
 
 def pedestal_coordinates(p: Array, cap_mass: float) -> Array:

@@ -26,14 +26,14 @@ from estimator.model.recorder import LATE, POWERS, Filter, RollOff
 from estimator.model.rig import Model
 from estimator.parallel import map_threads
 
-SMALL = 0.05  # rad at psi = 1, of the difference that the derivative is taken from
-ELSE = 2.0  # times the nats of a phase, that columns of the states win where a law is missing: 4 and more; 1 if none is
-AHEAD = 1.5  # times the lag that is known, that it may be less: no recorder is ahead of the motion, one may have none
-MOST = 5.0  # rad of a lag: an elliptic filter of order 12 whose edge is the end of the band has 4.5
-LOOKS = ((8.0, 2.5), (24.0, 5.0))  # s of the record, and standard deviations that are worth more of it, or are certain
+PHASE_STEP_RAD = 0.05  # rad at psi = 1, of the difference that the derivative is taken from
+MAX_LAW_GAIN_REL = 2.0  # nats of regressors of the states over those of a phase: 4 and more where a law is missing
+MAX_LEAD_REL = 1.5  # of the known lag, by which the lag may be less: no recorder is ahead of the motion
+MAX_LAG_RAD = 5.0  # rad of a lag: an elliptic filter of order 12 whose edge is the end of the band has 4.5
+LOOKS_S_SD = ((8.0, 2.5), (24.0, 5.0))  # s of the record; standard deviations that call for more of it, or suffice
 
 
-def found(model: Model, point: WorkingPoint) -> RollOff | None:
+def find_recorder_phase(model: Model, point: WorkingPoint) -> RollOff | None:
     """The model's filters with the phase that the record shows; None where it shows none but theirs, or where columns
     of the states explain more: harmonics of damping are a quarter of a turn beside those of a spring."""
     data, part = point.data, point
@@ -43,16 +43,16 @@ def found(model: Model, point: WorkingPoint) -> RollOff | None:
     known = {place: (model.roll_off or {}).get(place, flat) for place in data.places}
     behind = [float(own.lag(np.array([own.top_hz]))[0]) for own in known.values()]
     rad = nats = 0.0
-    for seconds, sure in LOOKS:
+    for seconds, sure in LOOKS_S_SD:
         part = point_on_part(point, seconds)
         seen = excess(part, lambda f: np.minimum(f / data.band[1], 1.0) ** LATE)
         if seen is None or abs(seen[0]) < sure * seen[1]:
             return None
-        if not -AHEAD * min(behind) < seen[0] < MOST - max(behind):
+        if not -MAX_LEAD_REL * min(behind) < seen[0] < MAX_LAG_RAD - max(behind):
             return None
         rad, nats = seen[0], 0.5 * (seen[0] / seen[1]) ** 2
-    felt = sum(f.gain for r in missing_force.survey(part, model).residuals for f in r.found)
-    if felt > ELSE * nats:
+    felt = sum(f.gain_nats for r in missing_force.survey(part, model).residuals for f in r.found)
+    if felt > MAX_LAW_GAIN_REL * nats:
         return None
     return {place: replace(own, late=own.late + rad) for place, own in known.items()}
 
@@ -66,7 +66,7 @@ def excess(point: WorkingPoint, psi: Callable[[Array], Array]) -> tuple[float, f
     @cache
     def ahead(bins: int, top: float) -> Any:
         """Factors of evenly spaced frequencies to `top` rad/s, single as the motion is."""
-        return np.exp(1j * SMALL * psi(np.linspace(0.0, top, bins) / (2 * np.pi))).astype(np.complex64)
+        return np.exp(1j * PHASE_STEP_RAD * psi(np.linspace(0.0, top, bins) / (2 * np.pi))).astype(np.complex64)
 
     def turned(z: Any, back: bool = False) -> Any:
         return filtered_series(lambda w: ahead(w.size, w[-1]).conj() if back else ahead(w.size, w[-1]), z, data.rate_hz)
@@ -76,7 +76,7 @@ def excess(point: WorkingPoint, psi: Callable[[Array], Array]) -> tuple[float, f
         here, moved = (
             sum((law_along_record(use, at, i, point.lin)[0] for use in own), np.zeros(1)) for at in (data, there)
         )
-        return np.asarray((turned(moved, back=True) - here) / SMALL)
+        return np.asarray((turned(moved, back=True) - here) / PHASE_STEP_RAD)
 
     felt = [i for i in places if any(i in use.at for use in uses)]
     if not felt:

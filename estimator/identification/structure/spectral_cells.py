@@ -12,8 +12,8 @@ from estimator.likelihood.path.sensor_noise import aliased_psd, referred_psd
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.recorder import images
 
-LEAST_SHARE = 1e-3  # of the noise of the noisiest sensor, in power, that every one is given
-CELLS = 260  # of the band, at most
+MIN_NOISE_SHARE = 1e-3  # of the power of the noisiest sensor's noise, that every sensor is given
+MAX_CELLS = 260  # over the band
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,17 +52,17 @@ class Cells:
         return np.asarray(force * np.abs(self.A / A) ** 2 + noise * self.heard + S * self.back)
 
 
-def _heard(point: WorkingPoint, i: int) -> Array:
+def _noise_gain(point: WorkingPoint, i: int) -> Array:
     """(bins,) as Cells.heard: sensors are as noisy to each other as the fit has them, alike where it has none."""
     N = point.nu * point.S
-    N = np.maximum(N, LEAST_SHARE * N.max()) if N.any() else np.ones(N.size)
+    N = np.maximum(N, MIN_NOISE_SHARE * N.max()) if N.any() else np.ones(N.size)
     return np.asarray(referred_psd(point.data, point.A, N)[i] / N[i])
 
 
 def cells_of(point: WorkingPoint, i: int) -> Cells:
     """Cells about evenly spread in log frequency, fine at the resonance."""
     data, power = point.data, mean_power(point, i)
-    edges = np.unique(np.round(np.geomspace(12, power.size, CELLS)).astype(int))
+    edges = np.unique(np.round(np.geomspace(12, power.size, MAX_CELLS)).astype(int))
     first = np.concatenate([[0], edges[:-1]])
     width = np.diff(np.append(first, power.size)).astype(np.float64)
 
@@ -77,7 +77,7 @@ def cells_of(point: WorkingPoint, i: int) -> Cells:
     echoes = through[i] * data.echoes[:, i]
     return Cells(
         mean(power), width * data.blocks, mean(w), mean(A.real) + 1j * mean(A.imag), mean(data.colour[i]),
-        mean(_heard(point, i)), mean(others), mean(aliased_psd(data, point.A, point.S)[i]), white,
+        mean(_noise_gain(point, i)), mean(others), mean(aliased_psd(data, point.A, point.S)[i]), white,
         mean(echoes), mean(images(data.rate_hz, data.f_hz)[: len(echoes)]),
     )  # fmt: skip
 

@@ -16,10 +16,10 @@ from estimator.results import Parameter
 from . import pedestal_form
 from .spectral_cells import Cells, cells_of, finite_exp
 
-DARKEST = 0.985  # of S, that the gain of a colour may take away at low frequencies
-BROADENED = 0.75  # of a damping: what one resonance has too much in place of two, of a rotor and a strong pedestal
-PEAKED = 1.0  # quality of a sensor's resonance: below it filters look alike
-SMALL = 1e-8  # change of a number, in its scale, for a derivative
+MAX_DIMMING_SHARE = 0.985  # of S, that a spectral shape may take away at low frequencies
+BROADENED_DAMPING_SHARE = 0.75  # of a damping: excess of one resonance fitted to the two of rotor and pedestal
+MIN_PEAK_QUALITY = 1.0  # of a sensor resonance: below it a low-pass filter looks alike
+DERIVATIVE_STEP_REL = 1e-8  # of a number over its scale
 
 
 def base_model(c: Cells, u: Array) -> Array:
@@ -43,9 +43,9 @@ class SpectralShape:
     idle: float = 0.0
 
 
-def _coloured(place_peak: float) -> SpectralShape:
+def _coloured_shape(place_peak: float) -> SpectralShape:
     def values(z: Array) -> Array:
-        return np.array([np.exp(np.clip(z[0], -6, 7)) - DARKEST, np.exp(np.clip(z[1], 2, 12))])
+        return np.array([np.exp(np.clip(z[0], -6, 7)) - MAX_DIMMING_SHARE, np.exp(np.clip(z[1], 2, 12))])
 
     def model(c: Cells, u: Array) -> Array:
         return c.spectrum(u, c.tangent(u), coloured_power(c.w / (2 * np.pi), *values(u[4:])))
@@ -54,7 +54,7 @@ def _coloured(place_peak: float) -> SpectralShape:
     return SpectralShape("coloured_excitation", ("gain", "corner"), ("1", "Hz"), starts, model, values)
 
 
-def _resonance(top: float) -> SpectralShape:
+def _resonance_shape(top: float) -> SpectralShape:
     def values(z: Array) -> Array:
         return np.array([np.exp(np.clip(z[0], 3, 13)), np.exp(np.clip(z[1], -0.5, 5))])
 
@@ -79,7 +79,7 @@ def resonant_power(f_hz: Array, f0: float | Array, quality: float | Array) -> Ar
     return np.asarray(1.0 / ((1 - r2) ** 2 + r2 / quality**2))
 
 
-def _pedestal(mass: float, kL: float, c0: float, peak: float) -> SpectralShape:
+def _pedestal_shape(mass: float, kL: float, c0: float, peak: float) -> SpectralShape:
     values = partial(pedestal_form.pedestal_values, cap_mass=mass)
 
     def model(c: Cells, u: Array) -> Array:
@@ -87,7 +87,9 @@ def _pedestal(mass: float, kL: float, c0: float, peak: float) -> SpectralShape:
         return c.spectrum(u, c.tangent(u) + lost / c.w**2)
 
     names, units = ("mass", "frequency", "damping"), ("kg", "Hz", "1")
-    return SpectralShape("pedestal", names, units, pedestal_form.pedestal_starts(peak), model, values, BROADENED * c0)
+    return SpectralShape(
+        "pedestal", names, units, pedestal_form.pedestal_starts(peak), model, values, BROADENED_DAMPING_SHARE * c0
+    )
 
 
 def deviance_residuals(root: Array, ratio: Array) -> Array:
@@ -96,7 +98,7 @@ def deviance_residuals(root: Array, ratio: Array) -> Array:
     return np.asarray(np.sign(ratio - 1) * root * np.sqrt(np.maximum(2 * (ratio - 1 - np.log(ratio)), 0.0)))
 
 
-def _maximum(
+def _max_likelihood(
     c: Cells, model: Callable[[Cells, Array], Array], starts: list[Array], scale: Array
 ) -> tuple[float, Array, Array]:
     """Largest Whittle likelihood, where, and the standard deviations there. Once a start leads to what chance leaves of
@@ -109,7 +111,7 @@ def _maximum(
         return deviance_residuals(root, c.power / np.maximum(model(c, (z * scale).T), 1e-300))
 
     def slopes(z: Array) -> Array:
-        step = SMALL * np.maximum(1.0, np.abs(z))
+        step = DERIVATIVE_STEP_REL * np.maximum(1.0, np.abs(z))
         here, *there = residual(np.vstack([z, z + np.diag(step)])[None])
         return np.asarray((there - here).T / step)
 
@@ -135,7 +137,7 @@ def fit_base_model(point: WorkingPoint, i: int, c: Cells) -> tuple[float, Array,
     quiet = np.array([np.log(point.S[i]), np.log(least), 0.0, 0.0])
     u0 = quiet.copy()
     u0[1] = np.log(point.nu[i] * point.S[i]) if point.nu[i] > 0.0 else quiet[1] - 10.0
-    level, u, _ = _maximum(c, base_model, [u0, quiet], scale)
+    level, u, _ = _max_likelihood(c, base_model, [u0, quiet], scale)
     return level, u, scale
 
 
@@ -153,10 +155,10 @@ def best_other_deviance(point: WorkingPoint, i: int, c: Cells, level: float, u: 
 
 
 def spectral_causes(point: WorkingPoint, i: int) -> tuple[SpectralShape, ...]:
+    """Shapes that the spectrum at location i may have."""
     data, peak = point.data, resonance_hz(point, i)
-    return (
-        _coloured(peak), _resonance(data.band[1]), _pedestal(data.mass[i], point.kL[i], point.c[i], peak)
-    )  # fmt: skip
+    pedestal = _pedestal_shape(data.mass[i], point.kL[i], point.c[i], peak)
+    return _coloured_shape(peak), _resonance_shape(data.band[1]), pedestal
 
 
 def pedestal_from_spectrum(point: WorkingPoint, i: int) -> tuple[Array, float, float]:
@@ -164,7 +166,7 @@ def pedestal_from_spectrum(point: WorkingPoint, i: int) -> tuple[Array, float, f
     kL and c beside it."""
     c = cells_of(point, i)
     _, u, scale = fit_base_model(point, i, c)
-    shape = _pedestal(point.data.mass[i], point.kL[i], point.c[i], resonance_hz(point, i))
+    shape = _pedestal_shape(point.data.mass[i], point.kL[i], point.c[i], resonance_hz(point, i))
     found = fit_shape(c, shape, u, scale)[1]
     return shape.values(found[4:]), float(point.kL[i] + found[2]), float(point.c[i] + found[3])
 
@@ -174,10 +176,10 @@ def coloured_force_level(point: WorkingPoint, i: int, gain: float, corner: float
     more uncertain than its number of bins says."""
     own = 1 + gain / (1 + (point.data.f_hz / corner) ** 2)
     flat = replace(point, data=replace(point.data, colour=point.data.colour / own))
-    c, shape = cells_of(flat, i), _coloured(resonance_hz(point, i))
+    c, shape = cells_of(flat, i), _coloured_shape(resonance_hz(point, i))
     _, u, scale = fit_base_model(flat, i, c)
     u[0] = np.log(point.S[i])
-    begun = replace(shape, starts=((float(np.log(gain + DARKEST)), float(np.log(corner))),))
+    begun = replace(shape, starts=((float(np.log(gain + MAX_DIMMING_SHARE)), float(np.log(corner))),))
     sd = fit_shape(c, begun, u, scale)[2][0]  # of ln S
     return Parameter.from_estimate(float(point.S[i]), float(point.S[i] * sd), "N^2/Hz")
 
@@ -195,9 +197,9 @@ def fit_shape(c: Cells, shape: SpectralShape, u: Array, scale: Array) -> tuple[f
     starts = [np.concatenate([begun, s]) for s in shape.starts]
     if shape.idle:
         starts += [start - shape.idle * np.eye(start.size)[3] for start in starts]
-    return _maximum(c, shape.model, starts, np.concatenate([scale, np.full(len(shape.names), 0.3)]))
+    return _max_likelihood(c, shape.model, starts, np.concatenate([scale, np.full(len(shape.names), 0.3)]))
 
 
 def is_peakless(effect: str, values: Array, top_hz: float) -> bool:
     """Whether a sensor's resonance is above the band and has no peak: a filter looks the same."""
-    return effect == "sensor_resonance" and bool(values[0] > top_hz and values[1] < PEAKED)
+    return effect == "sensor_resonance" and bool(values[0] > top_hz and values[1] < MIN_PEAK_QUALITY)

@@ -27,13 +27,13 @@ from .noisy_sensor import find_noisy_sensors
 from .spectral_cells import Cells, cells_of, finite_exp, mean_power
 from .spectral_models import base_model, fit_base_model, fit_shape, is_peakless, spectral_causes
 
-LEVEL = 1e-3
-LEAST_DEPTH = 0.015  # rms of ln(power / model): less is within what filters and integrators leave behind
-EXPLAINED = 0.5  # of the misfit beyond chance: a cause that leaves more is not the cause
-ROUNDS = 2  # of a spectrum as it is seen, beside what is fitted with it
-UNLIKE = 1e-6  # of a colour of the model: more is none
-BEYOND = 3.0  # standard deviations, below nothing, of a stiffness or damping that no bearing has
-PLAIN = 0.1  # depth from which a shape that no cause explains is told: laws that a model lacks bend spectra by less
+MAX_SHAPE_P_VALUE = 1e-3
+MIN_DEPTH_RMS = 0.015  # of ln(power / model): errors of filters and integrators are smaller
+MIN_EXPLAINED_SHARE = 0.5  # of the misfit beyond chance, for a cause
+SPECTRUM_ROUNDS = 2  # of the measured spectrum and the model fitted with it
+SHAPE_TOLERANCE_REL = 1e-6  # of a spectral shape of the model from flat
+NEGATIVE_MARGIN_SD = 3.0  # below zero, of a stiffness or damping that no bearing has
+MIN_UNKNOWN_DEPTH_RMS = 0.1  # of a shape without a cause: laws that a model lacks shape spectra by less
 
 
 def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
@@ -45,7 +45,7 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
     seen = data.colour / excitation_shapes(
         model, data.places, data.f_hz, FORCE_SHAPES
     )  # of a spectrum as it is: see below
-    shaped = set(np.flatnonzero(np.ptp(seen, axis=1) > UNLIKE * seen.mean(axis=1)).tolist())
+    shaped = set(np.flatnonzero(np.ptp(seen, axis=1) > SHAPE_TOLERANCE_REL * seen.mean(axis=1)).tolist())
     white: list[tuple[int, Cells, float, Array, Array]] = []
     for i, place in enumerate(data.places):
         if data.driven[i] > 0.0:  # what is left of a known force is noise: transfer_faults.py
@@ -59,15 +59,15 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
         df = float(c.n.size - 4)
         off = np.average(np.log(c.power / base_model(c, u)) ** 2 - 1.0 / c.n, weights=c.n)  # without its own scatter
         depth = float(np.sqrt(max(float(off), 0.0)))
-        if chdtrc(df, -2 * level) * len(data.places) > LEVEL or depth < LEAST_DEPTH:
+        if chdtrc(df, -2 * level) * len(data.places) > MAX_SHAPE_P_VALUE or depth < MIN_DEPTH_RMS:
             white.append((i, c, level, u, scale))
             continue
         shaped.add(i)
-        own = _shapes(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
-        out += own or ([_unknown(point, i, c, u, level)] if depth > PLAIN else [])
-    out += _alike(point, out, white, taken, shaped)
+        own = _shape_findings(point, i, c, u, level, scale, {e for e, p in taken if p in (place, place.split(".")[0])})
+        out += own or ([_unknown_finding(point, i, c, u, level)] if depth > MIN_UNKNOWN_DEPTH_RMS else [])
+    out += _same_cause_elsewhere(point, out, white, taken, shaped)
     out += find_noisy_sensors(model, point, noise, shaped)
-    return out + _shared(model, point)
+    return out + _find_shared_force(model, point)
 
 
 def refit_with_seen_spectra(model: Model, point: WorkingPoint, law: float) -> WorkingPoint | None:
@@ -82,7 +82,7 @@ def refit_with_seen_spectra(model: Model, point: WorkingPoint, law: float) -> Wo
     if sum(s.gain_nats for s in bent) <= law:
         return None
     places = {point.data.places.index(s.at[0]) for s in bent}
-    for _ in range(ROUNDS):
+    for _ in range(SPECTRUM_ROUNDS):
         colour = point.data.colour.copy()
         for i in places:
             c = cells_of(point, i)
@@ -93,7 +93,7 @@ def refit_with_seen_spectra(model: Model, point: WorkingPoint, law: float) -> Wo
     return point
 
 
-def _alike(
+def _same_cause_elsewhere(
     point: WorkingPoint,
     found: list[Finding],
     white: list[tuple[int, Cells, float, Array, Array]],
@@ -110,28 +110,28 @@ def _alike(
         place = point.data.places[i]
         others = {shape.effect for shape in spectral_causes(point, i)} - {best.effect}
         have = {e for e, p in taken if p in (place, place.split(".")[0])}
-        own = [s for s in _shapes(point, i, c, u, level, scale, others | have) if s.p_value < LEVEL]
+        own = [s for s in _shape_findings(point, i, c, u, level, scale, others | have) if s.p_value < MAX_SHAPE_P_VALUE]
         shaped.update(i for s in own)
         out += own
     return out
 
 
-def _shapes(
+def _shape_findings(
     point: WorkingPoint, i: int, c: Cells, u: Array, level: float, scale: Array, taken: set[str]
 ) -> list[Finding]:
     data = point.data
     place = data.places[i]
     out = []
     r = c.power / base_model(c, u)
-    predictable = _predictable(point, i, c, r)
+    predictable = _predictable_power(point, i, c, r)
     for shape in spectral_causes(point, i):
         if shape.effect in taken:
             continue
         found, z, sd = fit_shape(c, shape, u, scale)
         gain = found - level
-        if gain < EXPLAINED * (-level - 0.5 * (c.n.size - 4)):
+        if gain < MIN_EXPLAINED_SHARE * (-level - 0.5 * (c.n.size - 4)):
             continue
-        if shape.effect == "pedestal" and (pedestal_form.is_at_limit(z[4:]) or _drives(point, i, z, sd)):
+        if shape.effect == "pedestal" and (pedestal_form.is_at_limit(z[4:]) or _bearing_drives_rotor(point, i, z, sd)):
             continue
         q = len(shape.names)
         values = shape.values(z[4:])
@@ -150,27 +150,27 @@ def _shapes(
                 p_value=p,
                 power_N2={i: predictable},
                 against="frequency",
-                region=_where(c, r),
+                region=_misfit_region(c, r),
                 settings={place: settings},
-                note=_falls(shape.effect, values, data.band[1]),
+                note=_roll_off_note(shape.effect, values, data.band[1]),
             )
         )
     return out
 
 
-def _drives(point: WorkingPoint, i: int, z: Array, sd: Array) -> bool:
+def _bearing_drives_rotor(point: WorkingPoint, i: int, z: Array, sd: Array) -> bool:
     """Whether the bearing beside a cause, z as force_shapes.base_model has it, would push the rotor on: what looks like
     a pedestal by that is a peak in the spectrum of the force."""
     k, c = point.kL[i] + z[2], point.c[i] + z[3]
-    return bool(k < -BEYOND * sd[2] or c < -BEYOND * sd[3])
+    return bool(k < -NEGATIVE_MARGIN_SD * sd[2] or c < -NEGATIVE_MARGIN_SD * sd[3])
 
 
-def _unknown(point: WorkingPoint, i: int, c: Cells, u: Array, level: float) -> Finding:
+def _unknown_finding(point: WorkingPoint, i: int, c: Cells, u: Array, level: float) -> Finding:
     """A spectrum that nothing of the catalogue has."""
     r, df = c.power / base_model(c, u), c.n.size - 4
     place = point.data.places[i]
     p = float(min(1.0, chdtrc(df, -2 * level) * len(point.data.places)))
-    power = {i: _predictable(point, i, c, r)}
+    power = {i: _predictable_power(point, i, c, r)}
     return Finding(
         effect=UNKNOWN_EFFECT,
         at=(place,),
@@ -179,34 +179,34 @@ def _unknown(point: WorkingPoint, i: int, c: Cells, u: Array, level: float) -> F
         p_value=p,
         power_N2=power,
         against="frequency",
-        region=f"{place}: {_where(c, r)}",
+        region=f"{place}: {_misfit_region(c, r)}",
     )
 
 
-def _predictable(point: WorkingPoint, i: int, c: Cells, r: Array) -> float:
+def _predictable_power(point: WorkingPoint, i: int, c: Cells, r: Array) -> float:
     """N^2: one-step prediction error of a process with spectrum r, what of it is predictable from its own past."""
     weight = c.n / c.n.sum()
-    return float(1 - np.exp(weight @ np.log(r)) / (weight @ r)) * _variance(point, i)
+    return float(1 - np.exp(weight @ np.log(r)) / (weight @ r)) * _force_variance(point, i)
 
 
-def _falls(effect: str, values: Array, top_hz: float) -> str:
+def _roll_off_note(effect: str, values: Array, top_hz: float) -> str:
     """What to say of a resonance above the band that has no peak."""
     if not is_peakless(effect, values, top_hz):
         return ""
     return "the channel rolls off towards the end of the band as behind an anti-alias filter: lower band.high below it"
 
 
-def _variance(point: WorkingPoint, i: int) -> float:
+def _force_variance(point: WorkingPoint, i: int) -> float:
     """N^2 of the force at a place, within the bins looked at."""
     return float(mean_power(point, i).sum()) * point.data.rate_hz / point.data.block
 
 
-def _where(c: Cells, r: Array) -> str:
+def _misfit_region(c: Cells, r: Array) -> str:
     k = int(np.argmax(np.abs(np.log(r)) * np.sqrt(c.n)))
     return f"force spectrum {'above' if r[k] > 1 else 'below'} the model near {c.w[k] / 2 / np.pi:.0f} Hz"
 
 
-def _shared(model: Model, point: WorkingPoint) -> list[Finding]:
+def _find_shared_force(model: Model, point: WorkingPoint) -> list[Finding]:
     """Coherence of the inferred forces at the two bearings, direction by direction."""
     data = point.data
     out = []
@@ -223,9 +223,9 @@ def _shared(model: Model, point: WorkingPoint) -> list[Finding]:
         n = len(a) * square
         gain = -n * float(np.log(max(1 - rho**2, 1e-12)))
         p = float(min(1.0, chdtrc(1, 2 * gain) * len(data.places)))
-        if p > LEVEL or abs(rho) < 0.02:
+        if p > MAX_SHAPE_P_VALUE or abs(rho) < 0.02:
             continue
-        power = {k: rho**2 * _variance(point, k) for k in (i, j)}
+        power = {k: rho**2 * _force_variance(point, k) for k in (i, j)}
         sd = (1 - rho**2) / np.sqrt(2 * n)
         out.append(
             Finding(

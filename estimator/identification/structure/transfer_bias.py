@@ -31,7 +31,10 @@ from . import pedestal_form
 from .spectral_models import resonance_hz
 
 CAUSE_NUMBERS = slice(4, None)  # of the numbers of a peak, those of a cause
-CARRIED, SETTLED = 8, 0.1  # times at most that what is folded goes through a sensor as found; standard deviations
+MAX_FOLD_ROUNDS = 8  # of passing the aliased force through the sensor as fitted
+SETTLED_STEP_SD = 0.1  # of a step of the cause's numbers, in standard deviations
+GAIN_STARTS = ((0.0,), (0.1,), (-0.1,), (1.0,), (-0.5,), (-2.0,))  # errors of a gain, from which searches start
+SKEW_STARTS = ((0.0,), (-3.0,), (-1.0,), (1.0,), (3.0,))  # delays, samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +56,7 @@ class Cause:
         return tuple(q.name for q in CATALOGUE[self.effect].parameters)
 
 
-def _pedestal(mass: float, peak: float) -> Cause:
+def _pedestal_cause(mass: float, peak: float) -> Cause:
     def bend(r: PathSpectra, A: Complexes, k: float, c: float, p: Array) -> Complexes:
         return np.asarray(A + pedestal_form.stiffness_lost(r.w, k, c, p) / r.w**2)
 
@@ -64,7 +67,9 @@ def _pedestal(mass: float, peak: float) -> Cause:
     return Cause("pedestal", pedestal_form.pedestal_starts(peak), values, free, bend)
 
 
-def _sensor(effect: str, starts: tuple[tuple[float, ...], ...], unit: float, now: Mapping[str, float | None]) -> Cause:
+def _sensor_cause(
+    effect: str, starts: tuple[tuple[float, ...], ...], unit: float, now: Mapping[str, float | None]
+) -> Cause:
     """A fault that is a response. now : its numbers that have been undone. unit : of the free form; 0: logarithms."""
     names = [q.name for q in CATALOGUE[effect].parameters]
     limits = np.array([(3.0, 13.0), (-1.5, 6.0)]).T
@@ -89,12 +94,11 @@ def transfer_causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str,
         (float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4, 2.5) for q in (4, 25)
     ) + ((float(np.log(30 * top)), 0.0),)
     return [
-        _pedestal(float(data.mass[i]), peak),
-        _sensor("sensor_gain", ((0.0,), (0.1,), (-0.1,), (1.0,), (-0.5,), (-2.0,)), 1.0, have.get("sensor_gain", {})),
-        _sensor("sensor_skew", ((0.0,), (-3.0,), (-1.0,), (1.0,), (3.0,)), 1.0 / data.rate_hz,
-                have.get("sensor_skew", {})),
-        _sensor("sensor_resonance", resonances, 0.0, have.get("sensor_resonance", {})),
-    ]  # fmt: skip
+        _pedestal_cause(float(data.mass[i]), peak),
+        _sensor_cause("sensor_gain", GAIN_STARTS, 1.0, have.get("sensor_gain", {})),
+        _sensor_cause("sensor_skew", SKEW_STARTS, 1.0 / data.rate_hz, have.get("sensor_skew", {})),
+        _sensor_cause("sensor_resonance", resonances, 0.0, have.get("sensor_resonance", {})),
+    ]
 
 
 def fit_cause(
@@ -116,13 +120,15 @@ def fit_cause(
     best = max([best, *again(r)], key=lambda peak: peak.nats)
     if cause.sensor is None or r.bare is None:
         return best
-    for _ in range(CARRIED):
+    for _ in range(MAX_FOLD_ROUNDS):
         was, further = (
             best.u[CAUSE_NUMBERS],
             cause.sensor(images(r.w, point.data.rate_hz), cause.values(best.u[CAUSE_NUMBERS])),
         )
         best = max(again(r.through(further)), key=lambda peak: peak.nats)
-        if np.all(np.abs(best.u[CAUSE_NUMBERS] - was) < SETTLED * np.sqrt(np.diag(best.covariance)[CAUSE_NUMBERS])):
+        if np.all(
+            np.abs(best.u[CAUSE_NUMBERS] - was) < SETTLED_STEP_SD * np.sqrt(np.diag(best.covariance)[CAUSE_NUMBERS])
+        ):
             break
     return best
 

@@ -37,19 +37,19 @@ from estimator.signals.channel_response import measured_force_places
 from .noisy_sensor import find_noisy_sensors_under_force
 from .transfer_bias import CAUSE_NUMBERS, Cause, cause_parameters, fit_cause, transfer_causes
 
-EXPLAINED = 0.5  # of what a free response explains, for a cause to be the cause
-LEVEL = 1e-2  # p-value above which nothing is said
-HALVED = 0.5  # of what the best cause leaves, in power, that two together leave at most
-BEYOND_CHANCE = 8.0  # standard deviations of what a free response gains, for the path to be bent by who knows what
-FEWEST = 100  # cells that are to be left
-MATTERS = 1e-3  # of the force, in power: less noise than that bends nothing that would be claimed
-# nats, for a cause to be likelier than none: a gain makes a wrong reading likelier than the right one by half of p in
-# each cell, as |f|^2 is noisy there: 14 to 197 nats in records with 2 to 30 % of noise, whatever their length
-WORTH = 250.0
-ALIKE = 10.0  # nats, within which what is left is noise of the sensor
-AS_WELL = 0.99  # of the nats of the likeliest cause, that a delay brings where it is one
-CALIBRATED = 2e-3  # error of a gain that no calibration, and no weighing of a cap, would show to be one
-NOTES = {
+MIN_EXPLAINED_SHARE = 0.5  # of the power that a free response explains, for a cause
+MAX_FAULT_P_VALUE = 1e-2  # of a finding
+MAX_PAIR_LEFT_REL = 0.5  # power left by two causes together over that left by the best one
+MIN_BIAS_SD = 8.0  # gain of a free response in standard deviations, for a transfer function biased by unknown cause
+MIN_CELLS = 100  # of a response that is judged
+MIN_NOISE_SHARE = 1e-3  # of the force, in power: less noise biases nothing that would be claimed
+# A gain makes a wrong reading of the noise likelier than the right one, by half of p in each cell, as |f|^2 is noisy
+# there: 14 to 197 nats in records with 2 to 30 % of noise, whatever their length.
+MIN_CAUSE_GAIN_NATS = 250.0
+READING_TOLERANCE_NATS = 10.0  # within which the remaining force is read as sensor noise
+DELAY_GAIN_REL = 0.99  # of the gain (nats) of the likeliest cause, that a delay must have
+MIN_GAIN_ERROR_REL = 2e-3  # of a sensor gain: less is within any calibration and weighing of a cap
+EFFECT_NOTES = {
     "pedestal": CATALOGUE["pedestal"].distinguish,
     "sensor_gain": "a cap mass in the rig file wrong by this factor, or a force channel by the inverse, looks the same",
     "sensor_skew": "a force channel that is early by as much looks the same: only the relative delay is identifiable",
@@ -63,38 +63,38 @@ def find_transfer_faults(model: Model, point: WorkingPoint, lines: Collection[fl
     lines : Hz of what is periodic in the residual, which is left out.
     """
     at = [i for i, place in enumerate(point.data.places) if place in measured_force_places(model) and point.kL[i] > 0.0]
-    seen = map_processes([partial(_at_place, model, point, i, lines) for i in at])
+    seen = map_processes([partial(_findings_at, model, point, i, lines) for i in at])
     heard = {i: own for i, (_, own) in zip(at, seen, strict=True) if own is not None}
     return [s for found, _ in seen for s in found] + find_noisy_sensors_under_force(model, point, heard)
 
 
-def _at_place(
+def _findings_at(
     model: Model, point: WorkingPoint, i: int, lines: Collection[float]
 ) -> tuple[list[Finding], tuple[PathSpectra, Peak, Array] | None]:  # fmt: skip
     """What bends the path at a place; the response as it is without, where nothing does."""
     r = path_spectra_of(point, i, lines)
-    if r.n.size < FEWEST:
+    if r.n.size < MIN_CELLS:
         return [], None
     tried = likeliest_reading(model, point, i, r)
-    if (beside := _folded(model, point, i, tried)) is not None:
+    if (beside := _with_rival_folding(model, point, i, tried)) is not None:
         tried = beside
     elif late := of_late_sensor(r, point.data.rate_hz):
         delayed = likeliest_reading(model, point, i, late)
         tried = delayed if delayed.late and delayed.nats > tried.nats else tried
-    found = _found(model, point, i, tried)
+    found = _place_findings(model, point, i, tried)
     return found, None if found else (tried.response, tried.base, tried.scale)
 
 
-def _folded(model: Model, point: WorkingPoint, i: int, tried: TriedCauses) -> TriedCauses | None:
+def _with_rival_folding(model: Model, point: WorkingPoint, i: int, tried: TriedCauses) -> TriedCauses | None:
     """The same beside what is folded back, where that and noise of the sensor are as likely by their coherence with the
     motion: where no cause explains what bends the path, it is the one beside which nothing does."""
     r, least = tried.response, (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
     if r.fold is None or r.fold.rival is None:
         return None
-    if not all(_bent_still(r, peak, least) for peak in (tried.base, tried.best)):
+    if not all(_is_biased(r, peak, least) for peak in (tried.base, tried.best)):
         return None
     beside = likeliest_reading(model, point, i, r.less(replace(r.fold, density=r.fold.rival)))
-    return None if _bent_still(beside.response, beside.base, least) else replace(beside, causes={})
+    return None if _is_biased(beside.response, beside.base, least) else replace(beside, causes={})
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,31 +119,33 @@ class TriedCauses:
     def late(self) -> bool:
         """Whether a delay is as likely as any cause; a resonance far above the band is hardly likelier."""
         gains = {cause.effect: peak.nats - self.base.nats for cause, peak in self.causes.items()}
-        return gains.get("sensor_skew", 0.0) > AS_WELL * max(gains.values(), default=0.0)
+        return gains.get("sensor_skew", 0.0) > DELAY_GAIN_REL * max(gains.values(), default=0.0)
 
     @property
     def likely(self) -> float:
-        return max(self.base.nats, self.best.nats - WORTH) - ALIKE * (self.response.unmeasured > 0.0)
+        return max(self.base.nats, self.best.nats - MIN_CAUSE_GAIN_NATS) - READING_TOLERANCE_NATS * (
+            self.response.unmeasured > 0.0
+        )
 
 
 def likeliest_reading(model: Model, point: WorkingPoint, i: int, r: PathSpectra) -> TriedCauses:
     """What is left of the force at a place, where it is enough to matter, read as noise of its sensor, as a force that
     acts beside it, or as both. The first makes the rotor seem lighter and softer by its share of the force, in power.
     """
-    noise = _tried(model, point, i, r)
-    if float(np.average(r.share(clipped_exp(noise.base.u[0])), weights=r.n)) < MATTERS:
+    noise = _try_causes(model, point, i, r)
+    if float(np.average(r.share(clipped_exp(noise.base.u[0])), weights=r.n)) < MIN_NOISE_SHARE:
         return noise
-    beside = _tried(model, point, i, replace(r, unmeasured=1.0), noise.causes)
+    beside = _try_causes(model, point, i, replace(r, unmeasured=1.0), noise.causes)
     either = noise, beside
-    share = _share(point, i, r)
+    share = _unmeasured_share(point, i, r)
     both = fit_linear_path(point, i, replace(r, unmeasured=share))[0].nats
-    if both < max(tried.base.nats for tried in either) + ALIKE:
+    if both < max(tried.base.nats for tried in either) + READING_TOLERANCE_NATS:
         return max(either, key=lambda tried: tried.likely)
-    mixed = _tried(model, point, i, replace(r, unmeasured=share), noise.causes)
+    mixed = _try_causes(model, point, i, replace(r, unmeasured=share), noise.causes)
     return max(*either, mixed, key=lambda tried: tried.likely)
 
 
-def _share(point: WorkingPoint, i: int, r: PathSpectra) -> float:
+def _unmeasured_share(point: WorkingPoint, i: int, r: PathSpectra) -> float:
     """Of what is left, the likeliest share that acts beside the measured force; the rest is noise of its sensor."""
     from scipy.optimize import minimize_scalar
 
@@ -161,7 +163,7 @@ def has_unmeasured_force(model: Model, point: WorkingPoint) -> bool:
 
     def at(i: int) -> bool:
         r = path_spectra_of(point, i, lines)
-        return r.n.size >= FEWEST and likeliest_reading(model, point, i, r).response.unmeasured > 0.5
+        return r.n.size >= MIN_CELLS and likeliest_reading(model, point, i, r).response.unmeasured > 0.5
 
     forced = measured_force_places(model)
     places = [
@@ -172,7 +174,7 @@ def has_unmeasured_force(model: Model, point: WorkingPoint) -> bool:
     return any(map_processes([partial(at, i) for i in places]))
 
 
-def _tried(
+def _try_causes(
     model: Model, point: WorkingPoint, i: int, r: PathSpectra, about: Mapping[Cause, Peak] | None = None
 ) -> TriedCauses:  # fmt: skip
     """Every cause that the model does not have at a place. about : where they are by another reading of what is left,
@@ -189,31 +191,33 @@ def _tried(
     return TriedCauses(r, base, scale, tried)
 
 
-def _found(model: Model, point: WorkingPoint, i: int, at_place: TriedCauses) -> list[Finding]:
+def _place_findings(model: Model, point: WorkingPoint, i: int, at_place: TriedCauses) -> list[Finding]:
     """Findings at a place: one cause, two together where one leaves much, or a transfer function of unknown cause."""
     r, base, scale, tried = at_place.response, at_place.base, at_place.scale, at_place.causes
     least = (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
     judge = partial(_cause_finding, point, i, r, base, least)
     out = [f for cause, peak in tried.items() for f in judge(cause, CAUSE_NUMBERS, peak, base)]
     late = next((peak for cause, peak in tried.items() if cause.effect == "sensor_skew"), base)
-    if at_place.late and not _bent_still(r, late, least):
+    if at_place.late and not _is_biased(r, late, least):
         out = [f for f in out if f.effect != "sensor_resonance"]
     best = at_place.best
-    if not _bent_still(r, best, least):
-        slight = any(c.effect == "sensor_gain" and abs(peak.u[4]) < CALIBRATED and not _bent_still(r, peak, least)
-                     for c, peak in tried.items())  # fmt: skip
+    if not _is_biased(r, best, least):
+        gain = next((peak for cause, peak in tried.items() if cause.effect == "sensor_gain"), None)
+        slight = gain is not None and abs(gain.u[4]) < MIN_GAIN_ERROR_REL and not _is_biased(r, gain, least)
         return [] if slight else out
-    near = {(a, b): _both(point, i, r, a, b, tried, scale).nats for a, b in combinations(tried, 2)}
+    near = {(a, b): _fit_two_causes(point, i, r, a, b, tried, scale).nats for a, b in combinations(tried, 2)}
     if near:
         a, b = max(near, key=lambda pair: near[pair])
-        peak = _both(point, i, r, a, b, tried, scale, everywhere=True)
+        peak = _fit_two_causes(point, i, r, a, b, tried, scale, everywhere=True)
         k = 4 + len(a.names)
         two = judge(a, slice(4, k), peak, tried[b]) + judge(b, slice(k, None), peak, tried[a])
-        if two and float(residual_power(r, peak.A) @ r.hz) < HALVED * float(residual_power(r, best.A) @ r.hz):
+        if two and float(residual_power(r, peak.A) @ r.hz) < MAX_PAIR_LEFT_REL * float(
+            residual_power(r, best.A) @ r.hz
+        ):
             return two
-    if out or not _bent_still(r, base, least):
+    if out or not _is_biased(r, base, least):
         return out
-    power, z = _rest(r, base)
+    power, z = _coherent_power(r, base)
     return [
         Finding(
             effect=UNKNOWN_EFFECT,
@@ -223,7 +227,7 @@ def _found(model: Model, point: WorkingPoint, i: int, at_place: TriedCauses) -> 
             p_value=float(np.exp(-z * z / 2)),
             power_N2={i: power},
             against="frequency",
-            region=_where(r, residual_power(r, base.A), r.A - r.ra / r.aa),
+            region=_bias_region(r, residual_power(r, base.A), r.A - r.ra / r.aa),
         )
     ]
 
@@ -238,15 +242,14 @@ def _cause_finding(
     the peak that its gain is counted from.
     """
     before = residual_power(r, base.A)
-    # beyond chance, in units of what is left
-    coherent = float(r.n @ (coherent_remainder(r, base)[0] / before)) - r.n.size
+    coherent = float(r.n @ (coherent_remainder(r, base)[0] / before)) - r.n.size  # beyond chance
     power = float(np.maximum(before - residual_power(r, peak.A), 0.0) @ r.hz)
     explained = float(r.n @ (1 - residual_power(r, peak.A) / before))
-    if explained < EXPLAINED * coherent or power < least:
+    if explained < MIN_EXPLAINED_SHARE * coherent or power < least:
         return []
     gain, q = peak.nats - without.nats, len(cause.names)
     p = float(min(1.0, chdtrc(q, 2 * max(gain, 0.0)) * 4 * len(point.data.places) * len(cause.starts)))
-    if p > LEVEL:
+    if p > MAX_FAULT_P_VALUE:
         return []
     place = point.data.places[i]
     return [
@@ -258,14 +261,14 @@ def _cause_finding(
             p_value=p,
             power_N2={i: power},
             against="frequency",
-            region=_where(r, before, peak.A),
+            region=_bias_region(r, before, peak.A),
             settings={place: cause_parameters(cause, peak, part)},
-            note=NOTES[cause.effect],
+            note=EFFECT_NOTES[cause.effect],
         )
     ]
 
 
-def _both(
+def _fit_two_causes(
     point: WorkingPoint, i: int, r: PathSpectra, a: Cause, b: Cause, alone: Mapping[Cause, Peak], scale: Array,
     everywhere: bool = False,
 ) -> Peak:  # fmt: skip
@@ -302,18 +305,18 @@ def coherent_remainder(r: PathSpectra, peak: Peak) -> tuple[Array, Array]:
     return np.minimum(np.abs(odd) ** 2 / r.aa, P), np.maximum(s, P - np.abs(rest) ** 2 / r.aa)
 
 
-def _rest(r: PathSpectra, peak: Peak) -> tuple[float, float]:
+def _coherent_power(r: PathSpectra, peak: Peak) -> tuple[float, float]:
     """N^2 that is coherent with the motion still, and by how many standard deviations it is more than chance."""
     odd, noise = coherent_remainder(r, peak)
     z = float((r.n @ (odd / noise) - r.n.size) / np.sqrt(r.n.size))  # each an exponential variable of mean 1
     return float((odd - noise / r.n) @ r.hz), z
 
 
-def _bent_still(r: PathSpectra, peak: Peak, least: float) -> bool:
-    power, z = _rest(r, peak)
-    return power > least and z > BEYOND_CHANCE
+def _is_biased(r: PathSpectra, peak: Peak, least: float) -> bool:
+    power, z = _coherent_power(r, peak)
+    return power > least and z > MIN_BIAS_SD
 
 
-def _where(r: PathSpectra, before: Array, A: Complexes) -> str:
+def _bias_region(r: PathSpectra, before: Array, A: Complexes) -> str:
     k = int(np.argmax(r.n * np.log(before / residual_power(r, A))))
     return f"the motion does not follow the measured force as the model predicts near {r.w[k] / 2 / np.pi:.0f} Hz"

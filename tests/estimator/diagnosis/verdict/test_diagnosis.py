@@ -121,7 +121,7 @@ def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
     def verdict(nats: float, force: float = 1.0) -> Diagnosis:
         order = [replace(ahead, score=there.score + nats), there]
         return verdict_of_laws(
-            fitted.model, fitted.point, replace(before, bearing=force * before.bearing), order, quiet
+            fitted.model, fitted.point, replace(before, bearing_force_N=force * before.bearing_force_N), order, quiet
         )
 
     near, far = verdict(5.0), verdict(50.0)
@@ -160,7 +160,7 @@ def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model) -> N
     simulator): that made a cubic and a stop of one law that is neither."""
     bare = replace(rig, effects=())
     point = fit_all_effects(bare, record(rig, "cubic", 0.0), RATE).point  # the cubic of the rig is what is left
-    left = SimpleNamespace(residuals=[SimpleNamespace(place=0, found=[SimpleNamespace(gain=16.0)])])
+    left = SimpleNamespace(residuals=[SimpleNamespace(place=0, found=[SimpleNamespace(gain_nats=16.0)])])
     best = SimpleNamespace(effect="quintic", places={0, 1})
 
     def explained(gain: float) -> bool:

@@ -45,7 +45,7 @@ def test_what_may_be_nothing_by_its_interval_makes_no_model_unknown() -> None:
     found = missing_force.survey(point, rig)
     assert found.interval()[1] > 0.0
     assert verdict_without_law(point, found, ()).verdict == "unknown"
-    unsure = replace(found, residuals=tuple(replace(r, sd=r.P) for r in found.residuals))
+    unsure = replace(found, residuals=tuple(replace(r, power_sd_N2=r.power_N2) for r in found.residuals))
     assert unsure.interval()[:2] == (found.interval()[0], 0.0)
     assert verdict_without_law(point, unsure, ()).verdict == "complete"
 

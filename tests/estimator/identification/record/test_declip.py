@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from estimator.diagnosis.verdict.diagnosis import diagnose, diagnose_point
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.record.declip import ceilings, restored
+from estimator.identification.record.declip import ceilings, restore_clipped
 from estimator.identification.residual import missing_force
 from estimator.likelihood.motion.prepare import prepare
 from estimator.model.rig import EffectUse
@@ -40,7 +40,7 @@ def test_what_lies_beyond_is_as_far_as_it_was(turn: float, radius: float, noise:
     z[:, 0] = np.clip(y[:, 0], -top, top)
     z[5000:5010] = np.nan
     at = np.abs(z[:, 0]) == top
-    made, off = restored(rig, z, HERE)
+    made, off = restore_clipped(rig, z, HERE)
     same = ~at
     assert np.array_equal(made[same, 0], z[same, 0], equal_nan=True)
     assert np.array_equal(made[:, 1], z[:, 1], equal_nan=True)
@@ -49,7 +49,7 @@ def test_what_lies_beyond_is_as_far_as_it_was(turn: float, radius: float, noise:
     beyond, was = (np.abs(w[at, 0]) - top for w in (made, y))
     assert beyond.mean() == pytest.approx(was.mean(), rel=0.06)
     assert np.sqrt(np.mean(beyond**2)) == pytest.approx(np.sqrt(np.mean(was**2)), rel=0.06)
-    assert np.array_equal(restored(rig, z, HERE)[0], made, equal_nan=True)
+    assert np.array_equal(restore_clipped(rig, z, HERE)[0], made, equal_nan=True)
     there = at & np.isfinite(y[:, 0])
     error = np.sqrt(0.5 * np.sum((made[there, 0] - y[there, 0]) ** 2) / len(y)) / np.nanstd(y[:, 0])
     assert off["bearing1.x"] == pytest.approx(error, rel=0.1)
@@ -60,13 +60,13 @@ def test_a_channel_without_a_ceiling_is_left_alone() -> None:
     rng = np.random.default_rng(1)
     y = rng.standard_normal((20000, 2))
     assert ceilings(y[:, 0]) == (-np.inf, np.inf)
-    assert restored(rig, y, HERE) == (y, {})
+    assert restore_clipped(rig, y, HERE) == (y, {})
     sharp = np.clip(y, -2.5, 2.5)
-    assert restored(rig, sharp, frozenset()) == (sharp, {})
+    assert restore_clipped(rig, sharp, frozenset()) == (sharp, {})
     blurred = np.clip(y, -2.5, 2.5) + 0.001 * rng.standard_normal(y.shape)
-    assert restored(rig, blurred, HERE) == (blurred, LOST)
+    assert restore_clipped(rig, blurred, HERE) == (blurred, LOST)
     flat = np.clip(y, -0.5, 0.5)  # of a square wave nothing is known
-    assert restored(rig, flat, HERE) == (flat, LOST)
+    assert restore_clipped(rig, flat, HERE) == (flat, LOST)
 
 
 @pytest.mark.slow
@@ -109,7 +109,7 @@ def test_nothing_is_told_of_a_bearing_whose_motion_cannot_be_restored() -> None:
     assert found.interval() == (0.0, 0.0, 100.0)
     said = diagnose_point(whole.model, whole.point, y)
     assert said.verdict == "unknown"
-    assert missing_force.UNJUDGED in said.messages
+    assert missing_force.UNJUDGED_MESSAGE in said.messages
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from hidden_effects import RATE, one_bearing
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.residual.black_box import VISITED, group_pool, hat_knots
+from estimator.identification.residual.black_box import MIN_VISIT_SAMPLES, group_pool, hat_knots
 from estimator.simulation.simulator import simulate
 
 OWN = (".kL", ".c", ".kNL", ".cx", ".rate", ".curvature")
@@ -41,6 +41,6 @@ def test_hats_reach_as_far_as_the_motion_does() -> None:
     z[7] = 3.6
     knots = hat_knots(z, 1.0, 0.5)
     assert knots[-1] == -knots[0] == 2.0
-    assert np.sum(z > knots[-2]) >= VISITED
+    assert np.sum(z > knots[-2]) >= MIN_VISIT_SAMPLES
     gaussian = np.random.default_rng(0).standard_normal(500_000)
     assert hat_knots(gaussian, 1.0, 0.5)[-1] == 4.0

@@ -10,9 +10,16 @@ from hidden_effects import RATE, one_bearing
 from numpy.typing import NDArray
 from scipy import signal
 
-from estimator.identification.structure.filter_search import NONE, Seen, Standing, _spectrum, likeliest, mean_or_none
+from estimator.identification.structure.filter_search import (
+    NO_NUMBERS,
+    Seen,
+    Standing,
+    _spectrum,
+    likeliest,
+    mean_or_none,
+)
 from estimator.identification.structure.pedestal_form import stiffness_lost
-from estimator.identification.structure.spectral_cells import CELLS, Cells
+from estimator.identification.structure.spectral_cells import MAX_CELLS, Cells
 from estimator.identification.structure.spectral_models import coloured_power, resonant_power
 from estimator.model.recorder import Filter, images
 from estimator.signals.channel_response import corrected_record
@@ -27,14 +34,14 @@ def seen(
     off: Filter, resonance_hz: float, S: float, seed: int, noise: float = 0.0,
     true: tuple[float, float] | None = None, undone: tuple[float, float] | None = None,
     force: tuple[float, float] | None = None, thought: tuple[float, float] | None = None,
-    stands: tuple[float, float, float] | None = None, pedestal: Array = NONE,
+    stands: tuple[float, float, float] | None = None, pedestal: Array = NO_NUMBERS,
 ) -> Seen:  # fmt: skip
     """A cap's cells behind a filter, its model 2 % off in k and 10 % in c; nothing is at the other caps. true, undone :
     Hz and quality of a resonance of its sensor, as it is and as it has been taken back. force, thought : gain and
     corner of the colour of the force, as it is and in the model. pedestal, stands : kg, Hz and
     damping of a pedestal, as it is and in the model."""
     f = np.linspace(200.0, TOP, BINS)
-    edges = np.unique(np.round(np.geomspace(12, BINS, CELLS)).astype(int))
+    edges = np.unique(np.round(np.geomspace(12, BINS, MAX_CELLS)).astype(int))
     n = np.diff(edges, prepend=0)
     w = 2 * np.pi * np.add.reduceat(f, edges - n) / n
     k, c = MASS * (2 * np.pi * resonance_hz) ** 2, 40.0

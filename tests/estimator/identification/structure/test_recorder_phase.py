@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estimator.diagnosis.comparison.comparison import compare
 from estimator.diagnosis.verdict.improvement import improve
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.structure.recorder_phase import excess, found
+from estimator.identification.structure.recorder_phase import excess, find_recorder_phase
 from estimator.model.recorder import POWERS, Filter
 from estimator.model.rig import Model, Setting
 from estimator.simulation.simulator import simulate
@@ -73,7 +73,7 @@ def test_no_recorder_is_ahead_of_the_motion() -> None:
     seen = excess(point, lambda f: (f / rig.band[1]) ** 3)
     assert seen is not None
     assert seen[0] < -5.0 * seen[1]
-    assert found(model, point) is None
+    assert find_recorder_phase(model, point) is None
 
 
 @pytest.mark.slow

@@ -224,8 +224,8 @@ def test_where_only_one_force_is_measured_the_other_place_is_judged_as_without()
 
 
 def test_the_notes_say_what_else_would_look_the_same() -> None:
-    assert "cap mass" in transfer_faults.NOTES["sensor_gain"]
-    assert "force channel" in transfer_faults.NOTES["sensor_skew"]
+    assert "cap mass" in transfer_faults.EFFECT_NOTES["sensor_gain"]
+    assert "force channel" in transfer_faults.EFFECT_NOTES["sensor_skew"]
 
 
 @pytest.mark.slow

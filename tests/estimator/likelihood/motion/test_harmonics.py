@@ -15,7 +15,7 @@ from estimator.effects.engine.strength import size, strengths
 from estimator.identification.batch.disturbance_numbers import with_found_effects
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.machine import lines
-from estimator.identification.machine.harmonic_fit import PIECES, fit_found_harmonics, refine_harmonics
+from estimator.identification.machine.harmonic_fit import RECORD_PIECES, fit_found_harmonics, refine_harmonics
 from estimator.identification.residual.missing_force import survey
 from estimator.identification.search import search
 from estimator.likelihood.fitting.gauss_newton import fit_model
@@ -118,7 +118,7 @@ def test_wrong_numbers_are_found_from_what_they_leave(
         assert p.identifiable
         assert abs((p.value or 0.0) - value) < 4 * (p.sd or 0.0), key
     if name == "misalignment":  # of a line whose frequency is known: sd^2 = S / T
-        assert found[f"bearing1.x.{name}.a"].sd == pytest.approx(sd_of_amplitude(point), rel=2 / PIECES)
+        assert found[f"bearing1.x.{name}.a"].sd == pytest.approx(sd_of_amplitude(point), rel=2 / RECORD_PIECES)
 
 
 def white(data: MotionRecord, S: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -136,8 +136,8 @@ def test_a_phase_at_the_start_of_the_record_is_half_as_well_known_as_an_amplitud
     model = with_use(rig, "line", {"a": 0.13, "b": 0.0, "frequency": 791.37})
     _, found = refine_harmonics(model, point, white(point.data, point.S))
     a, b = (found[f"bearing1.x.line.{k}"].sd for k in "ab")
-    assert a == pytest.approx(sd_of_amplitude(point), rel=2 / PIECES)
-    assert b == pytest.approx(2 * sd_of_amplitude(point), rel=2 / PIECES)
+    assert a == pytest.approx(sd_of_amplitude(point), rel=2 / RECORD_PIECES)
+    assert b == pytest.approx(2 * sd_of_amplitude(point), rel=2 / RECORD_PIECES)
 
 
 def test_a_line_in_the_noise_of_a_sensor_is_as_uncertain_as_that_makes_it(rig: Model, point: WorkingPoint) -> None:
