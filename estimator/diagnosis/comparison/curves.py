@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 from estimator.identification.residual import black_box
-from estimator.identification.residual.missing_force import MissingForce, PlaceResidual, fit_with_ridge
+from estimator.identification.residual.group_fit import fit_with_ridge
+from estimator.identification.residual.missing_force import MissingForce, PlaceResidual
 from estimator.likelihood.motion.motion_record import leading_blocks
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.working_point import WorkingPoint

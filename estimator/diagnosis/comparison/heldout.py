@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from estimator.arrays import Array
 from estimator.errors import DataError, ModelError
-from estimator.identification.residual.missing_force import MissingForce, ridge_information
+from estimator.identification.residual.group_fit import ridge_information
+from estimator.identification.residual.missing_force import MissingForce
 from estimator.likelihood.fitting.fitted_values import fitted_model
 from estimator.likelihood.motion.motion_record import TIME_FOLDS
 from estimator.likelihood.path.subproblem import coupled_places, heldout_gain, subproblem

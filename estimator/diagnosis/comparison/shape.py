@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.identification.residual.missing_force import MissingForce, PlaceResidual, fit_with_ridge
+from estimator.identification.residual.group_fit import fit_with_ridge
+from estimator.identification.residual.missing_force import MissingForce, PlaceResidual
 from estimator.likelihood.path.working_point import WorkingPoint
 
 

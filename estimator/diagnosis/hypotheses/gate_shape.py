@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.arrays import Complexes, Series
-from estimator.identification.residual.missing_force import extra_power
+from estimator.identification.residual.group_fit import extra_power
 from estimator.likelihood.motion.located_law import LocatedLaw, law_along_record, own_response
 from estimator.likelihood.path.subproblem import likelihood_gain, subproblem
 from estimator.likelihood.path.working_point import WorkingPoint

@@ -11,16 +11,12 @@ Q is the Gram matrix per second of the regressors found, after projection on the
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.polynomial.hermite_e import hermeval
-from scipy.linalg import block_diag
-from scipy.special import chdtrc
 
 from estimator.arrays import Array
 from estimator.effects.places import kinematic
@@ -33,6 +29,7 @@ from estimator.parallel import map_processes
 from estimator.results import NOT_JUDGED, Message
 
 from . import black_box
+from .group_fit import as_hat_functions, extra_power, fit_polynomial, fit_with_ridge, group_p_value, hidden_power
 
 MAX_GROUP_P_VALUE = 1e-3  # of a group at a location, after correction for the groups and locations tried
 SURVEY_S = 24.0  # of a long record: enough to see a thousandth of the bearing force
@@ -41,8 +38,6 @@ UNJUDGED_MESSAGE = Message(
     NOT_JUDGED, "the model cannot be judged: the sensors of all channels clip, use larger ranges"
 )
 LAW_LIKE_ERROR_SHARE = 0.6  # of the error of restored motion, that may look like a law (0.18 to 0.49 at 1 to 3 %)
-POLYNOMIAL_DEGREE = 9  # of the smooth curves
-RIDGE_SHARE = 1e-3  # of a regressor's own information: holds hat functions without samples at zero
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,62 +98,51 @@ class PlaceResidual:
     hidden_N2: float
 
 
+class TriedGroup(NamedTuple):
+    """A group on trial: nats gained, its name, the problem with it and the fit, p-value, log-likelihood, N^2 limit."""
+
+    gain_nats: float
+    name: str
+    problem: Subproblem
+    fit: PathFit
+    p_value: float
+    log_likelihood: float
+    hidden_N2: float
+
+
 def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries: int) -> PlaceResidual:
     """Groups that the residual force at location i follows, by forward selection.
 
     orders : of the shaft, at which stiffness may vary. tries : groups tested at all locations, for the significance.
-    Hat functions of a state are tried free and bound to a polynomial.
     """
     problem, knots = black_box.group_pool(point, i, orders)
     names: dict[str, tuple[str, ...]] = {}
     for n in problem.extra:
         names[n.split(".")[0]] = (*names.get(n.split(".")[0], ()), n)
     plain = problem.without_extra()
-    base = plain.fit()
-    everything = np.arange(point.data.fold_blocks.size)
+    current, fitted, power = plain, plain.fit(), 0.0
     tries += len(point.data.places) * len(knots)  # the polynomials
-    level = plain.likelihood(base, everything)
-    chosen: list[str] = []
+    level = plain.likelihood(fitted, np.arange(point.data.fold_blocks.size))
     found: list[FoundGroup] = []
-    fitted, power = base, 0.0
-    current = plain
     least = (negligible_share(point, i) * point.bearing_force[i]) ** 2
     upper = least if point.data.unsure(i) else 0.0
-    while len(chosen) < len(names):
-        best: tuple[float, str, Subproblem, PathFit, float, float] | None = None
-        for name in names:
-            if name in chosen:
-                continue
-            trial = problem.only(tuple(n for g in [*chosen, name] for n in names[g]))
-            fit = fit_with_ridge(trial)
-            reached = trial.likelihood(fit, everything)
-            gained, p = reached - level, group_p_value(trial, fit, names[name], reached - level)
-            if not chosen:
-                upper = max(upper, _hidden_power(point, trial, fit, i))
-            if name in knots:
-                bound, curve, own = fit_polynomial(trial, names[name], knots[name])
-                again = bound.likelihood(curve, everything) - level
-                bound_p = group_p_value(bound, curve, own, again)
-                if bound_p < p:
-                    gained, p, fit = again, bound_p, as_hat_functions(trial, bound, curve, names[name], knots[name])
-            if best is None or (p, -gained) < (best[4], -best[0]):
-                best = (gained, name, trial, fit, p, reached)
-        if best is None or min(1.0, best[4] * tries) > MAX_GROUP_P_VALUE:
+    while len(found) < len(names):
+        chosen = [group.group for group in found]
+        tried = [_try_group(point, i, problem, chosen, n, names, knots, level) for n in names if n not in chosen]
+        if not chosen:
+            upper = max(upper, *(group.hidden_N2 for group in tried))
+        best = min(tried, key=lambda group: (group.p_value, -group.gain_nats))
+        p = min(1.0, best.p_value * tries)
+        if p > MAX_GROUP_P_VALUE:
             break
-        gained, name, current_new, fitted_new, p, reached = best
-        total, _ = extra_power(point, current_new, fitted_new, i)
+        total, _ = extra_power(point, best.problem, best.fit, i)
         if total - power < least:
             break
-        current, fitted = current_new, fitted_new
-        chosen.append(name)
-        level = reached
-        found.append(
-            FoundGroup(
-                place=i, group=name, power_N2=max(total - power, 0.0), gain_nats=gained, p_value=min(1.0, p * tries)
-            )
-        )
+        current, fitted, level = best.problem, best.fit, best.log_likelihood
+        more = max(total - power, 0.0)
+        found.append(FoundGroup(place=i, group=best.name, power_N2=more, gain_nats=best.gain_nats, p_value=p))
         power = max(total, power)
-    P, sd = extra_power(point, current, fitted, i) if chosen else (0.0, 0.0)
+    P, sd = extra_power(point, current, fitted, i) if found else (0.0, 0.0)
     return PlaceResidual(
         place=i,
         found=tuple(found),
@@ -172,112 +156,32 @@ def select_groups(point: WorkingPoint, i: int, orders: tuple[float, ...], tries:
     )
 
 
+def _try_group(
+    point: WorkingPoint, i: int, problem: Subproblem, chosen: Sequence[str], name: str,
+    names: Mapping[str, tuple[str, ...]], knots: Mapping[str, Array], level: float,
+) -> TriedGroup:  # fmt: skip
+    """A group beside those chosen. Hat functions of a state are tried free and bound to a polynomial.
+
+    names : of the regressors, by group. level : log-likelihood of the groups chosen.
+    """
+    everything = np.arange(point.data.fold_blocks.size)
+    trial = problem.only(tuple(n for group in [*chosen, name] for n in names[group]))
+    fit = fit_with_ridge(trial)
+    reached = trial.likelihood(fit, everything)
+    gained, p = reached - level, group_p_value(trial, fit, names[name], reached - level)
+    hidden = 0.0 if chosen else hidden_power(point, trial, fit, i)
+    if name in knots:
+        bound, curve, own = fit_polynomial(trial, names[name], knots[name])
+        again = bound.likelihood(curve, everything) - level
+        bound_p = group_p_value(bound, curve, own, again)
+        if bound_p < p:
+            gained, p, fit = again, bound_p, as_hat_functions(trial, bound, curve, names[name], knots[name])
+    return TriedGroup(gained, name, trial, fit, p, reached, hidden)
+
+
 def negligible_share(point: WorkingPoint, i: int) -> float:
     """Share of the rms bearing force at location i below which a missing force is not claimed."""
     return max(NEGLIGIBLE_FORCE_SHARE, LAW_LIKE_ERROR_SHARE * point.data.unsure(i))
-
-
-def group_p_value(problem: Subproblem, fit: PathFit, names: tuple[str, ...], gained: float) -> float:
-    """p-value of the log-likelihood (nats) that the named regressors gain."""
-    return float(chdtrc(effective_dof(problem, fit, names), 2 * max(gained, 0.0)))
-
-
-def fit_polynomial(
-    problem: Subproblem, names: tuple[str, ...], knots: Array
-) -> tuple[Subproblem, PathFit, tuple[str, ...]]:
-    """The problem with hat functions bound to polynomials of degree 2 to 9, its fit, and the names of the polynomials.
-
-    names : of the last extra regressors, hat functions of one state at the knots (k,). A weak smooth law that is lost
-    in the noise of free hat functions is significant with few parameters.
-    """
-    weights = _polynomials(problem, names, knots)
-    bound = problem.combined(weights)
-    return bound, fit_with_ridge(bound), bound.extra[len(problem.extra) - len(names) :]
-
-
-def as_hat_functions(
-    problem: Subproblem, bound: Subproblem, fit: PathFit, names: tuple[str, ...], knots: Array
-) -> PathFit:
-    """The fit of a problem bound to polynomials, expressed in the free hat functions."""
-    M = block_diag(np.eye(len(problem.base)), _polynomials(problem, names, knots))
-    delta, covariance = fit.delta @ M, M.T @ fit.covariance @ M
-    return PathFit(
-        names=problem.gram.names,
-        delta=delta,
-        covariance=covariance,
-        S=fit.S,
-        log_likelihood=fit.log_likelihood,
-        scales=problem.gram.scales,
-    )
-
-
-def _polynomials(problem: Subproblem, names: tuple[str, ...], knots: Array) -> Array:
-    """(earlier + 8, extra) weights: earlier extra regressors unchanged, then polynomials of the hat functions."""
-    u = 3.7 * knots / knots[-1]  # about in rms
-    rows = [
-        hermeval(u, np.eye(POLYNOMIAL_DEGREE + 1)[d]) / math.sqrt(math.factorial(d))
-        for d in range(2, POLYNOMIAL_DEGREE + 1)
-    ]
-    own = np.stack(rows) / problem.gram.scales[-len(names) :]
-    return np.asarray(block_diag(np.eye(len(problem.extra) - len(names)), own))
-
-
-def fit_with_ridge(problem: Subproblem) -> PathFit:
-    """Fit with a weak prior on the extra regressors."""
-    return problem.fit(ridge=ridge_information(problem), steps=6)
-
-
-def ridge_information(problem: Subproblem) -> float:
-    """Information of the weak prior: `RIDGE_SHARE` of the mean information of an extra regressor."""
-    G = problem.gram.G.sum(axis=1)
-    n = problem.gram.n.sum(axis=1)
-    S = G[:, 0, 0] / n
-    own = 2 * np.einsum("ikk->ik", G / S[:, None, None]).sum(axis=0)[1 + len(problem.base) :]
-    return RIDGE_SHARE * float(np.mean(own)) if own.size else 0.0
-
-
-def effective_dof(problem: Subproblem, fit: PathFit, names: tuple[str, ...]) -> float:
-    """Degrees of freedom of the named regressors that the others do not span."""
-    Q, _, index = freed_gram(problem, fit)
-    whole = np.einsum("ifkk->k", problem.gram.G)[1 + len(problem.base) :]
-    at = [index.index(n) for n in names if n in index]
-    others = [k for k in range(len(index)) if k not in at]
-    A = Q[np.ix_(at, at)]
-    if others:
-        B = Q[np.ix_(at, others)]
-        A = A - B @ np.linalg.pinv(Q[np.ix_(others, others)], rcond=1e-6) @ B.T
-    d = np.sqrt(np.maximum(whole[at], 1e-300))
-    e = np.linalg.eigvalsh(A / np.multiply.outer(d, d))
-    return float(max(1.0, np.sum(np.maximum(e, 0) / (np.maximum(e, 0) + RIDGE_SHARE))))
-
-
-def freed_gram(problem: Subproblem, fit: PathFit) -> tuple[Array, Array, tuple[str, ...]]:
-    """Gram matrix (extra, extra) of the extra regressors, N^2/Hz, projected on the complement of the base; the
-    covariance (extra, extra) of their coefficients; and their names."""
-    G = problem.gram.G.sum(axis=(0, 1))
-    b = len(problem.base)
-    Gb, Ge, Gc = G[1 : 1 + b, 1 : 1 + b], G[1 + b :, 1 + b :], G[1 + b :, 1 : 1 + b]
-    Q = Ge - Gc @ np.linalg.pinv(Gb, rcond=1e-9) @ Gc.T
-    return Q, fit.covariance[b:, b:], problem.extra
-
-
-def extra_power(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) -> tuple[float, float]:
-    """Unbiased mean square of the force of the extra regressors at location i, N^2, and its standard deviation."""
-    Q, cov, _ = freed_gram(problem, fit)
-    if not len(Q):
-        return 0.0, 0.0
-    per_second = point.data.rate_hz / point.data.block / point.data.blocks
-    theta = fit.delta[len(problem.base) :]
-    QC = Q @ cov
-    P = float(theta @ Q @ theta - np.trace(QC)) * per_second
-    variance = 2 * np.trace(QC @ QC) + 4 * theta @ QC @ Q @ theta
-    return P, float(np.sqrt(max(variance, 0.0))) * per_second
-
-
-def _hidden_power(point: WorkingPoint, problem: Subproblem, fit: PathFit, i: int) -> float:
-    """Upper 95 % limit of the power (N^2) of a group that was not found, by the normal approximation."""
-    P, sd = extra_power(point, problem, fit, i)
-    return max(P, 0.0) + 1.645 * sd
 
 
 @dataclass(frozen=True, slots=True)

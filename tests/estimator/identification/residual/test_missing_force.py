@@ -9,7 +9,7 @@ import pytest
 from hidden_effects import RATE, one_bearing, record
 
 from estimator.identification.batch.full_fit import fit_all_effects
-from estimator.identification.residual import black_box, missing_force
+from estimator.identification.residual import black_box, group_fit
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.located_law import located_laws
 from estimator.likelihood.motion.prepare import prepare
@@ -34,12 +34,12 @@ def hats() -> Hats:
 
 def test_a_bound_fit_is_the_same_force_in_terms_of_hat_functions(hats: Hats) -> None:
     _, problem, names, knots = hats
-    bound, fit, _ = missing_force.fit_polynomial(problem, names, knots)
-    back = missing_force.as_hat_functions(problem, bound, fit, names, knots)
+    bound, fit, _ = group_fit.fit_polynomial(problem, names, knots)
+    back = group_fit.as_hat_functions(problem, bound, fit, names, knots)
     everything = np.arange(len(problem.blocks))
     assert problem.likelihood(back, everything) == pytest.approx(bound.likelihood(fit, everything), abs=1e-3)
-    power, _ = missing_force.extra_power(hats[0], problem, back, 0)
-    again, _ = missing_force.extra_power(hats[0], bound, fit, 0)
+    power, _ = group_fit.extra_power(hats[0], problem, back, 0)
+    again, _ = group_fit.extra_power(hats[0], bound, fit, 0)
     assert power == pytest.approx(again, rel=0.02)
 
 
@@ -48,10 +48,10 @@ def test_a_smooth_curve_sees_a_weaker_law_than_free_hat_functions(hats: Hats) ->
     everything = np.arange(len(problem.blocks))
     plain = problem.without_extra()
     level = plain.likelihood(plain.fit(), everything)
-    free = missing_force.fit_with_ridge(problem)
-    bound, fit, own = missing_force.fit_polynomial(problem, names, knots)
-    p_free = missing_force.group_p_value(problem, free, names, problem.likelihood(free, everything) - level)
-    p_bound = missing_force.group_p_value(bound, fit, own, bound.likelihood(fit, everything) - level)
+    free = group_fit.fit_with_ridge(problem)
+    bound, fit, own = group_fit.fit_polynomial(problem, names, knots)
+    p_free = group_fit.group_p_value(problem, free, names, problem.likelihood(free, everything) - level)
+    p_bound = group_fit.group_p_value(bound, fit, own, bound.likelihood(fit, everything) - level)
     assert p_bound < 0.1 * p_free
 
 
@@ -72,7 +72,7 @@ def test_a_force_that_the_model_has_wins_nothing_again(effect: str, values: dict
     pool, _ = black_box.group_pool(point, 0, (1.0, 2.0, 2.1))
     trial = pool.only(tuple(n for n in pool.extra if n.split(".")[0] == group))
     plain, everything = pool.without_extra(), np.arange(point.data.fold_blocks.size)
-    won = trial.likelihood(missing_force.fit_with_ridge(trial), everything) - plain.likelihood(plain.fit(), everything)
+    won = trial.likelihood(group_fit.fit_with_ridge(trial), everything) - plain.likelihood(plain.fit(), everything)
     assert won < len(trial.extra)  # half of it in the mean, half of its root the scatter
 
 
@@ -91,7 +91,7 @@ def test_hats_of_the_velocity_win_no_more_than_their_number() -> None:
         pool, _ = black_box.group_pool(point, 0, (1.0, 2.0))
         trial = pool.only(tuple(n for n in pool.extra if n.startswith("velocity")))
         plain, everything = pool.without_extra(), np.arange(point.data.fold_blocks.size)
-        fit = missing_force.fit_with_ridge(trial)
+        fit = group_fit.fit_with_ridge(trial)
         won.append(2 * (trial.likelihood(fit, everything) - plain.likelihood(plain.fit(), everything)))
-        free.append(missing_force.effective_dof(trial, fit, trial.extra))
+        free.append(group_fit.effective_dof(trial, fit, trial.extra))
     assert np.mean(won) < 1.6 * np.mean(free)
