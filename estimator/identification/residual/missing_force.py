@@ -176,7 +176,9 @@ def _try_group(
         bound_p = group_p_value(bound, curve, own, again)
         if bound_p < p:
             gained, p, fit = again, bound_p, as_hat_functions(trial, bound, curve, names[name], knots[name])
-    return TriedGroup(gained, name, trial, fit, p, reached, hidden)
+    return TriedGroup(
+        gain_nats=gained, name=name, problem=trial, fit=fit, p_value=p, log_likelihood=reached, hidden_N2=hidden
+    )
 
 
 def negligible_share(point: WorkingPoint, i: int) -> float:
