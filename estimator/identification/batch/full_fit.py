@@ -16,7 +16,7 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.identification.machine import harmonic_fit, stiffness_order
 from estimator.identification.record import clipping
-from estimator.identification.record.declip import LOST, RESTORED, SPOILED, restored
+from estimator.identification.record.declip import LOST_MESSAGE, RESTORED_MESSAGE, SPOILED_MESSAGE, restore_clipped
 from estimator.identification.search import search
 from estimator.identification.structure import (
     coupled_caps,
@@ -79,7 +79,10 @@ class FullFit:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter by full name with its standard deviation."""
-        found = with_unidentifiable_at(self.point.data.lost, SPOILED, fitted_parameters(self.point)) | self.disturbances
+        found = (
+            with_unidentifiable_at(self.point.data.lost, SPOILED_MESSAGE, fitted_parameters(self.point))
+            | self.disturbances
+        )
         roll_off_sd = {place: off.doubt for place, off in (self.model.roll_off or {}).items()}
         found = recorder.doubted(roll_off_sd or dict.fromkeys(self.point.data.places, self.S_sd_rel), found)
         found = unknown_mass.with_mass_uncertainty(self.model, found, self.masses)
@@ -142,7 +145,7 @@ def fit_all_effects(model: Model, y: Array, rate_hz: float) -> FullFit:
         del full  # two at once would be much memory
         full = _fit_with_stiffness_order(replace(model, roll_off=off), y, rate_hz, start)
     _refuse_without_resonance(full.point)
-    if not model.roll_off and (late := recorder_phase.found(full.model, full.point)):
+    if not model.roll_off and (late := recorder_phase.find_recorder_phase(full.model, full.point)):
         start = full.point.without_rows()
         del full
         full = _fit_with_stiffness_order(replace(model, roll_off=late), y, rate_hz, start)
@@ -214,7 +217,7 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float, start: WorkingPo
     if not uses:
         data = replace(start.data) if start and not model.roll_off else prepare(model, y, rate_hz)  # evaluated anew
         return FullFit(model, fit_record(model, data, start), disturbances={})
-    limited, (y, off) = y, restored(model, y, clipped_places(model))
+    limited, (y, off) = y, restore_clipped(model, y, clipped_places(model))
 
     def prepared(model: Model) -> MotionRecord:
         data = prepare(model, y, rate_hz)
@@ -257,12 +260,12 @@ def _fit_at_given_order(model: Model, y: Array, rate_hz: float, start: WorkingPo
         if last:
             break
     clipping_messages = [
-        Message("clipped_restored", f"{place}: {RESTORED}", place)
-        if error < np.inf else Message("clipped_lost", f"{place}: {LOST}", place)
+        Message("clipped_restored", f"{place}: {RESTORED_MESSAGE}", place)
+        if error < np.inf else Message("clipped_lost", f"{place}: {LOST_MESSAGE}", place)
         for place, error in sorted(off.items())
     ]  # fmt: skip
     clipping_messages += [
-        Message("clipped_neighbour", f"{place}: no value is reliable: {SPOILED}", place)
+        Message("clipped_neighbour", f"{place}: no value is reliable: {SPOILED_MESSAGE}", place)
         for place in sorted(point.data.lost.difference(off))
     ]
     messages = (*_several_lines_message(model, further), *clipping_messages)
