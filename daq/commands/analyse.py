@@ -27,9 +27,9 @@ from daq.report.words import message_text
 from daq.rig.edit import with_effect, with_values
 from daq.rig.rig import Rig, load_rig
 
-BROKEN = 1e-4  # of the samples missing: it may be that which leaves too few stretches
+MIN_MISSING_SHARE = 1e-4  # of the samples missing: it may be that which leaves too few stretches
 IN_USE = ("scipy.optimize", "scipy.ndimage")  # of every comparison
-_OUTSIDE = "the catalogue does not hold; type a law of your own into the rig file"
+_OUTSIDE_CATALOGUE = "the catalogue does not hold; type a law of your own into the rig file"
 _NO_LAW = "is not a law of a bearing: see the notes, and correct what they name first"
 BELOW_DETECTION = (
     'an effect weaker than "detectable from" cannot be seen in a record of this length and level; a record four times '
@@ -88,7 +88,7 @@ def about(log: Path, data: Measurement) -> Iterator[None]:
     except DataError as problem:
         holes = float(np.mean(np.isnan(data.y).any(axis=1)))
         why = f" ({100 * holes:.2g} % of it is missing or at full scale: mend the link, or use a larger range)"
-        raise LogError(f"{log}: {problem}{why if holes > BROKEN else ''}") from problem
+        raise LogError(f"{log}: {problem}{why if holes > MIN_MISSING_SHARE else ''}") from problem
 
 
 def fitted(rig: Rig, data: Measurement, method: Method) -> Fit:
@@ -221,7 +221,7 @@ def diagnosis_text(value: Mapping[str, Any], most: int = 8) -> list[Any]:
     known = f"rotorscope effects {name} says what to look at" if name in CATALOGUE else "rotorscope add puts it in"
     verdict = {
         "complete": "the model is complete: nothing in the catalogue earns its place",
-        "unknown": f"something is missing that {_NO_LAW if message_text(value, NO_LAW_CODES) else _OUTSIDE}",
+        "unknown": f"something is missing that {_NO_LAW if message_text(value, NO_LAW_CODES) else _OUTSIDE_CATALOGUE}",
     }.get(name, f"missing: {name}; {known}")
     return [*people, f"verdict: {name}", message_text(value, {NOT_JUDGED}) or verdict]
 
@@ -267,7 +267,7 @@ def ending(last: Mapping[str, Any], added: Sequence[str] = ()) -> str:
         return text
     if verdict == "unknown":
         laid = message_text(last, NO_LAW_CODES)
-        return f"something is left: {laid}" if laid else f"something is left that {_OUTSIDE}"
+        return f"something is left: {laid}" if laid else f"something is left that {_OUTSIDE_CATALOGUE}"
     if verdict in added:  # the last that one run adds
         return "what the last model lacks was not examined: run improve again on the rig file that it wrote"
     return f"the last diagnosis names {verdict}, which was not added"
@@ -296,7 +296,7 @@ def theory(output: Output, rig_path: Path) -> None:
     rows = result.table()
     keys = list(dict.fromkeys(k for row in rows for k in row))
     for key in keys:
-        table.add_column(Text(_HEADINGS.get(key, key)), justify="left" if key == "row" else "right")
+        table.add_column(Text(_THEORY_HEADINGS.get(key, key)), justify="left" if key == "row" else "right")
     for row in rows:
         table.add_row(*(_cell(row.get(key)) for key in keys))
     orders = ", ".join(f"{k} {v:.3f}" for k, v in result.kinematics.items())
@@ -304,7 +304,7 @@ def theory(output: Output, rig_path: Path) -> None:
     output.result(result.to_json(), table, "", f"{K_n}; orders of the shaft speed: {orders}")
 
 
-_HEADINGS = {
+_THEORY_HEADINGS = {
     "row": "",
     "preload_um": "preload [um]",
     "kL_N_per_mm": "kL [N/mm]",

@@ -9,24 +9,24 @@ import stat
 import tempfile
 from pathlib import Path
 
-VARIABLE = "NUMBA_CACHE_DIR"
-INSTALLED = Path(__file__).parents[2]  # the folder of the three packages
+CACHE_VARIABLE = "NUMBA_CACHE_DIR"  # of the environment, numba's
+INSTALLATION_FOLDER = Path(__file__).parents[2]  # the folder of the three packages
 COMPILED_PACKAGES = ("estimator", "drivers")  # whose functions numba compiles
-BOOT = Path("/proc/sys/kernel/random/boot_id")
-CHECKED = "checked-in-boot"  # beside the files that were
+BOOT_ID_FILE = Path("/proc/sys/kernel/random/boot_id")
+CHECKED_FILE = "checked-in-boot"  # beside the files that were
 
 
-def choose(root: Path = INSTALLED) -> None:
+def choose(root: Path = INSTALLATION_FOLDER) -> None:
     """Before numba is imported: a folder among the temporary files, if its own places cannot be written.
 
     A read-only installation, and no home.
     """
     own = root / COMPILED_PACKAGES[0] / "__pycache__"
-    if VARIABLE not in os.environ and not (_writable(own) or _writable(_home())):
-        os.environ[VARIABLE] = str(_ours(Path(tempfile.gettempdir())))
+    if CACHE_VARIABLE not in os.environ and not (_writable(own) or _writable(_home())):
+        os.environ[CACHE_VARIABLE] = str(_ours(Path(tempfile.gettempdir())))
 
 
-def clean(root: Path = INSTALLED, boot_id: Path = BOOT) -> None:
+def clean(root: Path = INSTALLATION_FOLDER, boot_id: Path = BOOT_ID_FILE) -> None:
     """Remove files that are empty or have no end: numba would end every command over one, for ever.
 
     Once in each place after the computer has started: numba itself leaves none, a power cut does. By the kernel's name
@@ -35,7 +35,7 @@ def clean(root: Path = INSTALLED, boot_id: Path = BOOT) -> None:
     boot = _boot(boot_id)
     folders = {file.parent for package in COMPILED_PACKAGES for file in (root / package).rglob("*.py")}
     places = {folder / "__pycache__" for folder in folders}
-    for cache in {_home(), Path(os.environ.get(VARIABLE) or _home())}:
+    for cache in {_home(), Path(os.environ.get(CACHE_VARIABLE) or _home())}:
         places |= {place for folder in folders for place in cache.glob(f"{folder.name}_*")}
     for place in places:
         if boot and _checked(place) == boot:
@@ -45,7 +45,7 @@ def clean(root: Path = INSTALLED, boot_id: Path = BOOT) -> None:
                 if not _has_end(path):
                     path.unlink()
         with contextlib.suppress(OSError):  # not ours to write to, or not there
-            (place / CHECKED).write_bytes(boot)
+            (place / CHECKED_FILE).write_bytes(boot)
 
 
 def _boot(boot_id: Path) -> bytes:
@@ -58,7 +58,7 @@ def _boot(boot_id: Path) -> bytes:
 
 def _checked(place: Path) -> bytes:
     try:
-        return (place / CHECKED).read_bytes()
+        return (place / CHECKED_FILE).read_bytes()
     except OSError:
         return b""
 

@@ -16,7 +16,11 @@ from daq.rig.rig import Rig, load_rig
 from estimator.errors import ModelError
 from estimator.model import Model
 
-SHAFTS = {"chain": "chain (caps joined through the disc)", "beam": "free-free beam", "none": "none: caps uncoupled"}
+SHAFT_WORDS = {
+    "chain": "chain (caps joined through the disc)",
+    "beam": "free-free beam",
+    "none": "none: caps uncoupled",
+}
 
 
 def check(output: Output, path: Path) -> None:
@@ -84,7 +88,7 @@ def _summary(rig: Rig) -> Table:
     masses = ", ".join(f"{k} {v:g} kg" for k, v in model.mass.items()) or "unknown"
     rows = [
         ("rig", model.name),
-        ("shaft", SHAFTS[model.shaft]),
+        ("shaft", SHAFT_WORDS[model.shaft]),
         ("speed", "not given" if model.speed_rpm is None else f"{model.speed_rpm:g} rpm"),
         ("masses", masses),
         ("analysis band", f"{model.band[0]:g} to {model.band[1]:g} Hz"),

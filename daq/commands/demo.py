@@ -27,17 +27,17 @@ from estimator.results import Estimate, Parameter
 if TYPE_CHECKING:
     from estimator.diagnosis.comparison import Comparison
 
-SECONDS = 20.0
-SEED = 7
+DEMO_SECONDS = 20.0
+DEMO_SEED = 7
 TOLD_AT_S = (1.0, 2.0, 5.0, 10.0, 15.0, 19.5)
-LINEAR = {  # kL N/m, c N s/m, S N^2/Hz
+TRUE_LINEAR = {  # kL N/m, c N s/m, S N^2/Hz
     "bearing1.x": (10.0e6, 60.0, 9.0e-5),
     "bearing1.y": (9.2e6, 55.0, 9.0e-5),
     "bearing2.x": (11.0e6, 65.0, 8.0e-5),
     "bearing2.y": (10.4e6, 58.0, 8.0e-5),
 }
-KNL = 1.3e18  # N/m^3
-HIDDEN, HIDDEN_AT = "clearance", "bearing1"
+TRUE_KNL = 1.3e18  # N/m^3
+HIDDEN_EFFECT, HIDDEN_AT = "clearance", "bearing1"
 HIDDEN_VALUES = {"k": 1.5e6, "gap": 0.19e-6}  # N/m, m
 
 
@@ -56,8 +56,8 @@ def demo(output: Output, out: Path) -> None:
     values = ", ".join(f"{k} = {v:g}" for k, v in HIDDEN_VALUES.items())
     output.say(
         Rule("1  acquire"),
-        f"A simulated rig has a {HIDDEN} at {HIDDEN_AT} ({values}), which the model in {rig_path} lacks.",
-        f"{SECONDS:g} s of four channels at 25.6 kHz go over a virtual CAN FD bus into driver, ring, estimator, "
+        f"A simulated rig has a {HIDDEN_EFFECT} at {HIDDEN_AT} ({values}), which the model in {rig_path} lacks.",
+        f"{DEMO_SECONDS:g} s of four channels at 25.6 kHz go over a virtual CAN FD bus into driver, ring, estimator, "
         "MCAP and Rerun log, faster than real time. The stiffness of the sound bearing, and the force that the model "
         "lacks, meanwhile:",
     )
@@ -79,17 +79,17 @@ def truth_text(rig: Rig) -> str:
     """The rig file with the true values and the hidden effect."""
     known = {
         f"{place}.{key}": Parameter(value, 0.0, "")
-        for place, values in LINEAR.items()
+        for place, values in TRUE_LINEAR.items()
         for key, value in zip(("kL", "c", "S"), values, strict=True)
     }
-    known |= {f"{place}.cubic.kNL": Parameter(KNL, 0.0, "N/m^3") for place in LINEAR}
+    known |= {f"{place}.cubic.kNL": Parameter(TRUE_KNL, 0.0, "N/m^3") for place in TRUE_LINEAR}
     with_known = Rig.parse(with_values(rig, known), rig.base, rig.path)
-    hidden = {place: HIDDEN_VALUES for place in LINEAR if place.startswith(HIDDEN_AT)}
-    return with_effect(with_known, HIDDEN, [HIDDEN_AT], hidden)
+    hidden = {place: HIDDEN_VALUES for place in TRUE_LINEAR if place.startswith(HIDDEN_AT)}
+    return with_effect(with_known, HIDDEN_EFFECT, [HIDDEN_AT], hidden)
 
 
 def acquire_demo(
-    output: Output, rig: Rig, truth: Rig, log: Path, recording: Path, seconds: float = SECONDS
+    output: Output, rig: Rig, truth: Rig, log: Path, recording: Path, seconds: float = DEMO_SECONDS
 ) -> None:  # fmt: skip
     """Acquire the true machine over the virtual bus into a log and a recording for the viewer."""
     from daq.commands.live.parts import Operator
@@ -100,7 +100,7 @@ def acquire_demo(
     from drivers.contract import VirtualConfig
     from drivers.links import make_driver
 
-    device = machine(rig, truth=truth, seed=SEED, seconds=seconds).device
+    device = machine(rig, truth=truth, seed=DEMO_SEED, seconds=seconds).device
     driver = make_driver(VirtualConfig(None), device=device)
     sinks: list[Sink] = [LogWriter(log), RerunSink(str(recording)), Watch(output, known_values(truth))]
     metadata = {"command": "demo", "link": "virtual:"}

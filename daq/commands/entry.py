@@ -13,9 +13,9 @@ from typing import NoReturn
 
 from daq.base.console.stop import interrupt
 
-INTERRUPTED = 130
+INTERRUPTED_STATUS = 130  # 128 + SIGINT
 AGAIN_S = 0.05  # by then a callback of Python's has ended
-OBJECTS = 100_000  # new ones between two searches for garbage: what is imported is none (0.2 s of every command)
+GARBAGE_OBJECTS = 100_000  # new ones between two searches for garbage: what is imported is none (saves 0.2 s)
 
 
 def main() -> NoReturn:
@@ -25,7 +25,7 @@ def main() -> NoReturn:
     heard = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # a background job's is ignored
     if heard:
         signal.signal(signal.SIGINT, _leave)
-    gc.set_threshold(OBJECTS)
+    gc.set_threshold(GARBAGE_OBJECTS)
     from . import cache_place
 
     cache_place.choose()
@@ -103,4 +103,4 @@ def _leave(*_: object) -> NoReturn:
     if remove_all is not None:
         remove_all()
     os.write(2, b"rotorscope: interrupted\n")
-    os._exit(INTERRUPTED)
+    os._exit(INTERRUPTED_STATUS)

@@ -13,7 +13,7 @@ from rich.text import Text
 from daq.base.console.output import Output
 
 # python-can's interfaces -> (what they are, the module or library that must be there, where it comes from)
-INTERFACES = {
+CAN_INTERFACES = {
     "socketcan": ("Linux kernel CAN", "", "a Linux kernel with CAN drivers"),
     "socketcand": ("CAN over TCP", "", "a socketcand server: can:socketcand:can0?host=..&port=.."),
     "udp_multicast": ("CAN frames over UDP multicast", "msgpack", "pip install msgpack"),
@@ -103,7 +103,7 @@ def configured() -> list[dict[str, str]]:
 def absent() -> list[dict[str, str]]:
     """Interfaces that could be used here if something were installed."""
     out = []
-    for name, (what, module, needs) in INTERFACES.items():
+    for name, (what, module, needs) in CAN_INTERFACES.items():
         if name == "socketcan":
             gone = sys.platform != "linux" or not _af_can()
         else:

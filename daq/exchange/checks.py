@@ -17,7 +17,7 @@ from daq.rig.units import canonical, factor
 
 from .formats import Columns
 
-LATE = 0.25  # of a sample: how far a time stamp may be from uniform sampling
+MAX_LATE_SAMPLES = 0.25  # of a sample: how far a time stamp may be from uniform sampling
 RATE_TOLERANCE = 2e-3  # between two statements of the rate
 
 
@@ -105,7 +105,7 @@ def _uniform(path: Path, time: NDArray[np.float64], samples: int) -> float:
     if step <= 0 or (steps <= 0).any():
         row = int(np.argmax(steps <= 0)) + 1
         raise LogError(f"{path}: time does not increase at row {row} ({time[row]:g} s); sort or repair the time column")
-    jumps = np.flatnonzero(steps > (1 + LATE * 2) * step)
+    jumps = np.flatnonzero(steps > (1 + MAX_LATE_SAMPLES * 2) * step)
     if jumps.size:
         row, lost = int(jumps[0]) + 1, float(steps[jumps[0]]) / step - 1
         more = f", and there are {jumps.size - 1} more gaps" if jumps.size > 1 else ""
@@ -113,7 +113,7 @@ def _uniform(path: Path, time: NDArray[np.float64], samples: int) -> float:
         raise LogError(f"{path}: {text}; import the parts by themselves")
     slope = (time[-1] - time[0]) / (samples - 1)
     late = np.abs(time - time[0] - slope * np.arange(samples)) / slope
-    if late.max() > LATE:
+    if late.max() > MAX_LATE_SAMPLES:
         row = int(late.argmax())
         text = f"not sampled uniformly: row {row} is {late[row]:.2f} samples off its place"
         raise LogError(f"{path}: {text}; resample it, or leave the time column out and give --rate")

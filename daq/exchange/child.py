@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-REFUSED, TOLD = 4, 5
+REFUSED_STATUS, TOLD_STATUS = 4, 5
 LEAST_S, BYTES_PER_S = 20, 100_000  # of CPU time: on some damaged files asammdf does not come to an end
 
 
@@ -76,7 +76,7 @@ def of_mat(file: Mapping[str, Any], names: Sequence[str]) -> Found:
     return Found(values, None if rate is None else np.asarray(rate), time if rate is None else None)
 
 
-READERS: dict[str, Callable[[Path, Sequence[str]], Found]] = {".mf4": _mf4, ".mat": _mat}
+READER_OF_SUFFIX: dict[str, Callable[[Path, Sequence[str]], Found]] = {".mf4": _mf4, ".mat": _mat}
 
 
 def _plain(value: NDArray[Any]) -> NDArray[Any]:
@@ -100,7 +100,7 @@ def answer(found: Found) -> dict[str, NDArray[Any]]:
 def main(arguments: Sequence[str]) -> int:
     path, out, *names = arguments
     try:
-        found = READERS[Path(path).suffix.lower()](Path(path), names)
+        found = READER_OF_SUFFIX[Path(path).suffix.lower()](Path(path), names)
         np.savez(out, **answer(found))  # type: ignore[arg-type]
     except Exception as error:  # a damaged file may raise anything in the library
         status, line = refusal(error)
@@ -115,7 +115,7 @@ def refusal(error: Exception) -> tuple[int, str]:
     error.__traceback__ = error.__context__ = error.__cause__ = None
     text = " ".join(str(error).split())
     line = f"MemoryError {text}" if isinstance(error, MemoryError) else text or type(error).__name__
-    return TOLD if isinstance(error, Told) else REFUSED, line
+    return TOLD_STATUS if isinstance(error, Told) else REFUSED_STATUS, line
 
 
 def _bounded(file_bytes: int) -> None:

@@ -27,7 +27,7 @@ Column = NDArray[Any]
 CSV_ROWS = 200_000  # parsed at a time
 LONGEST_LINE = 1 << 20  # bytes
 MOST_CHUNKS = 10_000  # of a .wav before its samples
-_UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\s*$")  # "b1x [g]", "b1x (m/s^2)"
+_TITLE_WITH_UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\s*$")  # "b1x [g]", "b1x (m/s^2)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +51,9 @@ def read(path: Path, names: Sequence[str]) -> Columns:
 
     Raises LogError for a file that is missing, of an unknown ending, or not what its ending says.
     """
-    reader = READERS.get(path.suffix.lower())
+    reader = READER_OF_SUFFIX.get(path.suffix.lower())
     if reader is None:
-        known = ", ".join([*READERS, ".log, .blf, .asc (CAN, with a DBC)"])
+        known = ", ".join([*READER_OF_SUFFIX, ".log, .blf, .asc (CAN, with a DBC)"])
         raise LogError(f'{path}: cannot import a file that ends in "{path.suffix}"; known are {known}')
     if not path.is_file():
         raise LogError(f"{path}: there is no such file; check the path")
@@ -106,11 +106,11 @@ def _csv(path: Path, names: Sequence[str]) -> Columns:
             )
     with path.open(encoding="utf-8-sig", newline="") as file:
         skipped, header, delimiter = _header(file)
-        titles = [m[1] if (m := _UNIT.match(h)) else h for h in header]
+        titles = [m[1] if (m := _TITLE_WITH_UNIT.match(h)) else h for h in header]
         if len(set(titles)) < len(titles):
             twice = next(t for i, t in enumerate(titles) if t in titles[:i])
             raise LogError(f'{path}: the header names "{twice}" twice; rename one column')
-        units = {t: m[2] for t, h in zip(titles, header, strict=True) if (m := _UNIT.match(h))}
+        units = {t: m[2] for t, h in zip(titles, header, strict=True) if (m := _TITLE_WITH_UNIT.match(h))}
         wanted = [i for i, t in enumerate(titles) if t in names or t.lower() == "time"]
         others = {t: np.empty(0) for t in titles if t not in names and t.lower() != "time"}  # for messages only
         parts: list[NDArray[np.float64]] = []
@@ -172,9 +172,9 @@ def _elsewhere(path: Path, names: Sequence[str]) -> Columns:
 def answered(path: Path, out: Path, status: int, said: str) -> Columns:
     """What the child process answered: its file of columns, or why there is none."""
     last = said.strip().rpartition("\n")[2]
-    if status == child.TOLD:
+    if status == child.TOLD_STATUS:
         raise LogError(f"{path}: {last}")
-    if status == child.REFUSED:
+    if status == child.REFUSED_STATUS:
         raise MemoryError if last.startswith("MemoryError") else ValueError(last)
     if status == -getattr(signal, "SIGXCPU", 0):
         raise ValueError("the library that reads it comes to no end")
@@ -269,6 +269,6 @@ def _beyond_the_end(path: Path) -> int:
     return 0
 
 
-READERS: dict[str, Callable[[Path, Sequence[str]], Columns]] = {
+READER_OF_SUFFIX: dict[str, Callable[[Path, Sequence[str]], Columns]] = {
     ".npz": _npz, ".csv": _csv, ".mat": _elsewhere, ".mf4": _elsewhere, ".uff": _uff, ".unv": _uff, ".wav": _wav,
 }  # fmt: skip

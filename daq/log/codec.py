@@ -16,22 +16,24 @@ from estimator.results import Estimate, Parameter
 
 from .schema import message
 
-LEVELS = {"info": 2, "warning": 3, "error": 4}
-LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
-TOTALS = tuple(f.name for f in fields(LinkStats) if f.name != "other")
+NUMBER_OF_LEVEL = {"info": 2, "warning": 3, "error": 4}
+LEVEL_NAMES = {number: name for name, number in NUMBER_OF_LEVEL.items()}
+LINK_COUNTERS = tuple(f.name for f in fields(LinkStats) if f.name != "other")
 
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One MCAP channel; its id is its place in TOPICS, from 1, so a log whose first chunk is damaged stays readable."""
+    """One MCAP channel. Its id is its place in LOG_TOPICS, from 1: readable also if the first chunk is damaged."""
 
     name: str
     schema: str
     encoding: str = "protobuf"
 
 
-SESSION, INFO, RAW, GAP, NOTICE, ESTIMATE, STATUS, PREVIEW = range(1, 9)
-TOPICS = (
+# ids of the MCAP channels, the places in LOG_TOPICS
+SESSION_CHANNEL, INFO_CHANNEL, RAW_CHANNEL, GAP_CHANNEL = 1, 2, 3, 4
+NOTICE_CHANNEL, ESTIMATE_CHANNEL, STATUS_CHANNEL, PREVIEW_CHANNEL = 5, 6, 7, 8
+LOG_TOPICS = (
     Topic("/session", "rotorscope.Session"),
     Topic("/info", "rotorscope.Info"),
     Topic("/raw", "rotorscope.Block"),
@@ -140,7 +142,7 @@ def encode_notice(notice: Notice, wall_ns: int) -> bytes:
     seconds, nanos = divmod(wall_ns, 10**9)
     out: bytes = message("foxglove.Log")(
         timestamp={"seconds": seconds, "nanos": nanos},
-        level=LEVELS.get(notice.level, 3),
+        level=NUMBER_OF_LEVEL.get(notice.level, 3),
         message=text(notice.text),
         name=notice.code,
     ).SerializeToString()
@@ -177,7 +179,7 @@ def decode_estimate(data: bytes) -> Estimate:
 
 
 def encode_status(status: Status) -> bytes:
-    link = {name: getattr(status.link, name) for name in TOTALS}
+    link = {name: getattr(status.link, name) for name in LINK_COUNTERS}
     link |= {f"other.{name}": count for name, count in status.link.other.items()}
     c = status.clock
     clock = c and {"offset_ns": c.offset_ns, "rate_hz": c.rate_hz, "drift_ppm": c.drift_ppm, "bound_ns": c.bound_ns}
@@ -191,7 +193,7 @@ def decode_status(data: bytes) -> Status:
     m = message("rotorscope.Status").FromString(data)
     link = LinkStats()
     for counter in m.link:
-        if counter.name in TOTALS:
+        if counter.name in LINK_COUNTERS:
             setattr(link, counter.name, counter.count)
         else:
             link.other[counter.name.removeprefix("other.")] = counter.count

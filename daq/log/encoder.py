@@ -14,10 +14,10 @@ from estimator.results import Estimate
 
 from . import codec as codec
 from .index import PackedIndex
-from .scan import LARGEST
+from .scan import MAX_CHUNK_BYTES
 from .schema import FLOAT64_MULTI_ARRAY, descriptor_set
 
-PROFILE = "rotorscope"
+LOG_PROFILE = "rotorscope"  # of the MCAP header
 CHUNK_BYTES = 256 * 1024
 JOINED_ROWS = 4096  # blocks of a link are joined into messages of about this many rows
 ENVELOPE_HZ = 50.0  # least and greatest of each window: 100 preview rows a second
@@ -34,10 +34,10 @@ class LogEncoder:
     """Writes MCAP to `output`. Every chunk starts with session and info again, and can be read alone."""
 
     def __init__(self, output: Output) -> None:
-        self._mcap = Writer(output, chunk_size=LARGEST, compression=CompressionType.ZSTD)
+        self._mcap = Writer(output, chunk_size=MAX_CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._mcap._Writer__chunk_indices = PackedIndex()  # it has no way to be told
-        self._mcap.start(PROFILE)
-        self._ids = [0, *(self._register(topic) for topic in codec.TOPICS)]
+        self._mcap.start(LOG_PROFILE)
+        self._ids = [0, *(self._register(topic) for topic in codec.LOG_TOPICS)]
         self._wall_offset_ns = 0
         self._session = b""
         self._info: Info | None = None
@@ -64,10 +64,10 @@ class LogEncoder:
             self._block(reading)
         elif isinstance(reading, Gap):
             self._join()
-            self._add(codec.GAP, self._last_ns, codec.encode_gap(reading))
+            self._add(codec.GAP_CHANNEL, self._last_ns, codec.encode_gap(reading))
         elif isinstance(reading, Notice):
             wall_ns = reading.t_host_ns + self._wall_offset_ns
-            self._add(codec.NOTICE, wall_ns, codec.encode_notice(reading, wall_ns))
+            self._add(codec.NOTICE_CHANNEL, wall_ns, codec.encode_notice(reading, wall_ns))
         elif reading != self._info:
             self._join()
             self._preview(self._envelope.rest() if self._envelope else [])
@@ -78,10 +78,10 @@ class LogEncoder:
 
     def estimate(self, estimate: Estimate) -> None:
         self._join()
-        self._add(codec.ESTIMATE, self._last_ns, codec.encode_estimate(estimate))
+        self._add(codec.ESTIMATE_CHANNEL, self._last_ns, codec.encode_estimate(estimate))
 
     def status(self, status: Status) -> None:
-        self._add(codec.STATUS, status.t_host_ns + self._wall_offset_ns, codec.encode_status(status))
+        self._add(codec.STATUS_CHANNEL, status.t_host_ns + self._wall_offset_ns, codec.encode_status(status))
 
     def raw_message(self, topic: int, log_time: int, publish_time: int, data: bytes) -> None:
         """A message as it was in another log: for `recover`."""
@@ -118,8 +118,8 @@ class LogEncoder:
 
     def _introduce(self) -> None:
         if self._session and self._info is not None:
-            self._put(codec.SESSION, self._last_ns, self._session)
-            self._put(codec.INFO, self._last_ns, codec.encode_info(self._info))
+            self._put(codec.SESSION_CHANNEL, self._last_ns, self._session)
+            self._put(codec.INFO_CHANNEL, self._last_ns, codec.encode_info(self._info))
 
     def _end_chunk(self) -> None:
         self._mcap.flush()
@@ -160,7 +160,7 @@ class LogEncoder:
         if not self._axis_ns:
             self._axis_ns = wall_ns - round((last.index + len(last.counts)) * 1e9 / self._info.rate_hz)
         self._last_ns = wall_ns
-        self._add(codec.RAW, wall_ns, codec.encode_blocks(blocks), self._on_axis(blocks[0].index))
+        self._add(codec.RAW_CHANNEL, wall_ns, codec.encode_blocks(blocks), self._on_axis(blocks[0].index))
         if self._envelope:
             counts = last.counts if len(blocks) == 1 else np.concatenate([b.counts for b in blocks])
             self._preview(self._envelope.feed(blocks[0].index, counts))
@@ -178,4 +178,4 @@ class LogEncoder:
         half = self._envelope.rows // 2
         for index, low, high in windows:
             for at, counts in ((index, low), (index + half, high)) if half else ((index, low),):
-                self._add(codec.PREVIEW, self._on_axis(at), codec.encode_multi_array(counts * scale + offset))
+                self._add(codec.PREVIEW_CHANNEL, self._on_axis(at), codec.encode_multi_array(counts * scale + offset))

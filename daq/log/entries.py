@@ -57,7 +57,7 @@ def walk(path: Path, findings: Findings, everything: bool = False) -> Iterator[t
                 findings.damage.append(f"a message of channel {message.channel} makes no sense: {error}")
                 continue
             if entry is None:
-                if everything and 1 <= message.channel <= len(codec.TOPICS):
+                if everything and 1 <= message.channel <= len(codec.LOG_TOPICS):
                     yield None, message
                 continue
             missing = decoder.missing_before(entry)
@@ -71,7 +71,7 @@ def walk(path: Path, findings: Findings, everything: bool = False) -> Iterator[t
 
 
 def _check_topics(path: Path, findings: Findings) -> None:
-    expected = {number: topic.name for number, topic in enumerate(codec.TOPICS, 1)}
+    expected = {number: topic.name for number, topic in enumerate(codec.LOG_TOPICS, 1)}
     if any(expected.get(number) != name for number, name in findings.topics.items() if number in expected):
         raise LogError(f"{path}: an MCAP file, but not a Rotorscope log; use `rotorscope import` for other data")
 
@@ -86,25 +86,25 @@ class _Decoder:
     def entry(self, message: Message) -> Entry | None:
         data = message.data
         match message.channel:
-            case codec.RAW:
+            case codec.RAW_CHANNEL:
                 block = codec.decode_block(data)
                 if block.counts.shape[1] != self._channels:
                     raise ValueError(f"{block.counts.shape[1]} columns where {self._channels} signals were announced")
                 return block
-            case codec.GAP:
+            case codec.GAP_CHANNEL:
                 return self._gap(codec.decode_gap(data))
-            case codec.ESTIMATE:
+            case codec.ESTIMATE_CHANNEL:
                 return LoggedEstimate(codec.decode_estimate(data), data)
-            case codec.STATUS:
+            case codec.STATUS_CHANNEL:
                 return codec.decode_status(data)
-            case codec.NOTICE:
+            case codec.NOTICE_CHANNEL:
                 return codec.decode_notice(data, message.log_time - self._wall_offset_ns)
-            case codec.SESSION if data != self._head:
+            case codec.SESSION_CHANNEL if data != self._head:
                 head = Head(*codec.decode_session(data))
                 self._head = data
                 self._wall_offset_ns = head.wall_offset_ns
                 return head
-            case codec.INFO if data != self._info:
+            case codec.INFO_CHANNEL if data != self._info:
                 info = codec.decode_info(data)
                 if not info.rate_hz > 0 or not np.isfinite(info.rate_hz) or not 2 <= info.count_bits <= 32:
                     raise ValueError(f"a rate of {info.rate_hz} Hz, {info.count_bits} bits")

@@ -15,7 +15,7 @@ from daq.base.contract.errors import LogError
 
 from .place import being_written, emptied, free_name, locked, made, moved_aside, no_file, opened, refused, unlock
 
-COPY = 1 << 20
+COPY_BYTES = 1 << 20  # a call
 WITNESS_BYTES = 64
 SYNC_WAIT_S = 0.3
 
@@ -151,8 +151,8 @@ class LogFile:
         try:
             if not locked(fd):
                 raise OSError(f"{path} was taken while it was made")
-            for at in range(0, self._stored, COPY):
-                piece = os.pread(self._fd, min(COPY, self._stored - at), at)
+            for at in range(0, self._stored, COPY_BYTES):
+                piece = os.pread(self._fd, min(COPY_BYTES, self._stored - at), at)
                 if os.pwrite(fd, piece, at) != len(piece):
                     raise OSError(f"disk full while restoring {path}")
                 self.restored += len(piece)

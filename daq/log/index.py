@@ -8,7 +8,7 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.records import ChunkIndex
 
-BLOCK = 128 << 10  # bytes that are packed together
+PACKED_BYTES = 128 << 10  # bytes that are packed together
 
 
 class Packed:
@@ -30,7 +30,7 @@ class PackedIndex:
 
     def append(self, index: ChunkIndex) -> None:
         index.write(self._open)
-        if self._open.count >= BLOCK:
+        if self._open.count >= PACKED_BYTES:
             self._pack()
 
     def __iter__(self) -> Iterator[Packed]:

@@ -12,17 +12,17 @@ from pathlib import Path
 from daq.base.console.file_kinds import LOG_MAGIC
 from daq.base.contract.errors import LogError
 
-from .scan import RECORD
+from .scan import RECORD_STRUCT
 
 try:
     import fcntl
 except ImportError:  # not on Windows, which itself lets nobody write to, or rename, what is open
     fcntl = None  # type: ignore[assignment]
 
-METADATA = 0x0C
+METADATA_OPCODE = 0x0C  # of an MCAP record
 HEAD_BYTES = 1 << 16  # the session's metadata record stands within these
-MADE = ("simulated", "virtual", "replay", "capture")  # kinds of link that give the same samples again
-FLAGS = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)
+REPEATABLE_KINDS = ("simulated", "virtual", "replay", "capture")  # kinds of link that give the same samples again
+OPEN_FLAGS = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)
 READER_S = 0.2  # `being_written` holds a lock for a moment
 
 
@@ -76,7 +76,7 @@ def opened(path: Path, shown: Path) -> int:
     if path.is_fifo() or path.is_socket():
         raise no_file(shown)
     while True:
-        fd = os.open(path, FLAGS, 0o644)
+        fd = os.open(path, OPEN_FLAGS, 0o644)
         if not locked(fd):
             os.close(fd)
             raise refused(shown)
@@ -106,7 +106,7 @@ def emptied(path: Path, fd: int) -> tuple[int, Path | None]:
         if aside is None:
             os.ftruncate(fd, 0)
             return fd, None
-        new = os.open(path, FLAGS | os.O_EXCL, 0o644)
+        new = os.open(path, OPEN_FLAGS | os.O_EXCL, 0o644)
     except BaseException:
         os.close(fd)
         raise
@@ -148,18 +148,18 @@ def made(path: Path) -> bool:
             about = _session(file.read(HEAD_BYTES))
     except OSError:
         return False
-    return about.get("link_kind") in MADE or about.get("command") == "import"
+    return about.get("link_kind") in REPEATABLE_KINDS or about.get("command") == "import"
 
 
 def _session(head: bytes) -> dict[str, str]:
     """The metadata of a log, from its first bytes."""
     at = len(LOG_MAGIC)
-    while head.startswith(LOG_MAGIC) and at + RECORD.size <= len(head):
-        op, length = RECORD.unpack_from(head, at)
-        if op == METADATA:
-            texts = list(_texts(head[at + RECORD.size : at + RECORD.size + length]))
+    while head.startswith(LOG_MAGIC) and at + RECORD_STRUCT.size <= len(head):
+        op, length = RECORD_STRUCT.unpack_from(head, at)
+        if op == METADATA_OPCODE:
+            texts = list(_texts(head[at + RECORD_STRUCT.size : at + RECORD_STRUCT.size + length]))
             return dict(zip(texts[::2], texts[1::2], strict=False))
-        at += RECORD.size + length
+        at += RECORD_STRUCT.size + length
     return {}
 
 

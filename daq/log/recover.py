@@ -63,7 +63,7 @@ def recover(
         span = max(1, recording.stop - recording.first)
         for number, (entry, message) in enumerate(walk(source, recording.again(), everything=True)):
             if message is None and isinstance(entry, Gap):
-                message = Message(codec.GAP, last.log_time, last.publish_time, codec.encode_gap(entry))
+                message = Message(codec.GAP_CHANNEL, last.log_time, last.publish_time, codec.encode_gap(entry))
             if message is not None:
                 encoder.raw_message(*message)
                 last = message
@@ -88,7 +88,7 @@ def recover(
 
 def _say(encoder: LogEncoder, recording: Recording, wall_ns: int, text: str) -> None:
     notice = Notice(wall_ns - recording.head.wall_offset_ns, "info", "recovered", text)
-    encoder.raw_message(codec.NOTICE, wall_ns, wall_ns, codec.encode_notice(notice, wall_ns))
+    encoder.raw_message(codec.NOTICE_CHANNEL, wall_ns, wall_ns, codec.encode_notice(notice, wall_ns))
 
 
 def _lost(recording: Recording) -> str:

@@ -10,12 +10,12 @@ from typing import Any
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
 Field = descriptor_pb2.FieldDescriptorProto
-SCALARS = {
+SCALAR_TYPES = {
     "double": Field.TYPE_DOUBLE, "int32": Field.TYPE_INT32, "int64": Field.TYPE_INT64, "sint64": Field.TYPE_SINT64,
     "uint32": Field.TYPE_UINT32, "bool": Field.TYPE_BOOL, "string": Field.TYPE_STRING, "bytes": Field.TYPE_BYTES,
 }  # fmt: skip
-FIELD = re.compile(r"(?:(optional|repeated)\s+)?([\w.]+)\s+(\w+)\s*=\s*(\d+)\s*;")
-TIMESTAMP = "google/protobuf/timestamp.proto"
+FIELD_LINE = re.compile(r"(?:(optional|repeated)\s+)?([\w.]+)\s+(\w+)\s*=\s*(\d+)\s*;")
+TIMESTAMP_PROTO = "google/protobuf/timestamp.proto"
 
 FLOAT64_MULTI_ARRAY = """\
 MultiArrayLayout layout
@@ -37,8 +37,8 @@ def parse_proto(name: str, text: str) -> descriptor_pb2.FileDescriptorProto:
     text = re.sub(r"//[^\n]*", "", text)
     package = re.findall(r"^package\s+([\w.]+);", text, re.M)[0]
     file = descriptor_pb2.FileDescriptorProto(name=name, package=package, syntax="proto3")
-    if TIMESTAMP in text:
-        file.dependency.append(TIMESTAMP)
+    if TIMESTAMP_PROTO in text:
+        file.dependency.append(TIMESTAMP_PROTO)
     enums = dict(re.findall(r"enum\s+(\w+)\s*\{([^}]*)\}", text))
     for title, body in enums.items():
         enum = file.enum_type.add(name=title)
@@ -46,11 +46,11 @@ def parse_proto(name: str, text: str) -> descriptor_pb2.FileDescriptorProto:
             enum.value.add(name=value, number=int(number))
     for title, body in re.findall(r"message\s+(\w+)\s*\{([^}]*)\}", text):
         message = file.message_type.add(name=title)
-        for label, kind, field_name, number in FIELD.findall(body):
+        for label, kind, field_name, number in FIELD_LINE.findall(body):
             field = message.field.add(name=field_name, number=int(number))
             field.label = Field.LABEL_REPEATED if label == "repeated" else Field.LABEL_OPTIONAL
-            if kind in SCALARS:
-                field.type = SCALARS[kind]
+            if kind in SCALAR_TYPES:
+                field.type = SCALAR_TYPES[kind]
             else:
                 field.type = Field.TYPE_ENUM if kind in enums else Field.TYPE_MESSAGE
                 field.type_name = f".{kind}" if "." in kind else f".{package}.{kind}"

@@ -22,7 +22,7 @@ FLUSH_NS = 400_000_000  # a chunk ends and reaches the operating system this oft
 SYNC_NS = 1_000_000_000  # and the disk itself this often: a power cut costs about 2 s
 RETRY_NS = 500_000_000
 GIVE_UP_NS = 1_000_000_000
-SMALL = 2048  # about what an estimate, a status or a notice takes
+SMALL_ITEM_BYTES = 2048  # about what an estimate, a status or a notice takes
 
 Item = Session | Reading | Estimate | Status
 
@@ -79,13 +79,13 @@ class LogWriter:
 
     def readings(self, batch: Sequence[Reading]) -> None:
         for reading in batch:
-            self._put(reading, reading.counts.nbytes if isinstance(reading, Block) else SMALL)
+            self._put(reading, reading.counts.nbytes if isinstance(reading, Block) else SMALL_ITEM_BYTES)
 
     def estimate(self, estimate: Estimate) -> None:
-        self._put(estimate, SMALL)
+        self._put(estimate, SMALL_ITEM_BYTES)
 
     def status(self, status: Status) -> None:
-        self._put(status, SMALL)
+        self._put(status, SMALL_ITEM_BYTES)
 
     def health(self) -> SinkHealth:
         """What the operator should know since the last call."""

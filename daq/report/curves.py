@@ -7,7 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from .figures import AGAINST, BEFORE, FIRST, MEASURED, MODEL, floats, label_axes, new_figure, svg
+from .figures import (
+    AXIS_OF_STATE,
+    BEFORE_COLOUR,
+    MEASURED_COLOUR,
+    MODEL_COLOUR,
+    STATES_BY_PRIORITY,
+    floats,
+    label_axes,
+    new_figure,
+    svg,
+)
 from .numbers import prefix
 
 Json = Mapping[str, Any]
@@ -41,7 +51,7 @@ def of(curves: Sequence[Json], channel: str, against: str) -> list[Json]:
 def laws(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
     """Restoring force beyond a straight line, as measured with its band, and as the models have it."""
     channels = list(dict.fromkeys(c["channel"] for c in after))
-    against = [a for a in AGAINST if any(c["against"] == a for c in after)]
+    against = [a for a in AXIS_OF_STATE if any(c["against"] == a for c in after)]
     if not channels or not against:
         return None
     columns = len(channels) if len(channels) <= 2 else 2
@@ -51,7 +61,7 @@ def laws(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
     for ax, (channel, kind) in zip(axes, names, strict=False):
         (law,) = of(after, channel, kind)
         old = of(before, channel, kind)
-        name, base = AGAINST[kind]
+        name, base = AXIS_OF_STATE[kind]
         x_gain, x_unit = scaled([law["at"]], base)
         low, high = floats(law["band_low"]), floats(law["band_high"])
         known = high - low <= 4 * np.nanmedian(high - low)
@@ -60,12 +70,12 @@ def laws(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
         gain, unit = prefix(top, "N")
         x = floats(law["at"]) * x_gain
         ax.axhline(0, color="#888888", linewidth=0.8)
-        ax.fill_between(x, low * gain, high * gain, color=MEASURED, alpha=0.22, linewidth=0)
-        ax.plot(x, floats(law["measured"]) * gain, color=MEASURED, linewidth=1.3, label="measured")
+        ax.fill_between(x, low * gain, high * gain, color=MEASURED_COLOUR, alpha=0.22, linewidth=0)
+        ax.plot(x, floats(law["measured"]) * gain, color=MEASURED_COLOUR, linewidth=1.3, label="measured")
         for k in old:
             old_x, old_y = floats(k["at"]) * x_gain, floats(k["model"]) * gain
-            ax.plot(old_x, old_y, color=BEFORE, linewidth=1.5, dashes=(4, 2), label="before")
-        ax.plot(x, floats(law["model"]) * gain, color=MODEL, linewidth=1.5, label="this model")
+            ax.plot(old_x, old_y, color=BEFORE_COLOUR, linewidth=1.5, dashes=(4, 2), label="before")
+        ax.plot(x, floats(law["model"]) * gain, color=MODEL_COLOUR, linewidth=1.5, label="this model")
         ax.set_ylim(-top * gain, top * gain)
         label_axes(ax, f"{name}, {x_unit}", f"{channel}: force, {unit}")
         if ax is axes[0]:
@@ -80,20 +90,23 @@ def residuals(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
     curves = [*before, *after]
     channels = list(dict.fromkeys(c["channel"] for c in curves))
     present = {c["against"] for c in curves}
-    against = [a for a in FIRST if a in present] or [a for a in AGAINST if a in present][:3]
+    against = [a for a in STATES_BY_PRIORITY if a in present] or [a for a in AXIS_OF_STATE if a in present][:3]
     if not channels or not against:
         return None
     size = (min(3.5, 10.8 / len(against)) * len(against), 2.1 * len(channels) + 0.3)
     figure, axes = new_figure(*size, len(channels), len(against), sharey="row")
     for k, ax in enumerate(axes):
         channel, kind = channels[k // len(against)], against[k % len(against)]
-        name, base = AGAINST[kind]
+        name, base = AXIS_OF_STATE[kind]
         row = [c for c in curves if c["channel"] == channel and c["against"] in against]
         reach = force_reach(row)
         gain, unit = prefix(reach, "N")
         factor, x_unit = scaled((c["at"] for c in of(curves, channel, kind)), base)
         ax.axhline(0, color="#888888", linewidth=0.8)
-        for group, colour, dashes, text in ((before, BEFORE, (4, 2), "before"), (after, MODEL, (), "this model")):
+        for group, colour, dashes, text in (
+            (before, BEFORE_COLOUR, (4, 2), "before"),
+            (after, MODEL_COLOUR, (), "this model"),
+        ):
             for c in of(group, channel, kind):
                 x = floats(c["at"]) * factor
                 ax.fill_between(x, floats(c["band_low"]) * gain, floats(c["band_high"]) * gain, color=colour,
@@ -109,7 +122,7 @@ def residuals(after: Sequence[Json], before: Sequence[Json] = ()) -> str | None:
 
 def shape(found: Json, number: int = 0) -> str:
     """What an unknown effect looks like: force against the state that explains most."""
-    name, base = AGAINST.get(found["against"], (found["against"], ""))
+    name, base = AXIS_OF_STATE.get(found["against"], (found["against"], ""))
     at, force = floats(found["at"]), floats(found["force"])
     x_gain, x_unit = scaled([found["at"]], base)
     reach = force_reach([found])
@@ -119,7 +132,7 @@ def shape(found: Json, number: int = 0) -> str:
     ax.axhline(0, color="#888888", linewidth=0.8)
     if found.get("band_low") and found.get("band_high"):
         low, high = floats(found["band_low"]) * y_gain, floats(found["band_high"]) * y_gain
-        ax.fill_between(at * x_gain, low, high, color=BEFORE, alpha=0.22, linewidth=0)
-    ax.plot(at * x_gain, force * y_gain, color=BEFORE, linewidth=1.6)
+        ax.fill_between(at * x_gain, low, high, color=BEFORE_COLOUR, alpha=0.22, linewidth=0)
+    ax.plot(at * x_gain, force * y_gain, color=BEFORE_COLOUR, linewidth=1.6)
     label_axes(ax, f"{name}, {x_unit}", f"unexplained force, {y_unit}", str(found.get("channel", "")))
     return svg(figure, f"shape{number}")

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 Json = Mapping[str, Any]
 Array = NDArray[np.float64]
-MEASURED, MODEL, BEFORE = "#333333", "#0072B2", "#D55E00"
-AGAINST = {
+MEASURED_COLOUR, MODEL_COLOUR, BEFORE_COLOUR = "#333333", "#0072B2", "#D55E00"
+AXIS_OF_STATE = {
     "displacement": ("displacement", "m"),
     "velocity": ("velocity", "m/s"),
     "shaft_angle": ("shaft angle", "deg"),
@@ -33,9 +33,9 @@ AGAINST = {
     "time": ("time", "s"),
     "level": ("vibration level", "m"),
 }
-LEFT, RIGHT, BOTTOM, TOP = 0.72, 0.16, 0.46, 0.28  # inches about each picture of a grid
-BETWEEN = 0.3  # of those that share an axis
-FIRST = ("displacement", "velocity", "shaft_angle", "other_direction")  # of which curves are drawn
+LEFT_INCHES, RIGHT_INCHES, BOTTOM_INCHES, TOP_INCHES = 0.72, 0.16, 0.46, 0.28  # inches about each picture of a grid
+BETWEEN_INCHES = 0.3  # of those that share an axis
+STATES_BY_PRIORITY = ("displacement", "velocity", "shaft_angle", "other_direction")  # of which curves are drawn
 
 
 def new_figure(
@@ -48,11 +48,16 @@ def new_figure(
     figure = Figure(figsize=(width, height), layout=None if fixed else "constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **more)
     if fixed:
-        beside, above = BETWEEN if "sharey" in more else LEFT, BOTTOM + TOP
-        wide = (width - LEFT - RIGHT - (columns - 1) * beside) / columns
+        beside, above = BETWEEN_INCHES if "sharey" in more else LEFT_INCHES, BOTTOM_INCHES + TOP_INCHES
+        wide = (width - LEFT_INCHES - RIGHT_INCHES - (columns - 1) * beside) / columns
         high = (height - above - (rows - 1) * above) / rows
         figure.subplots_adjust(
-            LEFT / width, BOTTOM / height, 1 - RIGHT / width, 1 - TOP / height, beside / wide, above / high
+            LEFT_INCHES / width,
+            BOTTOM_INCHES / height,
+            1 - RIGHT_INCHES / width,
+            1 - TOP_INCHES / height,
+            beside / wide,
+            above / high,
         )
     for ax in axes.flat:
         ax.grid(True, color="#dddddd", linewidth=0.6)
@@ -101,7 +106,7 @@ def ladder(steps: Sequence[Json]) -> str:
             max(missing["high"], missing["value"]),
         )
         last = row == len(steps) - 1
-        ax.barh(row, value, color=MODEL if last else BEFORE, alpha=0.85, height=0.6)
+        ax.barh(row, value, color=MODEL_COLOUR if last else BEFORE_COLOUR, alpha=0.85, height=0.6)
         ax.errorbar(value, row, xerr=[[value - low], [high - value]], color="black", capsize=3, linewidth=1)
         ax.annotate(percent(value), (high, row), xytext=(6, 0), textcoords="offset points", va="center", fontsize=8.5)
     ax.set_yticks(range(len(steps)), [plain(model_name(step["effects"])) for step in steps])
@@ -123,7 +128,7 @@ def where_map(after: Sequence[Json], before: Sequence[Json] | None = None, chann
     before = before or ()
     everything = [*before, *after]
     channels = list(dict.fromkeys([*channels, *(r["channel"] for r in everything)]))
-    against = list(AGAINST)
+    against = list(AXIS_OF_STATE)
     if not channels or not everything:
         return None
     size = (5.4 * len(maps) if len(maps) > 1 else 7.6, 1.3 + 0.36 * len(channels))
@@ -176,18 +181,18 @@ def spectra(after: Json, before: Json, distance_db: Json, unit: str = "m/s^2") -
     figure, axes = grid_of(list(after))
     for k, (ax, (channel, s)) in enumerate(zip(axes, after.items(), strict=False)):
         f = floats(s["frequency_hz"])
-        ax.loglog(f, floats(s["measured"]), color=MEASURED, linewidth=1.1, label="measured")
+        ax.loglog(f, floats(s["measured"]), color=MEASURED_COLOUR, linewidth=1.1, label="measured")
         if channel in before:
             old = before[channel]
             ax.loglog(
                 floats(old["frequency_hz"]),
                 floats(old["model"]),
-                color=BEFORE,
+                color=BEFORE_COLOUR,
                 dashes=(4, 2),
                 linewidth=1.2,
                 label="before",
             )
-        ax.loglog(f, floats(s["model"]), color=MODEL, linewidth=1.3, label="this model")
+        ax.loglog(f, floats(s["model"]), color=MODEL_COLOUR, linewidth=1.3, label="this model")
         d = f"   {distance_db[channel]:.1f} dB apart" if channel in distance_db else ""
         decade_ticks(ax)
         label_axes(ax, "frequency, Hz", f"PSD, ({unit_text(unit)})²/Hz", channel + d)
@@ -205,9 +210,9 @@ def densities(after: Json, before: Json, distance: Json) -> str | None:
         at = floats(d["at"])
         gain, unit = prefix(float(np.nanmax(np.abs(at), initial=0)), "m")
         for values, colour, dashes, label in (
-            (d["measured"], MEASURED, (), "measured"),
-            (before.get(channel, {}).get("model"), BEFORE, (4, 2), "before"),
-            (d["model"], MODEL, (), "this model"),
+            (d["measured"], MEASURED_COLOUR, (), "measured"),
+            (before.get(channel, {}).get("model"), BEFORE_COLOUR, (4, 2), "before"),
+            (d["model"], MODEL_COLOUR, (), "this model"),
         ):
             if values is not None:
                 x = floats(before[channel]["at"]) if label == "before" else at
@@ -231,7 +236,9 @@ def orbits(pairs: Json) -> str | None:
         both = {name: (floats(pair[name][0]), floats(pair[name][1])) for name in ("measured", "model")}
         peak = max(float(np.nanmax(np.abs(v), initial=0)) for xy in both.values() for v in xy)
         gain, unit = prefix(peak, "m")
-        for ax, (name, colour) in zip(axes[2 * k :], (("measured", MEASURED), ("model", MODEL)), strict=False):
+        for ax, (name, colour) in zip(
+            axes[2 * k :], (("measured", MEASURED_COLOUR), ("model", MODEL_COLOUR)), strict=False
+        ):
             x, y = both[name]
             ax.plot(x * gain, y * gain, color=colour, linewidth=0.6, alpha=0.8)
             ax.set_aspect("equal", adjustable="box")
@@ -245,7 +252,7 @@ def ranking(rows: Sequence[Json], number: int = 0) -> str:
     """Held-out gain of the best few effects."""
     figure, (ax,) = new_figure(7.6, 0.9 + 0.34 * len(rows))
     gains = [r["heldout_gain"] for r in rows]
-    ax.barh(range(len(rows)), gains, color=[MODEL if not k else "#9db7c9" for k in range(len(rows))], height=0.6)
+    ax.barh(range(len(rows)), gains, color=[MODEL_COLOUR if not k else "#9db7c9" for k in range(len(rows))], height=0.6)
     ax.axvline(0, color="black", linewidth=0.8)
     ax.set_yticks(range(len(rows)), [plain(f"{r['effect']} at {', '.join(r['at'])}") for r in rows])
     ax.invert_yaxis()

@@ -15,7 +15,7 @@ from estimator.results import MISSING_FORCE_KEY, certain_missing_effects
 
 from .live_state import LiveState
 
-NAMED = ("missing_force", "effect_named", "effect_unknown", "model_complete")  # notices of naming.py
+NAMING_CODES = ("missing_force", "effect_named", "effect_unknown", "model_complete")  # notices of naming.py
 
 
 def missing_text(extra: Mapping[str, float]) -> str:
@@ -45,7 +45,7 @@ class LiveTable(LiveState):
     def readings(self, batch: Sequence[Reading]) -> None:
         super().readings(batch)
         for reading in batch:
-            if isinstance(reading, Notice) and reading.code in NAMED:
+            if isinstance(reading, Notice) and reading.code in NAMING_CODES:
                 self._named = reading.text
 
     def close(self) -> None:

@@ -23,11 +23,11 @@ from estimator.results import Estimate
 
 from .metrics_http import serve
 
-PORT = 9464
+METRICS_PORT = 9464
 POKE_S = 0.02
 LINK_TOTALS = tuple(f.name for f in fields(LinkStats) if f.name not in ("other", "lost_samples"))
 # name -> (help, labels after the device)
-TOTALS: dict[str, tuple[str, tuple[str, ...]]] = {
+TOTAL_METRICS: dict[str, tuple[str, tuple[str, ...]]] = {
     "samples": ("Samples received, of each channel.", ()),
     "lost_samples": ("Samples lost, by reason; each has a gap record in the log.", ("reason",)),
     "gaps": ("Gap records, by reason.", ("reason",)),
@@ -35,7 +35,7 @@ TOTALS: dict[str, tuple[str, tuple[str, ...]]] = {
     "dropped": ("Items that a full queue gave up.", ("queue",)),
     "link": ("Running totals of the link.", ("what",)),
 }
-VALUES: dict[str, tuple[str, tuple[str, ...]]] = {
+VALUE_METRICS: dict[str, tuple[str, tuple[str, ...]]] = {
     "rate_hz": ("Sample rate on the host clock.", ()),
     "lag_seconds": ("How far a stage is behind the last byte.", ("stage",)),
     "clock_drift_ppm": ("Device clock against host clock.", ()),
@@ -53,7 +53,7 @@ class MetricsServer(Collector):
     port 0 picks a free one; `url` says where it listens. Raises ConfigError if the port cannot be had.
     """
 
-    def __init__(self, port: int = PORT, host: str = "127.0.0.1") -> None:
+    def __init__(self, port: int = METRICS_PORT, host: str = "127.0.0.1") -> None:
         registry = CollectorRegistry()
         try:
             self._server, self._thread = serve(registry, port, host)
@@ -72,7 +72,7 @@ class MetricsServer(Collector):
         return sink
 
     def collect(self) -> Iterator[Metric]:
-        for kind, described in ((CounterMetricFamily, TOTALS), (GaugeMetricFamily, VALUES)):
+        for kind, described in ((CounterMetricFamily, TOTAL_METRICS), (GaugeMetricFamily, VALUE_METRICS)):
             for name, (text, labels) in described.items():
                 family = kind(f"rotorscope_{name}", text, labels=("device", *labels))
                 for sink in list(self._sinks):

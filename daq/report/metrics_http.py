@@ -13,7 +13,7 @@ from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 from prometheus_client import CollectorRegistry, make_wsgi_app
 
-MOST = 16  # connections at a time; for one more the oldest is ended
+MAX_CONNECTIONS = 16  # connections at a time; for one more the oldest is ended
 SILENT_S = 10.0
 
 
@@ -36,7 +36,7 @@ class FewAtATime(ThreadingMixIn, WSGIServer):
 
     def process_request(self, request: Any, client_address: Any) -> None:
         with self._changed:
-            while len(self._connections) >= MOST:
+            while len(self._connections) >= MAX_CONNECTIONS:
                 with contextlib.suppress(OSError):
                     self._connections[0].shutdown(socket.SHUT_RDWR)  # which ends its thread
                 self._changed.wait()

@@ -7,16 +7,18 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
-TINY = 1e-300
-SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
-PREFIXED = ("m", "N", "N/m", "m/s", "s", "Hz")  # kg has its prefix already, and powers of a unit would mislead
-UNITS = {"N s/m": "N·s/m", "N^2/Hz": "N²/Hz", "m/s^2": "m/s²"}
+PREFIX_OF_POWER = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+TINY_VALUE = 1e-300  # a number below is shown as zero
+SUPERSCRIPT_DIGITS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+PREFIXED_UNITS = ("m", "N", "N/m", "m/s", "s", "Hz")  # kg has its prefix already, and powers of a unit would mislead
+UNIT_SPELLINGS = {"N s/m": "N·s/m", "N^2/Hz": "N²/Hz", "m/s^2": "m/s²"}
 
 
 def unit_text(unit: str) -> str:
     """The unit with real superscripts."""
-    return UNITS.get(unit) or re.sub(r"\^(-?\d+)(?![\d.])", lambda power: power[1].translate(SUPERSCRIPT), unit)
+    return UNIT_SPELLINGS.get(unit) or re.sub(
+        r"\^(-?\d+)(?![\d.])", lambda power: power[1].translate(SUPERSCRIPT_DIGITS), unit
+    )
 
 
 def prefix(peak: float, unit: str) -> tuple[float, str]:
@@ -24,18 +26,18 @@ def prefix(peak: float, unit: str) -> tuple[float, str]:
     if not (peak > 0 and math.isfinite(peak)):
         return 1.0, unit_text(unit)
     exponent = min(9, max(-12, 3 * math.floor(math.log10(peak) / 3 + 1e-9)))
-    return 10.0**-exponent, PREFIXES[exponent] + unit_text(unit)
+    return 10.0**-exponent, PREFIX_OF_POWER[exponent] + unit_text(unit)
 
 
 def power(text: str, exponent: int) -> str:
-    return text if not exponent else f"{text} × 10{str(exponent).translate(SUPERSCRIPT)}"
+    return text if not exponent else f"{text} × 10{str(exponent).translate(SUPERSCRIPT_DIGITS)}"
 
 
 def number(value: float | None, digits: int = 3) -> str:
     """`digits` figures, with a power of ten where that reads better."""
     if value is None or not math.isfinite(value):
         return "-"
-    if abs(value) < TINY:
+    if abs(value) < TINY_VALUE:
         return "0"
     exponent = math.floor(math.log10(abs(value)))
     if -3 <= exponent <= 4:
@@ -46,7 +48,7 @@ def number(value: float | None, digits: int = 3) -> str:
 def interval(value: float, sd: float) -> str:
     """Value and 95 % interval with as many figures as the interval deserves: "1.30 ± 0.12 × 10¹⁸"."""
     half = 1.96 * sd
-    if not (math.isfinite(value) and math.isfinite(half)) or half <= max(1e-9 * abs(value), TINY):
+    if not (math.isfinite(value) and math.isfinite(half)) or half <= max(1e-9 * abs(value), TINY_VALUE):
         return number(value)
     top = math.floor(math.log10(max(abs(value), half)))
     exponent = 0 if -2 <= top <= 3 else 3 * (top // 3)
@@ -78,7 +80,7 @@ def parameter(p: Mapping[str, Any], brief: bool = False, digits: int = 3) -> str
     if value is None:
         return f"not identifiable: {p['reason']}" if p.get("reason") and not brief else "not identifiable"
     gain = 1.0
-    if unit in PREFIXED:
+    if unit in PREFIXED_UNITS:
         gain, unit = prefix(abs(value), unit)
     unit = "" if unit == "1" else unit_text(unit)
     return f"{interval(value * gain, sd * gain) if sd else number(value * gain, digits)} {unit}".strip()

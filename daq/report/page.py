@@ -5,7 +5,7 @@ The page needs no network and no script; pictures are inline SVG. It works from 
 
 comparison
     curves : [{channel, against, at, force, band_low, band_high}], residual force in N with its 95 % band, `at` in m,
-        m/s, deg ... (report_figures.AGAINST)
+        m/s, deg ... (AXIS_OF_STATE)
     laws : [{channel, against, at, measured, band_low, band_high, model}], restoring force without a straight line
     spectra : {channel: {frequency_hz, measured, model}}, one-sided PSD in the channel's unit squared per Hz
     densities : {channel: {at, measured, model}}, of the displacement in m, 1/m
@@ -32,8 +32,8 @@ from . import numbers as numbers
 from . import words as words
 
 Json = Mapping[str, Any]
-NOTHING: Json = {}
-FEWEST, MOST = 3, 10  # rows of the ranking that are shown
+NO_RESULT: Json = {}
+MIN_RANKING_ROWS, MAX_RANKING_ROWS = 3, 10  # rows of the ranking that are shown
 
 
 def write_report(path: Path, title: str, **parts: Any) -> None:
@@ -48,7 +48,7 @@ def write_report(path: Path, title: str, **parts: Any) -> None:
 def render(
     title: str,
     *,
-    facts: Mapping[str, str] = NOTHING,
+    facts: Mapping[str, str] = NO_RESULT,
     comparison: Json | None = None,
     before: Json | None = None,
     diagnoses: Sequence[Json] = (),
@@ -76,7 +76,7 @@ def render(
         "model_name": figures.model_name,
     }
     template = environment.from_string(Path(__file__).with_name("report.html").read_text(encoding="utf-8"))
-    now, old = comparison or NOTHING, before or NOTHING
+    now, old = comparison or NO_RESULT, before or NO_RESULT
     said = [*now.get("messages", ()), *notes, *(m for d in diagnoses for m in d.get("messages", ()))]
     return template.render(
         title=title,
@@ -134,8 +134,8 @@ def finding(diagnosis: Json, number: int, of: int, ladder: Sequence[Json]) -> di
 
 def worth_showing(diagnosis: Json) -> list[Json]:
     """The first few effects of the ranking, and those after them that gain anything."""
-    rows = list(diagnosis["ranking"])[:MOST]
-    return [r for k, r in enumerate(rows) if k < FEWEST or r["heldout_gain"] > 1.0]
+    rows = list(diagnosis["ranking"])[:MAX_RANKING_ROWS]
+    return [r for k, r in enumerate(rows) if k < MIN_RANKING_ROWS or r["heldout_gain"] > 1.0]
 
 
 def described(verdict: str) -> Any:

@@ -17,8 +17,8 @@ from .rig_file import CustomTable, ModelTable, SettingTable
 
 OF_ALL = ("at", "fixed", "value", "min", "max")  # keys of the whole effect's table
 
-_ANGLE = "goes with the shaft angle, which nothing tells: give rig.speed_rpm or a tacho channel, or remove it"
-_KEYS = ("effects", "linear", "custom")
+_NO_SHAFT_ANGLE = "goes with the shaft angle, which nothing tells: give rig.speed_rpm or a tacho channel, or remove it"
+_MODEL_KEYS = ("effects", "linear", "custom")
 
 
 def at_places(
@@ -65,7 +65,7 @@ def effects_of(
             problems.append(Problem(("model", "effects", i), f'"{name}" is there twice; remove one'))
     for name in extra:
         if name not in names:
-            remedy = did_you_mean(name, [*_KEYS, *names, *CATALOGUE])
+            remedy = did_you_mean(name, [*_MODEL_KEYS, *names, *CATALOGUE])
             if name in catalogue:
                 remedy = "add it to model.effects, or remove the table"
             problems.append(Problem(("model", name), f"settings of an effect that the model does not have; {remedy}"))
@@ -90,7 +90,7 @@ def effects_of(
                 i = table.effects.index(name)
                 problems.append(Problem(("model", "effects", i), f'"{name}" {_nowhere(effect, model)}'))
             elif effect.turns and not _turning(model):
-                problems.append(Problem(("model", "effects", table.effects.index(name)), f'"{name}" {_ANGLE}'))
+                problems.append(Problem(("model", "effects", table.effects.index(name)), f'"{name}" {_NO_SHAFT_ANGLE}'))
             reader = _Reader(("model", name), parameters, possible, channels, problems)
             uses.append(EffectUse(name, reader.read(settings)))
     return tuple(uses), problems
@@ -123,7 +123,7 @@ def _law(
             if k not in known
         ]
         if effect.turns and not _turning(model):
-            wrong.append(("module", f"{own.module} {_ANGLE}"))
+            wrong.append(("module", f"{own.module} {_NO_SHAFT_ANGLE}"))
         return CustomLaw(None, own.module, known, effect), places(effect, model), wrong
     from estimator.effects.engine import ExpressionError, compile_law
 
@@ -135,7 +135,7 @@ def _law(
             return law, model.places, [(f"parameters.{error.parameter}", str(error))]
         return law, model.places, [("expression", f'"{_in_a_line(own.expression or "")}": {error}')]
     if re.search(r"\bphase\b", own.expression or "") and not _turning(model):
-        return law, model.places, [("expression", f"the law {_ANGLE}")]
+        return law, model.places, [("expression", f"the law {_NO_SHAFT_ANGLE}")]
     return law, model.places, []
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from drivers.contract import Driver, Gap, Info, LinkStats, Notice, Reading, Signal
 
-from .units import SI, UNITS, canonical
+from .units import SI_UNIT, UNITS_OF_KIND, canonical
 
 
 class InSI:
@@ -50,11 +50,11 @@ class InSI:
         """And what is to be said of it."""
         kind, own = self._rig[signal.name]
         unit, said = canonical(signal.unit), ""
-        if not any(unit in units for units in UNITS.values()):
+        if not any(unit in units for units in UNITS_OF_KIND.values()):
             if unit:
                 said = f'{signal.name}: the DBC says "{signal.unit}", which is no unit known here: taken as {own}'
             unit = canonical(own)
-        factor = UNITS[kind].get(unit)
+        factor = UNITS_OF_KIND[kind].get(unit)
         if factor is None:
             return signal, said
-        return replace(signal, unit=SI[kind], scale=signal.scale * factor, offset=signal.offset * factor), said
+        return replace(signal, unit=SI_UNIT[kind], scale=signal.scale * factor, offset=signal.offset * factor), said

@@ -11,9 +11,9 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 Path = tuple[str | int, ...]
-HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
-_KEY = re.compile(r"""^\s*((?:[\w-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[\w-]+|"[^"]*"|'[^']*'))*)\s*=""")
-_PART = re.compile(r"""[\w-]+|"[^"]*"|'[^']*'""")
+TABLE_HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
+_KEY_LINE = re.compile(r"""^\s*((?:[\w-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[\w-]+|"[^"]*"|'[^']*'))*)\s*=""")
+_KEY_PART = re.compile(r"""[\w-]+|"[^"]*"|'[^']*'""")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ def dotted(path: Path) -> str:
 
 def parts(key: str) -> tuple[str, ...]:
     """The names in a dotted key."""
-    return tuple(p.strip("\"'") for p in _PART.findall(key))
+    return tuple(p.strip("\"'") for p in _KEY_PART.findall(key))
 
 
 def line_numbers(text: str) -> dict[Path, int]:
@@ -47,7 +47,7 @@ def line_numbers(text: str) -> dict[Path, int]:
     counts: dict[Path, int] = {}  # tables so far in each array of tables
     table: Path = ()
     for number, line in enumerate(text.splitlines(), 1):
-        if header := HEADER.match(line):
+        if header := TABLE_HEADER.match(line):
             table = ()
             names = parts(header[2])
             for i, part in enumerate(names):
@@ -58,7 +58,7 @@ def line_numbers(text: str) -> dict[Path, int]:
                     lines.setdefault(table, number)
                     table += (counts[table],)
             lines.setdefault(table, number)
-        elif key := _KEY.match(line):
+        elif key := _KEY_LINE.match(line):
             path = table
             for part in parts(key[1]):
                 path += (part,)
@@ -96,12 +96,12 @@ def _text(e: Any, table: type[BaseModel], loc: Path) -> str:
     if kind == "value_error":
         return str(e["ctx"]["error"])
     if kind == "string_pattern_mismatch":
-        return f"{_toml(given)} does not have the form {_FORMS.get(e['ctx']['pattern'], e['ctx']['pattern'])}"
+        return f"{_toml(given)} does not have the form {_FORM_WORDS.get(e['ctx']['pattern'], e['ctx']['pattern'])}"
     words = e["msg"].removeprefix("Input should be a valid ").removeprefix("Input should be ")
     return f"{_toml(given)} is not {'a ' if e['msg'].startswith('Input should be a valid') else ''}{words}"
 
 
-_FORMS = {
+_FORM_WORDS = {
     r"^[a-z][a-z0-9_]*$": "of a name: small letters, digits and _",
     r"^.+\.py:[A-Za-z_]\w*$": '"FILE.py:NAME"',
     r"^[A-Za-z_][\w.-]*$": "of a name: letters, digits, _ . -, not beginning with a digit",

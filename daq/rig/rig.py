@@ -22,10 +22,10 @@ from estimator.model import MOTION, NODES, BearingGeometry, Channel, Model, Sett
 from .effects import effects_of, setting
 from .problems import Problem, did_you_mean, line_numbers, of_validation
 from .rig_file import AcquisitionTable, BearingTable, ChannelTable, EstimatorTable, LinkTable, RigFile
-from .units import SI, factor
+from .units import SI_UNIT, factor
 
-LARGEST, DEEPEST = 200_000, 100  # characters of a file; dots in a line
-CAPS = ("bearing1.x", "bearing1.y", "bearing2.x", "bearing2.y")
+MAX_CHARACTERS, MAX_DOTS = 200_000, 100  # characters of a file; dots in a line
+CAP_PLACES = ("bearing1.x", "bearing1.y", "bearing2.x", "bearing2.y")
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Rig:
 
     @cached_property
     def si_units(self) -> tuple[str, ...]:
-        return tuple(SI[c.kind] for c in self.file.channel)
+        return tuple(SI_UNIT[c.kind] for c in self.file.channel)
 
     @property
     def dbc(self) -> Path | None:
@@ -115,12 +115,12 @@ class Rig:
 
 def _toml(text: str, where: str) -> dict[str, Any]:
     """The tables of a text. What no rig file needs is refused: the library takes long over it, or trips."""
-    if len(text) > LARGEST:
-        raise ConfigError(f"{where}: larger than {LARGEST / 1e3:g} kB; a rig file has a few: check the path")
+    if len(text) > MAX_CHARACTERS:
+        raise ConfigError(f"{where}: larger than {MAX_CHARACTERS / 1e3:g} kB; a rig file has a few: check the path")
     for number, line in enumerate(text.splitlines(), 1):
-        if line.count(".") > DEEPEST and not line.lstrip().startswith("#"):
+        if line.count(".") > MAX_DOTS and not line.lstrip().startswith("#"):
             raise ConfigError(
-                f"{where}:{number}: a key of more than {DEEPEST} levels, or much in one line; simplify it"
+                f"{where}:{number}: a key of more than {MAX_DOTS} levels, or much in one line; simplify it"
             )
     try:
         return tomllib.loads(text)
@@ -158,7 +158,7 @@ def load_rig(path: str | Path) -> Rig:
     path = Path(path)
     try:
         with path.open(encoding="utf-8-sig") as file:
-            text = file.read(LARGEST + 1)
+            text = file.read(MAX_CHARACTERS + 1)
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: no such rig file; check the path, or begin from one of configs/") from error
     except (OSError, UnicodeDecodeError) as error:
@@ -175,7 +175,7 @@ def _tables(data: dict[str, Any], base: Path | None) -> list[Problem]:
         key = field.alias or name
         if key not in data:
             if field.is_required():
-                problems.append(Problem((key,), _MISSING[key]))
+                problems.append(Problem((key,), _MISSING_TABLE[key]))
             continue
         table = _adapter(name)
         try:
@@ -199,7 +199,7 @@ def _adapter(name: str) -> TypeAdapter[Any]:
     return TypeAdapter(RigFile.model_fields[name].rebuild_annotation())
 
 
-_MISSING = {
+_MISSING_TABLE = {
     "schema": "schema = 1 is missing; add it as the first line",
     "band": "the [band] table is missing; add low and high, in Hz, of the analysis band",
     "channel": "there is no [[channel]] table; add one for each measured channel",
@@ -243,7 +243,7 @@ def _together(data: dict[str, Any], parts: dict[str, Any], base: Path | None) ->
     if "model" in parts:
         shaft: Shaft = parts["rig"].shaft if "rig" in parts else "none" if "rig" not in data else "chain"
         rpm = parts["rig"].speed_rpm if "rig" in parts else None if "rig" not in data else 1.0
-        known = _channels(channels) if motions else tuple(Channel(p, *p.split(".")) for p in CAPS)
+        known = _channels(channels) if motions else tuple(Channel(p, *p.split(".")) for p in CAP_PLACES)
         problems += effects_of(parts["model"], NAMED, Model(known, (1.0, 2.0), shaft, speed_rpm=rpm), base)[1]
     return problems
 

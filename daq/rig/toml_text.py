@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from .problems import HEADER, parts
+from .problems import TABLE_HEADER, parts
 
 Name = tuple[str, ...]
 
@@ -25,7 +25,7 @@ class Block:
 
 def blocks(lines: Sequence[str]) -> Iterator[Block]:
     """The tables of a text in order; the keys above the first header are table ()."""
-    headers = [(i, parts(m[2])) for i, line in enumerate(lines) if (m := HEADER.match(line))]
+    headers = [(i, parts(m[2])) for i, line in enumerate(lines) if (m := TABLE_HEADER.match(line))]
     starts = [(0, ()), *headers] if not headers or headers[0][0] > 0 else headers
     for k, (start, name) in enumerate(starts):
         end = starts[k + 1][0] if k + 1 < len(starts) else len(lines)

@@ -5,24 +5,30 @@ from __future__ import annotations
 import re
 from types import MappingProxyType
 
-GRAVITY = 9.80665  # m/s^2, the standard value
-UNITS = MappingProxyType(
+STANDARD_GRAVITY = 9.80665  # m/s^2, the standard value
+UNITS_OF_KIND = MappingProxyType(
     {
-        "acceleration": {"m/s^2": 1.0, "mm/s^2": 1e-3, "g": GRAVITY, "mg": 1e-3 * GRAVITY, "ft/s^2": 0.3048},
+        "acceleration": {
+            "m/s^2": 1.0,
+            "mm/s^2": 1e-3,
+            "g": STANDARD_GRAVITY,
+            "mg": 1e-3 * STANDARD_GRAVITY,
+            "ft/s^2": 0.3048,
+        },
         "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6, "in/s": 0.0254},
         "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "mil": 2.54e-5},
         "force": {"N": 1.0, "kN": 1e3, "mN": 1e-3, "lbf": 4.4482216152605},
         "tacho": {"pulse": 1.0, "V": 1.0, "mV": 1e-3, "1": 1.0},  # a pulse train: one pulse a turn
     }
 )
-SI = MappingProxyType({kind: next(iter(units)) for kind, units in UNITS.items()})
+SI_UNIT = MappingProxyType({kind: next(iter(units)) for kind, units in UNITS_OF_KIND.items()})
 OF_LAWS = frozenset(("m", "s", "kg", "N", "Hz", "rad", "J", "W", "Pa"))  # of a law's parameters
-_SPELLINGS = str.maketrans({"²": "2", "µ": "u", "μ": "u", "·": "*"})
+_UNIT_SPELLINGS = str.maketrans({"²": "2", "µ": "u", "μ": "u", "·": "*"})
 
 
 def canonical(unit: str) -> str:
     """The unit as the table spells it: "m/s²", "m/s2", "m/s/s" and "m/s**2" are all "m/s^2"."""
-    text = unit.strip().translate(_SPELLINGS).replace(" ", "").replace("**", "^")
+    text = unit.strip().translate(_UNIT_SPELLINGS).replace(" ", "").replace("**", "^")
     if text.endswith("/s/s"):
         text = text[:-4] + "/s^2"
     return text[:-3] + "/s^2" if text.endswith("/s2") else text
@@ -35,10 +41,10 @@ def foreign(unit: str) -> str:
 
 def factor(kind: str, unit: str) -> float:
     """SI value of one `unit`. Raises ValueError naming the units that fit, and the kind that `unit` belongs to."""
-    units = UNITS[kind]
+    units = UNITS_OF_KIND[kind]
     text = canonical(unit)
     if text in units:
         return units[text]
-    owner = next((k for k, table in UNITS.items() if text in table), None)
+    owner = next((k for k, table in UNITS_OF_KIND.items() if text in table), None)
     of = f" (it is one of {owner})" if owner else ""
     raise ValueError(f'"{unit}" is not a unit of {kind}{of}; use {", ".join(units)}')

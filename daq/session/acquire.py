@@ -34,7 +34,7 @@ STOP_S = 0.6  # after a stop, this long for the reader to end, and for the estim
 ESTIMATOR_S = 10.0  # at the end of the seconds or of the source, this long
 ANSWER_S = 30.0  # and this long for a diagnosis that is under way, unless stopped
 BUSY_S = 0.01
-VERSIONS = ("rotorscope", "numpy", "scipy", "numba", "mcap", "protobuf")
+LOGGED_VERSIONS = ("rotorscope", "numpy", "scipy", "numba", "mcap", "protobuf")
 
 Notify = Callable[[Notice], None]
 
@@ -270,7 +270,7 @@ def _warm_up(make: MakeEstimator, rig: Rig, rate_hz: float | None) -> None:
 
 def _about(driver: Driver, clock: Clock) -> dict[str, str]:
     started = datetime.fromtimestamp((clock.now_ns() + clock.wall_offset_ns()) / 1e9, UTC)
-    versions = {name: version(name) for name in VERSIONS}
+    versions = {name: version(name) for name in LOGGED_VERSIONS}
     return versions | {
         "python": platform.python_version(), "link_kind": driver.kind, "started": started.isoformat(timespec="seconds"),
     }  # fmt: skip

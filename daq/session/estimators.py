@@ -10,7 +10,7 @@ import numpy as np
 from estimator.model import Model
 from estimator.results import OnlineEstimator
 
-METHODS = {
+ESTIMATOR_OF_METHOD = {
     "spectral": ("estimator.identification.rolling", "RollingEstimator"),
     "score-matching": ("estimator.identification.moments", "RollingScoreMatching"),
 }
@@ -24,7 +24,7 @@ def maker(method: str, time_constant_s: float, watch: str = "usual") -> MakeEsti
 
     watch : the effects that the spectral one looks for beside the model: usual | catalogue | none.
     """
-    module, name = METHODS[method]
+    module, name = ESTIMATOR_OF_METHOD[method]
 
     def make(model: Model, rate_hz: float) -> OnlineEstimator:
         made, more = getattr(import_module(module), name), {}

@@ -14,7 +14,7 @@ from drivers.links import make_driver, parse_link
 from drivers.protocol import Expected
 
 LARGEST_DBC = 64 << 20  # bytes; a whole vehicle's has some
-_DBC = re.compile(r"([?&])dbc=([^&]*)&?")
+_DBC_OPTION = re.compile(r"([?&])dbc=([^&]*)&?")
 
 
 def open_driver(url: str | None, rig: Rig, *, seed: int = 1, seconds: float | None = None) -> Driver:
@@ -53,7 +53,7 @@ def open_driver(url: str | None, rig: Rig, *, seed: int = 1, seconds: float | No
 
 
 def _without_dbc(url: str) -> tuple[str, str | None]:
-    found = _DBC.search(url)
+    found = _DBC_OPTION.search(url)
     if found is None:
         return url, None
     rest = url[: found.start()] + found[1] + url[found.end() :]

@@ -35,8 +35,8 @@ KEPT_S = 30.0  # of samples
 ENOUGH_S = 7.0  # of the new state, to try the catalogue on
 EVERY_S = 60.0  # at most so often
 CALM_S = 20.0  # after a change: what follows within it is the estimator settling
-GROWN = 1.5  # times the missing force of the last time: something else has come
-JUMP = 0.6  # of its length: an estimator whose memory falls below that has dropped what is before a change
+NEW_FORCE_RATIO = 1.5  # times the missing force of the last time: something else has come
+MIN_MEMORY_SHARE = 0.6  # of its length: an estimator whose memory falls below that has dropped what is before a change
 CHILD_S = 120.0
 Floats = NDArray[np.float64]
 
@@ -144,7 +144,7 @@ class Naming:
         if not now.parameters:
             return
         self._before, self._gap = now, False
-        if before is None or gap or now.samples > JUMP * before.samples:
+        if before is None or gap or now.samples > MIN_MEMORY_SHARE * before.samples:
             return
         if self._since is None or before.index - before.samples >= self._since:  # it had forgotten the old state
             self._since = now.index
@@ -165,7 +165,9 @@ class Naming:
         if not sure:
             self._level = None
             return
-        if self._level is not None and (extra[MISSING_FORCE_KEY] <= GROWN * self._level or self._since is not None):
+        if self._level is not None and (
+            extra[MISSING_FORCE_KEY] <= NEW_FORCE_RATIO * self._level or self._since is not None
+        ):
             if self._since is not None:  # still settling
                 self._level = max(self._level, extra[MISSING_FORCE_KEY])
             return

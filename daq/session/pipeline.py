@@ -13,7 +13,7 @@ from daq.base.contract.clock import Clock, DeviceClock
 from daq.base.contract.errors import ConfigError, LogError
 from daq.base.contract.scaling import Scaling
 from daq.base.contract.sink import Reporting, Session, Sink, Status
-from daq.rig.units import UNITS, canonical
+from daq.rig.units import UNITS_OF_KIND, canonical
 from drivers.contract import Block, Gap, Info, LinkStats, Notice, Reading
 from estimator.model import Model
 from estimator.results import Estimate
@@ -311,7 +311,7 @@ class Pipeline:
         signals = self._info.signals if self._info else ()
         for channel, column in zip(self._plan.model.channels, self._columns, strict=False):
             unit = signals[column].unit
-            if unit and UNITS[channel.kind].get(canonical(unit)) != 1.0:
+            if unit and UNITS_OF_KIND[channel.kind].get(canonical(unit)) != 1.0:
                 text = f"{channel.name} comes in {unit}, and is {channel.kind} in the rig file"
                 return f"{text}; correct kind or unit of the channel, then replay or fit the log"
         return ""

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 from drivers.contract import Block, Gap, Reading
 
-SMALL = 256  # bytes that a reading without samples is counted as
+SMALL_READING_BYTES = 256  # bytes that a reading without samples is counted as
 QUEUE_BYTES = 32 << 20
-OLDEST = "overflow"
+OVERFLOW_REASON = "overflow"
 
 
 class ReadingQueue:
@@ -98,17 +98,17 @@ class ReadingQueue:
             if isinstance(item, Block):
                 self.dropped += len(item.counts)
                 self._bytes -= _size(item)
-                item = Gap(item.index, len(item.counts), OLDEST)
-                self._bytes += SMALL
+                item = Gap(item.index, len(item.counts), OVERFLOW_REASON)
+                self._bytes += SMALL_READING_BYTES
             last = kept[-1] if kept else None
-            joins = isinstance(last, Gap) and isinstance(item, Gap) and last.reason == item.reason == OLDEST
+            joins = isinstance(last, Gap) and isinstance(item, Gap) and last.reason == item.reason == OVERFLOW_REASON
             if joins and isinstance(last, Gap) and isinstance(item, Gap) and last.index + last.count == item.index:
-                kept[-1] = Gap(last.index, last.count + item.count, OLDEST)
-                self._bytes -= SMALL
+                kept[-1] = Gap(last.index, last.count + item.count, OVERFLOW_REASON)
+                self._bytes -= SMALL_READING_BYTES
             else:
                 kept.append(item)
         self._items.extendleft(reversed(kept))
 
 
 def _size(reading: Reading) -> int:
-    return SMALL + (reading.counts.nbytes if isinstance(reading, Block) else 0)
+    return SMALL_READING_BYTES + (reading.counts.nbytes if isinstance(reading, Block) else 0)

@@ -19,7 +19,7 @@ from .acquire import Notify, RunSummary, acquire_from
 from .estimators import MakeEstimator
 from .pipeline import OWN_CODES
 
-ROWS = 1 << 16  # per read
+READ_ROWS = 1 << 16  # per read
 OPEN_END = ("recovered", "stopped_behind")  # notices of logs whose last samples were not estimated from
 
 
@@ -58,7 +58,7 @@ class ReplayDriver:
         out: list[Reading] = []
         rows = 0
         deadline_ns = self._clock.now_ns() + round(timeout_s * 1e9)
-        while rows < ROWS and not self._closed.is_set():
+        while rows < READ_ROWS and not self._closed.is_set():
             reading = self._next or next(self._source or iter(()), None)
             self._next = None
             if reading is None:

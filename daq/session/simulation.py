@@ -23,12 +23,12 @@ from estimator.results import Parameter
 CAP_KG, DISC_KG = 0.2, 0.5
 RESONANCE_HZ = 1125.0  # of a cap without a stiffness, if the band allows it
 DAMPING_RATIO = 0.02
-ACCELERATION = 10.0  # m/s^2, rms, that an unknown excitation is chosen for
+ACCELERATION_RMS = 10.0  # m/s^2, rms, that an unknown excitation is chosen for
 EFFECT_SHARE = 0.04  # of the bearing force, rms, of an effect without values
 RATE_OVER_BAND = 3.2  # sampling rate over band.high where no rate is given
-CREST = 49.05  # full scale over the expected rms: 50 g for 10 m/s^2
+CREST_FACTOR = 49.05  # full scale over the expected rms: 50 g for 10 m/s^2
 NOISE_SHARE = 2e-3  # of the expected rms, of a sensor without stated noise
-FRAMES = 256  # handed over at a time
+BATCH_FRAMES = 256  # handed over at a time
 
 
 def complete(model: Model, rate_hz: float) -> tuple[Model, dict[str, Parameter]]:
@@ -54,7 +54,7 @@ def complete(model: Model, rate_hz: float) -> tuple[Model, dict[str, Parameter]]
         m = model.cap_mass(place) or CAP_KG
         kL = _value(settings, "kL", m * (2 * math.pi * f0) ** 2)
         c = _value(settings, "c", 2 * DAMPING_RATIO * math.sqrt(abs(kL) * m))
-        S = _value(settings, "S", 4 * c * m**2 / abs(kL) * ACCELERATION**2)  # S = 4 c k sigma_x^2
+        S = _value(settings, "S", 4 * c * m**2 / abs(kL) * ACCELERATION_RMS**2)  # S = 4 c k sigma_x^2
         linear[place] = {"kL": replace(settings["kL"], value=kL), "c": replace(settings["c"], value=c),
                          "S": replace(settings["S"], value=S)}  # fmt: skip
         for key in ("kL", "c", "S"):
@@ -139,7 +139,7 @@ def machine(
     model, assumed = complete(source.model, rate_hz)
     columns = [_column(rig, source, k) for k in range(len(rig.model.channels))]
     expected = [_expected_rms(model, model.channels[c].kind, rate_hz, model.channels[c].place) for c in columns]
-    full_scale = np.array([CREST * rms for rms in expected])
+    full_scale = np.array([CREST_FACTOR * rms for rms in expected])
     noise = np.array([NOISE_SHARE * rms for rms in expected])
     for k, channel in enumerate(rig.model.channels):
         motion = channel.kind not in ("force", "tacho")
@@ -199,7 +199,7 @@ def _expected_rms(model: Model, kind: str, rate_hz: float, place: str) -> float:
     m = model.cap_mass(place) or CAP_KG
     if kind == "force":
         return math.sqrt(S * rate_hz / 2)
-    x = math.sqrt(S / (4 * c * abs(kL))) if c and kL else ACCELERATION * m / max(abs(kL), 1.0)
+    x = math.sqrt(S / (4 * c * abs(kL))) if c and kL else ACCELERATION_RMS * m / max(abs(kL), 1.0)
     w = math.sqrt(abs(kL) / m)
     return {"displacement": x, "velocity": w * x}.get(kind, w * w * x)
 
@@ -221,7 +221,7 @@ class FrameSource:
         if self._device.finished:
             self.exhausted = True
             return None
-        frames = [f for f in self._device.next(FRAMES) if not f.damaged]
+        frames = [f for f in self._device.next(BATCH_FRAMES) if not f.damaged]
         return CanFrames.build([(f.identifier, f.data, round(1e9 * f.due_s)) for f in frames])
 
 

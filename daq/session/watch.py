@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from daq.base.contract.clock import OFF, Clock, DeviceClock
+from daq.base.contract.clock import MAX_CRYSTAL_ERROR_REL, Clock, DeviceClock
 from daq.base.contract.sink import ClockState
 from drivers.contract import Gap
 
 EVERY_NS = 10_000_000_000  # what goes on and on is told this often
 WALL_STEP_NS = 500_000_000
 STILL_NS = 5_000_000_000
-UNSAID = {  # reasons of gaps that no driver has a notice for
+WORD_OF_REASON = {  # reasons of gaps that no driver has a notice for
     "sequence": "on the way",
     "device_lost": "by the device itself",
     "source": "that the device did not send, or not at the rate of the rig file",
@@ -48,14 +48,14 @@ class Watch:
             self._say("warning", "stood_still", f"{text}: what the link could not keep so long is lost")
 
     def lost(self, gap: Gap) -> None:
-        if gap.reason in UNSAID:
+        if gap.reason in WORD_OF_REASON:
             self._lost[gap.reason] = self._lost.get(gap.reason, 0) + gap.count
 
     def losses(self, final: bool) -> None:
         """At once, then every ten seconds while it goes on."""
         now = self._clock.now_ns()
         if self._lost and (final or now - self._lost_ns >= EVERY_NS):
-            text = ", ".join(f"{count} {UNSAID[reason]} ({reason})" for reason, count in self._lost.items())
+            text = ", ".join(f"{count} {WORD_OF_REASON[reason]} ({reason})" for reason, count in self._lost.items())
             self._say("warning", "samples_lost", f"samples lost: {text}; rotorscope info says where in the log")
             self._lost, self._lost_ns = {}, now
 
@@ -71,7 +71,7 @@ class Watch:
 
     def rate(self, device: DeviceClock, state: ClockState | None) -> None:
         """Once in a session: what the device counts as a second is none. state : what is stated of its clock now."""
-        if self._rate_told or (state is not None and abs(state.drift_ppm) < 1e6 * OFF):
+        if self._rate_told or (state is not None and abs(state.drift_ppm) < 1e6 * MAX_CRYSTAL_ERROR_REL):
             return
         true_hz = device.true_rate_hz()
         if true_hz is not None:

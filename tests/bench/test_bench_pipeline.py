@@ -30,7 +30,7 @@ from daq.log.reader import read_log
 from daq.log.writer import LogWriter
 from daq.report.rerun.sink import RerunSink
 from daq.session.acquire import RunSummary, acquire_from
-from daq.session.estimators import METHODS, MakeEstimator, maker
+from daq.session.estimators import ESTIMATOR_OF_METHOD, MakeEstimator, maker
 from daq.session.replay import replay_into
 from drivers.contract.reading import Block, Driver, Reading
 from drivers.links.links import make_driver, parse_link
@@ -46,7 +46,7 @@ def estimators() -> list[str]:
     """The methods that are there."""
     from importlib.util import find_spec
 
-    return [method for method, (module, _) in METHODS.items() if find_spec(module)]
+    return [method for method, (module, _) in ESTIMATOR_OF_METHOD.items() if find_spec(module)]
 
 
 class Opened:

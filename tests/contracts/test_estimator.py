@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from daq.session.estimators import METHODS, maker
+from daq.session.estimators import ESTIMATOR_OF_METHOD, maker
 from estimator import Channel, EffectUse, Estimate, Model, Setting, simulate
 from estimator.results import OnlineEstimator
 
@@ -73,7 +73,7 @@ def record() -> np.ndarray:
     return y
 
 
-@pytest.fixture(params=METHODS)
+@pytest.fixture(params=ESTIMATOR_OF_METHOD)
 def make(request: pytest.FixtureRequest) -> Callable[[], OnlineEstimator]:
     making = maker(request.param, TIME_CONSTANT_S)
     return lambda: making(RIG, RATE_HZ)

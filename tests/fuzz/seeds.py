@@ -64,8 +64,10 @@ def _whole_log() -> bytes:
 
 
 def _mcap() -> list[bytes]:
-    blocks = [(codec.RAW, codec.encode_blocks([make_block(k, 4)])) for k in range(11, 60, 5)]  # a hole after each
-    messages = [(codec.GAP, codec.encode_gap(Gap(4, 7, "crc"))), *_events(7), *blocks]
+    blocks = [
+        (codec.RAW_CHANNEL, codec.encode_blocks([make_block(k, 4)])) for k in range(11, 60, 5)
+    ]  # a hole after each
+    messages = [(codec.GAP_CHANNEL, codec.encode_gap(Gap(4, 7, "crc"))), *_events(7), *blocks]
     return [b"\0" + _whole_log(), b"\2" + b"".join(bytes((c, len(d))) + d for c, d in messages)]
 
 
@@ -73,50 +75,60 @@ def _events(index: int) -> list[tuple[int, bytes]]:
     good = make_estimate(index)
     short = replace(good, parameters=dict(list(good.parameters.items())[::2]))  # a length of one byte
     return [
-        (codec.ESTIMATE, codec.encode_estimate(short)), (codec.STATUS, codec.encode_status(make_status(index))),
-        (codec.NOTICE, codec.encode_notice(Notice(1, "info", "a", "b"), 5)),
+        (codec.ESTIMATE_CHANNEL, codec.encode_estimate(short)),
+        (codec.STATUS_CHANNEL, codec.encode_status(make_status(index))),
+        (codec.NOTICE_CHANNEL, codec.encode_notice(Notice(1, "info", "a", "b"), 5)),
     ]  # fmt: skip
 
 
 def small_logs() -> list[bytes]:
     """What a log begins with, and many chunks of one or two messages; all that comes before the end."""
     raw = _whole_log()
-    first = raw[len(LOG_MAGIC) : raw.index(scan.SIGNATURE) - scan.SIGNATURE_AT]
-    start = [(codec.SESSION, codec.encode_session("dev", 0, {})), (codec.INFO, codec.encode_info(make_info()))]
-    chunks = [start + [(codec.RAW, codec.encode_blocks([make_block(0, 4)]))]]
+    first = raw[len(LOG_MAGIC) : raw.index(scan.ZSTD_SIGNATURE) - scan.SIGNATURE_AT]
+    start = [
+        (codec.SESSION_CHANNEL, codec.encode_session("dev", 0, {})),
+        (codec.INFO_CHANNEL, codec.encode_info(make_info())),
+    ]
+    chunks = [start + [(codec.RAW_CHANNEL, codec.encode_blocks([make_block(0, 4)]))]]
     for k in range(4, 400, 4):
         if k % 40 == 0:
             chunks += [[event] for event in _events(k)]
-        gap = [(codec.GAP, codec.encode_gap(Gap(k, 2, "crc")))] if k % 28 == 0 else []
+        gap = [(codec.GAP_CHANNEL, codec.encode_gap(Gap(k, 2, "crc")))] if k % 28 == 0 else []
         block = make_block(k + 2 * len(gap), 4 - 2 * len(gap))
-        chunks.append([*gap, (codec.RAW, codec.encode_blocks([block]))])
+        chunks.append([*gap, (codec.RAW_CHANNEL, codec.encode_blocks([block]))])
     return [LOG_HEAD + first + b"".join(_chunk(b"".join(_message(c, d) for c, d in chunk)) for chunk in chunks)]
 
 
 def tiny_logs() -> list[bytes]:
     """Whole logs of a chunk or two, an attachment and a footer: the time goes with the length."""
-    start = [(codec.SESSION, codec.encode_session("dev", 0, {})), (codec.INFO, codec.encode_info(make_info()))]
-    block = (codec.RAW, codec.encode_blocks([make_block(0, 4)]))
-    gap, more = (codec.GAP, codec.encode_gap(Gap(4, 2, "crc"))), (codec.RAW, codec.encode_blocks([make_block(6, 4)]))
+    start = [
+        (codec.SESSION_CHANNEL, codec.encode_session("dev", 0, {})),
+        (codec.INFO_CHANNEL, codec.encode_info(make_info())),
+    ]
+    block = (codec.RAW_CHANNEL, codec.encode_blocks([make_block(0, 4)]))
+    gap, more = (
+        (codec.GAP_CHANNEL, codec.encode_gap(Gap(4, 2, "crc"))),
+        (codec.RAW_CHANNEL, codec.encode_blocks([make_block(6, 4)])),
+    )
     one = _chunk(b"".join(_message(c, d) for c, d in [*start, block, gap, more, *_events(9)]))
     two = _chunk(b"".join(_message(c, d) for c, d in [*start, block]))
     rest = _chunk(b"".join(_message(c, d) for c, d in [gap, more]))
     rig = bytes(16) + b"\x08\0\0\0rig.toml\x01\0\0\0t" + struct.pack("<Q", 10) + b"schema = 1"
     rig += struct.pack("<I", zlib.crc32(rig))
-    attached = scan.RECORD.pack(scan.ATTACHMENT, len(rig)) + rig
+    attached = scan.RECORD_STRUCT.pack(scan.ATTACHMENT_OPCODE, len(rig)) + rig
     return [_closed(LOG_HEAD + one), _closed(LOG_HEAD + attached + two + rest), LOG_HEAD + two + rest]
 
 
 def _closed(log: bytes) -> bytes:
     """With a footer, and an index that says nothing."""
-    footer = scan.RECORD.pack(scan.FOOTER, 20) + struct.pack("<QQ", len(log) - 1, 0)
+    footer = scan.RECORD_STRUCT.pack(scan.FOOTER_OPCODE, 20) + struct.pack("<QQ", len(log) - 1, 0)
     return log + footer + struct.pack("<I", zlib.crc32(footer)) + LOG_MAGIC
 
 
 def log_ends() -> list[bytes]:
     """Index and footer."""
     raw = _whole_log()
-    data_end = scan.RECORD.pack(0x0F, 4)
+    data_end = scan.RECORD_STRUCT.pack(0x0F, 4)
     return [raw[raw.index(data_end) :], raw[-37:]]
 
 

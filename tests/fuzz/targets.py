@@ -233,8 +233,8 @@ def mcap(data: bytes, folder: Path) -> None:
 def _chunk(records: bytes) -> bytes:
     packed = zstandard.compress(records)
     head = scan.CHUNK_HEAD.pack(0, 0, len(records), zlib.crc32(records), 4, b"zstd")
-    content = head + scan.SIZE.pack(len(packed)) + packed
-    return scan.RECORD.pack(scan.CHUNK, len(content)) + content
+    content = head + scan.SIZE_STRUCT.pack(len(packed)) + packed
+    return scan.RECORD_STRUCT.pack(scan.CHUNK_OPCODE, len(content)) + content
 
 
 def _records(data: bytes) -> Iterator[bytes]:
@@ -243,9 +243,9 @@ def _records(data: bytes) -> Iterator[bytes]:
 
     from daq.log import codec as codec
 
-    yield _message(codec.SESSION, codec.encode_session("dev", 0, {}))
-    yield _message(codec.INFO, codec.encode_info(make_info()))
-    yield _message(codec.RAW, codec.encode_blocks([make_block(0, 4)]))
+    yield _message(codec.SESSION_CHANNEL, codec.encode_session("dev", 0, {}))
+    yield _message(codec.INFO_CHANNEL, codec.encode_info(make_info()))
+    yield _message(codec.RAW_CHANNEL, codec.encode_blocks([make_block(0, 4)]))
     while data:
         channel, length, data = data[0] % 9, (data[1] if len(data) > 1 else 0), data[2:]
         yield _message(channel, data[:length])
@@ -253,7 +253,7 @@ def _records(data: bytes) -> Iterator[bytes]:
 
 
 def _message(channel: int, data: bytes) -> bytes:
-    return scan.RECORD.pack(scan.MESSAGE, 22 + len(data)) + struct.pack("<HIQQ", channel, 0, 0, 0) + data
+    return scan.RECORD_STRUCT.pack(scan.MESSAGE_OPCODE, 22 + len(data)) + struct.pack("<HIQQ", channel, 0, 0, 0) + data
 
 
 def rig(data: bytes, folder: Path) -> None:
@@ -360,12 +360,12 @@ def _check(path: Path, columns: formats.Columns, rig: Rig, rate_hz: float | None
 def _answered(path: Path, names: Sequence[str]) -> formats.Columns:
     """A file of a status, and what the process that reads .mat and .mf4 said or wrote with it."""
     data, out = path.read_bytes(), path.with_suffix(".npz")
-    status = (0, 0, 0, child.REFUSED, child.TOLD, 1, -11, 0)[data[0] % 8] if data else 0
+    status = (0, 0, 0, child.REFUSED_STATUS, child.TOLD_STATUS, 1, -11, 0)[data[0] % 8] if data else 0
     out.write_bytes(data[1:])
     return formats.answered(path, out, status, data[1:].decode("utf-8", "replace"))
 
 
-formats.READERS[".answer"] = _answered
+formats.READER_OF_SUFFIX[".answer"] = _answered
 
 
 def _parse(suffix: str) -> Target:

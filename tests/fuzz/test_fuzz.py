@@ -30,7 +30,7 @@ from targets import PARSER, TARGETS, _array, _chunk, _message, _records
 
 from daq.base.console.file_kinds import LOG_MAGIC
 from daq.base.contract.errors import LogError
-from daq.exchange.child import READERS, Found, answer, of_mat
+from daq.exchange.child import READER_OF_SUFFIX, Found, answer, of_mat
 from daq.exchange.formats import read
 from daq.log import codec as codec
 from daq.log.reader import read_log
@@ -135,7 +135,7 @@ def test_a_file_without_end_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_log_of_countless_events_is_refused(tmp_path: Path) -> None:
-    data = b"".join(_records(b"")) + 30_000 * _message(codec.GAP, codec.encode_gap(Gap(4, 0, "")))
+    data = b"".join(_records(b"")) + 30_000 * _message(codec.GAP_CHANNEL, codec.encode_gap(Gap(4, 0, "")))
     (tmp_path / "a.mcap").write_bytes(LOG_MAGIC + _chunk(data))
     assert (tmp_path / "a.mcap").stat().st_size < 2_000
     with pytest.raises(LogError, match="more than 20000 gaps"):
@@ -187,7 +187,7 @@ def test_a_part_is_read_as_in_a_file_of_its_own(tmp_path: Path) -> None:
     small = small_mf4s()
     for k, data in enumerate(small):
         (tmp_path / "a.mf4").write_bytes(data)
-        _same(files(small)(k), READERS[".mf4"](tmp_path / "a.mf4", ("b1x",)))
+        _same(files(small)(k), READER_OF_SUFFIX[".mf4"](tmp_path / "a.mf4", ("b1x",)))
     head = io.BytesIO()
     scipy.io.savemat(head, {})
     good = {"b1x": COLUMN, "time": TIME}

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-SHARE = 0.5  # of the memory that is free
-LEAST_BYTES, FACTOR = 1 << 30, 100  # enough for any sound file: a gigabyte, and a hundred times its size
+MAX_FREE_SHARE = 0.5  # of the memory that is free
+LEAST_BYTES, FILE_SIZE_FACTOR = 1 << 30, 100  # enough for any sound file: a gigabyte, and a hundred times its size
 UNKNOWN_BYTES = 4 << 30  # free memory where the system does not say
 # of mallopt in glibc, and what is asked: one heap for all threads, which keeps what it has, of arrays up to 256 MiB
 ARENA_MAX, TRIM_THRESHOLD, MMAP_THRESHOLD = (-8, 1), (-1, 1 << 30), (-3, 256 << 20)
@@ -24,7 +24,7 @@ def bounded_memory(file_bytes: int) -> Iterator[int]:
 
     The bound is the whole process's: for commands that do one thing, not for a live session.
     """
-    bound = min(int(SHARE * _free_bytes()), LEAST_BYTES + FACTOR * file_bytes)
+    bound = min(int(MAX_FREE_SHARE * _free_bytes()), LEAST_BYTES + FILE_SIZE_FACTOR * file_bytes)
     try:
         import resource
 

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
 PIPE_WIDTH = 160
 REDRAW_S = 0.5  # so that the time goes on where nothing is told
-CONTROL = {c: "\N{REPLACEMENT CHARACTER}" for c in (*range(32), *range(127, 160)) if chr(c) not in "\n\t"}
-GONE = (errno.EPIPE, errno.EIO)  # whoever read what we say has left: the pipe is closed, the terminal hung up
+CONTROL_CHARACTERS = {c: "\N{REPLACEMENT CHARACTER}" for c in (*range(32), *range(127, 160)) if chr(c) not in "\n\t"}
+# whoever read what we say has left: the pipe is closed, the terminal hung up
+READER_GONE_ERRNOS = (errno.EPIPE, errno.EIO)
 
 
 class Progress(Protocol):
@@ -124,7 +125,7 @@ class Output:
 def tell(text: str) -> None:
     """A line on standard error. That it cannot be said (a terminal that is gone, a full disk) is no reason to stop."""
     with contextlib.suppress(OSError):
-        print(f"rotorscope: {text}".translate(CONTROL), file=sys.stderr, flush=True)  # noqa: T201
+        print(f"rotorscope: {text}".translate(CONTROL_CHARACTERS), file=sys.stderr, flush=True)  # noqa: T201
 
 
 def to_nowhere(stream: TextIO) -> None:
@@ -140,7 +141,7 @@ def unheard(stream: TextIO) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in GONE:
+        if error.errno not in READER_GONE_ERRNOS:
             raise
         to_nowhere(stream)
 
@@ -153,7 +154,7 @@ def _console(**options: Any) -> Console:
     class Pipe(Console):
         def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
             for text, style, control in super().render(renderable, options):
-                yield Segment(text if control else text.translate(CONTROL), style, control)
+                yield Segment(text if control else text.translate(CONTROL_CHARACTERS), style, control)
 
         def on_broken_pipe(self) -> None:  # rich would end the process with status 1
             raise BrokenPipeError(errno.EPIPE, "nobody reads it")

@@ -11,7 +11,7 @@ from types import FrameType
 from typing import Any
 
 HANG_UP = getattr(signal, "SIGHUP", None)
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+STOP_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 class Stop:
@@ -32,7 +32,7 @@ class Stop:
         go_on()
         self._setter = threading.Thread(target=self._set, name="stop", daemon=True)
         self._setter.start()
-        for number in SIGNALS:
+        for number in STOP_SIGNALS:
             if number != HANG_UP or signal.getsignal(number) is not signal.SIG_IGN:  # as nohup asks
                 self._before[number] = signal.signal(number, self._on_signal)
         return self
@@ -80,7 +80,7 @@ def all_or_nothing() -> Iterator[None]:
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
         usual = (signal.SIG_DFL, signal.default_int_handler, interrupt)
-        before = {n: handler for n in SIGNALS if (handler := signal.getsignal(n)) in usual}
+        before = {n: handler for n in STOP_SIGNALS if (handler := signal.getsignal(n)) in usual}
 
     def once(number: int, frame: FrameType | None) -> None:
         signal.signal(number, before[number])
@@ -114,7 +114,7 @@ def unbroken() -> Iterator[None]:
     came: list[int] = []
     main = threading.current_thread() is threading.main_thread()  # no other is interrupted
     try:
-        for number in SIGNALS if main else ():
+        for number in STOP_SIGNALS if main else ():
             before[number] = signal.getsignal(number)
             if before[number] not in (signal.SIG_IGN, None):
                 signal.signal(number, lambda number, _frame: came.append(number))

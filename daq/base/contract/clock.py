@@ -41,14 +41,14 @@ class SystemClock:
 
 LATEST_NS = 2**63 - 1
 WINDOW_S = 0.25
-WINDOWS = 240  # one minute of them
-FEWEST = 8
+MAX_WINDOWS = 240  # one minute of them
+MIN_WINDOWS = 8  # two seconds of them
 TRANSIT_S = 1e-3  # the least time from a frame's last sample to our stamp, beyond the frame's own length on the wire
 SLOPE_Z = 3.3  # 99.9 % of the slope's interval
 REAL_TIME = 0.2  # a device whose seconds last longer or shorter by more does not run in real time
-OFF = 1e-3  # a rate that differs by more is no crystal's error
-ENOUGH = 80  # windows: 20 s
-STRAIGHT = 0.05  # of the whole drift: what was held up or comes out of a buffer does not lie on one line
+MAX_CRYSTAL_ERROR_REL = 1e-3  # a rate that differs by more is no crystal's error
+RATE_WINDOWS = 80  # windows: 20 s
+MAX_SCATTER_SHARE = 0.05  # of the whole drift: what was held up or comes out of a buffer does not lie on one line
 
 
 class DeviceClock:
@@ -71,7 +71,7 @@ class DeviceClock:
     def restart(self) -> None:
         """Forget: the device or the link began anew, and index and time no longer go together as before."""
         self._origin: tuple[int, int] | None = None
-        self._minima: deque[tuple[float, float, int]] = deque(maxlen=WINDOWS)  # s on the index axis, s late, rows
+        self._minima: deque[tuple[float, float, int]] = deque(maxlen=MAX_WINDOWS)  # s on the index axis, s late, rows
         self._window = -1
         self._best = (0.0, 0.0)
         self._rows = 0
@@ -98,7 +98,7 @@ class DeviceClock:
     def state(self) -> ClockState | None:
         """The mapping now; None in the first two seconds, and of a source that does not run in real time."""
         n = len(self._minima)
-        if n < FEWEST or self._origin is None:
+        if n < MIN_WINDOWS or self._origin is None:
             return None
         s, late, rows = np.array(self._minima).T
         slope, low, high = theil_sen(s, late)
@@ -120,13 +120,13 @@ class DeviceClock:
 
         Known after 20 s. Not of samples that come faster than time by more than a fifth: those were waiting somewhere.
         """
-        if len(self._minima) < ENOUGH:
+        if len(self._minima) < RATE_WINDOWS:
             return None
         s, late, _ = np.array(self._minima).T
         slope, low, high = theil_sen(s, late)
         off = np.ptp(np.quantile(late - slope * s, (0.05, 0.95)))
-        straight = off < STRAIGHT * abs(slope) * (s[-1] - s[0])
-        certain = (low > OFF or high < -OFF) and slope > -REAL_TIME
+        straight = off < MAX_SCATTER_SHARE * abs(slope) * (s[-1] - s[0])
+        certain = (low > MAX_CRYSTAL_ERROR_REL or high < -MAX_CRYSTAL_ERROR_REL) and slope > -REAL_TIME
         return self.rate_hz / (1.0 + slope) if straight and certain else None
 
 

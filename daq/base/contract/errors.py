@@ -5,7 +5,8 @@ from __future__ import annotations
 import errno
 from pathlib import Path
 
-FULL = (errno.ENOSPC, errno.EFBIG, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC))
+# the disk takes no more, or fails
+DISK_FULL_ERRNOS = (errno.ENOSPC, errno.EFBIG, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 class RotorscopeError(Exception):
@@ -32,7 +33,7 @@ class LogError(RotorscopeError):
 
 def not_written(path: Path, error: OSError) -> RotorscopeError:
     """Of a disk that takes no more, or of a place that is none."""
-    if error.errno in FULL:
+    if error.errno in DISK_FULL_ERRNOS:
         return LogError(f"{path}: cannot be written: {error.strerror}; make room, or choose another place")
     return ConfigError(f"{path}: cannot be written: {error.strerror}; choose another place")
 

@@ -20,9 +20,11 @@ from daq.base.contract.errors import exit_status  # noqa: E402
 
 from . import analyse, demo, files, live, model  # noqa: E402
 
-INTERRUPTED = 130
-ABOUT = "Acquire bearing vibration, identify the rotor's stiffness from it, and learn which physics the model lacks."
-EPILOG = (
+INTERRUPTED_STATUS = 130  # 128 + SIGINT
+ABOUT_TEXT = (
+    "Acquire bearing vibration, identify the rotor's stiffness from it, and learn which physics the model lacks."
+)
+EPILOG_TEXT = (
     "Exit status: 0 fine, 1 the check asked for failed, 2 bad usage or configuration, 3 link, 4 log or data, "
     "130 interrupted."
 )
@@ -39,8 +41,8 @@ def _version(asked: bool) -> None:
 def application(only: str = "") -> typer.Typer:
     """All commands, in the order in which --help shows them, or one: to build all takes longer than to run some."""
     app = typer.Typer(
-        help=ABOUT,
-        epilog=EPILOG,
+        help=ABOUT_TEXT,
+        epilog=EPILOG_TEXT,
         add_completion=False,
         no_args_is_help=True,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -68,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         status = application(*arguments[:1])(arguments, prog_name="rotorscope", standalone_mode=False)
         sys.stdout.flush()
-        if status == INTERRUPTED:  # as typer has it
+        if status == INTERRUPTED_STATUS:  # as typer has it
             raise KeyboardInterrupt
         return status if isinstance(status, int) else 0
     except usage_error as error:
@@ -81,14 +83,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort) as error:
         if isinstance(error.__cause__, EOFError):  # typer takes it for Ctrl-D at a question, and we ask none
             return _unexpected(error.__cause__, verbose)
-        return _failed("interrupted", INTERRUPTED, verbose=False)
+        return _failed("interrupted", INTERRUPTED_STATUS, verbose=False)
     except BrokenPipeError:  # the reader of our output has seen enough
         with contextlib.suppress(OSError):
             to_nowhere(sys.stdout)
         return 0
     except Exception as error:
         if _interrupted(error):
-            return _failed("interrupted", INTERRUPTED, verbose=False)
+            return _failed("interrupted", INTERRUPTED_STATUS, verbose=False)
         status = exit_status(error)
         if status is not None:
             return _failed(str(error), status, verbose)

@@ -9,7 +9,7 @@ import typer
 
 from .options import Json, Output, Quiet, RigArgument, Verbose
 
-LINKS = (
+LINK_FORMS = (
     "virtual: | can:INTERFACE:CHANNEL?bitrate=..&fd=1 | slcan:PORT?bitrate=.. | serial:PORT?baud=.. | "
     "capture:FILE | replay:LOG.mcap"
 )
@@ -31,7 +31,9 @@ def run(
     rigs: Annotated[
         list[str], typer.Argument(metavar="RIG", help="Rig file (TOML); several devices: RIG or RIG=LINK of each.")
     ],
-    link: Annotated[str | None, typer.Option("--link", metavar="LINK", help=f"{LINKS} (default: the rig's)")] = None,
+    link: Annotated[
+        str | None, typer.Option("--link", metavar="LINK", help=f"{LINK_FORMS} (default: the rig's)")
+    ] = None,
     seconds: Seconds = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="LOG.mcap", help="Write a log; of several devices: a folder.")

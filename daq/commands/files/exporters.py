@@ -30,9 +30,11 @@ class Table:
 
 
 def export(output: Output, log: Path, to: Path) -> None:
-    writer = WRITERS.get(to.suffix.lower())
+    writer = WRITER_OF_SUFFIX.get(to.suffix.lower())
     if writer is None:
-        raise ConfigError(f'{to}: cannot export to a file that ends in "{to.suffix}"; known are {", ".join(WRITERS)}')
+        raise ConfigError(
+            f'{to}: cannot export to a file that ends in "{to.suffix}"; known are {", ".join(WRITER_OF_SUFFIX)}'
+        )
     recording = read_log(log)
     with output.progress(f"exporting to {to.name}"):
         table = in_units(recording)
@@ -131,6 +133,6 @@ def _mf4(table: Table, path: Path) -> None:
         file.save(path, overwrite=True)
 
 
-WRITERS: dict[str, Callable[[Table, Path], None]] = {
+WRITER_OF_SUFFIX: dict[str, Callable[[Table, Path], None]] = {
     ".npz": _npz, ".csv": _csv, ".mat": _mat, ".wav": _wav, ".mf4": _mf4,
 }  # fmt: skip

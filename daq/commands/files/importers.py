@@ -23,11 +23,11 @@ from daq.base.contract.sink import Session
 from daq.exchange.checks import Record, checked
 from daq.exchange.formats import read
 from daq.rig.rig import Rig, load_rig
-from daq.rig.units import SI
+from daq.rig.units import SI_UNIT
 from drivers.contract import Block, Gap, Info, Notice, Reading, Signal
 from drivers.foreign import CAPTURE_SUFFIXES
 
-ROWS = 8192  # in a block
+BLOCK_ROWS = 8192  # in a block
 COUNT_BITS = 32
 
 
@@ -98,7 +98,7 @@ def write_record(
     kinds = [c.kind for c in rig.model.channels]
     info = Info(
         tuple(
-            Signal(name, SI[kind], f * scale)
+            Signal(name, SI_UNIT[kind], f * scale)
             for name, kind, f, scale in zip(record.names, kinds, record.factors, scales, strict=True)
         ),
         record.rate_hz,
@@ -132,8 +132,8 @@ def _blocks(record: Record, scales: list[float]) -> Iterator[tuple[int, list[Rea
         if not present:
             yield stop, [Gap(first, stop - first, "source")]
             continue
-        for index in range(first, stop, ROWS):
-            end = min(index + ROWS, stop)
+        for index in range(first, stop, BLOCK_ROWS):
+            end = min(index + BLOCK_ROWS, stop)
             counts = np.empty((end - index, len(scales)), dtype=np.int32)
             for k, (value, scale) in enumerate(zip(record.values, scales, strict=True)):
                 counts[:, k] = np.rint(np.asarray(value[index:end], dtype=np.float64) / scale)

@@ -10,11 +10,11 @@ from rich.table import Table
 from rich.text import Text
 
 from daq.report.live_state import LiveState
-from daq.report.live_table import NAMED, missing_text
+from daq.report.live_table import NAMING_CODES, missing_text
 from drivers.contract import Notice
 
-COLUMNS = ("device", "seconds", "samples/s", "gaps", "lost", "CRC errors", "lag", "estimate")
-_DOWN = {"link_missing": "waits for its link", "link_lost": "its link is lost", "device_failed": "failed"}
+COLUMN_TITLES = ("device", "seconds", "samples/s", "gaps", "lost", "CRC errors", "lag", "estimate")
+_DOWN_WORDS = {"link_missing": "waits for its link", "link_lost": "its link is lost", "device_failed": "failed"}
 
 
 class DeviceRow(LiveState):
@@ -31,10 +31,10 @@ class DeviceRow(LiveState):
 
     def notice(self, notice: Notice) -> None:
         """What the operator is told, also of a link that was never there."""
-        if notice.code in NAMED:
+        if notice.code in NAMING_CODES:
             self._named = notice.text
-        elif notice.code in _DOWN:
-            self._down = _DOWN[notice.code]
+        elif notice.code in _DOWN_WORDS:
+            self._down = _DOWN_WORDS[notice.code]
         elif notice.code == "link_back":
             self._down = ""
 
@@ -77,8 +77,8 @@ class DevicesTable:
 
     def draw(self) -> Table:
         table = Table(box=None, header_style="bold", pad_edge=False)
-        for k, title in enumerate(COLUMNS):
-            last = k == len(COLUMNS) - 1
+        for k, title in enumerate(COLUMN_TITLES):
+            last = k == len(COLUMN_TITLES) - 1
             table.add_column(title, justify="right" if 0 < k < 6 else "left", no_wrap=not last, overflow="fold")
         for row in self.rows.values():
             table.add_row(*row.cells())

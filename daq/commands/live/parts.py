@@ -18,7 +18,8 @@ from drivers.contract import Notice
 if TYPE_CHECKING:
     from daq.report.metrics import MetricsServer
 
-OVER = ("link_back", "bus_restarted", "error_active", "log_recovered", "viewer_back")  # the end of what was told
+# the end of what was told
+RECOVERY_CODES = ("link_back", "bus_restarted", "error_active", "log_recovered", "viewer_back")
 
 
 class Operator:
@@ -29,7 +30,7 @@ class Operator:
         self._device = f"{device}: " if device else ""
 
     def __call__(self, notice: Notice) -> None:
-        if notice.level == "info" and notice.code not in OVER:
+        if notice.level == "info" and notice.code not in RECOVERY_CODES:
             self._output.detail(f"{self._device}{notice.text}")
         else:
             level = "note" if notice.level == "info" else notice.level

@@ -34,10 +34,10 @@ from estimator.identification.batch import FullFit, fit_all_effects
 from estimator.model import EffectUse, Model
 
 from . import hidden_pairs
-from .hidden import AT, COMPLETE, FRACTIONS, RATE_HZ, Case, cases, hidden, numbers, record
+from .hidden import FORCE_SHARES, HIDDEN_PLACES, NO_HIDDEN_EFFECT, RATE_HZ, Case, cases, hidden, numbers, record
 from .hidden_pairs import Pair, pairs, run_pair
 
-SEEN = 20.0  # nats between two models under which their difference is mostly chance
+MIN_DISTANCE_NATS = 20.0  # nats between two models under which their difference is mostly chance
 
 
 def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
@@ -49,7 +49,7 @@ def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
     found = diagnose_point(fitted.model, fitted.point, y)
     spent = time.process_time() - begin
     top = found.ranking[0] if found.ranking else None
-    right = found.verdict == case.effect != COMPLETE
+    right = found.verdict == case.effect != NO_HIDDEN_EFFECT
     return {
         "key": case.key,
         "effect": case.effect,
@@ -118,7 +118,8 @@ def markdown(runs: Sequence[Mapping[str, Any]], seconds: float) -> str:
         "",
         f"All: {right}/{len(runs)}. Numbers covered: true values within the 95 % interval of the diagnosis. Force "
         "falls: runs where the missing force falls by 80 % or more when the effect is added. Gap closed: runs where "
-        f"the held-out likelihood comes within 5 % of the gap to the true model, where that is over {SEEN:g} nats.",
+        "the held-out likelihood comes within 5 % of the gap to the true model, where that is over "
+        f"{MIN_DISTANCE_NATS:g} nats.",
     ]
     return "\n".join(lines) + "\n"
 
@@ -126,7 +127,7 @@ def markdown(runs: Sequence[Mapping[str, Any]], seconds: float) -> str:
 def ended(runs: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
     """(force falls, gap closed), each "in so many/of so many" runs with `added`; empty where there is none."""
     fallen = [r["added"]["missing_percent"] < 0.2 * r["before_percent"] for r in runs if r["before_percent"] > 0.0]
-    closed = [r["added"]["to_go"] < 0.05 * r["added"]["gap"] for r in runs if r["added"]["gap"] > SEEN]
+    closed = [r["added"]["to_go"] < 0.05 * r["added"]["gap"] for r in runs if r["added"]["gap"] > MIN_DISTANCE_NATS]
     force, gap = (f"{sum(true)}/{len(true)}" if true else "" for true in (fallen, closed))
     return force, gap
 
@@ -140,7 +141,8 @@ def confusion(
     two : number of runs with two effects hidden together.
     """
     for given, there, what in (
-        (effects, list(CATALOGUE), "effect"), (strengths_, list(FRACTIONS), "strength"), (at, list(AT), "place"),
+        (effects, list(CATALOGUE), "effect"), (strengths_, list(FORCE_SHARES), "strength"),
+        (at, list(HIDDEN_PLACES), "place"),
     ):  # fmt: skip
         for name in given:
             if name not in there:

@@ -16,10 +16,10 @@ from estimator.simulation import simulate
 
 RATE_HZ = 25600.0
 FULL_SCALE = 490.5  # m/s^2, of the simulated counts
-NOISE = 0.02  # m/s^2 rms, of the simulated sensors
-FRACTIONS = {"weak": 0.02, "strong": 0.06}
-COMPLETE = "complete"
-AT = ("bearing1", "both")
+NOISE_RMS = 0.02  # m/s^2 rms, of the simulated sensors
+FORCE_SHARES = {"weak": 0.02, "strong": 0.06}  # of the bearing force, rms
+NO_HIDDEN_EFFECT = "complete"
+HIDDEN_PLACES = ("bearing1", "both")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ def cases(
     effects: Iterable[str], strength_names: Iterable[str], at: Iterable[str], seeds: int, complete: int
 ) -> list[Case]:
     """Every run asked for; a complete model has only its seed."""
-    out = [Case(COMPLETE, "-", "-", s) for s in range(complete)]
+    out = [Case(NO_HIDDEN_EFFECT, "-", "-", s) for s in range(complete)]
     for seed in range(seeds):
         out += [Case(e, s, a, seed) for e in effects for s in strength_names for a in at if not has_one_place(e, a)]
     return out
@@ -68,10 +68,10 @@ def varied(model: Model, seed: int) -> tuple[Model, float]:
 
 def hidden(model: Model, case: Case, seconds: float) -> tuple[Model, Model, float]:
     """(what is simulated, what the diagnosis is given, sensor noise)."""
-    if case.effect == COMPLETE:
+    if case.effect == NO_HIDDEN_EFFECT:
         truth, noise = varied(model, case.seed)
         return truth, replace(model, band=truth.band), noise
-    return *with_hidden(model, {case.effect: case.at}, FRACTIONS[case.strength], seconds), NOISE
+    return *with_hidden(model, {case.effect: case.at}, FORCE_SHARES[case.strength], seconds), NOISE_RMS
 
 
 def with_hidden(model: Model, at: Mapping[str, str], fraction: float, seconds: float) -> tuple[Model, Model]:

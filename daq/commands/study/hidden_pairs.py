@@ -18,11 +18,21 @@ from estimator.diagnosis.verdict import improve
 from estimator.effects import CATALOGUE, places
 from estimator.model import Model
 
-from .hidden import AT, COMPLETE, FRACTIONS, NOISE, RATE_HZ, has_one_place, numbers, record, with_hidden
+from .hidden import (
+    FORCE_SHARES,
+    HIDDEN_PLACES,
+    NO_HIDDEN_EFFECT,
+    NOISE_RMS,
+    RATE_HZ,
+    has_one_place,
+    numbers,
+    record,
+    with_hidden,
+)
 
 NOBODY_TELLS = {"imbalance", "bow"}
-STEPS = 2
-STRENGTH = "strong"
+IMPROVE_STEPS = 2
+PAIR_STRENGTH = "strong"
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +44,7 @@ class Pair:
 
     @property
     def key(self) -> str:
-        return f"{'+'.join(f'{name}@{where}' for name, where in self.at.items())}/{STRENGTH}/{self.seed}"
+        return f"{'+'.join(f'{name}@{where}' for name, where in self.at.items())}/{PAIR_STRENGTH}/{self.seed}"
 
 
 def pairs(model: Model, effects: Iterable[str], number: int) -> list[Pair]:
@@ -48,14 +58,16 @@ def _drawn(effects: list[str], seed: int) -> Pair:
     while True:
         two = [effects[k] for k in rng.choice(len(effects), 2, replace=False)]
         if set(two) != NOBODY_TELLS or len(effects) == len(two):
-            where = [AT[k] for k in rng.integers(len(AT), size=2)]
-            return Pair({e: AT[0] if has_one_place(e, w) else w for e, w in zip(two, where, strict=True)}, seed)
+            where = [HIDDEN_PLACES[k] for k in rng.integers(len(HIDDEN_PLACES), size=2)]
+            return Pair(
+                {e: HIDDEN_PLACES[0] if has_one_place(e, w) else w for e, w in zip(two, where, strict=True)}, seed
+            )
 
 
 def run_pair(model: Model, pair: Pair, seconds: float) -> dict[str, Any]:
     """Simulate a pair and improve the model without it."""
-    truth, known = with_hidden(model, pair.at, FRACTIONS[STRENGTH], seconds)
-    y = record(truth, seconds, pair.seed, NOISE)
+    truth, known = with_hidden(model, pair.at, FORCE_SHARES[PAIR_STRENGTH], seconds)
+    y = record(truth, seconds, pair.seed, NOISE_RMS)
     begin = time.process_time()
     ladder = improve(known, y, RATE_HZ)
     spent = time.process_time() - begin
@@ -63,7 +75,7 @@ def run_pair(model: Model, pair: Pair, seconds: float) -> dict[str, Any]:
     return {
         "key": pair.key,
         "pair": pair.at,
-        "strength": STRENGTH,
+        "strength": PAIR_STRENGTH,
         "seed": pair.seed,
         "seconds": seconds,
         "hidden_at": {u.name: sorted(u.at) for u in truth.effects if u.name in pair.at},
@@ -94,8 +106,8 @@ def markdown(runs: Sequence[Mapping[str, Any]], seconds: float) -> str:
         covered = f"{sum(abs(z) < 1.96 for z in scores)}/{len(scores)}"
         force = f"{r['before_percent']:.2f} -> {r['after_percent']:.2f}"
         lines.append(f"| {r['seed']} | {both} | {', '.join(r['steps'])} | {force} | {covered} | {r['verdict']} |")
-    count = Counter(len(set(r["pair"]) & set(r["steps"][:STEPS])) for r in runs)
-    ends = sum(r["verdict"] == COMPLETE for r in runs)
+    count = Counter(len(set(r["pair"]) & set(r["steps"][:IMPROVE_STEPS])) for r in runs)
+    ends = sum(r["verdict"] == NO_HIDDEN_EFFECT for r in runs)
     more = sum(bool(set(r["steps"]) - set(r["pair"])) for r in runs)
     elsewhere = sum(any(set(at) != set(r["added_at"].get(e, at)) for e, at in r["hidden_at"].items()) for r in runs)
     fallen = [r["after_percent"] < 0.2 * r["before_percent"] for r in runs if r["before_percent"] > 0.0]

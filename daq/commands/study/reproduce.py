@@ -19,11 +19,11 @@ from estimator.results import Fit
 from estimator.simulation import stationarity
 
 from .reproduce_cases import (
-    CAPS,
-    METHODS,
+    BOOTSTRAP_REPLICATES,
+    CAP_KG,
+    PAPER_METHODS,
     RATE_HZ,
-    REPLICATES,
-    SECONDS,
+    RECORD_SECONDS,
     SOFT_SHAFT,
     Case,
     Row,
@@ -40,7 +40,9 @@ def section6(rows: list[Row], case: str) -> Theory:
 
     found: dict[str, Parameter] = {}
     for row in rows:
-        if (row.case, row.masses, row.method) == (case, "given", METHODS[1]) and row.parameter.endswith(("kL", "kNL")):
+        if (row.case, row.masses, row.method) == (case, "given", PAPER_METHODS[1]) and row.parameter.endswith(
+            ("kL", "kNL")
+        ):
             name = row.parameter.replace(".kNL", ".cubic.kNL")
             known = row.value is not None
             found[name] = Parameter(row.value, row.sd, row.unit, known, "" if known else "over 50 %")
@@ -51,9 +53,9 @@ def section6(rows: list[Row], case: str) -> Theory:
 def reproduce(
     out_dir: Path,
     progress: Callable[[float], None] | None = None,
-    seconds: float = SECONDS,
+    seconds: float = RECORD_SECONDS,
     seed: int = 1,
-    replicates: int = REPLICATES,
+    replicates: int = BOOTSTRAP_REPLICATES,
 ) -> dict[str, Any]:
     """Write figures 4-19 (PNG), tables 1-3 and index.html, numbers.json into `out_dir`; returns the numbers.
 
@@ -75,7 +77,7 @@ def reproduce(
             run_case(name, title, shaft, seconds, seed + k, lambda d, k=k: told((k + d) * 0.22))  # type: ignore[misc]
         )
     rows: list[Row] = []
-    work = [(case, direction, known) for case in cases for direction in CAPS for known in (False, True)]
+    work = [(case, direction, known) for case in cases for direction in CAP_KG for known in (False, True)]
     for k, (case, direction, known) in enumerate(work):
         rows += estimates(case, direction, known, replicates)
         told(0.44 + 0.4 * (k + 1) / len(work))
@@ -105,7 +107,7 @@ def reproduce(
 def _described(case: Case) -> dict[str, Any]:
     condition = stationarity(case.model)
     checks = []
-    for direction in CAPS:
+    for direction in CAP_KG:
         for d in plane_diagnostics(plane_of(case, direction, True), case.x[direction], case.v[direction]):
             checks.append({"name": d.name, "value": d.value, "expected": d.expected, "sd": d.sd})
     return {

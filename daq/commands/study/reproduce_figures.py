@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from estimator.model import Theory, taylor
 
-from .reproduce_cases import KNL, METHODS, RATE_HZ, STIFFNESS, Case, Row
+from .reproduce_cases import PAPER_METHODS, RATE_HZ, TRUE_KNL, TRUE_STIFFNESS, Case, Row
 
 Array = NDArray[np.float64]
-COLOURS = ("#1f5fa8", "#c2571a")
-CAPS = ("bearing 1", "bearing 2")
+BEARING_COLOURS = ("#1f5fa8", "#c2571a")
+BEARING_TITLES = ("bearing 1", "bearing 2")
 
 
 def _panels(columns: int, width: float = 9.0, height: float = 3.4) -> tuple[Any, list[Any]]:
@@ -40,8 +40,8 @@ def signals(out: Path, number: int, data: Array, rate_hz: float, quantity: str, 
     figure, axes = _panels(2)
     n = int(0.03 * rate_hz)
     for i, ax in enumerate(axes):
-        ax.plot(np.arange(n) / rate_hz * 1e3, data[:n, i] * scale, color=COLOURS[i], linewidth=0.9)
-        ax.set(title=CAPS[i], xlabel="time, ms", ylabel=f"{quantity}, {unit}")
+        ax.plot(np.arange(n) / rate_hz * 1e3, data[:n, i] * scale, color=BEARING_COLOURS[i], linewidth=0.9)
+        ax.set(title=BEARING_TITLES[i], xlabel="time, ms", ylabel=f"{quantity}, {unit}")
     _save(figure, out, number)
 
 
@@ -53,8 +53,8 @@ def spectra(out: Path, number: int, x: Array, rate_hz: float) -> None:
     for i, ax in enumerate(axes):
         f, p = welch(x[:, i], rate_hz, nperseg=4096)
         keep = (f > 10.0) & (f < 0.45 * rate_hz)
-        ax.loglog(f[keep], p[keep] * 1e12, color=COLOURS[i], linewidth=0.9)
-        ax.set(title=CAPS[i], xlabel="frequency, Hz", ylabel="displacement PSD, µm²/Hz")
+        ax.loglog(f[keep], p[keep] * 1e12, color=BEARING_COLOURS[i], linewidth=0.9)
+        ax.set(title=BEARING_TITLES[i], xlabel="frequency, Hz", ylabel="displacement PSD, µm²/Hz")
     _save(figure, out, number)
 
 
@@ -68,10 +68,10 @@ def density(out: Path, number: int, data: Array, symbol: str) -> None:
         counts, _ = np.histogram(z, edges)
         seen = counts > 0
         p = counts / (len(z) * (edges[1] - edges[0]))
-        ax.semilogy(middle[seen], p[seen], "o", color=COLOURS[i], markersize=2.6, label="histogram")
+        ax.semilogy(middle[seen], p[seen], "o", color=BEARING_COLOURS[i], markersize=2.6, label="histogram")
         gauss = np.exp(-(middle**2) / 2) / np.sqrt(2 * np.pi)
         ax.semilogy(middle, gauss, color="#444444", linewidth=1, label="Gaussian")
-        ax.set(title=CAPS[i], xlabel=f"{symbol} / rms", ylabel="density", ylim=(1e-6, 1.0))
+        ax.set(title=BEARING_TITLES[i], xlabel=f"{symbol} / rms", ylabel="density", ylim=(1e-6, 1.0))
         ax.legend(frameon=False, fontsize=8, loc="lower center")
     _save(figure, out, number)
 
@@ -97,19 +97,25 @@ def restoring(out: Path, number: int, case: Case, rows: Sequence[Row], direction
     for i, ax in enumerate(axes):
         place = f"bearing{i + 1}.{direction}"
         grid = np.linspace(-3.0, 3.0, 121) * np.std(x[:, i])
-        ax.plot(grid * 1e6, (STIFFNESS[place] + 3 * KNL * grid**2) * 1e-6, color="#444444", linewidth=1.4, label="in")
+        ax.plot(
+            grid * 1e6,
+            (TRUE_STIFFNESS[place] + 3 * TRUE_KNL * grid**2) * 1e-6,
+            color="#444444",
+            linewidth=1.4,
+            label="in",
+        )
         found = {
             r.parameter.rsplit(".", 1)[1]: r
             for r in rows
-            if (r.case, r.masses, r.method) == (case.name, "given", METHODS[1]) and r.parameter.startswith(place)
+            if (r.case, r.masses, r.method) == (case.name, "given", PAPER_METHODS[1]) and r.parameter.startswith(place)
         }
         kL, kNL = found["kL"], found["kNL"]
         if kL.value is not None and kNL.value is not None and kL.sd is not None and kNL.sd is not None:
             k = (kL.value + 3 * kNL.value * grid**2) * 1e-6
             # kL and kNL err in opposite ways; drawn as if independent, the band is on the safe side
             sd = np.hypot(kL.sd, 3 * kNL.sd * grid**2) * 1e-6
-            ax.fill_between(grid * 1e6, k - 1.96 * sd, k + 1.96 * sd, color=COLOURS[i], alpha=0.2, linewidth=0)
-            ax.plot(grid * 1e6, k, color=COLOURS[i], linewidth=1.4, linestyle="--", label="out, eq. (36)")
+            ax.fill_between(grid * 1e6, k - 1.96 * sd, k + 1.96 * sd, color=BEARING_COLOURS[i], alpha=0.2, linewidth=0)
+            ax.plot(grid * 1e6, k, color=BEARING_COLOURS[i], linewidth=1.4, linestyle="--", label="out, eq. (36)")
         ax.set(title=f"bearing {i + 1}", xlabel="displacement, µm", ylabel="dF/dx, N/µm", ylim=(0.0, None))
         ax.legend(frameon=False, fontsize=8, loc="upper center")
     _save(figure, out, number)

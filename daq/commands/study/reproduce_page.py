@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .reproduce_cases import Case
 
-STYLE = """
+PAGE_STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1d1d1d; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2.2rem; } h3 { font-size: 1rem; }
 table { border-collapse: collapse; font-size: 0.85rem; margin: 0.6rem 0 1.2rem; }
@@ -20,7 +20,7 @@ thead th { border-bottom: 1.5px solid #777; vertical-align: bottom; }
 td.none { color: #8a5a00; } figure { margin: 1.2rem 0; } img { max-width: 100%; } figcaption { color: #444; }
 .wide { overflow-x: auto; }
 """
-FORM = {"kL": (1e-6, "N/µm"), "kNL": (1e-18, "N/µm³"), "lambda": (1e-12, "1/µm²"), "mu": (1.0, "")}
+UNIT_OF_PARAMETER = {"kL": (1e-6, "N/µm"), "kNL": (1e-18, "N/µm³"), "lambda": (1e-12, "1/µm²"), "mu": (1.0, "")}
 
 
 def _cell(row: Mapping[str, Any] | None, scale: float) -> str:
@@ -40,7 +40,7 @@ def estimate_table(rows: Sequence[Mapping[str, Any]]) -> str:
     body = []
     for parameter in parameters:
         here = {r["method"]: r for r in rows if r["parameter"] == parameter}
-        scale, unit = FORM[parameter.rsplit(".", 1)[1]]
+        scale, unit = UNIT_OF_PARAMETER[parameter.rsplit(".", 1)[1]]
         true = next(iter(here.values()))["true"] * scale
         cells = "".join(_cell(here.get(m), scale) for m in methods)
         name = f"{html.escape(parameter)}{', ' + unit if unit else ''}"
@@ -102,6 +102,6 @@ def write_page(out: Path, numbers: Mapping[str, Any], figures: Mapping[int, str]
         )
     page = (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Rotorscope: the paper reproduced</title>'
-        f"<style>{STYLE}</style></head><body>{''.join(parts)}</body></html>\n"
+        f"<style>{PAGE_STYLE}</style></head><body>{''.join(parts)}</body></html>\n"
     )
     (out / "index.html").write_text(page, encoding="utf-8")

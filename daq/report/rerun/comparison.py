@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.report.curves import force_reach, scaled
-from daq.report.figures import AGAINST, FIRST, floats
+from daq.report.figures import AXIS_OF_STATE, STATES_BY_PRIORITY, floats
 from daq.report.numbers import unit_text
 from drivers.contract import LinkError
 
@@ -23,10 +23,10 @@ from .text import documents
 
 Json = Mapping[str, Any]
 Series = tuple[NDArray[np.float64], NDArray[np.float64], tuple[int, int, int]]
-MEASURED, MODEL, BEFORE = (200, 200, 200), (86, 180, 233), (230, 159, 0)
-DARK = (95, 95, 95)
-BAND = {MODEL: (45, 85, 110), BEFORE: (105, 80, 25)}
-STEP = "model"
+MEASURED_COLOUR, MODEL_COLOUR, BEFORE_COLOUR = (200, 200, 200), (86, 180, 233), (230, 159, 0)
+DARK_COLOUR = (95, 95, 95)
+BAND_COLOURS = {MODEL_COLOUR: (45, 85, 110), BEFORE_COLOUR: (105, 80, 25)}
+STEP_TIMELINE = "model"
 
 
 class Picture(NamedTuple):
@@ -58,7 +58,7 @@ def log_comparison(
     steps = [before, comparison] if before is not None else [comparison]
     drawn: dict[str, str] = {}
     for k in range(len(steps)):
-        recording.set_time(STEP, sequence=k)
+        recording.set_time(STEP_TIMELINE, sequence=k)
         for entity, picture in planes(steps, k).items():
             drawn[entity] = picture.title
             for name, drawing in picture.frame.frame():
@@ -115,7 +115,7 @@ def planes(steps: Sequence[Json], now: int) -> dict[str, Picture]:
 
 
 def tone(steps: Sequence[Json], k: int) -> tuple[int, int, int]:
-    return MODEL if k == len(steps) - 1 else BEFORE
+    return MODEL_COLOUR if k == len(steps) - 1 else BEFORE_COLOUR
 
 
 def laws(steps: Sequence[Json], now: int) -> dict[str, Picture]:
@@ -124,7 +124,7 @@ def laws(steps: Sequence[Json], now: int) -> dict[str, Picture]:
     for law in steps[now].get("laws", ()):
         channel, against = law["channel"], law["against"]
         alike = [k for s in steps for k in s.get("laws", ()) if (k["channel"], k["against"]) == (channel, against)]
-        name, base = AGAINST[against]
+        name, base = AXIS_OF_STATE[against]
         x_gain, x_unit = scaled((k["at"] for k in alike), base)
         as_curves = [{**k, "force": k[key]} for k in alike for key in ("measured", "model")]
         reach = force_reach(as_curves)
@@ -134,8 +134,8 @@ def laws(steps: Sequence[Json], now: int) -> dict[str, Picture]:
             span((k["at"] for k in alike), x_gain, f"{name}, {x_unit}"), plane.Axis(-high, high, y_unit)
         )
         at = floats(law["at"]) * x_gain
-        series: list[Series] = [(at, floats(law[key]) * y_gain, DARK) for key in ("band_low", "band_high")]
-        series.append((at, floats(law["measured"]) * y_gain, MEASURED))
+        series: list[Series] = [(at, floats(law[key]) * y_gain, DARK_COLOUR) for key in ("band_low", "band_high")]
+        series.append((at, floats(law["measured"]) * y_gain, MEASURED_COLOUR))
         for k in range(now + 1):
             for c in steps[k].get("laws", ()):
                 if (c["channel"], c["against"]) == (channel, against):
@@ -146,13 +146,13 @@ def laws(steps: Sequence[Json], now: int) -> dict[str, Picture]:
 
 def residuals(steps: Sequence[Json], now: int) -> dict[str, Picture]:
     found: dict[str, Picture] = {}
-    every = [c for s in steps for c in s.get("curves", ()) if c["against"] in FIRST]
+    every = [c for s in steps for c in s.get("curves", ()) if c["against"] in STATES_BY_PRIORITY]
     for channel, against in dict.fromkeys((c["channel"], c["against"]) for c in steps[now].get("curves", ())):
         row = [c for c in every if c["channel"] == channel]
         column = [c for c in every if c["against"] == against]
         if not column:
             continue
-        name, base = AGAINST[against]
+        name, base = AXIS_OF_STATE[against]
         x_gain, x_unit = scaled((c["at"] for c in column), base)
         y_gain, y_unit = scaled((c["force"] for c in row), "N")
         x = span((c["at"] for c in column), x_gain, f"{name}, {x_unit}")
@@ -164,7 +164,7 @@ def residuals(steps: Sequence[Json], now: int) -> dict[str, Picture]:
                 if (c["channel"], c["against"]) == (channel, against):
                     at = floats(c["at"]) * x_gain
                     for key in ("band_low", "band_high") if k == now else ():
-                        series.append((at, floats(c[key]) * y_gain, BAND[tone(steps, k)]))
+                        series.append((at, floats(c[key]) * y_gain, BAND_COLOURS[tone(steps, k)]))
                     series.append((at, floats(c["force"]) * y_gain, tone(steps, k)))
         found[f"residual/{part(channel)}/{part(against)}"] = Picture(
             plane.Plane(x, y), series, f"{channel} against {name} [{y_unit}]"
@@ -177,7 +177,7 @@ def unknown(diagnoses: Sequence[Json]) -> dict[str, Picture]:
     shape = next((d["shape"] for d in reversed(diagnoses) if d.get("shape")), None)
     if shape is None:
         return {}
-    name, base = AGAINST.get(shape["against"], (shape["against"], ""))
+    name, base = AXIS_OF_STATE.get(shape["against"], (shape["against"], ""))
     x_gain, x_unit = scaled([shape["at"]], base)
     reach = force_reach([shape])
     y_gain, y_unit = scaled([[reach]], "N")
@@ -185,8 +185,8 @@ def unknown(diagnoses: Sequence[Json]) -> dict[str, Picture]:
     frame = plane.Plane(span([shape["at"]], x_gain, f"{name}, {x_unit}"), plane.Axis(-high, high, y_unit))
     at = floats(shape["at"]) * x_gain
     bands = [key for key in ("band_low", "band_high") if shape.get(key)]
-    series: list[Series] = [(at, floats(shape[key]) * y_gain, BAND[BEFORE]) for key in bands]
-    series.append((at, floats(shape["force"]) * y_gain, BEFORE))
+    series: list[Series] = [(at, floats(shape[key]) * y_gain, BAND_COLOURS[BEFORE_COLOUR]) for key in bands]
+    series.append((at, floats(shape["force"]) * y_gain, BEFORE_COLOUR))
     channel = str(shape.get("channel", ""))
     return {f"unknown/{part(channel)}": Picture(frame, series, f"{channel} against {name} [{y_unit}]")}
 
@@ -199,7 +199,7 @@ def spectra(steps: Sequence[Json], now: int) -> dict[str, Picture]:
         f = floats(s["frequency_hz"])
         x = plane.Axis(float(f.min()), float(f.max()), "frequency, Hz", log=True)
         y = plane.Axis(*plane.decades(values), f"({unit_text(s.get('unit', 'm/s^2'))})²/Hz", log=True)
-        series = [(f, floats(s["measured"]), MEASURED), (f, floats(s["model"]), tone(steps, now))]
+        series = [(f, floats(s["measured"]), MEASURED_COLOUR), (f, floats(s["model"]), tone(steps, now))]
         found[f"spectrum/{part(channel)}"] = Picture(plane.Plane(x, y), series, f"{channel} [{y.label}]")
     return found
 
@@ -213,7 +213,10 @@ def densities(steps: Sequence[Json], now: int) -> dict[str, Picture]:
         x = span((o["at"] for o in alike), gain, f"displacement, {unit}")
         y = plane.Axis(*plane.decades(values, at_most=5), f"1/{unit}", log=True)
         at = floats(d["at"]) * gain
-        series = [(at, floats(d["measured"]) / gain, MEASURED), (at, floats(d["model"]) / gain, tone(steps, now))]
+        series = [
+            (at, floats(d["measured"]) / gain, MEASURED_COLOUR),
+            (at, floats(d["model"]) / gain, tone(steps, now)),
+        ]
         found[f"density/{part(channel)}"] = Picture(plane.Plane(x, y), series, f"{channel} [{y.label}]")
     return found
 
@@ -224,9 +227,9 @@ def orbits(step: Json, colour: tuple[int, int, int]) -> dict[str, Picture]:
         both = [values for key in ("measured", "model") for values in o[key]]
         gain, unit = scaled(both, "m")
         side = span(both, gain, unit)
-        for key, shade in (("measured", MEASURED), ("model", colour)):
+        for key, shade in (("measured", MEASURED_COLOUR), ("model", colour)):
             series = [(floats(o[key][0]) * gain, floats(o[key][1]) * gain, shade)]
-            frame = plane.Plane(side, side, plane.HEIGHT)
+            frame = plane.Plane(side, side, plane.HEIGHT_UNITS)
             found[f"orbit/{part(bearing)}/{key}"] = Picture(frame, series, f"{bearing}, {key} [{unit}]")
     return found
 
@@ -244,8 +247,8 @@ def layout(drawn: Mapping[str, str], texts: Sequence[str] = ("Summary",)) -> Any
     import rerun.blueprint as rrb
 
     def view(entity: str, name: str) -> rrb.Spatial2DView:
-        width = plane.HEIGHT if entity.startswith("orbit") else plane.WIDTH
-        bounds = rrb.VisualBounds2D(x_range=(-130, width + 40), y_range=(-30, plane.HEIGHT + 130))
+        width = plane.HEIGHT_UNITS if entity.startswith("orbit") else plane.WIDTH_UNITS
+        bounds = rrb.VisualBounds2D(x_range=(-130, width + 40), y_range=(-30, plane.HEIGHT_UNITS + 130))
         return rrb.Spatial2DView(origin=entity, name=name, visual_bounds=bounds)
 
     per_row = len({entity.rsplit("/", 1)[1] for entity in drawn if entity.startswith("residual/")})
@@ -266,7 +269,7 @@ def layout(drawn: Mapping[str, str], texts: Sequence[str] = ("Summary",)) -> Any
     words = rrb.Tabs(*pages, active_tab=0)
     return rrb.Blueprint(
         rrb.Horizontal(words, rrb.Tabs(*tabs, active_tab=0), column_shares=[2, 5]) if tabs else words,
-        rrb.TimePanel(timeline=STEP, state="collapsed", play_state="following"),
+        rrb.TimePanel(timeline=STEP_TIMELINE, state="collapsed", play_state="following"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
     )

@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 from daq.report.numbers import unit_text
 
-from .plane import HEIGHT, WIDTH
+from .plane import HEIGHT_UNITS, WIDTH_UNITS
 
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
 DEVICE_TIME, HOST_TIME = "device_time", "host_time"
-LINEAR = ("kL", "c", "m", "S")
+LINEAR_PARAMETERS = ("kL", "c", "m", "S")
 MOST_APART = 6  # waveforms with a plot of their own
 WINDOW_S = 10.0  # of the rolling waveform view; zoom out for the rest
 # Okabe and Ito's colours, told apart with every common colour vision, on dark and on light ground.
-PALETTE = (
+PLOT_COLOURS = (
     (86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (213, 94, 0),
     (240, 228, 66), (0, 114, 178), (150, 150, 150),
 )  # fmt: skip
-BAD, GOOD, IDLE = (213, 94, 0), (0, 158, 115), (130, 130, 130)
+BAD_COLOUR, GOOD_COLOUR, IDLE_COLOUR = (213, 94, 0), (0, 158, 115), (130, 130, 130)
 
 
 def part(name: str) -> str:
@@ -33,7 +33,7 @@ def part(name: str) -> str:
 
 
 def colour(k: int) -> tuple[int, int, int]:
-    return PALETTE[k % len(PALETTE)]
+    return PLOT_COLOURS[k % len(PLOT_COLOURS)]
 
 
 def layout(
@@ -42,54 +42,15 @@ def layout(
     """The live view. signals : unit -> waveforms; bearings : those with an orbit; parameters : kind -> heading."""
     import rerun.blueprint as rrb
 
-    rolling = rrb.VisibleTimeRange(
-        DEVICE_TIME,
-        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S),
-        end=rrb.TimeRangeBoundary.cursor_relative(),
-    )
-    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
-
-    def series(path: str, name: str, **more: Any) -> rrb.TimeSeriesView:
-        return rrb.TimeSeriesView(origin=path, name=name, plot_legend=legend, **more)
-
-    def trace(path: str, name: str) -> rrb.TimeSeriesView:
-        return rrb.TimeSeriesView(
-            origin=path, name=name, plot_legend=rrb.PlotLegend(visible=False), time_ranges=rolling
-        )
-
-    def plot(path: str, name: str, width: float = WIDTH) -> rrb.Spatial2DView:
-        bounds = rrb.VisualBounds2D(x_range=(-110, width + 40), y_range=(-30, HEIGHT + 90))
-        return rrb.Spatial2DView(origin=path, name=name, visual_bounds=bounds)
-
-    def tabbed(views: list[Any]) -> Any:
-        return views[0] if len(views) == 1 else rrb.Tabs(*views, active_tab=0)
-
-    waveforms = [
-        series(f"waveform/{k}", f"Waveforms [{unit_text(unit)}]", time_ranges=rolling)
-        if len(names) > MOST_APART
-        else rrb.Vertical(*(trace(f"waveform/{k}/{part(name)}", f"{name} [{unit_text(unit)}]") for name in names))
-        for k, (unit, names) in enumerate(signals.items())
-    ]
-    spectra = [plot(f"spectrum/{k}", f"Spectrum [({unit_text(unit)})²/Hz]") for k, unit in enumerate(signals)]
-    scopes = [plot(f"scope/{k}", f"Scope, every sample [{unit_text(unit)}]") for k, unit in enumerate(signals)]
-    orbits = [plot(f"orbit/{part(bearing)}", f"Orbit, {bearing} [nm]", HEIGHT) for bearing in bearings]
-    estimates = {kind: series(f"estimate/{part(kind)}", heading) for kind, heading in parameters.items()}
-    linear = [estimates[kind] for kind in LINEAR if kind in estimates]
-    nonlinear = [view for kind, view in estimates.items() if kind not in LINEAR]
-    missing = [series("missing_force", "Missing force [%]")] if missing_force else []
-    tabs = [tabbed(group) for group in (linear, nonlinear, missing) if group]
-    left = [rrb.Vertical(*waveforms)] if waveforms else []
+    left = [rrb.Vertical(*_waveforms(signals))] if signals else []
+    tabs = _estimates(parameters, missing_force)
     left += [rrb.Horizontal(*tabs)] if tabs else []
     left += [rrb.StateTimelineView(origin="state", name="Link, gaps, sensors, estimator, model")]
-    health = rrb.Tabs(
-        rrb.TextLogView(origin="log", name="Log"),
-        series("health/lost", "Lost and damaged, running total"),
-        series("health/lag", "Lag of each stage [s]"),
-        series("health/clock", "Clock"),
-        rrb.TextDocumentView(origin="rig", name="Rig file"),
-        active_tab=0,
-    )
-    right = [*([tabbed(spectra + scopes)] if signals else []), *([rrb.Horizontal(*orbits)] if orbits else []), health]
+    spectra = [_plot(f"spectrum/{k}", f"Spectrum [({unit_text(unit)})²/Hz]") for k, unit in enumerate(signals)]
+    scopes = [_plot(f"scope/{k}", f"Scope, every sample [{unit_text(unit)}]") for k, unit in enumerate(signals)]
+    orbits = [_plot(f"orbit/{part(bearing)}", f"Orbit, {bearing} [nm]", HEIGHT_UNITS) for bearing in bearings]
+    right = [_tabbed(spectra + scopes)] if signals else []
+    right += [*([rrb.Horizontal(*orbits)] if orbits else []), _health()]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(*left, row_shares=[5, 4, 2][-len(left) :]),
@@ -100,3 +61,68 @@ def layout(
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
     )
+
+
+def _waveforms(signals: Mapping[str, Sequence[str]]) -> list[Any]:
+    """For each unit the last seconds of its channels: each by itself, or in one plot if they are many."""
+    import rerun.blueprint as rrb
+
+    rolling = rrb.VisibleTimeRange(
+        DEVICE_TIME,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+
+    def trace(path: str, name: str) -> rrb.TimeSeriesView:
+        return rrb.TimeSeriesView(
+            origin=path, name=name, plot_legend=rrb.PlotLegend(visible=False), time_ranges=rolling
+        )
+
+    return [
+        _series(f"waveform/{k}", f"Waveforms [{unit_text(unit)}]", time_ranges=rolling)
+        if len(names) > MOST_APART
+        else rrb.Vertical(*(trace(f"waveform/{k}/{part(name)}", f"{name} [{unit_text(unit)}]") for name in names))
+        for k, (unit, names) in enumerate(signals.items())
+    ]
+
+
+def _estimates(parameters: Mapping[str, str], missing_force: bool) -> list[Any]:
+    """Tabs of the linear parameters, of the nonlinear ones, and of the missing force."""
+    views = {kind: _series(f"estimate/{part(kind)}", heading) for kind, heading in parameters.items()}
+    linear = [views[kind] for kind in LINEAR_PARAMETERS if kind in views]
+    nonlinear = [view for kind, view in views.items() if kind not in LINEAR_PARAMETERS]
+    missing = [_series("missing_force", "Missing force [%]")] if missing_force else []
+    return [_tabbed(group) for group in (linear, nonlinear, missing) if group]
+
+
+def _health() -> Any:
+    """Tabs of the log and of what the stages of the session say of themselves."""
+    import rerun.blueprint as rrb
+
+    return rrb.Tabs(
+        rrb.TextLogView(origin="log", name="Log"),
+        _series("health/lost", "Lost and damaged, running total"),
+        _series("health/lag", "Lag of each stage [s]"),
+        _series("health/clock", "Clock"),
+        rrb.TextDocumentView(origin="rig", name="Rig file"),
+        active_tab=0,
+    )
+
+
+def _series(path: str, name: str, **more: Any) -> rrb.TimeSeriesView:
+    import rerun.blueprint as rrb
+
+    return rrb.TimeSeriesView(origin=path, name=name, plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop), **more)
+
+
+def _plot(path: str, name: str, width: float = WIDTH_UNITS) -> rrb.Spatial2DView:
+    import rerun.blueprint as rrb
+
+    bounds = rrb.VisualBounds2D(x_range=(-110, width + 40), y_range=(-30, HEIGHT_UNITS + 90))
+    return rrb.Spatial2DView(origin=path, name=name, visual_bounds=bounds)
+
+
+def _tabbed(views: list[Any]) -> Any:
+    import rerun.blueprint as rrb
+
+    return views[0] if len(views) == 1 else rrb.Tabs(*views, active_tab=0)

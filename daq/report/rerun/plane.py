@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import rerun as rr
 
-WIDTH, HEIGHT = 1300.0, 560.0  # view units; the view fits itself to the frame, so every plot has the same size
-MARGIN = 60.0
-GRID = (120, 120, 120, 70)
-TEXT = (150, 150, 150, 255)
-MINUS = str.maketrans("-", "\N{MINUS SIGN}")
+# view units; the view fits itself to the frame, so every plot has the same size
+WIDTH_UNITS, HEIGHT_UNITS = 1300.0, 560.0
+MARGIN_UNITS = 60.0
+GRID_COLOUR = (120, 120, 120, 70)
+TEXT_COLOUR = (150, 150, 150, 255)
+MINUS_SIGN = str.maketrans("-", "\N{MINUS SIGN}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,37 +79,40 @@ class Plane:
 
     x: Axis
     y: Axis
-    width: float = WIDTH
+    width: float = WIDTH_UNITS
 
     def points(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, 2) view coordinates (y downwards); rows with a NaN are left out."""
         keep = np.isfinite(x) & np.isfinite(y)
-        return np.column_stack([self.x.fraction(x[keep]) * self.width, (1 - self.y.fraction(y[keep])) * HEIGHT])
+        return np.column_stack([self.x.fraction(x[keep]) * self.width, (1 - self.y.fraction(y[keep])) * HEIGHT_UNITS])
 
     def frame(self) -> list[tuple[str, Any]]:
         """The grid and the labels, as (name, archetype) pairs to log under the plot's path."""
         import rerun as rr
 
-        border = [[0.0, 0.0], [self.width, 0.0], [self.width, HEIGHT], [0.0, HEIGHT], [0.0, 0.0]]
+        border = [[0.0, 0.0], [self.width, 0.0], [self.width, HEIGHT_UNITS], [0.0, HEIGHT_UNITS], [0.0, 0.0]]
         strips: list[list[list[float]]] = [border]
         marks: list[list[float]] = []
         words: list[str] = []
         for value, text in self.x.ticks():
             at = float(self.x.fraction(np.array([value]))[0]) * self.width
-            strips.append([[at, 0], [at, HEIGHT]])
-            marks.append([at, HEIGHT])
+            strips.append([[at, 0], [at, HEIGHT_UNITS]])
+            marks.append([at, HEIGHT_UNITS])
             words.append(text)
         for value, text in self.y.ticks():
-            at = (1 - float(self.y.fraction(np.array([value]))[0])) * HEIGHT
+            at = (1 - float(self.y.fraction(np.array([value]))[0])) * HEIGHT_UNITS
             strips.append([[0, at], [self.width, at]])
-            marks.append([-MARGIN / 2, at - MARGIN / 4])
+            marks.append([-MARGIN_UNITS / 2, at - MARGIN_UNITS / 4])
             words.append(text)
-        marks += [[self.width / 2, HEIGHT + MARGIN / 2]] if self.x.label else []
+        marks += [[self.width / 2, HEIGHT_UNITS + MARGIN_UNITS / 2]] if self.x.label else []
         words += [self.x.label] if self.x.label else []
-        words = [w.translate(MINUS) for w in words]
+        words = [w.translate(MINUS_SIGN) for w in words]
         return [
-            ("grid", rr.LineStrips2D(strips, colors=[GRID], radii=rr.Radius.ui_points(0.5))),
-            ("labels", rr.Points2D(marks, labels=words, show_labels=True, colors=[TEXT], radii=rr.Radius.ui_points(0))),
+            ("grid", rr.LineStrips2D(strips, colors=[GRID_COLOUR], radii=rr.Radius.ui_points(0.5))),
+            (
+                "labels",
+                rr.Points2D(marks, labels=words, show_labels=True, colors=[TEXT_COLOUR], radii=rr.Radius.ui_points(0)),
+            ),
         ]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-INTEGRATIONS = {"acceleration": 2, "velocity": 1, "displacement": 0}
+INTEGRATIONS_TO_DISPLACEMENT = {"acceleration": 2, "velocity": 1, "displacement": 0}
 
 
 def envelope(index: int, counts: NDArray[np.int32], width: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
@@ -66,7 +66,7 @@ def displacement(y: Array, kind: str, rate_hz: float, band: tuple[float, float])
     frequency = np.fft.rfftfreq(n, 1 / rate_hz)
     inside = (frequency >= band[0]) & (frequency <= band[1]) & (frequency > 0)
     gain = np.zeros(len(frequency), complex)
-    gain[inside] = (2j * np.pi * frequency[inside]) ** -INTEGRATIONS[kind]
+    gain[inside] = (2j * np.pi * frequency[inside]) ** -INTEGRATIONS_TO_DISPLACEMENT[kind]
     centred = (y - y.mean(axis=0)) * taper[:, None]
     out: Array = np.fft.irfft(np.fft.rfft(centred, axis=0) * gain[:, None], n, axis=0)
     return out

@@ -22,8 +22,8 @@ from .process import VIEWER_PORT, ViewerGone, ViewerProcess, answers, start_view
 from .view import ViewSession
 
 Item = Reading | Estimate | Status
-OVERHEAD = 256  # bytes charged for whatever is not samples
-BATCH = 1 << 20  # bytes of samples in one message
+OVERHEAD_BYTES = 256  # bytes charged for whatever is not samples
+BATCH_BYTES = 1 << 20  # bytes of samples in one message
 RETRY_S = (0.5, 5.0)  # first and longest pause between attempts to reach a viewer
 LIVE_BYTES, FILE_BYTES = 8 << 20, 64 << 20  # 20 s of four channels at 25.6 kHz; and room for a fast replay
 FINISH_S = 10.0  # to complete a file
@@ -113,7 +113,7 @@ class RerunSink:
     # ---- the queue
 
     def _put(self, item: Item, size: int) -> None:
-        size += OVERHEAD
+        size += OVERHEAD_BYTES
         while not self._live and self._bytes + size > self._capacity and self._process is not None:
             time.sleep(0.002)
         with self._lock:
@@ -129,7 +129,7 @@ class RerunSink:
         taken: list[Item] = []
         size = 0
         with self._lock:
-            while self._queue and size < BATCH:
+            while self._queue and size < BATCH_BYTES:
                 more, item, _ = self._queue.popleft()
                 size += more
                 taken.append(item)

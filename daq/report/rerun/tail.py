@@ -12,7 +12,7 @@ from drivers.contract import Info, Signal
 
 from . import plane as plane
 from .layout import colour, part
-from .signal import INTEGRATIONS, displacement, spectrum
+from .signal import INTEGRATIONS_TO_DISPLACEMENT, displacement, spectrum
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -82,7 +82,7 @@ class Tail:
         q = q[keep] * 1e9
         side = self._linear_axis(f"orbit/{part(bearing)}", q, "y, nm")
         x = plane.Axis(side.low, side.high, "")
-        self._draw(f"orbit/{part(bearing)}", plane.Plane(x, side, plane.HEIGHT), [(q[:, 0], q[:, 1], colour(b))])
+        self._draw(f"orbit/{part(bearing)}", plane.Plane(x, side, plane.HEIGHT_UNITS), [(q[:, 0], q[:, 1], colour(b))])
 
     def _log_axis(self, path: str, values: Array, label: str) -> plane.Axis:
         """Decades that hold the values, and those held before."""
@@ -115,7 +115,7 @@ class Tail:
         for k, signal in enumerate(self._signals):
             place, kind = places.get(signal.name, ("", ""))
             node, _, direction = place.partition(".")
-            if kind in INTEGRATIONS:
+            if kind in INTEGRATIONS_TO_DISPLACEMENT:
                 found.setdefault(node, {}).setdefault(direction, (k, kind))
         return {
             node: (d["x"][0], d["y"][0], d["x"][1])

@@ -18,7 +18,7 @@ from daq.report.numbers import unit_text
 from drivers.contract import Block, Gap, Info, Notice, Reading, Signal
 from estimator.results import MISSING_FORCE_KEY, Estimate, certain_missing_effects
 
-from .layout import BAD, DEVICE_TIME, GOOD, HOST_TIME, IDLE, colour, layout, part
+from .layout import BAD_COLOUR, DEVICE_TIME, GOOD_COLOUR, HOST_TIME, IDLE_COLOUR, colour, layout, part
 from .signal import envelope
 from .tail import TAIL_S, Tail
 
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 LAST_S = 9e9  # times are int64 nanoseconds: a gap may claim more than that
 PREVIEW_HZ = 500.0  # rows a second of a waveform, two of them a bin; slower signals are shown whole
-ROWS = 64  # a call to the recording: 50 to 100 times cheaper than one row each
+CALL_ROWS = 64  # a call to the recording: 50 to 100 times cheaper than one row each
 NOTHING_MISSING, A_FORCE = "no force missing", "a force is missing"
-LEVELS = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
+WORD_OF_LEVEL = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class RerunView:
                 self._gap(item)
             case Notice():
                 self._at(self._index)
-                self._say(LEVELS.get(item.level, "INFO"), f"{item.code}: {item.text}")
+                self._say(WORD_OF_LEVEL.get(item.level, "INFO"), f"{item.code}: {item.text}")
                 if item.code == "silent":
                     self._state("link", "silent")
             case Info():
@@ -140,7 +140,7 @@ class RerunView:
         self._by_unit = {unit: [s.name for s in info.signals if s.unit == unit] for unit in self._units}
         self._full = 2 ** (info.count_bits - 1) - 1
         self._width = max(1, round(2 * info.rate_hz / PREVIEW_HZ))
-        self._enough = max(self._width * ROWS // 2, round(info.rate_hz / 4)) if self._width > 1 else ROWS
+        self._enough = max(self._width * CALL_ROWS // 2, round(info.rate_hz / 4)) if self._width > 1 else CALL_ROWS
         self._pending: list[Block] = []
         self._held = 0
         self._tail = Tail(self._to, info, self._session.places, self._session.band)
@@ -285,7 +285,7 @@ class RerunView:
     def _lane(self, lane: str, good: str) -> None:
         bad = [A_FORCE] + [f"gap: {r}" for r in ("sequence", "crc", "device_lost")]
         values = [good, "waiting", "warming up", "silent", *bad]
-        colours = [GOOD, IDLE, IDLE, BAD, *[BAD] * len(bad)]
+        colours = [GOOD_COLOUR, IDLE_COLOUR, IDLE_COLOUR, BAD_COLOUR, *[BAD_COLOUR] * len(bad)]
         style = self._rr.StateConfiguration(values=values, colors=colours)
         self._to.log(f"state/{lane}", style, static=True)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.commands.cache_place import CHECKED, VARIABLE, choose, clean
+from daq.commands.cache_place import CACHE_VARIABLE, CHECKED_FILE, choose, clean
 
 RIG = Path(__file__).parents[3] / "configs" / "tiwari_vyas_1997.toml"
 NOWHERE = Path("/proc/nowhere")  # a read-only installation
@@ -21,32 +21,32 @@ NOWHERE = Path("/proc/nowhere")  # a read-only installation
 @pytest.fixture
 def nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Nothing of numba's own can be written (root can write anything but this): only the temporary files."""
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     return tmp_path
 
 
 def test_numba_is_left_alone_where_it_can_write(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
     choose()
-    assert VARIABLE not in os.environ
+    assert CACHE_VARIABLE not in os.environ
 
 
 def test_a_read_only_installation_without_a_home(nowhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     choose(NOWHERE)
-    first = Path(os.environ[VARIABLE])
+    first = Path(os.environ[CACHE_VARIABLE])
     assert first.parent == nowhere
     assert stat.S_IMODE(first.stat().st_mode) == 0o700
-    monkeypatch.delenv(VARIABLE)
+    monkeypatch.delenv(CACHE_VARIABLE)
     choose(NOWHERE)
-    assert Path(os.environ[VARIABLE]) == first  # what was compiled is there the next time
+    assert Path(os.environ[CACHE_VARIABLE]) == first  # what was compiled is there the next time
 
 
 @pytest.mark.parametrize("trap", ["others may write", "link", "file"])
 def test_a_place_that_another_may_have_prepared_is_not_taken(nowhere: Path, trap: str) -> None:
     choose(NOWHERE)
-    first = Path(os.environ.pop(VARIABLE))
+    first = Path(os.environ.pop(CACHE_VARIABLE))
     if trap == "others may write":
         first.chmod(0o777)
     else:
@@ -54,7 +54,7 @@ def test_a_place_that_another_may_have_prepared_is_not_taken(nowhere: Path, trap
         (nowhere / "theirs").mkdir()
         first.symlink_to(nowhere / "theirs") if trap == "link" else first.write_text("")
     choose(NOWHERE)
-    taken = Path(os.environ[VARIABLE])
+    taken = Path(os.environ[CACHE_VARIABLE])
     assert taken != first
     assert taken.parent == nowhere
     assert stat.S_IMODE(taken.stat().st_mode) == 0o700
@@ -69,7 +69,7 @@ def test_compiled_code_that_a_power_cut_spoilt_is_compiled_again(
         "from daq.commands import cache_place; cache_place.clean(); "
         "from drivers.serial import cobs; print(cobs.encode(b'a').hex())"
     )
-    environment = os.environ | {VARIABLE: str(tmp_path / "cache"), "PYTHONPATH": str(RIG.parents[1])}
+    environment = os.environ | {CACHE_VARIABLE: str(tmp_path / "cache"), "PYTHONPATH": str(RIG.parents[1])}
 
     def encode() -> tuple[str, list[Path]]:
         done = subprocess.run(
@@ -83,7 +83,7 @@ def test_compiled_code_that_a_power_cut_spoilt_is_compiled_again(
     for k, path in enumerate(files):
         data = path.read_bytes()
         path.write_bytes((b"", data[: len(data) // 2], data[:-100] + bytes(100))[k % 3])
-        (path.parent / CHECKED).write_bytes(b"of the start before the power cut")
+        (path.parent / CHECKED_FILE).write_bytes(b"of the start before the power cut")
     assert encode() == (said, files)
     row = "power cut | compiled code on the disk is empty, cut, or ends in zeros | compiled again, no word"
     record_property("reliability", f"{row} | {len(files)} files, status 0")
@@ -98,12 +98,12 @@ def _some_code(folder: Path) -> None:
 
 
 def test_whole_files_of_compiled_code_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     ours, theirs = tmp_path / "drivers_1", tmp_path / "others_1"
     for folder in (ours, theirs):
         _some_code(folder)
     clean()
-    assert {path.name for path in ours.iterdir()} <= {"whole.nbi", CHECKED}
+    assert {path.name for path in ours.iterdir()} <= {"whole.nbi", CHECKED_FILE}
     assert len(list(theirs.iterdir())) == 4
 
 
@@ -112,26 +112,26 @@ def test_compiled_code_is_looked_at_once_after_the_computer_has_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mark: bytes | None
 ) -> None:
     """mark : what a power cut left of it, or one that is older than the power cut."""
-    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     (tmp_path / "boot_id").write_text("this-start\n")
     folder = tmp_path / "drivers_1"
     _some_code(folder)
     if mark is not None:
-        (folder / CHECKED).write_bytes(mark)
+        (folder / CHECKED_FILE).write_bytes(mark)
     clean(boot_id=tmp_path / "boot_id")
-    assert sorted(path.name for path in folder.iterdir()) == [CHECKED, "whole.nbi"]
+    assert sorted(path.name for path in folder.iterdir()) == [CHECKED_FILE, "whole.nbi"]
     _some_code(folder)
     clean(boot_id=tmp_path / "boot_id")
     assert len(list(folder.iterdir())) == 5, "looked at again"
     (tmp_path / "boot_id").write_text("the-next-start\n")
     clean(boot_id=tmp_path / "boot_id")
-    assert sorted(path.name for path in folder.iterdir()) == [CHECKED, "whole.nbi"]
+    assert sorted(path.name for path in folder.iterdir()) == [CHECKED_FILE, "whole.nbi"]
 
 
 def test_compiled_code_is_looked_at_each_time_where_the_system_names_no_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     for _ in range(2):
         _some_code(tmp_path / "drivers_1")
         clean(boot_id=tmp_path / "nowhere")

@@ -23,12 +23,12 @@ def test_the_truth_has_the_hidden_effect_and_the_rig_has_not() -> None:
     rig = demo_rig()
     truth = Rig.parse(demo.truth_text(rig))
     assert [u.name for u in rig.model.effects] == ["cubic"]
-    assert [u.name for u in truth.model.effects] == ["cubic", demo.HIDDEN]
+    assert [u.name for u in truth.model.effects] == ["cubic", demo.HIDDEN_EFFECT]
     assert truth.model.effects[1].at == ("bearing1.x", "bearing1.y")
     assert all(s.value is None for table in rig.model.linear.values() for s in table.values())
     known = demo.known_values(truth)
     assert known["bearing1.x.clearance.gap"] == demo.HIDDEN_VALUES["gap"]
-    assert known["bearing2.y.kL"] == demo.LINEAR["bearing2.y"][0]
+    assert known["bearing2.y.kL"] == demo.TRUE_LINEAR["bearing2.y"][0]
 
 
 def test_acquired_over_the_virtual_bus_and_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -51,7 +51,7 @@ def test_the_whole_story(tmp_path: Path) -> None:
     value = json.loads(out.read_text())
     jsonschema.validate(value, json.loads(SCHEMA.read_text()))
     first, last = value["ladder"][0], value["ladder"][-1]
-    assert last["effects"] == ["cubic", demo.HIDDEN]
+    assert last["effects"] == ["cubic", demo.HIDDEN_EFFECT]
     assert last["heldout_nll"] < first["heldout_nll"]
     before, after = (step["missing_force_percent"]["value"] for step in (first, last))
     assert after < 0.2 * before

@@ -24,7 +24,7 @@ from daq.log.file import LogFile
 from daq.log.info import info
 from daq.log.reader import Recording, read_log
 from daq.log.recover import recover
-from daq.log.scan import SIGNATURE, SIGNATURE_AT
+from daq.log.scan import SIGNATURE_AT, ZSTD_SIGNATURE
 from drivers.contract.reading import Block, Gap, Notice
 
 SCHEMAS = Path(__file__).parents[2] / "data" / "schemas"
@@ -211,7 +211,7 @@ def test_every_chunk_can_be_read_alone(tmp_path: Path) -> None:
     file.push()
     file.close()
     data = (tmp_path / "a.mcap").read_bytes()
-    starts = [m.start() - SIGNATURE_AT for m in re.finditer(re.escape(SIGNATURE), data)]
+    starts = [m.start() - SIGNATURE_AT for m in re.finditer(re.escape(ZSTD_SIGNATURE), data)]
     alone = [read(tmp_path / "b.mcap", LOG_MAGIC + data[a:b]) for a, b in pairwise([*starts, len(data)])]
     assert len(alone) > 3
     assert sum(log.n_samples for log in alone if log is not None) == 400 * 256

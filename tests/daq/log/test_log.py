@@ -124,7 +124,7 @@ def test_other_tools_read_it(tmp_path: Path) -> None:
                 topics.setdefault(channel.topic, []).append(DecoderFactory().decoder_for("protobuf", schema)(raw.data))  # type: ignore[misc]
             else:
                 topics.setdefault(channel.topic, []).append(np.frombuffer(raw.data, "<f8", offset=20 - 20 % 8 + 4))
-    assert set(topics) == {t.name for t in codec.TOPICS}
+    assert set(topics) == {t.name for t in codec.LOG_TOPICS}
     assert sum(m.rows for m in topics["/raw"]) == sum(len(r.counts) for r in stream if isinstance(r, Block))  # type: ignore[attr-defined]
     assert topics["/log"][0].message == "a frame was damaged"  # type: ignore[attr-defined]
 

@@ -19,7 +19,7 @@ from promises import PATIENCE_S, within
 from daq.base.contract.errors import ConfigError
 from daq.base.contract.sink import ClockState, Session, Status
 from daq.report.metrics import MetricsServer, MetricsSink
-from daq.report.metrics_http import MOST
+from daq.report.metrics_http import MAX_CONNECTIONS
 from drivers.contract.reading import Block, Gap, Info, LinkStats, Notice, Signal
 from estimator.model.rig import Channel, Model
 from estimator.results import Estimate, Parameter
@@ -138,7 +138,7 @@ def test_many_clients_that_say_nothing_take_few_files_and_hold_nobody(
     for _ in range(200):
         clients.append(socket.create_connection(address, PATIENCE_S))
         clients[-1].sendall(b"GET /metr")
-    assert threading.active_count() - before <= MOST
+    assert threading.active_count() - before <= MAX_CONNECTIONS
     assert read(server)[("samples_total", "SN7")] == 266
     for hostile in (b"\0" * 100_000, b"GET " + b"/" * 70_000, b"GET /metrics HTTP/9\r\n\r\n", b"A\r\nB: c\r\n" * 500):
         with socket.create_connection(address, PATIENCE_S) as client, contextlib.suppress(ConnectionError):

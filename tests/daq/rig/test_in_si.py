@@ -10,7 +10,7 @@ from stand_ins import MomentEstimator, Recorder, ScriptedDriver, info_of, paper_
 
 from daq.commands.cli.app import main
 from daq.log.reader import read_log
-from daq.rig.units import GRAVITY
+from daq.rig.units import STANDARD_GRAVITY
 from daq.session.acquire import acquire_from
 from drivers.contract.reading import Info, Notice
 
@@ -56,8 +56,9 @@ def imported(folder: Path, dbc_unit: str, kind: str, unit: str) -> Path:
 
 @pytest.mark.parametrize(
     ("dbc", "unit", "factor"),
-    [("g", "g", GRAVITY), ("g", "m/s^2", GRAVITY), ("m/s²", "g", 1.0), ("", "mg", 1e-3 * GRAVITY),
-     ("mg", "m/s^2", 1e-3 * GRAVITY), ("furlong", "g", GRAVITY)],
+    [("g", "g", STANDARD_GRAVITY), ("g", "m/s^2", STANDARD_GRAVITY), ("m/s²", "g", 1.0),
+     ("", "mg", 1e-3 * STANDARD_GRAVITY),
+     ("mg", "m/s^2", 1e-3 * STANDARD_GRAVITY), ("furlong", "g", STANDARD_GRAVITY)],
 )  # fmt: skip
 def test_a_unit_of_a_dbc_becomes_si(
     dbc: str, unit: str, factor: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -12,7 +12,7 @@ from daq.base.contract.errors import ConfigError
 from daq.commands.cli.app import main
 from daq.rig.problems import line_numbers
 from daq.rig.rig import Rig, load_rig
-from daq.rig.units import UNITS, canonical, factor
+from daq.rig.units import UNITS_OF_KIND, canonical, factor
 from daq.session.links import open_driver
 
 CONFIGS = Path(__file__).parents[3] / "configs"
@@ -292,7 +292,7 @@ def test_a_unit_of_another_kind_names_its_kind() -> None:
     with pytest.raises(ValueError, match="one of displacement.*use m/s, mm/s"):
         factor("velocity", "um")
     assert factor("displacement", "µm") == 1e-6
-    assert {kind: next(iter(u)) for kind, u in UNITS.items()}["force"] == "N"
+    assert {kind: next(iter(u)) for kind, u in UNITS_OF_KIND.items()}["force"] == "N"
 
 
 @given(st.text(max_size=300))

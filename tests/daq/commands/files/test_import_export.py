@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 
 from daq.commands.cli.app import main
 from daq.commands.files.importers import power_of_two
-from daq.exchange.child import REFUSED, refusal
+from daq.exchange.child import REFUSED_STATUS, refusal
 from daq.log.reader import read_log
 
 RATE = 5120.0
@@ -323,7 +323,7 @@ def test_the_process_that_reads_lets_go_of_what_it_read_before_it_says_why_not()
         read()
     except ValueError as error:
         said, left = refusal(error), held[0]()
-    assert said == (REFUSED, "damaged")
+    assert said == (REFUSED_STATUS, "damaged")
     assert left is None
 
 

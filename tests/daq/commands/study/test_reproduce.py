@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from daq.commands.study.reproduce import reproduce
-from daq.commands.study.reproduce_cases import DISC, METHODS, paper_model
+from daq.commands.study.reproduce_cases import DISC_KG, PAPER_METHODS, paper_model
 from estimator.simulation.start import stationarity
 
 
@@ -56,7 +56,7 @@ def test_parameters_in_come_out(made: tuple[Path, dict[str, Any], list[float]]) 
     """Both directions: eq. (36), response form, with the masses given and a twentieth of the command's record."""
     _, numbers, _ = made
     for table in ("1", "2"):
-        for r in rows(numbers, table, case="rig", masses="given", method=METHODS[1]):
+        for r in rows(numbers, table, case="rig", masses="given", method=PAPER_METHODS[1]):
             if r["parameter"].endswith("kL"):
                 assert r["value"] == pytest.approx(r["true"], rel=0.12)
                 assert abs(r["value"] - r["true"]) < 4.0 * r["sd"]
@@ -72,8 +72,10 @@ def test_mass_ratio_is_a_verdict_not_a_number_with_the_rigs_shaft(
         found = [r for r in rows(numbers, table, case="rig", masses="unknown") if r["parameter"].endswith("mu")]
         assert len(found) == 8
         assert all(r["value"] is None for r in found)
-    strong = [r for r in rows(numbers, "1", case="strong", method=METHODS[2]) if r["parameter"] == "bearing1.x.mu"]
-    assert strong[0]["value"] == pytest.approx(DISC / 0.245, rel=0.25)
+    strong = [
+        r for r in rows(numbers, "1", case="strong", method=PAPER_METHODS[2]) if r["parameter"] == "bearing1.x.mu"
+    ]
+    assert strong[0]["value"] == pytest.approx(DISC_KG / 0.245, rel=0.25)
 
 
 @pytest.mark.slow

@@ -175,11 +175,11 @@ def test_a_second_effect_is_to_explain_all_that_smooth_terms_do(rig: Model) -> N
 @pytest.mark.timeout(900)
 def test_false_alarms_are_rare() -> None:
     from daq.commands.study.confusion import run
-    from daq.commands.study.hidden import COMPLETE, Case
+    from daq.commands.study.hidden import NO_HIDDEN_EFFECT, Case
 
     model = load_rig(ROOT / "configs/tiwari_vyas_1997.toml").model
-    verdicts = [run(model, Case(COMPLETE, "-", "-", seed), 20.0)["verdict"] for seed in range(40)]
-    assert sum(v != COMPLETE for v in verdicts) <= 2, verdicts
+    verdicts = [run(model, Case(NO_HIDDEN_EFFECT, "-", "-", seed), 20.0)["verdict"] for seed in range(40)]
+    assert sum(v != NO_HIDDEN_EFFECT for v in verdicts) <= 2, verdicts
 
 
 def test_an_effect_near_the_front_at_one_bearing_is_refined_at_the_other() -> None:
