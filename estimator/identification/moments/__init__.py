@@ -1,4 +1,4 @@
-"""The paper's own methods: Fokker-Planck density, score matching, Volterra series."""
+"""Independent methods of the literature: Fokker-Planck density, score matching, Volterra series."""
 
 from .fokker_planck import Form, fokker_planck_parameters
 from .plane_moments import PlaneMoments

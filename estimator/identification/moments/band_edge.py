@@ -1,13 +1,13 @@
-"""What a band limit does to the moment equations, and how it is put right.
+"""Correction of the moment equations for the band limit.
 
-In band-limited signals the white force and the displacement of the same instant are no longer uncorrelated: what the
-band leaves out of E[x F] = 0 is missing, and with receptance H, filter gain G and one-sided S
+In band-limited signals the white force and the displacement of the same instant are correlated: the part of
+E[x F] = 0 outside the band is missing. With receptance H, filter gain G and one-sided S
 
     beta = E[x_b F_b] = -S integral (1 - |G|^2) Re H df        Re H ~ 1/k below the resonance, -1/(m w^2) above it
 
-It is -0.2 to +0.4 % of k E[x^2] on the paper's rig: more than the scatter of a 20 s record. Damping c and S follow from
-two more moments: the inferred force has variance S B = E[(m a + k x)^2] + c^2 E[v^2], B = integral |G|^2 df, and
-S = 4 c m E[v^2] (power in = power out). They serve the correction only, where a tenth of an error in c is harmless.
+It is -0.2 to +0.4 % of k E[x^2] on the paper's rig. Damping c and S follow from two more moments: the residual force
+has variance S B = E[(m a + k x)^2] + c^2 E[v^2], B = integral |G|^2 df, and S = 4 c m E[v^2] (power in = power out).
+They serve this correction only, for which an error of 10 % in c is harmless.
 """
 
 from __future__ import annotations
@@ -25,9 +25,12 @@ Number = complex | Complexes
 
 @dataclass(frozen=True, slots=True)
 class BandEdge:
-    """Frequencies outside the flat band, hz (n,), the measure (1 - |G|^2) df there, (n,), Hz, and B in Hz.
+    """The part of the spectrum that a band limit leaves out.
 
-    above : Hz, where the tail of the integral over mass-like receptance begins.
+    hz : (n,) frequencies outside the flat band, Hz.
+    measure : (n,) (1 - |G|^2) df there, Hz.
+    width : B, Hz.
+    above : frequency above which the receptance is that of the mass, Hz.
     """
 
     hz: Array
@@ -37,7 +40,7 @@ class BandEdge:
 
     @classmethod
     def of(cls, rate_hz: float, band: tuple[float, float]) -> BandEdge:
-        """The edges of bandlimit.BandLimit at this rate and band (Hz)."""
+        """The edges of the band-limiting filters at a sampling rate and band, Hz."""
         f: Array = np.linspace(0.0, 0.5 * rate_hz, 4001, dtype=np.float64)
         df = float(f[1])
         gain = passband(f, rate_hz, band) ** 2
@@ -51,9 +54,9 @@ class BandEdge:
         return cls(middle, weight, float(np.sum(gain) * df), 0.5 * rate_hz)
 
     def work(self, k: Number, m: float, xx: Number, vv: Number, aa: Number) -> Complexes:
-        """beta in N m for stiffness k N/m (shaft included), mass m kg, mean squares of x, v, a; 0 where c is not > 0.
+        """beta, N m, of a cap; 0 where c is not positive. Analytic in its complex arguments, arrays of one shape.
 
-        Analytic in its complex arguments, arrays of one shape, for a complex-step derivative.
+        k : stiffness of bearing and shaft, N/m. m : kg. xx, vv, aa : mean squares of x, v, a.
         """
         k = np.asarray(k, complex)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Weighted means of a vector series with an honest covariance, as a recursion over blocks.
+"""Weighted means of a vector series and their covariance for correlated rows, as a recursion over blocks.
 
 Each block contributes its row sum s (K,) and row count n. With weights w (exponential forgetting; 1 for a batch)
 
@@ -19,7 +19,7 @@ from estimator.arrays import Array
 
 
 class BlockMoments:
-    """The recursion for a series of `size` columns. `add` is the only method that changes it."""
+    """Weighted sums over the blocks of a series of `size` columns. rows : weighted number of rows."""
 
     def __init__(self, size: int) -> None:
         self.rows = 0.0

@@ -1,7 +1,7 @@
-"""The paper's estimator: least squares on the logarithm of the histogram, eq. (36).
+"""Stiffness from the Fokker-Planck equation: least squares on the logarithm of the histogram, eq. (36) of the paper.
 
 Between neighbouring cells of the displacement histogram ln(p'/p) = -(V' - V)/T, so with T/m3 = c sigma_v1 sigma_v2,
-c = 1/sqrt(mu1 mu2), a = ks/m3, D a step (chain; physics.md section 3):
+c = 1/sqrt(mu1 mu2), a = ks/m3, D a step (chain shaft):
 
     [S ln(p'/p), x1 D1, G1 D1, x2 D2, G2 D2] . (c, w1^2, w1^2 lambda1, w2^2, w2^2 lambda2) = -(a/2)(x1 - x2)(D1 - D2)
 
@@ -36,10 +36,10 @@ from .stationary import density_messages, softening_message
 from .synchronous import synchronous_message
 
 Form = Literal["literal", "midpoint", "response"]
-BOOTSTRAP_BLOCKS = 64
-MIN_COUNTS = 30
-GRID_HALF_WIDTH_RMS = 4.5  # half-width of the grid in rms
-CELL_WIDTH_RMS = {1: 0.15, 2: 0.3}  # cell in rms, for one and two caps
+BOOTSTRAP_BLOCKS = 64  # of the record, drawn with replacement
+MIN_COUNTS = 30  # of a cell that is used
+GRID_HALF_WIDTH_RMS = 4.5  # of the displacement
+CELL_WIDTH_RMS = {1: 0.15, 2: 0.3}  # of the displacement, for one and two caps
 GAUSS_QUADRATURE = (
     np.array([-(0.6**0.5), 0.0, 0.6**0.5]),
     np.array([5.0, 8.0, 5.0]) / 18.0,
@@ -48,9 +48,14 @@ GAUSS_QUADRATURE = (
 
 @dataclass(frozen=True, slots=True)
 class Histogram:
-    """Counts by block of record: counts (blocks, cells), cells of a uniform grid in row-major order.
+    """Histogram of the displacements of one direction, by block of the record, on a uniform grid in row-major order.
 
-    widths : (caps,) m; centres : (cells, caps) m; squares : (blocks, caps) sum of v^2; rows : (blocks,).
+    shape : cells along the axis of each cap.
+    widths : (caps,) cell widths, m.
+    centres : (cells, caps) cell centres, m.
+    counts : (blocks, cells) counts.
+    squares : (blocks, caps) sums of squared velocities, (m/s)^2.
+    rows : (blocks,) numbers of rows.
     """
 
     shape: tuple[int, ...]
@@ -62,7 +67,10 @@ class Histogram:
 
 
 def histogram(x: Array, v: Array, cell: float | None = None, blocks: int = BOOTSTRAP_BLOCKS) -> Histogram:
-    """Histogram of (n, caps) displacements, m, over +- 4.5 rms, cells of `cell` rms; velocities in m/s."""
+    """Histogram of displacements x (n, caps), m, over +- 4.5 rms; v : (n, caps) velocities, m/s.
+
+    cell : cell width in rms of the displacement; None: by the number of caps.
+    """
     n, caps = x.shape
     sigma = np.std(x, axis=0)
     width = (CELL_WIDTH_RMS[caps] if cell is None else cell) * float(sigma.min())
@@ -79,11 +87,13 @@ def histogram(x: Array, v: Array, cell: float | None = None, blocks: int = BOOTS
     centres: Array = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, caps)
     squares: Array = np.stack([np.bincount(block, v[:, i] ** 2, blocks) for i in range(caps)], axis=1)
     rows = np.bincount(block, minlength=blocks).astype(float)
-    return Histogram(shape, widths, centres, counts.astype(float), squares, rows)
+    return Histogram(
+        shape=shape, widths=widths, centres=centres, counts=counts.astype(float), squares=squares, rows=rows
+    )
 
 
 def potentials(plane: Plane, x: Array) -> tuple[Array, Array]:
-    """phi_k of every coefficient (..., p), cap by cap, and that of the shaft spring (...), at x (..., caps)."""
+    """Potentials at x (..., caps), m: of every coefficient (..., p), cap by cap, and of a unit shaft spring (...)."""
     terms = [x[..., i] ** (q + 1) / (q + 1) for i, cap in enumerate(plane.caps) for q in cap.powers]
     shaft = 0.5 * plane.a * np.sum(x**2, axis=-1)
     if x.shape[-1] == 2:
@@ -105,6 +115,7 @@ def neighbouring_cells(shape: tuple[int, ...], diagonal: bool = False) -> tuple[
 
 
 def _refuse_literal(plane: Plane, grid: Histogram) -> None:
+    """Raise DataError: eq. (36) as printed has no solution."""
     here, there = neighbouring_cells(grid.shape, diagonal=True)
     if len(plane.caps) == 2:
         step = grid.centres[there] - grid.centres[here]
@@ -119,7 +130,7 @@ def _refuse_literal(plane: Plane, grid: Histogram) -> None:
 
 
 def _potential_differences(plane: Plane, grid: Histogram) -> tuple[Array, Array, Array]:
-    """Differences over every axis step of the bearing terms (r, p) and the shaft term (r,); scales (p,)."""
+    """Differences of the potentials over every axis step, of bearings (r, p) and shaft (r,); scales (p,)."""
     phi, shaft = potentials(plane, grid.centres)
     here, there = neighbouring_cells(grid.shape)
     sigma = grid.widths * np.array(grid.shape) / (2.0 * GRID_HALF_WIDTH_RMS)
@@ -128,12 +139,13 @@ def _potential_differences(plane: Plane, grid: Histogram) -> tuple[Array, Array,
 
 
 def _weighted_least_squares(design: Array, response: Array, weight: Array) -> Array:
+    """(p,) coefficients. design : (r, p). response, weight : (r,)."""
     root = np.sqrt(weight)
     return np.asarray(np.linalg.lstsq(design * root[:, None], response * root, rcond=None)[0])
 
 
 def _log_cell_mean(plane: Plane, grid: Histogram, theta: Array, shaft: float) -> Array:
-    """ln of the mean of exp(-V/T) over each cell relative to its centre, (cells,), by 3-point Gauss quadrature."""
+    """(cells,) logarithm of the mean density of a cell over that at its centre, by 3-point Gauss quadrature."""
     nodes, weights = GAUSS_QUADRATURE
     caps = len(plane.caps)
     offsets = np.stack(np.meshgrid(*(nodes,) * caps, indexing="ij"), axis=-1).reshape(-1, caps) * grid.widths / 2.0
@@ -148,7 +160,7 @@ def _log_cell_mean(plane: Plane, grid: Histogram, theta: Array, shaft: float) ->
 
 
 def _expected_counts(plane: Plane, grid: Histogram, theta: Array, shaft: float, total: float) -> tuple[Array, Array]:
-    """Expected counts (cells,) of a fitted density, and ln of its mean over each cell relative to the centre."""
+    """(cells,) expected counts of a fitted density, and the logarithm of its cell mean over its value at the centre."""
     mean = _log_cell_mean(plane, grid, theta, shaft)
     phi, spring = potentials(plane, grid.centres)
     log_p = mean - phi @ theta - shaft * spring
@@ -159,9 +171,9 @@ def _expected_counts(plane: Plane, grid: Histogram, theta: Array, shaft: float, 
 def _density_slopes(
     plane: Plane, grid: Histogram, counts: Array, temperature: float | None, form: Form
 ) -> tuple[Array, float]:
-    """theta/T of every coefficient (p,) and of the shaft, from total counts (cells,).
+    """(p,) coefficients over temperature, and that of the shaft, from counts (cells,).
 
-    temperature : J, if known: the shaft's coefficient is then ks/T and not fitted.
+    temperature : J; the coefficient of the shaft is then ks/T. None: unknown, it is fitted.
     """
     here, there = neighbouring_cells(grid.shape)
     terms, spring, scale = _potential_differences(plane, grid)
@@ -205,7 +217,7 @@ def _density_slopes(
 
 
 def _parameter_values(plane: Plane, grid: Histogram, weights: Array, form: Form) -> Array:
-    """Parameters in the order of plane.names() for weights (blocks,) of the blocks of the record."""
+    """Parameters in the order of `plane.names()`. weights : (blocks,) of the blocks of the record."""
     square = weights @ grid.squares / (weights @ grid.rows)
     temperature = None
     if plane.masses_known:
@@ -230,9 +242,38 @@ def _parameter_values(plane: Plane, grid: Histogram, weights: Array, form: Form)
 def fokker_planck_parameters(
     plane: Plane, x: Array, v: Array, form: Form = "response", replicates: int = 200, seed: int = 0
 ) -> tuple[dict[str, float], Array]:
-    """Parameters of one direction and their covariance in the order of plane.names(), by block bootstrap.
+    """Parameters of one direction by eq. (36), with their covariance by block bootstrap.
 
-    x, v : (n, caps) m and m/s, no NaN. Raises DataError for the literal form and for too few counts.
+    Parameters
+    ----------
+    plane : Plane
+        The caps and the shaft of the direction.
+    x : (n, caps) float64
+        Band-limited displacement, m, without NaN.
+    v : (n, caps) float64
+        Band-limited velocity, m/s, without NaN.
+    form : {"response", "midpoint", "literal"}
+        Form of the equation, see the text of the module.
+    replicates : int
+        Number of bootstrap samples.
+    seed : int
+        Seed of the bootstrap.
+
+    Returns
+    -------
+    values : dict of float
+        Parameters by full name, SI.
+    covariance : (p, p) float64
+        In the order of ``plane.names()``.
+
+    Raises
+    ------
+    DataError
+        The form is literal, which is singular, or too few cells have enough counts.
+
+    References
+    ----------
+    Tiwari and Vyas, J. Sound Vib. 203 (1997) 389, eq. (36).
     """
     if form == "literal":
         _refuse_literal(plane, histogram(x, v))
@@ -247,7 +288,7 @@ def fokker_planck_parameters(
         draws.append(_parameter_values(plane, grid, weights, form))
     covariance = np.atleast_2d(np.cov(np.array(draws).T)) if replicates > 1 else np.full((len(values),) * 2, np.nan)
     if form == "midpoint" and plane.scale_from_shaft and not plane.masses_known:
-        # attenuated to a steady wrong value, its own scatter says nothing: the response form tells if there is a scale
+        # the scatter of this form does not show its bias: the response form shows whether the shaft gives a scale
         honest, spread = fokker_planck_parameters(plane, x, v, "response", replicates, seed)
         if any(np.sqrt(s) > 0.5 * abs(q) for q, s in zip(honest.values(), np.diag(spread), strict=True)):
             covariance = np.full_like(covariance, np.inf)
@@ -257,11 +298,11 @@ def fokker_planck_parameters(
 def _uncoupled_parameters(
     plane: Plane, x: Array, v: Array, form: Form, replicates: int, seed: int
 ) -> tuple[dict[str, float], Array]:
-    """Caps that the shaft does not join: each from its own one-dimensional histogram."""
+    """Parameters and covariance of caps that the shaft does not couple, each from its own histogram."""
     values: dict[str, float] = {}
     parts = []
     for i, cap in enumerate(plane.caps):
-        alone = Plane(plane.direction, (cap,), plane.ks, plane.a, 0.0, plane.disc)
+        alone = Plane(plane.direction, (cap,), ks=plane.ks, a=plane.a, b=0.0, disc=plane.disc)
         found, cov = fokker_planck_parameters(alone, x[:, i : i + 1], v[:, i : i + 1], form, replicates, seed)
         values |= found
         parts.append(cov)
@@ -275,10 +316,10 @@ def _uncoupled_parameters(
 
 
 def fit_fokker_planck(model: Model, y: Array, rate_hz: float, form: Form = "response", replicates: int = 200) -> Fit:
-    """Eq. (36) on a record y (n, channels), SI, NaN where missing; both directions.
+    """Parameters by eq. (36) from a record y (n, channels), SI, NaN where a sample is missing.
 
-    Raises DataError if the form is literal, too few rows are valid, a channel is constant or the band misses the
-    resonance.
+    Raises DataError if the form is literal, too few rows are valid, a channel is constant or no resonance is in the
+    band.
     """
     x, v, _, valid = density_motion(model, y, rate_hz)
     found: dict[str, Parameter] = {}
@@ -297,7 +338,13 @@ def fit_fokker_planck(model: Model, y: Array, rate_hz: float, form: Form = "resp
     if ignored:
         text = f"fokker-planck fits only powers of the displacement; left out: {', '.join(ignored)}"
         notes.append(Message("effects_ignored", text))
-    return Fit(found, None, int(valid.sum()), "fokker-planck", tuple(dict.fromkeys(notes)))
+    return Fit(
+        parameters=found,
+        log_likelihood=None,
+        samples=int(valid.sum()),
+        method="fokker-planck",
+        messages=tuple(dict.fromkeys(notes)),
+    )
 
 
 def _assumption_messages(plane: Plane) -> list[Message]:

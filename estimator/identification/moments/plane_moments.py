@@ -1,6 +1,6 @@
 """Linear and cubic stiffness from moments of displacement and velocity: score matching, without bins or histogram.
 
-The stationary density p(x) = c exp(-V/T) obeys, for V = sum_k theta_k phi_k (Hyvarinen 2005; physics.md section 3),
+The stationary density p(x) = c exp(-V/T) obeys, for V = sum_k theta_k phi_k (Hyvarinen 2005),
 
     E[grad phi . grad phi'] theta/T = E[laplacian phi]                                                    (density form)
 
@@ -32,11 +32,19 @@ Form = Literal["velocity", "density"]
 
 
 class PlaneMoments:
-    """Moment recursion of one direction, and the stiffness that follows from it.
+    """Stiffness of one direction from moments of displacement and velocity, with old blocks forgotten.
 
-    The row of the series, per cap with powers q: products x^(q_i + q_j) (upper triangle), q x^(q-1) v^2,
-    q x^(q-1) and x^q (a x + b x_other), and a^2; then the squared gradient of the shaft term.
-    edge : of the band that x, v, a were limited to; None for signals that were not.
+    The moments, per cap with powers q: x^(q_i + q_j) (upper triangle), q x^(q-1) v^2, q x^(q-1),
+    x^q (a x + b x_other), and the squared acceleration; then the squared gradient of the shaft term.
+
+    Parameters
+    ----------
+    plane : Plane
+        The caps and the shaft of the direction.
+    form : {"velocity", "density"}
+        Estimating equation, see the text of the module. "velocity" is for records, "density" for independent samples.
+    edge : BandEdge, optional
+        Correction for the band that x, v, a were limited to. None: they have no band limit.
     """
 
     def __init__(self, plane: Plane, form: Form = "velocity", edge: BandEdge | None = None) -> None:
@@ -56,7 +64,7 @@ class PlaneMoments:
         self.names = plane.names()
 
     def sums(self, x: Array, v: Array, a: Array | None = None) -> Array:
-        """(K,) the sum over the rows of the series, for displacement, velocity, acceleration (n, caps), SI."""
+        """(K,) moments summed over the rows of displacement, velocity, acceleration, (n, caps) each, SI."""
         plane = self.plane
         xs = np.ascontiguousarray(x.T)
         shaft = plane.a * xs
@@ -82,14 +90,17 @@ class PlaneMoments:
         return np.concatenate([*out, [shaft_square]])
 
     def add(self, x: Array, v: Array, a: Array | None = None, forget: float = 1.0) -> None:
-        """Take one block, (n, caps) each; rows with NaN are left out. a is needed if there is a band edge."""
+        """Take one block of displacement, velocity, acceleration, (n, caps) each, SI; rows with NaN are left out.
+
+        forget : factor on the weights of all older blocks. a : needed with a band edge.
+        """
         keep = np.isfinite(x).all(axis=1) & np.isfinite(v).all(axis=1)
         if not keep.all():
             x, v, a = x[keep], v[keep], None if a is None else a[keep]
         self.moments.add(self.sums(x, v, a), len(x), forget)
 
     def parameters(self) -> dict[str, Parameter]:
-        """The estimate: contract names -> Parameter, each judged for identifiability."""
+        """Parameters by full name, each with its standard deviation or the reason why it is not identifiable."""
         if untold := self.still() if self.moments.rows > 0 else "no valid sample yet":
             return self.plane.undetermined(untold)
         try:
@@ -100,7 +111,7 @@ class PlaneMoments:
         return self.plane.judged({n: (values[n], float(sd)) for n, sd in zip(self.names, sds, strict=True)})
 
     def values(self) -> tuple[dict[str, float], Array]:
-        """Estimate without verdict, and its covariance (P, P) in the order of `names`."""
+        """Values by full name, identifiable or not, and their covariance (P, P) in the order of `names`."""
         values, covariance = propagate(self._solve, self.moments)
         return dict(zip(self.names, values.tolist(), strict=True)), covariance
 
@@ -156,11 +167,12 @@ class PlaneMoments:
 
 
 def _scale(gram: Complexes, cap: Cap) -> Array:
-    """(..., p) rms of x to the powers of the cap."""
+    """(..., p) rms displacement to the powers of the cap, as a scale of `gram` (..., p, p)."""
     return np.asarray(np.sqrt(gram[..., :1, 0].real) ** np.array(cap.powers, dtype=float))
 
 
 def _solve_scaled(gram: Complexes, right: Complexes, scale: Array) -> Complexes:
+    """(..., p) solution of gram (..., p, p) times it = right (..., p), scaled for the condition number."""
     scaled = gram / (scale[..., :, None] * scale[..., None, :])
     return np.asarray(np.linalg.solve(scaled, (right / scale)[..., None])[..., 0] / scale, complex)
 
@@ -168,10 +180,9 @@ def _solve_scaled(gram: Complexes, right: Complexes, scale: Array) -> Complexes:
 def _joint_solution(
     plane: Plane, parts: list[tuple[Complexes, ...]], shaft_square: Complexes
 ) -> tuple[Complexes, list[Complexes]]:
-    """Temperature (...) and coefficients (..., p) of each cap when a mass is unknown: the shaft's own coefficient ks/T
-    sets the scale.
+    """Temperature (...) and coefficients (..., p) of each cap where a mass is unknown and the shaft gives the scale.
 
-    Both caps are taken to be at one temperature (the paper's hypothesis).
+    Both caps are taken to have one temperature, as in the paper.
     """
     sizes = [len(cap.powers) for cap in plane.caps]
     n = sum(sizes)

@@ -1,9 +1,9 @@
-"""The rig one transverse direction at a time, as the density methods need it: caps, powers, masses, shaft term.
+"""The caps, powers, masses and shaft of one transverse direction, for the density methods.
 
-The disc is never measured. What it does to the caps' stationary density depends on the band: a disc whose mode lies
-inside is in equilibrium with the caps and is integrated out of exp(-V/T); a disc whose mode lies below stands still.
-A soft shaft's disc mode relaxes in tens of seconds or more, so its share of the caps' motion never averages out; where
-the bearing mode is well above it, `density_band` cuts it off. The shaft energy of a direction is
+The disc is never measured. Its effect on the stationary density of the caps depends on the band. A disc mode inside the
+band is in equilibrium with the caps and is integrated out of exp(-V/T); a disc whose mode lies below stands still. The
+disc mode of a soft shaft decays over tens of seconds, so its part of the motion does not average out. Where the bearing
+mode is well above it, `density_band` cuts it off. The shaft energy of a direction is
 (ks/2) [a (x1^2 + x2^2) + 2 b x1 x2] with
 
     shaft   disc in band          disc below band
@@ -20,21 +20,26 @@ from dataclasses import dataclass
 from estimator.model.rig import DIRECTIONS, Model
 from estimator.results import Parameter
 
-MAX_SHAFT_MASS_SD_REL = 0.25  # relative sd above which the shaft does not give a mass
+MAX_SHAFT_MASS_SD_REL = 0.25  # of a mass that the shaft gives: four standard deviations
 POWER_EFFECTS = {"quadratic": (2, "kq"), "cubic": (3, "kNL"), "quintic": (5, "k5")}
 POWER_UNITS = {1: "N/m", 2: "N/m^2", 3: "N/m^3", 5: "N/m^5"}
 
 
 @dataclass(frozen=True, slots=True)
 class Cap:
-    """One measured cap in one direction. powers : of x in its restoring force, 1 first. mass : kg or None."""
+    """One measured bearing cap in one direction.
+
+    place : "bearing1.x" and so on.
+    powers : powers of the displacement in its restoring force, 1 first.
+    mass : kg; None: unknown.
+    """
 
     place: str
     powers: tuple[int, ...]
     mass: float | None
 
     def name(self, power: int) -> str:
-        """Full name of the coefficient of x^power, as in the contract."""
+        """Full name of the coefficient of x^power."""
         if power == 1:
             return f"{self.place}.kL"
         effect, parameter = next((e, p) for e, (k, p) in POWER_EFFECTS.items() if k == power)
@@ -43,7 +48,14 @@ class Cap:
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """The caps of one direction and the shaft between them. a, b : shaft term (module docstring); ks in N/m."""
+    """The caps of one direction and the shaft between them.
+
+    direction : "x" or "y".
+    caps : the measured caps, one or two.
+    ks : shaft stiffness, N/m.
+    a, b : coefficients of the shaft energy, see the text of the module.
+    disc : mass of the disc, kg; None: unknown.
+    """
 
     direction: str
     caps: tuple[Cap, ...]
@@ -54,6 +66,7 @@ class Plane:
 
     @property
     def masses_known(self) -> bool:
+        """Whether the masses of all caps are given."""
         return all(cap.mass is not None for cap in self.caps)
 
     @property
@@ -78,10 +91,10 @@ class Plane:
         return tuple(out)
 
     def judged(self, found: Mapping[str, tuple[float, float]]) -> dict[str, Parameter]:
-        """Every parameter with its verdict, from (value, sd) of those solved for.
+        """Every parameter with its standard deviation or the reason why it is not identifiable.
 
-        A scale taken from the shaft must stand out by four sd: the quotient ks/(ks/T) is large whenever its
-        denominator happens to be small, and two sd would let one in twenty through.
+        found : full name -> (value, standard deviation) of those solved for. A mass by the shaft needs four standard
+        deviations: the quotient ks/(ks/T) is large by chance where its denominator is small.
         """
         masses = [found[f"{cap.place}.m"] for cap in self.caps if f"{cap.place}.m" in found]
         weak = any(not (value > 0.0 and sd <= MAX_SHAFT_MASS_SD_REL * value) for value, sd in masses)
@@ -89,17 +102,18 @@ class Plane:
         for name in self.names(solved_only=False):
             if name not in found:
                 reason = "mass unknown: give rig.mass for this cap; only ratios follow from its density"
-                out[name] = Parameter(None, None, unit_of(name), False, reason)
+                out[name] = Parameter(None, None, unit_of(name), identifiable=False, reason=reason)
             elif weak and not name.endswith("lambda"):
                 reason = "the shaft couples the caps too weakly to set the mass: give rig.mass"
-                out[name] = Parameter(None, None, unit_of(name), False, reason)
+                out[name] = Parameter(None, None, unit_of(name), identifiable=False, reason=reason)
             else:
                 out[name] = Parameter.from_estimate(*found[name], unit_of(name))
         return out
 
     def undetermined(self, reason: str) -> dict[str, Parameter]:
         """Every parameter without a value, for one reason."""
-        return {n: Parameter(None, None, unit_of(n), False, reason) for n in self.names(solved_only=False)}
+        names = self.names(solved_only=False)
+        return {n: Parameter(None, None, unit_of(n), identifiable=False, reason=reason) for n in names}
 
 
 def unit_of(name: str) -> str:
@@ -143,6 +157,7 @@ def density_band(model: Model) -> tuple[tuple[float, float], bool]:
 
 
 def _shaft_term(model: Model, caps: int) -> tuple[float, float]:
+    """The coefficients a, b of the shaft energy, for one or two measured caps."""
     if model.shaft == "none" or model.shaft_stiffness <= 0.0:
         return 0.0, 0.0
     _, still = density_band(model)
@@ -165,12 +180,12 @@ def planes_of(model: Model) -> tuple[Plane, ...]:
             extra = [POWER_EFFECTS[e.name][0] for e in model.effects if e.name in POWER_EFFECTS and place in e.at]
             caps.append(Cap(place, (1, *sorted(set(extra))), model.cap_mass(place)))
         a, b = _shaft_term(model, len(places))
-        out.append(Plane(direction, tuple(caps), model.shaft_stiffness, a, b, model.mass.get("disc")))
+        out.append(Plane(direction, tuple(caps), ks=model.shaft_stiffness, a=a, b=b, disc=model.mass.get("disc")))
     return tuple(out)
 
 
 def ignored_effects(model: Model) -> tuple[str, ...]:
-    """Effects of the model that a density method leaves out: all but powers of the displacement and removed lines."""
+    """Names of the effects that a density method leaves out: all but powers of the displacement and shaft orders."""
     from .synchronous import ORDERS_BY_EFFECT
 
     return tuple(e.name for e in model.effects if e.name not in POWER_EFFECTS and e.name not in ORDERS_BY_EFFECT)

@@ -1,7 +1,7 @@
-"""Score matching of a whole model: the rolling estimator of the live service, and the fit of a record.
+"""Score matching of a model: a rolling estimator, and the fit of a record.
 
-The mathematics, and the two forms of the estimating equation, are in plane_moments.py. Here: channels to band-limited
-(x, v), blocks, forgetting, and what the user is told.
+The channels are band-limited to displacement, velocity and acceleration, and the stiffness of each direction follows
+from their moments.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from .stationary import check_resonance, density_messages, softening_message
 from .synchronous import synchronous_lines, synchronous_message, synchronous_orders
 
 LEFT_OUT_REASON = "score matching leaves it out: use the spectral method"
-MIN_ROWS = 4096
-RESONANCE_CHECK_S = 0.5  # of motion, for a resonance
-FIT_BLOCKS = 64  # the sd of a fit is itself known to 9 %
+MIN_ROWS = 4096  # of a fit
+RESONANCE_CHECK_S = 0.5  # of motion, to look for a resonance
+FIT_BLOCKS = 64  # of a record: the standard deviations have an error of 9 %
 
 
 def motion_columns(model: Model) -> tuple[int, ...]:
@@ -42,11 +42,35 @@ def motion_columns(model: Model) -> tuple[int, ...]:
 
 
 class RollingScoreMatching:
-    """Rolling linear and cubic stiffness per bearing and direction (the OnlineEstimator of results.py).
+    """Linear and cubic stiffness of a rig while samples arrive, by score matching.
 
-    Exponential forgetting with `time_constant_s`. Internally the motion is cut into blocks of a hundredth of the time
-    constant at fixed absolute positions, so the numbers depend neither on how the rows arrived nor on the machine's
-    load; the estimate moves once per such block. Rows near a gap (NaN) are left out, time still passes.
+    Old samples are forgotten exponentially. Inside, the motion is cut into blocks of a hundredth of the time constant
+    at fixed absolute positions; the estimate changes once per such block, and does not depend on how the rows arrived.
+    Rows near a gap (NaN) are left out, and time still passes.
+
+    Parameters
+    ----------
+    model : Model
+        The rig. The effects quadratic, cubic and quintic are estimated, the others are left out.
+    rate_hz : float
+        Sampling rate, Hz.
+    time_constant_s : float
+        Time after which a sample counts 1/e, s.
+
+    Raises
+    ------
+    ValueError
+        The time constant is not positive.
+
+    Notes
+    -----
+    ``update(block)`` takes the next rows, (n, channels) float64 in SI units, columns in the order of
+    ``model.channels``, NaN where a sample is missing or clipped. It never raises on data, does not change the block and
+    keeps no reference to it. ``snapshot()`` returns an `Estimate` and has no side effect.
+
+    References
+    ----------
+    Hyvarinen, J. Mach. Learn. Res. 6 (2005) 695.
     """
 
     def __init__(self, model: Model, rate_hz: float, time_constant_s: float) -> None:
@@ -62,13 +86,13 @@ class RollingScoreMatching:
         self._forget = math.exp(-self._rows / (time_constant_s * rate_hz))
         self._held = np.empty((3, len(kinds), 0))
         self._recent: deque[Array] = deque(maxlen=max(1, round(RESONANCE_CHECK_S * rate_hz / self._rows)))
-        self._missing = "warming up"  # what is said while no resonance has been seen
+        self._missing = "warming up"  # status while no resonance has been found; empty afterwards
         self._rate_hz, self._orders = rate_hz, synchronous_orders(model)
         self._index = 0
         self._beside = _ignored_parameters(model)
 
     def update(self, block: Array) -> None:
-        """Take the next rows, (n, channels of the model), SI; NaN where missing or clipped."""
+        """Take the next rows, (n, channels), SI; NaN where a sample is missing or clipped."""
         motion = self._stream.push(block[:, self._columns])
         if not motion.rows:
             return
@@ -88,7 +112,7 @@ class RollingScoreMatching:
         self._index += used
 
     def _look_for_resonance(self, v: Array) -> None:
-        """Once in a while, until there is one; v : (places, rows) of one block."""
+        """Check for a resonance once RESONANCE_CHECK_S of motion is there. v : (places, rows) of one block, m/s."""
         if not np.isfinite(v).all():
             return
         self._recent.append(v)
@@ -98,14 +122,14 @@ class RollingScoreMatching:
         self._recent.clear()
         try:
             for speed, column in zip(recent, self._columns, strict=True):
-                if speed.any():  # else it is said that it does not move
+                if speed.any():  # a channel that does not move gets a status of its own
                     check_resonance(speed, self._rate_hz, band, self.model.channels[column].name)
             self._missing = ""
         except DataError as e:
             self._missing = str(e)
 
     def _motion(self, block: Array) -> Array:
-        """x, v, a of one block (3, places, rows), without the lines that the model's effects say are there."""
+        """x, v, a of one block, (3, places, rows), without the shaft orders of the model's effects."""
         if not self._orders or self.model.speed_rpm is None:
             return block
         flat = block.reshape(-1, block.shape[-1]).T
@@ -114,7 +138,7 @@ class RollingScoreMatching:
         return flat.T.reshape(block.shape)
 
     def snapshot(self) -> Estimate:
-        """The estimate as of the last complete internal block."""
+        """The estimate up to the last complete internal block."""
         parameters: dict[str, Parameter] = {}
         rows = min((m.moments.rows for m, _ in self._planes), default=0.0)
         if min((m.moments.blocks for m, _ in self._planes), default=0.0) < 8.0 or rows < MIN_ROWS / 4:
@@ -129,21 +153,22 @@ class RollingScoreMatching:
 
 
 def _ignored_parameters(model: Model) -> dict[str, Parameter]:
-    """Parameters of the effects that the method leaves out, with the reason."""
+    """Parameters of the effects that the method leaves out, by full name, each with the reason."""
     out: dict[str, Parameter] = {}
     for use in (u for u in model.effects if u.name in ignored_effects(model)):
         effect = effect_of(use)
         for key in at(effect, use, model):
             for q in effect.parameters:
-                out[f"{key}.{use.name}.{q.name}"] = Parameter(None, None, q.unit, False, LEFT_OUT_REASON)
+                name = f"{key}.{use.name}.{q.name}"
+                out[name] = Parameter(None, None, q.unit, identifiable=False, reason=LEFT_OUT_REASON)
     return out
 
 
 def fit_score_matching(model: Model, y: Array, rate_hz: float, form: Form = "velocity") -> Fit:
-    """Linear and cubic (quadratic, quintic) stiffness of a record y (n, channels), SI, NaN where missing.
+    """Linear, quadratic, cubic and quintic stiffness of a record y (n, channels), SI, NaN where a sample is missing.
 
-    form : plane_moments.py; "velocity" for records, "density" is the paper's hypothesis taken literally.
-    Raises DataError if too few rows are valid, a channel does not move, or the band misses the resonance.
+    form : estimating equation: "velocity" for records, "density" for independent samples.
+    Raises DataError if too few rows are valid, a channel does not move, or no resonance is in the band.
     """
     x, v, a, valid = density_motion(model, y, rate_hz)
     found: dict[str, Parameter] = {}
@@ -165,13 +190,20 @@ def fit_score_matching(model: Model, y: Array, rate_hz: float, form: Form = "vel
     if ignored:
         text = f"score-matching fits only powers of the displacement; left out: {', '.join(ignored)}"
         notes.append(Message("effects_ignored", text))
-    return Fit(found, None, int(valid.sum()), "score-matching", tuple(notes))
+    return Fit(
+        parameters=found,
+        log_likelihood=None,
+        samples=int(valid.sum()),
+        method="score-matching",
+        messages=tuple(notes),
+    )
 
 
 def density_motion(model: Model, y: Array, rate_hz: float) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Band-limited displacement, velocity, acceleration (n, places) of a record and the rows (n,) that may be used.
+    """Band-limited displacement, velocity, acceleration, (n, places) each, SI, and (n,) which rows are valid.
 
-    Raises DataError as `fit`.
+    Raises DataError if the record does not fit the model, a channel does not move, too few rows are valid, or no
+    resonance is in the band.
     """
     if y.ndim != 2 or y.shape[1] != len(model.channels):
         raise DataError(f"the record has shape {y.shape}, the rig has {len(model.channels)} channels")

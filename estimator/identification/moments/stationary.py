@@ -1,9 +1,9 @@
-"""The stationary density exp(-H/T), and whether a record obeys what it says (physics.md section 2).
+"""The stationary density exp(-H/T), and tests whether a record obeys it.
 
-If H = kinetic + V and the forces have Q = 2 T C (`stationarity` says so of a model), then velocities are
-Gaussian whatever V, uncorrelated with each other and with every displacement, m v^2 is shared equally, and no
-probability circulates: <x v_y - y v_x> = 0. Each of these is measured here with its sampling error for correlated
-samples. They are necessary, not sufficient: 1 % of undriven damping at the disc changes none of them visibly.
+With H = kinetic energy + V and force noise Q = 2 T C, velocities are Gaussian for any V, uncorrelated with each other
+and with every displacement, m v^2 is shared equally, and no probability circulates: <x v_y - y v_x> = 0. Each statistic
+is given with its sampling error for correlated samples. The tests are necessary, not sufficient: 1 % of undriven
+damping at the disc does not show in any of them.
 """
 
 from __future__ import annotations
@@ -20,14 +20,16 @@ from estimator.results import Message, Parameter
 from .batch_means import BlockMoments, propagate
 from .planes import Cap, Plane
 
-DIAGNOSTIC_BLOCKS = 64
+DIAGNOSTIC_BLOCKS = 64  # of a record, for the sampling error
 
 
 @dataclass(frozen=True, slots=True)
 class Density:
-    """p(x) = c exp(-V/T) of the caps of one direction.
+    """The stationary density p(x) = c exp(-V/T) of the caps of one direction.
 
-    stiffness : per cap, power of x -> coefficient (N/m, N/m^3 ...); temperature : J.
+    plane : the caps and the shaft of the direction.
+    stiffness : per cap, power of x -> coefficient, N/m, N/m^3, ...
+    temperature : J.
     """
 
     plane: Plane
@@ -46,7 +48,7 @@ class Density:
         return np.asarray(energy)
 
     def on_grid(self, axes: tuple[Array, ...]) -> Array:
-        """Density on a uniform grid (one axis per cap), normalised to 1 over it. 1/m per cap."""
+        """Density on a uniform grid, 1/m per cap, normalised to 1 over it. axes : one per cap, m."""
         mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         energy = self.potential(mesh) / self.temperature
         p = np.exp(-(energy - energy.min()))
@@ -61,7 +63,7 @@ class Density:
 
 
 def barrier(kL: float, kNL: float, temperature: float) -> float:
-    """Height of the potential barrier of a softening cubic in units of T: kL^2 / (4 |kNL| T)."""
+    """Potential barrier of a softening cubic in units of the temperature (J): kL^2 / (4 |kNL| T)."""
     return kL**2 / (4.0 * abs(kNL) * temperature)
 
 
@@ -87,7 +89,13 @@ def softening_message(plane: Plane, found: Mapping[str, Parameter], v: Array) ->
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """A statistic of the record, what exp(-H/T) says it is, and its sampling error."""
+    """A statistic of the record that exp(-H/T) predicts.
+
+    name : what it is, with the place.
+    value, expected : of the record and of exp(-H/T).
+    sd : sampling error of the value.
+    meaning : what a deviation means, for the user.
+    """
 
     name: str
     value: float
@@ -102,6 +110,7 @@ class Diagnostic:
 
 
 def _block_moments(rows: Array, blocks: int = DIAGNOSTIC_BLOCKS) -> BlockMoments:
+    """Batch means of the columns of rows (n, K)."""
     moments = BlockMoments(rows.shape[1])
     size = max(1, len(rows) // blocks)
     for at in range(0, len(rows), size):
@@ -113,12 +122,14 @@ def _block_moments(rows: Array, blocks: int = DIAGNOSTIC_BLOCKS) -> BlockMoments
 def _statistic(
     rows: Array, function: Callable[[Complexes], Complexes], name: str, expected: float, meaning: str
 ) -> Diagnostic:
-    """function : of the means of the columns of rows (n, K), each an array of any shape."""
+    """A statistic and its sampling error. function : of the K column means of rows (n, K), arrays of any shape."""
     (value,), covariance = propagate(lambda u: function(np.moveaxis(u, -1, 0))[..., None], _block_moments(rows))
-    return Diagnostic(name, float(value), expected, float(np.sqrt(max(covariance[0, 0], 0.0))), meaning)
+    sd = float(np.sqrt(max(covariance[0, 0], 0.0)))
+    return Diagnostic(name=name, value=float(value), expected=expected, sd=sd, meaning=meaning)
 
 
 def _kurtosis(v: Array, name: str, meaning: str) -> Diagnostic:
+    """Kurtosis of v (n,): 3 if it is Gaussian."""
     v = v / np.std(v)
     rows = np.stack([v, v**2, v**3, v**4], axis=1)
 
@@ -130,13 +141,29 @@ def _kurtosis(v: Array, name: str, meaning: str) -> Diagnostic:
 
 
 def _correlation(p: Array, q: Array, name: str, meaning: str) -> Diagnostic:
+    """Correlation of p and q, (n,) each: 0 expected."""
     p, q = p / np.std(p), q / np.std(q)
     rows = np.stack([p * q, p**2, q**2], axis=1)
     return _statistic(rows, lambda u: u[0] / np.sqrt(u[1] * u[2]), name, 0.0, meaning)
 
 
 def plane_diagnostics(plane: Plane, x: Array, v: Array) -> tuple[Diagnostic, ...]:
-    """Diagnostics of one direction; x, v : (n, caps) m and m/s, without NaN."""
+    """Statistics of one direction that the stationary density exp(-H/T) predicts.
+
+    Parameters
+    ----------
+    plane : Plane
+        The caps and the shaft of the direction.
+    x : (n, caps) float64
+        Band-limited displacement, m, without NaN.
+    v : (n, caps) float64
+        Band-limited velocity, m/s, without NaN.
+
+    Returns
+    -------
+    tuple of Diagnostic
+        Kurtosis of each velocity; for two caps also correlations, and equipartition if both masses are known.
+    """
     out = []
     for i, cap in enumerate(plane.caps):
         out.append(_kurtosis(v[:, i], f"{cap.place}: kurtosis of velocity", "velocity is not Gaussian"))
@@ -153,6 +180,7 @@ def plane_diagnostics(plane: Plane, x: Array, v: Array) -> tuple[Diagnostic, ...
 
 
 def _equipartition(one: Cap, two: Cap, v: Array) -> Diagnostic:
+    """Ratio of m v^2 of two caps of known mass: 1 expected. v : (n, 2) m/s."""
     scale = float(np.mean(v[:, 0] ** 2))
     ratio = (one.mass or 0.0) / (two.mass or 1.0)
     return _statistic(

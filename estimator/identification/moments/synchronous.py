@@ -1,4 +1,4 @@
-"""Imbalance with random excitation (companion paper, J. Sound Vib. 208(1), 1997): the synchronous part of a record.
+"""Shaft orders in a record with random excitation, and their bias of the stiffness (J. Sound Vib. 208(1), 1997).
 
 A line A cos(W t + phi) in the displacement adds A^2/2 to E[x^2] and W^2 A^2/2 to E[v^2], so the stiffness read from the
 density of a linear cap, m E[v^2]/E[x^2], becomes
@@ -6,8 +6,8 @@ density of a linear cap, m E[v^2]/E[x^2], becomes
     kL' = m (s_v^2 + W^2 A^2/2) / (s_x^2 + A^2/2),    kL'/kL - 1 = -(A^2/2)(1 - W^2/w0^2) / (s_x^2 + A^2/2)
 
 too soft for a line below the resonance, too stiff above it. The line is removed by least squares at the known shaft
-speed, window by window, so that a slow change of phase or speed is followed; what is removed of the random part is the
-bandwidth 1/window at each order. Strictly this is exact for a linear cap; with a cubic one, 3 kNL A^2/2 stays in kL.
+speed, window by window, which follows a slow change of phase or speed. The random part loses the bandwidth 1/window at
+each order. The removal is exact for a linear cap; a cubic one keeps 3 kNL A^2/2 in kL.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from estimator.arrays import Array
 from estimator.model.rig import Model
 from estimator.results import Message
 
-ORDERS_BY_EFFECT = {"imbalance": (1,), "bow": (1,), "misalignment": (1, 2)}
-WINDOW_S = 1.0
+ORDERS_BY_EFFECT = {"imbalance": (1,), "bow": (1,), "misalignment": (1, 2)}  # of the shaft speed
+WINDOW_S = 1.0  # of one least-squares fit
 
 
 def synchronous_orders(model: Model) -> tuple[int, ...]:
@@ -34,9 +34,9 @@ def synchronous_orders(model: Model) -> tuple[int, ...]:
 def synchronous_lines(
     x: Array, rate_hz: float, hz: float, orders: tuple[int, ...], window_s: float = WINDOW_S
 ) -> Array:
-    """The lines at orders of `hz` in x (n, channels), NaN rows ignored: (n, channels), to be subtracted.
+    """(n, channels) lines at orders of the shaft speed hz (Hz) in x (n, channels), to be subtracted; NaN rows ignored.
 
-    Least squares on cos and sin in windows of `window_s` (a last shorter one joins its neighbour).
+    Least squares on cosine and sine in windows of `window_s`; a shorter last window joins the one before.
     """
     out = np.zeros_like(x)
     n = len(x)
@@ -55,14 +55,14 @@ def synchronous_lines(
 
 
 def line_amplitude(x: Array, rate_hz: float, hz: float) -> Array:
-    """Zero-to-peak amplitude (channels,) of the line at `hz` in x (n, channels) without NaN."""
+    """(channels,) zero-to-peak amplitude of the line at hz (Hz) in x (n, channels), without NaN."""
     n = len(x)
     carrier = np.exp(-2j * np.pi * hz * np.arange(n) / rate_hz)
     return np.asarray(2.0 * np.abs(carrier @ x) / n)
 
 
 def stiffness_bias(line: float, rms: float, hz: float, resonance_hz: float) -> float:
-    """kL'/kL - 1 caused by a line of amplitude `line` (m) beside a random displacement of rms `rms` (m)."""
+    """kL'/kL - 1 by a line of amplitude `line` (m) at hz, together with random displacement of rms `rms` (m)."""
     extra = 0.5 * line**2
     return -extra * (1.0 - (hz / resonance_hz) ** 2) / (rms**2 + extra)
 

@@ -5,13 +5,12 @@ For m a + c v + k x + kNL x^3 = F the response is a series x = x1 + x3 + ..., an
     H1(w) = 1 / (k - m w^2 + i w c)
     H3(w1, w2, w3) = -kNL H1(w1) H1(w2) H1(w3) H1(w1 + w2 + w3)
 
-so x1 is F through H1, and x3 is -kNL x1^3 through H1 (`Kernels.response`): no three-dimensional array is ever stored.
-Cut after x3 the series needs 3 kNL E[x^2] / kL well under the relative bandwidth c / sqrt(k m); at a third of it, as on
-the paper's rig, the fit would be 1 % off in kL and 5 % in c. So `identify` puts the measured displacement into the
-cubic: x is H1 applied to F - kNL x^3, which sums the series of these two kernels to all orders. kL, c, kNL (and m where
-the rig does not give it) make that nearest the measured displacement in the analysis band (output error: noise on x
-enters only through the small cubic term). `wiener_first` is the first-order G-functional kernel, by correlation with a
-white force: it is H1 at the stiffness k + 3 kNL E[x^2], not H1.
+so x1 is F through H1, and x3 is -kNL x1^3 through H1: no three-dimensional array is stored. The series cut after x3
+needs 3 kNL E[x^2] / kL well under the relative bandwidth c / sqrt(k m), which the paper's rig does not have. So
+`nearest_kernels` puts the measured displacement into the cubic: x is H1 applied to F - kNL x^3, which sums the series
+of these two kernels to all orders. kL, c, kNL (and m where the rig does not give it) minimise the output error in the
+analysis band; noise on x enters only through the small cubic term. The first Wiener kernel, by correlation with a white
+force, is H1 at the stiffness k + 3 kNL E[x^2].
 """
 
 from __future__ import annotations
@@ -30,13 +29,16 @@ from estimator.signals.band_limit import band_limit
 from .batch_means import BlockMoments
 from .planes import Plane, density_band, planes_of
 
-FIT_BLOCKS = 64
-MIN_ROWS = 8192
+FIT_BLOCKS = 64  # of a record, for the covariance
+MIN_ROWS = 8192  # of a fit
 
 
 @dataclass(frozen=True, slots=True)
 class Kernels:
-    """The model whose kernels these are: m kg, c N s/m, k N/m (bearing and shaft), kNL N/m^3."""
+    """The Volterra kernels of a cap on a cubic spring.
+
+    m : mass, kg. c : damping, N s/m. k : stiffness of bearing and shaft, N/m. kNL : cubic stiffness, N/m^3.
+    """
 
     m: float
     c: float
@@ -44,7 +46,7 @@ class Kernels:
     kNL: float
 
     def h1(self, w: Array) -> Complexes:
-        """First-order kernel at angular frequency w (any shape), m/N."""
+        """First-order kernel, m/N, at angular frequency w (rad/s, any shape)."""
         return np.asarray(1.0 / (self.k - self.m * w**2 + 1j * w * self.c))
 
     def h3(self, w1: Array, w2: Array, w3: Array) -> Complexes:
@@ -57,7 +59,7 @@ class Kernels:
         return first if order == 1 else first - self.kNL * self.linear(first**3, rate_hz)
 
     def linear(self, force: Array, rate_hz: float) -> Array:
-        """force (n,) N through H1, from rest: (n,) m."""
+        """(n,) displacement, m, of the first order under force (n,), N, from rest."""
         n = len(force)
         size = _fast_length(n + int(min(n, 40.0 * self.m / self.c * rate_hz)))  # room for the tail: no wrap
         w: Array = 2.0 * np.pi * np.arange(size // 2 + 1, dtype=np.float64) * (rate_hz / size)
@@ -65,13 +67,14 @@ class Kernels:
 
 
 def _fast_length(n: int) -> int:
+    """A length of at least n that a real FFT is fast at."""
     from scipy.fft import next_fast_len
 
     return int(next_fast_len(n, real=True))
 
 
 def first_wiener_kernel(x: Array, force: Array, rate_hz: float, segment: int = 4096) -> tuple[Array, Complexes]:
-    """First-order Wiener kernel in frequency: (f Hz, x over F m/N), by cross-spectra of x and force (n,)."""
+    """Frequencies (Hz) and first-order Wiener kernel (m/N), by cross-spectra of displacement x and force, (n,) each."""
     from scipy.signal import csd, welch
 
     f, cross = csd(force, x, rate_hz, nperseg=segment)
@@ -80,7 +83,10 @@ def first_wiener_kernel(x: Array, force: Array, rate_hz: float, segment: int = 4
 
 
 def _start_kernels(x: Array, force: Array, rate_hz: float, band: tuple[float, float], mass: float | None) -> Kernels:
-    """A start for the search: straight lines through 1/H of the measured first kernel, weighted by the response."""
+    """Start values: a weighted linear fit to the dynamic stiffness 1/H of the first Wiener kernel.
+
+    x, force : (n,) m and N. band : Hz. mass : kg; None: unknown. Raises DataError if the force does not drive the cap.
+    """
     f, h = first_wiener_kernel(x, force, rate_hz)
     inside = (f > band[0]) & (f < band[1])
     w, h = 2.0 * np.pi * f[inside], h[inside]
@@ -102,10 +108,10 @@ def _start_kernels(x: Array, force: Array, rate_hz: float, band: tuple[float, fl
 def nearest_kernels(
     x: Array, force: Array, rate_hz: float, band: tuple[float, float], mass: float | None, valid: NDArray[np.bool_]
 ) -> tuple[Kernels, Array, float]:
-    """Kernels nearest the record, covariance of (k, c, kNL[, m]), and the unexplained share of the rms of x.
+    """Kernels of least output error, covariance of (k, c, kNL[, m]), and the unexplained share of the rms of x.
 
-    x, force : (n,) band-limited m and N; valid : (n,) rows that may be used. Gauss-Newton on the output error; the
-    covariance is the sandwich over blocks, honest for a coloured residual.
+    x, force : (n,) band-limited, m and N. mass : kg; None: unknown. valid : (n,) which rows may be used.
+    Gauss-Newton; the covariance is the sandwich over blocks, right also for a residual that is not white.
     """
     force = np.where(valid, force, 0.0)
     kernels = _start_kernels(x[valid], force[valid], rate_hz, band, mass)
@@ -148,9 +154,9 @@ def nearest_kernels(
 
 
 def fit_volterra(model: Model, y: Array, rate_hz: float) -> Fit:
-    """kL, c and kNL of every cap whose force is measured, from a record y (n, channels), SI, NaN where missing.
+    """kL, c and kNL of every cap with a measured force, from a record y (n, channels), SI, NaN where one is missing.
 
-    Raises DataError if no force channel lies at a measured cap, or the record is too short.
+    Raises DataError if no force is measured at a measured cap, or the record is too short.
     """
     band, _ = density_band(model)
     found: dict[str, Parameter] = {}
@@ -178,12 +184,13 @@ def fit_volterra(model: Model, y: Array, rate_hz: float) -> Fit:
     if ignored:
         text = f"volterra fits only the linear and the cubic law; left out: {', '.join(ignored)}"
         notes.append(Message("effects_ignored", text))
-    return Fit(found, None, rows, "volterra", tuple(notes))
+    return Fit(parameters=found, log_likelihood=None, samples=rows, method="volterra", messages=tuple(notes))
 
 
 def _named_parameters(
     plane: Plane, place: str, mass: float | None, kernels: Kernels, cov: Array, shaft_damping: float
 ) -> dict[str, Parameter]:
+    """Parameters of a cap by full name. kernels, cov : of its fit, bearing and shaft together."""
     sd = np.sqrt(np.diag(cov))
     # the shaft, seen from one cap: its diagonal term; the motion of the other cap enters as noise
     out = {
