@@ -1,6 +1,7 @@
-"""A rig in time: what its sensors would send, deterministic by seed."""
+"""Records of a simulated rig, deterministic by seed."""
 
+from .shaft_speed import ShaftSpeed
 from .simulator import Simulator, simulate
 from .start import Stationarity, stationarity
 
-__all__ = ["Simulator", "Stationarity", "simulate", "stationarity"]
+__all__ = ["ShaftSpeed", "Simulator", "Stationarity", "simulate", "stationarity"]

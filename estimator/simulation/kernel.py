@@ -1,13 +1,13 @@
 """Time stepping in compiled code: two schemes with the force held over the step, and the decimation.
 
 State x, v: three slots for each direction (bearing1, bearing2, disc; a slot that the rig lacks stays zero) and one
-slot more that is always zero, for "no such degree of freedom". z: memory states. Effects are called by address
-(compiled.py). What comes out of a step is its average: (v1 - v0) / h is the mean acceleration whatever the
-force did, so acceleration, velocity, displacement and force are all seen through the same box of length h, centred on
-the step.
+more slot that is always zero, for "no such degree of freedom". z: memory states. Effects are called by address. The
+output of a step is its average: (v1 - v0) / h is the mean acceleration over the step for any force. So
+acceleration, velocity, displacement and force all pass the same box filter of length h, centred on the step.
 
-Schemes: RK4 is the paper's protocol. "exponential" propagates the linear rotor exactly and the effects with the
-two-stage second-order exponential Runge-Kutta rule (Cox and Matthews, J. Comput. Phys. 176, 2002, 430-455, eq. 22).
+Schemes: "rk4" is the classical Runge-Kutta rule. "exponential" propagates the linear rotor exactly, and the
+effects with the two-stage second-order exponential Runge-Kutta rule (Cox and Matthews, J. Comput. Phys. 176, 2002,
+430-455, eq. 22).
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from numba import njit
 
 from estimator.effects.engine.compiled import call_force_at, call_memory_at, call_rates_at
 
-FORCE, SHAFT, MEMORY = 0, 1, 2
-ACCELERATION, VELOCITY, DISPLACEMENT, EXCITATION = 0, 1, 2, 3
-SLOTS = 3  # per direction
+LAW_FORCE, LAW_SHAFT, LAW_MEMORY = 0, 1, 2  # kinds of laws in the effect table
+CHANNEL_ACCELERATION, CHANNEL_VELOCITY, CHANNEL_DISPLACEMENT, CHANNEL_FORCE = 0, 1, 2, 3  # kinds of channels
+SLOTS_PER_DIRECTION = 3  # bearing1, bearing2, disc
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -33,9 +33,9 @@ def _effects(x, v, z, t, phase, table, f, dz):  # type: ignore[no-untyped-def]
     f[:] = 0.0
     for k in range(law.size):
         kind, i, io = where[k, 0], where[k, 1], where[k, 4]
-        if kind == FORCE:
+        if kind == LAW_FORCE:
             f[i] += call_force_at(law[k], x[i], v[i], x[io], v[io], t, phase, sign[k], p[k])
-        elif kind == SHAFT:
+        elif kind == LAW_SHAFT:
             j1, j2, o1, o2 = where[k, 2], where[k, 3], where[k, 5], where[k, 6]
             xr, vr = x[i] - 0.5 * (x[j1] + x[j2]), v[i] - 0.5 * (v[j1] + v[j2])
             xo, vo = x[io] - 0.5 * (x[o1] + x[o2]), v[io] - 0.5 * (v[o1] + v[o2])
@@ -54,23 +54,24 @@ def _effects(x, v, z, t, phase, table, f, dz):  # type: ignore[no-untyped-def]
 def _accelerate(x, v, F, f, K, C, m, a):  # type: ignore[no-untyped-def]
     """Fill a = (F - f - K x - C v) / m; K, C (directions, 3, 3)."""
     for d in range(K.shape[0]):
-        o = SLOTS * d
-        for i in range(SLOTS):
+        o = SLOTS_PER_DIRECTION * d
+        for i in range(SLOTS_PER_DIRECTION):
             r = F[o + i] - f[o + i]
-            for j in range(SLOTS):
+            for j in range(SLOTS_PER_DIRECTION):
                 r -= K[d, i, j] * x[o + j] + C[d, i, j] * v[o + j]
             a[o + i] = r / m[o + i]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _emit(out, k, chan, x, v, x1, v1, F, h):  # type: ignore[no-untyped-def]
+    """Write the averages of step k into out (channels, steps)."""
     for c in range(chan.shape[0]):
         kind, i = chan[c, 0], chan[c, 1]
-        if kind == ACCELERATION:
+        if kind == CHANNEL_ACCELERATION:
             out[c, k] = (v1[i] - v[i]) / h
-        elif kind == VELOCITY:
+        elif kind == CHANNEL_VELOCITY:
             out[c, k] = (x1[i] - x[i]) / h
-        elif kind == DISPLACEMENT:
+        elif kind == CHANNEL_DISPLACEMENT:
             out[c, k] = 0.5 * (x[i] + x1[i]) - h / 12.0 * (v1[i] - v[i])
         else:
             out[c, k] = F[i]
@@ -78,10 +79,11 @@ def _emit(out, k, chan, x, v, x1, v1, F, h):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def rk4(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: ignore[no-untyped-def]
-    """Advance x, v, z by len(F) steps.
+    """Advance x (m), v (m/s) and z by len(F) steps of h s with the classical Runge-Kutta rule.
 
-    F : (steps, slots) N. phase : (steps + 1,) rad. matrices : K, C (directions, 3, 3), m (slots,). chan : (channels, 2)
-    kind and slot. out : (channels, steps).
+    t0 : s, time of the first step. phase : (steps + 1,) rad, shaft angle. F : (steps, slots) N, held over a step.
+    table : of the effects. matrices : K, C (directions, 3, 3), m (slots,). chan : (channels, 2) kind and slot.
+    out : (channels, steps), filled with the averages of the steps.
     """
     K, C, m = matrices
     n, nz = x.size, z.size
@@ -123,9 +125,10 @@ def rk4(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: ignore[n
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def exponential(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: ignore[no-untyped-def]
-    """As `rk4`; matrices : E (directions, 6, 6), G0, G1 (directions, 6, 3) from rotor.propagator.
+    """Advance x, v and z by len(F) steps with the exponential rule: exact for the linear rotor at any step.
 
-    Exact for the linear rotor at any step.
+    matrices : E (directions, 6, 6), G0, G1 (directions, 6, 3), the propagator of the rotor. The other arguments are
+    those of `rk4`.
     """
     E, G0, G1 = matrices
     n, nz = x.size, z.size
@@ -135,14 +138,17 @@ def exponential(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: 
         t, Fk = t0 + k * h, F[k]
         _effects(x, v, z, t, phase[k], table, f, d1)
         for d in range(E.shape[0]):
-            o = SLOTS * d
-            for i in range(SLOTS):
+            o = SLOTS_PER_DIRECTION * d
+            for i in range(SLOTS_PER_DIRECTION):
                 xi, vi = 0.0, 0.0
-                for j in range(SLOTS):
+                for j in range(SLOTS_PER_DIRECTION):
                     g = Fk[o + j] - f[o + j]
-                    xi += E[d, i, j] * x[o + j] + E[d, i, SLOTS + j] * v[o + j] + G0[d, i, j] * g
-                    vi += E[d, SLOTS + i, j] * x[o + j] + E[d, SLOTS + i, SLOTS + j] * v[o + j]
-                    vi += G0[d, SLOTS + i, j] * g
+                    xi += E[d, i, j] * x[o + j] + E[d, i, SLOTS_PER_DIRECTION + j] * v[o + j] + G0[d, i, j] * g
+                    vi += (
+                        E[d, SLOTS_PER_DIRECTION + i, j] * x[o + j]
+                        + E[d, SLOTS_PER_DIRECTION + i, SLOTS_PER_DIRECTION + j] * v[o + j]
+                    )
+                    vi += G0[d, SLOTS_PER_DIRECTION + i, j] * g
                 x1[o + i], v1[o + i] = xi, vi
         if table[0].size:
             for i in range(nz):
@@ -151,13 +157,13 @@ def exponential(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: 
             for i in range(nz):
                 z[i] += 0.5 * h * (d1[i] + d2[i])
             for d in range(E.shape[0]):
-                o = SLOTS * d
-                for i in range(SLOTS):
+                o = SLOTS_PER_DIRECTION * d
+                for i in range(SLOTS_PER_DIRECTION):
                     xi, vi = 0.0, 0.0
-                    for j in range(SLOTS):
+                    for j in range(SLOTS_PER_DIRECTION):
                         g = f[o + j] - f1[o + j]
                         xi += G1[d, i, j] * g
-                        vi += G1[d, SLOTS + i, j] * g
+                        vi += G1[d, SLOTS_PER_DIRECTION + i, j] * g
                     x1[o + i] += xi
                     v1[o + i] += vi
         _emit(out, k, chan, x, v, x1, v1, Fk, h)
@@ -167,6 +173,7 @@ def exponential(x, v, z, t0, h, phase, F, table, matrices, chan, out):  # type: 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract", "nsz"})
 def _dot(a, b):  # type: ignore[no-untyped-def]
+    """Scalar product."""
     total = 0.0
     for j in range(a.size):
         total += a[j] * b[j]
@@ -175,7 +182,7 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def decimate(steps, taps, factor, out):  # type: ignore[no-untyped-def]
-    """out (n, channels) = taps applied to steps (channels, n * factor + len(taps)) at every `factor`-th step."""
+    """Fill out (n, channels) with taps applied at every `factor`-th step to (channels, n * factor + len(taps))."""
     for k in range(out.shape[0]):
         for c in range(out.shape[1]):
             out[k, c] = _dot(taps, steps[c, k * factor : k * factor + taps.size])

@@ -18,17 +18,23 @@ from estimator.model.rotor import Assembly, assemble
 
 from . import kernel as kernel
 
-KINDS = {
-    "acceleration": kernel.ACCELERATION,
-    "velocity": kernel.VELOCITY,
-    "displacement": kernel.DISPLACEMENT,
-    "force": kernel.EXCITATION,
+CHANNEL_KINDS = {
+    "acceleration": kernel.CHANNEL_ACCELERATION,
+    "velocity": kernel.CHANNEL_VELOCITY,
+    "displacement": kernel.CHANNEL_DISPLACEMENT,
+    "force": kernel.CHANNEL_FORCE,
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Acting:
-    """One effect at one canonical place. where : (7,) as in simulate_kernel.effect_forces, s : +1 in x, -1 in y."""
+class ActingLaw:
+    """A row of the effect table: one effect that acts in one direction at one location.
+
+    effect : the effect. place : canonical location, such as "bearing1.x". p : (parameters,) values in SI units.
+    where : (7,) kind of law, degree of freedom, those of cap 1 and cap 2, and the same three of the other direction;
+    -1 where the rig has none. s : +1 in x, -1 in y. lin : mass kg, kL N/m, c N s/m of the cap, which laws with memory
+    read; 0 for laws of the disc and the shaft.
+    """
 
     effect: Effect
     place: str
@@ -40,20 +46,26 @@ class Acting:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Everything the stepping needs. channels : (c, 2) kind and degree of freedom of each stepped channel."""
+    """A model as the stepping reads it.
+
+    rig : matrices of the linear rotor. acting : rows of the effect table. channels : (channels, 2) kind and degree of
+    freedom of each stepped channel. shapes : degree of freedom, spectral shape and its parameters of each force that
+    is not white. correlation : two degrees of freedom and the correlation coefficient of their forces. sensors :
+    channel number, sensor effect and its parameters.
+    """
 
     rig: Assembly
-    acting: tuple[Acting, ...]
+    acting: tuple[ActingLaw, ...]
     channels: NDArray[np.int64]
-    shapes: tuple[tuple[int, Callable[..., Array], Array], ...]  # (dof, shape, p) of coloured forces
-    correlation: tuple[tuple[int, int, float], ...]  # (dof, dof, coefficient)
-    sensors: tuple[tuple[int, Effect, Array], ...]  # (channel number, effect, p)
+    shapes: tuple[tuple[int, Callable[..., Array], Array], ...]
+    correlation: tuple[tuple[int, int, float], ...]
+    sensors: tuple[tuple[int, Effect, Array], ...]
 
 
-def build(model: Model) -> Plan:
-    """The plan of a model with every value given. Raises ModelError naming what is missing."""
+def simulation_plan(model: Model) -> Plan:
+    """The plan of a model whose values are all given. Raises ModelError that names what is missing."""
     rig = assemble(model)
-    acting: list[Acting] = []
+    acting: list[ActingLaw] = []
     shapes: list[tuple[int, Callable[..., Array], Array]] = []
     correlation: list[tuple[int, int, float]] = []
     sensors: list[tuple[int, Effect, Array]] = []
@@ -71,22 +83,22 @@ def build(model: Model) -> Plan:
                 shapes.append((rig.index(place), effect.shape, p))
             else:
                 acting += _acting(effect, place, p, rig, model)
-    stepped = [(KINDS[c.kind], rig.index(c.place)) for c in model.channels if c.kind in KINDS]
+    stepped = [(CHANNEL_KINDS[c.kind], rig.index(c.place)) for c in model.channels if c.kind in CHANNEL_KINDS]
     return Plan(
-        rig,
-        tuple(acting),
-        np.array(stepped, dtype=np.int64).reshape(-1, 2),
-        tuple(shapes),
-        tuple(correlation),
-        tuple(sensors),
+        rig=rig,
+        acting=tuple(acting),
+        channels=np.array(stepped, dtype=np.int64).reshape(-1, 2),
+        shapes=tuple(shapes),
+        correlation=tuple(correlation),
+        sensors=tuple(sensors),
     )
 
 
-def _acting(effect: Effect, place: str, p: Array, rig: Assembly, model: Model) -> list[Acting]:
-    """The rows of the effect table of one effect at one place: one per direction that it pushes in."""
+def _acting(effect: Effect, place: str, p: Array, rig: Assembly, model: Model) -> list[ActingLaw]:
+    """The rows of the effect table of one effect at one location: one per direction of its force. p : its values."""
     node = place.split(".")[0]
     one = place.split(".")[1:] or [d for d in DIRECTIONS if any(dof.endswith("." + d) for dof in rig.dofs)]
-    rows: list[Acting] = []
+    rows: list[ActingLaw] = []
     for d in one:
         other = "y" if d == "x" else "x"
 
@@ -96,25 +108,28 @@ def _acting(effect: Effect, place: str, p: Array, rig: Assembly, model: Model) -
         s = 1.0 if d == "x" else -1.0
         if effect.kind in ("disc", "shaft"):
             caps = [dof(f"{n}.{d}") for n in NODES] + [dof(f"disc.{other}")] + [dof(f"{n}.{other}") for n in NODES]
-            code = kernel.SHAFT if effect.kind == "shaft" else kernel.FORCE
+            code = kernel.LAW_SHAFT if effect.kind == "shaft" else kernel.LAW_FORCE
             where = (code, rig.index(f"disc.{d}"), *caps)
             lin = (0.0, 0.0, 0.0)
         else:
             i = rig.index(f"{node}.{d}")
-            code = kernel.MEMORY if effect.kind == "memory" else kernel.FORCE
+            code = kernel.LAW_MEMORY if effect.kind == "memory" else kernel.LAW_FORCE
             where = (code, i, -1, -1, dof(f"{node}.{other}"), -1, -1)
             linear = model.linear[f"{node}.{d}"]
             lin = (float(rig.M[i, i]), float(linear["kL"].value or 0.0), float(linear["c"].value or 0.0))
-        rows.append(Acting(effect, place, p, where, s, lin))
+        rows.append(ActingLaw(effect=effect, place=place, p=p, where=where, s=s, lin=lin))
     return rows
 
 
 @dataclass(frozen=True, slots=True)
 class Slots:
-    """The kernel's fixed layout: three slots per direction (bearing1, bearing2, disc), a last one that stays zero."""
+    """Layout of the state: three slots per direction (bearing1, bearing2, disc), and a last slot that stays zero.
+
+    directions : those that the rig has, "x" and "y". of_dof : (dofs,) slot of each degree of freedom.
+    """
 
     directions: tuple[str, ...]
-    of_dof: NDArray[np.int64]  # slot of each degree of freedom
+    of_dof: NDArray[np.int64]
 
     @classmethod
     def of(cls, rig: Assembly) -> Slots:
@@ -124,17 +139,17 @@ class Slots:
 
     @property
     def count(self) -> int:
-        return kernel.SLOTS * len(self.directions) + 1
+        return kernel.SLOTS_PER_DIRECTION * len(self.directions) + 1
 
     def vector(self, a: Array, fill: float = 0.0) -> Array:
-        """(slots,) from (n,)."""
+        """(slots,) of values a (dofs,); `fill` in slots without a degree of freedom."""
         out = np.full(self.count, fill)
         out[self.of_dof] = a
         return out
 
     def blocks(self, A: Array, rows: int = 1, columns: int = 1) -> Array:
-        """(directions, 3 rows, 3 columns) from (rows n, columns n): the diagonal block of each direction."""
-        n, w = len(self.of_dof), kernel.SLOTS
+        """(directions, 3 rows, 3 columns): the diagonal block of each direction of A (rows * dofs, columns * dofs)."""
+        n, w = len(self.of_dof), kernel.SLOTS_PER_DIRECTION
         out = np.zeros((len(self.directions), rows * w, columns * w))
         for i, a in enumerate(self.of_dof):
             for j, b in enumerate(self.of_dof):
@@ -143,13 +158,15 @@ class Slots:
         return out
 
 
-Table = tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uintp], NDArray[np.uintp], NDArray[np.uintp], Array]
+EffectTable = tuple[
+    NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uintp], NDArray[np.uintp], NDArray[np.uintp], Array
+]
 
 
-def table(acting: tuple[Acting, ...], slots: Slots) -> tuple[Table, int, tuple[Array, Array]]:
-    """The compiled effect table of the kernels, the number of memory states, and the arrays that it points into.
+def effect_table(acting: tuple[ActingLaw, ...], slots: Slots) -> tuple[EffectTable, int, tuple[Array, Array]]:
+    """The effect table of the kernels, the number of memory states, and the arrays that the table points into.
 
-    Laws are compiled here, on first use.
+    Laws are compiled here, at first use. The arrays must outlive the table.
     """
     from estimator.effects.engine.compiled import address
 

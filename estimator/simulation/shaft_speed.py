@@ -10,11 +10,29 @@ from estimator.arrays import Array
 
 
 @dataclass(frozen=True, slots=True)
-class Speed:
-    """Constant speed, a ramp, and a slow fluctuation.
+class ShaftSpeed:
+    """A shaft speed: constant, with a ramp and a slow fluctuation.
 
-    rpm : at t = 0. ramp_rpm_per_s : its rate. fluctuation : rms of the speed as a fraction of rpm, made of eight
-    sines between 0.2 and 2 times fluctuation_hz with phases from `seed`.
+    Parameters
+    ----------
+    rpm : float
+        Speed at t = 0.
+    ramp_rpm_per_s : float
+        Rate of change of the speed.
+    fluctuation : float
+        Rms of the fluctuation as a fraction of `rpm`: eight sines between 0.2 and 2 times `fluctuation_hz`.
+    fluctuation_hz : float
+        Scale of the frequencies of the fluctuation.
+    seed : int
+        Seed of the frequencies and phases of the fluctuation.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from estimator.simulation import ShaftSpeed
+    >>> turns = ShaftSpeed(600.0).phase(np.array([0.0, 0.1, 0.2])) / (2 * np.pi)
+    >>> turns.round(3).tolist()
+    [0.0, 1.0, 2.0]
     """
 
     rpm: float
@@ -24,7 +42,7 @@ class Speed:
     seed: int = 0
 
     def phase(self, t: Array) -> Array:
-        """Shaft angle in rad (same shape as t, s); 0 at t = 0 but for the fluctuation."""
+        """Shaft angle in rad at times t in s, any shape; 0 at t = 0 but for the fluctuation."""
         turns = (self.rpm * t + 0.5 * self.ramp_rpm_per_s * t * t) / 60.0
         if self.fluctuation:
             rng = np.random.default_rng(self.seed)
@@ -36,7 +54,7 @@ class Speed:
         return np.asarray(2.0 * np.pi * turns)
 
     def pulses(self, t: Array, width_s: float, duty: float = 0.1) -> Array:
-        """Tacho signal, 0 to 1: high for `duty` of a turn from angle 0 on, averaged over `width_s` about each t."""
+        """Tacho signal at times t in s, 0 to 1: high for `duty` of a turn from angle 0, averaged over `width_s`."""
 
         def high(turns: Array) -> Array:  # turns spent high since 0
             whole = np.floor(turns)

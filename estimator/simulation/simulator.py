@@ -1,8 +1,8 @@
-"""A simulated rig: what its sensors would send, at the sampling rate, deterministic by seed.
+"""A simulated rig: the samples of its sensors, deterministic by seed.
 
-The rotor is stepped `oversample` times per sample (simulate_kernel), seen through a linear-phase anti-alias filter
-that is flat to 0.45 of the rate, then through the model's sensor effects. Row k is the signal at t = k / rate_hz.
-Chunks of any size give the same numbers: work is done in blocks of fixed size.
+The rotor is stepped `oversample` times per sample. Its motion passes a linear-phase anti-alias filter that is flat to
+0.45 of the rate, then the sensor effects of the model. Row k is the signal at t = k / rate_hz. Calls of any length give
+the same numbers: the work is done in blocks of fixed size.
 """
 
 from __future__ import annotations
@@ -19,35 +19,61 @@ from estimator.model.rig import Model
 from estimator.signals import low_pass
 
 from . import kernel as kernel
-from .plan import Plan, build
-from .shaft_speed import Speed
+from .plan import Plan, simulation_plan
+from .shaft_speed import ShaftSpeed
 from .start import start_state
 from .stepper import Scheme, Stepper
 
-BLOCK = 1024  # output samples made at a time
-MARGIN = 512  # samples before and after a block that sensor effects may look at
+BLOCK_SAMPLES = 1024  # output samples made at a time; another size gives other random numbers
+MARGIN_SAMPLES = 512  # before and after a block, for the memory of sensor effects
 
 
 def antialias_taps(oversample: int) -> Array:
-    """Even number of taps, unit gain at 0: flat (3e-5) to 0.45 and 90 dB down from 0.55 of the output rate."""
+    """(taps,) even number: unit gain at 0, flat (3e-5) to 0.45 and 90 dB down from 0.55 of the output rate."""
     n, beta = low_pass.kaiser_order(90.0, 0.1 / (0.5 * oversample))
     n += n % 2
     return low_pass.kaiser_low_pass(n, 1.0 / oversample, beta)
 
 
 class Simulator:
-    """A rig that goes on for ever: `next(n)` gives the following n rows.
+    """An endless record of a rig: `next(n)` gives the following n rows.
 
     Parameters
     ----------
-    model : every linear value, mass and effect parameter given.
-    rate_hz : output rate; `oversample` steps are taken per sample.
-    scheme : "exponential" (exact for the linear part, second order in the effects) or "rk4" (the paper's). Both
-        hold the force over the step with variance S / (2 dt).
-    start : "boltzmann" (stationary, see simulate_start) or "rest".
-    speed : shaft speed; default the constant speed of the model.
+    model : Model
+        A rig whose linear values, masses and effect parameters are all given.
+    rate_hz : float
+        Sampling rate, Hz.
+    seed : int
+        Seed of the random forces and of the sensor effects.
+    oversample : int
+        Steps per sample, at least 2.
+    scheme : {"exponential", "rk4"}
+        Exponential: exact for the linear rotor, second order in the effects. Both schemes hold the force over a step
+        of dt, with variance S / (2 dt).
+    start : {"boltzmann", "rest"}
+        The stationary state, or rest.
+    speed : ShaftSpeed or None
+        Speed of the shaft; None: the constant speed of the model.
 
-    Raises ModelError for a model that is incomplete, unstable or without a stationary density.
+    Raises
+    ------
+    ModelError
+        The model is incomplete, unstable or without a stationary density.
+    ValueError
+        `oversample`, `rate_hz` or `scheme` is out of range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from estimator import Channel, Model, Setting
+    >>> from estimator.simulation import Simulator
+    >>> cap = {"bearing1.x": {"kL": Setting(1.0e7), "c": Setting(50.0), "S": Setting(1.0e-4)}}
+    >>> rig = Model((Channel("b1x", "bearing1", "x"),), band=(150.0, 8000.0), mass={"bearing1": 0.2}, linear=cap)
+    >>> one, other = Simulator(rig, 25600.0, seed=1), Simulator(rig, 25600.0, seed=1)
+    >>> parts = np.concatenate([one.next(300), one.next(212)])
+    >>> parts.shape, np.array_equal(parts, other.next(512))
+    ((512, 1), True)
     """
 
     def __init__(
@@ -59,13 +85,13 @@ class Simulator:
         *,
         scheme: Scheme = "exponential",
         start: Literal["boltzmann", "rest"] = "boltzmann",
-        speed: Speed | None = None,
+        speed: ShaftSpeed | None = None,
     ) -> None:
         if oversample < 2 or rate_hz <= 0:
             raise ValueError("oversample must be at least 2 and rate_hz positive")
         self.model, self.rate_hz, self.oversample = model, float(rate_hz), oversample
-        self.speed = speed or (Speed(model.speed_rpm) if model.speed_rpm is not None else None)
-        self.plan = build(model)
+        self.speed = speed or (ShaftSpeed(model.speed_rpm) if model.speed_rpm is not None else None)
+        self.plan = simulation_plan(model)
         if self.speed is None:
             _refuse_without_speed(model, self.plan)
         motion, *sensor_seeds = np.random.SeedSequence(seed).spawn(1 + len(self.plan.sensors))
@@ -73,49 +99,66 @@ class Simulator:
         self._sensor_rngs = [np.random.default_rng(s) for s in sensor_seeds]
         self._step = Stepper(self.plan, 1.0 / (rate_hz * oversample), scheme, self.speed)
         self._taps = antialias_taps(oversample)
-        before = MARGIN * oversample + self._taps.size // 2
+        before = MARGIN_SAMPLES * oversample + self._taps.size // 2
         self._step.x, self._step.v, self._step.z, self._step.count = start_state(
             model, self.plan, self._step, self._rng, start, -before
         )
-        self._steps = np.zeros((len(self.plan.channels), self._taps.size + BLOCK * oversample))
+        self._steps = np.zeros((len(self.plan.channels), self._taps.size + BLOCK_SAMPLES * oversample))
         self._step.advance(self._rng, self._steps[:, : self._taps.size])
         self._tail = np.zeros((0, len(model.channels)))  # stepped rows whose sensors have not been applied
-        self._raw_index = -MARGIN
+        self._raw_index = -MARGIN_SAMPLES
         self._ready = np.zeros((0, len(model.channels)))
 
     def next(self, n: int) -> Array:
-        """(n, channels) float64, SI, channels in the model's order (a tacho is 0 to 1)."""
+        """The next rows.
+
+        Parameters
+        ----------
+        n : int
+            Number of rows.
+
+        Returns
+        -------
+        (n, channels) float64
+            Samples in SI units, channels in the model's order; a tacho is 0 to 1.
+
+        Raises
+        ------
+        ModelError
+            The motion grows without bound.
+        """
         parts, have = [self._ready], len(self._ready)
         while have < n:
             parts.append(self._block())
-            have += BLOCK
+            have += BLOCK_SAMPLES
         rows = np.concatenate(parts) if len(parts) > 1 else parts[0]
         self._ready = rows[n:]
         return rows[:n].copy()
 
     def _block(self) -> Array:
-        need = BLOCK + 2 * MARGIN
+        """(BLOCK_SAMPLES, channels) next rows with sensor effects."""
+        need = BLOCK_SAMPLES + 2 * MARGIN_SAMPLES
         while len(self._tail) < need:
             self._tail = np.concatenate([self._tail, self._raw()])
-        rows, self._tail = self._tail[:need], self._tail[BLOCK:]
+        rows, self._tail = self._tail[:need], self._tail[BLOCK_SAMPLES:]
         for (channel, effect, p), rng in zip(self.plan.sensors, self._sensor_rngs, strict=True):
             if effect.apply is None:
                 raise ModelError(f"effect {effect.name}: a sensor effect needs apply")
             rows = rows.copy()
             rows[:, channel] = effect.apply(rows[:, channel], self.rate_hz, p, rng)
-        return np.asarray(rows[MARGIN : MARGIN + BLOCK])
+        return np.asarray(rows[MARGIN_SAMPLES : MARGIN_SAMPLES + BLOCK_SAMPLES])
 
     def _raw(self) -> Array:
-        """The next BLOCK rows before any sensor effect."""
+        """(BLOCK_SAMPLES, channels) next rows before any sensor effect."""
         kept, steps = self._taps.size, self._steps
         self._step.advance(self._rng, steps[:, kept:])
-        stepped = np.empty((BLOCK, len(steps)))
+        stepped = np.empty((BLOCK_SAMPLES, len(steps)))
         kernel.decimate(steps, self._taps, self.oversample, stepped)
         steps[:, :kept] = steps[:, -kept:].copy()
         if not np.all(np.isfinite(stepped)):
             raise ModelError("the simulated rotor ran away: an effect feeds energy in or the step is too long for it")
-        out = np.zeros((BLOCK, len(self.model.channels)))
-        t: Array = np.asarray((self._raw_index + np.arange(BLOCK)) / self.rate_hz, dtype=np.float64)
+        out = np.zeros((BLOCK_SAMPLES, len(self.model.channels)))
+        t: Array = np.asarray((self._raw_index + np.arange(BLOCK_SAMPLES)) / self.rate_hz, dtype=np.float64)
         column = 0
         for i, channel in enumerate(self.model.channels):
             if channel.kind == "tacho":
@@ -123,17 +166,18 @@ class Simulator:
             else:
                 out[:, i] = stepped[:, column]
                 column += 1
-        self._raw_index += BLOCK
+        self._raw_index += BLOCK_SAMPLES
         return out
 
 
 def _refuse_without_speed(model: Model, plan: Plan) -> None:
-    turning = [a.effect.name for a in plan.acting if a.effect.force and uses_phase(a.effect)]
+    """Raise ModelError where a law or a tacho needs the shaft speed."""
+    turning = [a.effect.name for a in plan.acting if a.effect.force and reads_shaft_angle(a.effect)]
     if turning or model.tacho is not None:
         raise ModelError(f"no shaft speed, but {', '.join(turning) or 'a tacho channel'} needs it: give speed_rpm")
 
 
-def uses_phase(effect: Effect) -> bool:
+def reads_shaft_angle(effect: Effect) -> bool:
     """Whether an effect's law reads the shaft angle."""
     import dis
 
@@ -141,7 +185,7 @@ def uses_phase(effect: Effect) -> bool:
 
 
 def quantise(y: Array, full_scale: float, bits: int = 16) -> Array:
-    """What a converter of `bits` sends, in SI: whole counts of full_scale / (2^(bits-1) - 1), clipped at full scale."""
+    """y in SI after a converter: whole counts of full_scale / (2^(bits-1) - 1), clipped at full scale."""
     top = 2 ** (bits - 1) - 1
     return np.asarray(np.clip(np.rint(y * (top / full_scale)), -top, top) * (full_scale / top))
 
@@ -157,12 +201,45 @@ def simulate(
     oversample: int = 8,
     scheme: Scheme = "exponential",
     start: Literal["boltzmann", "rest"] = "boltzmann",
-    speed: Speed | None = None,
+    speed: ShaftSpeed | None = None,
 ) -> Array:
-    """(n, channels) of a simulated record, n = round(seconds * rate_hz), as a real device would send it.
+    """A simulated record, as a device would send it.
 
-    noise : rms of white sensor noise over the whole band. full_scale : of the 16-bit counts; None leaves the signal
-    unrounded. Either by channel name, or one number for every acceleration, velocity and displacement channel.
+    Parameters
+    ----------
+    model : Model
+        A rig whose linear values, masses and effect parameters are all given.
+    rate_hz : float
+        Sampling rate, Hz.
+    seconds : float
+        Length of the record, s.
+    seed : int
+        Seed of the random forces, the sensor effects and the noise.
+    noise : float or mapping of str to float
+        Rms of white sensor noise over the whole band, in the unit of the channel: by channel name, or one number for
+        every acceleration, velocity and displacement channel.
+    full_scale : float, mapping of str to float, or None
+        Full scale of the 16-bit counts, as `noise`; None leaves the signal unrounded.
+    oversample, scheme, start, speed
+        As those of `Simulator`.
+
+    Returns
+    -------
+    (n, channels) float64
+        Samples in SI units, n = round(seconds * rate_hz), channels in the model's order; a tacho is 0 to 1.
+
+    Raises
+    ------
+    ModelError
+        The model is incomplete, unstable or without a stationary density.
+
+    Examples
+    --------
+    >>> from estimator import Channel, Model, Setting, simulate
+    >>> cap = {"bearing1.x": {"kL": Setting(1.0e7), "c": Setting(50.0), "S": Setting(1.0e-4)}}
+    >>> rig = Model((Channel("b1x", "bearing1", "x"),), band=(150.0, 8000.0), mass={"bearing1": 0.2}, linear=cap)
+    >>> simulate(rig, rate_hz=25600.0, seconds=0.1, seed=1).shape
+    (2560, 1)
     """
     source = Simulator(model, rate_hz, seed, oversample, scheme=scheme, start=start, speed=speed)
     y = source.next(round(seconds * rate_hz))

@@ -1,9 +1,10 @@
-"""Where a simulation starts: at rest, or as if it had run for ever.
+"""Start of a simulation: at rest, or in the stationary state.
 
-The disc mode of a chain relaxes only through the dampers of the caps, in 14 s to hours, so a start from rest would
-show a transient for the whole record. The start is the exact Gaussian of the linear part. Where exp(-H/T) is exactly
-stationary the effects are then let in with strong damping on every mass and the noise that goes
-with it: the same density, reached in a few periods. Otherwise a short run with the true damping lets them in.
+The disc mode of a chain relaxes only through the dampers of the caps, in seconds to hours. A start from rest would show
+a transient for the whole record. The state is drawn from the exact Gaussian density of the linear rotor. A run before
+the record then lets the effects act. Where exp(-H/T) is the stationary density, this run has strong damping on every
+mass and the noise of the same temperature: it reaches the same density in a few periods. Otherwise it is a short run
+with the true damping.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from .plan import Plan
 if TYPE_CHECKING:
     from .stepper import Stepper
 
-BURN_S = 0.5  # run before the record where the density is not known
-BARRIER = 20.0  # least U/T of a softening model that is let run
+BURN_S = 0.5  # run before the record where the stationary density is not known
+MIN_BARRIER_T = 20.0  # height of the potential barrier of a softening model, over its temperature
 
 
 def start_state(
@@ -37,7 +38,10 @@ def start_state(
     start: Literal["boltzmann", "rest"],
     first: int,
 ) -> tuple[Array, Array, Array, int]:
-    """x, v (slots,), z and the step number `first` to go on from. Raises ModelError if there is no stationary state."""
+    """x (slots,) m, v (slots,) m/s, z and the number `first` of the next step.
+
+    Raises ModelError where there is no stationary state.
+    """
     rig, n = plan.rig, len(plan.rig.dofs)
     if start == "rest":
         return stepper.x, stepper.v, stepper.z, first
@@ -60,7 +64,7 @@ def start_state(
 
 
 def _thermalise(plan: Plan, stepper: Stepper, rng: np.random.Generator, temperature: float) -> None:
-    """Run with damping 0.5 m w on every mass at the same temperature, for 60 times the slowest damping time."""
+    """Run with damping 0.5 m w on every mass at a temperature in J, for 60 times the slowest damping time."""
     rig = plan.rig
     m, w = np.diag(rig.M), np.sqrt(np.diag(rig.K) / np.diag(rig.M))
     strong = replace(rig, C=np.diag(0.5 * m * w), S=2.0 * 2.0 * temperature * 0.5 * m * w)
@@ -74,10 +78,10 @@ def _thermalise(plan: Plan, stepper: Stepper, rng: np.random.Generator, temperat
 
 
 def refuse_escape(plan: Plan, sigma: Array, temperature: Array) -> None:
-    """Raise ModelError where the static force of the effects lets a cap leave its well for good.
+    """Raise ModelError where the static force of the effects lets a cap leave its potential well for good.
 
-    sigma : (n,) m, temperature : (n,) J of each degree of freedom of the linear rotor. The barrier is the highest
-    potential on the way out along x; the least of both signs must exceed 20 T (physics.md section 2).
+    sigma : (dofs,) m, temperature : (dofs,) J, of each degree of freedom of the linear rotor. The barrier is the
+    highest potential along x. On either side it must exceed MIN_BARRIER_T temperatures.
     """
     for i, dof in enumerate(plan.rig.dofs):
         laws = [a for a in plan.acting if a.where[1] == i and a.effect.stationary_density and a.effect.force]
@@ -89,20 +93,31 @@ def refuse_escape(plan: Plan, sigma: Array, temperature: Array) -> None:
             for a in laws:
                 force = force + side * force_array(a.effect, a.p, side * x, s=a.s)
             V = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1])) * (x[1] - x[0])])
-            if force[-1] < 0.0 and V.max() < BARRIER * temperature[i]:
+            if force[-1] < 0.0 and V.max() < MIN_BARRIER_T * temperature[i]:
                 names = ", ".join(a.effect.name for a in laws)
                 raise ModelError(
-                    f"{dof}: {names} softens without end and has no stationary density (barrier "
-                    f"{V.max() / temperature[i]:.1f} T, at least {BARRIER:g} T is needed): weaken it, or use hertz"
+                    f"{dof}: {names} softens without end and has no stationary density "
+                    f"(barrier {V.max() / temperature[i]:.1f} T, at least {MIN_BARRIER_T:g} T is needed): "
+                    "weaken it, or use hertz"
                 )
 
 
 @dataclass(frozen=True, slots=True)
 class Stationarity:
-    """Whether exp(-H/T) is the stationary density: force intensity Q = 2 T C_sym (physics.md section 2).
+    """Whether exp(-H/T) is the stationary density of a model, H its energy.
 
-    temperature : J, the T of the best match; by_dof : J, Q_ii / (2 C_ii) of each damped or driven degree of freedom;
-    mismatch : |Q - 2 T C| / |Q| (0: exact). blocking : effects that break it whatever the noise.
+    It is where the intensity of the forces is Q = 2 T C, with C the symmetric part of the damping matrix.
+
+    Parameters
+    ----------
+    temperature : float
+        T in J that matches best; infinite without damping.
+    by_dof : dict of str to float
+        Q_ii / (2 C_ii) in J of each damped or driven degree of freedom; infinite where it has no damping.
+    mismatch : float
+        ``|Q - 2 T C| / |Q|``; 0 where the condition holds.
+    blocking : tuple of str
+        Effects that no temperature suits.
     """
 
     temperature: float
@@ -112,11 +127,37 @@ class Stationarity:
 
     @property
     def exact(self) -> bool:
+        """Whether exp(-H/T) is exactly stationary."""
         return self.mismatch < 1e-9 and not self.blocking
 
 
 def stationarity(model: Model) -> Stationarity:
-    """The exact stationary condition of any model. Raises ModelError if the linear part is incomplete."""
+    """Whether exp(-H/T) is the stationary density of a model.
+
+    Parameters
+    ----------
+    model : Model
+        A rig whose linear values and masses are all given.
+
+    Returns
+    -------
+    Stationarity
+        Temperature, mismatch, and the effects that break the condition.
+
+    Raises
+    ------
+    ModelError
+        A linear value or a mass is missing.
+
+    Examples
+    --------
+    >>> from estimator import Channel, Model, Setting
+    >>> from estimator.simulation import stationarity
+    >>> cap = {"bearing1.x": {"kL": Setting(1.0e7), "c": Setting(50.0), "S": Setting(1.0e-4)}}
+    >>> rig = Model((Channel("b1x", "bearing1", "x"),), band=(150.0, 8000.0), mass={"bearing1": 0.2}, linear=cap)
+    >>> stationarity(rig).exact, stationarity(rig).temperature
+    (True, 5e-07)
+    """
     rig = assemble(model)
     Q, C = np.diag(rig.S / 2.0), 0.5 * (rig.C + rig.C.T)
     T = float(np.sum(Q * C) / (2.0 * np.sum(C * C))) if np.any(C) else np.inf

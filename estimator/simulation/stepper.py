@@ -1,4 +1,4 @@
-"""The stepping of a plan: state, force noise with its colour and correlation, and the compiled step."""
+"""The stepping of a plan: state, random force with its spectral shape and correlation, and the compiled step."""
 
 from __future__ import annotations
 
@@ -11,22 +11,26 @@ from estimator.errors import ModelError
 from estimator.model.rotor import propagator
 
 from . import kernel as kernel
-from .plan import Plan, Slots, table
-from .shaft_speed import Speed
+from .plan import Plan, Slots, effect_table
+from .shaft_speed import ShaftSpeed
 
 Scheme = Literal["exponential", "rk4"]
-SHAPE_TAPS = 4096  # length of the filter that colours a force
+SHAPE_TAPS = 4096  # length of the filter that gives a force its spectral shape
 
 
 class Stepper:
-    """The rotor's state and the compiled step. `count` is the number of the next step; step k starts at k * dt."""
+    """The rotor's state and the compiled step.
 
-    def __init__(self, plan: Plan, dt: float, scheme: Scheme, speed: Speed | None) -> None:
+    plan : of the model. dt : s, length of a step. scheme : of the stepping. speed : of the shaft; None: angle 0.
+    x, v : (slots,) m and m/s. z : memory states. count : number of the next step; step k starts at k * dt.
+    """
+
+    def __init__(self, plan: Plan, dt: float, scheme: Scheme, speed: ShaftSpeed | None) -> None:
         if scheme not in ("exponential", "rk4"):
             raise ValueError(f'scheme {scheme!r}: "exponential" or "rk4"')
         self.plan, self.dt, self.speed, self.scheme = plan, dt, speed, scheme
         rig, self.slots = plan.rig, Slots.of(plan.rig)
-        self._table, states, self._kept = table(plan.acting, self.slots)
+        self._table, states, self._kept = effect_table(plan.acting, self.slots)
         n = self.slots.count
         self.x, self.v, self.z = np.zeros(n), np.zeros(n), np.zeros(states)
         self.count = 0
@@ -50,19 +54,19 @@ class Stepper:
         self._channels[:, 1] = self.slots.of_dof[plan.channels[:, 1]]
 
     def advance(self, rng: np.random.Generator, out: Array) -> None:
-        """Step out.shape[1] times, writing the channels' step averages into out (channels, steps)."""
+        """Step out.shape[1] times under a random force; fill out (channels, steps) with the averages of the steps."""
         steps = out.shape[1]
         F = np.zeros((steps, self.slots.count))
         F[:, self.slots.of_dof[self.driven]] = self._force(rng, steps)
         self.step(F, out)
 
     def run_in(self, rng: np.random.Generator, steps: int) -> None:
-        """Step without looking."""
+        """Step under a random force without output."""
         room = np.empty((len(self._channels), steps + 1))
-        self.advance(rng, room[:, 1:])  # a slice, as when it is looked at: one layout to compile for
+        self.advance(rng, room[:, 1:])  # a slice has the array layout that is compiled already
 
     def step(self, F: Array, out: Array) -> None:
-        """Step under the given held forces F (steps, slots) N."""
+        """Step under given forces F (steps, slots) N, held over a step; fill out (channels, steps)."""
         steps = len(F)
         t: Array = np.asarray((self.count + np.arange(steps + 1)) * self.dt, dtype=np.float64)
         phase = self.speed.phase(t) if self.speed else np.zeros(steps + 1)
@@ -72,6 +76,7 @@ class Stepper:
         self.count += steps
 
     def _force(self, rng: np.random.Generator, steps: int) -> Array:
+        """(steps, driven) N, random force of each driven degree of freedom."""
         white = rng.standard_normal((steps, self.driven.size))
         if self._mix is not None:
             white = white @ self._mix.T
@@ -88,7 +93,7 @@ class Stepper:
 
 
 def _correlation(plan: Plan, driven: np.ndarray) -> Array | None:
-    """Factor (forces, forces) that correlates white forces, None if there is nothing to correlate."""
+    """Factor (forces, forces) that correlates white forces; None if all are independent."""
     if not plan.correlation:
         return None
     R = np.eye(driven.size)
@@ -102,7 +107,7 @@ def _correlation(plan: Plan, driven: np.ndarray) -> Array | None:
 
 
 def _shape_taps(shape: object, p: Array, dt: float) -> Array:
-    """Filter whose gain is the root of the effect's multiplier of S, by sampling it in frequency."""
+    """(SHAPE_TAPS,) filter whose gain is the root of the spectral shape, by sampling in frequency."""
     if not callable(shape):
         raise TypeError("shape must be callable")
     gain = np.sqrt(np.maximum(shape(np.fft.rfftfreq(SHAPE_TAPS, dt), p), 0.0))

@@ -38,13 +38,13 @@ def free_run(model: Model, force: Array, rate_hz: float, first: int = 0) -> Arra
     model : every value given. first : rows of the record before these, for what turns with the time.
     Raises ModelError for an incomplete or unstable model.
     """
-    from estimator.simulation.plan import build
-    from estimator.simulation.shaft_speed import Speed
+    from estimator.simulation.plan import simulation_plan
+    from estimator.simulation.shaft_speed import ShaftSpeed
     from estimator.simulation.stepper import Stepper
 
     channels = tuple(model.channels[c] for c in motion_channels(model))
-    plan = build(replace(model, channels=channels))
-    speed = Speed(model.speed_rpm) if model.speed_rpm is not None else None
+    plan = simulation_plan(replace(model, channels=channels))
+    speed = ShaftSpeed(model.speed_rpm) if model.speed_rpm is not None else None
     stepper = Stepper(plan, 1.0 / (rate_hz * OVERSAMPLE), "exponential", speed)
     stepper.count = first * OVERSAMPLE
     slots = stepper.slots.of_dof[[plan.rig.index(p) for p in model.places]]

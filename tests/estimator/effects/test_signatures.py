@@ -131,11 +131,11 @@ def test_local_defect_is_a_comb_at_its_order() -> None:
 
 
 def test_line_stays_when_the_speed_changes() -> None:
-    from estimator.simulation.shaft_speed import Speed
+    from estimator.simulation.shaft_speed import ShaftSpeed
 
     tone = use("line", "bearing1.x", a=1.0, b=1.0, frequency=650.0)
     for rpm in (9000.0, 12000.0):
-        y = simulate(rig(tone, S=1e-9), RATE, 1.0, seed=5, speed=Speed(rpm))
+        y = simulate(rig(tone, S=1e-9), RATE, 1.0, seed=5, speed=ShaftSpeed(rpm))
         w = 2 * np.pi * 650.0
         H = -(w**2) / (1e7 - 0.2 * w**2 + 60j * w)
         assert 2 * abs(lines(y[:, 0], 650.0)) == pytest.approx(abs(H) * np.sqrt(2), rel=0.01)

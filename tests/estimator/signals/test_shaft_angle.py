@@ -6,7 +6,7 @@ import pytest
 from estimator.errors import DataError
 from estimator.model.rig import Channel, Model
 from estimator.signals.shaft_angle import measured_phase, rising_edges, shaft_angle
-from estimator.simulation.shaft_speed import Speed
+from estimator.simulation.shaft_speed import ShaftSpeed
 
 RATE = 25600.0
 T = np.arange(int(10 * RATE)) / RATE
@@ -14,10 +14,14 @@ T = np.arange(int(10 * RATE)) / RATE
 
 @pytest.mark.parametrize(
     "speed",
-    [Speed(2100.0), Speed(600.0, ramp_rpm_per_s=150.0), Speed(2950.0, fluctuation=0.03, fluctuation_hz=2.0)],
+    [
+        ShaftSpeed(2100.0),
+        ShaftSpeed(600.0, ramp_rpm_per_s=150.0),
+        ShaftSpeed(2950.0, fluctuation=0.03, fluctuation_hz=2.0),
+    ],
     ids=repr,
 )
-def test_the_angle_is_that_of_the_shaft(speed: Speed) -> None:
+def test_the_angle_is_that_of_the_shaft(speed: ShaftSpeed) -> None:
     found = shaft_angle(5.0 * speed.pulses(T, 1 / RATE) - 1.0, RATE)
     error = found - speed.phase(T)  # of no turn either: the phase of an order such as 5.09 hangs on it
     inside = slice(int(0.2 * RATE), int(9.8 * RATE))
@@ -32,7 +36,7 @@ def test_pulses_that_come_unevenly_turn_nothing_back() -> None:
 
 
 def test_missing_samples_cost_no_turn() -> None:
-    speed = Speed(1800.0)
+    speed = ShaftSpeed(1800.0)
     pulses = speed.pulses(T, 1 / RATE)
     pulses[int(3 * RATE) : int(3.4 * RATE)] = np.nan  # 12 turns
     error = shaft_angle(pulses, RATE) - speed.phase(T)
@@ -42,7 +46,7 @@ def test_missing_samples_cost_no_turn() -> None:
 
 def test_noise_and_ringing_make_no_pulses() -> None:
     rng = np.random.default_rng(0)
-    pulses = Speed(1800.0).pulses(T, 1 / RATE)
+    pulses = ShaftSpeed(1800.0).pulses(T, 1 / RATE)
     noisy = pulses + 0.02 * rng.standard_normal(T.size)
     assert abs(len(rising_edges(noisy)) - 300) <= 1
 

@@ -16,8 +16,8 @@ from estimator.effects.engine.law_loop import force_array
 from estimator.errors import ModelError
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.model.rotor import assemble, dynamic_stiffness, linear_covariance, propagator
-from estimator.simulation.plan import build
-from estimator.simulation.shaft_speed import Speed
+from estimator.simulation.plan import simulation_plan
+from estimator.simulation.shaft_speed import ShaftSpeed
 from estimator.simulation.simulator import Simulator, antialias_taps, quantise, simulate
 from estimator.simulation.stepper import Stepper
 
@@ -76,7 +76,7 @@ STRONG = (
 
 def run(model: Model, scheme: str, factor: int, seconds: float, start: np.ndarray) -> np.ndarray:
     """Free motion from `start` (x, v over the degrees of freedom) with factor * 25600 steps a second."""
-    stepper = Stepper(build(model), 1.0 / (RATE * factor), scheme, Speed(2100.0))  # type: ignore[arg-type]
+    stepper = Stepper(simulation_plan(model), 1.0 / (RATE * factor), scheme, ShaftSpeed(2100.0))  # type: ignore[arg-type]
     n = len(start) // 2
     stepper.x, stepper.v = stepper.slots.vector(start[:n]), stepper.slots.vector(start[n:])
     steps = round(seconds * RATE * factor)
@@ -369,14 +369,14 @@ def test_tacho_pulses_follow_the_shaft() -> None:
     rises = np.flatnonzero(high[1:] & ~high[:-1])
     assert len(rises) == pytest.approx(70, abs=1)
     assert y[:, 1].mean() == pytest.approx(0.1, abs=0.002)
-    ramp = Speed(600.0, ramp_rpm_per_s=600.0)
+    ramp = ShaftSpeed(600.0, ramp_rpm_per_s=600.0)
     y = simulate(one_bearing(channels=channels), RATE, 2.0, seed=14, speed=ramp)
     rises = np.flatnonzero((y[1:, 1] > 0.5) & (y[:-1, 1] <= 0.5))
     assert len(rises) == pytest.approx(10 * 2 + 0.5 * 10 * 4, abs=1)
 
 
 def test_speed_phase_is_the_integral_of_a_fluctuating_speed() -> None:
-    speed = Speed(3000.0, fluctuation=0.02, fluctuation_hz=2.0, seed=1)
+    speed = ShaftSpeed(3000.0, fluctuation=0.02, fluctuation_hz=2.0, seed=1)
     t = np.linspace(0, 20, 200001)
     rpm = np.gradient(speed.phase(t), t) * 60 / (2 * np.pi)
     assert rpm.mean() == pytest.approx(3000, rel=2e-3)

@@ -11,7 +11,7 @@ from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import with_effect
 from estimator.identification.batch import spectral
 from estimator.model.rig import Channel, EffectUse
-from estimator.simulation.shaft_speed import Speed
+from estimator.simulation.shaft_speed import ShaftSpeed
 from estimator.simulation.simulator import simulate
 
 
@@ -23,7 +23,7 @@ def test_a_fit_takes_the_order_from_the_record_and_says_how_sure_it_is_of_the_ph
     rig = replace(rig, channels=(rig.channels[0], tacho), effects=(), bearing=None, speed_rpm=None)
     hidden = {"k_cos": 5e5, "k_sin": -4e5, "order": 5.0932}
     truth = with_effect(replace(rig, speed_rpm=2850.0), CATALOGUE["ball_pass"], hidden, "bearing1.x")
-    y = simulate(truth, RATE, 4.0, seed=1, noise=0.02, speed=Speed(2850.0))
+    y = simulate(truth, RATE, 4.0, seed=1, noise=0.02, speed=ShaftSpeed(2850.0))
     found = spectral.fit_spectral(
         replace(rig, effects=(EffectUse("ball_pass", {"bearing1.x": {}}),)), y, RATE
     ).parameters

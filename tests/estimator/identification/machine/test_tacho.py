@@ -19,11 +19,11 @@ from estimator.identification.machine.stiffness_order import find_stiffness_orde
 from estimator.likelihood.motion.harmonics import periodic_forces, periodic_series
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 from estimator.signals.shaft_angle import measured_phase, with_measured_speed
-from estimator.simulation.shaft_speed import Speed
+from estimator.simulation.shaft_speed import ShaftSpeed
 from estimator.simulation.simulator import simulate
 
 SECONDS = 10.0
-WANDER = Speed(2100.0, fluctuation=0.01)
+WANDER = ShaftSpeed(2100.0, fluctuation=0.01)
 HIDDEN = {
     "imbalance": ({"a": 0.3, "b": 0.15}, ("disc",)),
     "local_defect": ({"strike": 1.7, "order": 2.1, "angle": 0.0, "width": 0.05}, ("bearing1.x", "bearing1.y")),
@@ -54,7 +54,9 @@ def test_strikes_are_as_strong_as_they_are_although_the_speed_wanders() -> None:
     truth = replace(
         rig, effects=(EffectUse("local_defect", {"bearing1.x": {k: Setting(v) for k, v in values.items()}}),)
     )
-    y = simulate(truth, RATE, SECONDS, seed=1, noise=0.02, speed=Speed(2100.0, fluctuation=0.03, fluctuation_hz=2.0))
+    y = simulate(
+        truth, RATE, SECONDS, seed=1, noise=0.02, speed=ShaftSpeed(2100.0, fluctuation=0.03, fluctuation_hz=2.0)
+    )
     free = replace(truth, effects=(EffectUse("local_defect", {"bearing1.x": {}}),))
     found = fit_all_effects(free, y, RATE).parameters
     for name in ("strike", "width"):
@@ -87,7 +89,7 @@ def test_the_tacho_decides_over_the_speed_of_the_rig_file(rig: Model, record: np
 def test_an_imbalance_grows_with_the_square_of_a_speed_that_changes(rig: Model) -> None:
     """20 % in 20 s: held at its mean it left 1.8 % of the bearing force, and its number was 19 standard deviations off.
     Beside the equation of a disc between caps that stand still."""
-    ramp, U, disc, ks, cs = Speed(12000.0, ramp_rpm_per_s=120.0), 1e-5, 0.515, 155e3, 40.0
+    ramp, U, disc, ks, cs = ShaftSpeed(12000.0, ramp_rpm_per_s=120.0), 1e-5, 0.515, 155e3, 40.0
     rig = replace(rig, shaft_stiffness=ks, shaft_damping=cs)
     t = np.arange(int(20.0 * RATE)) / RATE
     phase, alpha = ramp.phase(t), 2 * np.pi * 120.0 / 60.0
@@ -122,7 +124,7 @@ def test_at_a_constant_speed_nothing_swings(rig: Model) -> None:
 @pytest.mark.slow
 def test_a_line_that_the_speed_carries_along_is_left_out_of_a_fit(rig: Model) -> None:
     """An imbalance that the model lacks, 200 to 240 Hz in 12 s: S was 60 and c 14 standard deviations off."""
-    ramp = Speed(12000.0, ramp_rpm_per_s=200.0)
+    ramp = ShaftSpeed(12000.0, ramp_rpm_per_s=200.0)
     y = simulate(
         with_effect(rig, CATALOGUE["imbalance"], {"a": 19.0, "b": 0.0}, "disc"), RATE, 12.0, seed=3, speed=ramp
     )
