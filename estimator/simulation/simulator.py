@@ -243,7 +243,18 @@ def simulate(
     """
     source = Simulator(model, rate_hz, seed, oversample, scheme=scheme, start=start, speed=speed)
     y = source.next(round(seconds * rate_hz))
-    rng = np.random.default_rng(np.random.SeedSequence((seed, 1)))
+    _add_noise(y, model, np.random.default_rng(np.random.SeedSequence((seed, 1))), noise, full_scale)
+    return y
+
+
+def _add_noise(
+    y: Array,
+    model: Model,
+    rng: np.random.Generator,
+    noise: float | Mapping[str, float],
+    full_scale: float | Mapping[str, float] | None,
+) -> None:
+    """Add sensor noise to y (n, channels) and round it to counts, in place. The arguments are those of `simulate`."""
     for i, channel in enumerate(model.channels):
         motion = channel.kind not in ("force", "tacho")
         rms = noise.get(channel.name, 0.0) if isinstance(noise, Mapping) else noise * motion
@@ -252,4 +263,3 @@ def simulate(
         top = full_scale.get(channel.name) if isinstance(full_scale, Mapping) else full_scale if motion else None
         if top:
             y[:, i] = quantise(y[:, i], top)
-    return y

@@ -154,7 +154,7 @@ def _in_band(point: WorkingPoint, spectrum: NDArray[np.float32]) -> Array:
 
 
 def _jacobian(point: WorkingPoint, at: tuple[int, ...]) -> Jacobian:
-    return point.jacobian.at(np.array(at))
+    return point.jacobian.of_places(np.array(at))
 
 
 def _fitted(point: WorkingPoint, at: tuple[int, ...], gram: Gram, blocks: float) -> PathFit:

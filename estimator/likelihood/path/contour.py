@@ -1,25 +1,21 @@
-"""Where the determinant of the path likelihood is summed: beside the imaginary axis, past the slowest mode.
+"""The line along which the determinant of the path likelihood is summed: right of the imaginary axis and of all modes.
 
-From the path to the force the way is causal, so its Jacobian is that of the highest derivatives, whatever the rest of
-the law: in terms of the modes p of the linearised rotor, Im p > 0, with T the length of the record,
+The map from motion to force is causal, so its Jacobian is that of the highest derivatives, for any law. In the modes p
+of the linearised rotor, Im p > 0, with T the length of the record,
 
-    sum over the band of log |det A|^2 = -T sum of Re p + what does not depend on the parameters.
+    sum over the band of log |det A|^2 = -T sum of Re p + a constant.
 
-Along the imaginary axis the sum gives T sum |Re p| (Jensen's formula) and cannot tell a mode that grows from one that
-decays as fast: the likelihood had a second maximum at the mirror image, k of a cross-coupling near whirl came out 50 %
-high and c as much too low. And a mode narrower than the spacing of the bins is summed by chance. Along s = shift + iw
-every mode lies to the left, shift - Re p away, and the sum is linear in Re p. A mode that a step takes across the line
-shows in the phase of det A, which then turns the other way about it (`turns`). Of a rotor past whirl a law on trial is
-to take it far: with the line at a bin from the slowest mode of a model without the cross-coupling, that was in its way.
+Along the imaginary axis the sum is T sum |Re p| (Jensen's formula). It does not distinguish a mode that grows from one
+that decays as fast, and the likelihood has a second maximum at the mirror image. Also, a mode narrower than the spacing
+of the bins is summed by chance. Along s = shift + iw every mode lies to the left, at the distance shift - Re p, and the
+sum is linear in Re p. A mode that a step takes across the line shows in the phase of det A, which then turns the other
+way. The line has a wide margin where it is needed, because a law on trial may move a mode far.
 
-At its ends, and where bins are left out, the line comes back to the axis, as steep as it is far from it (`line`): it
-has the ends of the axis, and so its sum but for the modes. Straight, with the ways there taken as they are at one
-point, it left out what they add to the slopes: beside a disc that resonates in the band the delay of what one cap makes
-of the other was 3 us off, 4 standard deviations, and c 0.4.
+At its ends, and where bins are left out, the line returns to the axis, as steep there as far from it. So it has the
+ends of the axis, and its sum but for the modes. A straight line without the ways back would bias the slopes.
 
-A disc that resonates in the band moves with the caps as a mode of the rotor, sharp as nothing damps it there, and what
-it answers at s is not what it answers at iw: with its stiffness taken to be the same, kL was 4 to 7 standard deviations
-off, its sum of a mode of 1 Hz at 305 Hz by chance (51.2 kHz, a disc of 1.4 kg, caps of 0.2).
+A disc that resonates in the band moves with the caps as a mode of the rotor. Its response at s differs from that at iw,
+and both are exact. The stiffness of all else is taken to be the same at s and iw.
 """
 
 from __future__ import annotations
@@ -31,16 +27,19 @@ import numpy as np
 from estimator.arrays import Array, Complexes
 from estimator.model.disc import Disc
 
-MARGIN_BINS = 1.0  # of the spacing of the bins, at least, from any mode to the line: a sum is then good to exp(-2 pi)
-WIDE_MARGIN_BINS = 4.0  # of the same, where the line is needed
+MARGIN_BINS = 1.0  # least distance of a mode from the line, spacings of the bins: the error is exp(-2 pi)
+WIDE_MARGIN_BINS = 4.0  # distance from the line where one is needed, spacings of the bins
 
 
 def contour(
     A: Complexes, mass: Array, D: Array, f_hz: Array, disc: Disc | None = None, places: tuple[str, ...] = ()
 ) -> Complexes:  # fmt: skip
-    """(bins,) rad/s: the line for a mean response A (bins, places, places) kg at f_hz, evenly spaced but for gaps, and
-    mean tangents D (places, places, 2) of displacement and velocity, N/m and N s/m. disc : on the shaft between the
-    places."""
+    """(bins,) rad/s, the line.
+
+    A : (bins, places, places) kg, at f_hz, which is evenly spaced but for gaps. mass : (places,) kg. D : (places,
+    places, 2) mean tangents by displacement and velocity, N/m and N s/m. disc : on the shaft between the places; None
+    without one.
+    """
     w = 2 * np.pi * f_hz
     length = 1.0 / float(np.diff(f_hz).min())
     resonance = np.sqrt(np.median(np.maximum(np.diag(D[..., 0]) / mass, 0.0)))
@@ -52,22 +51,22 @@ def contour(
 
 
 def line_at_shift(w: Array, shift: float, band: Sequence[tuple[float, float]]) -> Complexes:
-    """(w,) rad/s from the axis at the ends of all stretches to `shift` beside it."""
+    """(w,) rad/s, a line from the axis at the ends of all stretches of w (rad/s) to `shift` rad/s right of it."""
     inside = np.max([np.minimum(w - low, high - w) for low, high in band], axis=0)
     x = np.clip(inside / max(shift, 1e-300), 0.0, 1.0)
     return np.asarray(shift * x**2 * (3.0 - 2.0 * x) + 1j * w, np.complex128)
 
 
 def contiguous_bands(f_hz: Array) -> list[tuple[float, float]]:
-    """rad/s, where the frequencies are evenly spaced: from, to."""
+    """First and last rad/s of each stretch of evenly spaced frequencies."""
     w, gaps = 2 * np.pi * f_hz, np.flatnonzero(np.diff(f_hz) > 1.5 * np.diff(f_hz).min())
     return list(zip(w[[0, *(gaps + 1)]].tolist(), w[[*gaps, -1]].tolist(), strict=True))
 
 
 def shift_past_modes(modes: Complexes, margin_hz: float | Array, band: Sequence[tuple[float, float]]) -> float:
-    """rad/s from the axis to the line past the slowest of the modes of the band, 0 where none is near the axis.
+    """rad/s from the axis to the line right of the modes of the band; 0 where no mode is near the axis.
 
-    margin_hz : from each mode to the line, at least. band : rad/s, its stretches.
+    modes : (modes,) rad/s. margin_hz : least distance of each mode from the line. band : rad/s, its stretches.
     """
     inside = (modes.imag > band[0][0]) & (modes.imag < band[-1][1])
     return max(float((modes.real + 2 * np.pi * margin_hz)[inside].max(initial=0.0)), 0.0)
@@ -76,7 +75,7 @@ def shift_past_modes(modes: Complexes, margin_hz: float | Array, band: Sequence[
 def modes_at(
     A: Complexes, mass: Array, s: complex, disc: Disc | None = None, places: tuple[str, ...] = ()
 ) -> Complexes:  # fmt: skip
-    """(modes,) rad/s of m s^2 + c s + k, real: s^2 A at s = iw; with a disc on the shaft, of it and the caps."""
+    """(modes,) rad/s of the rotor m s^2 + c s + k whose response is s^2 A at s, with the disc on its shaft."""
     P, rest = mass.size, (A - np.diag(mass)) * s**2
     if disc is None:
         m, C, K = mass, np.zeros((P, P)), np.zeros((P, P))
@@ -98,7 +97,7 @@ def slowest_modes(
     A: Complexes, mass: Array, f_hz: Array, size: Array | None = None, disc: Disc | None = None,
     places: tuple[str, ...] = (),
 ) -> Complexes:  # fmt: skip
-    """The same of A (f, places, places), as it is where its determinant is least. size : (f,) |det A|, if known."""
+    """(modes,) rad/s in the band, of A (f, places, places) where |det A| is least. size : (f,) |det A|, if known."""
     near = int(np.argmin(np.abs(np.linalg.det(A)) if size is None else size))
     modes = modes_at(A[near], mass, 2j * np.pi * f_hz[near], disc, places)
     inside = (modes.imag > 2 * np.pi * f_hz[0]) & (modes.imag < 2 * np.pi * f_hz[-1])
@@ -108,8 +107,7 @@ def slowest_modes(
 def continued_tangent(
     s: Complexes, A: Complexes, mass: Array, D: Array, disc: Disc | None = None, places: tuple[str, ...] = ()
 ) -> Complexes:  # fmt: skip
-    """A, known at i Im s, at s: (bins, places, places). But for the disc's the stiffness is taken to be the same in
-    both."""
+    """(bins, places, places) kg: A at s (bins,), from A at i Im s. D : mean tangents as in `contour`."""
     if not s.real.any():
         return A
     iw, s1 = 1j * s.imag[:, None, None], s[:, None, None]
@@ -121,6 +119,5 @@ def continued_tangent(
 
 
 def phase_steps(determinant: Complexes) -> Array:
-    """(bins - 1,) rad by which det A (bins,) turns along a line, in all pi for every mode that lies to the left, -pi to
-    the right."""
+    """(bins - 1,) rad by which det A (bins,) turns along a line: in all pi for a mode left of it, -pi for one right."""
     return np.asarray(np.angle(determinant[1:] / determinant[:-1]), np.float64)

@@ -1,7 +1,7 @@
-"""The determinant of the mean tangent in the path likelihood, taken along a line that leaves all modes to the left
-(contour.py), and its derivatives.
+"""The determinant of A in the path likelihood, along a line that leaves all modes to its left, and its derivatives.
 
-Tangents of forces times a matrix, bin by bin: a force at one place is one row of places, and the rest is zero.
+Products of tangents and a matrix are made bin by bin. The tangent of a force at one place has one row of places that is
+not zero.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .contour import phase_steps
 
 
 def tangent_times(tangents: Complexes, factor: Complexes) -> Complexes:
-    """(terms, places, places, bins) of tangents and a factor (bins, places, places), each of some of the places."""
+    """(k, places, places, bins) products of tangents (k, places, places, bins) and a factor (bins, places, places)."""
     term, row, made = nonzero_rows_times(tangents, factor)
     out = np.zeros((*tangents.shape[:2], *made.shape[1:]), complex)
     out[term, row] = made
@@ -27,7 +27,7 @@ def tangent_times(tangents: Complexes, factor: Complexes) -> Complexes:
 def nonzero_rows_times(
     tangents: Complexes, factor: Complexes
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Complexes]:
-    """The same as the rows that are not zero: of which term and place, (rows,), and these, (rows, places, bins)."""
+    """The nonzero rows of the products: number of tangent and place, (rows,) each, and rows (rows, places, bins)."""
     term, row = np.nonzero(tangents.any(axis=(2, 3)))
     by_bin = np.ascontiguousarray(np.moveaxis(factor, 0, -1))
     out = np.zeros((term.size, *by_bin.shape[1:]), complex)
@@ -38,73 +38,77 @@ def nonzero_rows_times(
 
 
 CoupledResponse = tuple[NDArray[np.int64], Complexes]
-MODE_CROSSED_RAD = (
-    1.5 * np.pi
-)  # a mode that crosses its line takes two pi off the turn of det A, one that leaves the band one
+MODE_CROSSED_RAD = 1.5 * np.pi  # turn of det A: 2 pi when a mode crosses the line, pi when one leaves the band
 
 
 class Jacobian:
-    """2 sum_f log |det A(f)| per block and its derivatives, about the working point's A0 (bins, places, places).
+    """2 sum_f log |det A(f)| per block, and its derivatives by increments of the parameters.
 
-    s : (bins,) rad/s that A0 is given at, the axis if None. On its way there and back the line also has the phase of
-    det A: of 2 log det A ds / i the real part is summed. kept : (bins,) share of each that the likelihood has of its
-    bin.
-    dressing : (bins, places), what of A0 comes from fluctuating tangents (self_energy.py). It is quadratic in the
-    amplitudes of the laws, and a column of one of them has the half of its derivative: the value whose derivatives
-    the columns have is 2 log |det A| - Re tr(A^-1 dressing), stationary in A. Models are compared by it.
+    A0 : (bins, places, places) kg, A at the working point. s : (bins,) rad/s that A0 is given at; None: the imaginary
+    axis. Where the line leaves the axis, the phase of det A contributes: the real part of 2 log det A ds / i is summed.
+    second_order : (bins, places) kg, the part of A0 that is second-order correction; None: 0. kept : (bins,) share of
+    each bin in the likelihood; None: 1.
+
+    The second-order correction is quadratic in the amplitudes of the laws, and the tangent of a regressor has half of
+    its derivative. The value with these derivatives is 2 log |det A| - Re tr(A^-1 second_order). Models are compared
+    by it.
     """
 
     def __init__(
-        self, A0: Complexes, s: Complexes | None = None, dressing: Complexes | None = None, kept: Array | None = None
+        self,
+        A0: Complexes,
+        s: Complexes | None = None,
+        second_order: Complexes | None = None,
+        kept: Array | None = None,
     ) -> None:
         self.A0, self.offset, self.kept = A0, 0.0, np.ones(len(A0)) if kept is None else kept
-        self.dressing = np.zeros(self.A0.shape[:2], complex) if dressing is None else dressing
+        self.second_order = np.zeros(self.A0.shape[:2], complex) if second_order is None else second_order
         self.phase = np.zeros(len(A0) - 1) if s is None else (s.real[1:] + s.real[:-1]) / np.diff(s.imag).min()
         self.weight = 2.0 * self.kept - 1j * np.diff(self.phase, prepend=0.0, append=0.0)  # of log det A
-        self._known: dict[
-            bytes, tuple[Jacobian, CoupledResponse | None]
-        ] = {}  # of some places: every trial there asks for it
-        self._begun()
+        self._by_places: dict[bytes, tuple[Jacobian, CoupledResponse | None]] = {}  # every trial there asks for it
+        self._set_reference()
 
-    def _begun(self) -> None:
-        self.turned, self.half = phase_steps(_determinants(self.A0)).sum(), 0.0
-        if self.dressing.any():
-            own = np.einsum("fii->fi", np.linalg.inv(self.A0)) * self.dressing
-            self.half = float((0.5 * self.weight @ own.sum(axis=1)).real)
+    def _set_reference(self) -> None:
+        """Set what the sum is compared with: the turn of det A0 and half of the trace of the second-order part."""
+        self.total_turn_rad, self.half_trace = phase_steps(_determinants(self.A0)).sum(), 0.0
+        if self.second_order.any():
+            own = np.einsum("fii->fi", np.linalg.inv(self.A0)) * self.second_order
+            self.half_trace = float((0.5 * self.weight @ own.sum(axis=1)).real)
 
     def _sum(self, determinant: Complexes, turned: Array) -> float:
-        """Of log det A along the line. turned : what `turns` says of it."""
+        """The sum of 2 log |det A| along the line. turned : (bins - 1,) rad, phase steps of det A."""
         return float(2 * self.kept @ np.log(np.abs(determinant)) - self.phase @ turned)
 
-    def at(self, places: NDArray[np.int64]) -> Jacobian:
-        """The same of some places, the others as they are: what they answer through the shaft stays in A0."""
+    def of_places(self, places: NDArray[np.int64]) -> Jacobian:
+        """The Jacobian of some places, the others eliminated: their response through the shaft stays in A0."""
         return self._of(places)[0]
 
     def _of(self, places: NDArray[np.int64]) -> tuple[Jacobian, CoupledResponse | None]:
-        """The same and `answer`, made when they are first asked for."""
-        if (known := self._known.get(places.tobytes())) is None:
-            answer = self.answer(places)
-            known = self._known[places.tobytes()] = self._beside(answer, places), answer
+        """The Jacobian of some places and the response of the others, made at first use."""
+        if (known := self._by_places.get(places.tobytes())) is None:
+            response = self.coupled_response(places)
+            known = self._by_places[places.tobytes()] = self._eliminated(response, places), response
         return known
 
-    def _beside(self, answer: CoupledResponse | None, places: NDArray[np.int64]) -> Jacobian:
+    def _eliminated(self, response: CoupledResponse | None, places: NDArray[np.int64]) -> Jacobian:
+        """The Jacobian of some places. response : of the others; None where there are none."""
         out = copy(self)
-        out._known = {}
-        out.A0, out.dressing = self.A0[:, places[:, None], places], self.dressing[:, places]
-        if answer is not None:
-            others, follow = answer
+        out._by_places = {}
+        out.A0, out.second_order = self.A0[:, places[:, None], places], self.second_order[:, places]
+        if response is not None:
+            others, follow = response
             out.A0 = out.A0 - self.A0[:, places[:, None], others] @ follow
         share = places.size / self.A0.shape[1]
         out.offset = self.offset * share
-        if answer is not None:  # all places together have what the whole has
+        if response is not None:  # all places together have what the whole has
             whole, own = (self._sum(det, phase_steps(det)) for det in map(_determinants, (self.A0, out.A0)))
             out.offset += own - whole * share
-        out._begun()
+        out._set_reference()
         return out
 
-    def answer(self, places: NDArray[np.int64]) -> CoupledResponse | None:
-        """The places that the shaft couples to these, and their motion per motion of these, less its sign,
-        (bins, others, places); None where there are none."""
+    def coupled_response(self, places: NDArray[np.int64]) -> CoupledResponse | None:
+        """The other places that the shaft couples to these, and minus their motion per motion of these, (bins, others,
+        places); None where there are none."""
         others = np.setdiff1d(np.arange(self.A0.shape[1], dtype=np.int64), places)
         others = others[np.any(self.A0[:, others[:, None], places] != 0, axis=(0, 2))]
         if not others.size:
@@ -113,43 +117,46 @@ class Jacobian:
         return others.astype(np.int64), np.asarray(follow, dtype=np.complex128)
 
     def tangents(self, tangents: Complexes, places: NDArray[np.int64]) -> Complexes:
-        """What tangents (terms, all places, all places, bins) of forces at some places add to A0 `at` them."""
+        """What tangents (k, all places, all places, bins) of forces at some places add to the A0 of these places."""
         own = tangents[:, places][:, :, places]
-        answer = self._of(places)[1]
-        if answer is None:
+        response = self._of(places)[1]
+        if response is None:
             return own
-        others, follow = answer
+        others, follow = response
         return np.asarray(own - tangent_times(tangents[:, places][:, :, others], follow))
 
-    def of(self, tangents: Complexes, delta: Array) -> Complexes:
-        """A at increments delta, (bins, places, places)."""
+    def tangent_matrix(self, tangents: Complexes, delta: Array) -> Complexes:
+        """(bins, places, places) kg: A at increments delta (k,)."""
         return np.asarray(self.A0 + np.moveaxis(np.tensordot(delta, tangents, 1), 2, 0))
 
     def value(self, tangents: Complexes, delta: Array) -> float:
-        """-inf where a mode has crossed the line: what the sum gives there is that of its mirror image."""
-        determinant = _determinants(self.of(tangents, delta))
+        """The sum at increments delta (k,), nats; -inf where a mode has crossed the line.
+
+        Beyond the line the sum would be that of the mirror image of the mode.
+        """
+        determinant = _determinants(self.tangent_matrix(tangents, delta))
         turned = phase_steps(determinant)
-        if turned.sum() < self.turned - MODE_CROSSED_RAD:
+        if turned.sum() < self.total_turn_rad - MODE_CROSSED_RAD:
             return -np.inf
-        return self._sum(determinant, turned) - self.offset - self.half
+        return self._sum(determinant, turned) - self.offset - self.half_trace
 
     def derivatives(self, tangents: Complexes, delta: Array) -> tuple[Array, Array]:
-        """Gradient (k,) and second derivative (k, k) to the increments."""
-        term, row, passed = nonzero_rows_times(tangents, _inverses(self.of(tangents, delta)))  # A_j A^-1
-        weighed, own = passed * self.weight, np.arange(term.size)
+        """Gradient (k,) and Hessian (k, k) by the increments."""
+        term, row, passed = nonzero_rows_times(tangents, _inverses(self.tangent_matrix(tangents, delta)))  # A_j A^-1
+        weighted, own = passed * self.weight, np.arange(term.size)
         traces = np.zeros((term.size, term.size))
         for i, j in np.ndindex(tangents.shape[1:3]):
             here, there = np.flatnonzero(row == i), np.flatnonzero(row == j)
-            traces[here[:, None], there] = (weighed[here, j] @ passed[there, i].T).real
+            traces[here[:, None], there] = (weighted[here, j] @ passed[there, i].T).real
         terms = np.equal.outer(np.arange(len(tangents)), term).astype(float)
-        return terms @ weighed[own, row].real.sum(axis=1), -terms @ traces @ terms.T
+        return terms @ weighted[own, row].real.sum(axis=1), -terms @ traces @ terms.T
 
 
 def _determinants(A: Complexes) -> Complexes:
-    """(bins,) of (bins, places, places); of one place it is a number, which LAPACK is asked for at length."""
+    """(bins,) determinants of A (bins, places, places); of one place without LAPACK, which is slow there."""
     return A[:, 0, 0] if A.shape[1] == 1 else np.asarray(np.linalg.det(A), np.complex128)
 
 
 def _inverses(A: Complexes) -> Complexes:
-    """(bins, places, places)"""
+    """(bins, places, places) inverses of A (bins, places, places)."""
     return 1.0 / A if A.shape[1] == 1 else np.asarray(np.linalg.inv(A), np.complex128)

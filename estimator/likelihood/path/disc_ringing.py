@@ -1,9 +1,9 @@
-"""What a disc that rings in the band sends from block to block, taken out of the block spectra.
+"""Leakage of a disc resonance between blocks, projected out of the block spectra.
 
-A disc rings for seconds on its shaft, a block is a third of one. What of the inferred force rings with it, as noise of
-the sensors through the shaft does, ends at both ends of every block, which spreads it over all bins with one shape,
-1 / (f - f0) and, as it decays, 1 / (f - f0)^2. That is taken out of every series alike, and counted: beside bins that
-fits leave out (balance.shaft_notch) the force of a complete model was 70 % too strong.
+A disc rings for seconds on its shaft, a block lasts a third of a second. The part of the residual force that rings with
+it, such as sensor noise through the shaft, ends at both ends of every block. That spreads it over all bins with one
+shape, 1 / (f - f0) and, as it decays, 1 / (f - f0)^2. The shapes are projected out of every series alike, and the lost
+share of each bin is counted.
 """
 
 from __future__ import annotations
@@ -19,22 +19,25 @@ from estimator.likelihood.motion.motion_record import MotionRecord
 
 @dataclass(frozen=True, slots=True)
 class Ringing:
-    """shapes : (places, 2 bins, 6) orthonormal, of weighted spectra. kept : (places, bins) share that is left."""
+    """Shapes of the leakage of a disc resonance.
+
+    shapes : (places, 2 bins, 6) orthonormal, of whitened spectra. kept : (places, bins) share of each bin that remains.
+    """
 
     shapes: NDArray[np.float32]
     kept: Array
 
     def take_out(self, i: int, Z: NDArray[np.float32]) -> None:
-        """From spectra at place i, (blocks, 2 bins), in place; a few blocks, as what is taken out is as large."""
+        """Project the shapes out of spectra Z (blocks, 2 bins) at place i, in place. It needs as much memory again."""
         own = self.shapes[i]
         Z -= (Z @ own) @ own.T
 
 
 def ringing(data: MotionRecord, weights: NDArray[np.floating]) -> Ringing | None:
-    """None where no disc rings in the band. weights : (places, bins) of the spectra."""
+    """The shapes; None where no disc resonates in the band. weights : (places, bins) of the spectra."""
     if data.disc is None or not data.band[0] < (f0 := data.disc.w0 / (2 * np.pi)) < data.band[1]:
         return None
-    f = data.f_hz  # without f0: balance.shaft_notch
+    f = data.f_hz  # the notch of the shaft leaves f0 out
     forms = np.stack([1 / (f - f0), 1 / (f - f0) ** 2, 1 / (f + f0)], axis=1)
     shapes, kept = [], []
     for own in weights:

@@ -1,8 +1,8 @@
-"""How strong the unknown force is along a record: what its blocks are weighed by.
+"""Level of the excitation along a record, by which its blocks are weighted.
 
-E[F phi] of a force with a law is its PSD at the time times the response of the law to it. Taken as even where it is
-not, a law that motion makes strong leaves a rest that looks like a missing force (17 % beside a clearance and a force
-that grew by 2.5). With every block over its own level the balance holds again, block by block.
+E[F phi] of a force with a law is the PSD of the force at that time, times the response of the law. Where the level
+changes and is taken as constant, a law that depends on the amplitude leaves a remainder that looks like a missing
+force. With every block over its own level the balance holds block by block.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ import numpy as np
 from estimator.arrays import Array
 from estimator.results import Message
 
-MIN_RMS_RATIO = 1.15  # of the lowest rms of a sixth of the record, from where a force counts as uneven
-MIN_RATIO_SDS = 8.0  # standard deviations of that ratio
-AVERAGE_S = 1.0  # that a level is the mean of
-LEVEL_TOLERANCE_LOG = 0.03
-MIN_INDEPENDENT_VALUES = 2000  # of independent values in it, at least: its own scatter goes into the weights
+MIN_RMS_RATIO = 1.15  # largest over lowest rms of sixths of a record, from which a force counts as uneven
+MIN_RATIO_SDS = 8.0  # standard deviations of that ratio above 1
+AVERAGE_S = 1.0  # length that a level is the mean of
+LEVEL_TOLERANCE_LOG = 0.03  # of the logarithm of a level, between two fits
+MIN_INDEPENDENT_VALUES = 2000  # in a mean level: its scatter goes into the weights
 
 
 def relative_level(power: Array, at: Array, count: float) -> Array | None:
-    """(places, n) power of the unknown force of each place over its mean; None where all are even.
+    """(places, n) power of the excitation of each place over its mean; None where all are even.
 
-    power : (places, n) of the inferred force in each part of a record; at : (n,) s, where each begins. count :
+    power : (places, n) of the residual force in each part of a record. at : (n,) s, where each part begins. count :
     independent complex values in a part.
     """
     level = np.array([_smooth(p, at, count) if _is_uneven(p, count) else np.ones(p.size) for p in power])
@@ -30,19 +30,19 @@ def relative_level(power: Array, at: Array, count: float) -> Array | None:
 
 
 def levels_agree(one: Array | None, other: Array | None) -> bool:
-    """Whether weighing by one is as good as by the other."""
+    """Whether two levels (places, n) give the same weights; None: even."""
     if one is None or other is None:
         return one is other
     return bool(np.abs(np.log(one / other)).max() < LEVEL_TOLERANCE_LOG)
 
 
 def rms_ratio(level: Array | None) -> float:
-    """Largest over least rms of a force along the record."""
+    """Largest over least rms of the excitation along the record. level : (places, n); None: even."""
     return 1.0 if level is None else float(np.sqrt((level.max(axis=1) / level.min(axis=1)).max()))
 
 
 def uneven_message(level: Array | None) -> tuple[Message, ...]:
-    """What to tell the user of a force whose level changes."""
+    """The message about an excitation whose level changes; none where it is even."""
     if level is None:
         return ()
     text = f"the excitation (rms) changes by a factor of {rms_ratio(level):.1f} along the record; S is its average PSD"
@@ -50,7 +50,7 @@ def uneven_message(level: Array | None) -> tuple[Message, ...]:
 
 
 def _is_uneven(power: Array, count: float) -> bool:
-    """Whether sixths of a record differ by more than little and more than chance."""
+    """Whether the rms of sixths of a record differs by more than MIN_RMS_RATIO and more than chance. power : (n,)."""
     if power.size < 6:
         return False
     sixth = np.arange(power.size) * 6 // power.size
@@ -61,8 +61,10 @@ def _is_uneven(power: Array, count: float) -> bool:
 
 
 def _smooth(power: Array, at: Array, count: float) -> Array:
-    """(n,) mean of the parts on either side, as far as half of SECONDS, or as it takes to have COUNT values; no farther
-    than to the nearer end."""
+    """(n,) moving mean of power (n,) at times `at` (n,) s.
+
+    It reaches half of AVERAGE_S to either side, or as far as MIN_INDEPENDENT_VALUES need, but not past the nearer end.
+    """
     step = float(np.median(np.diff(at)))
     reach = (
         np.minimum(0.5 * max(AVERAGE_S, step * MIN_INDEPENDENT_VALUES / count), np.minimum(at - at[0], at[-1] - at))

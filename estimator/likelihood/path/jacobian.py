@@ -1,4 +1,4 @@
-"""The sums over frequency of the likelihood in one pass each: Jacobian, noise seen through A, level of the force."""
+"""Sums over frequency of the likelihood, compiled: log determinant, sensor noise referred to force, level."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def noise_slope(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _level(y, g, count, ratio):  # type: ignore[no-untyped-def]
-    """Best S at this ratio of noise to S, and what is to be minimised over the ratio."""
+    """Most likely S at this ratio of noise to S, and the cost of the ratio."""
     total, level, logs = 0.0, 0.0, 0.0
     for c in range(y.size):
         shape = 1.0 + ratio * g[c]

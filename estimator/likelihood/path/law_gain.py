@@ -1,4 +1,4 @@
-"""The gain in nats of one law at given searched parameters: its amplitudes fitted together with the model."""
+"""The gain in nats of a law with given searched parameters: its amplitudes fitted together with the model."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from .whitening import WhitenedRegressors
 from .working_point import WorkingPoint
 
 ALL_FOLDS = np.arange(TIME_FOLDS)
-MIN_OWN_VALUES_GAIN_NATS = 2.0  # about the price of a parameter: by searched parameters of one location
+MIN_OWN_VALUES_GAIN_NATS = 2.0  # by searched parameters of one location alone; about the price of a parameter
 
 
 def whitened_law(point: WorkingPoint, placed: LocatedLaw) -> WhitenedRegressors | None:
-    """Columns of the amplitudes, freed from the base; None if nothing is left of one of them."""
+    """Whitened regressors of the amplitudes, independent of those of the model; None where none of them is."""
     kept = independent_regressors(point, placed, linear_only=True)
     return point.whitening.whiten(kept) if kept else None
 
 
 def independent_regressors(point: WorkingPoint, placed: LocatedLaw, linear_only: bool = False) -> list[Regressor]:
-    """The terms of a law on trial, freed from the base."""
+    """The regressors of a law on trial, without what the regressors of the model span. linear_only : of amplitudes."""
     linear = [q.linear for q in placed.effect.parameters]
 
     def made(free: Sequence[bool]) -> list[Regressor]:
@@ -45,8 +45,11 @@ def independent_regressors(point: WorkingPoint, placed: LocatedLaw, linear_only:
 
 
 class LawGain(NamedTuple):
-    """gain : nats, 0 where every amplitude is at its limit; problem, fit : with those that are not; spread : name ->
-    standard deviation of every amplitude, limits or not."""
+    """The gain of a law on trial.
+
+    gain : nats; 0 where every amplitude is at its limit. problem, fit : with the amplitudes inside their limits.
+    spread : by name, standard deviation of every amplitude, SI units.
+    """
 
     gain: float
     problem: Subproblem
@@ -55,7 +58,7 @@ class LawGain(NamedTuple):
 
 
 class BaseFit(NamedTuple):
-    """The model by itself at some places, fitted. level : nats."""
+    """The model without a law on trial, fitted at some places. level : log-likelihood, nats."""
 
     problem: Subproblem
     fit: PathFit
@@ -63,7 +66,7 @@ class BaseFit(NamedTuple):
 
 
 def base_fit(point: WorkingPoint, places: tuple[int, ...], steps: int = 3) -> BaseFit:
-    """What an effect at these places is judged against."""
+    """The fit of the model alone at these places: what a law there is compared with."""
     plain = subproblem(point, places)
     fit = plain.fit(steps=steps)
     return BaseFit(plain, fit, plain.likelihood(fit, ALL_FOLDS))
@@ -72,10 +75,10 @@ def base_fit(point: WorkingPoint, places: tuple[int, ...], steps: int = 3) -> Ba
 def fitted_gain(
     point: WorkingPoint, placed: LocatedLaw, steps: int = 3, against: BaseFit | None = None
 ) -> LawGain | None:
-    """Gain of the amplitudes within their limits, at given searched parameters; None if the model has such columns, or
-    the law is no number there.
+    """The gain of a law at given searched parameters, its amplitudes within their limits.
 
-    against : `base_fit`, if it is known.
+    None where the model spans its regressors already, or where its force is not finite. against : result of
+    `base_fit`; None: it is computed.
     """
     try:
         extra = whitened_law(point, placed)

@@ -19,12 +19,12 @@ from estimator.likelihood.motion.force_balance import Balance
 
 
 def is_force_measured(balance: Balance) -> bool:
-    """Whether the force is measured at every place."""
+    """Whether the force is measured at every place of a balance."""
     return {c.row for c in balance.columns if c.kind == "f"} == set(range(len(balance.places)))
 
 
 def noise_responses(balance: Balance, R: Complexes) -> Complexes:
-    """The responses R (f, columns, places) by which the noise of the sensors enters each column: laws have none."""
+    """(f, columns, places) responses by which sensor noise enters each column: R without that of laws."""
     out = R.copy()
     out[:, [c.kind == "law" for c in balance.columns]] = 0.0
     return out
@@ -45,5 +45,5 @@ def noise_bias(
 
 
 def residual_over_noise(power: Array, spread: Array, count: Array) -> float:
-    """What is left of the force over noise of this PSD, which judges a step; (cells, P) and count : (cells,) bins."""
+    """Residual power (cells, P) over its expected PSD `spread` (cells, P), summed. count : (cells,) bins."""
     return float(count @ (power / spread).sum(axis=1))

@@ -1,13 +1,17 @@
-"""The spectral path likelihood around a working point, as small matrices (physics.md section 5).
+"""The spectral path likelihood at a working point, as small Gram matrices.
 
-At a working point the force that the model cannot explain is known as a series per place. Every further term adds
-delta * column to it. With spectra weighted by W(f) = 1 / (1 + nu |A|^2) (white force S, sensor noise nu S), the
-log-likelihood of increments delta is, in nats,
+At a working point the residual force is known as a series for each place. The increments delta of the parameters add
+delta_k times regressor k to it. With spectra weighted by W = S / (S + N), where N is the sensor noise referred to
+force, the log-likelihood of the increments is, in nats,
 
-    L(delta) = sum_i [ -n_i log Q_i(delta) + sum log W ] + 2 sum log |det A(delta)|,  Q_i = (1, delta) G_i (1, delta)
+    L(delta) = sum_i [sum_f log W_i - n_i log(pi S_i) - Q_i(delta) / S_i] + 2 sum_f log |det A(delta)|
 
-with G_i the Gram matrix of [force, columns] of place i: all that is needed of the data. A term may act at several
-places with one parameter. A(w) is the mean tangent of the whole model over the places, over -w^2: determinant.py.
+    Q_i(delta) = (1, delta) G_i (1, delta)^T        S_i = Q_i / n_i at the maximum
+
+i counts places, f the bins of the band over all blocks. G_i is the Gram matrix of the whitened residual force and
+regressors of place i, n_i its number of complex bins. A (places, places) is the linear response from acceleration to
+residual force with the mean tangents of all laws: force = A * acceleration, in kg. The last term is the Jacobian from
+force to motion. A regressor may act at several places with one parameter.
 """
 
 from __future__ import annotations
@@ -26,30 +30,37 @@ from estimator.parallel import map_threads
 from .determinant import Jacobian
 from .whitening import Spectrum, WhitenedRegressors, Whitening
 
-# Mean tangents are known to about a part in a hundred. Where columns of a law of many parameters cancel to a part in
-# ten thousand of their power, what is left of the tangents is that error, and the determinant follows it anywhere.
+# Share of the information of single regressors, for a sum of them. Mean tangents are known to about 1 %. Where
+# regressors of a law cancel to 1e-4 of their power, the tangent of the sum is mostly error, and so is the determinant.
 MIN_INFORMATION_SHARE = 1e-5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gram:
-    """G by place and fold, (places, folds, 1 + terms, 1 + terms), row 0 the force; n : (places, folds) complex bins."""
+    """Products of the whitened residual force and k regressors: all that the likelihood needs of the data.
+
+    G : (places, folds, 1 + k, 1 + k) N^2/Hz summed over bins; row 0 is the residual force. n : (places, folds) number
+    of complex bins. log_weight : (places, folds) sum of log W. tangents : (k, places, places, bins) kg, contribution of
+    each regressor to A per scaled unit. scales : (k,) parameter in SI units per scaled unit. names, units : (k,) of the
+    parameters. apart : (k, folds, places, places, 2) mean tangent of each fold minus that of the record, per scaled
+    unit; None: the tangents of all folds are alike. s : (bins,) rad/s that the tangents are given at; None with `apart`
+    None.
+    """
 
     G: Array
     n: Array
-    log_weight: Array  # (places, folds) sum of log W
+    log_weight: Array
     tangents: Complexes
     scales: Array
     names: tuple[str, ...]
     units: tuple[str, ...]
-    apart: Array | None = None  # as in Columns
-    s: Complexes | None = None  # (bins,) that tangents are given at
+    apart: Array | None = None
+    s: Complexes | None = None
 
     def tangents_in(self, folds: NDArray[np.int64], blocks: Array) -> Complexes:
-        """(terms, places, places, bins) contributions to A in some folds, of (folds,) blocks each.
+        """(k, places, places, bins) kg, contributions to A in some folds. blocks : (folds,) number of each fold.
 
-        A law that motion makes strong has another mean tangent where the motion is another: friction under a force that
-        grows by 2.1 lost 700 nats on a fold by the tangent of the record, and gains 50 to 180 on each by its own.
+        The mean tangent of a nonlinear law depends on the level of the motion, so each fold has its own.
         """
         if self.apart is None or self.s is None or folds.size == TIME_FOLDS:
             return self.tangents
@@ -57,7 +68,7 @@ class Gram:
         return self.tangents + tangent_response(moved, self.s)
 
     def keep(self, names: list[str] | tuple[str, ...]) -> Gram:
-        """The same without the other terms."""
+        """The Gram matrices of the named regressors only, in this order."""
         at = [self.names.index(k) for k in names]
         rows = np.array([0] + [1 + k for k in at])
         apart = None if self.apart is None else self.apart[at]
@@ -74,7 +85,7 @@ class Gram:
         )
 
     def combined(self, names: tuple[str, ...], weights: Array) -> Gram:
-        """The same with the last q terms replaced by `names`, weights (len(names), q) sums of them, scaled units."""
+        """The Gram matrices with the last q regressors replaced by sums of them. weights : (names, q), scaled units."""
         first = len(self.names) - weights.shape[1]
         M = block_diag(np.eye(1 + first), weights)
         G = np.einsum("ab,ifbc,dc->ifad", M, self.G, M, optimize=True)
@@ -96,7 +107,7 @@ class Gram:
 
 
 def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *columns: WhitenedRegressors) -> Gram:
-    """Gram matrices of the force and all columns, by place and time fold."""
+    """Gram matrices of the whitened residual force (by place) and of all regressors."""
     data = whitening.data
     P = len(data.places)
     total = sum(len(c.names) for c in columns)
@@ -141,7 +152,11 @@ def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *columns: Wh
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathFit:
-    """Increments delta (terms,) in scaled units, their covariance, S by place, and the log-likelihood, nats."""
+    """The maximum of the path likelihood over the increments of k parameters.
+
+    names : (k,) of the parameters. delta : (k,) increments, scaled units. covariance : (k, k) of delta. S : (places,)
+    N^2/Hz. log_likelihood : nats. scales : (k,) parameter in SI units per scaled unit.
+    """
 
     names: tuple[str, ...]
     delta: Array
@@ -151,7 +166,7 @@ class PathFit:
     scales: Array
 
     def value(self, name: str) -> tuple[float, float]:
-        """Increment and standard deviation of a parameter, SI."""
+        """Increment and standard deviation of a parameter, SI units."""
         k = self.names.index(name)
         return float(self.delta[k] * self.scales[k]), float(np.sqrt(self.covariance[k, k]) * self.scales[k])
 
@@ -159,7 +174,7 @@ class PathFit:
 def log_likelihood(
     gram: Gram, jacobian: Jacobian, delta: Array, S: Array, folds: NDArray[np.int64], blocks: Array
 ) -> float:
-    """Nats on some folds, at given delta and S (places,); blocks : (folds,) number of blocks of each fold."""
+    """Nats on some folds at delta (k,), scaled, and S (places,) N^2/Hz. blocks : (folds,) number of each fold."""
     b = np.concatenate([[1.0], delta])
     G, n = gram.G[:, folds].sum(axis=1), gram.n[:, folds].sum(axis=1)
     Q = np.einsum("a,iab,b->i", b, G, b)
@@ -177,9 +192,11 @@ def fit_increments(
     steps: int = 30,
     min_information: float = 0.0,
 ) -> PathFit:
-    """Maximise L over all terms by Newton's method with halving; ridge : (terms,) added to the information.
+    """The maximum of L over the increments, by Newton steps that are halved until L rises.
 
-    min_information : nothing moves along sums of terms that have less than this share of the information of the terms.
+    folds : those that are fitted. blocks : (folds,) number of blocks of each fold. start : (k,) scaled; None: 0.
+    ridge : (k,) prior information, added to that of the data; None: 0. steps : at most. min_information : a sum of
+    regressors with a smaller share of their information is not moved.
     """
     G, n = gram.G[:, folds].sum(axis=1), gram.n[:, folds].sum(axis=1)
     B = blocks[folds].sum()
@@ -224,7 +241,7 @@ def fit_increments(
 
 
 def _solve(H: Array, g: Array, min_information: float = 0.0) -> Array:
-    """H^-1 g with eigenvalues kept away from zero (relative to the diagonal); those under it count as infinite."""
+    """H^-1 g, eigenvalues relative to the diagonal at least 1e-6; nothing along those below `min_information`."""
     d = 1 / np.sqrt(np.maximum(np.abs(np.diag(H)), 1e-300))
     e, U = np.linalg.eigh(H * np.multiply.outer(d, d))
     e = np.where(np.abs(e) < min_information, np.inf, np.maximum(np.abs(e), 1e-6))
@@ -232,6 +249,7 @@ def _solve(H: Array, g: Array, min_information: float = 0.0) -> Array:
 
 
 def _inverse(H: Array) -> Array:
+    """H^-1 with eigenvalues, relative to the diagonal, of at least 1e-6."""
     d = 1 / np.sqrt(np.maximum(np.abs(np.diag(H)), 1e-300))
     e, U = np.linalg.eigh(H * np.multiply.outer(d, d))
     e = np.maximum(e, 1e-6)

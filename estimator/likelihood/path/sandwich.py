@@ -1,9 +1,8 @@
-"""The part of a fold's score that comes from its own tangents.
+"""The part of the score of a fold that comes from its own mean tangent.
 
-Over the whole record the data's side of a law's score, E[phi F], is balanced by S times the mean tangent times the
-response. In a fold of time it is so with the tangent that the law had there: one that moved more has a larger one, and
-with the mean of the record its score would seem to scatter by that. Without this the interval of quadratic damping came
-out 1.4 times and that of c beside friction 1.5 times too wide.
+Over the whole record the data side of the score of a law, E[phi F], is balanced by S times the mean tangent times the
+response. In a fold the balance holds with the mean tangent of that fold: with more motion the tangent is larger. With
+the tangent of the record the scores would scatter more than they do, and the intervals would be too wide.
 """
 
 from __future__ import annotations
@@ -17,10 +16,9 @@ from .gram_likelihood import Likelihood, Local
 
 
 def fold_tangent_scores(likelihood: Likelihood, local: Local, bank: Bank) -> Array:
-    """(folds, p) what is to be taken off the scores of folds, by beta.
+    """(folds, p) part of the scores by beta that the mean tangents of the folds cause.
 
-    Of a fold with another level of the force it is that of its tangents at its level: the rest is what S of the fold
-    differs by, which the score of S has too.
+    A fold with another level of the excitation counts with its tangent at its level.
     """
     evidence, point = likelihood.evidence, local.point
     balance, nodes = evidence.balance, evidence.nodes

@@ -1,17 +1,13 @@
-"""How the noise of the sensors comes into the inferred forces: through the shaft, that of one bearing into both.
+"""Sensor noise referred to force: through the shaft, the noise of one bearing enters both residual forces.
 
-The inferred forces are r = A y = F + A n, with the noise n of the sensors, and with what sampling folds back, which is
-noise of a sensor to all that is inferred. So they are not independent where a shaft couples the caps, R = S + A N A^H,
-and a force that follows the motion y has with r the mean product T A^-1 R, T its mean response. Rows weighed apart, by
-W = 1 / diag R, leave of that T A^-1 (R W - 1) beside the slope of the determinant, T A^-1: noise of bearing 2 would be
-taken for a force at bearing 1 that follows bearing 2 (0.6 % of the bearing force, beside a shaft half as stiff as a
-bearing, behind a Bessel filter of order 6 at 0.45 of the rate). So the response of every force is taken as that to what
-is measured, T A^-1 R W A, which is T where the rows are independent.
+The residual forces are r = A y = F + A n, with n the noise of the sensors and what sampling folds back. Where a shaft
+couples the caps they are correlated, R = S + A N A^H. A force that follows the motion y has with r the mean product
+T A^-1 R, T its mean response. With each row whitened by itself, W = 1 / diag R, the slope of the determinant T A^-1
+leaves T A^-1 (R W - 1): noise of bearing 2 would look like a force at bearing 1 that follows bearing 2. So the response
+of every force is taken as that to the measured motion, T A^-1 R W A. It is T where the rows are independent.
 
-Where a force is measured and something is folded back beside it (folded_force.py), the mean product is known without
-S, which is noise of the sensor of the force there and moves nothing: T (M B^H + A^-1 S), S of the other places. Rows
-are still weighed as if their noise were nu |A|^2, S: by its own density, so little near the end of the band that the
-harmonics of laws rule the fit there, a force with a jump came out 10 % too weak, by what noise does to its instants.
+Where a force is measured and aliased motion is in it, the mean product is known without S: T (M B^H + A^-1 S), S of the
+other places. Rows are still whitened as if their noise were nu |A|^2 S.
 """
 
 from __future__ import annotations
@@ -23,15 +19,18 @@ import numpy as np
 from estimator.arrays import Array, Complexes
 from estimator.likelihood.motion.motion_record import MotionRecord
 
-MIN_CORRELATION = 1e-4  # correlation of two rows, anywhere in the band, that moves nothing
+MIN_CORRELATION = 1e-4  # of two residual forces, anywhere in the band; a smaller one is neglected
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorNoise:
-    """weight : (places, bins), S over the PSD of each inferred force; root : (bins, places) one over its root. share :
-    (places, bins) what of that PSD is noise of sensors, which does not rise with the force. shared : (bins, places,
-    places) correlations of these forces by noise; None where they are independent. folded : (bins, places, places)
-    M B^H W; alone : (bins, places) S W of places without a measured force; None where nothing is folded beside one."""
+    """Sensor noise in the residual forces, and the weights that whiten them.
+
+    weight : (places, bins) S over the PSD of each residual force. share : (places, bins) share of sensor noise in that
+    PSD. root : (bins, places) one over the root of that PSD. shared : (bins, places, places) correlations of the
+    residual forces by noise; None where they are independent. folded : (bins, places, places) M B^H W, alone : (bins,
+    places) S W of places without a measured force; both None where no aliased motion is in a measured force.
+    """
 
     weight: Array
     share: Array
@@ -41,12 +40,14 @@ class SensorNoise:
     alone: Array | None = None
 
     def correlation(self, i: int, j: int) -> Complexes | float:
-        """(bins,) correlation of two inferred forces by noise."""
+        """(bins,) correlation of two residual forces by sensor noise."""
         return 0.0 if self.shared is None else np.asarray(self.shared[:, i, j])
 
     def to_measured(self, A: Complexes) -> Complexes | None:
-        """(bins, places, places) from the response to the motion to that to what is measured; A as the determinant has
-        it."""
+        """(bins, places, places) factor from the response to the motion to the response to the measured motion.
+
+        A : (bins, places, places) along the line of the determinant. None where the two responses are the same.
+        """
         if self.folded is not None and self.alone is not None:
             return np.asarray(np.linalg.solve(A, self.alone[:, :, None] * A) + self.folded @ A)
         if self.shared is None:
@@ -56,7 +57,7 @@ class SensorNoise:
 
 
 def referred_noise(data: MotionRecord, A: Complexes, nu: Array, S: Array) -> SensorNoise:
-    """A : (bins, places, places). nu : (places,) noise of the sensors over S. S : (places,)."""
+    """Sensor noise in residual forces. A : (bins, places, places) kg. nu : (places,) noise over S. S : (places,)."""
     referred = referred_psd(data, A, nu * S) / S[:, None]
     weight = 1.0 / (data.colour + aliased_psd(data, A, S) + referred)
     P = len(data.places)
@@ -78,23 +79,25 @@ def referred_noise(data: MotionRecord, A: Complexes, nu: Array, S: Array) -> Sen
 
 
 def force_correlation(data: MotionRecord, A: Complexes, weight: Array, i: int, j: int) -> Complexes:
-    """(bins,) correlation of two inferred forces over that of the forces that there are: what sampling folds back of a
-    common force is common too, noise of sensors is not."""
+    """(bins,) correlation of the residual forces of places i and j per correlation of their excitation.
+
+    What sampling folds back of a common excitation is common too; sensor noise is not. weight : (places, bins).
+    """
     own, back = np.sqrt(weight[i] * weight[j]), np.sqrt(data.folded[i] * data.folded[j])
     through = A[:, i, i] * A[:, j, j].conj() + A[:, i, j] * A[:, j, i].conj()
     return np.asarray(own * (np.sqrt(data.colour[i] * data.colour[j]) + back * through))
 
 
 def aliased_psd(data: MotionRecord, A: Complexes, S: Array) -> Array:
-    """(places, bins) PSD over S of each inferred force of what is folded back at all places."""
+    """(places, bins) PSD of the motion that sampling folds back, referred to force, over S."""
     return _through(A, data.folded * S[:, None]) / S[:, None]
 
 
 def referred_psd(data: MotionRecord, A: Complexes, N: Array) -> Array:
-    """(places, bins) the same, not over S, of white noise N (places,) of all sensors."""
+    """(places, bins) PSD of sensor noise referred to force, N^2/Hz. N : (places,) PSD of white noise of the sensors."""
     return _through(A, data.noise_shape * N[:, None])
 
 
 def _through(A: Complexes, noise: Array) -> Array:
-    """(places, bins) PSD of the forces that are inferred from noise (places, bins) of the accelerations."""
+    """(places, bins) N^2/Hz, PSD of the residual forces that noise (places, bins) of the accelerations causes."""
     return np.asarray(np.einsum("kil,lk->ik", np.abs(A) ** 2, noise))

@@ -1,4 +1,4 @@
-"""Likelihood of a few places with extra terms: the small problem behind every score, refit and held-out gain."""
+"""The path likelihood of a few places with trial regressors, for scores, refits and held-out gains."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ from .working_point import WorkingPoint
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Subproblem:
-    """Gram and Jacobian of some places; `base` names the model's own terms, `extra` those on trial.
+    """The path likelihood of some places.
 
-    prior_information : (base,) what keeps searched parameters of the model near, as in its own fit.
+    places : their numbers. gram : of the base and the trial regressors there. jacobian : of the places, the others
+    eliminated. blocks : (folds,) number of blocks. base : names of the regressors of the model. extra : names of those
+    on trial. prior_information : (base,) scaled, keeps searched parameters of the model near.
     """
 
     places: tuple[int, ...]
@@ -33,20 +35,23 @@ class Subproblem:
     prior_information: Array
 
     def without_extra(self) -> Subproblem:
+        """The problem without trial regressors."""
         return replace(self, gram=self.gram.keep(self.base), extra=())
 
     def only(self, extra: tuple[str, ...]) -> Subproblem:
+        """The problem with these trial regressors only."""
         return replace(self, gram=self.gram.keep(self.base + extra), extra=extra)
 
     def combined(self, weights: Array) -> Subproblem:
-        """With weights (k, extra) sums of the extra terms in their place."""
+        """The problem with sums of the trial regressors in their place. weights : (sums, extra)."""
         names = tuple(f"sum.{k}" for k in range(len(weights)))
         return replace(self, gram=self.gram.combined(names, weights), extra=names)
 
     def fit(
         self, folds: NDArray[np.int64] | None = None, ridge: float = 0.0, steps: int = 30, start: Array | None = None
     ) -> PathFit:
-        """Maximum likelihood; `ridge` is a prior information on the scaled extra terms. start : (terms,) scaled."""
+        """The maximum of the likelihood on some folds; None: all. ridge : prior information of the trial regressors,
+        scaled. start : (regressors,) scaled; None: 0."""
         penalty = np.concatenate([self.prior_information, np.full(len(self.extra), ridge)])
         folds = np.arange(TIME_FOLDS) if folds is None else folds
         return fit_increments(
@@ -54,11 +59,12 @@ class Subproblem:
         )
 
     def likelihood(self, found: PathFit, folds: NDArray[np.int64]) -> float:
+        """Log-likelihood of a fit on some folds, nats."""
         return log_likelihood(self.gram, self.jacobian, found.delta, found.S, folds, self.blocks)
 
 
 def coupled_places(point: WorkingPoint, places: tuple[int, ...]) -> tuple[int, ...]:
-    """The places together with those that share a parameter of the model with them."""
+    """The places and all that share a parameter of the model with them."""
     found = set(places)
     while True:
         grown = found.union(*(set(u.at) for u in point.placed if found & set(u.at)))
@@ -68,14 +74,16 @@ def coupled_places(point: WorkingPoint, places: tuple[int, ...]) -> tuple[int, .
 
 
 def base_regressors(point: WorkingPoint, at: NDArray[np.int64]) -> list[int]:
-    """Numbers of the model's terms that act at some places."""
+    """Numbers of the regressors of the model that act at some places."""
     own = point.whitened
     return [k for k in range(len(own.names)) if any(k in own.index[int(i)] for i in at if int(i) in own.index)]
 
 
 def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: WhitenedRegressors | None = None) -> Subproblem:
-    """Cut the places out of the working point and add columns. Other places go on answering through the shaft, in the
-    force (it is known) and in the Jacobian."""
+    """The likelihood of some places of a working point, with trial regressors; None: without.
+
+    Other places keep responding through the shaft, in the residual force and in the Jacobian.
+    """
     at = np.array(coupled_places(point, places))
     own = point.whitened
     base = base_regressors(point, at)
@@ -109,7 +117,7 @@ def subproblem(point: WorkingPoint, places: tuple[int, ...], extra: WhitenedRegr
     return Subproblem(
         places=inside,
         gram=merged,
-        jacobian=point.jacobian.at(at),
+        jacobian=point.jacobian.of_places(at),
         blocks=point.data.fold_blocks,
         base=names,
         extra=new,
@@ -121,9 +129,10 @@ def with_extra(
     point: WorkingPoint, plain: Subproblem, i: int, made: Sequence[tuple[NDArray[np.int64], Array, Array]],
     names: tuple[str, ...], scales: Array, tangents: Complexes, apart: Array,
 ) -> Subproblem:  # fmt: skip
-    """A problem without extra terms with those of place i whose `products` are given, fold by fold.
+    """A problem without trial regressors, extended by those of place i.
 
-    tangents : (terms, all places, all places, bins), apart : (terms, folds, all places, all places, 2), scaled.
+    made : their `fold_products`, fold by fold. tangents : (extra, all places, all places, bins), apart : (extra, folds,
+    all places, all places, 2), scaled.
     """
     old, first = plain.gram, 1 + len(plain.base)
     size, at = first + len(names), np.array(plain.places)
@@ -146,12 +155,12 @@ def with_extra(
 
 
 def _among(apart: Array, at: NDArray[np.int64]) -> Array:
-    """Mean tangents of time folds, (terms, folds, places, places, 2), of some places."""
+    """Mean tangents (k, folds, all places, all places, 2) between some places only."""
     return np.asarray(apart[:, :, at[:, None], at])
 
 
 def _extend(point: WorkingPoint, i: int, extra: WhitenedRegressors, base: list[int], G: Array) -> None:
-    """Fill the rows of the extra columns of one place into G (folds, 1 + terms, 1 + terms)."""
+    """Fill the products of the trial regressors of one place into G (folds, 1 + k, 1 + k)."""
     if i not in extra.spectra:
         return
     X = extra.spectra[i]
@@ -169,8 +178,10 @@ def fold_slice(point: WorkingPoint, f: int) -> slice:
 def fold_products(
     point: WorkingPoint, i: int, base: list[int], f: int, X: Spectrum
 ) -> tuple[NDArray[np.int64], Array, Array]:  # fmt: skip
-    """Rows of G that the force and the base terms have at place i, their products with X (q, blocks, 2 bins) of fold f,
-    (rows, q), and those of X with itself."""
+    """Rows of G of the residual force and the base regressors at place i, and the products with spectra of fold f.
+
+    X : (q, blocks, 2 bins). The products are (rows, q) with X and (q, q) of X with itself.
+    """
     own, span = point.whitened, fold_slice(point, f)
     Z = X.reshape(len(X), -1)
     cross = np.concatenate([point.spectra[i][None, span], own.spectra[i][:, span]]).reshape(-1, Z.shape[1])
@@ -179,14 +190,14 @@ def fold_products(
 
 
 def fill_products(G: Array, at: NDArray[np.int64], rows: NDArray[np.int64], C: Array, square: Array) -> None:
-    """Put products into G, where the new terms are at `at`."""
+    """Put products into G (1 + k, 1 + k). at : rows of the new regressors."""
     G[rows[:, None], at] = C
     G[at[:, None], rows] = C.T
     G[at[:, None], at] = square
 
 
 def likelihood_gain(problem: Subproblem, ridge: float = 0.0, steps: int = 30) -> tuple[float, PathFit]:
-    """Log-likelihood gained by the extra terms over the refitted base, nats, on the whole record."""
+    """Nats that the trial regressors gain over the refitted base on the whole record, and the fit with them."""
     everything = np.arange(TIME_FOLDS)
     full = problem.fit(ridge=ridge, steps=steps)
     plain = problem.without_extra()

@@ -1,4 +1,4 @@
-"""Forces and the terms of laws turned into the weighted spectra of blocks that the path likelihood is made of."""
+"""Residual force and regressors as whitened block spectra, which the path likelihood is made of."""
 
 from __future__ import annotations
 
@@ -18,26 +18,37 @@ from .disc_ringing import Ringing, ringing
 from .sensor_noise import SensorNoise
 
 Spectrum = NDArray[np.float32]
-BLOCKS_PER_FFT = 32  # blocks at a time: more do not stay in the cache
+BLOCKS_PER_FFT = 32  # transformed at a time; more do not stay in the cache
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WhitenedRegressors:
-    """Terms turned into weighted spectra, by place: (terms there, blocks, 2 bins) float32."""
+    """Whitened block spectra of k regressors.
+
+    names, units : (k,) of the parameters. scales : (k,) parameter in SI units per scaled unit. tangents : (k, places,
+    places, bins) kg, contribution to A per scaled unit. spectra : by place, (regressors there, blocks, 2 bins), real
+    and imaginary parts in turn. index : by place, number of the regressor of each row of `spectra`. apart : (k, folds,
+    places, places, 2) mean tangent of each fold minus that of the record, per scaled unit.
+    """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     scales: Array
-    tangents: Complexes  # (terms, places, places, bins), contribution to A per scaled unit
+    tangents: Complexes
     spectra: dict[int, Spectrum]
-    index: dict[int, NDArray[np.int64]]  # place -> number of the term of each row of spectra
-    apart: Array  # (terms, folds, places, places, 2) mean tangents of time folds less those of all, per scaled unit
+    index: dict[int, NDArray[np.int64]]
+    apart: Array
 
 
 @dataclass
 class Whitening:
-    """Turns series into weighted block spectra at a working point. s : (bins,) of the determinant. measured : (bins,
-    places, places) from a response to the motion to one to what is measured: sensor_noise.py."""
+    """Turns time series into whitened block spectra.
+
+    data : the motion. noise : sensor noise referred to force, with the weights. s : (bins,) rad/s, line of the
+    determinant. measured : (bins, places, places), factor from a response to the motion to the response to the measured
+    motion; None where they are the same. ringing : of the disc, taken out of the spectra; None where no disc resonates
+    in the band.
+    """
 
     data: MotionRecord
     noise: SensorNoise
@@ -62,15 +73,15 @@ class Whitening:
 
     @property
     def weight(self) -> Array:
-        """(places, bins)"""
+        """(places, bins) S over the expected PSD of the residual force."""
         return self.noise.weight
 
     def spectrum(
         self, i: int, series: Array | Spectrum, scale: float = 1.0, out: Spectrum | None = None, first: int = 0
     ) -> Spectrum:
-        """(blocks, 2 bins) float32 of scale times a series (n,) seen at place i, the bins of the band.
+        """(blocks, 2 bins) whitened spectra of scale times a series (n,) N at place i, in the bins of the band.
 
-        first : number of the block that the series begins with.
+        out : array to fill; None: a new one. first : number of the block that the series begins with.
         """
         from scipy.fft import rfft
 
@@ -90,28 +101,30 @@ class Whitening:
         return out
 
     def _in_band(self, Z: NDArray[Any]) -> NDArray[Any]:
-        """The bins of the band, (blocks, bins), of all: a view of them, if nothing is left out between."""
+        """(blocks, bins) of the band; a view where the bins are contiguous."""
         return Z[:, self._bins] if isinstance(self._bins, slice) else np.take(Z, self._bins, axis=1)
 
     def relative_psd(self, i: int, level: Array) -> Array:
-        """(blocks, bins) PSD of the inferred force at place i in blocks of a level (blocks,), over that of the record:
-        the level of the force but for noise of sensors, which does not rise with it."""
+        """(blocks, bins) PSD of the residual force at place i over that of the record.
+
+        level : (blocks,) of the excitation. Sensor noise does not rise with it.
+        """
         return np.asarray(level[:, None] + (1.0 - level[:, None]) * self.noise.share[i])
 
     def power(self, i: int, Z: Spectrum) -> Array:
-        """(blocks,) power of a spectrum seen at place i (blocks, 2 bins), as it was before blocks were weighed by the
-        level of the force."""
+        """(blocks,) power of a spectrum Z (blocks, 2 bins) at place i, before the weights by the level of blocks."""
         if self._level_root is not None:
             Z = (Z.view(np.complex64) / self._level_root[i]).view(np.float32)
         return np.asarray(np.einsum("bk,bk->b", Z, Z), np.float64)
 
     def tangents_to_measured(self, tangents: Complexes) -> Complexes:
-        """Tangents (terms, places, places, bins) as the determinant needs them: to what is measured."""
+        """(k, places, places, bins) tangents as the determinant needs them: responses to the measured motion."""
         if self.measured is None:
             return tangents
         return tangent_times(tangents, self.measured)
 
     def whiten(self, terms: list[Regressor]) -> WhitenedRegressors:
+        """The whitened spectra and the tangents of regressors."""
         index: dict[int, list[int]] = {}
         for k, term in enumerate(terms):
             for i in term.series:

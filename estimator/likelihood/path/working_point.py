@@ -1,4 +1,4 @@
-"""A model at given values on a record: inferred force by place, spectra of its columns, and the tangent A(w)."""
+"""A model at given values on a record: residual force, whitened regressors, Gram matrices, tangent A."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes, Series
 from estimator.likelihood.motion import linear_memory
@@ -37,16 +36,24 @@ from .path_fit import Gram, PathFit, fit_increments, gram_matrices
 from .sensor_noise import force_correlation, referred_noise
 from .whitening import Spectrum, WhitenedRegressors, Whitening
 
-MAX_STEP_OF_REACH = (
-    0.3  # of the reach of a searched parameter: one standard deviation of the step that is taken at once
-)
+SEARCHED_STEP_SD = 0.3  # prior standard deviation of a step of a searched parameter, over its natural scale
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkingPoint:
-    """A fitted model on a record. kL, c, S : (places,); nu : (places,) sensor noise PSD, in its unit^2/Hz, over S.
+    """A fitted model on a record.
 
-    force, spectra and gram are those before the last step of the fit, which is a fraction of a standard deviation.
+    force, spectra, gram and A hold for the values before the last step of the fit, a fraction of a standard deviation.
+
+    data : the motion. kL : (places,) N/m. c : (places,) N s/m. S : (places,) N^2/Hz, one-sided PSD of the excitation.
+    nu : (places,) PSD of the sensor noise over S. placed : laws at their locations, with values. force : (places, n) N,
+    residual force. whitening : weights of the spectra. spectra : of the residual force, by place. regressors : of all
+    parameters (k). whitened : spectra of the regressors. gram : products of the spectra. jacobian : determinant of A.
+    fit : last step, k increments. prior_information : (k,) scaled, keeps searched parameters near in every fit at this
+    point. A : (bins, places, places) kg, force per acceleration. mean_tangent : (places, places, 2) N/m and N s/m, by
+    displacement and velocity. fluctuations : by place, of the tangents of its laws; None where no law needs a
+    second-order correction. spans : of the regressors, by place, to keep those of a law on trial independent of them.
+    units : regressors of the law on trial, kept between trials.
     """
 
     data: MotionRecord
@@ -55,37 +62,36 @@ class WorkingPoint:
     S: Array
     nu: Array
     placed: tuple[LocatedLaw, ...]
-    force: Series  # (places, n) N, inferred excitation
+    force: Series
     whitening: Whitening
-    spectra: dict[int, Spectrum]  # of the force
+    spectra: dict[int, Spectrum]
     regressors: tuple[Regressor, ...]
     whitened: WhitenedRegressors
     gram: Gram
     jacobian: Jacobian
     fit: PathFit
-    prior_information: Array  # (terms,) information that keeps searched parameters near, in every fit about this point
-    A: NDArray[np.complex128]  # (bins, places, places)
-    mean_tangent: Array  # (places, places, 2) mean tangent
-    fluctuations: tuple[Fluctuation | Probe | None, ...]  # by place, of the laws of the model
-    spans: Spans  # of the model's own columns, by place
-    units: UnitRegressors  # of the law on trial
+    prior_information: Array
+    A: Complexes
+    mean_tangent: Array
+    fluctuations: tuple[Fluctuation | Probe | None, ...]
+    spans: Spans
+    units: UnitRegressors
 
     @property
     def lin(self) -> Array:
-        """(places, 3) m, kL, c."""
+        """(places, 3) mass kg, kL N/m, c N s/m."""
         return np.stack([self.data.mass, self.kL, self.c], axis=1)
 
     @property
     def bearing_force(self) -> Array:
-        """(places,) N rms of the force in the bearing, k x + c v + effects, as the scale of what is missing, and
-        weighed like it."""
+        """(places,) N, rms of the bearing force kL x + c v + effects, each block over its level of the excitation."""
         power = (self.force - self.data.known) ** 2
         if self.data.level is not None:
             power = power.reshape(len(power), self.data.blocks, -1).mean(axis=2) / self.data.level
         return np.asarray(np.sqrt(np.mean(power, axis=1)))
 
     def without_rows(self) -> WorkingPoint:
-        """Itself without rows, which are large: for a fit of another record to begin from."""
+        """The point without its time series, which are large: a start for the fit of another record."""
         none = np.zeros(self.data.x.shape[1], bool)
         data, still = self.data.at(none), (None,) * len(self.fluctuations)
         return replace(self, data=data, force=self.force[:, none], whitening=replace(self.whitening, data=data),
@@ -93,7 +99,7 @@ class WorkingPoint:
 
 
 def point_on_part(point: WorkingPoint, seconds: float) -> WorkingPoint:
-    """The same model on part of the record: for searching, and for pictures."""
+    """The fitted model on the first seconds of the record, for searches and pictures."""
     part = leading_blocks(point.data, seconds)
     if part is point.data:
         return point
@@ -101,8 +107,10 @@ def point_on_part(point: WorkingPoint, seconds: float) -> WorkingPoint:
 
 
 def search_point(point: WorkingPoint, seconds: float) -> WorkingPoint:
-    """The same on part of the record for a quick search, far from where it ends: no law is dressed by the others, as
-    what dresses it holds for small steps of theirs only."""
+    """The fitted model on the first seconds of the record, without second-order corrections.
+
+    They hold for small steps only; a search steps far.
+    """
     remembering = {u.name(k) for u in point.placed if u.effect.kind == "memory" for k in range(u.p.size)}
     bare = tuple(t if t.name in remembering else replace(t, memory={}) for t in point.regressors)
     longer = replace(point, regressors=bare, fluctuations=(None,) * len(point.fluctuations))
@@ -113,10 +121,10 @@ def search_point(point: WorkingPoint, seconds: float) -> WorkingPoint:
 
 def _forces(
     data: MotionRecord, kL: Array, c: Array, uses: list[LocatedLaw], made: list[list[Regressor]]
-) -> tuple[Series, NDArray[np.complex128], Array]:
-    """Inferred force (places, n), A (bins, places, places) and the mean tangent (places, places, 2).
+) -> tuple[Series, Complexes, Array]:
+    """Residual force (places, n) N, A (bins, places, places) kg and mean tangent (places, places, 2).
 
-    made : the terms of each use.
+    made : the regressors of each law.
     """
     P = len(data.places)
     F = np.empty_like(data.x)
@@ -154,8 +162,8 @@ def _forces(
     return F, np.diag(data.mass)[None] - (data.shaft + M + D[..., 0]) / w**2 + D[..., 1] / (1j * w), D
 
 
-def tangent_at(point: WorkingPoint, model: Model, f_hz: Array) -> NDArray[np.complex128]:
-    """(f, places, places) force per acceleration at any frequency, memory effects left out. model : of the point."""
+def tangent_at(point: WorkingPoint, model: Model, f_hz: Array) -> Complexes:
+    """(f, places, places) kg: A at any frequencies, without laws with memory. model : that of the point."""
     w = 2 * np.pi * f_hz[:, None, None]
     D = point.mean_tangent
     shaft = shaft_response(model, point.data.places, f_hz)
@@ -166,36 +174,39 @@ def point_at(
     data: MotionRecord, kL: Array, c: Array, nu: Array, S: Array, uses: list[LocatedLaw],
     longer: WorkingPoint | None = None,
 ) -> WorkingPoint:  # fmt: skip
-    """The point at these values. longer : the same model on more of the record: what its laws fluctuate is kept."""
+    """The working point of a model at given values (places,). uses : the laws with theirs.
+
+    longer : the point on more of the record, whose second-order corrections are kept; None: they are computed.
+    """
     P = len(data.places)
     lin = np.stack([data.mass, kL, c], axis=1)
     own = map_threads(lambda use: regressors(use, data, lin), uses)
     F, A, D = _forces(data, kL, c, uses, own)
     s = contour(A, data.mass, D, data.f_hz, data.disc, data.places)
 
-    def along_line(A: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    def along_line(A: Complexes) -> Complexes:
         return continued_tangent(s, A, data.mass, D, data.disc, data.places)
 
     noise = referred_noise(data, A, nu, S)
     whitening = Whitening(data=data, noise=noise, s=s, measured=noise.to_measured(along_line(A)))
     spectra = dict(enumerate(map_threads(lambda i: whitening.spectrum(i, F[i]), range(P))))
-    mean = _means(data, D, uses, own, lin)
+    mean = _modal_responses(data, D, uses, own, lin)
     around = fluctuations(data, uses, mean, lin) if longer is None else longer.fluctuations
     if longer is None:
         own = map_threads(lambda k: with_second_order(own[k], uses[k], around), range(len(uses)))
     else:
-        own = map_threads(lambda k: _as_longer(own[k], uses[k], longer), range(len(uses)))
+        own = map_threads(lambda k: _corrected_as_longer(own[k], uses[k], longer), range(len(uses)))
     common = {(i, j): force_correlation(data, A, noise.weight, i, j) for i, j in data.shared}
-    made = _all_terms(data, lin, uses, own) + _in_common(data, F, noise.weight, common)
+    made = _all_regressors(data, lin, uses, own) + _common_force_regressors(data, F, noise.weight, common)
     columns = whitening.whiten(made)
     G = gram_matrices(whitening, spectra, columns)
     correction = _add_second_order(A, data.f_hz, around)
     there = (1j * s.imag / s) ** 2  # over -w^2 becomes over s^2
     kept = None if whitening.ringing is None else whitening.ringing.kept.mean(axis=0)
     jacobian = Jacobian(along_line(A), s, correction * there[:, None], kept)
-    caution = _caution(data, G, uses)
-    result = _cautious(G, jacobian, data.fold_blocks, caution)
-    own_terms = tuple(in_single_precision(t) for t in made)
+    prior = _prior_information(data, G, uses)
+    result = _fit_near(G, jacobian, data.fold_blocks, prior)
+    own_regressors = tuple(in_single_precision(t) for t in made)
     coarse = tuple(here and here.coarse(data.rate_hz, about) for here, about in zip(around, mean, strict=True))
     return WorkingPoint(
         data=data,
@@ -207,16 +218,16 @@ def point_at(
         force=F,
         whitening=whitening,
         spectra=spectra,
-        regressors=own_terms,
+        regressors=own_regressors,
         whitened=columns,
         gram=G,
         jacobian=jacobian,
         fit=result,
-        prior_information=caution,
+        prior_information=prior,
         A=A,
         mean_tangent=D,
         fluctuations=coarse,
-        spans=Spans(own_terms),
+        spans=Spans(own_regressors),
         units=UnitRegressors(),
     )
 
@@ -231,21 +242,23 @@ def _add_second_order(A: Complexes, f_hz: Array, around: Sequence[Fluctuation | 
     return out
 
 
-def _means(
+def _modal_responses(
     data: MotionRecord, D: Array, uses: list[LocatedLaw], made: list[list[Regressor]], lin: Array
 ) -> list[ModalResponse]:
-    """Mean response of each place. Of laws that remember, those at other caps answer as stiffness and damping of their
-    mean response at the resonance there; what is fed back at the place itself is followed by the probe. made : terms
-    of each use."""
+    """Modal response of each place.
+
+    Laws with memory at other places count as a stiffness and a damping: those of their mean response at the resonance
+    there. made : regressors of each law. lin : (places, 3) m, kL, c.
+    """
     linear = [
         (i, own) for use in uses if use.effect.kind == "memory" for i in use.at
         if (own := linear_memory.state_matrix(use.effect, use.p, lin[i])) is not None
     ]  # fmt: skip
     bare = modal_responses(data.mass, D, data.places, data.disc, linear)
     beside = np.zeros((len(data.places), 2))
-    for use, terms_of in zip(uses, made, strict=True):
+    for use, regressors_of in zip(uses, made, strict=True):
         for i in use.at if has_nonlinear_memory(use, lin[use.at[0]]) else ():
-            units = {t.name: t for t in terms_of}
+            units = {t.name: t for t in regressors_of}
             at = int(np.argmin(np.abs(data.f_hz - bare[i].hz)))
             for k, q in enumerate(use.effect.parameters):
                 if q.linear and use.name(k) in units:
@@ -261,18 +274,19 @@ def _means(
     return out
 
 
-def _all_terms(data: MotionRecord, lin: Array, uses: list[LocatedLaw], own: list[list[Regressor]]) -> list[Regressor]:
-    """Of stiffness and damping, of the laws, and of periodic forces. own : those of each use."""
+def _all_regressors(
+    data: MotionRecord, lin: Array, uses: list[LocatedLaw], own: list[list[Regressor]]
+) -> list[Regressor]:
+    """Regressors of stiffness and damping, of the laws, and of periodic forces. own : those of each law."""
     made = [t for i in range(len(data.places)) for t in linear_regressors(data, i, lin[i], uses)]
     made += [t for ts in own for t in ts]
-    return made + map_threads(lambda wave: _wave(data, wave), data.waves)
+    return made + map_threads(lambda wave: _periodic_regressor(data, wave), data.waves)
 
 
-def _as_longer(own: list[Regressor], use: LocatedLaw, longer: WorkingPoint) -> list[Regressor]:
-    """The terms of a use on part of a record, dressed as on all of it.
+def _corrected_as_longer(own: list[Regressor], use: LocatedLaw, longer: WorkingPoint) -> list[Regressor]:
+    """The regressors of a law on part of a record, with the second-order correction of the whole record.
 
-    A law that remembers answers as it does here at these values: with the answer from before the last step, a fifth of
-    a standard deviation off, force and determinant do not balance, and a complete model gained 27 nats by its level.
+    That of a law with memory is computed anew: residual force and determinant must have the same values.
     """
     known = {t.name: t.memory for t in longer.regressors}
     there = [t for t in own if t.name in known]
@@ -281,33 +295,34 @@ def _as_longer(own: list[Regressor], use: LocatedLaw, longer: WorkingPoint) -> l
     return [replace(t, memory=known[t.name]) for t in there]
 
 
-def _caution(data: MotionRecord, G: Gram, uses: list[LocatedLaw]) -> Array:
-    """(terms,) prior information, scaled: the columns of searched parameters are tangents, and hold near by. A weak
-    law's are free to run far off; of a strong one's a tenth of a standard deviation is lost."""
-    caution = np.zeros(len(G.names))
+def _prior_information(data: MotionRecord, G: Gram, uses: list[LocatedLaw]) -> Array:
+    """(k,) prior information, scaled: regressors of searched parameters are tangents, which hold for small steps."""
+    prior = np.zeros(len(G.names))
     for use in uses:
         for k, q in enumerate(use.effect.parameters):
-            far = MAX_STEP_OF_REACH * parameter_scale(use, k, data)
+            far = SEARCHED_STEP_SD * parameter_scale(use, k, data)
             if not q.linear and far > 0.0 and use.name(k) in G.names:
                 j = G.names.index(use.name(k))
-                caution[j] = (G.scales[j] / far) ** 2
-    return caution
+                prior[j] = (G.scales[j] / far) ** 2
+    return prior
 
 
-def _cautious(G: Gram, jacobian: Jacobian, blocks: Array, caution: Array) -> PathFit:
-    """The fit with its step in searched parameters kept short, and what goes with them."""
+def _fit_near(G: Gram, jacobian: Jacobian, blocks: Array, prior: Array) -> PathFit:
+    """The step of the fit with prior information (k,), and the covariance without it."""
     everything = np.arange(TIME_FOLDS)
     result = fit_increments(G, jacobian, everything, blocks)
-    if not caution.any():
+    if not prior.any():
         return result
-    return replace(fit_increments(G, jacobian, everything, blocks, ridge=caution), covariance=result.covariance)
+    return replace(fit_increments(G, jacobian, everything, blocks, ridge=prior), covariance=result.covariance)
 
 
-def _in_common(
+def _common_force_regressors(
     data: MotionRecord, F: Series, weight: Array, common: dict[tuple[int, int], Complexes]
 ) -> list[Regressor]:
-    """What the unknown force at place i has in common with that at j, and the other way round, as columns. With them
-    the rest of F_i is independent of F_j and of all motion that F_j makes; the determinant does not change."""
+    """Regressors of correlated excitation: the residual force of place j at place i, and the other way round.
+
+    With them the rest of F_i is independent of F_j and of all motion that F_j causes. The determinant stays the same.
+    """
 
     def follows(i: int, j: int, shape: Complexes) -> Regressor:
         P = len(data.places)
@@ -318,9 +333,8 @@ def _in_common(
     return [t for (i, j), own in common.items() for t in (follows(i, j, own), follows(j, i, own.conj()))]
 
 
-def _wave(data: MotionRecord, wave: PeriodicForce) -> Regressor:
-    """What the amplitude of a periodic force may be off by, as a column. Without it a wrong one moves k and c, which
-    are then as wrong as the line about a resonance."""
+def _periodic_regressor(data: MotionRecord, wave: PeriodicForce) -> Regressor:
+    """Regressor of the amplitude of a periodic force. Without it an error of the amplitude biases kL and c."""
     P = len(data.places)
     made = wave.series(data.t, data.phase)
     rms = max(float(np.std(z)) for z in made.values())
@@ -328,7 +342,7 @@ def _wave(data: MotionRecord, wave: PeriodicForce) -> Regressor:
 
 
 def _whole_power(data: MotionRecord, fit: PathFit, common: dict[tuple[int, int], Complexes]) -> Array:
-    """(places,) S of the whole unknown forces: the rest that the columns above leave is 1 - rho^2 of it."""
+    """(places,) S of the whole excitation: the regressors of correlated excitation leave 1 - rho^2 of it."""
     S = fit.S.copy()
     for (i, j), own in common.items():
         there, back = (fit.value(f"{data.places[a]}.follows.{data.places[b]}")[0] for a, b in ((i, j), (j, i)))

@@ -64,7 +64,7 @@ def test_the_jacobian_of_some_places_is_that_of_all_while_the_others_stay() -> N
     for places in (np.array([2]), np.array([0, 3])):
         tangents = np.zeros((terms, P, P, bins), complex)
         tangents[:, places] = complex_normal(terms, places.size, P, bins)
-        part, own = whole.at(places), whole.tangents(tangents, places)
+        part, own = whole.of_places(places), whole.tangents(tangents, places)
         for wanted, found in zip(
             whole.derivatives(tangents, np.zeros(terms)), part.derivatives(own, np.zeros(terms)), strict=True
         ):
@@ -72,7 +72,7 @@ def test_the_jacobian_of_some_places_is_that_of_all_while_the_others_stay() -> N
         step = 1e-2 * rng.normal(size=terms)
         moved = [J.value(t, step) - J.value(t, 0.0 * step) for J, t in ((whole, tangents), (part, own))]
         assert moved[1] == pytest.approx(moved[0], rel=1e-9)
-    shares = [whole.at(np.array([i])) for i in range(P)]
+    shares = [whole.of_places(np.array([i])) for i in range(P)]
     nothing = np.zeros((1, 1, 1, bins))
     assert sum(J.value(nothing, np.zeros(1)) for J in shares) == pytest.approx(
         whole.value(np.zeros((1, P, P, bins)), np.zeros(1)), rel=1e-9
