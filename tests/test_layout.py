@@ -35,20 +35,20 @@ INSIDE = {
 }
 FILE_LINES = 400
 FUNCTION_LINES = 60
-LONG_FUNCTIONS = {"improve", "build"}  # to be cut
+LONG_FUNCTIONS = {"build"}  # to be cut
 FOLDER_ENTRIES = 16  # twelve after the two engines are one
 ROOMS = {"model", "effects", "signals", "likelihood", "simulation", "identification", "diagnosis"}
 ROOT_FILES = {"__init__.py", "arrays.py", "errors.py", "parallel.py", "results.py", "py.typed"}
 # Ratchets: a change may lower these numbers and never raise them.
-EFFECT_NAMING_FILES = 36  # files of estimator/ outside effects/ with an effect's name in a string: six is the aim
-ONE_WORD_CONSTANTS = {"estimator": 258, "daq": 0, "drivers": 0}  # upper-case, at module level: none is the aim
-SAME_OPENINGS = 34  # docstrings in estimator/ that open with "The same": none is the aim
-POSITIONAL_CALLS = 146  # constructions of classes in estimator/ with more than four positional arguments: none
+EFFECT_NAMING_FILES = 35  # files of estimator/ outside effects/ with an effect's name in a string: six is the aim
+ONE_WORD_CONSTANTS = {"estimator": 75, "daq": 0, "drivers": 0}  # upper-case, at module level: none is the aim
+SAME_OPENINGS = 22  # docstrings in estimator/ that open with "The same": none is the aim
+POSITIONAL_CALLS = 140  # constructions of classes in estimator/ with more than four positional arguments: none
 REPEATED_FUNCTIONS = {
     "find", "left", "own", "seen", "judged", "moved", "alike", "told", "said", "plain", "at", "of", "along", "build",
     "gain", "response",
 }  # fmt: skip
-REPEATED = 1  # how many modules define one of these beyond the first of each name: none is the aim
+REPEATED = 0  # how many modules define one of these beyond the first of each name: none is the aim
 
 
 @cache

@@ -27,7 +27,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import upfirdn
 
 from estimator.diagnosis.comparison.free_run import simulation_rmse
-from estimator.diagnosis.comparison.heldout import FITTED, heldout_rmse
+from estimator.diagnosis.comparison.heldout import FITTED_SHARE, heldout_rmse
 from estimator.identification.batch.measured_force import analyse
 from estimator.model.rig import Channel, EffectUse, Model, Setting
 
@@ -113,7 +113,7 @@ def result_of(y: np.ndarray, run: bool) -> Result:
     if not run:
         return out
     fitted = heldout_rmse(model(), y, RATE)
-    ideal = simulation_rmse(true_model(), y, RATE, float(np.max(2 * MASS / true[1::3])), FITTED)
+    ideal = simulation_rmse(true_model(), y, RATE, float(np.max(2 * MASS / true[1::3])), FITTED_SHARE)
     runs = {"fitted": list(fitted.values()), "true model": list(ideal.values())}
     return out | runs | {"motion": solution.record.rms("a").tolist()}
 

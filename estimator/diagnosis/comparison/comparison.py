@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from estimator.arrays import Array
+from estimator.effects.sensor.sensor_clipping import SENSOR_CLIPPING
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.record import clipping
 from estimator.identification.residual import missing_force
@@ -18,7 +19,7 @@ from estimator.parallel import map_processes
 from estimator.results import Message, Parameter, messages_json
 
 from .curves import Law, curves
-from .failure_map import Where, where_of
+from .failure_map import FailureRegion, failure_regions
 from .heldout import heldout_nll, heldout_rmse, reference_nll
 from .shape import Shape
 from .twin import twin
@@ -28,9 +29,15 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """As schemas/compare.json; missing : value, low, high in per cent of the rms bearing force, 95 %.
+    """A fitted model against the measurement. Forces, states and spectra in SI.
 
-    curves : residual force against the states of every channel; laws : restoring force, measured and the model's.
+    heldout_nll : negative log-likelihood of held-out data, nats per sample. reference_nll : of a black box. missing :
+    missing force, value and 95 % limits, per cent of the rms bearing force. psd_distance_db, pdf_distance : by channel,
+    of a simulated twin. where : regions of the states in which the model fails, largest share first. adequate : whether
+    nothing predictable is left. curves : residual force against the states of every channel. laws : restoring force,
+    measured and of the model. spectra, densities, orbits : of measurement and twin, by channel. parameters : by full
+    name. simulation_rmse : by channel, of a free run; empty unless a force is measured at every place. messages : for
+    the user.
     """
 
     heldout_nll: float
@@ -38,7 +45,7 @@ class Comparison:
     missing: tuple[float, float, float]
     psd_distance_db: dict[str, float]
     pdf_distance: dict[str, float]
-    where: tuple[Where, ...]
+    where: tuple[FailureRegion, ...]
     adequate: bool
     curves: tuple[Shape, ...] = ()
     laws: tuple[Law, ...] = ()
@@ -50,6 +57,7 @@ class Comparison:
     messages: tuple[Message, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
+        """The result of compare, by its schema."""
         value, low, high = self.missing
         out: dict[str, Any] = {
             "schema": 1,
@@ -70,12 +78,45 @@ class Comparison:
         return out | ({"simulation_rmse": self.simulation_rmse} if self.simulation_rmse else {})
 
 
-def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = None) -> Comparison:
-    """Fit the model on the record's time folds, judge it on the others. y : (n, channels), SI, NaN where missing.
+def compare(model: Model, y: Array, rate_hz: float, *, progress: Progress | None = None) -> Comparison:
+    """Compare a fitted model with the measurement on held-out data, and map where it fails.
 
-    Raises DataError if the record cannot answer, ModelError for a model that makes no sense.
+    Parameters
+    ----------
+    model : Model
+        The rig. Linear values and parameters of effects may be unknown (None); they are fitted.
+    y : (n, channels) float64
+        Samples in SI units, columns in the order of ``model.channels``. NaN where a sample is missing or clipped.
+    rate_hz : float
+        Sampling rate, Hz.
+    progress : callable, optional
+        Called with a fraction from 0 to 1 and a text.
+
+    Returns
+    -------
+    Comparison
+        The missing force with its 95 % limits, held-out likelihood, and curves of the residual force.
+
+    Raises
+    ------
+    DataError
+        The record cannot answer: too short, a dead channel, no resonance in the band.
+    ModelError
+        A model that makes no sense.
+
+    Examples
+    --------
+    >>> from estimator import Channel, Model, Setting, compare, simulate
+    >>> cap = {"bearing1.x": {"kL": Setting(1.0e7), "c": Setting(60.0), "S": Setting(1.0e-4)}}
+    >>> rig = Model((Channel("b1x", "bearing1", "x"),), band=(150.0, 8000.0), mass={"bearing1": 0.2}, linear=cap)
+    >>> compare(rig, simulate(rig, rate_hz=25600.0, seconds=4.0, seed=1), 25600.0).adequate
+    True
     """
-    say = progress or (lambda fraction, text: None)
+    return _comparison(model, y, rate_hz, progress or (lambda fraction, text: None))
+
+
+def _comparison(model: Model, y: Array, rate_hz: float, say: Progress) -> Comparison:
+    """Fit the model, then survey, free run, twin and curves."""
     say(0.0, "fit")
     whole = fit_all_effects(model, y, rate_hz)
     model, point = whole.model, whole.point
@@ -85,13 +126,13 @@ def compare(model: Model, y: Array, rate_hz: float, progress: Progress | None = 
         part, model, lambda: search(model, point, y), lambda: heldout_rmse(model, y, point.data.rate_hz),
         lambda: twin(fitted_model(model, point), point, y), lambda: heldout_nll(point),
     )  # fmt: skip
-    clipped = [clipping.clipped_message(s) for s in others if s.effect == "sensor_clipping"]
+    clipped = [clipping.clipped_message(s) for s in others if s.effect == SENSOR_CLIPPING.name]
     say(0.85, "where the model fails")
     channel = {p: next(c.name for c in model.channels if c.place == p) for p in point.data.places}
     asked: list[Callable[[], Any]] = [
         lambda: curves(point, found, channel, missing_force.stiffness_orders(model)),
         lambda: reference_nll(point, found, nll),
-        lambda: where_of(point, found, channel),
+        lambda: failure_regions(point, found, channel),
     ]
     (drawn, laws), reference, where = map_processes(asked)
     say(1.0, "done")

@@ -24,11 +24,11 @@ from estimator.parallel import map_threads
 
 from .shape import Shape
 
-SECONDS = 5.0  # of the record that conditional means are taken over
-STATES = ("displacement", "velocity", "shaft_angle", "other_direction")
-INNER = 0.75  # rms of displacement that the straight line of small motion is drawn through
-TURNS = (1.0, 2.0)  # orders that repeat with every turn
-ANGLES = np.arange(0.0, 361.0, 15.0)
+MEAN_SECONDS = 5.0  # of the record that conditional means are taken over
+CURVE_STATES = ("displacement", "velocity", "shaft_angle", "other_direction")
+INNER_RMS = 0.75  # rms of displacement that the straight line of small motion is drawn through
+TURN_ORDERS = (1.0, 2.0)  # orders that repeat with every turn
+ANGLES_DEG = np.arange(0.0, 361.0, 15.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +56,14 @@ def curves(
 
     channel : name by place. orders : of the shaft, as the survey had them.
     """
-    data = leading_blocks(point.data, SECONDS)
+    data = leading_blocks(point.data, MEAN_SECONDS)
     rows = _rows(point, data.start)
 
     def at(residual: PlaceResidual) -> tuple[list[Shape], list[Law]]:
         i, name = residual.place, channel[point.data.places[residual.place]]
         shapes: list[Shape] = []
         laws: list[Law] = []
-        for state in STATES:
+        for state in CURVE_STATES:
             fit, names = _fit(residual, state)
             if not names:
                 continue
@@ -146,7 +146,7 @@ def _of_hats(
     x = knots[inside]
     shape = Shape(channel, state, x, force, force - 1.96 * sd, force + 1.96 * sd)
 
-    near = np.where(np.abs(knots) <= INNER * rms, visits, 0.0) if x_state else visits
+    near = np.where(np.abs(knots) <= INNER_RMS * rms, visits, 0.0) if x_state else visits
     line = _without(np.column_stack([np.ones_like(knots), knots]), near)
     total = line @ to_total
     whole, sd = (line @ model + total @ values)[inside], _sd(total, cov)[inside]
@@ -174,11 +174,11 @@ def _linear(fit: PathFit, names: list[str], A: Array, at: Array, channel: str, a
 
 def _against_angle(fit: PathFit, names: list[str], orders: tuple[float, ...], channel: str) -> Shape:
     """Force at one rms of displacement, over a turn: a stiffness that turns with the shaft."""
-    angle = np.radians(ANGLES)
-    kept = [k for k, order in enumerate(orders) if order in TURNS]
+    angle = np.radians(ANGLES_DEG)
+    kept = [k for k, order in enumerate(orders) if order in TURN_ORDERS]
     A = np.column_stack([w(orders[k] * angle) for k in kept for w in (np.cos, np.sin)])
     own = [names[2 * k + j] for k in kept for j in (0, 1)]
-    return _linear(fit, own, A, ANGLES, channel, "shaft_angle")
+    return _linear(fit, own, A, ANGLES_DEG, channel, "shaft_angle")
 
 
 def _against_other(fit: PathFit, names: list[str], group: black_box.RegressorGroup, z: Array, channel: str) -> Shape:

@@ -10,13 +10,19 @@ import numpy as np
 from estimator.identification.residual.missing_force import MissingForce, PlaceResidual
 from estimator.likelihood.path.working_point import WorkingPoint
 
-from .shape import curve
+from .shape import state_curve
 
-PREFIX = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"))
+SI_PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"))
 
 
 @dataclass(frozen=True, slots=True)
-class Where:
+class FailureRegion:
+    """Where a model fails.
+
+    channel : name. against : state or "frequency", "time", ... that the missing force depends on. region : in words and
+    units. share_percent : of the power of the missing force.
+    """
+
     channel: str
     against: str
     region: str
@@ -31,29 +37,31 @@ class Where:
         }
 
 
-def where_of(point: WorkingPoint, found: MissingForce, channel: dict[str, str]) -> tuple[Where, ...]:
+def failure_regions(point: WorkingPoint, found: MissingForce, channel: dict[str, str]) -> tuple[FailureRegion, ...]:
     """Every state found, largest share first."""
     total = sum(f.power_N2 for r in found.residuals for f in r.found) + sum(s.power_N2 for s in found.disturbances)
     out = [
-        Where(channel[point.data.places[r.place]], f.group, region(point, r, f.group), 100 * f.power_N2 / total)
+        FailureRegion(
+            channel[point.data.places[r.place]], f.group, region_text(point, r, f.group), 100 * f.power_N2 / total
+        )
         for r in found.residuals
         for f in r.found
         if total > 0
     ]
     out += [
-        Where(channel[point.data.places[s.place]], s.against, s.region, 100 * s.power_N2 / total)
+        FailureRegion(channel[point.data.places[s.place]], s.against, s.region, 100 * s.power_N2 / total)
         for s in found.disturbances
     ]
     return tuple(sorted(out, key=lambda w: -w.share_percent))
 
 
-def region(point: WorkingPoint, residual: PlaceResidual, group: str) -> str:
+def region_text(point: WorkingPoint, residual: PlaceResidual, group: str) -> str:
     """Where in the state the missing force sits, in words and units."""
     data, i = point.data, residual.place
     if group in ("displacement", "velocity"):
         unit = "m" if group == "displacement" else "m/s"
         state = data.x[i] if group == "displacement" else data.v[i]
-        c = curve(point, residual, group, "")
+        c = state_curve(point, residual, group, "")
         density = np.histogram(state, np.append(c.at, 2 * c.at[-1] - c.at[-2]) - 0.5 * (c.at[1] - c.at[0]))[0]
         weight = c.force**2 * density
         return _stretches(c.at, weight, unit)
@@ -81,7 +89,7 @@ def _stretches(at: np.ndarray, weight: np.ndarray, unit: str) -> str:
     inside[order[:enough]] = True
     step = 0.5 * (at[1] - at[0])
     edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
-    factor, prefix = next((f, p) for f, p in PREFIX if np.abs(at).max() >= f or f == PREFIX[-1][0])
+    factor, prefix = next((f, p) for f, p in SI_PREFIXES if np.abs(at).max() >= f or f == SI_PREFIXES[-1][0])
     parts = [
         f"{_round((at[a] - step) / factor)} to {_round((at[b - 1] + step) / factor)}"
         for a, b in zip(edges[::2], edges[1::2], strict=True)

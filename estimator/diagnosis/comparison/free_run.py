@@ -18,8 +18,8 @@ from estimator.model.rig import Model
 from estimator.signals.band_limit import band_limit
 from estimator.signals.blocks import block_layout, block_spectra, valid_blocks
 
-OVERSAMPLE = 8
-SETTLE = 12.0  # decay times until the start from rest is forgotten
+OVERSAMPLE_FACTOR = 8
+SETTLE_DECAY_TIMES = 12.0  # decay times until the start from rest is forgotten
 CHUNK_S = 4.0
 
 
@@ -45,25 +45,25 @@ def free_run(model: Model, force: Array, rate_hz: float, first: int = 0) -> Arra
     channels = tuple(model.channels[c] for c in motion_channels(model))
     plan = simulation_plan(replace(model, channels=channels))
     speed = ShaftSpeed(model.speed_rpm) if model.speed_rpm is not None else None
-    stepper = Stepper(plan, 1.0 / (rate_hz * OVERSAMPLE), "exponential", speed)
-    stepper.count = first * OVERSAMPLE
+    stepper = Stepper(plan, 1.0 / (rate_hz * OVERSAMPLE_FACTOR), "exponential", speed)
+    stepper.count = first * OVERSAMPLE_FACTOR
     slots = stepper.slots.of_dof[[plan.rig.index(p) for p in model.places]]
     out = np.empty_like(force)
     pad, chunk = int(0.25 * rate_hz), int(CHUNK_S * rate_hz)
     n = force.shape[1]
-    whole = np.empty((len(channels), n * OVERSAMPLE))
+    whole = np.empty((len(channels), n * OVERSAMPLE_FACTOR))
     for a in range(0, n, chunk):
         lo, hi, end = max(a - pad, 0), min(a + chunk + pad, n), min(a + chunk, n)
-        fine = resampled(force[:, lo:hi], (hi - lo) * OVERSAMPLE, 0.5)
-        part = fine[:, (a - lo) * OVERSAMPLE : (end - lo) * OVERSAMPLE]
+        fine = resampled(force[:, lo:hi], (hi - lo) * OVERSAMPLE_FACTOR, 0.5)
+        part = fine[:, (a - lo) * OVERSAMPLE_FACTOR : (end - lo) * OVERSAMPLE_FACTOR]
         F = np.zeros((part.shape[1], stepper.slots.count))
         F[:, slots] = part.T
         steps = np.empty((len(channels), part.shape[1]))
         stepper.step(F, steps)
-        whole[:, a * OVERSAMPLE : end * OVERSAMPLE] = steps
+        whole[:, a * OVERSAMPLE_FACTOR : end * OVERSAMPLE_FACTOR] = steps
     for a in range(0, n, chunk):
         lo, hi, end = max(a - pad, 0), min(a + chunk + pad, n), min(a + chunk, n)
-        part = resampled(whole[:, lo * OVERSAMPLE : hi * OVERSAMPLE], hi - lo, -0.5 / OVERSAMPLE)
+        part = resampled(whole[:, lo * OVERSAMPLE_FACTOR : hi * OVERSAMPLE_FACTOR], hi - lo, -0.5 / OVERSAMPLE_FACTOR)
         out[:, a:end] = part[:, a - lo : end - lo]
     return out
 
@@ -80,7 +80,7 @@ def simulation_rmse(model: Model, y: Array, rate_hz: float, decay_s: float, firs
     P = len(motions)
     if len(forces) < P:
         raise DataError("a free run needs a measured force at every place: add channels of kind force")
-    lead = int(SETTLE * decay_s * rate_hz)
+    lead = int(SETTLE_DECAY_TIMES * decay_s * rate_hz)
     start = max(int(first * len(y)) - lead, 0)
     used = [*motions, *(forces[i] for i in range(P))]
     kinds = [model.channels[c].kind for c in used]

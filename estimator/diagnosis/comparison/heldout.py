@@ -18,8 +18,8 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
 from estimator.signals.channel_response import corrected_record
 
-CELLS = 40
-FITTED = 0.7  # of a record with a measured force; the rest is simulated
+SPECTRUM_CELLS = 40
+FITTED_SHARE = 0.7  # of a record with a measured force; the rest is simulated
 
 
 def heldout_rmse(model: Model, y: Array, rate_hz: float) -> dict[str, float]:
@@ -35,12 +35,12 @@ def heldout_rmse(model: Model, y: Array, rate_hz: float) -> dict[str, float]:
     from .free_run import simulation_rmse
 
     try:
-        found = fit_all_effects(model, y[: int(FITTED * len(y))], rate_hz)
+        found = fit_all_effects(model, y[: int(FITTED_SHARE * len(y))], rate_hz)
         filled = _known(fitted_model(found.model, found.point))
         damping = np.einsum("iik->ik", found.point.mean_tangent)[:, 1]
         decay_s = float(np.max(2 * found.point.data.mass / damping))
         del found, damping  # the record cut into blocks is large
-        return simulation_rmse(filled, corrected_record(filled, y, rate_hz), rate_hz, decay_s, FITTED)
+        return simulation_rmse(filled, corrected_record(filled, y, rate_hz), rate_hz, decay_s, FITTED_SHARE)
     except (ModelError, DataError):
         return {}
 
@@ -91,7 +91,7 @@ def reference_nll(point: WorkingPoint, found: MissingForce, nll: float) -> float
     return nll - gained / samples
 
 
-def cells(bins: int, count: int = CELLS) -> NDArray[np.int64]:
+def cells(bins: int, count: int = SPECTRUM_CELLS) -> NDArray[np.int64]:
     """First bins of cells of about equal width in log frequency, at least 4 bins each."""
     edges = np.unique(np.round(np.geomspace(8, bins, count + 1)).astype(np.int64))
     return np.concatenate([[0], edges[:-1]])

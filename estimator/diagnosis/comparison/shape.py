@@ -15,7 +15,11 @@ from estimator.likelihood.path.working_point import WorkingPoint
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Restoring force in N against a state, freed from kL and c; band : 95 %."""
+    """Residual restoring force against a state, without the part that kL and c can take over.
+
+    channel : name or place. against : the state. at : (n,) values of the state, SI. force : (n,) N. band_low,
+    band_high : (n,) N, 95 % limits.
+    """
 
     channel: str
     against: str
@@ -32,7 +36,7 @@ class Shape:
         }
 
 
-def curve(point: WorkingPoint, residual: PlaceResidual, group: str, channel: str) -> Shape:
+def state_curve(point: WorkingPoint, residual: PlaceResidual, group: str, channel: str) -> Shape:
     """The fitted hat functions of one state ("displacement" or "velocity") as a curve, without its straight line."""
     knots = residual.knots[group]
     i = residual.place
@@ -54,7 +58,9 @@ def curve(point: WorkingPoint, residual: PlaceResidual, group: str, channel: str
     return Shape(channel, group, at_knots, force, force - 1.96 * sd, force + 1.96 * sd)
 
 
-def shape_of(point: WorkingPoint, found: MissingForce, otherwise: tuple[int, str] | None = None) -> Shape | None:
+def missing_force_curve(
+    point: WorkingPoint, found: MissingForce, otherwise: tuple[int, str] | None = None
+) -> Shape | None:
     """The curve against the state that explains most, where it is one of displacement or velocity.
 
     otherwise : place and state to draw if the survey alone finds neither.
@@ -67,4 +73,4 @@ def shape_of(point: WorkingPoint, found: MissingForce, otherwise: tuple[int, str
     if not best:
         return None
     _, residual, group = max(best, key=lambda z: z[0])
-    return curve(point, residual, group, point.data.places[residual.place])
+    return state_curve(point, residual, group, point.data.places[residual.place])

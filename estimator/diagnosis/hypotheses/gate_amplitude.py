@@ -1,13 +1,12 @@
-"""Held-out amplitudes: a law of displacement fitted to the smaller motion, judged on the largest.
+"""Gate of the largest amplitudes: a law of displacement fitted to the smaller motion has to predict the largest.
 
-Windows of WINDOW samples are ranked by their rms displacement; parameters fitted to the lower ones predict the upper.
-Choosing windows by their amplitude is not innocent: where motion is large the force has put energy in, so F v is above
-its mean there and every damping law would be judged wrongly (measured on complete models: -8 to -120 nats). F g(x) is
-untouched: the choice is symmetric in time, x is even and v odd under reversal, and the reversed path of a linear rotor
-is driven by F - 2 c v. So only laws of displacement are judged here; damping laws keep the time folds.
+Windows of the record are ranked by their rms displacement. Parameters fitted to the lower windows predict the upper
+ones. Only laws of displacement are judged. Where the motion is large the force has put energy in, so the mean of F v is
+above its average there, and every damping law would be judged wrongly. The mean of F g(x) is not touched by the choice
+of windows: x is even and v odd under time reversal, and the reversed path of a linear rotor is driven by F - 2 c v.
 
-A law fitted to the lower part has an uncertainty there, and loses by it in the upper part even if it is right: about
-tr(I_up I_low^-1) / 2 nats. It is refused only if it makes the upper part worse by more than that uncertainty permits.
+A law fitted to the lower windows has an uncertainty. It loses by it in the upper windows even if the law is right:
+about tr(I_up I_low^-1) / 2 nats. The law is refused only if it makes the upper windows worse by more than that permits.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from estimator.arrays import Array
+from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.path.determinant import Jacobian
 from estimator.likelihood.path.path_fit import Gram, PathFit, fit_increments, log_likelihood
@@ -34,43 +34,45 @@ from estimator.likelihood.response.regressor_set import (
 )
 from estimator.parallel import map_processes
 
-from .gate_shape import STATES
+from .gate_shape import STATE_TERMS
 
-UPPER = 0.2  # of the samples
-WINDOW = 1024  # samples; blocks are a multiple of it
-SECONDS = 24.0
-LEVEL = 1e-3
-MARGIN = 3.0  # nats
+UPPER_SHARE = 0.2  # of the samples: the upper windows
+WINDOW_SAMPLES = 1024  # blocks are a multiple of it
+JUDGED_SECONDS = 24.0  # of the record
 
 
 @dataclass(frozen=True, slots=True)
 class Extrapolation:
-    """gain : nats on the upper part, by parameters of the lower. allowed : the loss, in nats, that chance explains."""
+    """How a law predicts the upper windows.
+
+    gain : nats on the upper windows by parameters fitted to the lower ones. allowed : loss that chance explains, nats.
+    """
 
     gain: float
     allowed: float
 
     @property
     def refused(self) -> bool:
+        """Whether the law makes the upper windows worse by more than chance."""
         return self.gain < -self.allowed
 
 
 def upper_part(point: WorkingPoint, i: int) -> NDArray[np.bool_]:
     """(n,) samples of place i in the windows of largest rms displacement."""
     data = point.data
-    level = np.mean(data.x[i].reshape(-1, WINDOW) ** 2, axis=1)
-    return np.asarray(np.repeat(level > np.quantile(level, 1.0 - UPPER), WINDOW), dtype=np.bool_)
+    level = np.mean(data.x[i].reshape(-1, WINDOW_SAMPLES) ** 2, axis=1)
+    return np.asarray(np.repeat(level > np.quantile(level, 1.0 - UPPER_SHARE), WINDOW_SAMPLES), dtype=np.bool_)
 
 
-def judged(effect: str) -> bool:
+def is_displacement_law(effect: str) -> bool:
     """Whether an effect is a law of displacement, which alone can be judged so."""
-    return effect in STATES and STATES[effect][0][0] == "x"
+    return effect in STATE_TERMS and STATE_TERMS[effect][0][0] == "x"
 
 
 def extrapolated(point: WorkingPoint, placed: tuple[LocatedLaw, ...]) -> Extrapolation | None:
     """How laws with given searched parameters do on the largest amplitudes. None if the lower part says nothing."""
-    point = point_on_part(point, SECONDS)
-    total, allowed = 0.0, MARGIN
+    point = point_on_part(point, JUDGED_SECONDS)
+    total, allowed = 0.0, THRESHOLDS.amplitude_margin_nats
     for found in map_processes([partial(_one, point, one) for one in placed]):
         if found is None:
             return None
@@ -103,7 +105,7 @@ def _one(point: WorkingPoint, placed: LocatedLaw) -> tuple[float, float] | None:
         loss = float(np.trace(np.linalg.solve(cov_high, cov_low)))
     except np.linalg.LinAlgError:
         return None
-    return gain, 0.5 * loss * float(chdtri(q, LEVEL)) / q
+    return gain, 0.5 * loss * float(chdtri(q, THRESHOLDS.amplitude_max_p_value)) / q
 
 
 def _gram(
@@ -138,9 +140,8 @@ def _gram(
     units = tuple(t.unit for t in all_terms)
     blocks = float(np.mean([m.mean() for m in masks])) * data.blocks
     stacked = point.jacobian.tangents(point.whitening.tangents_to_measured(np.stack(responses)), index)
-    return Gram(
-        G=G, n=n, log_weight=np.zeros_like(n), tangents=stacked, scales=scales, names=names, units=units
-    ), blocks
+    gram = Gram(G=G, n=n, log_weight=np.zeros_like(n), tangents=stacked, scales=scales, names=names, units=units)
+    return gram, blocks
 
 
 def _in_band(point: WorkingPoint, spectrum: NDArray[np.float32]) -> Array:

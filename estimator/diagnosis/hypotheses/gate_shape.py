@@ -1,7 +1,7 @@
-"""Whether a named law has the right shape: smooth terms of its own state, of rising order, beside it.
+"""Gate of shape: what smooth terms of a law's own state still explain together with the law.
 
-Hat functions see any curve but pay for twenty parameters, and narrow ones of the velocity turn faster than the band can
-follow. A law that is nearly right leaves a smooth rest that a few Hermite polynomials of its state catch.
+Hat functions catch any curve, but cost twenty parameters, and narrow hats of the velocity vary faster than the band can
+follow. A law that is nearly right leaves a smooth misfit, which a few Hermite polynomials of its state catch.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.arrays import Complexes, Series
+from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.identification.residual.group_fit import extra_power
 from estimator.likelihood.motion.located_law import LocatedLaw, law_along_record, own_response
 from estimator.likelihood.path.subproblem import likelihood_gain, subproblem
@@ -19,52 +20,50 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.likelihood.response.regressor_set import Regressor, in_single_precision, orthogonalised
 from estimator.parallel import map_threads
 
-ODD = (3, 5, 7, 9)
-EVEN = ("v", (2, 4, 6))  # no law is: what is passes for a drag, or for a law of x that is not odd either
-X, V, ONE_SIDED = (("x", ODD),), (("v", ODD[:3]), EVEN), (("x", tuple(range(2, 10))), EVEN)
-STATES = {  # the law's own first; terms even in x beside an odd law of x belong to another one
-    "cubic": X, "quintic": X, "clearance": X, "hertz": X, "quadratic": ONE_SIDED, "stop": ONE_SIDED,
-    "coulomb": V, "quadratic_damping": V,
-}  # fmt: skip
-LEVEL = 1e-3
-MOST = 0.1  # rms left beside the right law
-# the same of friction: a film, micro-slip or a simulation makes its step within some velocity, of which 0.1 to 0.2 rms
-# leave as much
-ROUNDED = 0.35
-OTHER = 0.5  # the same of terms not its own: less may be another law's, still to be found or not yet settled
+StateTerms = tuple[tuple[str, tuple[int, ...]], ...]  # states, and the orders of their Hermite polynomials
+ODD_ORDERS = (3, 5, 7, 9)
+EVEN_VELOCITY_TERMS = ("v", (2, 4, 6))  # of no law: what they explain passes for a drag or for a law not odd in x
+ODD_X_TERMS: StateTerms = (("x", ODD_ORDERS),)
+ONE_SIDED_TERMS: StateTerms = (("x", tuple(range(2, 10))), EVEN_VELOCITY_TERMS)
+VELOCITY_TERMS: StateTerms = (("v", ODD_ORDERS[:3]), EVEN_VELOCITY_TERMS)
+# by law, the terms of its own state first; terms even in x beside a law odd in x belong to another law
+STATE_TERMS = dict.fromkeys(("cubic", "quintic", "clearance", "hertz"), ODD_X_TERMS)
+STATE_TERMS |= dict.fromkeys(("quadratic", "stop"), ONE_SIDED_TERMS)
+STATE_TERMS |= dict.fromkeys(("coulomb", "quadratic_damping"), VELOCITY_TERMS)
 
 
-def state_of(effect: str) -> str:
-    """The state that the law's own misfit is drawn against."""
-    return {"x": "displacement", "v": "velocity"}[STATES[effect][0][0] if effect in STATES else "x"]
+def own_state(effect: str) -> str:
+    """ "displacement" or "velocity": the state that the misfit of a law is drawn against."""
+    return {"x": "displacement", "v": "velocity"}[STATE_TERMS[effect][0][0] if effect in STATE_TERMS else "x"]
 
 
-def most_left(effect: str, otherwise: float) -> float:
-    """What `left` may be beside the right law."""
+def max_misfit_rel(effect: str, otherwise: float) -> float:
+    """Largest misfit of the right law. otherwise : of a law of no single state."""
     if effect == "coulomb":
-        return ROUNDED
-    return MOST if effect in STATES else otherwise
+        return THRESHOLDS.friction_misfit_max_rel
+    return THRESHOLDS.misfit_max_rel if effect in STATE_TERMS else otherwise
 
 
-def left(
-    before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int], level: float = LEVEL, least: float = 0.0
+def misfit_rel(
+    before: WorkingPoint, after: WorkingPoint, effect: str, places: set[int],
+    level: float = THRESHOLDS.misfit_max_p_value, least: float = 0.0,
 ) -> float | None:  # fmt: skip
-    """rms of the force that smooth terms still explain beside the law, over what they explained without it.
+    """rms force that smooth terms explain together with the law, over that without the law.
 
-    0 if it is not significant, by level (p-value). None for effects of no single state. least : N^2 of what the law
-    explains, where that is more: one that joins two directions does what no terms of one of them do.
+    0 if it is not significant, by level (p-value). None for effects of no single state. least : N^2 that the law
+    explains, used where it is more: terms of one direction cannot do what a law of two directions does.
     """
-    if effect not in STATES:
+    if effect not in STATE_TERMS:
         return None
-    own, *others = (_left(before, after, places, *terms, level, least) for terms in STATES[effect])
-    return max([own, *(rest for rest in others if rest > OTHER)])
+    own, *others = (_misfit_of_terms(before, after, places, *terms, level, least) for terms in STATE_TERMS[effect])
+    return max([own, *(rest for rest in others if rest > THRESHOLDS.other_terms_misfit_min_rel)])
 
 
-def _left(
+def _misfit_of_terms(
     before: WorkingPoint, after: WorkingPoint, places: set[int], state: str, orders: tuple[int, ...], level: float,
     least: float,
 ) -> float:  # fmt: skip
-    """The same of the terms of one state."""
+    """Misfit by the terms of one state."""
     powers, nats, counts = zip(*(polynomial_power(after, i, state, orders) for i in sorted(places)), strict=True)
     if sum(counts) == 0 or chdtrc(sum(counts), 2 * max(sum(nats), 0.0)) > level:
         return 0.0
@@ -77,24 +76,28 @@ def _damped(point: WorkingPoint, i: int, state: str) -> float:
     """N^2 of the laws of velocity that the model has at a place, less what is linear in it: where two of them make much
     of the damping, the second order of what they do together (self_energy.py) leaves a part of both, 0.5 % of the
     bearing force beside friction and a drag of 6 % each."""
-    laws = damping(point, {i}) if state == "v" else []
+    laws = damping_laws(point, {i}) if state == "v" else []
     if not laws:
         return 0.0
     force, v = np.sum([law_along_record(u, point.data, i, point.lin)[0] for u in laws], axis=0), point.data.v[i]
     return float(np.mean((force - (np.dot(force, v) / np.dot(v, v)) * v) ** 2))
 
 
-def damping(point: WorkingPoint, places: set[int]) -> list[LocatedLaw]:
+def damping_laws(point: WorkingPoint, places: set[int]) -> list[LocatedLaw]:
     """The laws of velocity that a model has at places."""
-    return [u for u in point.placed if places.intersection(u.at) and STATES.get(u.effect.name, X) is V]
+    return [
+        u
+        for u in point.placed
+        if places.intersection(u.at) and STATE_TERMS.get(u.effect.name, ODD_X_TERMS) is VELOCITY_TERMS
+    ]
 
 
-def worth(point: WorkingPoint, effect: str, places: set[int]) -> dict[int, float]:
+def smooth_gains_nats(point: WorkingPoint, effect: str, places: set[int]) -> dict[int, float]:
     """Nats, less one for each term, that the smooth terms of a state earn beside an effect at each place where they
     do."""
     earned: dict[int, float] = {}
     for i in places:
-        for state, orders in STATES.get(effect, ()):
+        for state, orders in STATE_TERMS.get(effect, ()):
             _, nats, count = polynomial_power(point, i, state, orders)
             if nats > count:
                 earned[i] = max(earned.get(i, 0.0), nats - count)

@@ -1,4 +1,4 @@
-"""From trials at single spots to a ranking of effects: bearings, odds, what separates the first from the second."""
+"""Ranking of candidate effects from trials at single locations and from findings that are no law."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
+from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import CATALOGUE, NAMED
 from estimator.effects.places import at
 from estimator.effects.rotating.ball_pass import BALL_PASS
@@ -24,17 +25,21 @@ from estimator.results import Message, Parameter
 from .trial import Trial
 
 Settings = dict[str, dict[str, Parameter]]  # by canonical place, by name
-JOINT = 1e-2  # p-value, after counting, for a further bearing to be named beside the best one
 FEW_CLIPPED = Message("clipped_too_few", "too few clipped samples to explain the effect ranked first")
-PER_CLIPPED = 10.0  # nats: a clipped sample of a vibration makes 0.03 to 0.3 for the law that gains most by it
-COST = 1.5  # nats per parameter in the order of the ranking: what an idle one gains held in, and loses held out
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One effect with its evidence. at : nodes. gain, heldout_gain : nats. p_value : catalogue and places counted.
+    """A candidate effect with its evidence.
 
-    before_percent, after_percent : missing force at the places of the effect. detectable : (value, unit) or None.
+    effect : name. at : nodes, such as "bearing1". gain : nats on the record. heldout_gain : nats on held-out folds.
+    p_value : after counting all effects and places. before_percent, after_percent : missing force at the places of the
+    effect without and with it, per cent of the rms bearing force. parameters : by full name, SI. score : nats, by which
+    the ranking is sorted. explained_percent : rms of the effect's own force over the bearing force. placed : laws of a
+    force effect. detectable : smallest amplitude that would be claimed in this record, and its unit; None if unknown.
+    settings : parameters of an effect that is no force law, by its name in a model. notes : for the user.
+    amplitude_gain : nats on the largest amplitudes by parameters fitted to the smaller ones; None if not judged.
+    by_node : gain and heldout_gain of a law at each node, nats.
     """
 
     effect: str
@@ -46,13 +51,13 @@ class Entry:
     after_percent: float
     parameters: dict[str, Parameter]
     score: float
-    explained_percent: float = 100.0  # rms of the effect's own part of the force over the bearing force
+    explained_percent: float = 100.0
     placed: tuple[LocatedLaw, ...] = ()
     detectable: tuple[float, str] | None = None
-    settings: dict[str, Settings] = field(default_factory=dict)  # of an effect that is no force law, by name in a model
+    settings: dict[str, Settings] = field(default_factory=dict)
     notes: tuple[Message, ...] = ()
-    amplitude_gain: float | None = None  # nats on the largest amplitudes by parameters fitted to the smaller
-    by_node: dict[str, tuple[float, float]] = field(default_factory=dict)  # gain and heldout_gain of a law's nodes
+    amplitude_gain: float | None = None
+    by_node: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def places(self) -> set[int]:
@@ -76,7 +81,7 @@ class Entry:
         return out | ({"notes": [note.text for note in self.notes]} if self.notes else {})
 
 
-def entries(
+def ranked_entries(
     model: Model, point: WorkingPoint, trials: Sequence[Trial], before: MissingForce, others: Sequence[Finding] = ()
 ) -> list[Entry]:
     """The ranking: one entry per effect, best first; a clipped channel before everything it may have caused."""
@@ -89,22 +94,22 @@ def entries(
         more = stiffness_order.order_trials(point)
         out = [replace(e, p_value=min(1.0, e.p_value * more)) if e.effect == BALL_PASS.name else e for e in out]
     for name in dict.fromkeys(s.effect for s in others if s.effect != UNKNOWN_EFFECT):
-        out.append(_suspected(model, point, [s for s in others if s.effect == name], before))
-    return sorted(after_strikes(after_what_clipping_cannot_make(out), model.band[0]), key=lambda e: -e.score)
+        out.append(_finding_entry(model, point, [s for s in others if s.effect == name], before))
+    return sorted(behind_impact_train(clipping_behind_laws(out), model.band[0]), key=lambda e: -e.score)
 
 
-def after_what_clipping_cannot_make(found: list[Entry]) -> list[Entry]:
+def clipping_behind_laws(found: list[Entry]) -> list[Entry]:
     """A few clipped samples stand behind a law with far more evidence than they could make."""
     laws = max((e.gain for e in found if e.placed), default=0.0)
     return [
         replace(e, score=e.gain, notes=(*e.notes[:1], FEW_CLIPPED))
-        if e.effect == "sensor_clipping" and laws > PER_CLIPPED * e.gain
+        if e.effect == "sensor_clipping" and laws > THRESHOLDS.nats_per_clipped_sample * e.gain
         else e
         for e in found
     ]
 
 
-def after_strikes(found: list[Entry], low_hz: float) -> list[Entry]:
+def behind_impact_train(found: list[Entry], low_hz: float) -> list[Entry]:
     """Lines that are all below the band stand behind strikes in it: of these sampling folds harmonics to anywhere, and
     what is at a few Hz is many times as much in newtons as in the motion that shows it."""
     strikes = max((e.score for e in found if e.effect == "local_defect" and e.p_value < MAX_P_VALUE), default=np.inf)
@@ -120,10 +125,10 @@ def after_strikes(found: list[Entry], low_hz: float) -> list[Entry]:
 def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: MissingForce) -> Entry:
     nodes: dict[str, list[Trial]] = {}
     for t in own:
-        nodes.setdefault(t.spot.split(".")[0], []).append(t)
-    odds = {n: _odds(ts) for n, ts in nodes.items()}
+        nodes.setdefault(t.location.split(".")[0], []).append(t)
+    odds = {n: _node_p_value(ts) for n, ts in nodes.items()}
     best = min(odds, key=lambda n: (odds[n], -sum(t.gain for t in nodes[n])))
-    at = tuple(n for n in nodes if n == best or odds[n] * tried < JOINT)
+    at = tuple(n for n in nodes if n == best or odds[n] * tried < THRESHOLDS.further_bearing_max_p_value)
     used = [t for n in at for t in nodes[n]]
     gain = _gain(used)
     df = sum(t.df for t in used)
@@ -143,16 +148,16 @@ def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: MissingFor
         before_percent=was,
         after_percent=left,
         parameters={k: v for t in used for k, v in _parameters(point, t).items()},
-        score=gain - COST * df if heldout > -3.0 else -np.inf,
+        score=gain - THRESHOLDS.parameter_cost_nats * df if heldout > -3.0 else -np.inf,
         explained_percent=100 * float(np.sqrt(power / scale)),
         placed=tuple(t.placed for t in used),
         detectable=_detectable(used),
-        notes=_shorter(point, used),
+        notes=_part_note(point, used),
         by_node={n: (_gain(nodes[n]), float(sum(t.heldout.sum() for t in nodes[n]))) for n in at},
     )
 
 
-def without(entry: Entry, nodes: Sequence[str]) -> Entry:
+def without_nodes(entry: Entry, nodes: Sequence[str]) -> Entry:
     """The entry of a law at its other nodes."""
     by_node = {n: nats for n, nats in entry.by_node.items() if n not in nodes}
     placed = tuple(p for p in entry.placed if p.key.split(".")[0] not in nodes)
@@ -171,7 +176,7 @@ def _gain(trials: Sequence[Trial]) -> float:
     return sum(max(t.gain, 0.0) for t in trials)
 
 
-def _shorter(point: WorkingPoint, used: Sequence[Trial]) -> tuple[Message, ...]:
+def _part_note(point: WorkingPoint, used: Sequence[Trial]) -> tuple[Message, ...]:
     """On how much of the record an effect was judged, if not on all of it."""
     seconds = max(t.problem.blocks.sum() for t in used) * point.data.block / point.data.rate_hz
     if seconds > 0.99 * point.data.seconds:
@@ -180,7 +185,7 @@ def _shorter(point: WorkingPoint, used: Sequence[Trial]) -> tuple[Message, ...]:
     return (Message("judged_on_part", text),)
 
 
-def _suspected(model: Model, point: WorkingPoint, own: list[Finding], before: MissingForce) -> Entry:
+def _finding_entry(model: Model, point: WorkingPoint, own: list[Finding], before: MissingForce) -> Entry:
     """Entry of an effect that is not a force law."""
     gain, df = sum(s.gain_nats for s in own), sum(s.dof for s in own)
     regions = dict.fromkeys(s.region for s in own)
@@ -189,7 +194,7 @@ def _suspected(model: Model, point: WorkingPoint, own: list[Finding], before: Mi
     scale = float(np.sum(before.bearing_force_N[list(places)] ** 2))
     part = sum(p for s in own for p in s.power_N2.values())
     settings = _layers(model, own)
-    first = float("inf") if own[0].effect == "sensor_clipping" else gain - COST * df
+    first = float("inf") if own[0].effect == "sensor_clipping" else gain - THRESHOLDS.parameter_cost_nats * df
     return Entry(
         effect=own[0].effect,
         at=tuple(dict.fromkeys(p.split(".")[0] for s in own for p in s.at)),
@@ -198,7 +203,7 @@ def _suspected(model: Model, point: WorkingPoint, own: list[Finding], before: Mi
         p_value=min(s.p_value for s in own),
         before_percent=was,
         after_percent=max(was**2 - 1e4 * part / scale, 0.0) ** 0.5,
-        parameters=_named(settings),
+        parameters=_named_parameters(settings),
         score=first,
         detectable=own[0].detectable,
         settings=settings,
@@ -229,7 +234,7 @@ def _layers(model: Model, own: list[Finding]) -> dict[str, Settings]:
     return out
 
 
-def _named(settings: dict[str, Settings]) -> dict[str, Parameter]:
+def _named_parameters(settings: dict[str, Settings]) -> dict[str, Parameter]:
     return {
         f"{place}.{effect}.{name}": p
         for effect, own in settings.items()
@@ -240,10 +245,10 @@ def _named(settings: dict[str, Settings]) -> dict[str, Parameter]:
 
 def with_settings(entry: Entry, settings: dict[str, Settings]) -> Entry:
     """The entry of an effect that is no force law with other numbers."""
-    return replace(entry, settings=settings, parameters=_named(settings))
+    return replace(entry, settings=settings, parameters=_named_parameters(settings))
 
 
-def _odds(trials: list[Trial]) -> float:
+def _node_p_value(trials: list[Trial]) -> float:
     """p-value of the gains of one bearing together."""
     gain, df = sum(max(t.gain, 0.0) for t in trials), sum(t.df for t in trials)
     together = float(chdtrc(df, 2 * gain))
@@ -292,7 +297,7 @@ def _detectable(trials: list[Trial]) -> tuple[float, str] | None:
     return float(5.0 * sd), unit
 
 
-def separates(ranking: Sequence[Entry]) -> str:
+def separation_text(ranking: Sequence[Entry]) -> str:
     """What tells the first from the runner-up, for a person."""
     if len(ranking) < 2:
         return ""

@@ -1,4 +1,4 @@
-"""One effect of the catalogue on trial at one spot: its searched parameters, its gain, its cost."""
+"""One effect of the catalogue on trial at one location: its searched parameters, its gain, its cost."""
 
 from __future__ import annotations
 
@@ -35,27 +35,29 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.effect import Effect
 from estimator.model.rig import Model
 
-GRID = {1: 6, 2: 4, 3: 3}  # points per searched parameter, by their number
-STEPS, REACH = 3, 0.4  # of Gauss-Newton in searched parameters; largest, of the value
-LEAST = 0.5  # nats that a step is to bring
-WORTH = 1e-3  # p-value of a trial whose searched parameters are tried at the other spots
-NEAR, BEHIND = 0.5, 25.0  # share of the best effect's gain, nats behind it, under which the whole record is not needed
-TURNING = ("_cos", "_sin")  # how amplitudes of what goes with the shaft angle end
-IDLE = 0.45  # p-value on two fifths of a record from which on the whole of it makes nothing significant (0.6 %)
+GRID_POINTS = {1: 6, 2: 4, 3: 3}  # points per searched parameter, by the number of searched parameters
+MAX_STEPS = 3  # of Gauss-Newton in searched parameters
+MAX_STEP_REL = 0.4  # of the value of a searched parameter
+STEP_MIN_GAIN_NATS = 0.5
+BORROWED_MAX_P_VALUE = 1e-3  # of the trial whose searched parameters are tried at the other locations
+CONTENDER_MIN_GAIN_REL = 0.5  # of the best effect's gain: below it the rest of the record is not used
+CONTENDER_MAX_BEHIND_NATS = 25.0  # behind the best effect: beyond it the rest of the record is not used
+CONTENDER_MAX_P_VALUE = 0.45  # on two fifths of a record; above it the rest makes 0.6 % significant
+SHAFT_ANGLE_SUFFIXES = ("_cos", "_sin")  # of amplitudes that vary with the shaft angle
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """An effect at a spot, fitted. gain : nats on the record, or a part of it; df : parameters paid for.
+    """An effect at a location, fitted to a record or a part of it.
 
-    heldout : (folds,) nats, of a trial that is judged for good.
-
-    values : name -> (value, sd), SI, amplitudes only by their own fit, those at their limits left out. spread : the
-    same sds, of all amplitudes, as far as they are free.
+    effect : of the catalogue or the user. location : canonical place. placed : the law with its values. gain : nats.
+    df : parameters paid for. values : name -> (value, sd), SI, of amplitudes inside their limits. spread : name -> sd
+    of all amplitudes, as far as they are free. problem, fit : the least-squares problem and its solution. heldout :
+    (folds,) nats, of a trial that is judged.
     """
 
     effect: Effect
-    spot: str
+    location: str
     placed: LocatedLaw
     gain: float
     df: int
@@ -71,7 +73,7 @@ class Trial:
         return float(chdtrc(self.df, 2 * max(self.gain, 0.0)))
 
 
-def spots(effect: Effect, model: Model, point: WorkingPoint) -> list[str]:
+def open_locations(effect: Effect, model: Model, point: WorkingPoint) -> list[str]:
     """Canonical places where a force effect could be added: measured, and not in the model there already."""
     if effect.kind not in FORCE_KINDS or effect.name in PERIODIC_EFFECTS or effect.name == "pedestal":
         return []
@@ -85,7 +87,7 @@ def spots(effect: Effect, model: Model, point: WorkingPoint) -> list[str]:
     ]
 
 
-def grid(effect: Effect, model: Model, point: WorkingPoint, i: int, loose: list[int]) -> list[Array]:
+def parameter_grid(effect: Effect, model: Model, point: WorkingPoint, i: int, loose: list[int]) -> list[Array]:
     """Parameter vectors to try, amplitudes 1, the searched ones over their natural range."""
     natural = natural_sizes(point.data, i, point.kL[i])
     p = np.array([1.0 if q.linear else start_value(q, natural, model) for q in effect.parameters])
@@ -94,7 +96,7 @@ def grid(effect: Effect, model: Model, point: WorkingPoint, i: int, loose: list[
     axes = []
     for k in loose:
         low, high = search_range(effect.parameters[k], natural)
-        count = GRID.get(len(loose), 3)
+        count = GRID_POINTS.get(len(loose), 3)
         if low > 0:
             axes.append(np.geomspace(max(low, high / 60), high * 0.8, count))
         elif high > 0:
@@ -110,30 +112,30 @@ def grid(effect: Effect, model: Model, point: WorkingPoint, i: int, loose: list[
     return out
 
 
-def best_at(point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Trial | None:
-    """The best trial of an effect at a spot over the grid of its searched parameters."""
-    where = acted_on(effect, spot, point.data)
+def best_on_grid(point: WorkingPoint, model: Model, effect: Effect, location: str) -> Trial | None:
+    """The best trial of an effect at a location over the grid of its searched parameters."""
+    where = acted_on(effect, location, point.data)
     loose = searched_parameters(effect, model)
     unknown = [k for k in loose if kinematic(effect.parameters[k].scale, model) is None]
     free = _amplitudes(effect, point)
     best: tuple[LawGain, LocatedLaw] | None = None
     base = base_fit(point, where)
-    for p in grid(effect, model, point, where[0], unknown):
-        placed = LocatedLaw(effect, f"{spot}.{effect.name}", where, p, free)
+    for p in parameter_grid(effect, model, point, where[0], unknown):
+        placed = LocatedLaw(effect, f"{location}.{effect.name}", where, p, free)
         got = fitted_gain(point, placed, against=base)
         if got is not None and (best is None or got.gain > best[0].gain):
             best = (got, placed)
-    return None if best is None else _trial(effect, spot, *best, loose)
+    return None if best is None else _trial(effect, location, *best, loose)
 
 
 def _amplitudes(effect: Effect, point: WorkingPoint) -> tuple[bool, ...]:
     """Which parameters a law on trial is proportional to. Of those that go with the shaft angle none where no speed is
     known: at one angle all along, what turns cannot be told from what does not."""
     turns = bool(point.data.phase.any())
-    return tuple(q.linear and (turns or not q.name.endswith(TURNING)) for q in effect.parameters)
+    return tuple(q.linear and (turns or not q.name.endswith(SHAFT_ANGLE_SUFFIXES)) for q in effect.parameters)
 
 
-def _trial(effect: Effect, spot: str, found: LawGain, placed: LocatedLaw, loose: list[int]) -> Trial:
+def _trial(effect: Effect, location: str, found: LawGain, placed: LocatedLaw, loose: list[int]) -> Trial:
     gained, problem, fit, spread = found
     values = {n.rsplit(".", 1)[1]: fit.value(n) for n in problem.extra}
     p = placed.p.copy()
@@ -145,33 +147,33 @@ def _trial(effect: Effect, spot: str, found: LawGain, placed: LocatedLaw, loose:
     )
     df = max(len(problem.extra) + len(loose), 1)
     if effect.kind == "shaft":  # by what turns: a mean loss alone is a shaft that is softer than the rig file says
-        turning = [value / sd for name, (value, sd) in values.items() if name.endswith(TURNING)]
+        turning = [value / sd for name, (value, sd) in values.items() if name.endswith(SHAFT_ANGLE_SUFFIXES)]
         gained, df = min(gained, 0.5 * float(np.sum(np.square(turning)))), max(len(turning), 1)
-    return Trial(effect, spot, placed, gained, df, values, spread, problem, fit)
+    return Trial(effect, location, placed, gained, df, values, spread, problem, fit)
 
 
-def contenders(trials: Sequence[Trial]) -> list[bool]:
+def are_contenders(trials: Sequence[Trial]) -> list[bool]:
     """Which trials on part of a record the whole of it could bring to the front, or to significance; and those of the
     runner-up, to be compared."""
     total: dict[str, float] = {}
     for t in trials:
         total[t.effect.name] = total.get(t.effect.name, 0.0) + max(t.gain, 0.0)
     best, second = sorted([0.0, 0.0, *total.values()])[:-3:-1]
-    least = min(NEAR * best, best - BEHIND, second)
-    return [t.p_value < IDLE and total[t.effect.name] >= least for t in trials]
+    least = min(CONTENDER_MIN_GAIN_REL * best, best - CONTENDER_MAX_BEHIND_NATS, second)
+    return [t.p_value < CONTENDER_MAX_P_VALUE and total[t.effect.name] >= least for t in trials]
 
 
-def refined(point: WorkingPoint, model: Model, trial: Trial) -> Trial:
+def refined_trial(point: WorkingPoint, model: Model, trial: Trial) -> Trial:
     """The trial after Gauss-Newton steps in its searched parameters, as long as they gain."""
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         further = _stepped(point, model, trial)
-        if further is None or further.gain < trial.gain + LEAST:
+        if further is None or further.gain < trial.gain + STEP_MIN_GAIN_NATS:
             break
         trial = further
     return trial
 
 
-def judged(trial: Trial) -> Trial:
+def with_heldout_gain(trial: Trial) -> Trial:
     """The trial with its gain on held-out folds."""
     idle = np.full(6, min(trial.gain, 0.0) / 6)
     return replace(trial, heldout=heldout_gain(trial.problem) if trial.gain > 2.0 else idle)
@@ -186,64 +188,69 @@ def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
     if not loose:
         return None
     fit = subproblem(point, placed.at, point.whitening.whiten(kept)).fit(steps=3)
-    if sum(np.divide(*fit.value(placed.name(k))) ** 2 for k in loose) < 2 * LEAST:
+    if sum(np.divide(*fit.value(placed.name(k))) ** 2 for k in loose) < 2 * STEP_MIN_GAIN_NATS:
         return None  # there already, as far as the nats go
     p = placed.p.copy()
     natural = natural_sizes(point.data, placed.at[0], point.kL[placed.at[0]])
     for k in loose:
-        step = float(np.clip(fit.value(placed.name(k))[0], -REACH * abs(p[k]), REACH * abs(p[k])))
+        step = float(np.clip(fit.value(placed.name(k))[0], -MAX_STEP_REL * abs(p[k]), MAX_STEP_REL * abs(p[k])))
         p[k] = np.clip(p[k] + step, *search_range(trial.effect.parameters[k], natural))
-    return again(point, model, replace(trial, placed=placed.with_values(p)))
+    return repeated_trial(point, model, replace(trial, placed=placed.with_values(p)))
 
 
-def again(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:
+def repeated_trial(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:
     """A trial found on part of the record, at the same searched parameters on the whole."""
     linear = [q.linear for q in found.effect.parameters]
     p = np.where(linear, 1.0, found.placed.p)
     placed = LocatedLaw(found.effect, found.placed.key, found.placed.at, p, _amplitudes(found.effect, point))
     got = fitted_gain(point, placed)
     return (
-        None if got is None else _trial(found.effect, found.spot, got, placed, searched_parameters(found.effect, model))
+        None
+        if got is None
+        else _trial(found.effect, found.location, got, placed, searched_parameters(found.effect, model))
     )
 
 
-def borrowed(point: WorkingPoint, model: Model, trials: Sequence[Trial], spots: Sequence[str]) -> list[Trial]:
-    """Trials of one effect, with the searched parameters of the best at every spot that has no better ones of its own:
-    bearings are alike, and a part of the record may not tell a weak effect's.
+def with_borrowed_parameters(
+    point: WorkingPoint, model: Model, trials: Sequence[Trial], locations: Sequence[str]
+) -> list[Trial]:
+    """Trials of one effect, with the searched parameters of the best trial where a location has no better ones.
+
+    Bearings are alike, and part of the record may not identify the parameters of a weak effect.
 
     The best is tried with those of the others first: a law of much preload and of little are a few nats apart there.
     """
-    out = {t.spot: t for t in trials}
+    out = {t.location: t for t in trials}
     best = max(trials, key=lambda t: t.gain, default=None)
     loose = [] if best is None else searched_parameters(best.effect, model)
-    if best is None or best.p_value > WORTH or not loose:
+    if best is None or best.p_value > BORROWED_MAX_P_VALUE or not loose:
         return list(trials)
 
-    def moved(trial: Trial, spot: str) -> Trial | None:
-        at = acted_on(trial.effect, spot, point.data)
-        placed = replace(trial.placed, key=f"{spot}.{trial.effect.name}", at=at)
-        return again(point, model, replace(trial, spot=spot, placed=placed))
+    def moved(trial: Trial, location: str) -> Trial | None:
+        at = acted_on(trial.effect, location, point.data)
+        placed = replace(trial.placed, key=f"{location}.{trial.effect.name}", at=at)
+        return repeated_trial(point, model, replace(trial, location=location, placed=placed))
 
     def alike(one: Trial, other: Trial) -> bool:
         return bool(np.allclose(one.placed.p[loose], other.placed.p[loose]))
 
-    others = [moved(t, best.spot) for t in trials if not alike(t, best)]
+    others = [moved(t, best.location) for t in trials if not alike(t, best)]
     best = max([best, *(t for t in others if t is not None)], key=lambda t: t.gain)
-    out[best.spot] = best
+    out[best.location] = best
 
-    def lent(spot: str) -> Trial | None:
-        own = out.get(spot)
+    def lent(location: str) -> Trial | None:
+        own = out.get(location)
         if own is not None and alike(own, best):
             return own
-        new = moved(best, spot)
+        new = moved(best, location)
         return own if new is None or (own is not None and new.gain <= own.gain - MIN_OWN_VALUES_GAIN_NATS) else new
 
-    return [t for t in map(lent, spots) if t is not None]
+    return [t for t in map(lent, locations) if t is not None]
 
 
-def tried(small: WorkingPoint, point: WorkingPoint, model: Model, effect: Effect, spot: str) -> Trial | None:
-    """An effect at a spot, its searched parameters found on the part `small` of the record, judged on `point`."""
+def best_trial(small: WorkingPoint, point: WorkingPoint, model: Model, effect: Effect, location: str) -> Trial | None:
+    """An effect at a location, its searched parameters found on the part `small` of the record, judged on `point`."""
     if not searched_parameters(effect, model):
-        return best_at(point, model, effect, spot)
-    found = best_at(small, model, effect, spot)
-    return None if found is None else again(point, model, found)
+        return best_on_grid(point, model, effect, location)
+    found = best_on_grid(small, model, effect, location)
+    return None if found is None else repeated_trial(point, model, found)

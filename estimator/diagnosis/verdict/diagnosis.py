@@ -1,4 +1,4 @@
-"""Which effect is missing: what the ranking of all that could be (screen.py) comes to, with honest odds."""
+"""The verdict: which effect a model lacks, by the ranking of all candidates and the gates that they have to pass."""
 
 from __future__ import annotations
 
@@ -10,19 +10,22 @@ from typing import Any
 import numpy as np
 
 from estimator.arrays import Array
-from estimator.diagnosis.comparison.shape import Shape, shape_of
+from estimator.diagnosis.comparison.shape import Shape, missing_force_curve
 from estimator.diagnosis.hypotheses import gate_shape
-from estimator.diagnosis.hypotheses import ranking as evidence
-from estimator.diagnosis.hypotheses.ranking import Entry
-from estimator.diagnosis.hypotheses.screen import FOREMOST, SIGNIFICANT, Progress, extrapolating, on_whole, ranked
-from estimator.errors import DataError, NotFiniteError
-from estimator.identification.batch.disturbance_numbers import with_found_effects
-from estimator.identification.batch.full_fit import FullFit, fit_all_effects
-from estimator.identification.finding import Finding
+from estimator.diagnosis.hypotheses.ranking import Entry, separation_text, with_settings
+from estimator.diagnosis.hypotheses.screen import (
+    MAX_RANK_JUDGED,
+    Progress,
+    amplitude_checked,
+    rank_on_part,
+    rank_on_record,
+)
+from estimator.diagnosis.thresholds import THRESHOLDS
+from estimator.errors import NotFiniteError
+from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.machine.harmonic_fit import fit_found_harmonics
 from estimator.identification.residual import missing_force
 from estimator.identification.residual.missing_force import MissingForce
-from estimator.identification.search import search
 from estimator.identification.structure import spectral_shape
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.motion.known_spectra import SPECTRAL_SHAPES
@@ -30,29 +33,31 @@ from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.results import Message, messages_json
 
-from . import gate_residual, gate_second_law
+from . import gate_residual, gate_second_law, gate_spectrum
 
-CLOSE = 10.0  # nats behind the first of the ranking, where the shape of what is left decides
-LEAVES = 1 / 3  # of a force in a spectrum (rms): a shape that leaves more is none of the catalogue
-SURE = 30.0  # nats, from which a shaft that is not the rig file's is told
 CAPS_COUPLED = Message(
     "caps_coupled_otherwise",
     "the bearings respond to each other through the shaft differently from what the rig file predicts: correct the "
     "shaft stiffness or the disc mass there, or check the sensors for a wrong gain or a delay",
 )
-SPECTRUM = Message(
+SPECTRUM_UNEXPLAINED = Message(
     "spectrum_unexplained",
     "the missing force depends on no state, and no cause of the catalogue has its spectrum: check what excites the "
     "rotor at these frequencies, and the sensor",
 )
 SHAFT_DIFFERS = "shaft_differs"  # code: softer or stiffer than the rig file says
 # codes of messages that lay what is missing to the rig file's shaft, a sensor or the excitation, and to no bearing
-NO_LAW_CODES = frozenset({CAPS_COUPLED.code, SPECTRUM.code, SHAFT_DIFFERS})
+NO_LAW_CODES = frozenset({CAPS_COUPLED.code, SPECTRUM_UNEXPLAINED.code, SHAFT_DIFFERS})
 
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """verdict : an effect's name, "complete" or "unknown". ranking : best first. shape : where verdict is "unknown"."""
+    """The effect that a model lacks.
+
+    verdict : name of an effect, "complete" or "unknown". ranking : candidates with their evidence, best first. shape :
+    force against the state that it depends on, where the verdict is "unknown"; else None. separates : what tells the
+    first of the ranking from the second, a sentence. messages : for the user.
+    """
 
     verdict: str
     ranking: tuple[Entry, ...]
@@ -61,7 +66,7 @@ class Diagnosis:
     messages: tuple[Message, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """As schemas/diagnose.json, with `separates` and `messages`."""
+        """The result of diagnose, by its schema."""
         out: dict[str, Any] = {
             "schema": 1,
             "verdict": self.verdict,
@@ -75,10 +80,41 @@ def quiet(fraction: float, text: str) -> None:
     """No progress shown."""
 
 
-def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None = None) -> Diagnosis:
-    """Name what the model lacks on a record y (n, channels of the model), SI, NaN where missing.
+def diagnose(model: Model, y: Array, rate_hz: float, *, progress: Progress | None = None) -> Diagnosis:
+    """Name the physical effect that a model lacks.
 
-    Raises DataError if the record cannot answer.
+    Parameters
+    ----------
+    model : Model
+        The rig. Linear values and parameters of effects may be unknown (None); they are fitted.
+    y : (n, channels) float64
+        Samples in SI units, columns in the order of ``model.channels``. NaN where a sample is missing or clipped.
+    rate_hz : float
+        Sampling rate, Hz.
+    progress : callable, optional
+        Called with a fraction from 0 to 1 and a text.
+
+    Returns
+    -------
+    Diagnosis
+        ``verdict`` ("complete", "unknown" or the name of an effect), ``ranking`` and ``messages``.
+
+    Raises
+    ------
+    DataError
+        The record cannot answer: too short, a dead channel, no resonance in the band.
+    ModelError
+        A model that makes no sense.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from estimator import Channel, EffectUse, Model, Setting, diagnose, simulate
+    >>> cap = {"bearing1.x": {"kL": Setting(1.0e7), "c": Setting(60.0), "S": Setting(1.0e-4)}}
+    >>> rig = Model((Channel("b1x", "bearing1", "x"),), band=(150.0, 8000.0), mass={"bearing1": 0.2}, linear=cap)
+    >>> true = replace(rig, effects=(EffectUse("cubic", {"bearing1.x": {"kNL": Setting(3.0e18)}}),))
+    >>> diagnose(rig, simulate(true, rate_hz=25600.0, seconds=4.0, seed=1), 25600.0).verdict
+    'cubic'
     """
     say = progress or quiet
     say(0.0, "fit of the model as it is")
@@ -88,7 +124,7 @@ def diagnose(model: Model, y: Array, rate_hz: float, progress: Progress | None =
 
 
 def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = quiet) -> Diagnosis:
-    """The same from a model already fitted."""
+    """The diagnosis from a fitted model. y : (n, channels), SI."""
     before, entries, known = _ranked(model, point, y, say)
     law = max((entry.gain for entry in entries), default=0.0)
     if before.disturbances and (as_it_is := spectral_shape.refit_with_seen_spectra(model, point, law)) is not None:
@@ -98,108 +134,70 @@ def diagnose_point(model: Model, point: WorkingPoint, y: Array, say: Progress = 
     found = verdict_of_ranking(model, point, before, entries, say, known)
     if found.verdict in SPECTRAL_SHAPES:
         say(0.9, f"does {found.verdict} explain it?")
-        return _coloured(model, point, y, before, found)
-    return _restored(model, point, y, before, found) if found.verdict == "sensor_clipping" else found
+        return _judged_spectrum(model, point, y, before, found)
+    if found.verdict == "sensor_clipping":
+        best, *others = found.ranking
+        best = gate_spectrum.with_restored_samples(model, point, y, before, best)
+        return replace(found, ranking=(best, *others))
+    return found
 
 
 def _ranked(
     model: Model, point: WorkingPoint, y: Array, say: Progress
-) -> tuple[MissingForce, list[Entry], gate_residual.Seen | None]:  # fmt: skip
-    """What is missing, what could be it, and what part of the record shows of the likeliest law. The rest of it is
-    asked where the law may have the shape of what is missing, or a spectrum is to be told from it."""
-    found = ranked(model, point, y, say)
+) -> tuple[MissingForce, list[Entry], gate_residual.PartFit | None]:  # fmt: skip
+    """The missing force, the ranking of its causes, and the fit of the likeliest law to part of the record.
+
+    The rest of the record is used where the law may have the right shape, or where a spectrum competes with it.
+    """
+    found = rank_on_part(model, point, y, say)
     say(0.58, "largest amplitudes")
-    entries, known = extrapolating(found), None
-    if _is_claimed(entries) and entries[0].effect in gate_shape.STATES:
+    entries, known = amplitude_checked(found), None
+    if _is_claimed(entries) and entries[0].effect in gate_shape.STATE_TERMS:
         say(0.6, f"does {entries[0].effect} explain it?")
         with suppress(NotFiniteError):  # where it goes far from the rotor: said once it is asked of the whole
-            known = gate_residual.seen(found.part, point, found.before, entries[0])
+            known = gate_residual.fit_on_part(found.part, point, found.before, entries[0])
     if found.part is not point and (known is None or not known.far or found.before.disturbances):
-        entries = extrapolating(on_whole(model, point, found, say))
+        entries = amplitude_checked(rank_on_record(model, point, found, say))
     return found.before, entries, known
 
 
 def verdict_of_ranking(
     model: Model, point: WorkingPoint, before: MissingForce, entries: list[Entry], say: Progress,
-    known: gate_residual.Seen | None = None,
+    known: gate_residual.PartFit | None = None,
 ) -> Diagnosis:  # fmt: skip
-    """What the ranking comes to."""
-    if not _is_claimed(entries) or _negligible(point, entries[0]):
+    """The verdict of a ranking."""
+    if not _is_claimed(entries) or _is_negligible(point, entries[0]):
         return verdict_without_law(point, before, tuple(entries))
     best = entries[0]
-    if best.placed and best.effect != "crack" and _loss(entries)[1] > best.gain:
+    if best.placed and best.effect != "crack" and _shaft_loss(entries)[1] > best.gain:
         return verdict_without_law(point, before, tuple(entries))
     if not best.placed:
         if best.effect in PERIODIC_EFFECTS:
             say(0.85, f"{best.effect} and the model fitted together")
-            entries[0] = _beside(model, point, before, best)
-        return Diagnosis(best.effect, tuple(entries), separates=evidence.separates(entries), messages=best.notes)
+            entries[0] = _with_joint_fit(model, point, before, best)
+        return Diagnosis(best.effect, tuple(entries), separates=separation_text(entries), messages=best.notes)
     return verdict_of_laws(model, point, before, entries, say, known)
 
 
-def _added(model: Model, y: Array, rate_hz: float, best: Entry) -> tuple[FullFit, Array] | None:
-    """The model with what was found, fitted to the first part of the record, and that; None where too little of it is
-    whole."""
-    part = y[: int(missing_force.SURVEY_S * rate_hz)]
-    try:
-        return fit_all_effects(with_found_effects(model, best.settings), part, rate_hz), part
-    except DataError:
-        return None
-
-
-def _restored(model: Model, point: WorkingPoint, y: Array, before: MissingForce, found: Diagnosis) -> Diagnosis:
-    """The finding of clipped channels with what is missing once what lies beyond their level is drawn."""
+def _judged_spectrum(model: Model, point: WorkingPoint, y: Array, before: MissingForce, found: Diagnosis) -> Diagnosis:
+    """The diagnosis that names a spectral shape, kept if the shape passes its gate."""
     best, *others = found.ranking
-    if (added := _added(model, y, point.data.rate_hz, best)) is None:
+    result = gate_spectrum.spectrum_gate(model, point, y, before, best)
+    if result.misfit_rel is None:
         return found
-    whole, _ = added
-    after = missing_force.survey(whole.point, whole.model, only=before.places_found())
-    return replace(found, ranking=(replace(best, after_percent=after.percent(whole.point)), *others))
-
-
-def _coloured(model: Model, point: WorkingPoint, y: Array, before: MissingForce, found: Diagnosis) -> Diagnosis:
-    """The finding of a shape of the spectrum, fitted together with the model to part of the record: in what a model
-    without it leaves another shape may pass for it, with another stiffness and damping. Noise of its sensor may be
-    beside it, and is then the next to be found."""
-    best, *others = found.ranking
-    if (seen := _spectrum_left(model, point, y, before, best)) is None:
-        return found
-    best, share, beside = seen
-    noise = {p: own for s in beside if s.effect == "sensor_noise" for p, own in s.settings.items()}
-    if share > LEAVES**2 and noise:
-        both = replace(best, settings={**best.settings, "sensor_noise": noise})
-        again = _spectrum_left(model, point, y, before, both)
-        if again is not None and again[1] <= LEAVES**2:
-            text = f"together with noise of the sensor at {', '.join(noise)} it explains the whole spectrum"
-            note = Message("sensor_noise_too", text)
-            best, share = replace(best, notes=(*best.notes, note)), again[1]
-    if share <= LEAVES**2:
-        return replace(found, ranking=(best, *others))
-    how_much = f"{100 * np.sqrt(share):.0f} %" if share < 1.0 else "all"
+    if result.passed:
+        return replace(found, ranking=(result.entry, *others))
+    how_much = f"{100 * result.misfit_rel:.0f} %" if result.misfit_rel < 1.0 else "all"
     text = f"{best.effect} fits best but leaves {how_much} of the missing spectrum unexplained"
-    said, regions = Message("nearest_leaves", text), _regions(before)
-    return Diagnosis("unknown", (best, *others), shape_of(point, before), messages=(said, *regions, SPECTRUM))
+    said = (Message("nearest_leaves", text), *_regions(before), SPECTRUM_UNEXPLAINED)
+    return Diagnosis("unknown", (result.entry, *others), missing_force_curve(point, before), messages=said)
 
 
-def _spectrum_left(
-    model: Model, point: WorkingPoint, y: Array, before: MissingForce, best: Entry
-) -> tuple[Entry, float, list[Finding]] | None:  # fmt: skip
-    """A shape of the spectrum fitted together with the model to part of the record; the share of the power that the
-    spectrum lacked, which it leaves; and what is suspected beside it. None where too little of the record is whole."""
-    if (added := _added(model, y, point.data.rate_hz, best)) is None:
-        return None
-    whole, part = added
-    beside = search(whole.model, whole.point, part)
-    after = missing_force.survey(whole.point, whole.model, only=before.places_found(), others=beside)
-    places = tuple(sorted({whole.point.data.places.index(p) for own in best.settings.values() for p in own}))
-    # what goes with a state is another effect's
-    was, rest = (sum(s.power_N2 for s in it.disturbances if s.place in places) for it in (before, after))
-    return replace(best, after_percent=after.interval(places)[0]), rest / max(was, 1e-300), beside
+def _shaft_loss(entries: Sequence[Entry]) -> tuple[float, float]:
+    """Mean stiffness that the shaft lacks, N/m, and its evidence, nats, from the trial of a crack.
 
-
-def _loss(entries: Sequence[Entry]) -> tuple[float, float]:
-    """N/m that the shaft lacks in the mean, and nats, by a crack on trial: without anything that turns it is another
-    shaft than the rig file's."""
+    A mean loss without a part that turns with the shaft means that the rig file has another shaft.
+    """
     for entry in entries:
         loss = entry.parameters.get("disc.crack.loss")
         if loss is not None and loss.value and loss.sd:
@@ -207,46 +205,47 @@ def _loss(entries: Sequence[Entry]) -> tuple[float, float]:
     return 0.0, 0.0
 
 
-def _beside(model: Model, point: WorkingPoint, before: MissingForce, entry: Entry) -> Entry:
-    """The entry of a force of time alone, fitted together with the model: about a resonance it had spoiled the fit."""
+def _with_joint_fit(model: Model, point: WorkingPoint, before: MissingForce, entry: Entry) -> Entry:
+    """The entry of a periodic force, fitted together with the model: near a resonance it had biased the fit."""
     settings, after_point = fit_found_harmonics(model, point, entry.settings)
     part = point_on_part(after_point, missing_force.SURVEY_S)
     del after_point
     after = missing_force.survey(part, model, only=before.places_found())
-    return replace(evidence.with_settings(entry, settings), after_percent=after.percent(part))
+    return replace(with_settings(entry, settings), after_percent=after.percent(part))
 
 
 def verdict_of_laws(
     model: Model, point: WorkingPoint, before: MissingForce, entries: list[Entry], say: Progress,
-    known: gate_residual.Seen | None = None,
+    known: gate_residual.PartFit | None = None,
 ) -> Diagnosis:  # fmt: skip
     """The first of the ranking, if its law has the shape of what is missing, or one close behind that has."""
     left: dict[str, float] = {}
-    for k in _close(entries):
+    for k in _rivals(entries):
         name = entries[k].effect
         say(0.85, f"does {name} explain it?")
-        found = gate_residual.fits(model, point, before, entries[k], say, known)
+        found = gate_residual.residual_gate(model, point, before, entries[k], say, known)
         entries[k] = found.entry
-        if found.left is None:
+        if found.misfit_rel is None:
             if left:
                 continue
             said = verdict_of_ranking(model, point, before, entries[:k] + entries[k + 1 :], say)
             return replace(said, ranking=(*said.ranking, entries[k]))
         # friction may leave a third, as its step is rounded; what another state explains is no second law of its own
-        two = not found.whole or (
-            found.left <= gate_shape.MOST and gate_second_law.FAMILY.get(name) in gate_second_law.OF_X
+        two = not found.passed or (
+            found.misfit_rel <= THRESHOLDS.misfit_max_rel
+            and gate_second_law.LAW_FAMILIES.get(name) in gate_second_law.X_FAMILIES
         )
-        if two and found.left > gate_second_law.NEGLIGIBLE and (not left or "stop" in left):
+        if two and found.misfit_rel > gate_second_law.PAIR_MISFIT_MAX_REL and (not left or "stop" in left):
             part = point_on_part(point, missing_force.SURVEY_S)
             pair = gate_second_law.of_one_state(model, part, point, entries[k:])
             if pair is not None:
-                left[name] = found.left
-                return _of_two(model, point, before, entries, pair, left, say)
-        left[name] = found.left
-        if found.whole:
+                left[name] = found.misfit_rel
+                return _named_pair(model, point, before, entries, pair, left, say)
+        left[name] = found.misfit_rel
+        if found.passed:
             return _named(entries, k, left)
     best = entries[0]
-    if _little(before):
+    if _is_little(before):
         return verdict_without_law(point, before, tuple(entries))
     text = (
         f"{best.effect} fits best but leaves {100 * left[best.effect]:.0f} % of the state-dependent missing force "
@@ -255,7 +254,7 @@ def verdict_of_laws(
     return Diagnosis(
         "unknown",
         tuple(entries),
-        shape_of(point, before, (best.placed[0].at[0], gate_shape.state_of(best.effect))),
+        missing_force_curve(point, before, (best.placed[0].at[0], gate_shape.own_state(best.effect))),
         messages=(Message("nearest_leaves", text), *_clipped(entries)),
     )
 
@@ -264,10 +263,10 @@ def _named(entries: list[Entry], k: int, left: dict[str, float]) -> Diagnosis:
     """The finding of the k-th of the ranking. left : what it leaves, and all that were judged before it."""
     ranking = (entries[k], *entries[:k], *entries[k + 1 :])
     said = (*_passed_over(left), *_clipped(entries))
-    return Diagnosis(entries[k].effect, ranking, separates=evidence.separates(ranking), messages=said)
+    return Diagnosis(entries[k].effect, ranking, separates=separation_text(ranking), messages=said)
 
 
-def _of_two(
+def _named_pair(
     model: Model, point: WorkingPoint, before: MissingForce, entries: list[Entry], pair: tuple[str, str],
     left: dict[str, float], say: Progress,
 ) -> Diagnosis:  # fmt: skip
@@ -275,9 +274,9 @@ def _of_two(
     name, other = pair
     k = next(j for j, e in enumerate(entries) if e.effect == name)
     if name not in left:
-        found = gate_residual.fits(model, point, before, entries[k], say)
-        left[name] = 1.0 if found.left is None else found.left
-        entries[k] = entries[k] if found.left is None else found.entry
+        found = gate_residual.residual_gate(model, point, before, entries[k], say)
+        left[name] = 1.0 if found.misfit_rel is None else found.misfit_rel
+        entries[k] = entries[k] if found.misfit_rel is None else found.entry
     text = f"alone it leaves {100 * left[name]:.0f} % of the missing force; together with {other} nothing is left"
     note = Message("second_law_too", text)
     entries[k] = replace(entries[k], notes=(*entries[k].notes, note))
@@ -289,15 +288,17 @@ def _clipped(entries: list[Entry]) -> tuple[Message, ...]:
     return tuple(note for e in entries if e.effect == "sensor_clipping" for note in e.notes)
 
 
-def _close(entries: list[Entry]) -> list[int]:
+def _rivals(entries: list[Entry]) -> list[int]:
     """Numbers of the first of the ranking and of force laws so close behind that a law of the wrong shape may have
     passed them by its number of parameters; and of the first law behind a stop that is odd or even: a stop is both, and
     passes by two laws that are one of each."""
-    least = entries[0].score - CLOSE
-    sure = [k for k, e in enumerate(entries) if e.placed and e.p_value < SIGNIFICANT]
-    near = [k for k in sure if k < FOREMOST and entries[k].score > least]
+    least = entries[0].score - THRESHOLDS.rival_nats
+    sure = [k for k, e in enumerate(entries) if e.placed and e.p_value < THRESHOLDS.max_p_value]
+    near = [k for k in sure if k < MAX_RANK_JUDGED and entries[k].score > least]
     halves = [
-        k for k in sure if k not in near and gate_second_law.FAMILY.get(entries[k].effect) in gate_second_law.OF_X
+        k
+        for k in sure
+        if k not in near and gate_second_law.LAW_FAMILIES.get(entries[k].effect) in gate_second_law.X_FAMILIES
     ]
     return near + halves[:1] if entries[0].effect == "stop" else near
 
@@ -313,31 +314,31 @@ def _passed_over(left: dict[str, float]) -> tuple[Message, ...]:
 
 
 def _is_claimed(entries: Sequence[Entry]) -> bool:
-    return bool(entries) and entries[0].p_value <= SIGNIFICANT
+    return bool(entries) and entries[0].p_value <= THRESHOLDS.max_p_value
 
 
-def _negligible(point: WorkingPoint, best: Entry) -> bool:
+def _is_negligible(point: WorkingPoint, best: Entry) -> bool:
     """Whether a force law, however certain, explains less than any simulation, filter or ceiling leaves behind."""
     least = max((missing_force.negligible_share(point, i) for i in best.places), default=0.0)
     return best.explained_percent < 100 * least
 
 
-def _little(before: MissingForce) -> bool:
+def _is_little(before: MissingForce) -> bool:
     """Whether so little is missing, or so little known of it that it may be nothing, that nothing is claimed."""
     value, low, _ = before.interval()
     return value < 100 * missing_force.NEGLIGIBLE_FORCE_SHARE or low <= 0.0
 
 
 def verdict_without_law(point: WorkingPoint, before: MissingForce, entries: tuple[Entry, ...]) -> Diagnosis:
-    loss, nats = _loss(entries)
+    loss, nats = _shaft_loss(entries)
     shaft = []
-    if nats > SURE and point.data.disc is not None:
+    if nats > THRESHOLDS.shaft_min_gain_nats and point.data.disc is not None:
         how = "softer (or its disc heavier)" if loss > 0 else "stiffer (or its disc lighter)"
         percent = 100 * abs(loss) / point.data.disc.K
         by = f"{percent:.2g} +- {percent / np.sqrt(2 * nats):.1g} %"
         text = f"the shaft is {how} than the rig file says, by {by}: correct the shaft stiffness or the disc mass there"
         shaft = [Message(SHAFT_DIFFERS, text)]
-    if before.any_found() and not _little(before):
+    if before.any_found() and not _is_little(before):
         text = "part of the residual force is predictable, but no effect of the catalogue explains it significantly"
         said = [
             *shaft,
@@ -350,11 +351,11 @@ def verdict_without_law(point: WorkingPoint, before: MissingForce, entries: tupl
         if (
             not groups and before.disturbances and not point.data.measured_force
         ):  # beside one it is the path that is bent
-            said.append(SPECTRUM)
-        return Diagnosis("unknown", entries, shape_of(point, before), messages=tuple(said))
+            said.append(SPECTRUM_UNEXPLAINED)
+        return Diagnosis("unknown", entries, missing_force_curve(point, before), messages=tuple(said))
     if not before.looked_anywhere():
         return Diagnosis("unknown", entries, messages=(*shaft, missing_force.UNJUDGED_MESSAGE))
-    forces = [_beside_forces(point)] if point.data.measured_force else []
+    forces = [_measured_force_message(point)] if point.data.measured_force else []
     return Diagnosis("complete", entries, messages=(*shaft, *forces))
 
 
@@ -363,7 +364,7 @@ def _regions(before: missing_force.MissingForce) -> tuple[Message, ...]:
     return tuple(Message("missing_where", region) for region in dict.fromkeys(s.region for s in before.disturbances))
 
 
-def _beside_forces(point: WorkingPoint) -> Message:
+def _measured_force_message(point: WorkingPoint) -> Message:
     """What is not tried where the force is measured."""
     known = [p for p, S in zip(point.data.places, point.data.driven, strict=True) if S > 0.0]
     text = (

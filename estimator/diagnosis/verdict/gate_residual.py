@@ -1,4 +1,4 @@
-"""Whether a law, fitted together with the model, explains what is missing: by itself, or beside a second one."""
+"""Gate of the residual: does a law, fitted together with the model, explain the missing force?"""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from estimator.diagnosis.comparison.heldout import heldout_nll
 from estimator.diagnosis.hypotheses import gate_shape, ranking
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import Progress
+from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.errors import NotFiniteError
 from estimator.identification.residual import missing_force
 from estimator.identification.residual.missing_force import MissingForce
@@ -21,95 +22,97 @@ from estimator.results import Message
 
 from . import gate_second_law
 
-SAME_SHAPE = 0.2  # of the missing force (rms): more left than that in the same state means another law
-SMEARED = 0.12  # the same of a law of two directions of which one is measured: Hertz contacts leave 0.00 to 0.14 so
-NOTHING = 0.9  # the same, of a law of no single state: it is not the first of two that leaves nearly all
-SMALL = 0.5  # of a part of the force in a spectrum (rms)
-MORE = 1.5  # times what is missing: no law of no single state explains anything that leaves more than that
-FAR = 2.0  # times what may be left, on part of the record, from which the whole is not asked
-EARNED = 5.0  # nats held out, of a law where no force is missing: ln of what a search tries
-IDLE = Message(
+REFUSED_INSIGNIFICANT = Message(
     "refused_idle",
     "refused: no force is missing there, and fitted with the model the effect is zero or does not improve prediction",
 )
-BENT = Message(
+REFUSED_IN_SPECTRUM = Message(
     "refused_small_in_spectrum",
     "refused: no state predicts a force there, and the effect is small beside a spectrum that nothing explains",
 )
-ASTRAY = Message("refused_far_from_rotor", "refused: a fit of the model with this effect diverges")
-ROUND = "the friction step is not sharp, or another damping force acts too"
+REFUSED_DIVERGES = Message("refused_far_from_rotor", "refused: a fit of the model with this effect diverges")
+STEP_NOT_SHARP = "the friction step is not sharp, or another damping force acts too"
 
 
 @dataclass(frozen=True, slots=True)
-class Explained:
-    """entry : fitted together with the model. left : of the missing force in its own state (rms); None where the entry
-    is nothing. whole : whether that is no more than a law of the right shape may leave, or is another's, of another
-    state."""
+class GateResult:
+    """What the gate says of a law.
+
+    entry : the law fitted together with the model. misfit_rel : rms of the missing force left in its own state, over
+    what was missing; None where the law is refused. passed : whether that is no more than the right law may leave, or
+    belongs to another law of another state.
+    """
 
     entry: Entry
-    left: float | None
-    whole: bool = False
+    misfit_rel: float | None
+    passed: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Seen:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartFit:
     """A law fitted together with the model to part of a record.
 
-    missing : whether a force is, at its places. left : of it in the law's own state (rms); None for one of no single
-    state. far : whether that is what the whole record would not mend. after : the fit, without rows unless it is far or
-    the part is all of the record (`all`).
+    entry : the law. after : the fit, without rows unless `far` or `is_whole_record`. force_missing : whether a force is
+    missing at its places. misfit_rel : rms of the missing force left in its own state, over what was missing; None for
+    a law of no single state. far : whether the misfit is so large that the rest of the record would not change the
+    result. is_whole_record : whether the part is all of the record.
     """
 
     entry: Entry
     after: WorkingPoint
-    missing: bool
-    left: float | None
+    force_missing: bool
+    misfit_rel: float | None
     far: bool
-    all: bool
+    is_whole_record: bool
 
 
-def seen(part: WorkingPoint, point: WorkingPoint, before: MissingForce, entry: Entry) -> Seen:
-    """An entry on part of the record of a point. Raises NotFiniteError where the fit goes far from the rotor."""
+def fit_on_part(part: WorkingPoint, point: WorkingPoint, before: MissingForce, entry: Entry) -> PartFit:
+    """A law fitted to part of the record of a working point. Raises NotFiniteError where the fit diverges."""
     missing = bool(entry.places.intersection(before.places_found()))
     after = fit_model(part.data, [*part.placed, *entry.placed], start=part, rounds=2 if missing else 6)
-    left = gate_shape.left(part, after, entry.effect, entry.places, least=_across(part, entry))
-    far = missing and left is not None and left > FAR * _most_left(part, entry)
+    left = gate_shape.misfit_rel(part, after, entry.effect, entry.places, least=_across(part, entry))
+    far = missing and left is not None and left > THRESHOLDS.part_misfit_ratio * _max_misfit_rel(part, entry)
     needed = far or part is point
-    return Seen(entry, after if needed else after.without_rows(), missing, left, far, part is point)
+    return PartFit(
+        entry=entry, after=after if needed else after.without_rows(), force_missing=missing, misfit_rel=left, far=far,
+        is_whole_record=part is point,
+    )  # fmt: skip
 
 
-def fits(
+def residual_gate(
     model: Model, point: WorkingPoint, before: MissingForce, entry: Entry, say: Progress,
-    known: Seen | None = None,
-) -> Explained:  # fmt: skip
-    """What an entry explains. It is nothing, as laws that see noise as strong as the motion may seem to be something,
-    where no force is missing at its places and it is not told from zero at any or predicts no better.
+    known: PartFit | None = None,
+) -> GateResult:  # fmt: skip
+    """Whether a law explains the missing force.
 
-    known : what part of the record has shown, if of this law at these places.
+    A law is refused where no force is missing at its places and it cannot be distinguished from zero at any of them or
+    does not improve the held-out likelihood: noise as strong as the motion makes such laws seem significant.
+
+    known : the fit to part of the record, if it is of this law at these places.
     """
     try:
-        return _fitted(model, point, before, entry, say, known)
+        return _gate_result(model, point, before, entry, say, known)
     except NotFiniteError:
-        return Explained(replace(entry, notes=(*entry.notes, ASTRAY)), None)
+        return GateResult(replace(entry, notes=(*entry.notes, REFUSED_DIVERGES)), None)
 
 
-def _fitted(
-    model: Model, point: WorkingPoint, before: MissingForce, entry: Entry, say: Progress, known: Seen | None
-) -> Explained:  # fmt: skip
-    """What an entry explains. Raises NotFiniteError where the fit with it goes far from the rotor."""
+def _gate_result(
+    model: Model, point: WorkingPoint, before: MissingForce, entry: Entry, say: Progress, known: PartFit | None
+) -> GateResult:  # fmt: skip
+    """Result of the gate. Raises NotFiniteError where the fit with the law diverges."""
     if mimics_a_spectrum(point, before, entry):
-        return Explained(replace(entry, notes=(*entry.notes, BENT)), None)
+        return GateResult(replace(entry, notes=(*entry.notes, REFUSED_IN_SPECTRUM)), None)
     if known is None or {u.key for u in known.entry.placed} != {u.key for u in entry.placed}:
-        known = seen(point_on_part(point, missing_force.SURVEY_S), point, before, entry)
-    after_point, smooth = known.after, known.left
+        known = fit_on_part(point_on_part(point, missing_force.SURVEY_S), point, before, entry)
+    after_point, smooth = known.after, known.misfit_rel
     if not known.far:
-        if not known.all:
+        if not known.is_whole_record:
             after_point = fit_model(point.data, list(after_point.placed), start=after_point, rounds=2)
-        found = _told(point, entry, after_point, known.missing)
+        found = _if_significant(point, entry, after_point, known.force_missing)
         if found is None:
-            return Explained(replace(entry, notes=(*entry.notes, IDLE)), None)
+            return GateResult(replace(entry, notes=(*entry.notes, REFUSED_INSIGNIFICANT)), None)
         entry, after_point = found
-        smooth = gate_shape.left(point, after_point, entry.effect, entry.places, least=_across(point, entry))
+        smooth = gate_shape.misfit_rel(point, after_point, entry.effect, entry.places, least=_across(point, entry))
     del known
     joint = fitted_parameters(
         after_point
@@ -121,37 +124,47 @@ def _fitted(
     entry = replace(entry, after_percent=after.percent(after_part), parameters=values)
     left = smooth
     if left is None:  # other numbers of the model may go far with such a law
-        more = 0.0 < MORE * entry.before_percent < entry.after_percent
-        left = 1.0 if more else _same_state_left(before, after, entry)
-    whole = left <= _most_left(point, entry)
-    if not whole and not (smooth is None and left > NOTHING):
+        more = 0.0 < THRESHOLDS.stateless_growth_max * entry.before_percent < entry.after_percent
+        left = 1.0 if more else _own_state_misfit_rel(before, after, entry)
+    whole = left <= _max_misfit_rel(point, entry)
+    if not whole and not (smooth is None and left > THRESHOLDS.stateless_nothing_rel):
         say(0.93, "one effect or two?")
         whole = gate_second_law.another_explains(
             after_part, gate_second_law.others(model, after_part, after, entry), after, entry
         )
-    if whole and left > gate_shape.MOST and entry.effect == "coulomb":
-        note = Message("friction_not_sharp", f"{100 * left:.0f} % of the velocity-dependent force is left: {ROUND}")
+    if whole and left > THRESHOLDS.misfit_max_rel and entry.effect == "coulomb":
+        note = Message(
+            "friction_not_sharp", f"{100 * left:.0f} % of the velocity-dependent force is left: {STEP_NOT_SHARP}"
+        )
         entry = replace(entry, notes=(*entry.notes, note))
-    return Explained(entry, left, whole)
+    return GateResult(entry, left, whole)
 
 
-def _most_left(point: WorkingPoint, entry: Entry) -> float:
-    """What a law of the right shape may leave. One that joins two directions is smeared by a motion across that is not
-    measured, and one of velocity leaves what friction may beside it: that is judged as those of no single state."""
-    most = gate_shape.most_left(entry.effect, SAME_SHAPE)
+def _max_misfit_rel(point: WorkingPoint, entry: Entry) -> float:
+    """Largest misfit of the right law at the places of an entry.
+
+    A law of two directions leaves more where one of them is not measured. So does a law of velocity together with
+    another law of velocity in the model.
+    """
+    most = gate_shape.max_misfit_rel(entry.effect, THRESHOLDS.stateless_misfit_max_rel)
     if any(law.effect.one_direction and len(law.at) == 1 for law in entry.placed):
-        return max(most, SMEARED)
-    beside = gate_shape.STATES.get(entry.effect) is gate_shape.V and gate_shape.damping(point, entry.places)
-    return max(most, SAME_SHAPE) if beside else most
+        return max(most, THRESHOLDS.one_direction_misfit_max_rel)
+    beside = gate_shape.STATE_TERMS.get(entry.effect) is gate_shape.VELOCITY_TERMS and gate_shape.damping_laws(
+        point, entry.places
+    )
+    return max(most, THRESHOLDS.stateless_misfit_max_rel) if beside else most
 
 
 def mimics_a_spectrum(point: WorkingPoint, before: MissingForce, entry: Entry) -> bool:
-    """Whether a law with a memory, where no state predicts anything, is small beside a spectrum that nothing explains:
-    it answers in the mean as a resonance does, and takes some of that."""
+    """Whether a law with memory only takes part of a spectrum that nothing explains.
+
+    Its mean response is that of a resonance. So where no state predicts a force, a memory law that is small compared
+    with such a spectrum is refused.
+    """
     places = entry.places
-    if all(law.effect.kind != "memory" for law in entry.placed) or _by_state(before, places):
+    if all(law.effect.kind != "memory" for law in entry.placed) or _power_by_state(before, places):
         return False
-    return _power(point, entry) < SMALL**2 * sum(
+    return _power(point, entry) < THRESHOLDS.memory_law_min_rel**2 * sum(
         share.power_N2 for share in before.disturbances if share.place in places
     )
 
@@ -162,18 +175,18 @@ def _power(point: WorkingPoint, entry: Entry) -> float:
 
 
 def _across(point: WorkingPoint, entry: Entry) -> float:
-    """The same of a law that joins two directions, 0 of any other."""
+    """N^2 of the force of a law of two directions, 0 for any other law."""
     return _power(point, entry) if all(len(law.at) > 1 for law in entry.placed) else 0.0
 
 
-def _told(
+def _if_significant(
     point: WorkingPoint, entry: Entry, after_point: WorkingPoint, missing: bool
 ) -> tuple[Entry, WorkingPoint] | None:  # fmt: skip
-    """The entry and its fit where it is told; None where it is nothing."""
+    """The entry and its fit; None where the law is not significant. missing : whether a force is missing there."""
     samples = point.data.blocks * point.data.block
     if not missing and (
         {use.key for use in entry.placed}.issubset(unidentifiable_laws(after_point))
-        or heldout_nll(after_point) > heldout_nll(point) - EARNED / samples
+        or heldout_nll(after_point) > heldout_nll(point) - THRESHOLDS.min_gain_nats / samples
     ):
         return None
     return at_identifiable_bearings(point, entry, after_point)
@@ -189,27 +202,27 @@ def at_identifiable_bearings(
     idle = [n for n in entry.at if all(use.key in silent for use in entry.placed if use.key.split(".")[0] == n)]
     if not idle or len(idle) == len(entry.at):
         return entry, after_point
-    fewer = ranking.without(entry, idle)
+    fewer = ranking.without_nodes(entry, idle)
     less = fit_model(point.data, [*point.placed, *fewer.placed], start=point, rounds=6)
     samples = point.data.blocks * point.data.block
-    if heldout_nll(less) > heldout_nll(after_point) + EARNED / samples:
+    if heldout_nll(less) > heldout_nll(after_point) + THRESHOLDS.min_gain_nats / samples:
         return entry, after_point
     return fewer, less
 
 
-def _same_state_left(before: MissingForce, after: MissingForce, best: Entry) -> float:
+def _own_state_misfit_rel(before: MissingForce, after: MissingForce, best: Entry) -> float:
     """rms left over rms before, in the state where the effect explains most: 0 if its law has the right shape.
 
     States that it does not touch belong to something else that is missing too.
     """
-    was, rest = _by_state(before, best.places), _by_state(after, best.places)
+    was, rest = _power_by_state(before, best.places), _power_by_state(after, best.places)
     if not was:
         return 0.0
     state = max(was, key=lambda g: was[g] - rest.get(g, 0.0))
     return float(np.sqrt(min(max(rest.get(state, 0.0), 0.0) / was[state], 1.0))) if was[state] > 0 else 0.0
 
 
-def _by_state(found: MissingForce, places: set[int]) -> dict[str, float]:
+def _power_by_state(found: MissingForce, places: set[int]) -> dict[str, float]:
     out: dict[str, float] = {}
     for r in found.residuals:
         for f in r.found if r.place in places else ():

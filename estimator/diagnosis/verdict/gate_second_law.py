@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.diagnosis.hypotheses import gate_shape
-from estimator.diagnosis.hypotheses import trial as screen
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.hypotheses.screen import SEARCH_SECONDS
-from estimator.diagnosis.hypotheses.trial import Trial
+from estimator.diagnosis.hypotheses.trial import Trial, best_trial, open_locations
+from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.errors import NotFiniteError
 from estimator.identification.residual.missing_force import MissingForce
 from estimator.likelihood.fitting.gauss_newton import FIRST_PART_S, fit_model
@@ -22,32 +22,36 @@ from estimator.model.rig import Model
 from estimator.parallel import map_processes
 
 Trials = dict[str, list[Trial]]
-EXPLAINS = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
-ROUNDS = 6  # of a fit of both
-LAWS, TRIED = 3, 2  # of a state, the likeliest, which others are tried beside; pairs of them that are fitted
-NEGLIGIBLE = 0.02  # of what is missing in the state of both (rms); beside a saturating spring the best leave 0.04
-DOUBT = 0.05  # p-value of what they leave, from which it is nothing: a smooth odd curve left 0.03, p 0.02
-FAMILY = {
+EXPLAINED_MIN_REL = 0.3  # of the nats that smooth columns gain, for a second effect to be what is left
+PAIR_FIT_ROUNDS = 6  # of a fit of both
+MAX_LAWS, MAX_PAIRS = 3, 2  # of a state, the likeliest, which others are tried beside; pairs of them that are fitted
+PAIR_MISFIT_MAX_REL = (
+    0.02  # of what is missing in the state of both (rms); beside a saturating spring the best leave 0.04
+)
+PAIR_MISFIT_MIN_P_VALUE = (
+    0.05  # p-value of what they leave, from which it is nothing: a smooth odd curve left 0.03, p 0.02
+)
+LAW_FAMILIES = {
     "cubic": "odd in x", "quintic": "odd in x", "clearance": "odd in x", "hertz": "odd in x",
     "quadratic": "even in x", "stop": "even in x",
     "coulomb": "damping", "quadratic_damping": "damping", "displacement_damping": "damping", "bouc_wen": "damping",
 }  # fmt: skip
-OF_X = ("odd in x", "even in x")
+X_FAMILIES = ("odd in x", "even in x")
 
 
 def others(model: Model, after: WorkingPoint, left: MissingForce, best: Entry) -> Trials:
     """Every effect of another family on trial where the first, fitted, acts or leaves something; by name, those that
     are any."""
-    small, family = search_point(after, SEARCH_SECONDS), FAMILY.get(best.effect, best.effect)
+    small, family = search_point(after, SEARCH_SECONDS), LAW_FAMILIES.get(best.effect, best.effect)
     places = best.places.union(r.place for r in left.residuals if r.found)
     pairs = [
-        (effect, spot)
+        (effect, location)
         for effect in trial_effects(model)
-        if FAMILY.get(effect.name, effect.name) != family
-        for spot in screen.spots(effect, model, after)
-        if places.intersection(acted_on(effect, spot, after.data))
+        if LAW_FAMILIES.get(effect.name, effect.name) != family
+        for location in open_locations(effect, model, after)
+        if places.intersection(acted_on(effect, location, after.data))
     ]
-    questions = [partial(screen.tried, small, after, model, *pair) for pair in pairs]
+    questions = [partial(best_trial, small, after, model, *pair) for pair in pairs]
     found: Trials = {}
     for trial in map_processes(questions, [effect for effect, _ in pairs]):
         if trial is not None:
@@ -58,12 +62,12 @@ def others(model: Model, after: WorkingPoint, left: MissingForce, best: Entry) -
 def another_explains(point: WorkingPoint, trials: Trials, left: MissingForce, best: Entry) -> bool:
     """Whether a second effect, of the trials `others`, explains what the first leaves.
 
-    At all its spots together it is to earn what smooth terms in the state of the first do: a one-sided stop has an odd
-    half, which takes a part of what an odd law of the wrong shape leaves. Where the first has no single state, as
+    At all its locations together it has to gain what smooth terms in the state of the first do: a one-sided stop has an
+    odd half, which takes a part of what an odd law of the wrong shape leaves. Where the first has no single state, as
     hysteresis, it is its own state: beside an odd curve any odd law takes a part.
     """
     found = {r.place: sum(f.gain_nats for f in r.found) for r in left.residuals if r.found}
-    smooth = gate_shape.worth(point, best.effect, best.places)
+    smooth = gate_shape.smooth_gains_nats(point, best.effect, best.places)
     for name, own in trials.items():
         earned, asked, seen = 0.0, sum(smooth.values()), False
         for trial in own:
@@ -71,9 +75,9 @@ def another_explains(point: WorkingPoint, trials: Trials, left: MissingForce, be
             if not {*found, *smooth}.intersection(on):
                 continue
             earned += max(trial.gain - trial.df, 0.0)
-            asked += 0.0 if smooth else sum(gate_shape.worth(point, name, {*on}).values())
+            asked += 0.0 if smooth else sum(gate_shape.smooth_gains_nats(point, name, {*on}).values())
             here = sum(found.get(i, 0.0) for i in on)
-            seen |= here > 0.0 and trial.gain > EXPLAINS * here
+            seen |= here > 0.0 and trial.gain > EXPLAINED_MIN_REL * here
         if seen and earned >= asked:
             return True
     return False
@@ -89,36 +93,41 @@ def of_one_state(
     part, whole : the model fitted to a part of the record and to all of it.
     """
     first = ranking[0]
-    if first.effect not in gate_shape.STATES:
+    if first.effect not in gate_shape.STATE_TERMS:
         return None
-    own = FAMILY[first.effect]
-    alike = OF_X if own == "even in x" else (own,)
-    sure = [e for e in ranking if FAMILY.get(e.effect) in alike and e.p_value < gate_shape.LEVEL][:LAWS]
+    own = LAW_FAMILIES[first.effect]
+    alike = X_FAMILIES if own == "even in x" else (own,)
+    sure = [e for e in ranking if LAW_FAMILIES.get(e.effect) in alike and e.p_value < THRESHOLDS.misfit_max_p_value][
+        :MAX_LAWS
+    ]
     places = set().union(*(entry.places for entry in sure))
     short, kept = point_on_part(part, FIRST_PART_S), trial_effects(model)
     begun: dict[frozenset[str], Begun] = {}
     for starts in map_processes([partial(_begun, model, short, entry, alike) for entry in sure], kept):
         for start in starts:
-            if own in (FAMILY[name] for name in start.names) and start.nats > begun.get(start.names, NONE).nats:
+            if (
+                own in (LAW_FAMILIES[name] for name in start.names)
+                and start.nats > begun.get(start.names, NO_PAIR).nats
+            ):
                 begun[start.names] = start
-    likeliest = sorted(begun.values(), key=lambda one: -one.nats)[:TRIED]
+    likeliest = sorted(begun.values(), key=lambda one: -one.nats)[:MAX_PAIRS]
 
     def by(point: WorkingPoint, start: Begun) -> Begun:
         try:
-            both = fit_model(point.data, [*point.placed, *start.laws], start=point, rounds=ROUNDS)
+            both = fit_model(point.data, [*point.placed, *start.laws], start=point, rounds=PAIR_FIT_ROUNDS)
         except NotFiniteError:  # far from the rotor
             return start._replace(left=1.0)
         base = {u.key for u in point.placed}
-        state = next((n for n in start.names if FAMILY[n] == "even in x"), first.effect)
-        left = gate_shape.left(point, both, state, places, DOUBT) or 0.0
+        state = next((n for n in start.names if LAW_FAMILIES[n] == "even in x"), first.effect)
+        left = gate_shape.misfit_rel(point, both, state, places, PAIR_MISFIT_MIN_P_VALUE) or 0.0
         return Begun(start.names, both.fit.log_likelihood, [u for u in both.placed if u.key not in base], left)
 
     fitted = map_processes([partial(by, short, start) for start in likeliest], kept)
     for both in sorted(fitted, key=lambda one: one.left):
         for point in (part,) if part is whole else (part, whole):
-            both = by(point, both) if both.left <= NEGLIGIBLE else both
+            both = by(point, both) if both.left <= PAIR_MISFIT_MAX_REL else both
         alone = [both._replace(laws=[u for u in both.laws if u.effect.name == name]) for name in both.names]
-        if both.left <= NEGLIGIBLE and all(by(part, one).left > NEGLIGIBLE for one in alone):
+        if both.left <= PAIR_MISFIT_MAX_REL and all(by(part, one).left > PAIR_MISFIT_MAX_REL for one in alone):
             ahead = [e.effect for e in ranking if e.effect in both.names]
             behind = sorted(both.names.difference(ahead[:1]))
             return ahead[0], behind[0]
@@ -134,7 +143,7 @@ class Begun(NamedTuple):
     left: float = 1.0
 
 
-NONE = Begun(frozenset(), -np.inf, [])
+NO_PAIR = Begun(frozenset(), -np.inf, [])
 
 
 def _begun(model: Model, point: WorkingPoint, entry: Entry, alike: Sequence[str]) -> list[Begun]:
@@ -149,10 +158,12 @@ def _begun(model: Model, point: WorkingPoint, entry: Entry, alike: Sequence[str]
     firsts = [u for u in after.placed if u.key in own]
     out = []
     for effect in trial_effects(model):
-        if effect.name == entry.effect or FAMILY.get(effect.name) not in alike:
+        if effect.name == entry.effect or LAW_FAMILIES.get(effect.name) not in alike:
             continue
-        spots = [s for s in screen.spots(effect, model, after) if places.issuperset(acted_on(effect, s, after.data))]
-        tried = [screen.tried(small, after, model, effect, spot) for spot in spots]
+        locations = [
+            s for s in open_locations(effect, model, after) if places.issuperset(acted_on(effect, s, after.data))
+        ]
+        tried = [best_trial(small, after, model, effect, location) for location in locations]
         found = [trial for trial in tried if trial is not None and trial.gain > 0.0]
         nats = after.fit.log_likelihood + sum(trial.gain for trial in found)
         if found:

@@ -1,4 +1,4 @@
-"""Compare, diagnose, add, refit, until nothing more is earned: the ladder."""
+"""Improvement of a model: diagnose, add the effect that is named, fit again, until nothing more improves it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any
 
 from estimator.arrays import Array
 from estimator.diagnosis.comparison.heldout import heldout_nll, heldout_rmse
-from estimator.diagnosis.hypotheses.ranking import Settings
+from estimator.diagnosis.hypotheses.ranking import Entry, Settings
+from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.errors import DataError
 from estimator.identification.batch.disturbance_numbers import with_found_effects
 from estimator.identification.batch.full_fit import SPECTRAL_AND_SENSOR_EFFECTS, FullFit, fit_all_effects
@@ -23,24 +24,22 @@ from estimator.model.rig import Model
 from estimator.results import Message, Parameter, messages_json
 
 from .diagnosis import Diagnosis, diagnose_point
-from .gate_residual import EARNED
 
 Progress = Callable[[float, str], None]
-MOST = 5  # effects added at most
-ENDED = ("complete", "unknown")  # verdicts that name nothing
-UNSCORED = (
-    "sensor_noise",
-    "sensor_clipping",
-    "imbalance",
-    "bow",
-    "line",
-    "misalignment",
-)  # may lie out of the band or beside the likelihood
+MAX_EFFECTS_ADDED = 5  # by one run
+VERDICTS_WITHOUT_EFFECT = ("complete", "unknown")
+# may lie out of the band or outside the likelihood, so the held-out likelihood does not judge them
+UNSCORED_EFFECTS = ("sensor_noise", "sensor_clipping", "imbalance", "bow", "line", "misalignment")
 
 
 @dataclass(frozen=True, slots=True)
 class Rung:
-    """A model on the ladder. missing : value, low, high in per cent."""
+    """A model on the ladder of improvements.
+
+    effects : names, in the order of the model. heldout_nll : nats per sample, on the bins that all rungs are judged on.
+    missing : missing force, value and 95 % limits, per cent of the rms bearing force. simulation_rmse : by channel, SI,
+    of a free run under the measured force; empty unless a force is measured at every place.
+    """
 
     effects: tuple[str, ...]
     heldout_nll: float
@@ -48,6 +47,7 @@ class Rung:
     simulation_rmse: dict[str, float] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
+        """An entry of `ladder` in the schema of improve."""
         value, low, high = self.missing
         more = {"simulation_rmse": self.simulation_rmse} if self.simulation_rmse else {}
         return more | {
@@ -57,11 +57,13 @@ class Rung:
         }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Improvement:
-    """rungs : the model as it was, and after each effect added. model : the last, with fitted values.
+    """What `improve` made of a model.
 
-    diagnoses : what was said of every model, in order; last : the one that ended it.
+    rungs : the model as it was, and after each effect added. model : the last model, with fitted values. parameters :
+    of the last model, by full name, SI. last : the diagnosis that ended the improvement. messages : for the user.
+    diagnoses : of every model, in order.
     """
 
     rungs: tuple[Rung, ...]
@@ -72,7 +74,7 @@ class Improvement:
     diagnoses: tuple[Diagnosis, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """As schemas/improve.json."""
+        """The result of improve, by its schema."""
         return {
             "schema": 1,
             "ladder": [r.to_json() for r in self.rungs],
@@ -81,93 +83,173 @@ class Improvement:
         } | messages_json(self.messages)
 
 
-def improve(model: Model, y: Array, rate_hz: float, progress: Progress | None = None) -> Improvement:
-    """Add what the diagnosis names, as long as the held-out likelihood improves. y : (n, channels), SI."""
-    say = progress or (lambda fraction, text: None)
-    given = model
-    whole = fit_all_effects(model, y, rate_hz)
-    model, point = whole.model, whole.point
-    rungs = [rung(model, point, y)]
+def improve(model: Model, y: Array, rate_hz: float, *, progress: Progress | None = None) -> Improvement:
+    """Add the effects that a model lacks, one by one, as long as its held-out likelihood improves.
+
+    Parameters
+    ----------
+    model : Model
+        The rig. Linear values and parameters of effects may be unknown (None); they are fitted.
+    y : (n, channels) float64
+        Samples in SI units, columns in the order of ``model.channels``. NaN where a sample is missing or clipped.
+    rate_hz : float
+        Sampling rate, Hz.
+    progress : callable, optional
+        Called with a fraction from 0 to 1 and a text.
+
+    Returns
+    -------
+    Improvement
+        The models in order, the last one with its fitted values, and the diagnosis that ended it.
+
+    Raises
+    ------
+    DataError
+        The record cannot answer: too short, a dead channel, no resonance in the band.
+    ModelError
+        A model that makes no sense.
+
+    Examples
+    --------
+    >>> from estimator import Channel, Model, Setting, improve, simulate
+    >>> cap = {"bearing1.x": {"kL": Setting(1.0e7), "c": Setting(60.0), "S": Setting(1.0e-4)}}
+    >>> rig = Model((Channel("b1x", "bearing1", "x"),), band=(150.0, 8000.0), mass={"bearing1": 0.2}, linear=cap)
+    >>> improvement = improve(rig, simulate(rig, rate_hz=25600.0, seconds=4.0, seed=1), 25600.0)
+    >>> improvement.last.verdict, len(improvement.rungs)
+    ('complete', 1)
+    """
+    return _improvement(model, y, rate_hz, progress or (lambda fraction, text: None))
+
+
+def _improvement(model: Model, y: Array, rate_hz: float, say: Progress) -> Improvement:
+    """Diagnose, add, fit again, until the diagnosis names nothing or its effect is refused."""
+    ladder = _Ladder(model, y, rate_hz, fit_all_effects(model, y, rate_hz))
     messages: list[Message] = []
     diagnoses: list[Diagnosis] = []
-    shift = 0.0  # of the likelihood, so that each rung is compared on the bins that both are judged on
-    for step in range(MOST):
-        start = step / (step + 1.0)
-
-        def inner(fraction: float, text: str, start: float = start) -> None:
-            say(start + fraction * (1 - start) / 2, text)
-
-        found = diagnose_point(model, point, y, inner)
+    for step in range(MAX_EFFECTS_ADDED):
+        found = diagnose_point(ladder.whole.model, ladder.whole.point, y, _second_half(say, step / (step + 1.0)))
         diagnoses.append(found)
         best = found.ranking[0] if found.ranking else None
-        if found.verdict in ENDED or best is None:
+        if found.verdict in VERDICTS_WITHOUT_EFFECT or best is None:
             break
-        try:
-            if best.placed:
-                richer = fit_model(point.data, [*point.placed, *best.placed], start=point)
-                if set(unidentifiable_laws(richer)).issuperset(use.key for use in best.placed):
-                    text = f"{found.verdict} was named but cannot be distinguished from zero when fitted: not added"
-                    messages.append(Message("not_added", text))
-                    break
-                new_whole = replace(whole, model=fitted_model(model, richer), point=richer)
-                # masses, shapes of spectra, and what the recorder takes and delays, were sought beside what was missing
-                taken = model.roll_off is not given.roll_off or recorder_fall.find_roll_off(new_whole.model, richer)
-                shaped = any(use.name in SPECTRAL_AND_SENSOR_EFFECTS for use in model.effects)
-                if whole.masses or shaped or taken or recorder_phase.find_recorder_phase(new_whole.model, richer):
-                    again = replace(new_whole.model, mass=given.mass, roll_off=given.roll_off)
-                    del richer, new_whole  # large, as is the last one, and the next is larger while it is made
-                    whole = replace(whole, point=(point := point.without_rows()))
-                    new_whole = _refitted(again, y, rate_hz)
-            else:
-                # forces of time alone make products with the motion that pass for a stiffness that turns: sought again
-                before = replace(
-                    fitted_model(model, point),
-                    ball_pass_order=given.ball_pass_order, order_found=False, mass=given.mass,
-                )  # fmt: skip
-                if (
-                    best.effect not in PERIODIC_EFFECTS
-                ):  # a shape of the spectra that the recorder's filter was sought in
-                    before = replace(before, roll_off=given.roll_off)
-                whole = replace(whole, point=(point := point.without_rows()))
-                new_whole = refitted_with_found(before, given, best.settings, y, rate_hz)
-        except DataError as problem:  # far from the rotor
-            text = f"{found.verdict} was named but the fit with it fails ({problem}): not added"
-            messages.append(Message("not_added", text))
+        if refusal := ladder.add(best):
+            messages.append(Message("not_added", f"{found.verdict} was named but {refusal}: not added"))
             break
-        moved = shift
-        if (data := new_whole.point.data).bins.size < point.data.bins.size:  # left out beside a crack
-            moved = rungs[-1].heldout_nll - heldout_nll(fit_model(data, list(point.placed), start=point))
-        new = rung(new_whole.model, new_whole.point, y)
-        new = replace(new, heldout_nll=new.heldout_nll + moved)
-        if best.effect not in UNSCORED and new.heldout_nll >= rungs[-1].heldout_nll:
-            text = f"{found.verdict} was named but does not improve the held-out likelihood: not added"
-            messages.append(Message("not_added", text))
-            break
-        earned = (rungs[-1].heldout_nll - new.heldout_nll) * point.data.blocks * point.data.block > EARNED
-        if best.effect in PERIODIC_EFFECTS and new.missing[0] >= rungs[-1].missing[0] and not earned:
-            text = f"{found.verdict} was named but does not reduce the missing force: not added"
-            messages.append(Message("not_added", text))
-            break
-        whole, model, point, shift = new_whole, new_whole.model, new_whole.point, moved
-        rungs.append(new)
     else:
-        text = f"{MOST} effects were added, the limit of one run: run improve again on the rig file that it wrote"
-        messages.append(Message("most_added", text))
-    if found.verdict not in ENDED and len(diagnoses) == len(rungs):  # what it named was not upheld
-        if rungs[-1].missing[0] < 100 * NEGLIGIBLE_FORCE_SHARE:
-            found = replace(found, verdict="complete", messages=())
-        elif best is not None and best.placed:  # a law of another shape than what is missing
-            found = replace(found, verdict="unknown", messages=())
-    said = [*whole.messages, *messages, *idle(point), *(found.messages if found.verdict in ENDED else ())]
+        text = f"{MAX_EFFECTS_ADDED} effects were added, the limit of one run: run improve again on the rig file"
+        messages.append(Message("most_added", f"{text} that it wrote"))
+    if len(diagnoses) == len(ladder.rungs):  # the last one was not followed
+        found = _last_verdict(found, ladder.rungs[-1])
+    last = found.messages if found.verdict in VERDICTS_WITHOUT_EFFECT else ()
     say(1.0, "done")
-    return Improvement(tuple(rungs), fitted_model(model, point), whole.parameters, found, tuple(said), tuple(diagnoses))
+    return Improvement(
+        rungs=tuple(ladder.rungs),
+        model=fitted_model(ladder.whole.model, ladder.whole.point),
+        parameters=ladder.whole.parameters,
+        last=found,
+        messages=(*ladder.whole.messages, *messages, *insignificant_effects(ladder.whole.point), *last),
+        diagnoses=tuple(diagnoses),
+    )
+
+
+def _last_verdict(found: Diagnosis, last: Rung) -> Diagnosis:
+    """The diagnosis that ends an improvement: an effect that was refused is no verdict."""
+    if found.verdict in VERDICTS_WITHOUT_EFFECT:
+        return found
+    if last.missing[0] < 100 * NEGLIGIBLE_FORCE_SHARE:
+        return replace(found, verdict="complete", messages=())
+    law = bool(found.ranking) and bool(found.ranking[0].placed)  # of another shape than what is missing
+    return replace(found, verdict="unknown", messages=()) if law else found
+
+
+def _second_half(say: Progress, start: float) -> Progress:
+    """Progress of a diagnosis that ends halfway between `start` and 1."""
+    return lambda fraction, text: say(start + fraction * (1 - start) / 2, text)
+
+
+class _Ladder:
+    """The models of an improvement. Only the last one is kept with its rows: they are large."""
+
+    def __init__(self, given: Model, y: Array, rate_hz: float, whole: FullFit) -> None:
+        self._given, self._y, self._rate_hz = given, y, rate_hz
+        self._shift = 0.0  # nats per sample, so that each rung is compared on the bins that both are judged on
+        self.whole = whole
+        self.rungs = [rung(whole.model, whole.point, y)]
+
+    def add(self, best: Entry) -> str:
+        """Add an effect that was named. Returns why it is refused; "" where it is added."""
+        try:
+            new = self._with_law(best) if best.placed else self._with_settings(best)
+        except DataError as problem:  # far from the rotor
+            return f"the fit with it fails ({problem})"
+        if new is None:
+            return "cannot be distinguished from zero when fitted"
+        point, last, shift = self.whole.point, self.rungs[-1], self._shift
+        if (data := new.point.data).bins.size < point.data.bins.size:  # left out beside a crack
+            shift = last.heldout_nll - heldout_nll(fit_model(data, list(point.placed), start=point))
+        now = rung(new.model, new.point, self._y)
+        now = replace(now, heldout_nll=now.heldout_nll + shift)
+        if best.effect not in UNSCORED_EFFECTS and now.heldout_nll >= last.heldout_nll:
+            return "does not improve the held-out likelihood"
+        gain_nats = (last.heldout_nll - now.heldout_nll) * point.data.blocks * point.data.block
+        if (
+            best.effect in PERIODIC_EFFECTS
+            and now.missing[0] >= last.missing[0]
+            and not gain_nats > THRESHOLDS.min_gain_nats
+        ):
+            return "does not reduce the missing force"
+        self.whole, self._shift = new, shift
+        self.rungs.append(now)
+        return ""
+
+    def _with_law(self, best: Entry) -> FullFit | None:
+        """The model with a law that was found; None where the law cannot be distinguished from zero.
+
+        Masses, shapes of spectra and the recorder's filter and delay were fitted without the law. They are fitted again
+        with it.
+        """
+        given, model, point = self._given, self.whole.model, self.whole.point
+        richer = fit_model(point.data, [*point.placed, *best.placed], start=point)
+        if set(unidentifiable_laws(richer)).issuperset(use.key for use in best.placed):
+            return None
+        new = replace(self.whole, model=fitted_model(model, richer), point=richer)
+        taken = model.roll_off is not given.roll_off or recorder_fall.find_roll_off(new.model, richer)
+        shaped = any(use.name in SPECTRAL_AND_SENSOR_EFFECTS for use in model.effects)
+        if not (self.whole.masses or shaped or taken or recorder_phase.find_recorder_phase(new.model, richer)):
+            return new
+        again = replace(new.model, mass=given.mass, roll_off=given.roll_off)
+        del richer, new, point
+        self._drop_rows()
+        return _refitted(again, self._y, self._rate_hz)
+
+    def _with_settings(self, best: Entry) -> FullFit:
+        """The model with an effect that is no law of a state.
+
+        Forces of time alone make products with the motion that look like a parametric stiffness: its order is sought
+        again. So is the recorder's filter where the effect shapes the spectra.
+        """
+        given = self._given
+        before = replace(
+            fitted_model(self.whole.model, self.whole.point),
+            ball_pass_order=given.ball_pass_order, order_found=False, mass=given.mass,
+        )  # fmt: skip
+        if best.effect not in PERIODIC_EFFECTS:
+            before = replace(before, roll_off=given.roll_off)
+        self._drop_rows()
+        return refitted_with_found(before, given, best.settings, self._y, self._rate_hz)
+
+    def _drop_rows(self) -> None:
+        self.whole = replace(self.whole, point=self.whole.point.without_rows())
 
 
 def refitted_with_found(
     before: Model, given: Model, settings: dict[str, Settings], y: Array, rate_hz: float
 ) -> FullFit:
-    """The whole of a model with what was found, begun from its fit without it; where that ended too far from the rotor,
-    as of a sensor that is clipped much, from the numbers that were given. Raises DataError if neither is sound."""
+    """The full fit of a model with effects that were found.
+
+    The fit starts from the fit without them. Where that one lies too far from the rotor, as beside a sensor that clips
+    much, the fit starts from the given values. Raises DataError if neither is sound. settings : by name, by place.
+    """
     try:
         return _refitted(with_found_effects(before, settings), y, rate_hz)
     except DataError:
@@ -179,13 +261,13 @@ def refitted_with_found(
 
 
 def _refitted(model: Model, y: Array, rate_hz: float) -> FullFit:
-    """The whole of a model that begins from a fit, and the masses that the rig file leaves out with it."""
+    """The full fit of a model, the masses that the rig file leaves out included; its model has the fitted values."""
     whole = fit_all_effects(model, y, rate_hz)
     return replace(whole, model=fitted_model(whole.model, whole.point))
 
 
 def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:
-    """A model's place on the ladder."""
+    """The held-out likelihood and the missing force of a fitted model. y : (n, channels), SI."""
     found, _, nll, rmse = survey_with(
         point_on_part(point, SURVEY_S), model, lambda: search(model, point, y), lambda: heldout_nll(point),
         lambda: heldout_rmse(model, y, point.data.rate_hz),
@@ -193,7 +275,7 @@ def rung(model: Model, point: WorkingPoint, y: Array) -> Rung:
     return Rung(tuple(u.name for u in model.effects), nll, found.interval(), rmse)
 
 
-def idle(point: WorkingPoint) -> list[Message]:
-    """Effects of the model that earn nothing: said, never removed."""
+def insignificant_effects(point: WorkingPoint) -> list[Message]:
+    """Messages on effects of the model that cannot be distinguished from zero. They are never removed."""
     text = "cannot be distinguished from zero in this record; it stays in the model"
     return [Message("effect_idle", f"{key} {text}", key.rsplit(".", 1)[0]) for key in unidentifiable_laws(point)]

@@ -7,7 +7,7 @@ import pytest
 from hidden_effects import RATE, one_bearing, record
 
 from estimator.diagnosis.comparison.comparison import compare
-from estimator.diagnosis.comparison.curves import STATES, on_hats
+from estimator.diagnosis.comparison.curves import CURVE_STATES, on_hats
 
 
 def test_a_projection_on_hats_keeps_straight_lines_and_kinks() -> None:
@@ -31,7 +31,7 @@ def test_a_dead_zone_shows_as_a_dead_zone() -> None:
     assert measured[0] < 0 < measured[-1]  # flanks that stiffen
     outside = (law.model < law.band_low) | (law.model > law.band_high)
     assert outside.any()
-    assert {c.against for c in hidden.curves} <= set(STATES)
+    assert {c.against for c in hidden.curves} <= set(CURVE_STATES)
     assert {"displacement", "velocity", "other_direction"} <= {c.against for c in hidden.curves}
 
 

@@ -59,6 +59,6 @@ def test_without_a_bearing_its_nats_and_numbers_go() -> None:
     by_node = {"bearing1": (5.0, 4.0), "bearing2": (3.0, 1.0)}
     parameters = {f"{n}.x.cubic.kNL": object() for n in NODES}
     entry = Entry("cubic", NODES, 8.0, 5.0, 1e-3, 1.0, 0.0, parameters, 8.0, placed=laws, by_node=by_node)  # type: ignore[arg-type]
-    less = ranking.without(entry, ["bearing2"])
+    less = ranking.without_nodes(entry, ["bearing2"])
     assert (less.at, less.gain, less.heldout_gain, less.placed) == (("bearing1",), 5.0, 4.0, laws[:1])
     assert set(less.parameters) == {"bearing1.x.cubic.kNL"}

@@ -9,8 +9,8 @@ import pytest
 from hidden_effects import RATE, one_bearing, record
 from numpy.typing import NDArray
 
-from estimator.diagnosis.hypotheses import trial as screen
 from estimator.diagnosis.hypotheses.gate_amplitude import Extrapolation, extrapolated, upper_part
+from estimator.diagnosis.hypotheses.trial import best_on_grid
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size
 from estimator.identification.batch.grid_start import fit_record
@@ -23,7 +23,7 @@ SECONDS = 10.0
 
 def judged(rig: Model, y: NDArray[np.float64], effect: str) -> Extrapolation:
     point = fit_record(rig, prepare(rig, y, RATE))
-    trial = screen.best_at(point, rig, CATALOGUE[effect], "bearing1.x")
+    trial = best_on_grid(point, rig, CATALOGUE[effect], "bearing1.x")
     assert trial is not None
     found = extrapolated(point, (trial.placed,))
     assert found is not None

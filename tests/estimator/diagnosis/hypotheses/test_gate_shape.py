@@ -10,7 +10,8 @@ from hidden_effects import RATE, one_bearing, record
 from numpy.typing import NDArray
 
 from estimator.diagnosis.hypotheses import gate_shape
-from estimator.diagnosis.hypotheses import trial as screen
+from estimator.diagnosis.hypotheses.trial import best_on_grid
+from estimator.diagnosis.thresholds import THRESHOLDS
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size
 from estimator.identification.batch.grid_start import fit_record
@@ -24,10 +25,10 @@ SECONDS = 10.0
 
 def left(rig: Model, y: NDArray[np.float64], effect: str) -> float:
     point = fit_record(rig, prepare(rig, y, RATE))
-    trial = screen.best_at(point, rig, CATALOGUE[effect], "bearing1.x")
+    trial = best_on_grid(point, rig, CATALOGUE[effect], "bearing1.x")
     assert trial is not None
     after = fit_model(point.data, [*point.placed, trial.placed], start=point, rounds=2)
-    found = gate_shape.left(point, after, effect, {0})
+    found = gate_shape.misfit_rel(point, after, effect, {0})
     assert found is not None
     return found
 
@@ -44,13 +45,13 @@ def one_sided_drag(rig: Model) -> NDArray[np.float64]:
 @pytest.mark.parametrize("effect", ["quadratic", "quadratic_damping"])
 def test_a_drag_of_one_direction_is_neither_a_one_sided_spring_nor_a_drag(effect: str) -> None:
     rig = one_bearing()
-    assert left(rig, one_sided_drag(rig), effect) > gate_shape.OTHER
+    assert left(rig, one_sided_drag(rig), effect) > THRESHOLDS.other_terms_misfit_min_rel
 
 
 @pytest.mark.parametrize("effect", ["quadratic", "stop", "coulomb", "quadratic_damping"])
 def test_the_right_law_leaves_nothing_even_in_the_velocity(effect: str) -> None:
     rig = one_bearing()
-    assert left(rig, record(rig, effect, 0.06), effect) < gate_shape.MOST
+    assert left(rig, record(rig, effect, 0.06), effect) < THRESHOLDS.misfit_max_rel
 
 
 def test_what_is_left_is_measured_by_what_the_law_explains_where_that_is_more() -> None:
@@ -59,7 +60,7 @@ def test_what_is_left_is_measured_by_what_the_law_explains_where_that_is_more() 
     rig = one_bearing()
     point = fit_record(rig, prepare(rig, record(rig, "stop", 0.06), RATE))
     power, _, _ = gate_shape.polynomial_power(point, 0, "x", tuple(range(2, 10)))
-    plain = gate_shape.left(point, point, "stop", {0})
+    plain = gate_shape.misfit_rel(point, point, "stop", {0})
     assert plain == pytest.approx(1.0)
-    assert gate_shape.left(point, point, "stop", {0}, least=0.5 * power) == plain
-    assert gate_shape.left(point, point, "stop", {0}, least=25.0 * power) == pytest.approx(0.2, rel=0.01)
+    assert gate_shape.misfit_rel(point, point, "stop", {0}, least=0.5 * power) == plain
+    assert gate_shape.misfit_rel(point, point, "stop", {0}, least=25.0 * power) == pytest.approx(0.2, rel=0.01)

@@ -1,4 +1,4 @@
-"""Searched parameters of a weak effect: lent from spot to spot, and stepped to their best on the whole record."""
+"""Searched parameters of a weak effect: lent between locations, and stepped to their best on the whole record."""
 
 from __future__ import annotations
 
@@ -8,13 +8,22 @@ import numpy as np
 import pytest
 from hidden_effects import RATE, one_bearing, record
 
-from estimator.diagnosis.hypotheses import trial as screen
-from estimator.diagnosis.hypotheses.ranking import entries
+from estimator.diagnosis.hypotheses.ranking import ranked_entries
+from estimator.diagnosis.hypotheses.trial import (
+    Trial,
+    are_contenders,
+    best_on_grid,
+    best_trial,
+    refined_trial,
+    repeated_trial,
+    with_borrowed_parameters,
+    with_heldout_gain,
+)
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths
 from estimator.identification.residual.missing_force import survey
 from estimator.likelihood.fitting.gauss_newton import fit_model
-from estimator.likelihood.motion.located_law import LocatedLaw, located_laws
+from estimator.likelihood.motion.located_law import LocatedLaw, acted_on, located_laws
 from estimator.likelihood.motion.prepare import prepare
 from estimator.likelihood.path import law_gain
 from estimator.likelihood.path.working_point import WorkingPoint
@@ -36,28 +45,31 @@ def weak() -> tuple[Model, WorkingPoint, float]:
 
 def test_a_gap_found_at_one_direction_is_tried_at_the_other(weak: tuple[Model, WorkingPoint, float]) -> None:
     rig, point, _ = weak
-    found = screen.tried(point, point, rig, CLEARANCE, "bearing1.y")
+    found = best_trial(point, point, rig, CLEARANCE, "bearing1.y")
     assert found is not None
-    both = screen.borrowed(point, rig, [found], ["bearing1.x", "bearing1.y"])
-    assert [t.spot for t in both] == ["bearing1.x", "bearing1.y"]
+    both = with_borrowed_parameters(point, rig, [found], ["bearing1.x", "bearing1.y"])
+    assert [t.location for t in both] == ["bearing1.x", "bearing1.y"]
     assert both[0].placed.p[1] == found.placed.p[1]
     assert both[0].placed.at != found.placed.at
     assert both[0].gain > 10.0
 
 
 def test_the_strongest_takes_the_gap_of_another_that_suits_it_better(weak: tuple[Model, WorkingPoint, float]) -> None:
-    """With few nats between a right number and a wrong one the strongest spot had lent its wrong one: Hertz contact,
+    """With few nats between a right number and a wrong one the strongest had lent its wrong one: Hertz contact,
     preload 9.9 for 1.45 um at a bearing, 1.15 um at the other, ended in a fit that was not added."""
     rig, point, gap = weak
-    found = [screen.tried(point, point, rig, CLEARANCE, spot) for spot in ("bearing1.x", "bearing1.y")]
+    found = [best_trial(point, point, rig, CLEARANCE, location) for location in ("bearing1.x", "bearing1.y")]
     best, other = sorted((t for t in found if t is not None), key=lambda t: -t.gain)
-    wrong = screen.again(point, rig, replace(best, placed=best.placed.with_values(best.placed.p * [1.0, 0.5])))
+    wrong = repeated_trial(point, rig, replace(best, placed=best.placed.with_values(best.placed.p * [1.0, 0.5])))
     assert wrong is not None
     assert wrong.gain < best.gain - 2.0
     strongest = replace(other, gain=wrong.gain - 0.1)
-    lent = {t.spot: t for t in screen.borrowed(point, rig, [wrong, strongest], [wrong.spot, other.spot])}
-    assert lent[wrong.spot].placed.p[1] == other.placed.p[1]
-    assert lent[wrong.spot].gain > wrong.gain
+    lent = {
+        t.location: t
+        for t in with_borrowed_parameters(point, rig, [wrong, strongest], [wrong.location, other.location])
+    }
+    assert lent[wrong.location].placed.p[1] == other.placed.p[1]
+    assert lent[wrong.location].gain > wrong.gain
 
 
 def test_a_number_that_is_given_has_no_spread(
@@ -65,21 +77,21 @@ def test_a_number_that_is_given_has_no_spread(
 ) -> None:
     """The balls of a bearing were 6.00 +- 0.46."""
     rig, point, _ = weak
-    monkeypatch.setattr(screen, "grid", lambda *_: [np.array([1.0, 2e-7, 6.0])])
-    found = screen.best_at(point, rig, CATALOGUE["hertz"], "bearing1")
+    monkeypatch.setattr("estimator.diagnosis.hypotheses.trial.parameter_grid", lambda *_: [np.array([1.0, 2e-7, 6.0])])
+    found = best_on_grid(point, rig, CATALOGUE["hertz"], "bearing1")
     assert found is not None
-    (entry,) = entries(rig, point, [screen.judged(found)], survey(point, rig))
+    (entry,) = ranked_entries(rig, point, [with_heldout_gain(found)], survey(point, rig))
     assert entry.parameters["bearing1.hertz.balls"] == Parameter(6.0, 0.0, "1", True, "given")
     assert entry.parameters["bearing1.hertz.preload"].sd != 0.0
 
 
 def test_steps_on_the_whole_record_find_the_gap(weak: tuple[Model, WorkingPoint, float]) -> None:
     rig, point, gap = weak
-    found = screen.tried(point, point, rig, CLEARANCE, "bearing1.x")
+    found = best_trial(point, point, rig, CLEARANCE, "bearing1.x")
     assert found is not None
-    off = screen.again(point, rig, replace(found, placed=found.placed.with_values(found.placed.p * [1.0, 0.6])))
+    off = repeated_trial(point, rig, replace(found, placed=found.placed.with_values(found.placed.p * [1.0, 0.6])))
     assert off is not None
-    best = screen.refined(point, rig, off)
+    best = refined_trial(point, rig, off)
     assert best.gain > off.gain
     assert best.placed.p[1] == pytest.approx(gap, rel=0.1)
 
@@ -90,11 +102,11 @@ def test_an_effect_at_its_limit_still_says_from_what_strength_it_would_be_seen(
     """Friction of the wrong sign is none; its standard deviation is that of a step about zero."""
     rig, point, _ = weak
     coulomb = CATALOGUE["coulomb"]
-    where = screen.acting(coulomb, "bearing1.x", point.data)
+    where = acted_on(coulomb, "bearing1.x", point.data)
     free = law_gain.fitted_gain(point, LocatedLaw(coulomb, "bearing1.x.coulomb", where, np.ones(1), (True,)))
     assert free is not None
     barred = replace(coulomb, parameters=(replace(coulomb.parameters[0], low=1.0),))  # more than the record has
-    limited = screen.best_at(point, rig, barred, "bearing1.x")
+    limited = best_on_grid(point, rig, barred, "bearing1.x")
     assert limited is not None
     assert (limited.gain, limited.values, limited.df) == (0.0, {}, 1)
     assert limited.spread == free.spread
@@ -103,18 +115,18 @@ def test_an_effect_at_its_limit_still_says_from_what_strength_it_would_be_seen(
 
 def test_the_whole_record_is_for_what_it_could_bring_forward(weak: tuple[Model, WorkingPoint, float]) -> None:
     rig, point, _ = weak
-    trial = screen.tried(point, point, rig, CLEARANCE, "bearing1.x")
+    trial = best_trial(point, point, rig, CLEARANCE, "bearing1.x")
     assert trial is not None
 
-    def at(name: str, gain: float) -> screen.Trial:
+    def at(name: str, gain: float) -> Trial:
         return replace(trial, effect=CATALOGUE[name], gain=gain, df=1)
 
     clear = [at("clearance", 300.0), at("clearance", 0.1), at("stop", 200.0), at("hertz", 60.0)]
-    assert screen.contenders(clear) == [True, False, True, False]
+    assert are_contenders(clear) == [True, False, True, False]
     alone = [at("clearance", 300.0), at("stop", 60.0), at("hertz", 50.0)]
-    assert screen.contenders(alone) == [True, True, False]
+    assert are_contenders(alone) == [True, True, False]
     faint = [at("clearance", 20.0), at("stop", 1.0), at("hertz", 0.1)]
-    assert screen.contenders(faint) == [True, True, False]
+    assert are_contenders(faint) == [True, True, False]
 
 
 def test_what_is_known_of_a_law_is_that_of_its_numbers(weak: tuple[Model, WorkingPoint, float]) -> None:

@@ -12,7 +12,7 @@ from hidden_effects import RATE, ROOT, SECONDS, one_bearing, record, schema
 
 from daq.rig.rig import load_rig
 from estimator.diagnosis.hypotheses import ranking
-from estimator.diagnosis.hypotheses.screen import extrapolating, promising_trials, ranked
+from estimator.diagnosis.hypotheses.screen import amplitude_checked, promising_trials, rank_on_part
 from estimator.diagnosis.verdict.diagnosis import Diagnosis, diagnose, quiet, verdict_of_laws, verdict_of_ranking
 from estimator.diagnosis.verdict.gate_second_law import another_explains
 from estimator.diagnosis.verdict.improvement import improve
@@ -114,8 +114,8 @@ def test_a_law_just_behind_that_leaves_nothing_beats_one_that_leaves_much(
     )
     y = record(rig, right, 0.06)
     fitted = fit_all_effects(rig, y, RATE)
-    found = ranked(fitted.model, fitted.point, y, quiet)
-    before, entries = found.before, extrapolating(found)
+    found = rank_on_part(fitted.model, fitted.point, y, quiet)
+    before, entries = found.before, amplitude_checked(found)
     there, ahead = (next(e for e in entries if e.effect == name) for name in (right, wrong))
 
     def verdict(nats: float, force: float = 1.0) -> Diagnosis:
@@ -144,8 +144,8 @@ def test_a_law_that_is_nothing_once_it_is_fitted_with_the_model_is_not_named(
     )
     y = simulate(rig, RATE, 3.0, seed=6, noise=0.02)
     fitted = fit_all_effects(rig, y, RATE)
-    found = ranked(fitted.model, fitted.point, y, quiet)
-    before, entries = found.before, extrapolating(found)
+    found = rank_on_part(fitted.model, fitted.point, y, quiet)
+    before, entries = found.before, amplitude_checked(found)
     assert not before.places_found()
     seeming = next(replace(e, p_value=1e-8, explained_percent=0.5) for e in entries if e.effect == "quadratic")
     others = [e for e in entries if e.effect != "quadratic"]
@@ -185,15 +185,15 @@ def test_false_alarms_are_rare() -> None:
 def test_an_effect_near_the_front_at_one_bearing_is_refined_at_the_other() -> None:
     """A gap between two nodes of the grid loses half of its nats at one bearing and not at the other."""
 
-    def trial(effect: str, spot: str, gain: float) -> SimpleNamespace:
-        return SimpleNamespace(effect=SimpleNamespace(name=effect), spot=spot, gain=gain)
+    def trial(effect: str, location: str, gain: float) -> SimpleNamespace:
+        return SimpleNamespace(effect=SimpleNamespace(name=effect), location=location, gain=gain)
 
     trials = [
         trial("quintic", "bearing1.x", 100.0), trial("quintic", "bearing2.x", 100.0),
         trial("clearance", "bearing1.x", 20.0), trial("clearance", "bearing2.x", 60.0),
         trial("stop", "bearing1.x", 5.0), trial("stop", "bearing2.x", 1.0),
     ]  # fmt: skip
-    found = {(t.effect.name, t.spot) for t in promising_trials(trials)}  # type: ignore[arg-type]
+    found = {(t.effect.name, t.location) for t in promising_trials(trials)}  # type: ignore[arg-type]
     assert {e for e, _ in found} == {"quintic", "clearance"}
     assert ("clearance", "bearing1.x") in found
 
@@ -224,4 +224,4 @@ def test_a_few_clipped_samples_stand_behind_what_they_cannot_make(per_sample: fl
         entry("sensor_clipping", 166.0, np.inf),
         entry("cross_coupling", 166 * per_sample, 166 * per_sample - 1.5, (law,)),
     ]
-    assert max(ranking.after_what_clipping_cannot_make(found), key=lambda e: e.score).effect == first
+    assert max(ranking.clipping_behind_laws(found), key=lambda e: e.score).effect == first

@@ -30,10 +30,10 @@ def test_a_law_whose_fit_goes_astray_is_nothing() -> None:
     entry = Entry("quintic", ("bearing1",), 9.0, 9.0, 1e-9, 3.0, 0.0, {}, 9.0, placed=(QUINTIC,))
     before = missing_force.survey(point, rig)
     with pytest.raises(NotFiniteError, match=r"quintic at bearing1\.x"):
-        gate_residual.seen(point, point, before, entry)
-    found = gate_residual.fits(rig, point, before, entry, quiet)
-    assert found.left is None
-    assert found.entry.notes == (gate_residual.ASTRAY,)
+        gate_residual.fit_on_part(point, point, before, entry)
+    found = gate_residual.residual_gate(rig, point, before, entry, quiet)
+    assert found.misfit_rel is None
+    assert found.entry.notes == (gate_residual.REFUSED_DIVERGES,)
     assert gate_second_law.of_one_state(rig, point, point, [entry]) is None
 
 

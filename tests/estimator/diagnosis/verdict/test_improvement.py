@@ -201,7 +201,7 @@ def test_a_law_of_no_catalogue_is_unknown_and_explained_when_the_user_types_it(r
 def test_a_law_that_the_user_types_as_a_candidate_is_tried_like_one_of_the_catalogue(
     rig: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("estimator.diagnosis.verdict.improvement.MOST", 1)
+    monkeypatch.setattr("estimator.diagnosis.verdict.improvement.MAX_EFFECTS_ADDED", 1)
     true, typed = unlisted(rig, "tanh")
     y = simulate(having(rig, true), RATE, SECONDS, seed=6, noise=NOISE, full_scale=FULL_SCALE)
     ladder = improve(replace(rig, candidates=(typed,)), y, RATE)

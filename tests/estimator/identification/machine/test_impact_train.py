@@ -118,9 +118,9 @@ def test_lines_below_the_band_come_after_strikes_in_it(hz: tuple[float, ...], fi
         for name, f in zip(("line", "line_2"), hz, strict=True)
     }
     strikes = entry("local_defect", 3735.0)
-    found = ranking.after_strikes([entry("line", 8331.0, lines), strikes], 171.6)
+    found = ranking.behind_impact_train([entry("line", 8331.0, lines), strikes], 171.6)
     assert max(found, key=lambda e: e.score).effect == first
-    assert ranking.after_strikes([entry("line", 8331.0, lines)], 171.6)[0].score == 8331.0
+    assert ranking.behind_impact_train([entry("line", 8331.0, lines)], 171.6)[0].score == 8331.0
 
 
 def entry(effect: str, score: float, settings: dict[str, Settings] | None = None) -> ranking.Entry:

@@ -10,7 +10,7 @@ import pytest
 from hidden_effects import RATE, SECONDS, one_bearing
 
 from estimator.diagnosis.hypotheses import ranking
-from estimator.diagnosis.hypotheses import trial as screen
+from estimator.diagnosis.hypotheses.trial import best_on_grid
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch import spectral as spectral
@@ -85,12 +85,13 @@ def test_the_order_is_as_certain_as_it_says() -> None:
 def test_an_order_taken_from_the_record_pays_for_all_that_were_looked_at(rig: Model) -> None:
     """One of 78 complete models had a line of 35 nats among its products, one of 62,000, and a ball pass of 21."""
     point = fit_all_effects(rig, simulate(rig, RATE, 4.0, seed=2, noise=0.02, full_scale=490.5), RATE).point
-    trial = screen.best_at(point, rig, CATALOGUE["ball_pass"], "bearing1.x")
+    trial = best_on_grid(point, rig, CATALOGUE["ball_pass"], "bearing1.x")
     assert trial is not None
     some = replace(trial, gain=25.0)
     survey = MissingForce((), point.bearing_force)
     given, found = (
-        ranking.entries(replace(rig, order_found=known), point, [some], survey)[0].p_value for known in (False, True)
+        ranking.ranked_entries(replace(rig, order_found=known), point, [some], survey)[0].p_value
+        for known in (False, True)
     )
     assert found == pytest.approx(given * stiffness_order.order_trials(point))
     assert stiffness_order.order_trials(point) == pytest.approx(29.7 * point.data.speed / (2 * np.pi) * 4.0, rel=0.2)

@@ -9,8 +9,8 @@ import pytest
 from hidden_effects import RATE, coupled_on_a_stiff_shaft, one_bearing
 from scipy.signal import bilinear, butter, iirpeak, lfilter
 
-from estimator.diagnosis.hypotheses.screen import ranked
-from estimator.diagnosis.verdict.diagnosis import SPECTRUM, diagnose, quiet
+from estimator.diagnosis.hypotheses.screen import rank_on_part
+from estimator.diagnosis.verdict.diagnosis import SPECTRUM_UNEXPLAINED, diagnose, quiet
 from estimator.diagnosis.verdict.improvement import improve
 from estimator.identification.batch.full_fit import fit_all_effects
 from estimator.identification.batch.grid_start import fit_record
@@ -43,7 +43,7 @@ def test_a_force_with_a_peak_is_unknown_and_no_pedestal() -> None:
     found = diagnose(rig, np.stack([peaked, y[:, 1]], axis=1), RATE)
     assert found.verdict == "unknown"
     assert any(m.text.startswith("bearing1.x: force spectrum") for m in found.messages)
-    assert SPECTRUM in found.messages
+    assert SPECTRUM_UNEXPLAINED in found.messages
 
 
 @pytest.mark.parametrize(("hz", "quality"), [(1200.0, 2.0), (2000.0, 0.5)])
@@ -57,7 +57,7 @@ def test_a_colour_that_leaves_much_once_it_is_fitted_is_not_named(hz: float, qua
     assert found.verdict == "unknown"
     assert found.ranking[0].after_percent > 0.4 * found.ranking[0].before_percent
     assert found.messages[0].code == "nearest_leaves"
-    assert SPECTRUM in found.messages
+    assert SPECTRUM_UNEXPLAINED in found.messages
 
 
 def test_a_colour_beside_noise_of_its_sensor_is_named_and_then_the_noise() -> None:
@@ -113,7 +113,7 @@ def test_a_force_with_a_peak_on_a_stiff_shaft_is_unknown_and_no_law() -> None:
     assert found.verdict == "unknown"
     assert found.shape is None
     assert any(m.text.startswith("bearing1.x: force spectrum") for m in found.messages)
-    assert SPECTRUM in found.messages
+    assert SPECTRUM_UNEXPLAINED in found.messages
 
 
 def test_a_spectrum_that_a_missing_law_bends_is_not_taken_as_it_is() -> None:
@@ -129,7 +129,7 @@ def test_a_spectrum_that_a_missing_law_bends_is_not_taken_as_it_is() -> None:
         ),
     )
     whole = fit_all_effects(rig, y := simulate(truth, RATE, 10.0, seed=3, noise=0.0), RATE)
-    entries = ranked(whole.model, whole.point, y, quiet).entries
+    entries = rank_on_part(whole.model, whole.point, y, quiet).entries
     assert entries[0].effect == "cross_coupling"
     assert spectral_shape.refit_with_seen_spectra(rig, whole.point, 0.0) is not None, (
         "no cause of the catalogue makes this spectrum"

@@ -192,7 +192,7 @@ def test_a_place_may_have_more_than_one_line(rig: Model) -> None:
     y = simulate(truth, RATE, 8.0, seed=5, noise=0.02, full_scale=490.5)
     whole = fit_all_effects(rig, y, RATE)
     seen = search(rig, whole.point, y)
-    entry = ranking.entries(rig, whole.point, [], survey(whole.point, rig, only=()), seen)[0]
+    entry = ranking.ranked_entries(rig, whole.point, [], survey(whole.point, rig, only=()), seen)[0]
     assert [*entry.settings] == [*hums]
     added = fit_all_effects(with_found_effects(rig, entry.settings), y, RATE)
     assert search(added.model, added.point, y) == []
@@ -203,7 +203,7 @@ def test_a_place_may_have_more_than_one_line(rig: Model) -> None:
             assert abs((p.value or 0.0) - value) < 4 * p.sd, (name, key)
     further = replace(added.model, effects=tuple(u for u in added.model.effects if u.name != "line_2"))
     left = [s for s in seen if s.region.startswith("250")]
-    again = ranking.entries(further, whole.point, [], survey(whole.point, rig, only=()), left)[0]
+    again = ranking.ranked_entries(further, whole.point, [], survey(whole.point, rig, only=()), left)[0]
     assert [*again.settings] == ["line_2"]
 
 

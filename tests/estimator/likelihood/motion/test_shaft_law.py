@@ -11,7 +11,7 @@ from hidden_effects import ROOT
 from scipy.integrate import solve_ivp
 
 from daq.rig.rig import load_rig
-from estimator.diagnosis.hypotheses.trial import best_at
+from estimator.diagnosis.hypotheses.trial import best_on_grid
 from estimator.diagnosis.verdict.diagnosis import diagnose
 from estimator.diagnosis.verdict.improvement import improve
 from estimator.effects import CATALOGUE
@@ -126,7 +126,7 @@ def test_without_a_speed_a_shaft_is_softer_and_not_cracked() -> None:
     """At one angle all along a loss that turns is one that does not: the two had won two million nats together."""
     still = replace(rig(), speed_rpm=None)
     y = simulate(replace(still, shaft_stiffness=0.95e7), RATE_HZ, 8.0, seed=6, noise=0.02, full_scale=490.5)
-    trial = best_at(fit_record(still, prepare(still, y, RATE_HZ)), still, CRACK, "disc")
+    trial = best_on_grid(fit_record(still, prepare(still, y, RATE_HZ)), still, CRACK, "disc")
     assert trial is not None
     assert trial.p_value == 1.0
     assert [*trial.values] == ["loss"]

@@ -10,7 +10,7 @@ from hidden_effects import RATE, one_bearing
 from reference_rig import PLACES, QUADRATIC_DAMPING, TRUTH, rig_model, rig_record
 from reference_rig import RATE as RIG_RATE
 
-from estimator.diagnosis.hypotheses import trial as screen
+from estimator.diagnosis.hypotheses.trial import best_on_grid, with_heldout_gain
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.identification.batch import spectral
@@ -98,13 +98,13 @@ def test_friction_under_a_growing_force_gains_on_every_fold() -> None:
     for f in range(TIME_FOLDS):
         own = law_along_record(placed.with_values(np.ones(1)), fold_record(point.data, f), 0, point.lin)[1]
         np.testing.assert_allclose(own[f], term.tangent[0] + term.apart[f, 0], rtol=1e-4)
-    found = screen.best_at(point, rig, coulomb, "bearing1.x")
+    found = best_on_grid(point, rig, coulomb, "bearing1.x")
     assert found is not None
-    trial = screen.judged(found)
+    trial = with_heldout_gain(found)
     assert trial.heldout.min() > 0.0
     assert trial.heldout.sum() > 0.8 * trial.gain
     whole = replace(trial.problem, gram=replace(trial.problem.gram, apart=None))
-    assert screen.judged(replace(trial, problem=whole)).heldout.min() < -200.0
+    assert with_heldout_gain(replace(trial, problem=whole)).heldout.min() < -200.0
 
 
 @pytest.mark.slow
