@@ -108,7 +108,7 @@ def _remarks(rig: Rig) -> list[str]:
     model = rig.model
     remarks = []
     if missing := unknown(model):
-        remarks.append(f"{len(missing)} values are left open, for the fit to find: {_some(missing)}")
+        remarks.append(f"{len(missing)} values are not given and will be fitted: {_some(missing)}")
     if not any(model.cap_mass(p) for p in model.places):
         text = "no cap mass is known: forces and stiffnesses then rest on the shaft alone"
         remarks.append(text if model.shaft != "none" else "no mass is known: only ratios such as kL/m can be found")

@@ -54,7 +54,7 @@ def checked(
         raise LogError(f"{path}: {lengths[names[0]]} samples; there is nothing to import")
     rate = _rate(path, columns, rate_hz, lengths[names[0]])
     if rig.model.band[1] >= rate / 2:
-        text = f"band.high = {rig.model.band[1]:g} Hz of the rig is not below half its rate of {rate:g} Hz"
+        text = f"band.high = {rig.model.band[1]:g} Hz of the rig is not below half the sampling rate, {rate:g} Hz"
         raise LogError(f"{path}: {text}; lower band.high, or check the rate")
     if columns.odd:
         note(columns.odd)
@@ -88,16 +88,16 @@ def _rate(path: Path, columns: Columns, given: float | None, samples: int) -> fl
     if said is not None and not (np.isfinite(said) and said > 0):
         raise LogError(f"{path}: a rate of {said:g} Hz; correct rate_hz")
     if said is not None and given is not None and abs(given / said - 1) > RATE_TOLERANCE:
-        raise LogError(f"{path}: says {said:.9g} Hz, --rate says {given:g} Hz; leave --rate out or correct it")
+        raise LogError(f"{path}: the file says {said:.9g} Hz, --rate says {given:g} Hz; leave --rate out or correct it")
     if said is None and given is None:
-        raise LogError(f"{path}: says no sampling rate; give --rate HZ")
+        raise LogError(f"{path}: does not say its sampling rate; give --rate HZ")
     return float(said if said is not None else given or 0.0)
 
 
 def _uniform(path: Path, time: NDArray[np.float64], samples: int) -> float:
     """The rate of a time column, which must be uniform."""
     if time.shape != (samples,):
-        raise LogError(f"{path}: the time column has {time.size} rows, the channels {samples}; cut them alike")
+        raise LogError(f"{path}: the time column has {time.size} rows, the channels {samples}; cut both to one length")
     if not np.isfinite(time).all():
         raise LogError(f"{path}: time at row {int(np.argmin(np.isfinite(time)))} is not a number; repair or cut it")
     steps = np.diff(time)

@@ -29,14 +29,16 @@ def rig_samples(log: Recording, rig: Rig, note: Callable[[str], None]) -> NDArra
     if clipped.any():
         names = ", ".join(rig.model.channels[k].name for k in np.flatnonzero(clipped))
         note(
-            f"{log.path}: {clipped.sum()} samples of {names} are at full scale; they are left out, and the loudest "
-            "moments with them: damping comes out too high"
+            f"{log.path}: {clipped.sum()} samples of {names} are at full scale and are left out; "
+            "as the loudest moments are missing, damping is estimated too high"
         )
     expected_hz = rig.acquisition.rate_hz if rig.acquisition else log.rate_hz
     if abs(log.rate_hz / expected_hz - 1) > RATE_TOLERANCE_REL:
         note(f"{log.path}: {log.rate_hz:g} Hz, where the rig file expects {expected_hz:g} Hz; the log's rate is used")
     if rig.model.band[1] >= log.rate_hz / 2:
-        text = f"band.high = {rig.model.band[1]:g} Hz of the rig is not below half its rate of {log.rate_hz:g} Hz"
+        text = (
+            f"band.high = {rig.model.band[1]:g} Hz of the rig is not below half the sampling rate, {log.rate_hz:g} Hz"
+        )
         raise LogError(f"{log.path}: {text}; lower band.high")
     return y
 
@@ -63,7 +65,7 @@ def _doubts(log: Recording) -> list[str]:
     """What a reader of the samples has to know of the log."""
     doubts = []
     if log.growing:
-        doubts.append(f"{log.path}: is being written; what is there now is used, up to sample {log.stop - 1}")
+        doubts.append(f"{log.path}: is being written; used is what it holds now, up to sample {log.stop - 1}")
     elif not log.complete:
         doubts.append(f"{log.path}: is not complete (rotorscope info says more); what is intact is used")
     if log.lost_samples:

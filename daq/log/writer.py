@@ -123,7 +123,7 @@ class LogWriter:
                 self._abandoned = True
                 why = self._problem or "the disk stalls"
                 lacking = f"up to {self._give_up()} samples of its end are not in it"
-                text = f"{self.path} could not be completed: {why}; {lacking}; try recover on it"
+                text = f"{self.path} could not be completed: {why}; {lacking}; rotorscope recover may mend it"
                 self._tell("error", "log_incomplete", text)
                 return
 
@@ -172,7 +172,7 @@ class LogWriter:
             return
         self._queue.append(self._lost)
         if resumed:
-            text = f"{self.path}: storing again; {self._lost.count} samples from {self._lost.index} were not stored"
+            text = f"{self.path}: stored again; {self._lost.count} samples from {self._lost.index} are missing"
             self._note("warning", "log_resumed", text)
         self._lost = None
 
@@ -284,7 +284,7 @@ class LogWriter:
         self._well()
         if self._file.cut and not self._told_cut:
             self._told_cut = True
-            text = "another program cut or overwrote the log: what it held is lost; it goes on, and recover reads it"
+            text = "another program cut or overwrote the log: what it held is lost; rotorscope recover reads the rest"
             self._tell("error", "log_cut", f"{self.path}: {text}")
         return True
 

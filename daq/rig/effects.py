@@ -17,7 +17,9 @@ from .rig_file import CustomTable, ModelTable, SettingTable
 
 OF_ALL = ("at", "fixed", "value", "min", "max")  # keys of the whole effect's table
 
-_NO_SHAFT_ANGLE = "goes with the shaft angle, which nothing tells: give rig.speed_rpm or a tacho channel, or remove it"
+_NO_SHAFT_ANGLE = (
+    "needs the shaft angle, which is not known: give rig.speed_rpm or a tacho channel, or remove the effect"
+)
 _MODEL_KEYS = ("effects", "linear", "custom")
 
 

@@ -166,7 +166,7 @@ class Pipeline:
         try:
             if self._estimation is not None:
                 if not self._estimation.finish(estimator_s):
-                    text = "the last samples before the stop are logged, not estimated from"
+                    text = "the last samples before the stop are in the log, but not in the last estimate"
                     self._say("warning", "stopped_behind", text)
                 self._collect()
             if self._info is None:
@@ -297,7 +297,7 @@ class Pipeline:
         if all(name in names for name in wanted):
             return [names.index(name) for name in wanted]
         if len(names) == len(wanted):
-            text = f"the device's {', '.join(names)} are taken in this order as {', '.join(wanted)}"
+            text = f"channel names differ: the device's {', '.join(names)} are taken as {', '.join(wanted)} in order"
             self._say("warning", "channels_by_order", text)
             return list(range(len(names)))
         missing = ", ".join(name for name in wanted if name not in names)

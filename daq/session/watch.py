@@ -44,8 +44,8 @@ class Watch:
             return
         still_ns, self._seen_ns = now - self._seen_ns, now
         if still_ns > STILL_NS:
-            text = f"this program stood still for {still_ns / 1e9:.1f} s (stopped, or this computer had no time for it)"
-            self._say("warning", "stood_still", f"{text}: what the link could not keep so long is lost")
+            text = f"this program did not run for {still_ns / 1e9:.1f} s (it was stopped, or the computer was busy)"
+            self._say("warning", "stood_still", f"{text}: samples that the link could not keep so long are lost")
 
     def lost(self, gap: Gap) -> None:
         if gap.reason in WORD_OF_REASON:
@@ -66,7 +66,7 @@ class Watch:
         moved = self._clock.wall_offset_ns() - self._wall_ns
         if abs(moved) > WALL_STEP_NS:
             self._wall_ns += moved
-            text = f"this computer's clock moved by {moved / 1e9:+.3f} s (set, or asleep); times in the log go on"
+            text = f"this computer's clock moved by {moved / 1e9:+.3f} s (set, or asleep); times in the log do not jump"
             self._say("warning", "wall_clock_set", text)
 
     def rate(self, device: DeviceClock, state: ClockState | None) -> None:
@@ -77,7 +77,7 @@ class Watch:
         if true_hz is not None:
             self._rate_told = True
             text = f"samples come at {true_hz:.6g} Hz by this computer's clock, not at {device.rate_hz:g} Hz"
-            more = "frequencies are off by as much, stiffness by twice that; correct what device or rig file gives"
+            more = "frequencies are wrong by as much, stiffness by twice that; correct the rate in device or rig file"
             self._say("warning", "rate_untrue", f"{text}: {more}")
 
     def overflow(self, dropped: int, final: bool) -> None:
@@ -85,5 +85,5 @@ class Watch:
         new, now = dropped - self._overflowed, self._clock.now_ns()
         if new and (final or now - self._overflow_ns >= EVERY_NS):
             self._overflowed, self._overflow_ns = dropped, now
-            text = f"samples come faster than they are taken in: {new} of the oldest that waited are dropped"
-            self._say("error", "overflow", f"{text}; leave this computer less to do, or lower the rate")
+            text = f"samples come faster than this computer processes them: the oldest {new} in the queue are dropped"
+            self._say("error", "overflow", f"{text}; stop other programs, or lower the rate")

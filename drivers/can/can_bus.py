@@ -33,7 +33,7 @@ def open_bus(config: CanConfig) -> Any:
         known = ", ".join(sorted(can.VALID_INTERFACES))
         raise LinkOpenError(f"{config.target}: python-can has no interface {config.interface!r}; it has {known}")
     if config.interface == "serial":
-        text = "python-can's serial interface has no check sum and loses its place after one lost byte"
+        text = "python-can's serial interface has no check sum, and reads wrong frames after one lost byte"
         raise LinkOpenError(f"{config.target}: {text}: use serial: with protocol v1, or slcan:")
     if config.interface == "socketcand":
         _probe(config)  # python-can tries for 10 s at full load when nobody listens
@@ -50,7 +50,7 @@ def open_bus(config: CanConfig) -> Any:
     except can.CanInterfaceNotImplementedError as error:
         raise LinkUnavailable(f"{config.target}: {_line(error)}: install what this interface needs") from error
     except NameError as error:  # python-can goes on without a library that it does not find
-        text = f"the library of its maker is not installed ({_line(error)})"
+        text = f"the library of the manufacturer is not installed ({_line(error)})"
         raise LinkUnavailable(f"{config.target}: {text}: install what this interface needs") from error
     except Exception as error:  # interfaces raise their vendors' own errors
         raise LinkOpenError(f"{config.target}: {_line(error)}: {_advice(config)}") from error

@@ -115,7 +115,7 @@ class CanDecoder:
             return  # the record begins with the first description
         if kind != protocol.SAMPLE_ID.get(layout.name):
             self.stats.count("layout_mismatch", len(payload))
-            text = f"sample frames of another layout than the device's info says ({layout.name}): dropped"
+            text = f"sample frames are not of the layout that the device announced ({layout.name}): dropped"
             self.notices.add(t_host_ns, "warning", "layout_mismatch", text)
             return
         if layout is CLASSIC_LAYOUT:

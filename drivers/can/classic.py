@@ -63,7 +63,7 @@ class ClassicWindow:
         # a counter that stands still: stuck, or 16 frames lost
         if (steps[1:] == 0).any() or window - 1 - int(place[-1]) != behind:
             self._notices.add(t_host_ns, "warning", "window_dropped",
-                              f"{len(counts)} samples between two sync frames cannot be placed: dropped")  # fmt: skip
+                              f"{len(counts)} samples between two sync frames have no index: dropped")  # fmt: skip
             self._stats.count("unplaced_samples", len(counts))
             return None
         n = len(counts)

@@ -151,7 +151,7 @@ class Link:
             self._last_samples_s, self._mute = time.monotonic(), False
         elif not self._mute and time.monotonic() - self._last_samples_s > self.mute_s:
             self._mute = True
-            text = f"{self.target} is not silent, but sends no samples for {self.mute_s:g} s: check the device"
+            text = f"{self.target} sends frames, but no samples for {self.mute_s:g} s: check the device"
             self._decoder.notices.add(now_ns, "warning", "no_samples", text)
             self._decoder.cause("silent")
 

@@ -66,7 +66,7 @@ class MappedDecoder:
             self._emit(index, t_host_ns, out)
         if self._axis.stepped_back != self._seen_back:
             self._seen_back = self._axis.stepped_back
-            self.notices.add(t_host_ns, "warning", "clock_set_back", "the times of the frames went back")
+            self.notices.add(t_host_ns, "warning", "clock_set_back", "the time stamps of the frames went back")
         return out + self.notices.take()
 
     def _emit(self, index: NDArray[np.int64], t_host_ns: int, out: list[Reading]) -> None:

@@ -200,19 +200,19 @@ class Continuity:
         else:
             if ahead == last.rows and not already:
                 self._causes.add("silent")  # it sampled nothing for a while and counted on
-                text = f"the device sampled nothing for {(elapsed - ahead) / self.rate_hz:.3g} s, as its clock says"
+                text = f"the device did not sample for {(elapsed - ahead) / self.rate_hz:.3g} s, according to its clock"
                 self._notices.add(t_host_ns, "warning", "paused", text)
             else:
                 self._causes = {"stuck"}
                 self._notices.add(t_host_ns, "error", "counter_jump",
-                                  "the device's counter disagrees with its clock: the clock is believed")  # fmt: skip
+                                  "the device's counter disagrees with its clock: the clock is used")  # fmt: skip
             passed = rows * round(elapsed / rows)  # whole frames, as the device counts
             self._missing(passed - last.rows - already, last, f, start, out)
         return 0
 
     def _undescribed(self, frames: int, t_host_ns: int) -> int:
         """Another device, or one that began again and may have other settings: its next records will say."""
-        text = "frames of a start that the device has not described yet: dropped until it does"
+        text = "frames after a restart that the device has not described yet: dropped until it does"
         self._notices.add(t_host_ns, "warning", "undescribed", text)
         self._stats.count("undescribed_frames", frames)
         return frames

@@ -57,7 +57,7 @@ class DeviceInfo:
         """Take one record; returns the description if this completes a new one."""
         record = unpack_info(data)
         if record is None:
-            self._notices.add(t_host_ns, "warning", "bad_info", "an info record makes no sense: ignored")
+            self._notices.add(t_host_ns, "warning", "bad_info", "a device info record is invalid: ignored")
             return None
         if record.version != PROTOCOL_VERSION:
             self.other_version(record.version, t_host_ns)

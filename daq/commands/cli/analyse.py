@@ -21,7 +21,7 @@ class Method(StrEnum):
 def fit(
     log: LogArgument,
     rig: RigOption,
-    method: Annotated[Method, typer.Option("--method", help="Of estimation.")] = Method.spectral,
+    method: Annotated[Method, typer.Option("--method", help="Method of estimation.")] = Method.spectral,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="RIG2", help="Write the rig file with the fitted values.")
     ] = None,
@@ -75,7 +75,7 @@ def improve(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Compare, diagnose, add, refit until nothing more is earned; prints the ladder of errors."""
+    """Compare, diagnose, add an effect and refit, until no effect improves the model; prints the error of each step."""
     from daq.commands.analyse import improve as body
 
     body(Output(json, quiet, verbose), log, rig, out, html, rerun)
@@ -87,7 +87,7 @@ def theory(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Hertz stiffness curves of the bearing against preload, beside the fitted ones."""
+    """Hertz stiffness of the bearing against preload, together with the fitted values."""
     from daq.commands.analyse import theory as body
 
     body(Output(json, quiet, verbose), rig)

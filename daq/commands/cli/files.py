@@ -30,7 +30,7 @@ def import_(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Another format into a log, by file ending; never a silent fill."""
+    """Import a file of another format, by its ending, into a log. Missing samples are never filled in."""
     with all_or_nothing():
         from daq.commands.files.importers import import_file as body
 
@@ -44,7 +44,7 @@ def export(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """A log into another format, by file ending; gaps become NaN, and are named."""
+    """Export a log to another format, by the ending of the file. Gaps become NaN and are listed."""
     with all_or_nothing():
         from daq.commands.files.exporters import export as body
 
@@ -53,12 +53,12 @@ def export(
 
 def recover(
     log: Log,
-    out: Annotated[Path, typer.Option("--out", metavar="LOG2", help="The mended log.")],
+    out: Annotated[Path, typer.Option("--out", metavar="LOG2", help="The recovered log.")],
     json: Json = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Mend a cut log, and say what was lost."""
+    """Recover a cut or damaged log, and say what was lost."""
     with all_or_nothing():
         from daq.commands.files.files import recover as body
 
@@ -66,14 +66,14 @@ def recover(
 
 
 def info(log: Log, json: Json = None, quiet: Quiet = False, verbose: Verbose = False) -> None:
-    """What is in a log."""
+    """Show what a log holds."""
     from daq.commands.files.files import info as body
 
     body(Output(json, quiet, verbose), log)
 
 
 def ports(json: Json = None, quiet: Quiet = False, verbose: Verbose = False) -> None:
-    """What can be opened here: serial ports, CAN interfaces, and what is missing."""
+    """List serial ports and CAN interfaces, and what is missing to use others."""
     from daq.commands.ports import ports as body
 
     body(Output(json, quiet, verbose))

@@ -54,7 +54,7 @@ def run(
     Ctrl-C ends a run with a complete log and status 130; SIGTERM does so with status 0.
     A measurement that lies at LOG.mcap is not overwritten: it is kept beside the new one, as LOG-1.mcap.
     Several devices, each with its own link, clock and log: `run press.toml fan.toml=slcan:/dev/ttyACM1 --out logs`.
-    One that fails is told, tried again, and disturbs no other; the exit status is the worst of theirs.
+    A device that fails is reported and tried again; the others go on. The exit status is the worst of them.
     """
     from daq.commands.live.run import run as body
 
@@ -64,14 +64,16 @@ def run(
 def simulate(
     rig: RigArgument,
     out: Annotated[Path | None, typer.Option("--out", metavar="LOG.mcap", help="Simulate into a log.")] = None,
-    serve: Annotated[str | None, typer.Option("--serve", metavar="LINK", help="Be a device on a link.")] = None,
+    serve: Annotated[str | None, typer.Option("--serve", metavar="LINK", help="Simulate a device on a link.")] = None,
     seconds: Annotated[
         float | None,
         typer.Option(
             "--seconds", metavar="S", callback=_above_zero, help="Length (default: 60 for a log, no end for a device)."
         ),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Of the random forces and noise.")] = 1,
+    seed: Annotated[
+        int, typer.Option("--seed", metavar="N", min=0, help="Seed of the random forces and of the noise.")
+    ] = 1,
     truth: Annotated[
         Path | None,
         typer.Option(
@@ -80,13 +82,13 @@ def simulate(
     ] = None,
     speed: Annotated[
         str | None,
-        typer.Option("--speed", metavar="X|max", help="1 is real time (default: max for a log, 1 for a device)."),
+        typer.Option("--speed", metavar="X|max", help="Times real time (default: max for a log, 1 for a device)."),
     ] = None,
     clock_ppm: Annotated[
-        float, typer.Option("--clock-ppm", metavar="PPM", help="How much faster than the truth its clock runs.")
+        float, typer.Option("--clock-ppm", metavar="PPM", help="How much too fast the device clock runs.")
     ] = 20.0,
     jitter_ms: Annotated[
-        float, typer.Option("--jitter-ms", metavar="MS", min=0.0, help="How late frames leave, on average.")
+        float, typer.Option("--jitter-ms", metavar="MS", min=0.0, help="Mean delay of the frames.")
     ] = 0.1,
     fault: Annotated[
         list[str] | None,
@@ -112,7 +114,7 @@ def simulate(
 
 def replay(
     log: Annotated[Path, typer.Argument(metavar="LOG.mcap", help="A log.")],
-    speed: Annotated[str, typer.Option("--speed", metavar="X|max", help="1 is real time.")] = "max",
+    speed: Annotated[str, typer.Option("--speed", metavar="X|max", help="Times real time.")] = "max",
     rig: Annotated[
         Path | None, typer.Option("--rig", metavar="RIG", help="Another rig file than the one in the log.")
     ] = None,
@@ -127,7 +129,7 @@ def replay(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """The same pipeline, fed from a log."""
+    """Run a log through the pipeline of a live acquisition again."""
     from daq.commands.live.run import replay as body
 
     body(Output(json, quiet, verbose), log, speed, rig, check, out, rerun)

@@ -17,7 +17,9 @@ Nodes = Annotated[
 
 
 def add(
-    effect: Annotated[str, typer.Argument(metavar="EFFECT", help="As `rotorscope effects` names it.")],
+    effect: Annotated[
+        str, typer.Argument(metavar="EFFECT", help="Name of an effect; `rotorscope effects` lists them.")
+    ],
     rig: RigOption,
     out: Rig2,
     at: Nodes = None,

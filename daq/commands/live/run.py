@@ -25,7 +25,7 @@ def run(
     """rigs : RIG or RIG=LINK, several for several devices."""
     asked = [rig_and_link(text) for text in rigs]
     if link is not None and (len(asked) > 1 or asked[0][1] is not None):
-        raise ConfigError("--link is for one rig without a link of its own; say RIG=LINK for each of several")
+        raise ConfigError("--link is for a single rig; for several rigs give RIG=LINK for each")
     output.prepare()
     options = {"seconds": seconds, "rerun": rerun, "strict": strict, "metrics": metrics}
     if len(asked) > 1:
@@ -42,7 +42,9 @@ def rig_and_link(text: str) -> tuple[Path, str | None]:
     if not equals or Path(text).exists():
         return Path(text), None
     if not link:
-        raise ConfigError(f"{text}: no link behind the =; say {path}=LINK, or {path} alone for the rig's own")
+        raise ConfigError(
+            f"{text}: no link after the =; give {path}=LINK, or {path} alone for the link of the rig file"
+        )
     return Path(path), link
 
 
@@ -79,7 +81,7 @@ def simulate(
     from daq.session.simulation import at_full_speed, fault_rates, machine
 
     if (out is None) == (serve is None):
-        raise ConfigError("say --out LOG.mcap to simulate into a log, or --serve LINK to be a device; one of the two")
+        raise ConfigError("give either --out LOG.mcap to simulate into a log, or --serve LINK to simulate a device")
     pace = _speed(speed) if speed is not None else None if out else 1.0
     rig = load_rig(rig_path)
     truth = load_rig(truth_path) if truth_path is not None and truth_path.exists() else None
@@ -90,7 +92,7 @@ def simulate(
     simulated = machine(rig, truth=truth, seed=seed, seconds=seconds, layout=layout, config=config)
     if simulated.assumed:
         names = ", ".join(simulated.assumed)
-        output.note(f"{len(simulated.assumed)} values are left open, and plain ones taken: {names}")
+        output.note(f"{len(simulated.assumed)} values are not in the rig file; default values are used: {names}")
     if truth_path is not None and truth is None:
         _write_truth(rig, simulated.assumed, truth_path)
     value: dict[str, Any] = {"schema": 1, "seed": seed}
@@ -122,7 +124,7 @@ def simulate(
     if stop.event.is_set():  # by whatever signal: it is shorter than was asked for
         raise KeyboardInterrupt
     if not summary.samples:
-        raise ConfigError(f"--seconds {seconds:g}: shorter than a frame; there is no log of it")
+        raise ConfigError(f"--seconds {seconds:g}: shorter than one frame, so there is no log; give more seconds")
 
 
 def replay(

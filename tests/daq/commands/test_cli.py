@@ -126,7 +126,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         (["run", "RIG", "--link", "serial:/dev/none"], 3, "check the name with `rotorscope ports`"),
         (["run", "RIG", "--link", "capture:none.log"], 3, "none.log"),
         (["run", "RIG", "--link", "virtual:", "--out", "/none/a.mcap"], 4, "/none/a.mcap"),
-        (["simulate", "RIG"], 2, "say --out LOG.mcap"),
+        (["simulate", "RIG"], 2, "give either --out LOG.mcap"),
         (["simulate", "RIG", "--out", "a.mcap", "--speed", "fast"], 2, '--speed fast: give "max"'),
         (["simulate", "RIG", "--out", "a.mcap", "--fault", "dorp:1"], 2, "KIND is one of drop"),
         (["simulate", "RIG", "--serve", "virtual:"], 3, "cannot be served"),

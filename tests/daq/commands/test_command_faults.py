@@ -371,7 +371,7 @@ def test_a_program_that_was_suspended_says_so_and_what_it_cost(rig: Path, tmp_pa
     assert log.lost_samples > 4 * 25_600
     assert f"{log.lost_samples} lost in" in out
     assert {"stood_still", "samples_lost"} <= {n.code for n in log.notices}
-    assert "warning: this program stood still for 8." in error
+    assert "warning: this program did not run for 8." in error
     assert "warning: samples lost: " in error
     row = "program suspended | SIGSTOP for 8 s under `rotorscope run`, a device that keeps nothing"
     record_property("reliability", f"{row} | told at once, and what it cost | {log.lost_samples} samples lost by name")

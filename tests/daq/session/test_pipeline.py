@@ -264,7 +264,7 @@ def test_a_sink_with_a_thread_is_heard() -> None:
     assert len(sink.of("status")) == 1  # a second has not passed
     assert Notice(1, "error", "log_fault", "disk full") in told
     assert {notice.code for notice in told} == {"log_fault", "overflow"}
-    assert any(" 5 of the oldest that waited are dropped" in notice.text for notice in told)
+    assert any(": the oldest 5 in the queue are dropped" in notice.text for notice in told)
     assert [notice.code for notice in told].count("overflow") == 1  # not again before ten seconds
 
 
@@ -403,7 +403,7 @@ def test_a_standstill_and_what_no_driver_says_of_its_losses_are_told_at_once() -
         assert after(0.1, Gap(64 * k, 1, "sequence"), vibration(64 * k + 1, 63)) == []
     assert after(0.1, vibration(64 * 107, 64)) == ["samples lost: 99 on the way (sequence)"]
     assert after(10.1, Gap(64 * 108, 64, "source"), vibration(64 * 109, 64))[-1].startswith("samples lost: 64 that the")
-    still = "this program stood still for 30.0 s (stopped, or this computer had no time for it)"
+    still = "this program did not run for 30.0 s (it was stopped, or the computer was busy)"
     assert after(30.0, vibration(64 * 110, 64))[0].startswith(still)
 
 

@@ -212,7 +212,7 @@ try:
 except LinkError as error:
     print(error)
 """
-    for interface, text in {"pcan": "library not found: check", "kvaser": "maker is not installed"}.items():
+    for interface, text in {"pcan": "library not found: check", "kvaser": "manufacturer is not installed"}.items():
         command = [sys.executable, "-c", opens.format(interface)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
         assert text in done.stdout
