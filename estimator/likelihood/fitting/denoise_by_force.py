@@ -1,9 +1,9 @@
-"""What laws see of a noisy displacement where the force under it is measured: the likeliest motion, given both.
+"""Denoised displacement where the force is measured: the most likely motion given the motion and the force.
 
 In the band the acceleration is measured as y with noise N, and through the rotor by the force with noise S. The
-inferred force r = A y - f is noise, A n - q, and of the noise in y it says N A^H R^-1 r, R = A N A^H + S. What error
-the motion then has is independent of r, so a law along it is not bent by it (measured_force.py). By the motion alone
-(denoise.py) what is noise at the lower end of the band can only be left out, and the motion there with it.
+residual force r = A y - f is noise, A n - q. Of the noise in y it determines N A^H R^-1 r, with R = A N A^H + S. The
+remaining error of the motion is independent of r, so it does not bias a law along the motion. The motion alone can only
+leave out what is noise at the lower end of the band, and the motion there with it.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ from estimator.likelihood.motion.denoise import noise_displacement_psd, noise_is
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.parallel import map_threads
 
-SETTLED_REL = 1e-3  # of the displacement, in power of what laws see beside it, that moves no number
+SETTLED_REL = 1e-3  # change of the denoised displacement over the rms displacement that moves no parameter
 
 
 def denoised_by_force(point: WorkingPoint, nu: Array) -> tuple[NDArray[np.float32] | None, Array | float]:
-    """(places, n) m, what laws see beside the displacement, and (places, 2) sd of the displacement and velocity that
-    are then in doubt; None and 0 where the noise is little. nu : (places,) noise of the sensors over S."""
+    """Denoised minus measured displacement (places, n) m, and sd of the remaining error (places, 2), m and m/s.
+
+    None and 0 where the noise is negligible. nu : (places,) PSD of the sensor noise over S.
+    """
     from scipy.fft import irfft, next_fast_len, rfft
 
     data, A = point.data, point.A
@@ -38,24 +40,24 @@ def denoised_by_force(point: WorkingPoint, nu: Array) -> tuple[NDArray[np.float3
     n = point.force.shape[1]
     size = next_fast_len(n, real=True)
     there: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(size, 1 / data.rate_hz), dtype=np.float64)
-    inferred = point.force if data.slow is None else point.force - _on_slow(point) @ data.slow
+    inferred = point.force if data.slow is None else point.force - _below_band_stiffness(point) @ data.slow
     forces = map_threads(lambda force: rfft(force, size), inferred)
     inside = there > np.pi * data.band[0]  # below half of it nothing is measured
 
     def at(i: int) -> Array:
-        heard = np.sum([np.interp(there, w, known[:, i, j] / w**2) * F for j, F in enumerate(forces)], axis=0)
-        return np.asarray(irfft(heard * inside, size)[:n])
+        correction = np.sum([np.interp(there, w, known[:, i, j] / w**2) * F for j, F in enumerate(forces)], axis=0)
+        return np.asarray(irfft(correction * inside, size)[:n])
 
     return np.array(map_threads(at, range(len(N))), np.float32), doubt
 
 
-def _on_slow(point: WorkingPoint) -> NDArray[np.float32]:
-    """(places, places) N/m by which laws answer to the slow displacement, of which nothing is measured."""
+def _below_band_stiffness(point: WorkingPoint) -> NDArray[np.float32]:
+    """(places, places) N/m, response of the laws to the below-band displacement, which is not measured."""
     return np.asarray(point.mean_tangent[..., 0] - np.diag(point.kL), np.float32)
 
 
 def is_settled(point: WorkingPoint, calm: NDArray[np.float32] | None) -> bool:
-    """Whether what laws see beside the displacement, (places, n), is what they saw."""
+    """Whether denoised minus measured displacement (places, n) is that of the point; None: 0."""
     before = point.data.calm
     if calm is None or before is None:
         return calm is before

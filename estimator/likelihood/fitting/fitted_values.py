@@ -1,4 +1,4 @@
-"""The model with the values of a fit written into it: what is simulated, saved, compared again."""
+"""Fitted values of a working point, written into the model and as parameters with standard deviations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LAW_NOT_REACHED = "the motion in this record is too small to reach this law"
 
 
 def fitted_model(model: Model, point: WorkingPoint) -> Model:
-    """The model with the values of the working point, and with effects of the point that it lacks added."""
+    """The model with the values of the working point; effects that only the point has are added."""
     linear: dict[str, Mapping[str, Setting]] = dict(model.linear)
     for i, place in enumerate(point.data.places):
         old = dict(linear.get(place, {}))
@@ -34,6 +34,7 @@ def fitted_model(model: Model, point: WorkingPoint) -> Model:
 
 
 def _with_values(use: EffectUse, placed: list[LocatedLaw]) -> EffectUse:
+    """An effect of a model with the values of its laws."""
     parameters = {k: dict(v) for k, v in use.parameters.items()}
     for p in placed:
         canonical = p.key.rsplit(".", 1)[0]
@@ -50,7 +51,7 @@ def _with_values(use: EffectUse, placed: list[LocatedLaw]) -> EffectUse:
 
 
 def fitted_parameters(point: WorkingPoint) -> dict[str, Parameter]:
-    """Every fitted parameter by full name with its standard deviation."""
+    """Every parameter of a working point by full name, with its standard deviation."""
     places = point.data.places
     sd = dict(zip(point.fit.names, np.sqrt(np.diag(point.fit.covariance)) * point.fit.scales, strict=True))
     out: dict[str, Parameter] = {}
@@ -65,14 +66,14 @@ def fitted_parameters(point: WorkingPoint) -> dict[str, Parameter]:
             if name in sd:
                 out[name] = Parameter.from_estimate(float(use.p[k]), sd[name], q.unit)
             elif use.free[k]:
-                out[name] = Parameter(None, None, q.unit, False, LAW_NOT_REACHED)
+                out[name] = Parameter(None, None, q.unit, identifiable=False, reason=LAW_NOT_REACHED)
             else:
                 out[name] = Parameter(float(use.p[k]), 0.0, q.unit)
     return out
 
 
 def unidentifiable_laws(point: WorkingPoint) -> list[str]:
-    """Laws, by place and name, none of whose amplitudes is told from zero."""
+    """Keys ("bearing1.x.cubic") of the laws none of whose free amplitudes is identifiable."""
     out = []
     values = fitted_parameters(point)
     for use in point.placed:

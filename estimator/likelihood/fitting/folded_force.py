@@ -161,7 +161,7 @@ def folded(r: PathSpectra, back: Complexes, passed: Complexes, rate_hz: float, l
 
 
 def of_late_sensor(r: PathSpectra, rate_hz: float) -> PathSpectra | None:
-    """The same of a sensor that is late by more than is undone; None where that explains no more."""
+    """The spectra for a sensor with a further delay, which is fitted; None where a delay explains no more."""
     if r.fold is None:
         return None
     bare = r.bare or r

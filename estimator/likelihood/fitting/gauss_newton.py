@@ -1,4 +1,8 @@
-"""The model fitted to a record step by step, and between the steps what of the record goes with the fit."""
+"""Gauss-Newton fit of all laws of a model to a record.
+
+Each step makes a working point at the present values, takes the step of its likelihood, and renews what of the record
+depends on the values: denoised displacement, motion outside the band, below-band motion, level of the excitation.
+"""
 
 from __future__ import annotations
 
@@ -30,34 +34,33 @@ from . import denoise_by_force
 from .noise_level import MIN_NOISE_RATIO, sensor_noise_ratio
 from .transfer_function import path_spectra_of
 
-FIRST_PART_S = 8.0  # of a long record that the first rounds of a fit look at
-PART_GROWTH = 3.0  # from a part of a record to the next
-MAX_ROUNDS, MAX_LAST_ROUNDS = 6, 3  # at most, and on the whole of it
-NOISE_TOLERANCE_REL = 0.3  # in nu, of its value: neighbours on the grid that it is sought on
-MIN_STIFFNESS_SHARE = 0.3  # of a stiffness, after a step, where the force is measured
-MAX_LAST_STEP_SD = 0.3  # standard deviations by which the last step of a fit moves: it leaves a tenth of that, or less
-MAX_PART_STEP_SD = 0.5  # the same on a part of a record, which is not where the fit ends
-SPECTRUM_BLOCKS = 80  # blocks, for the spectrum of the motion
-LEFT_OUT_TOLERANCE_REL = (
-    0.05  # of what laws do not see outside of the band, or of what is folded into it, that it moves by
-)
-MAX_STILL_STEP_SD = 1.0  # the same below which the slow displacement is left as it is
+FIRST_PART_S = 8.0  # part of a long record that the first rounds fit
+PART_GROWTH = 3.0  # length of a part over that of the part before
+MAX_ROUNDS, MAX_LAST_ROUNDS = 6, 3  # of steps: on the first part, and on the whole record after it
+NOISE_TOLERANCE_REL = 0.3  # of the sensor noise between steps: neighbours on the grid of its search
+MIN_STIFFNESS_SHARE = 0.3  # of a stiffness after a step over that before it, where the force is measured
+MAX_LAST_STEP_SD = 0.3  # last step of a fit, standard deviations; the remaining error is a tenth of it or less
+MAX_PART_STEP_SD = 0.5  # last step on a part of a record, standard deviations
+SPECTRUM_BLOCKS = 80  # number of blocks for the spectrum of the motion
+LEFT_OUT_TOLERANCE_REL = 0.05  # of the motion outside the band and of aliased motion, between steps
+MAX_STILL_STEP_SD = 1.0  # step below which the below-band displacement is kept, standard deviations
 
 
 def fit_model(
     data: MotionRecord, uses: list[LocatedLaw], start: WorkingPoint | None = None, rounds: int = MAX_ROUNDS,
     moving: float = MAX_LAST_STEP_SD,
 ) -> WorkingPoint:  # fmt: skip
-    """Fit kL, c, S and every free parameter of the effects, from a start that needs no values of the linear part.
+    """The working point of kL, c, S and every free parameter of the laws, fitted to a record.
 
-    moving : standard deviations by which the last of fewer than `rounds` steps may move.
+    uses : laws with start values. start : working point to begin from; None: no values of the linear part are needed.
+    rounds : of steps, at most. moving : size of the last step, standard deviations, that ends the fit before.
     """
     data = without_shaft_orders(data, [use.effect for use in uses])
     if start is None:
-        start = _approached(data, uses, rounds)
+        start = _fit_of_parts(data, uses, rounds)
         uses, rounds = (uses, rounds) if start is None else (list(start.placed), MAX_LAST_ROUNDS)
-    data, kL, c, nu, S = _begun(data, uses, start)
-    del start  # as the points below
+    data, kL, c, nu, S = _start_values(data, uses, start)
+    del start  # frees its spectra
     moved = np.full(1, np.inf)
     while True:
         data = data if moved.max(initial=0.0) < MAX_STILL_STEP_SD else with_below_band_motion(data, kL, c, uses)
@@ -65,40 +68,42 @@ def fit_model(
         S_old, S = S, point.S
         moved = np.abs(point.fit.delta) / np.sqrt(np.diag(point.fit.covariance))
         moved = moved[: moved.size - 2 * len(data.shared) - len(data.waves)]
-        kL, c, uses = _moved(point, kL, c)
+        kL, c, uses = _stepped(point, kL, c)
         nu_old, (nu, weight) = nu, sensor_noise_ratio(point)
         settled = np.allclose(
             nu * weight, nu_old * weight, rtol=NOISE_TOLERANCE_REL, atol=NOISE_TOLERANCE_REL * MIN_NOISE_RATIO
         )
         settled &= not data.folded.any() or np.allclose(S, S_old, rtol=LEFT_OUT_TOLERANCE_REL)
-        data, settled = _renewed(point, nu, settled)
+        data, settled = _renewed_record(point, nu, settled)
         if rounds == 0 or (moved.max(initial=0.0) < moving and settled):
             return replace(point, kL=kL, c=c, placed=tuple(uses))
         rounds -= 1
-        del point  # its columns are large: let go before the next are made
+        del point  # frees its spectra before the next are made
 
 
-def _begun(
+def _start_values(
     data: MotionRecord, uses: list[LocatedLaw], start: WorkingPoint | None
 ) -> tuple[MotionRecord, Array, Array, Array, Array]:  # fmt: skip
-    """kL, c, nu and S to begin from, and the record as laws see it by them."""
+    """The record with the motion that laws see at the start, and the first kL, c, nu and S, (places,) each."""
     if start is None:
-        kL, c, S = _first_linear(data)
+        kL, c, S = _first_linear_values(data)
         nu = np.zeros(len(data.places))
-        return _calmed(replace(data, left_out=_unseen(data, c, kL, S)), nu, S), kL, c, nu, S
+        return _denoised(replace(data, left_out=_out_of_band_sd_at(data, c, kL, S)), nu, S), kL, c, nu, S
     kL, c, nu, S = start.kL.copy(), start.c.copy(), start.nu.copy(), start.S
     if start.data is not data:
-        data = _calmed(replace(data, left_out=start.data.left_out), nu, start.S)
+        data = _denoised(replace(data, left_out=start.data.left_out), nu, start.S)
     if {u.key for u in uses} - {u.key for u in start.placed}:  # a strong law takes over much of kL and c
-        kL, c, _ = _first_linear(data, uses, start.lin)
+        kL, c, _ = _first_linear_values(data, uses, start.lin)
     return data, kL, c, nu, S
 
 
-def _renewed(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionRecord, bool]:
-    """The record of a point as laws see it after its step, and whether it is what it was. settled : whether the noise
-    of sensors, nu now, and what is folded over are."""
+def _renewed_record(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionRecord, bool]:
+    """The record of a point with all that depends on its values, and whether that has settled.
+
+    nu : (places,) sensor noise over S. settled : whether sensor noise and aliased motion have settled.
+    """
     data = point.data
-    folded, force = _folded_beside(point)
+    folded, force = _aliased_with_force(point)
     if not np.allclose(folded, data.folded_beside, rtol=LEFT_OUT_TOLERANCE_REL, atol=0.0):
         data, settled = replace(data, folded_beside=folded, alike_beside=force), False
     if data.measured_force and not data.folded_beside.any():
@@ -106,33 +111,37 @@ def _renewed(point: WorkingPoint, nu: Array, settled: bool) -> tuple[MotionRecor
         settled &= denoise_by_force.is_settled(point, calm)
         data = replace(data, calm=calm, doubt=doubt)
     else:
-        data = data if settled else _calmed(data, nu, point.S)
-    beside = _left_out(point)
+        data = data if settled else _denoised(data, nu, point.S)
+    beside = _out_of_band_sd(point)
     if not np.allclose(beside, data.left_out, rtol=LEFT_OUT_TOLERANCE_REL, atol=0.0):
         data, settled = replace(data, left_out=beside), False
-    level = _level(point)
+    level = _excitation_level(point)
     if not levels_agree(level, data.level):
         data, settled = replace(data, level=level), False
     return data, settled
 
 
 def coarse_fit(data: MotionRecord, uses: list[LocatedLaw]) -> WorkingPoint:
-    """The same with one step on the whole record where a part of it is enough to begin from: to look at its force.
-    Laws are dressed as on that part."""
+    """The fit of a part of the record and one step on the whole record, for its residual force.
+
+    The second-order corrections are those of the part. A short record is fitted as a whole.
+    """
     data = without_shaft_orders(data, [use.effect for use in uses])
-    start = _approached(data, uses)
+    start = _fit_of_parts(data, uses)
     if start is None:
         return fit_model(data, uses)
     uses = list(start.placed)
-    data, kL, c, nu, S = _begun(data, uses, start)
+    data, kL, c, nu, S = _start_values(data, uses, start)
     point = point_at(with_below_band_motion(data, kL, c, uses), kL, c, nu, S, uses, start)
-    kL, c, uses = _moved(point, kL, c)
+    kL, c, uses = _stepped(point, kL, c)
     return replace(point, kL=kL, c=c, placed=tuple(uses), nu=sensor_noise_ratio(point)[0])
 
 
-def _approached(data: MotionRecord, uses: list[LocatedLaw], rounds: int = MAX_ROUNDS) -> WorkingPoint | None:
-    """The model fitted to a part of a long record, and by a step each to longer ones where a step is dear; None for a
-    short record."""
+def _fit_of_parts(data: MotionRecord, uses: list[LocatedLaw], rounds: int = MAX_ROUNDS) -> WorkingPoint | None:
+    """The fit of a part of a long record; None for a short record.
+
+    Where laws with memory make a step expensive, longer parts follow by one step each.
+    """
     lin = np.stack([data.mass, *np.ones((2, len(data.places)))], axis=1)
     dear = any(has_nonlinear_memory(u, lin[u.at[0]]) for u in uses)
     start, seconds = None, FIRST_PART_S
@@ -142,10 +151,12 @@ def _approached(data: MotionRecord, uses: list[LocatedLaw], rounds: int = MAX_RO
     return start
 
 
-def _first_linear(
+def _first_linear_values(
     data: MotionRecord, uses: Sequence[LocatedLaw] = (), lin: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """kL by least squares (consistent: E[a v] = 0 leaves it alone), c from the power balance S = 4 c m E[v^2], S.
+    """kL by least squares, c from the power balance S = 4 c m E[v^2], and S, (places,) each.
+
+    Least squares is consistent for kL, because E[a v] = 0.
 
     uses : laws whose force, at (places, 3) m, kL, c, is known beside.
     """
@@ -165,9 +176,9 @@ def _first_linear(
     return kL, c, powers
 
 
-def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list[LocatedLaw]]:
-    """Values after the increments of the fit, searched parameters kept inside their limits."""
-    bounds = [_bounds(point, use, kL) for use in point.placed]
+def _stepped(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list[LocatedLaw]]:
+    """kL, c and the laws after the step of the fit, searched parameters inside their limits."""
+    bounds = [_step_limits(point, use, kL) for use in point.placed]
     limits = {use.name(k): own for use, each in zip(point.placed, bounds, strict=True) for k, own in each.items()}
     step = dict(zip(point.fit.names, step_within_limits(point, limits) * point.fit.scales, strict=True))
     places = point.data.places
@@ -185,8 +196,8 @@ def _moved(point: WorkingPoint, kL: Array, c: Array) -> tuple[Array, Array, list
     return kL, c, uses
 
 
-def _bounds(point: WorkingPoint, use: LocatedLaw, kL: Array) -> dict[int, tuple[float, float]]:
-    """How far each searched parameter of a law may move, down and up."""
+def _step_limits(point: WorkingPoint, use: LocatedLaw, kL: Array) -> dict[int, tuple[float, float]]:
+    """Limits of the step of each searched parameter of a law, down and up, by number of the parameter."""
     i = use.at[0]
     natural = natural_sizes(
         point.data, i, kL[i] if kL[i] > 0.0 else first_stiffness(point.data, i)
@@ -200,8 +211,10 @@ def _bounds(point: WorkingPoint, use: LocatedLaw, kL: Array) -> dict[int, tuple[
 
 
 def step_within_limits(point: WorkingPoint, limits: Mapping[str, tuple[float, float]]) -> Array:
-    """The increments of the fit, scaled, where those at their limit are held there and the others follow: what a law
-    of much preload has in k it must not keep where the preload stops."""
+    """(k,) increments of the fit, scaled; those beyond a limit are held there, and the others are refitted to that.
+
+    limits : by name, least and largest increment in SI units.
+    """
     fit = point.fit
     delta, covariance = fit.delta.copy(), fit.covariance.copy()
     loose = {k: np.divide(limits[name], fit.scales[k]) for k, name in enumerate(fit.names) if name in limits}
@@ -217,8 +230,8 @@ def step_within_limits(point: WorkingPoint, limits: Mapping[str, tuple[float, fl
     return delta
 
 
-def _level(point: WorkingPoint) -> Array | None:
-    """(places, blocks) how strong the unknown forces are along the record: excitation_level.py."""
+def _excitation_level(point: WorkingPoint) -> Array | None:
+    """(places, blocks) power of the excitation over its mean along the record; None where it is even."""
     data, whitening = point.data, point.whitening
     if data.measured_force:
         return None
@@ -232,23 +245,26 @@ def _level(point: WorkingPoint) -> Array | None:
     )
 
 
-def _left_out(point: WorkingPoint) -> Array:
-    """(places, 2) sd of the displacement and velocity that laws do not see; as it was where the fit is far off."""
+def _out_of_band_sd(point: WorkingPoint) -> Array:
+    """(places, 2) sd of displacement and velocity outside the band; the former value while kL or c is negative."""
     data = point.data
     kL, c = np.einsum("iik->ki", point.mean_tangent)
     if not (np.all(kL > 0.0) and np.all(c > 0.0)):
         return data.left_out
-    return _unseen(data, c, kL, point.S)
+    return _out_of_band_sd_at(data, c, kL, point.S)
 
 
-def _unseen(data: MotionRecord, c: Array, kL: Array, S: Array) -> Array:
-    """The same by kL, c and S; below the band a measured force may have told it."""
+def _out_of_band_sd_at(data: MotionRecord, c: Array, kL: Array, S: Array) -> Array:
+    """(places, 2) sd of displacement and velocity outside the band at kL, c and S, (places,) each.
+
+    Below the band a measured force may determine the motion.
+    """
     told = np.zeros_like(S) if data.shaken is None else data.driven
     return out_of_band_sd(data.mass, c, kL, S + data.driven - told, data.band, data.rate_hz, data.kinds, told)
 
 
-def _calmed(data: MotionRecord, nu: Array, S: Array) -> MotionRecord:
-    """The record as laws see it beside the noise of sensors; where a force is measured, of what is folded beside it."""
+def _denoised(data: MotionRecord, nu: Array, S: Array) -> MotionRecord:
+    """The record with its denoised displacement. Beside a measured force the noise is the aliased motion."""
     noise = noise_displacement_psd(data.kinds, data.f_hz, nu * S) * data.sharpened
     inside = np.array([kind != "displacement" for kind in data.kinds]) * S
     noise = noise + data.folded * inside[:, None] / (2 * np.pi * data.f_hz) ** 4
@@ -260,13 +276,12 @@ def _calmed(data: MotionRecord, nu: Array, S: Array) -> MotionRecord:
     f_hz: Array = np.asarray(bins * (data.rate_hz / data.block), dtype=np.float64)
     smooth = noise * data.f_hz**4
     noise = np.array([np.interp(f_hz, data.f_hz, z) for z in smooth]) / f_hz**4
-    found = denoising_filter(f_hz, _spectrum(data, bins), noise, 0)
+    found = denoising_filter(f_hz, _displacement_psd(data, bins), noise, 0)
     return replace(data, calm=found.of(data.x, data.rate_hz).astype(np.float32), doubt=found.doubt)
 
 
-def _folded_beside(point: WorkingPoint) -> tuple[Array, NDArray[np.complex128]]:
-    """(places, bins) PSD of the acceleration that is folded beside a measured force, and the force that goes with it:
-    folded_force.py."""
+def _aliased_with_force(point: WorkingPoint) -> tuple[Array, NDArray[np.complex128]]:
+    """(places, bins) PSD of the aliased acceleration beside a measured force, and its force per acceleration, kg."""
     data = point.data
     out, force = np.zeros_like(data.colour), np.zeros(data.colour.shape, complex)
     for i in np.flatnonzero(data.driven):
@@ -278,7 +293,7 @@ def _folded_beside(point: WorkingPoint) -> tuple[Array, NDArray[np.complex128]]:
     return out, force
 
 
-def _spectrum(data: MotionRecord, bins: NDArray[np.int64]) -> Array:
-    """(places, bins) one-sided PSD of the displacement, m^2/Hz, of some of the blocks."""
+def _displacement_psd(data: MotionRecord, bins: NDArray[np.int64]) -> Array:
+    """(places, bins) one-sided PSD of the displacement, m^2/Hz, from some of the blocks."""
     some = data.x.reshape(len(data.places), data.blocks, -1)[:, :: max(1, data.blocks // SPECTRUM_BLOCKS)]
     return np.array([mean_psd(x.ravel(), data.block, data.rate_hz)[1][bins] for x in some])

@@ -1,4 +1,4 @@
-"""Noise of the sensors as the spectrum of the inferred force shows it."""
+"""Sensor noise as the spectrum of the residual force shows it."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from estimator.likelihood.path.sensor_noise import aliased_psd, referred_psd
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.parallel import map_threads
 
-MIN_NOISE_RATIO = 1e-4  # of a sensor, over the force noise, that is looked for
+MIN_NOISE_RATIO = 1e-4  # sensor noise referred to force over S, least that is searched
 
 
 def sensor_noise_ratio(point: WorkingPoint) -> tuple[Array, Array]:
-    """nu, (places,), by maximum likelihood on the spectrum of the inferred force; what one of it is there of the force
-    noise, in the mean over the band."""
+    """(places,) nu, PSD of the sensor noise over S, by maximum likelihood on the spectrum of the residual force.
+
+    Also (places,) the mean over the band of nu = 1 referred to force, over S.
+    """
     data = point.data
     own = data.heard(point.A)
     noise = referred_psd(data, point.A, point.nu * point.S) / point.S[:, None]
@@ -36,7 +38,7 @@ def sensor_noise_ratio(point: WorkingPoint) -> tuple[Array, Array]:
 
 
 def grid_minimum(grid: Array, cost: Array) -> float:
-    """Where the cost is least between the points of a geometric grid behind 0: the vertex of a parabola."""
+    """The point of least cost between those of a geometric grid whose first point is 0: the vertex of a parabola."""
     k = int(np.argmin(cost))
     if k < 2 or k == grid.size - 1:
         return float(grid[k])

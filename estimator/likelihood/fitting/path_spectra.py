@@ -1,7 +1,4 @@
-"""What is measured of the path from a force to a motion, by cells of the band, and what sampling folds into both.
-
-How they are found: transfer_function.py and folded_force.py.
-"""
+"""Spectra of the path from a measured force to a motion, by cells of the band, and the aliased motion in both."""
 
 from __future__ import annotations
 
@@ -48,18 +45,22 @@ class Folded:
         return np.where(self.seen > 0.0, np.abs(self.back) ** 2 * np.maximum(np.sum(D, axis=0) - seen, 0.0), 0.0)
 
     def through(self, further: Complexes) -> Folded:
-        """The same of a sensor with a further response, (2, cells) at the images."""
+        """The aliased motion through a sensor with a further response (2, cells), given at the images."""
         return replace(self, passed=self.undone * np.stack([further[0].conj(), further[1]]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathSpectra:
-    """Residual R and acceleration a of one place by cells of the band. w : (cells,) rad/s; n : independent numbers.
+    """Residual force R, acceleration a and measured force f of one place, by cells of the band.
 
-    rr, ra, aa, rf, af, ff : mean |R|^2, R a*, |a|^2, R f*, a f* and |f|^2, f the measured force, one-sided PSD; A :
-    tangent; H : acceleration per force, the other places free, 1 / A of one that is not coupled; noise : PSD of
-    acceleration of white noise of the sensor. unmeasured : share of Q that is a force beside the measured one, not
-    noise of its sensor.
+    w : (cells,) rad/s. n : (cells,) independent numbers. rr, ra, aa, rf, af, ff : (cells,) mean |R|^2, R a*, |a|^2, R
+    f*, a f* and |f|^2, one-sided PSD. A : (cells,) kg, tangent. H : (cells,) acceleration per force, the other places
+    free; 1 / A of a place that is not coupled. noise : (cells,) PSD of acceleration of white sensor noise. hz :
+    (cells,) width. unmeasured : share of the noise Q of the force that is an unmeasured force, not sensor noise. alike
+    : (cells,) kg, force per acceleration of the aliased motion. folded : (cells,) PSD of the aliased acceleration.
+    apart : (cells,) PSD of aliased force without motion. across : (cells,) PSD in R of sensor noise and aliased motion
+    of other places. fold : the aliased motion, found or not; None before it is sought. bare : the spectra with the
+    aliased motion; None where none was taken out.
     """
 
     w: Array
@@ -73,31 +74,31 @@ class PathSpectra:
     A: Complexes
     H: Complexes
     noise: Array
-    hz: Array  # width of each cell
+    hz: Array
     unmeasured: float = 0.0
-    alike: Complexes | float = 0.0  # (cells,) force per acceleration of what is folded
-    folded: Array | float = 0.0  # (cells,) M
-    apart: Array | float = 0.0  # (cells,) Folded.apart, noise of the sensor of the force
-    across: Array | float = 0.0  # (cells,) of R, noise of the other caps' sensors and what is folded there
-    fold: Folded | None = None  # of an acceleration, seen or not
-    bare: PathSpectra | None = None  # the same with it, where it was taken out
+    alike: Complexes | float = 0.0
+    folded: Array | float = 0.0
+    apart: Array | float = 0.0
+    across: Array | float = 0.0
+    fold: Folded | None = None
+    bare: PathSpectra | None = None
 
     def share(self, Q: float) -> Array:
-        """(cells,) p: what of the measured force is noise where the density Q is left."""
+        """(cells,) share of noise in the power of the measured force. Q : N^2/Hz, its density."""
         return np.minimum(((1.0 - self.unmeasured) * Q + self.apart) / self.ff, 0.5)
 
     def answer(self, A: Complexes) -> Complexes:
-        """(cells,) H where the tangent is another."""
+        """(cells,) acceleration per force at another tangent A (cells,)."""
         return np.asarray(self.H / (1 + (A - self.A) * self.H))
 
     def through(self, further: Complexes) -> PathSpectra:
-        """The same where the sensor has a response that is not undone, (2, cells) at the images of what is folded."""
+        """The spectra through a sensor with a further response (2, cells) at the images of the aliased motion."""
         if self.fold is None or self.bare is None:
             return self
         return replace(self.bare, unmeasured=self.unmeasured).less(self.fold.through(further))
 
     def less(self, fold: Folded) -> PathSpectra:
-        """Without what the measured force tells of the fold; the rest of that is noise."""
+        """The spectra without the aliased motion that the measured force determines; its rest counts as noise."""
         alike = fold.force
         folded = np.minimum(fold.seen, 0.5 * self.ff / np.abs(alike) ** 2)
         told = alike.conj() * folded / self.ff

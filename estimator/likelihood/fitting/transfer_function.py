@@ -1,20 +1,24 @@
-"""The path from a measured force to a measured motion, by frequency, and the likelihood of one that is bent.
+"""The path from a measured force to a measured motion, by frequency, and the likelihood of a biased transfer function.
 
-Where the force f on a cap is measured, the residual R = A a - f of the fitted model A is coherent with the motion if A
-is not the rotor's: with A' in truth, and noise n of the motion and q of the force, (A' a - f) = A' n - q in every bin.
-Both noises white, of densities N and Q, the likelihood of the motion given the force that was measured is Whittle's,
+Where the force f on a cap is measured, the residual force R = A a - f of the fitted tangent A is coherent with the
+motion if the true tangent A' differs from A. With noise n of the motion and q of the force, A' a - f = A' n - q in
+every bin. Both noises are white, of densities N and Q. The likelihood of the motion given the measured force is
+Whittle's,
 
     -sum n [P / s + ln s - ln |A'|^2],   P = mean |A' a - (1 - p) f|^2,   s = |A'|^2 N + (1 - p) Q,   p = Q / mean |f|^2
 
-(1 - p) f being what the measured force says of the true one. The last term is the Jacobian: it keeps the noise in a
-from pulling A' towards zero, as p keeps that in f from pushing it up. Where a shaft couples the places, A' a stands for
-the sum over all, and the Jacobian is that of their matrix: |1 + (A' - A) H|^2, H = (A^-1)_ii, for a change at one.
-Q may be a force that acts unmeasured beside f instead, the machine's own beside a shaker's: then f is what it is, and
-p = 0; or some of both. Amplitude and phase of every bin count: a thousandth of the force is seen that no power spectrum
-shows. What may bend A: transfer_bias.py.
+(1 - p) f is the expected true force given the measured one. The last term is the Jacobian: it keeps the noise of a from
+pulling A' towards zero, as p keeps the noise of f from pushing it up. Where a shaft couples the places, A' a stands for
+the sum over all, and the Jacobian is that of their matrix: |1 + (A' - A) H|^2, H = (A^-1)_ii, for a change at one
+place. Q may also be an unmeasured force beside f. Then f is exact, and p = 0; or it is partly both. Amplitude and phase
+of every bin count, so a thousandth of the force is detected.
 
-What sampling folds back, of density M, is n in the motion and m n in the force: (A' - m) n is left (folded_force.py).
-The measured force tells m M / |f|^2 f of it, which is taken out of both; the rest, independent of f, adds |A' - m|^2 M.
+What sampling folds back, of density M, is n in the motion and m n in the force, so (A' - m) n remains. The measured
+force determines m M / |f|^2 f of it, which is taken out of both. The rest, independent of f, adds |A' - m|^2 M.
+
+References
+----------
+P. Whittle, "Estimation and information in stationary time series", Arkiv for Matematik 2, 1953, 423-434.
 """
 
 from __future__ import annotations
@@ -36,17 +40,18 @@ from .path_spectra import PathSpectra
 if TYPE_CHECKING:
     from estimator.likelihood.path.working_point import WorkingPoint
 
-MAX_CELLS = 900
-INDEPENDENT_PER_BIN = (
-    0.439  # independent numbers for each bin of a block: Hann windows every half block, 1.944 (1 + 2 / 11.7)
-)
-LINE_HALF_WIDTH_BINS = 2.5  # bins on either side of a line that are left out
-MAX_STEPS, MIN_STEP_GAIN_NATS = 60, 1e-4
+MAX_CELLS = 900  # of the band; their width grows with the frequency
+INDEPENDENT_PER_BIN = 0.439  # numbers per bin of a block: Hann windows every half block, 1.944 (1 + 2 / 11.7)
+LINE_HALF_WIDTH_BINS = 2.5  # left out on either side of a tone
+MAX_STEPS, MIN_STEP_GAIN_NATS = 60, 1e-4  # of the scoring
 
 
 def path_spectra_of(point: WorkingPoint, i: int, lines: Collection[float] = (), every: int = 1) -> PathSpectra:
-    """Of place i; bins beside `lines` (Hz) are left out. every : so manyth block is looked at, all if it is in doubt
-    what is folded back."""
+    """The spectra of place i.
+
+    lines : Hz, tones whose bins are left out. every : step through the blocks; all are taken where aliased motion is
+    likely but not certain.
+    """
     data = point.data
     w = 2 * np.pi * data.f_hz
 
@@ -100,8 +105,10 @@ def path_spectra_of(point: WorkingPoint, i: int, lines: Collection[float] = (), 
 
 
 def _spectra(z: Array, block: int, start: NDArray[np.int64]) -> NDArray[np.complex64]:
-    """(blocks, bins) of a series (n,) of blocks laid end to end under Hann windows, half a block apart where the
-    record goes on."""
+    """(blocks, bins) spectra under Hann windows of a series z (n,) of blocks laid end to end.
+
+    start : (blocks,) first row of each block. Windows overlap by half where the record is contiguous.
+    """
     from scipy.fft import rfft
 
     rows = z.reshape(-1, block).astype(np.float32)
@@ -114,20 +121,25 @@ def _spectra(z: Array, block: int, start: NDArray[np.int64]) -> NDArray[np.compl
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """Where a likelihood is largest. u : ln Q, ln N, changes of k, c (and m), then a cause's free form; nats."""
+    """The maximum of a likelihood of the path.
+
+    nats : log-likelihood. u : ln Q, ln N, changes of k, c (and m), then the parameters of a cause of bias. covariance :
+    that of u. A : (cells,) kg, tangent A'.
+    """
 
     nats: float
     u: Array
     covariance: Array
-    A: Complexes  # (cells,) A'
+    A: Complexes
 
 
 def maximise_path(
     r: PathSpectra, bend: Callable[[Array], Complexes], start: Array, scale: Array, held: int | None = None
 ) -> Peak:
-    """The likelihood climbed from a start by damped scoring. bend : A' of the numbers after ln Q and ln N.
+    """The maximum of the likelihood from a start (numbers,), by damped Fisher scoring.
 
-    held : number of one that stays as it is.
+    bend : (cells,) tangent A' of the numbers after ln Q and ln N. scale : (numbers,) unit of each. held : number of one
+    that stays at its start; None: all move.
     """
 
     def at(u: Array) -> tuple[float, Complexes, Complexes, Array]:
@@ -181,11 +193,12 @@ def maximise_path(
 
 
 def clipped_exp(z: float) -> float:
+    """exp z, with z between -90 and 30."""
     return float(np.exp(np.clip(z, -90.0, 30.0)))
 
 
 def fit_linear_path(point: WorkingPoint, i: int, r: PathSpectra) -> tuple[Peak, Array]:
-    """The place without a cause, and the scales of its numbers: ln Q, ln N, changes of k and c."""
+    """The maximum without a cause of bias, and the scales of its numbers: ln Q, ln N, changes of k and c."""
     scale = np.array([1.0, 1.0, 1e-3 * point.kL[i], 1e-2 * point.c[i] + 1e-9])
     tried = [
         maximise_path(r, partial(linear_tangent, r), np.array([*noise, 0.0, 0.0]), scale)
@@ -195,26 +208,26 @@ def fit_linear_path(point: WorkingPoint, i: int, r: PathSpectra) -> tuple[Peak, 
 
 
 def noise_starts(r: PathSpectra, A: Complexes) -> list[tuple[float, float]]:
-    """ln Q and ln N to begin from where A' is about A: mostly the one, mostly the other."""
+    """Start values of ln Q and ln N at a tangent A (cells,): mostly one noise, mostly the other."""
     heard = float(np.mean(r.noise * np.abs(A) ** 2))
     S = float(np.exp(np.average(np.log(residual_power(r, A)), weights=r.n)))
     return [(float(np.log(S * q)), float(np.log(S * n / heard))) for q, n in ((1.0, 0.1), (0.1, 1.0), (1.0, 1e-4))]
 
 
 def linear_tangent(r: PathSpectra, d: Array) -> Complexes:
-    """The tangent with changes of k and c."""
+    """(cells,) kg: the tangent with changes d of k and c, N/m and N s/m."""
     return np.asarray(r.A - d[0] / r.w**2 + d[1] / (1j * r.w))
 
 
 def residual_power(r: PathSpectra, A: Complexes, Q: float = 0.0) -> Array:
-    """(cells,) mean |A a - (1 - p) f|^2, with p what noise of the density Q is of the measured force."""
+    """(cells,) mean |A a - (1 - p) f|^2, with p the share of noise of density Q in the measured force."""
     p, d = r.share(Q), A - r.A
     P = r.rr + np.abs(d) ** 2 * r.aa + p**2 * r.ff + 2 * np.real(d.conj() * r.ra + p * (r.rf + d * r.af))
     return np.asarray(np.maximum(P, 1e-300))
 
 
 def residual_and_noise(r: PathSpectra, A: Complexes, u: Array) -> tuple[Array, Complexes, Array]:
-    """(cells,) each: mean |A a - (1 - p) f|^2, the same times a*, and what the first is to be by the noise of u."""
+    """(cells,) each: mean |A a - (1 - p) f|^2, mean (A a - (1 - p) f) a*, and the expectation of the first at u."""
     Q = clipped_exp(u[0])
     p = r.share(Q)
     rest = r.ra + (A - r.A) * r.aa + p * r.af.conj()

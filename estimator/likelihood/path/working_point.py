@@ -328,7 +328,7 @@ def _common_force_regressors(
         P = len(data.places)
         rms, name = max(float(F[j].std()), 1e-300), f"{data.places[i]}.follows.{data.places[j]}"
         shape = shape * np.sqrt(weight[j] / weight[i])
-        return in_single_precision(Regressor(name, "1", {i: F[j]}, np.zeros((P, P, 2)), 1.0 / rms, shape=shape))
+        return in_single_precision(Regressor(name, "1", {i: F[j]}, np.zeros((P, P, 2)), scale=1.0 / rms, shape=shape))
 
     return [t for (i, j), own in common.items() for t in (follows(i, j, own), follows(j, i, own.conj()))]
 
@@ -338,7 +338,7 @@ def _periodic_regressor(data: MotionRecord, wave: PeriodicForce) -> Regressor:
     P = len(data.places)
     made = wave.series(data.t, data.phase)
     rms = max(float(np.std(z)) for z in made.values())
-    return in_single_precision(Regressor(wave.name, wave.unit, made, np.zeros((P, P, 2)), 1.0 / max(rms, 1e-300)))
+    return in_single_precision(Regressor(wave.name, wave.unit, made, np.zeros((P, P, 2)), scale=1.0 / max(rms, 1e-300)))
 
 
 def _whole_power(data: MotionRecord, fit: PathFit, common: dict[tuple[int, int], Complexes]) -> Array:
