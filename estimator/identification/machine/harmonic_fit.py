@@ -1,9 +1,9 @@
-"""The numbers of periodic forces, from what the rest of the model leaves.
+"""The parameters of periodic forces, fitted to the residual force.
 
-Near the right numbers the inferred force, demodulated in pieces of time, is linear in what they are wrong by (a wrong
-frequency turns the phase from piece to piece): one weighted least-squares step. The line that a force makes in the
-motion goes through the tangents of the fitted model, so what these are uncertain by is added to what the random force
-scatters.
+Near the right parameters the residual force, demodulated in pieces of the record, is linear in their errors: a wrong
+frequency turns the phase from piece to piece. One weighted least-squares step removes them. The line that a force makes
+in the motion is read through the mean tangents of the model, so their uncertainty is added to the scatter of the random
+force.
 """
 
 from __future__ import annotations
@@ -46,11 +46,10 @@ SETTLED_STEP_SD = 0.1  # of the last step, in standard deviations
 def fit_found_harmonics(
     model: Model, point: WorkingPoint, settings: Mapping[str, Settings]
 ) -> tuple[dict[str, dict[str, dict[str, Parameter]]], WorkingPoint]:
-    """Settings of periodic effects that a model lacks, by name, as they were found -> fitted together, the model beside
-    them.
+    """Parameters of periodic effects that a model lacks, fitted together with the model, and its new working point.
 
-    Where it was found each number was taken by itself: a frequency from three bins, a phase as if that were known, a
-    strike from the mean over all periods; and the force that the model did not have had moved its k and c.
+    settings : by effect, canonical location and name, as the detector found them. The detector takes each parameter by
+    itself, and the missing force has biased the stiffness and damping of the model.
     """
     uses = tuple(effect_use(name, own) for name, own in settings.items())
     alone, bare = replace(model, effects=uses), point.data
@@ -70,13 +69,15 @@ def fit_found_harmonics(
 
 
 def settle_harmonics(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:
-    """The numbers of a model's periodic effects `refined` until they stand still beside the rest of it as it is. After
-    two steps from the mean over all periods strikes of 0.05 rad were 6 to 10 % weak."""
+    """The model with the parameters of its periodic effects at rest, the rest of the model fixed; and these parameters.
+
+    Parameters are keyed "location.effect.name". Narrow impacts need more than two steps.
+    """
     return _step_until_settled(model, point, point.force + _periodic_series(model, point.data))
 
 
 def _step_until_settled(alone: Model, point: WorkingPoint, whole: Series) -> tuple[Model, dict[str, Parameter]]:
-    """Steps of the numbers. alone : a model with the effects; whole : (places, n) N inferred without them."""
+    """The model with its periodic effects after steps until they rest. whole : (places, n) N without these."""
     found: dict[str, Parameter] = {}
     for _ in range(MAX_STEPS):
         wave = _periodic_series(alone, point.data)
@@ -88,22 +89,23 @@ def _step_until_settled(alone: Model, point: WorkingPoint, whole: Series) -> tup
 
 
 def _largest_step_sd(before: Mapping[str, Parameter], now: Mapping[str, Parameter]) -> float:
-    """Standard deviations that numbers known both times differ by, at most; infinite without any."""
+    """Largest change of the parameters known both times, in standard deviations; infinite without any."""
     pairs = ((p, before[name]) for name, p in now.items() if name in before)
     moves = [abs(p.value - q.value) / p.sd for p, q in pairs if p.sd and p.value is not None and q.value is not None]
     return max(moves, default=np.inf)
 
 
 def _periodic_series(model: Model, data: MotionRecord) -> Series:
+    """(places, n) N, force of a model's periodic effects; zeros without any."""
     wave = periodic_series(model, data.places, data.t, data.phase, data.rate_hz)
     return np.zeros_like(data.known) if wave is None else wave
 
 
 def refine_harmonics(model: Model, point: WorkingPoint, force: Series) -> tuple[Model, dict[str, Parameter]]:
-    """The model with the numbers of its periodic effects one step nearer, and these with their standard deviations.
+    """The model with its periodic parameters one step nearer, and these parameters with standard deviations.
 
-    point : the rest of the model; force : (places, n) N inferred with the effects as they are. Only what lies in the
-    band is moved.
+    point : working point of the rest of the model. force : (places, n) N, residual force with the effects as they are.
+    Parameters of effects outside the band stay.
     """
     found: dict[str, Parameter] = {}
     uses = {use.name: dict(use.parameters) for use in model.effects}
@@ -130,7 +132,7 @@ def refine_harmonics(model: Model, point: WorkingPoint, force: Series) -> tuple[
 
 
 def _identifiable(one: PeriodicEffect, p: Array, sd: Array) -> list[bool]:
-    """Whether each number is known: the two components of a phasor together, an angle whatever its value."""
+    """Whether each parameter is identifiable: the two components of a phasor together, an angle whatever its value."""
     names = [q.name for q in one.effect.parameters]
     amplitude = [k for k, q in enumerate(one.effect.parameters) if q.linear]
     there = bool(np.hypot.reduce(p[amplitude]) > 2.0 * sd[amplitude].max())
@@ -139,7 +141,7 @@ def _identifiable(one: PeriodicEffect, p: Array, sd: Array) -> list[bool]:
 
 
 def _one_step(model: Model, one: PeriodicEffect, point: WorkingPoint, force: Series) -> tuple[Array, Array] | None:
-    """(k,) numbers after the step and their standard deviations; None if none is free, or no harmonic in the band."""
+    """(k,) parameters after one step, and their standard deviations; None if none is free or no harmonic is in band."""
     data = point.data
     count, inside = one.highest(data.band), one.within(data.band) - 1
     loose = [k for k, free in enumerate(one.free) if free]
@@ -189,12 +191,15 @@ def _one_step(model: Model, one: PeriodicEffect, point: WorkingPoint, force: Ser
 
 
 def _real_parts(z: Complexes) -> Array:
+    """Real and imaginary parts of complex numbers (..., n), one after the other: (..., 2 n)."""
     return np.concatenate([z.real, z.imag], axis=-1)
 
 
 def _model_leakage(model: Model, one: PeriodicEffect, point: WorkingPoint, orders: NDArray[np.int64]) -> Complexes:
-    """(terms, places, orders) N by which the inferred force of an effect is off per scaled unit of each parameter of
-    the rest: the mean tangent of its term at the motion that the effect makes."""
+    """(regressors, places, orders) N, error of an effect's force per scaled unit of each parameter of the model.
+
+    It is the mean tangent of each regressor times the motion that the effect makes.
+    """
     f = np.asarray(one.hz * orders, dtype=np.float64)
     places, w = point.data.places, 2 * np.pi * f
     F = np.stack([one.harmonics(model, p, orders[-1])[orders - 1] * acts_on(one, p) for p in places], axis=1)
@@ -205,7 +210,7 @@ def _model_leakage(model: Model, one: PeriodicEffect, point: WorkingPoint, order
 
 
 def _harmonic_slope(model: Model, one: PeriodicEffect, place: str, count: int, k: int) -> Complexes:
-    """(count,) change of the harmonics with parameter k."""
+    """(count,) derivative of the harmonics with respect to parameter k, N per unit."""
     q = one.effect.parameters[k]
     h = 1.0 if q.linear else 0.01 if q.name == "angle" else 0.01 * abs(one.p[k])
     up, down = one.p.copy(), one.p.copy()
@@ -216,12 +221,12 @@ def _harmonic_slope(model: Model, one: PeriodicEffect, place: str, count: int, k
 
 
 def _piece_index(n: int) -> NDArray[np.int64]:
-    """(n,) the piece that each sample is in."""
+    """(n,) index of the piece that holds each sample."""
     return np.minimum((np.arange(n) * RECORD_PIECES) // n, RECORD_PIECES - 1)
 
 
 def demodulate(force: Series, angle: Array, count: int) -> Complexes:
-    """(PIECES, count) harmonics of a force (n,) over an angle, by folding each piece."""
+    """(pieces, count) harmonics of a force (n,) N over an angle (n,) rad, by folding each piece of the record."""
     pieces = _piece_index(force.size)
     bins = 1 << int(np.ceil(np.log2(8 * count)))
     cell = ((angle / (2 * np.pi)) % 1.0 * bins).astype(np.int64) % bins

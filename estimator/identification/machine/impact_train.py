@@ -1,9 +1,10 @@
-"""Trains of strikes in the spectrum of the motion: all harmonics of one frequency, of which each may be weak.
+"""Impact trains in the spectrum of the motion: all harmonics of one frequency, each of which may be weak.
 
-A train that is not announced, by the geometry of the bearing or the spacing of lines that stand out by themselves, is
-sought by the sum of |Y|^2 over its noise at the first harmonics of every frequency: under noise alone a sum of
-exponentials. One line counts for little in it. Tones that happen to be multiples of one frequency, as mains hum, leave
-orders out; short equal strikes have them all, of nearly the strength of their neighbours.
+A train at an order of the bearing's geometry, or at the spacing of lines that stand out, is examined directly. Any
+other train is searched by the sum of |Y|^2 over its noise at the first harmonics of every frequency; under noise alone
+this is a sum of exponential variables. One line contributes little to it. Tones that happen to be multiples of one
+frequency, as mains hum, lack some orders; short equal impacts have all orders, each of nearly the strength of its
+neighbours.
 """
 
 from __future__ import annotations
@@ -43,9 +44,9 @@ MAX_MISSING_SHARE = 0.2  # of the harmonics of a train
 def find_impact_train(
     model: Model, point: WorkingPoint, s: LineSpectrum, lines: list[float], rotation: float, known: Sequence[float] = ()
 ) -> tuple[Finding | None, float]:
-    """The clearest train of harmonics of a bearing order, and its fundamental in Hz.
+    """The clearest train of harmonics at a bearing order, and its fundamental in Hz; None and 0 without one.
 
-    lines : Hz of what stands out by itself. rotation : Hz. known : Hz of lines that the model has.
+    lines : Hz of lines that stand out. rotation : Hz of the shaft. known : Hz of lines that the model has.
     """
     Zs: Array = np.asarray(np.abs(s.Y) ** 2 / s.noise, dtype=np.float64)
     for hz in known:
@@ -78,7 +79,10 @@ def find_impact_train(
 
 
 def common_fundamental(lines: Sequence[float], seconds: float) -> float:
-    """Hz that all but a fifth of at least `COMB` lines are multiples of, to a bin; 0 if there is none. lines : Hz."""
+    """Fundamental (Hz) of which at least 80 % of five or more lines are multiples, within one bin; 0 if there is none.
+
+    lines : Hz. seconds : of the record.
+    """
     best, most = 0.0, max(MIN_COMB_LINES, (1.0 - MAX_MISSING_SHARE) * len(lines))
     rising = sorted(lines)
     for candidate in {round(hz / q, 3) for hz in rising[:4] for q in (1, 2, 3, 4)}:
@@ -93,9 +97,11 @@ def common_fundamental(lines: Sequence[float], seconds: float) -> float:
 
 
 def _clarity_ratio(hz: float, other: float) -> float:
-    """How many times as clear as a train another must be, fundamentals in Hz. One of a q-th of the other's has all that
-    the other has and q - 1 times as many harmonics between: if strikes are there they are as clear each. By chance and
-    a resonance on one of them half of the weak trains of 20 s at order 2.1 went by 0.7."""
+    """Ratio of clarity that a train at hz needs over one at another fundamental, Hz, to be preferred.
+
+    If the fundamentals differ by a factor q, the train at the lower one has all harmonics of the other and q - 1 times
+    as many between them. If it is real, these are as clear as the others.
+    """
     q = max(hz / other, other / hz)
     if abs(q - round(q)) > RATIO_TOLERANCE_REL * q:
         return 1.0
@@ -104,7 +110,7 @@ def _clarity_ratio(hz: float, other: float) -> float:
 
 
 def _candidate_orders(model: Model, s: LineSpectrum, Zs: Array, lines: list[float], rotation: float) -> list[float]:
-    """Orders of the shaft at which a train is looked for."""
+    """Orders of the shaft at which a train is examined. Zs : (channels, bins) power over noise; lines : Hz."""
     out = []
     bpfo = kinematic("bpfo", model)
     if bpfo is not None:
@@ -119,7 +125,7 @@ def _candidate_orders(model: Model, s: LineSpectrum, Zs: Array, lines: list[floa
 
 
 def _comb_fundamentals(s: LineSpectrum, Zs: Array, rotation: float, high: float) -> list[float]:
-    """Hz whose first harmonics together stand out most, in any channel, with what it is a third to thrice of."""
+    """Hz of the frequency whose first harmonics together are clearest in any channel, with its multiples 1/3 to 3."""
     low, top = MIN_ORDER * rotation, min(MAX_ORDER * rotation, high / 4)
     grid = np.arange(np.ceil(low * SEARCHED_HARMONICS * s.seconds), np.floor(top * SEARCHED_HARMONICS * s.seconds)) / (
         SEARCHED_HARMONICS * s.seconds
@@ -145,7 +151,7 @@ def _comb_fundamentals(s: LineSpectrum, Zs: Array, rotation: float, high: float)
 
 
 def _refined_fundamental(s: LineSpectrum, Zs: Array, hz: float, high: float) -> float:
-    """A fundamental, refined by its visible harmonics, the lowest first: the k-th tells it k times as well."""
+    """Fundamental (Hz) refined by the peaks of its visible harmonics, up to high (Hz)."""
     Z = Zs.max(axis=0)
     for k in range(1, int(high / hz) + 1):
         at = int(round(k * hz * s.seconds))
@@ -158,7 +164,7 @@ def _refined_fundamental(s: LineSpectrum, Zs: Array, hz: float, high: float) -> 
 
 
 def forces_of_lines(point: WorkingPoint, s: LineSpectrum, bins: NDArray[np.intp], i: int) -> tuple[Array, Array]:
-    """(lines,) N at place i of lines at some bins by a linear reading of the motion, and of what is beside them."""
+    """(lines,) N at location i of lines at some bins by the mean tangent, and (lines,) N of the noise near them."""
     near = np.clip(bins[:, None] + np.concatenate([[0], -NEIGHBOUR_BINS, NEIGHBOUR_BINS]), 1, s.f_hz.size - 1)
     bins = near.ravel()
     if set(s.kinds) == {"force"}:
@@ -170,9 +176,9 @@ def forces_of_lines(point: WorkingPoint, s: LineSpectrum, bins: NDArray[np.intp]
 
 
 def _has_all_harmonics(F: Array, unit: Array) -> bool:
-    """Whether a train has all its harmonics, as far as they would be seen beside their neighbours.
+    """Whether a train has all harmonics that would be visible beside their neighbours.
 
-    F, unit : (harmonics,) N of its force, and of what is beside each harmonic.
+    F, unit : (harmonics,) N of its force, and of the noise near each harmonic.
     """
     expected = 0.5 * (F[:-2] + F[2:])
     plain = (expected / unit[1:-1]) ** 2 > UNMISSABLE_POWER_RATIO
@@ -181,8 +187,10 @@ def _has_all_harmonics(F: Array, unit: Array) -> bool:
 
 
 def _made_by_laws(point: WorkingPoint, order: float, hz: float, F: Array, unit: Array, i: int) -> bool:
-    """Whether the laws of the model make the harmonics that are seen out of other lines. F, unit : as `_full` has
-    them."""
+    """Whether the laws of the model make the visible harmonics out of other lines.
+
+    F, unit : (harmonics,) N of the force by the mean tangent at location i, and of the noise near each harmonic.
+    """
     over = F / unit
     seen = (over**2 > VISIBLE_POWER_RATIO) & beyond_harmonics.residual_tells(point, hz * np.arange(1.0, over.size + 1))
     if point.data.measured_force or not seen.any():
@@ -195,7 +203,7 @@ def _made_by_laws(point: WorkingPoint, order: float, hz: float, F: Array, unit: 
 def _defect_finding(
     point: WorkingPoint, s: LineSpectrum, order: float, rotation: float, places: list[str], gained: float
 ) -> Finding:
-    """Strike, angle and width from the folded inferred force: the mean over all periods."""
+    """The finding of an impact train, with strike, angle and width from the residual force folded over its period."""
     settings, power = {}, {}
     hz = order * rotation
     for place in places:

@@ -1,8 +1,9 @@
-"""At what shaft order stiffness turns, from the record: geometry may not be given, and bearings slip by a per cent.
+"""The shaft order at which stiffness varies, from the record: geometry may be missing, and bearings slip by a per cent.
 
-Of a missing force F = F0 + k cos(w t) x, with F0 white and independent of x, the product F x has a line at w over a
-smooth floor. Its power over that floor is the nats that k_cos and k_sin gain at this frequency, so a line is sought
-among the products as in a periodogram (frequency to sqrt(6 / nats) / (2 pi T), the bound for a sinusoid).
+For a missing force F = F0 + k cos(w t) x with F0 white and independent of x, the product F x has a line at w over a
+smooth floor. The power of the line over this floor is the log-likelihood (nats) that k_cos and k_sin gain at that
+frequency. A line is searched among the products as in a periodogram; the frequency is known to sqrt(6 / nats) / (2 pi
+T), the bound for a sinusoid.
 """
 
 from __future__ import annotations
@@ -31,18 +32,22 @@ MIN_PADDING = 4  # bins of the padded spectrum for one of the record
 
 @dataclass(frozen=True, slots=True)
 class StiffnessOrder:
-    """A shaft order at which stiffness turns, and its standard deviation."""
+    """A shaft order at which stiffness varies.
+
+    order : multiples of the shaft speed. sd : its standard deviation.
+    """
 
     order: float
     sd: float
 
     @property
     def text(self) -> str:
+        """The finding in words."""
         return f"the stiffness varies at shaft order {self.order:.4f} +- {self.sd:.1g}"
 
 
 def lacks_stiffness_order(model: Model) -> bool:
-    """Whether the model leaves the ball-pass order to be found: it has a speed, and no such law with an order typed."""
+    """Whether the ball-pass order is to be found: the speed is known, and neither model nor laws have an order."""
     orders = [
         own.get("order", Setting()).value
         for use in ball_pass_uses(model)
@@ -52,16 +57,17 @@ def lacks_stiffness_order(model: Model) -> bool:
 
 
 def ball_pass_uses(model: Model) -> tuple[EffectUse, ...]:
-    """The uses whose order it is."""
+    """The model's effects of stiffness that varies at the ball-pass order."""
     return tuple(u for u in model.effects if u.name == BALL_PASS.name)
 
 
 def _parameters_by_location(model: Model, use: EffectUse) -> dict[str, dict[str, Setting]]:
+    """Parameters of a use by canonical location."""
     return {place: written(BALL_PASS, use, model, place) for place in at(BALL_PASS, use, model)}
 
 
 def with_start_orders(model: Model) -> Model:
-    """The model with its laws' orders begun at that of the record."""
+    """The model whose laws start at the ball-pass order of the record."""
     order = {"order": Setting(model.ball_pass_order)}
     return replace(
         model,
@@ -74,8 +80,10 @@ def with_start_orders(model: Model) -> Model:
 
 
 def with_found_order(model: Model, point: WorkingPoint) -> tuple[Model, tuple[Message, ...]]:
-    """The model with the ball-pass order of the record, where it shows one that the geometry does not give, and what
-    to say about it. point : of the model without ball-pass laws."""
+    """The model with the ball-pass order of the record, if the geometry does not give that order, and a message on it.
+
+    point : working point of the model without ball-pass laws.
+    """
     found = find_stiffness_order(point)
     if found is None:
         return model, ()
@@ -88,7 +96,7 @@ def with_found_order(model: Model, point: WorkingPoint) -> tuple[Model, tuple[Me
 
 
 def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
-    """The clearest line of F x at any place, orders 1 and 2 of the shaft left out (a crack's); None without one."""
+    """The clearest line of F x at any location; None without one. Orders 1 and 2 of the shaft belong to a crack."""
     from scipy.fft import next_fast_len, rfft
 
     data = point.data
@@ -110,7 +118,7 @@ def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
     usable = usable[:looked]
 
     def clearest(i: int) -> tuple[float, float]:
-        """Nats and Hz of the highest line at a place."""
+        """Gain (nats) and frequency (Hz) of the highest line at location i."""
         force = _without_lines(point.force[i]) if data.driven[i] > 0.0 else point.force[i]
         product = np.bincount(rows, force * data.x[i]).astype(np.float32)
         line = np.asarray(rfft(product, size))[:looked]
@@ -126,14 +134,17 @@ def find_stiffness_order(point: WorkingPoint) -> StiffnessOrder | None:
 
 
 def order_trials(point: WorkingPoint) -> float:
-    """Frequencies that `turning` looks at, independent ones: as many trials are behind an order of the record."""
+    """Number of independent frequencies searched for an order: the trials behind an order of the record."""
     data = point.data
     return max(1.0, (MAX_ORDER - MIN_ORDER) * data.speed / (2 * np.pi) * float(data.t[-1] - data.t[0]))
 
 
 def _without_lines(force: Array) -> Array:
-    """What is left of a measured force, (n,), without its lines: they make lines in the motion too, and with these in
-    every product. A stiffness that turns makes none in the force itself."""
+    """A measured force (n,) N without its spectral lines.
+
+    Lines of the force make lines in the motion and in every product F x. A varying stiffness makes no line in the
+    force.
+    """
     from scipy.fft import irfft, rfft
 
     Z = rfft(force * np.hanning(force.size))
@@ -146,7 +157,7 @@ def _without_lines(force: Array) -> Array:
 
 
 def _peak_offset_bins(three: NDArray[np.floating[Any]]) -> float:
-    """Where between its neighbours a peak lies, bins, by the parabola through their logarithms."""
+    """Offset of a peak from the middle of three bins, by the parabola through their logarithms, bins."""
     if three.size < 3 or three.min() <= 0.0:
         return 0.0
     a, b, c = np.log(three)

@@ -1,4 +1,4 @@
-"""Faults that show in the raw samples before any model: clipping."""
+"""Clipped channels, from the raw samples alone."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ MIN_PILE_SAMPLES = 20  # of one extreme value, besides three times as many as ha
 
 
 def clipping_level(y: Array) -> tuple[float, int] | None:
-    """Level and number of samples at it, if the extremes of a channel pile up; None if they thin out as they should.
+    """Level of a clipped channel (n,) and number of samples at it; None for a channel that is not clipped.
 
-    The density of any vibration falls towards its extremes. A limiter puts everything beyond it into a spike there: of
-    one value, as a converter does, or blurred by what noise comes after, both ends together.
+    The density of any vibration falls towards its extremes. A limiter collects all samples beyond its level in one
+    value, or in a narrow range if noise is added after it.
     """
     y = np.ascontiguousarray(y)  # a column is read five times
     if np.count_nonzero(np.isfinite(y)) < 1000:
@@ -40,19 +40,19 @@ def clipping_level(y: Array) -> tuple[float, int] | None:
 
 
 def extreme_pileups(y: Array, low: float, high: float) -> tuple[tuple[float, int] | None, tuple[float, int] | None]:
-    """`_piled` of the samples near the largest, and of those near the smallest with their sign turned."""
+    """Pile-up of a channel (n,) at its upper extreme, and at its lower one with sign reversed; None without one."""
     reach = EXTREME_RANGE_REL * (high - low)
     return _pileup(y[y >= high - reach]), _pileup(-y[y <= low + reach])
 
 
 def clipping_text(name: str, level: float, count: int, samples: int) -> str:
-    """What is said of a channel of which so many samples are at a level."""
+    """The message on a channel of which `count` of `samples` are at a level."""
     share = 100 * count / samples
     return f"{name} is limited to +-{level:.3g} in {f'{share:.2g}' if share < 99.5 else '100'} % of its samples"
 
 
 def _pileup(z: Array) -> tuple[float, int] | None:
-    """Largest value and number of samples that have it, if that is more than the fall of a density allows."""
+    """Largest value and number of samples that have it; None if a falling density allows as many."""
     top = z.max()
     count = int(np.count_nonzero(z == top))
     below = z[z < top]
@@ -62,13 +62,16 @@ def _pileup(z: Array) -> tuple[float, int] | None:
 
 
 def pileup_p_value(count: int) -> float:
-    """p-value of the fewest that count as clipped: so many at the extreme value, a third of what is beyond PILE at the
-    next, where both are as likely (the density of a vibration falls)."""
+    """p-value of a pile-up of `count` samples.
+
+    The next value has a third of the samples beyond `MIN_PILE_SAMPLES`; under a falling density both are equally
+    likely.
+    """
     return float(betainc(count, max(count - MIN_PILE_SAMPLES, 0) / 3 + 1, 0.5))
 
 
 def find_clipping(model: Model, y: Array) -> list[Finding]:
-    """Clipped channels."""
+    """Clipped channels of motion that the model does not call clipped. y : (n, channels)."""
     out = []
     have = {p for u in model.effects if u.name == "sensor_clipping" for p in u.parameters}
     for k, channel in enumerate(model.channels):
@@ -97,5 +100,5 @@ def find_clipping(model: Model, y: Array) -> list[Finding]:
 
 
 def clipped_message(clipped: Finding) -> Message:
-    """A clipped channel in a line."""
+    """The message on a clipped channel."""
     return Message("clipped", f"{clipped.region}: {clipped.note}", clipped.at[0])

@@ -28,7 +28,7 @@ from estimator.parallel import map_processes
 from estimator.signals.filter_designs import chebyshev, designs
 
 from . import pedestal_form
-from .spectral_cells import Cells
+from .spectral_cells import SpectralCells
 from .spectral_models import MAX_DIMMING_SHARE, coloured_power, resonant_power
 
 MOST_MEANS = 8.0
@@ -74,7 +74,7 @@ class Seen:
     been taken back; colour : gain and corner of that of the force. What these and the pedestal are behind the filter is
     found with it."""
 
-    cells: Cells
+    cells: SpectralCells
     kind: str
     undone: tuple[float, float] | None = None
     colour: tuple[float, float] | None = None
@@ -233,7 +233,7 @@ def _begun(seen: Sequence[Seen], way: Way, z: Array) -> tuple[float, Array]:
     deviance, out = 0.0, np.zeros((len(seen), NUMBERS_PER_PLACE))
     for own, at, (passed, back, _) in zip(seen, out, _effects(seen, way, z), strict=True):
         c = own.cells
-        X, m = np.stack([c.colour * passed + back, c.heard]), c.power
+        X, m = np.stack([c.force_shape * passed + back, c.noise_gain]), c.power
         S = N = 0.0
         for _ in range(3):
             W = c.n / m**2
@@ -278,7 +278,7 @@ def _effects(seen: Sequence[Seen], way: Way, z: Array) -> list[tuple[Array, Arra
     return out
 
 
-def _deviance(c: Cells, m: Array) -> float:
+def _deviance(c: SpectralCells, m: Array) -> float:
     ratio = c.power / m
     return float(2 * c.n @ (ratio - 1 - np.log(ratio)))
 
@@ -291,15 +291,15 @@ def _spectrum(own: Seen, u: Array, passed: Array, back: Array, pedestal: Array =
         lost, left = own.standing.moved(c.w, k, d, pedestal)
         A = A + lost / c.w**2
     inferred, of = np.abs(c.A) ** 2, np.abs(A) ** 2
-    force = S * c.colour * passed + np.abs(A - c.A) ** 2 * c.others
-    white = S * (c.colour * passed * inferred / of + back)
+    force = S * c.force_shape * passed + np.abs(A - c.A) ** 2 * c.others
+    white = S * (c.force_shape * passed * inferred / of + back)
 
     def slope(dA: Array | Complexes) -> Array:
         off = c.others * np.real((A - c.A).conj() * dA) - force * np.real(A.conj() * dA) / of
         return np.asarray(2 * off * inferred / of)
 
-    m = white + (force - S * c.colour * passed) * inferred / of + noise * c.heard
-    return m, np.stack([white, c.heard, slope(-left / c.w**2), slope(left / (1j * c.w))])
+    m = white + (force - S * c.force_shape * passed) * inferred / of + noise * c.noise_gain
+    return m, np.stack([white, c.noise_gain, slope(-left / c.w**2), slope(left / (1j * c.w))])
 
 
 def _scored(seen: Sequence[Seen], way: Way, z: Array, u: Array) -> tuple[float, Array, Array, float]:

@@ -1,4 +1,4 @@
-"""A sensor whose noise stands out of its neighbours': in the inferred force, or beside a measured one."""
+"""Sensors whose noise exceeds that of their neighbours, from the residual force or beside a measured force."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ NOISE_RATIO = 6.0  # power of a faulty sensor's noise over that of its neighbour
 
 
 def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: Collection[int]) -> list[Finding]:
-    """A sensor whose noise floor stands out of its neighbours' of the same kind: others have another unit.
+    """Sensors whose noise exceeds that of other sensors of the same kind.
 
-    shaped : places with another spectrum than white force and white noise make. Their noise is not known: beside a peak
-    it came out as nothing, and that of a sound neighbour stood out. Nor is one the measure of others whose shape is
-    known: its two numbers take in what noise would be.
+    noise : (places,) PSD of the sensors' noise in their own unit. shaped : locations whose spectrum differs from that
+    of white force and white noise: their noise is not known. A location whose spectral shape the model has is no
+    reference for others, as the two numbers of the shape take up the noise.
     """
     data = point.data
     out, heard = [], data.heard(point.A)
@@ -70,7 +70,7 @@ def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: 
 
 
 def sensor_noise_rms(point: WorkingPoint, i: int) -> Parameter:
-    """rms over the whole band of the noise of a place's sensor, if it is white."""
+    """Rms of the noise of a location's sensor over the whole band, if the noise is white, in the sensor's unit."""
     data = point.data
     density = point.nu[i] * point.S[i]
     floor = density * data.heard(point.A)[i]
@@ -84,14 +84,17 @@ MAX_UNEVENNESS_RMS = 0.3  # rms of ln(power / model) of noise beyond its scatter
 
 
 def _density(r: PathSpectra, peak: Peak) -> float:
-    """PSD of the noise of a sensor of motion, with the least of what is folded into it."""
+    """PSD of a motion sensor's noise with the least of the motion aliased into it, sensor unit squared per Hz."""
     return clipped_exp(peak.u[1]) + float(np.min(r.folded))
 
 
 def find_noisy_sensors_under_force(
     model: Model, point: WorkingPoint, heard: Mapping[int, tuple[PathSpectra, Peak, Array]]
 ) -> list[Finding]:  # fmt: skip
-    """A sensor whose noise stands out of its neighbours', where white noise of force and motion is all that is left."""
+    """Sensors noisier than their neighbours, where white noise of force and motion explains the residual force.
+
+    heard : by location, the path spectra without a cause, their fit and the scales of its numbers.
+    """
     data = point.data
     have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
     out = []

@@ -19,14 +19,14 @@ from estimator.signals.channel_response import SHAPE_PARAMETERS, fitted_shape
 
 from . import spectral_models
 from .filter_search import Seen, Standing, likeliest, mean_or_none
-from .spectral_cells import Cells, cells_of
+from .spectral_cells import SpectralCells, cells_of
 
 BaseFit = tuple[float, Array, Array]  # likelihood, numbers and their scales: force_shapes.plain
 NumberPair = tuple[float, float] | None
 ShapeNumbers = tuple[
     NumberPair, NumberPair, Standing | None
 ]  # the numbers of the sensor's resonance, of the colour and of the pedestal
-MeasuredPlace = tuple[int, Cells, BaseFit]  # its index, its cells and the model fitted to them
+MeasuredPlace = tuple[int, SpectralCells, BaseFit]  # its index, its cells and the model fitted to them
 MAX_FALL_P_VALUE = 1e-6
 MIN_FALL_RMS = 0.002  # of ln(power) over the band, from which a roll-off matters to S
 MIN_EXPLAINED_SHARE = 0.5  # of the misfit beyond chance
@@ -175,14 +175,14 @@ def explains_half(point: WorkingPoint, off: Filter, own: list[MeasuredPlace], be
     return after - (df := sum(c.n.size - 4 for _, c, _ in own)) < (1 - MIN_EXPLAINED_SHARE) * (before - df)
 
 
-def _cells_behind(point: WorkingPoint, i: int, c: Cells, off: Filter) -> Cells:
+def _cells_behind(point: WorkingPoint, i: int, c: SpectralCells, off: Filter) -> SpectralCells:
     """The cells of a place behind a filter."""
     hz = c.w / (2 * np.pi)
     here, others = c.white
     echoes = here * off.echoes(hz, point.data.kinds[i])
-    back = c.back + echoes.sum(axis=0) + others * off.folded(hz, point.data.kinds[i])
+    back = c.aliased_gain + echoes.sum(axis=0) + others * off.folded(hz, point.data.kinds[i])
     beyond = images(off.rate_hz, hz)[: len(echoes)]
-    return replace(c, colour=c.colour * off.passed(hz), back=back, echoes=echoes, images=beyond)
+    return replace(c, force_shape=c.force_shape * off.passed(hz), aliased_gain=back, echoes=echoes, images=beyond)
 
 
 def _have_common_misfit(own: list[MeasuredPlace]) -> bool:
@@ -195,7 +195,7 @@ def _have_common_misfit(own: list[MeasuredPlace]) -> bool:
     return bool(chdtrc(HALF_WAVES, float(np.sum((Q.T @ off) ** 2))) < LOOK_P_VALUE)
 
 
-def _without_lines(point: WorkingPoint, cells: list[Cells]) -> tuple[list[Cells], list[BaseFit]]:
+def _without_lines(point: WorkingPoint, cells: list[SpectralCells]) -> tuple[list[SpectralCells], list[BaseFit]]:
     """The cells that no line raises at any place, if they are few, and the model of each place fitted to them."""
     whole = cells[0].n.size
     while True:
@@ -210,6 +210,6 @@ def _without_lines(point: WorkingPoint, cells: list[Cells]) -> tuple[list[Cells]
         cells = [c.at(keep) for c in cells]
 
 
-def _power_ratio(c: Cells, fit: BaseFit) -> Array:
+def _power_ratio(c: SpectralCells, fit: BaseFit) -> Array:
     """(cells,) measured power over the model's."""
     return c.power / spectral_models.base_model(c, fit[1])

@@ -1,4 +1,4 @@
-"""What may shape the spectrum of a force or its sensor, and the likeliest numbers of each, k and c refitted beside."""
+"""Causes of the spectral shape of a force or a sensor, each fitted to the cells of a location together with k and c."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.results import Parameter
 
 from . import pedestal_form
-from .spectral_cells import Cells, cells_of, finite_exp
+from .spectral_cells import SpectralCells, cells_of, finite_exp
 
 MAX_DIMMING_SHARE = 0.985  # of S, that a spectral shape may take away at low frequencies
 BROADENED_DAMPING_SHARE = 0.75  # of a damping: excess of one resonance fitted to the two of rotor and pedestal
@@ -22,87 +22,132 @@ MIN_PEAK_QUALITY = 1.0  # of a sensor resonance: below it a low-pass filter look
 DERIVATIVE_STEP_REL = 1e-8  # of a number over its scale
 
 
-def base_model(c: Cells, u: Array) -> Array:
-    """u : ln S, ln(noise share), relative changes of k and c in units of 1 / w^2 and 1 / (i w)."""
+def base_model(c: SpectralCells, u: Array) -> Array:
+    """(cells,) PSD without a cause. u : ln S, ln of the noise PSD, changes of stiffness and damping."""
     return c.spectrum(u, c.tangent(u))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SpectralShape:
-    """A cause: multiplier of the whole measured power, or of S, by its parameters in free form; starts in that form.
+    """A cause of a spectral shape, with its parameters z in coordinates in which a search is unbounded.
 
-    idle : N s/m, the damping that starts are tried without as well.
+    Attributes
+    ----------
+    effect : str
+        Name in the catalogue.
+    names, units : tuple of str
+        Of its parameters.
+    starts : tuple of tuple of float
+        Points z from which searches start.
+    model : callable
+        (cells, (4 + z,)) -> (cells,) N^2/Hz, spectrum with the cause; the first four numbers are the base model's.
+    values : callable
+        z -> parameters in SI.
+    idle : float
+        Damping that searches are also started without, N s/m.
     """
 
     effect: str
     names: tuple[str, ...]
     units: tuple[str, ...]
     starts: tuple[tuple[float, ...], ...]
-    model: Callable[[Cells, Array], Array]
+    model: Callable[[SpectralCells, Array], Array]
     values: Callable[[Array], Array]
     idle: float = 0.0
 
 
 def _coloured_shape(place_peak: float) -> SpectralShape:
+    """Excitation with more or less power below a corner frequency. place_peak : Hz, resonance of the cap."""
+
     def values(z: Array) -> Array:
         return np.array([np.exp(np.clip(z[0], -6, 7)) - MAX_DIMMING_SHARE, np.exp(np.clip(z[1], 2, 12))])
 
-    def model(c: Cells, u: Array) -> Array:
+    def model(c: SpectralCells, u: Array) -> Array:
         return c.spectrum(u, c.tangent(u), coloured_power(c.w / (2 * np.pi), *values(u[4:])))
 
     starts = tuple((g, float(np.log(place_peak * f))) for g in (0.6, 1.5, -0.5) for f in (0.4, 1.0, 2.5))
-    return SpectralShape("coloured_excitation", ("gain", "corner"), ("1", "Hz"), starts, model, values)
+    return SpectralShape(
+        effect="coloured_excitation",
+        names=("gain", "corner"),
+        units=("1", "Hz"),
+        starts=starts,
+        model=model,
+        values=values,
+    )
 
 
 def _resonance_shape(top: float) -> SpectralShape:
+    """Resonance of the sensor. top : Hz, end of the band."""
+
     def values(z: Array) -> Array:
         return np.array([np.exp(np.clip(z[0], 3, 13)), np.exp(np.clip(z[1], -0.5, 5))])
 
-    def model(c: Cells, u: Array) -> Array:
+    def model(c: SpectralCells, u: Array) -> Array:
         numbers = values(u[4:])
         out = c.spectrum(u, c.tangent(u), resonant_power(c.w / (2 * np.pi), *numbers))
         beyond = c.echoes[:, None] * (resonant_power(c.images[:, None], *numbers) - 1.0)
         return np.asarray(out + (finite_exp(u[0]) * beyond.sum(axis=0)).reshape(out.shape))
 
     starts = tuple((float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4) for q in (4, 25))
-    return SpectralShape("sensor_resonance", ("frequency", "quality"), ("Hz", "1"), starts, model, values)
+    return SpectralShape(
+        effect="sensor_resonance",
+        names=("frequency", "quality"),
+        units=("Hz", "1"),
+        starts=starts,
+        model=model,
+        values=values,
+    )
 
 
 def coloured_power(f_hz: Array, gain: float | Array, corner: float | Array) -> Array:
-    """Power that a colour of the force multiplies that at f_hz by."""
+    """Power of a shaped excitation at f_hz over that far above its corner."""
     return np.asarray(1 + gain / (1 + (f_hz / corner) ** 2))
 
 
 def resonant_power(f_hz: Array, f0: float | Array, quality: float | Array) -> Array:
-    """Power that a sensor's resonance multiplies that at f_hz by."""
+    """Power that a sensor resonance multiplies the signal's by at f_hz."""
     r2 = (f_hz / f0) ** 2
     return np.asarray(1.0 / ((1 - r2) ** 2 + r2 / quality**2))
 
 
 def _pedestal_shape(mass: float, kL: float, c0: float, peak: float) -> SpectralShape:
+    """A pedestal under the bearing.
+
+    mass : kg of the cap. kL, c0 : stiffness and damping of the fit. peak : Hz, resonance of the cap.
+    """
     values = partial(pedestal_form.pedestal_values, cap_mass=mass)
 
-    def model(c: Cells, u: Array) -> Array:
+    def model(c: SpectralCells, u: Array) -> Array:
         lost = pedestal_form.stiffness_lost(c.w, kL + u[2], c0 + u[3], values(u[4:]))
         return c.spectrum(u, c.tangent(u) + lost / c.w**2)
 
     names, units = ("mass", "frequency", "damping"), ("kg", "Hz", "1")
     return SpectralShape(
-        "pedestal", names, units, pedestal_form.pedestal_starts(peak), model, values, BROADENED_DAMPING_SHARE * c0
+        effect="pedestal",
+        names=names,
+        units=units,
+        starts=pedestal_form.pedestal_starts(peak),
+        model=model,
+        values=values,
+        idle=BROADENED_DAMPING_SHARE * c0,
     )
 
 
 def deviance_residuals(root: Array, ratio: Array) -> Array:
-    """Residuals whose squares add up to the Whittle likelihood ratio. root : of the bins of a cell; ratio : its power
-    over a model's."""
+    """(cells,) residuals whose squares sum to twice the Whittle log-likelihood ratio.
+
+    root : (cells,) root of the number of bins. ratio : (cells,) measured power over the model's.
+    """
     return np.asarray(np.sign(ratio - 1) * root * np.sqrt(np.maximum(2 * (ratio - 1 - np.log(ratio)), 0.0)))
 
 
 def _max_likelihood(
-    c: Cells, model: Callable[[Cells, Array], Array], starts: list[Array], scale: Array
+    c: SpectralCells, model: Callable[[SpectralCells, Array], Array], starts: list[Array], scale: Array
 ) -> tuple[float, Array, Array]:
-    """Largest Whittle likelihood, where, and the standard deviations there. Once a start leads to what chance leaves of
-    a true model, no other is tried."""
+    """Largest Whittle log-likelihood, the numbers at it and their standard deviations.
+
+    scale : (k,) scales of the numbers. Once the misfit of a start is within chance, no further start is tried.
+    """
     from scipy.optimize import least_squares
 
     root, df = np.sqrt(c.n), c.n.size - scale.size
@@ -130,10 +175,10 @@ def _max_likelihood(
     return -best[0], best[1], best[2]
 
 
-def fit_base_model(point: WorkingPoint, i: int, c: Cells) -> tuple[float, Array, Array]:
-    """Likelihood and numbers of the base model at a place, and their scales."""
+def fit_base_model(point: WorkingPoint, i: int, c: SpectralCells) -> tuple[float, Array, Array]:
+    """Log-likelihood and numbers (4,) of the base model at location i, and their scales (4,)."""
     scale = np.array([1.0, 1.0, point.kL[i] * 0.01, point.c[i] * 0.1 + 1e-9])
-    least = point.S[i] * MIN_NOISE_RATIO / np.mean(c.heard)
+    least = point.S[i] * MIN_NOISE_RATIO / np.mean(c.noise_gain)
     quiet = np.array([np.log(point.S[i]), np.log(least), 0.0, 0.0])
     u0 = quiet.copy()
     u0[1] = np.log(point.nu[i] * point.S[i]) if point.nu[i] > 0.0 else quiet[1] - 10.0
@@ -141,9 +186,11 @@ def fit_base_model(point: WorkingPoint, i: int, c: Cells) -> tuple[float, Array,
     return level, u, scale
 
 
-def best_other_deviance(point: WorkingPoint, i: int, c: Cells, level: float, u: Array, scale: Array) -> float:
-    """Least deviance of a place by a cause that is no roll-off: a colour with its corner in the band, a resonance with
-    a peak, a pedestal."""
+def best_other_deviance(point: WorkingPoint, i: int, c: SpectralCells, level: float, u: Array, scale: Array) -> float:
+    """Least deviance of location i by a cause that is no roll-off.
+
+    Such causes are an excitation shape with its corner in the band, a sensor resonance with a peak, and a pedestal.
+    """
     least, top = -2 * level, point.data.band[1]
     for shape in spectral_causes(point, i):
         found, z, _ = fit_shape(c, shape, u, scale)
@@ -162,8 +209,7 @@ def spectral_causes(point: WorkingPoint, i: int) -> tuple[SpectralShape, ...]:
 
 
 def pedestal_from_spectrum(point: WorkingPoint, i: int) -> tuple[Array, float, float]:
-    """(3,) mass, frequency and damping that the spectrum at a place suggests to a model without one, likely or not, and
-    kL and c beside it."""
+    """(3,) mass, frequency and damping of the pedestal that fits location i best, and kL and c beside it."""
     c = cells_of(point, i)
     _, u, scale = fit_base_model(point, i, c)
     shape = _pedestal_shape(point.data.mass[i], point.kL[i], point.c[i], resonance_hz(point, i))
@@ -172,8 +218,10 @@ def pedestal_from_spectrum(point: WorkingPoint, i: int) -> tuple[Array, float, f
 
 
 def coloured_force_level(point: WorkingPoint, i: int, gain: float, corner: float) -> Parameter:
-    """S of a place whose excitation has a colour by these numbers, found in the same spectrum: they leave S many times
-    more uncertain than its number of bins says."""
+    """S of a location with a shaped excitation, N^2/Hz.
+
+    Gain and corner are fitted to the same spectrum, so S is far more uncertain than its number of bins suggests.
+    """
     own = 1 + gain / (1 + (point.data.f_hz / corner) ** 2)
     flat = replace(point, data=replace(point.data, colour=point.data.colour / own))
     c, shape = cells_of(flat, i), _coloured_shape(resonance_hz(point, i))
@@ -185,15 +233,16 @@ def coloured_force_level(point: WorkingPoint, i: int, gain: float, corner: float
 
 
 def resonance_hz(point: WorkingPoint, i: int) -> float:
-    """Hz of the resonance at a place."""
+    """Resonance frequency of location i, Hz."""
     return float(np.sqrt(point.kL[i] / point.data.mass[i]) / (2 * np.pi))
 
 
-def fit_shape(c: Cells, shape: SpectralShape, u: Array, scale: Array) -> tuple[float, Array, Array]:
-    """Largest likelihood of the base model, at u, with a cause beside it; where, and the standard deviations there.
+def fit_shape(c: SpectralCells, shape: SpectralShape, u: Array, scale: Array) -> tuple[float, Array, Array]:
+    """Largest log-likelihood of the base model with a cause, the numbers at it and their standard deviations.
 
-    Without the cause there may have been no noise, ln 0, and from there a search finds none."""
-    begun = np.array([u[0], max(u[1], u[0] + float(np.log(MIN_NOISE_RATIO / np.mean(c.heard)))), *u[2:]])
+    u : numbers of the base model. Its noise may be 0, so that ln of it is raised to a finite start.
+    """
+    begun = np.array([u[0], max(u[1], u[0] + float(np.log(MIN_NOISE_RATIO / np.mean(c.noise_gain)))), *u[2:]])
     starts = [np.concatenate([begun, s]) for s in shape.starts]
     if shape.idle:
         starts += [start - shape.idle * np.eye(start.size)[3] for start in starts]
@@ -201,5 +250,5 @@ def fit_shape(c: Cells, shape: SpectralShape, u: Array, scale: Array) -> tuple[f
 
 
 def is_peakless(effect: str, values: Array, top_hz: float) -> bool:
-    """Whether a sensor's resonance is above the band and has no peak: a filter looks the same."""
+    """Whether a sensor resonance lies above the band and has no peak: an anti-alias roll-off looks the same."""
     return effect == "sensor_resonance" and bool(values[0] > top_hz and values[1] < MIN_PEAK_QUALITY)

@@ -1,8 +1,8 @@
-"""The spectrum of the inferred force: not white, shaped by a sensor, by a pedestal, or shared by the two bearings.
+"""The spectrum of the residual force: shaped by the excitation, a sensor or a pedestal, or shared by two bearings.
 
-Nothing here depends on the state of the rotor, so nothing here can be a force law. The mean power of the inferred
-force in narrow cells is compared, by the Whittle likelihood, with what each cause would give, k and c refitted for
-each (a shape near the resonance can hide in them).
+A spectral shape does not depend on the state of the rotor, so none of these causes is a force law. The mean power of
+the residual force in narrow cells is compared with each cause by the Whittle likelihood. Stiffness and damping are
+fitted again with each cause, as they can hide a shape near the resonance.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from estimator.results import Parameter
 
 from . import pedestal_form
 from .noisy_sensor import find_noisy_sensors
-from .spectral_cells import Cells, cells_of, finite_exp, mean_power
+from .spectral_cells import SpectralCells, cells_of, finite_exp, mean_power
 from .spectral_models import base_model, fit_base_model, fit_shape, is_peakless, spectral_causes
 
 MAX_SHAPE_P_VALUE = 1e-3
@@ -37,7 +37,7 @@ MIN_UNKNOWN_DEPTH_RMS = 0.1  # of a shape without a cause: laws that a model lac
 
 
 def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
-    """Shaped excitation, sensor resonance, pedestal and a noisy sensor, by place; and forces shared by the bearings."""
+    """Shaped excitation, sensor resonances, pedestals, noisy sensors and forces shared by two bearings."""
     data = point.data
     taken = {(u.name, place) for u in model.effects for place in u.parameters}
     out: list[Finding] = []
@@ -46,7 +46,7 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
         model, data.places, data.f_hz, FORCE_SHAPES
     )  # of a spectrum as it is: see below
     shaped = set(np.flatnonzero(np.ptp(seen, axis=1) > SHAPE_TOLERANCE_REL * seen.mean(axis=1)).tolist())
-    white: list[tuple[int, Cells, float, Array, Array]] = []
+    white: list[tuple[int, SpectralCells, float, Array, Array]] = []
     for i, place in enumerate(data.places):
         if data.driven[i] > 0.0:  # what is left of a known force is noise: transfer_faults.py
             shaped.add(i)
@@ -71,12 +71,11 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
 
 
 def refit_with_seen_spectra(model: Model, point: WorkingPoint, law: float) -> WorkingPoint | None:
-    """The point refitted with the spectra that are seen, where nothing of the catalogue makes them; None where there is
-    no such place, or what it is worth is less than `law`, nats of the best effect on trial: a law that is missing bends
-    spectra, too, by more than they show of it.
+    """The point refitted with the measured spectra of locations whose spectral shape has no cause in the catalogue.
 
-    Taken for white, a force has about a resonance more or less of the motion with it than the likelihood knows: on a
-    stiff shaft that passes for a law, and for what follows the other cap.
+    law : nats of the best law on trial. The result is None if there is no such location, or if the shape gains less
+    than the law: a missing law shapes spectra too. If a shaped force is taken as white, the likelihood allows for too
+    much or too little of the motion near the resonance, which a law can then explain.
     """
     bent = [s for s in find_spectral_shapes(model, point) if s.effect == UNKNOWN_EFFECT]
     if sum(s.gain_nats for s in bent) <= law:
@@ -96,12 +95,15 @@ def refit_with_seen_spectra(model: Model, point: WorkingPoint, law: float) -> Wo
 def _same_cause_elsewhere(
     point: WorkingPoint,
     found: list[Finding],
-    white: list[tuple[int, Cells, float, Array, Array]],
+    white: list[tuple[int, SpectralCells, float, Array, Array]],
     taken: set[tuple[str, str]],
     shaped: set[int],
 ) -> list[Finding]:
-    """What is found at a place is tried at those whose spectrum, of many cells, does not stand out by itself: bearings
-    are alike. `shaped` takes up the places where it is."""
+    """Findings of a pedestal at locations whose own spectra are not significant, as bearings are alike.
+
+    white : locations without a significant shape: index, cells, log-likelihood, numbers and scales of the base model.
+    taken : (effect, location) in the model. shaped : indices of locations with a shape; new ones are added.
+    """
     best = max((s for s in found if s.effect == "pedestal"), key=lambda s: s.gain_nats, default=None)
     if best is None or best.gain_nats < max(s.gain_nats for s in found):
         return []
@@ -117,8 +119,12 @@ def _same_cause_elsewhere(
 
 
 def _shape_findings(
-    point: WorkingPoint, i: int, c: Cells, u: Array, level: float, scale: Array, taken: set[str]
+    point: WorkingPoint, i: int, c: SpectralCells, u: Array, level: float, scale: Array, taken: set[str]
 ) -> list[Finding]:
+    """Findings of all causes of the spectral shape at location i, except effects in `taken`.
+
+    u, level, scale : numbers, log-likelihood and scales of the base model.
+    """
     data = point.data
     place = data.places[i]
     out = []
@@ -159,14 +165,16 @@ def _shape_findings(
 
 
 def _bearing_drives_rotor(point: WorkingPoint, i: int, z: Array, sd: Array) -> bool:
-    """Whether the bearing beside a cause, z as force_shapes.base_model has it, would push the rotor on: what looks like
-    a pedestal by that is a peak in the spectrum of the force."""
+    """Whether stiffness or damping of the bearing beside a cause is negative; the cause is then a peak of the force.
+
+    z, sd : numbers of the base model with the cause, and their standard deviations.
+    """
     k, c = point.kL[i] + z[2], point.c[i] + z[3]
     return bool(k < -NEGATIVE_MARGIN_SD * sd[2] or c < -NEGATIVE_MARGIN_SD * sd[3])
 
 
-def _unknown_finding(point: WorkingPoint, i: int, c: Cells, u: Array, level: float) -> Finding:
-    """A spectrum that nothing of the catalogue has."""
+def _unknown_finding(point: WorkingPoint, i: int, c: SpectralCells, u: Array, level: float) -> Finding:
+    """The finding of a spectral shape that no cause of the catalogue explains."""
     r, df = c.power / base_model(c, u), c.n.size - 4
     place = point.data.places[i]
     p = float(min(1.0, chdtrc(df, -2 * level) * len(point.data.places)))
@@ -183,31 +191,32 @@ def _unknown_finding(point: WorkingPoint, i: int, c: Cells, u: Array, level: flo
     )
 
 
-def _predictable_power(point: WorkingPoint, i: int, c: Cells, r: Array) -> float:
-    """N^2: one-step prediction error of a process with spectrum r, what of it is predictable from its own past."""
+def _predictable_power(point: WorkingPoint, i: int, c: SpectralCells, r: Array) -> float:
+    """Power (N^2) of the force at location i that is predictable from its past, with a spectrum as r (cells,)."""
     weight = c.n / c.n.sum()
     return float(1 - np.exp(weight @ np.log(r)) / (weight @ r)) * _force_variance(point, i)
 
 
 def _roll_off_note(effect: str, values: Array, top_hz: float) -> str:
-    """What to say of a resonance above the band that has no peak."""
+    """The note on a sensor resonance above the band without a peak; empty for other causes."""
     if not is_peakless(effect, values, top_hz):
         return ""
     return "the channel rolls off towards the end of the band as behind an anti-alias filter: lower band.high below it"
 
 
 def _force_variance(point: WorkingPoint, i: int) -> float:
-    """N^2 of the force at a place, within the bins looked at."""
+    """Mean square of the force at location i within the band, N^2."""
     return float(mean_power(point, i).sum()) * point.data.rate_hz / point.data.block
 
 
-def _misfit_region(c: Cells, r: Array) -> str:
+def _misfit_region(c: SpectralCells, r: Array) -> str:
+    """Where the spectrum differs most from the model, in words. r : (cells,) measured power over the model's."""
     k = int(np.argmax(np.abs(np.log(r)) * np.sqrt(c.n)))
     return f"force spectrum {'above' if r[k] > 1 else 'below'} the model near {c.w[k] / 2 / np.pi:.0f} Hz"
 
 
 def _find_shared_force(model: Model, point: WorkingPoint) -> list[Finding]:
-    """Coherence of the inferred forces at the two bearings, direction by direction."""
+    """Forces shared by the two bearings, from the coherence of their residual forces, by direction."""
     data = point.data
     out = []
     have = {p for u in model.effects if u.name == "correlated_force" for p in u.parameters}

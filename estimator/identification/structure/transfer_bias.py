@@ -1,4 +1,4 @@
-"""What may bend the path from a measured force to a measured motion, and its likeliest numbers beside k and c."""
+"""Causes of a biased transfer function from force to motion, and their likeliest parameters beside k and c."""
 
 from __future__ import annotations
 
@@ -37,12 +37,25 @@ GAIN_STARTS = ((0.0,), (0.1,), (-0.1,), (1.0,), (-0.5,), (-2.0,))  # errors of a
 SKEW_STARTS = ((0.0,), (-3.0,), (-1.0,), (1.0,), (3.0,))  # delays, samples
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Cause:
-    """What may bend a tangent. values : parameters in SI of their free form, and `free` the other way; starts : in it.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class TransferCause:
+    """A cause that biases a transfer function, with its parameters z in coordinates of the search.
 
-    bend : A' of a response, the tangent (cells,) without the cause, kL and c, and the parameters. sensor : of a
-    sensor's fault, its response at w (..., cells) over what is undone; what is folded went through it at the image."""
+    Attributes
+    ----------
+    effect : str
+        Name in the catalogue.
+    starts : tuple of tuple of float
+        Points z from which searches start.
+    values : callable
+        z -> parameters in SI.
+    free : callable
+        Parameters in SI -> z.
+    bend : callable
+        (path spectra, tangent (cells,) without the cause, kL, c, parameters) -> biased tangent (cells,).
+    sensor : callable or None
+        Response of a faulty sensor at w (..., cells) over what is undone; aliased motion passes it at its image.
+    """
 
     effect: str
     starts: tuple[tuple[float, ...], ...]
@@ -53,10 +66,13 @@ class Cause:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of its parameters."""
         return tuple(q.name for q in CATALOGUE[self.effect].parameters)
 
 
-def _pedestal_cause(mass: float, peak: float) -> Cause:
+def _pedestal_cause(mass: float, peak: float) -> TransferCause:
+    """A pedestal. mass : kg of the cap. peak : Hz, its resonance."""
+
     def bend(r: PathSpectra, A: Complexes, k: float, c: float, p: Array) -> Complexes:
         return np.asarray(A + pedestal_form.stiffness_lost(r.w, k, c, p) / r.w**2)
 
@@ -64,13 +80,15 @@ def _pedestal_cause(mass: float, peak: float) -> Cause:
         partial(pedestal_form.pedestal_values, cap_mass=mass),
         partial(pedestal_form.pedestal_coordinates, cap_mass=mass),
     )
-    return Cause("pedestal", pedestal_form.pedestal_starts(peak), values, free, bend)
+    return TransferCause(
+        effect="pedestal", starts=pedestal_form.pedestal_starts(peak), values=values, free=free, bend=bend
+    )
 
 
 def _sensor_cause(
     effect: str, starts: tuple[tuple[float, ...], ...], unit: float, now: Mapping[str, float | None]
-) -> Cause:
-    """A fault that is a response. now : its numbers that have been undone. unit : of the free form; 0: logarithms."""
+) -> TransferCause:
+    """A sensor fault. now : its parameters as undone in the record. unit : SI per unit of z; 0 for z = ln(value)."""
     names = [q.name for q in CATALOGUE[effect].parameters]
     limits = np.array([(3.0, 13.0), (-1.5, 6.0)]).T
 
@@ -81,12 +99,21 @@ def _sensor_cause(
         return fault_response(effect, dict(zip(names, p, strict=True)), w) / fault_response(effect, now, w)
 
     if unit == 0.0:
-        return Cause(effect, starts, lambda z: np.exp(np.clip(z, *limits)), np.log, bend, sensor)
-    return Cause(effect, starts, lambda z: unit * z, lambda p: p / unit, bend, sensor)
+        return TransferCause(
+            effect=effect,
+            starts=starts,
+            values=lambda z: np.exp(np.clip(z, *limits)),
+            free=np.log,
+            bend=bend,
+            sensor=sensor,
+        )
+    return TransferCause(
+        effect=effect, starts=starts, values=lambda z: unit * z, free=lambda p: p / unit, bend=bend, sensor=sensor
+    )
 
 
-def transfer_causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str, float | None]]) -> list[Cause]:
-    """Those that a place may have. have : numbers of those that the model has there."""
+def transfer_causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str, float | None]]) -> list[TransferCause]:
+    """Causes that location i may have. have : by effect, parameters of those that the model has there."""
     data = point.data
     peak = resonance_hz(point, i)
     top = data.band[1]
@@ -102,9 +129,12 @@ def transfer_causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str,
 
 
 def fit_cause(
-    point: WorkingPoint, i: int, r: PathSpectra, cause: Cause, base: Peak, scale: Array, starts: list[Array]
+    point: WorkingPoint, i: int, r: PathSpectra, cause: TransferCause, base: Peak, scale: Array, starts: list[Array]
 ) -> Peak:  # fmt: skip
-    """The likeliest numbers of a cause beside k and c."""
+    """The likeliest fit with a cause at location i.
+
+    base : fit without the cause. scale : of its numbers. starts : points z of the cause.
+    """
     k, c = float(point.kL[i]), float(point.c[i])
 
     def bend(d: Array) -> Complexes:
@@ -133,8 +163,8 @@ def fit_cause(
     return best
 
 
-def cause_parameters(cause: Cause, peak: Peak, part: slice = CAUSE_NUMBERS) -> dict[str, Parameter]:
-    """Parameters of a cause with their standard deviations. part : where its free form is in the peak."""
+def cause_parameters(cause: TransferCause, peak: Peak, part: slice = CAUSE_NUMBERS) -> dict[str, Parameter]:
+    """Parameters of a cause with their standard deviations, by name. part : position of z in the peak's numbers."""
     z, q = peak.u[part], len(cause.names)
     values = cause.values(z)
     slopes = np.stack([(cause.values(z + 1e-5 * e) - values) / 1e-5 for e in np.eye(q)])
@@ -146,7 +176,7 @@ def cause_parameters(cause: Cause, peak: Peak, part: slice = CAUSE_NUMBERS) -> d
 
 
 def pedestal_from_transfer(point: WorkingPoint, i: int) -> tuple[Array, float, float]:
-    """(3,) mass, frequency and damping that the motion under a measured force suggests, likely or not; kL and c."""
+    """(3,) mass, frequency and damping of the pedestal that fits the response best, and kL and c beside it."""
     r = path_spectra_of(point, i)
     base, scale = fit_linear_path(point, i, r)
     cause = transfer_causes(point, i, {})[0]
@@ -155,8 +185,10 @@ def pedestal_from_transfer(point: WorkingPoint, i: int) -> tuple[Array, float, f
 
 
 def refine_sensor_faults(model: Model, point: WorkingPoint) -> tuple[Model, dict[str, Parameter]]:
-    """The model with the numbers of its sensors' faults, those undone in the record of the point, one step nearer, and
-    these as parameters. Of two faults of a sensor one after the other."""
+    """The model with its sensor faults one step nearer, and these parameters keyed "location.effect.name".
+
+    The record of the point has the faults undone at their present values. Two faults of a sensor take turns.
+    """
     found: dict[str, Parameter] = {}
     lines = known_lines(model)
     uses = []

@@ -1,7 +1,7 @@
-"""What bends the path from a measured force to a measured motion: a pedestal, or a sensor that is wrong.
+"""Biased transfer functions from a measured force to a measured motion: a pedestal, or a faulty sensor.
 
-Each is tried as the A' of transfer_function.py, stiffness and damping fitted beside it. The known mass is what tells
-a gain: measured with the gain 1 + error, the rotor's mass seems to be m / (1 + error), and nothing else changes that.
+Each cause biases the tangent of the rotor; stiffness and damping are fitted with it. The known mass identifies a sensor
+gain: with gain 1 + error the mass appears as m / (1 + error), and no other cause does this.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from estimator.parallel import map_processes
 from estimator.signals.channel_response import measured_force_places
 
 from .noisy_sensor import find_noisy_sensors_under_force
-from .transfer_bias import CAUSE_NUMBERS, Cause, cause_parameters, fit_cause, transfer_causes
+from .transfer_bias import CAUSE_NUMBERS, TransferCause, cause_parameters, fit_cause, transfer_causes
 
 MIN_EXPLAINED_SHARE = 0.5  # of the power that a free response explains, for a cause
 MAX_FAULT_P_VALUE = 1e-2  # of a finding
@@ -58,9 +58,9 @@ EFFECT_NOTES = {
 
 
 def find_transfer_faults(model: Model, point: WorkingPoint, lines: Collection[float] = ()) -> list[Finding]:
-    """Pedestals and faulty sensors that the model does not have, at places whose force is measured.
+    """Pedestals and faulty sensors that the model lacks, at locations whose force is measured.
 
-    lines : Hz of what is periodic in the residual, which is left out.
+    lines : Hz of periodic forces in the residual, which are left out.
     """
     at = [i for i, place in enumerate(point.data.places) if place in measured_force_places(model) and point.kL[i] > 0.0]
     seen = map_processes([partial(_findings_at, model, point, i, lines) for i in at])
@@ -71,7 +71,7 @@ def find_transfer_faults(model: Model, point: WorkingPoint, lines: Collection[fl
 def _findings_at(
     model: Model, point: WorkingPoint, i: int, lines: Collection[float]
 ) -> tuple[list[Finding], tuple[PathSpectra, Peak, Array] | None]:  # fmt: skip
-    """What bends the path at a place; the response as it is without, where nothing does."""
+    """Findings at location i, and the path spectra with their fit and scales if there is none."""
     r = path_spectra_of(point, i, lines)
     if r.n.size < MIN_CELLS:
         return [], None
@@ -86,8 +86,10 @@ def _findings_at(
 
 
 def _with_rival_folding(model: Model, point: WorkingPoint, i: int, tried: TriedCauses) -> TriedCauses | None:
-    """The same beside what is folded back, where that and noise of the sensor are as likely by their coherence with the
-    motion: where no cause explains what bends the path, it is the one beside which nothing does."""
+    """Causes tried with the rival density of the aliased force; None unless it explains what no cause explains.
+
+    Aliased force and sensor noise may be equally likely by their coherence with the motion.
+    """
     r, least = tried.response, (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
     if r.fold is None or r.fold.rival is None:
         return None
@@ -99,20 +101,33 @@ def _with_rival_folding(model: Model, point: WorkingPoint, i: int, tried: TriedC
 
 @dataclass(frozen=True, slots=True)
 class TriedCauses:
-    """A place without a cause, `base`, and with each. likely : nats of the best, less what it is to bring."""
+    """A location's transfer function without a cause and with each cause.
+
+    Attributes
+    ----------
+    response : PathSpectra
+        Spectra from force to motion.
+    base : Peak
+        The fit without a cause.
+    scale : (4,) float64
+        Scales of its numbers.
+    causes : dict of TransferCause to Peak
+        The fit with each cause.
+    """
 
     response: PathSpectra
     base: Peak
     scale: Array
-    causes: dict[Cause, Peak]
+    causes: dict[TransferCause, Peak]
 
     @property
     def best(self) -> Peak:
-        """With the likeliest cause."""
+        """The fit with the likeliest cause; without a cause if none is likelier."""
         return max(self.causes.values(), key=lambda peak: peak.nats, default=self.base)
 
     @property
     def nats(self) -> float:
+        """Largest log-likelihood with or without a cause, nats."""
         return max(self.base.nats, self.best.nats)
 
     @property
@@ -123,14 +138,16 @@ class TriedCauses:
 
     @property
     def likely(self) -> float:
+        """Log-likelihood less the least gain of a cause, and less the tolerance if a force is unmeasured, nats."""
         return max(self.base.nats, self.best.nats - MIN_CAUSE_GAIN_NATS) - READING_TOLERANCE_NATS * (
             self.response.unmeasured > 0.0
         )
 
 
 def likeliest_reading(model: Model, point: WorkingPoint, i: int, r: PathSpectra) -> TriedCauses:
-    """What is left of the force at a place, where it is enough to matter, read as noise of its sensor, as a force that
-    acts beside it, or as both. The first makes the rotor seem lighter and softer by its share of the force, in power.
+    """Causes tried with the remaining force read as sensor noise, as an unmeasured force, or as both: the likeliest.
+
+    Sensor noise makes the rotor seem lighter and softer by its share of the power of the force.
     """
     noise = _try_causes(model, point, i, r)
     if float(np.average(r.share(clipped_exp(noise.base.u[0])), weights=r.n)) < MIN_NOISE_SHARE:
@@ -146,7 +163,10 @@ def likeliest_reading(model: Model, point: WorkingPoint, i: int, r: PathSpectra)
 
 
 def _unmeasured_share(point: WorkingPoint, i: int, r: PathSpectra) -> float:
-    """Of what is left, the likeliest share that acts beside the measured force; the rest is noise of its sensor."""
+    """Likeliest share of the remaining force that acts unmeasured beside the measured one.
+
+    The rest is noise of the force sensor.
+    """
     from scipy.optimize import minimize_scalar
 
     found = minimize_scalar(
@@ -157,8 +177,7 @@ def _unmeasured_share(point: WorkingPoint, i: int, r: PathSpectra) -> float:
 
 
 def has_unmeasured_force(model: Model, point: WorkingPoint) -> bool:
-    """Whether somewhere more of what is left acts beside the measured force than is noise of its sensor, as far as the
-    known mass tells."""
+    """Whether at some location of known mass more of the remaining force is unmeasured force than sensor noise."""
     lines = known_lines(model)
 
     def at(i: int) -> bool:
@@ -175,10 +194,12 @@ def has_unmeasured_force(model: Model, point: WorkingPoint) -> bool:
 
 
 def _try_causes(
-    model: Model, point: WorkingPoint, i: int, r: PathSpectra, about: Mapping[Cause, Peak] | None = None
+    model: Model, point: WorkingPoint, i: int, r: PathSpectra, about: Mapping[TransferCause, Peak] | None = None
 ) -> TriedCauses:  # fmt: skip
-    """Every cause that the model does not have at a place. about : where they are by another reading of what is left,
-    which moves them little."""
+    """Fits with every cause that the model lacks at location i.
+
+    about : fits of another reading of the remaining force, as starts; None starts from each cause's own points.
+    """
     place = point.data.places[i]
     base, scale = fit_linear_path(point, i, r)
     taken = {u.name for u in model.effects if place in u.parameters or place.split(".")[0] in u.parameters}
@@ -188,11 +209,11 @@ def _try_causes(
     else:
         starts = {cause: [peak.u[CAUSE_NUMBERS]] for cause, peak in about.items()}
     tried = {cause: fit_cause(point, i, r, cause, base, scale, own) for cause, own in starts.items()}
-    return TriedCauses(r, base, scale, tried)
+    return TriedCauses(response=r, base=base, scale=scale, causes=tried)
 
 
 def _place_findings(model: Model, point: WorkingPoint, i: int, at_place: TriedCauses) -> list[Finding]:
-    """Findings at a place: one cause, two together where one leaves much, or a transfer function of unknown cause."""
+    """Findings at location i: one cause, two causes together where one leaves much, or an unknown bias."""
     r, base, scale, tried = at_place.response, at_place.base, at_place.scale, at_place.causes
     least = (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
     judge = partial(_cause_finding, point, i, r, base, least)
@@ -233,13 +254,13 @@ def _place_findings(model: Model, point: WorkingPoint, i: int, at_place: TriedCa
 
 
 def _cause_finding(
-    point: WorkingPoint, i: int, r: PathSpectra, base: Peak, least: float, cause: Cause, part: slice, peak: Peak,
-    without: Peak,
+    point: WorkingPoint, i: int, r: PathSpectra, base: Peak, least: float, cause: TransferCause, part: slice,
+    peak: Peak, without: Peak,
 ) -> list[Finding]:  # fmt: skip
-    """The finding of a cause at a place, empty if it explains too little.
+    """The finding of a cause at location i in a list, empty if the cause explains too little.
 
-    base : without any cause. least : N^2 that matter. part : where the numbers of the cause are in the peak. without :
-    the peak that its gain is counted from.
+    base : fit without any cause. least : N^2 that matter. part : the cause's numbers in the peak. without : the fit
+    that its gain is counted from.
     """
     before = residual_power(r, base.A)
     coherent = float(r.n @ (coherent_remainder(r, base)[0] / before)) - r.n.size  # beyond chance
@@ -269,11 +290,13 @@ def _cause_finding(
 
 
 def _fit_two_causes(
-    point: WorkingPoint, i: int, r: PathSpectra, a: Cause, b: Cause, alone: Mapping[Cause, Peak], scale: Array,
-    everywhere: bool = False,
+    point: WorkingPoint, i: int, r: PathSpectra, a: TransferCause, b: TransferCause,
+    alone: Mapping[TransferCause, Peak], scale: Array, everywhere: bool = False,
 ) -> Peak:  # fmt: skip
-    """The likeliest numbers of two causes together, begun where each is by itself; everywhere : or where the one is and
-    the other at its starts."""
+    """The fit of two causes together, started where each is by itself.
+
+    everywhere : starts also at one cause's fit and the other's own points.
+    """
     k = len(a.names)
 
     def apart(of_a: Callable[[Array], Array], of_b: Callable[[Array], Array]) -> Callable[[Array], Array]:
@@ -282,7 +305,9 @@ def _fit_two_causes(
     def bend(r: PathSpectra, A: Complexes, kL: float, c: float, p: Array) -> Complexes:
         return b.bend(r, a.bend(r, A, kL, c, p[:k]), kL, c, p[k:])
 
-    pair = Cause(a.effect, (), apart(a.values, b.values), apart(a.free, b.free), bend)
+    pair = TransferCause(
+        effect=a.effect, starts=(), values=apart(a.values, b.values), free=apart(a.free, b.free), bend=bend
+    )
 
     def begun(first: Peak, *starts: tuple[Array, Array]) -> Peak:
         return fit_cause(point, i, r, pair, first, scale, [np.concatenate(start) for start in starts])
@@ -296,7 +321,7 @@ def _fit_two_causes(
 
 
 def coherent_remainder(r: PathSpectra, peak: Peak) -> tuple[Array, Array]:
-    """(cells,) of the power that is left what is coherent with the motion beyond the noise in both, and what is not."""
+    """Power (cells,) of the residual force that is coherent with the motion beyond noise, and power that is not."""
     P, rest, s = residual_and_noise(r, peak.A, peak.u)
     N, Q, H = clipped_exp(peak.u[1]) * r.noise, clipped_exp(peak.u[0]), r.answer(peak.A).conj()
     odd = rest - peak.A * N - r.share(Q) * r.af.conj() - r.unmeasured * Q * H  # what Q is of the force, or moves
@@ -306,17 +331,19 @@ def coherent_remainder(r: PathSpectra, peak: Peak) -> tuple[Array, Array]:
 
 
 def _coherent_power(r: PathSpectra, peak: Peak) -> tuple[float, float]:
-    """N^2 that is coherent with the motion still, and by how many standard deviations it is more than chance."""
+    """Power (N^2) of the residual force that is coherent with the motion, and its excess over chance, sd."""
     odd, noise = coherent_remainder(r, peak)
     z = float((r.n @ (odd / noise) - r.n.size) / np.sqrt(r.n.size))  # each an exponential variable of mean 1
     return float((odd - noise / r.n) @ r.hz), z
 
 
 def _is_biased(r: PathSpectra, peak: Peak, least: float) -> bool:
+    """Whether the transfer function is still biased, by more than `least` N^2 and beyond chance."""
     power, z = _coherent_power(r, peak)
     return power > least and z > MIN_BIAS_SD
 
 
 def _bias_region(r: PathSpectra, before: Array, A: Complexes) -> str:
+    """Where the motion deviates most from the response to the measured force, in words."""
     k = int(np.argmax(r.n * np.log(before / residual_power(r, A))))
     return f"the motion does not follow the measured force as the model predicts near {r.w[k] / 2 / np.pi:.0f} Hz"

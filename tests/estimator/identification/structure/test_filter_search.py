@@ -19,7 +19,7 @@ from estimator.identification.structure.filter_search import (
     mean_or_none,
 )
 from estimator.identification.structure.pedestal_form import stiffness_lost
-from estimator.identification.structure.spectral_cells import MAX_CELLS, Cells
+from estimator.identification.structure.spectral_cells import MAX_CELLS, SpectralCells
 from estimator.identification.structure.spectral_models import coloured_power, resonant_power
 from estimator.model.recorder import Filter, images
 from estimator.signals.channel_response import corrected_record
@@ -52,7 +52,19 @@ def seen(
     none = np.zeros((0, w.size))
     through = np.abs(A) ** 2 / MASS**2
     white = np.stack([through, 0 * w])
-    cells = Cells(one, n.astype(float) * BLOCKS, w, A, one, np.abs(A) ** 2, 0 * w, 0 * w, white, none, none)
+    cells = SpectralCells(
+        power=one,
+        n=n.astype(float) * BLOCKS,
+        w=w,
+        A=A,
+        force_shape=one,
+        noise_gain=np.abs(A) ** 2,
+        others=0 * w,
+        aliased_gain=0 * w,
+        white=white,
+        echoes=none,
+        images=none,
+    )
     hz = w / (2 * np.pi)
     passed, echoes = off.passed(hz), off.echoes(hz, "acceleration")
     if true is not None and undone is not None:
@@ -61,10 +73,10 @@ def seen(
             passed * resonant_power(hz, *true) / was,
             echoes * resonant_power(images(RATE, hz), *true) / was,
         )
-        cells = replace(cells, heard=cells.heard / was)
+        cells = replace(cells, noise_gain=cells.noise_gain / was)
     if force is not None and thought is not None:
-        cells = replace(cells, colour=coloured_power(hz, *thought))
-        passed = passed * coloured_power(hz, *force) / cells.colour
+        cells = replace(cells, force_shape=coloured_power(hz, *thought))
+        passed = passed * coloured_power(hz, *force) / cells.force_shape
     u = np.array([np.log(S), noise, 0.02 * k, -0.1 * c])
     own = Seen(cells, "acceleration", undone, thought, standing)
     mean = _spectrum(own, u, passed, echoes.sum(axis=0) * through, pedestal)[0]
@@ -219,7 +231,7 @@ def test_derivatives_are_those_of_the_spectrum(standing: Standing | None) -> Non
             stiffness_lost(c.w, 8.1e6, 45.0, pedestal) - stiffness_lost(c.w, 8e6, 40.0, np.array(standing.pedestal))
         ) / c.w**2
     assert _spectrum(own, u, passed, back, pedestal)[0] == pytest.approx(
-        replace(c, back=back).spectrum(np.array([u[0], np.log(u[1]), *u[2:]]), A, passed)
+        replace(c, aliased_gain=back).spectrum(np.array([u[0], np.log(u[1]), *u[2:]]), A, passed)
     )
 
 

@@ -148,7 +148,19 @@ def test_the_force_inferred_by_a_wrong_stiffness_beside_caps_that_answer() -> No
     inferred = thought @ np.linalg.inv(true)
     A, others = spectral_cells.with_others_answering(thought, S, i)
     one = np.ones(f)
-    c = spectral_cells.Cells(one, one, one, A, one, 0.0 * one, others, 0.0 * one, *3 * [np.zeros((0, f))])
+    c = spectral_cells.SpectralCells(
+        power=one,
+        n=one,
+        w=one,
+        A=A,
+        force_shape=one,
+        noise_gain=0.0 * one,
+        others=others,
+        aliased_gain=0.0 * one,
+        white=np.zeros((0, f)),
+        echoes=np.zeros((0, f)),
+        images=np.zeros((0, f)),
+    )
     found = c.spectrum(np.array([np.log(S[i]), 0.0, 0.0, 0.0]), A + delta)
     np.testing.assert_allclose(found, np.abs(inferred[:, i]) ** 2 @ S, rtol=1e-9)
 
