@@ -19,10 +19,8 @@ PATCHES = {"setattr", "delattr", "setitem", "delitem"}  # of pytest's monkeypatc
 # How many names that are not public a file of tests may take from the product, and why. It is to shrink.
 LEAVES, SEAM = "leaves with the file that it tests", "no seam yet"
 INSIDE = {
-    "daq/commands/study/test_confusion.py": (4, SEAM),
     "daq/commands/test_entry.py": (2, "the state of a process that has been interrupted"),
     "daq/log/test_place.py": (1, SEAM),
-    "drivers/protocol/test_codecs.py": (2, SEAM),
     "estimator/diagnosis/hypotheses/test_trial.py": (1, SEAM),
     "estimator/diagnosis/verdict/test_diagnosis.py": (1, SEAM),
     "estimator/diagnosis/verdict/test_gate_second_law.py": (1, LEAVES),

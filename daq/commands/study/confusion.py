@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from daq.base.contract.errors import ConfigError
 from daq.rig.problems import did_you_mean
 from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison import heldout_nll
-from estimator.diagnosis.verdict import diagnose_point, rung
+from estimator.diagnosis.verdict import Diagnosis, diagnose_point, rung
 from estimator.effects import CATALOGUE
 from estimator.errors import ModelError
 from estimator.identification.batch import FullFit, fit_all_effects
@@ -40,13 +40,15 @@ from .hidden_pairs import Pair, pairs, run_pair
 MIN_DISTANCE_NATS = 20.0  # nats between two models under which their difference is mostly chance
 
 
-def run(model: Model, case: Case, seconds: float) -> dict[str, Any]:
-    """Simulate and diagnose one case."""
+def run(
+    model: Model, case: Case, seconds: float, diagnose: Callable[..., Diagnosis] = diagnose_point
+) -> dict[str, Any]:  # fmt: skip
+    """Simulate and diagnose one case. diagnose : from the fitted model, its working point and the samples."""
     truth, known, noise = hidden(model, case, seconds)
     y = record(truth, seconds, case.seed, noise)
     begin = time.process_time()
     fitted = fit_all_effects(known, y, RATE_HZ)
-    found = diagnose_point(fitted.model, fitted.point, y)
+    found = diagnose(fitted.model, fitted.point, y)
     spent = time.process_time() - begin
     top = found.ranking[0] if found.ranking else None
     right = found.verdict == case.effect != NO_HIDDEN_EFFECT
@@ -135,10 +137,11 @@ def ended(runs: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
 def confusion(
     output: Output, rig_path: Path, out: Path, effects: Sequence[str], strengths_: Sequence[str], at: Sequence[str],
     seeds: int, complete: int, two: int, seconds: float,
+    run_case: Callable[..., dict[str, Any]] = run, run_pair: Callable[..., dict[str, Any]] = run_pair,
 ) -> None:  # fmt: skip
     """Run what is missing of the matrix in the folder `out`, then write confusion.md and confusion.json there.
 
-    two : number of runs with two effects hidden together.
+    two : number of runs with two effects hidden together. run_case, run_pair : simulate one run and judge it.
     """
     for given, there, what in (
         (effects, list(CATALOGUE), "effect"), (strengths_, list(FORCE_SHARES), "strength"),
@@ -166,7 +169,7 @@ def confusion(
         for number, case in enumerate(todo):
             progress(number / len(todo), f"{case.key} ({number + 1} of {len(todo)})")
             try:
-                result = run(model, case, seconds) if isinstance(case, Case) else run_pair(model, case, seconds)
+                result = run_case(model, case, seconds) if isinstance(case, Case) else run_pair(model, case, seconds)
             except ModelError as problem:  # not every strength of every effect leaves the rotor standing
                 output.note(f"{case.key}: not simulated: {problem}")
                 continue

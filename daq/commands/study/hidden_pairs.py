@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from estimator.diagnosis.verdict import improve
+from estimator.diagnosis.verdict import Improvement, improve
 from estimator.effects import CATALOGUE, places
 from estimator.model import Model
 
@@ -64,8 +64,10 @@ def _drawn(effects: list[str], seed: int) -> Pair:
             )
 
 
-def run_pair(model: Model, pair: Pair, seconds: float) -> dict[str, Any]:
-    """Simulate a pair and improve the model without it."""
+def run_pair(
+    model: Model, pair: Pair, seconds: float, improve: Callable[..., Improvement] = improve
+) -> dict[str, Any]:  # fmt: skip
+    """Simulate a pair and improve the model without it. improve : from the model, samples and rate."""
     truth, known = with_hidden(model, pair.at, FORCE_SHARES[PAIR_STRENGTH], seconds)
     y = record(truth, seconds, pair.seed, NOISE_RMS)
     begin = time.process_time()

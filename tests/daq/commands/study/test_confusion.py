@@ -6,9 +6,12 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from daq.base.console.output import Output
+from daq.base.contract.errors import ConfigError
 from daq.commands.cli.app import main
 from daq.commands.study import confusion as subject
 from daq.commands.study import hidden_pairs
@@ -33,7 +36,7 @@ def test_every_case_once_and_what_has_one_place_not_at_both() -> None:
     assert {c.at for c in asked if c.effect == "sensor_skew"} == {"bearing1"}
 
 
-def test_a_second_call_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_call_goes_on(tmp_path: Path) -> None:
     ran: list[str] = []
 
     def run(model: object, case: Case, seconds: float) -> dict[str, object]:
@@ -41,14 +44,17 @@ def test_a_second_call_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         named = {"key": case.key, "effect": case.effect, "strength": case.strength, "at": case.at, "seconds": seconds}
         return named | {"verdict": case.effect}
 
-    monkeypatch.setattr(subject, "run", run)  # the statistics are slow; the bookkeeping is the subject
-    command = ["confusion", str(PAPER), "--out", str(tmp_path / "m"), "--strengths", "strong", "--quiet"]
-    assert main([*command, "--effects", "stop", "--complete", "1", "--seconds", "5"]) == 0
-    assert main([*command, "--effects", "stop,rub", "--complete", "1", "--seconds", "5"]) == 0
+    def matrix(effects: list[str], seconds: float) -> None:  # the statistics are slow; the bookkeeping is the subject
+        places = ["strong"], ["bearing1"]
+        subject.confusion(Output(quiet=True), PAPER, tmp_path / "m", effects, *places, 1, 1, 0, seconds, run_case=run)
+
+    matrix(["stop"], 5.0)
+    matrix(["stop", "rub"], 5.0)
     assert ran == ["complete/-/-/0", "stop/strong/bearing1/0", "rub/strong/bearing1/0"]
     assert len(json.loads((tmp_path / "m" / "confusion.json").read_text())["runs"]) == 3
     assert "| rub |  | 1/1 |" in (tmp_path / "m" / "confusion.md").read_text()
-    assert main([*command, "--effects", "stop", "--seconds", "6"]) == 2, "another length needs another folder"
+    with pytest.raises(ConfigError, match="choose another --out"):  # another length needs another folder
+        matrix(["stop"], 6.0)
 
 
 @pytest.mark.parametrize(
@@ -65,14 +71,13 @@ def test_a_wrong_name_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("seconds", "stands_in"), [(5.0, True), pytest.param(10.0, False, marks=pytest.mark.slow)], ids=["quick", "whole"]
 )
-def test_what_is_named_is_added_and_closes_the_gap(
-    seconds: float, stands_in: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_named_is_added_and_closes_the_gap(seconds: float, stands_in: bool) -> None:
+    judge: dict[str, Any] = {}
     if stands_in:  # the diagnosis has tests of its own: here it is right
         top = Entry("coulomb", ("bearing1",), 9.0, 9.0, 1e-9, 3.0, 0.0, {}, 9.0)
         right = SimpleNamespace(verdict="coulomb", ranking=(top,))
-        monkeypatch.setattr(subject, "diagnose_point", lambda *_: right)
-    found = subject.run(load_rig(PAPER).model, Case("coulomb", "strong", "bearing1", 0), seconds)
+        judge["diagnose"] = lambda *_: right
+    found = subject.run(load_rig(PAPER).model, Case("coulomb", "strong", "bearing1", 0), seconds, **judge)
     assert found["verdict"] == "coulomb"
     assert found["before_percent"] > 2.0
     assert found["added"]["missing_percent"] < 0.2 * found["before_percent"]
@@ -99,7 +104,7 @@ def test_a_pair_that_nobody_tells_is_so_by_the_catalogue() -> None:
     assert other in CATALOGUE[one].confused_with
 
 
-def test_pairs_are_counted_and_a_second_call_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pairs_are_counted_and_a_second_call_goes_on(tmp_path: Path) -> None:
     ran: list[int] = []
     right = {"verdict": "complete", "before_percent": 6.0, "after_percent": 0.0, "numbers": {"k": [0.01, 0.5]}}
 
@@ -111,11 +116,11 @@ def test_pairs_are_counted_and_a_second_call_goes_on(tmp_path: Path, monkeypatch
         named = {"key": pair.key, "pair": pair.at, "seed": pair.seed, "seconds": seconds, "steps": steps}
         return named | {"hidden_at": hidden, "added_at": added} | right
 
-    monkeypatch.setattr(subject, "run_pair", run)
-    command = ["confusion", str(PAPER), "--out", str(tmp_path), "--seeds", "0", "--complete", "0", "--quiet"]
-    command += ["--effects", "stop,rub,cubic"]
-    assert main([*command, "--pairs", "1"]) == 0
-    assert main([*command, "--pairs", "3"]) == 0
+    for number in (1, 3):
+        subject.confusion(
+            Output(quiet=True), PAPER, tmp_path, ["stop", "rub", "cubic"], ["strong"], ["bearing1"], 0, 0, number, 20.0,
+            run_pair=run,
+        )  # fmt: skip
     assert ran == [0, 1, 2]
     text = (tmp_path / "confusion.md").read_text()
     assert "Both within two steps: 1/3; one of them: 2, none: 0. Something else was added in 1, " in text
@@ -132,12 +137,13 @@ def test_one_effect_makes_no_pair(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("seconds", "stands_in"), [(2.0, True), pytest.param(20.0, False, marks=pytest.mark.slow)], ids=["quick", "whole"]
 )
-def test_what_improve_adds_of_a_pair_is_told(seconds: float, stands_in: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_improve_adds_of_a_pair_is_told(seconds: float, stands_in: bool) -> None:
     pair = Pair({"clearance": "both", "quadratic_damping": "bearing1"}, 0)
     model = load_rig(PAPER).model
+    judge: dict[str, Any] = {}
     if stands_in:  # improve has tests of its own: here it adds the truth
-        monkeypatch.setattr(hidden_pairs, "improve", lambda known, *_: _ladder_to_truth(known, pair, model, seconds))
-    found = hidden_pairs.run_pair(model, pair, seconds)
+        judge["improve"] = lambda known, *_: _ladder_to_truth(known, pair, model, seconds)
+    found = hidden_pairs.run_pair(model, pair, seconds, **judge)
     assert set(found["steps"]) == set(pair.at)
     assert len(found["steps"]) == 2
     assert found["verdict"] == "complete"
