@@ -1,4 +1,6 @@
-"""The service: rig file, links, acquisition, log, reports and the command line. Its public names, for a notebook:
+"""The service: rig file, links, acquisition, log, reports and the command line.
+
+The public names, for a notebook:
 
 `load_rig` reads a rig file, `acquire` records samples from a link, `read_log` opens a log (`.samples(rig)` is the
 array that the estimator takes), and `replay` runs a log through the pipeline again. Everything is in SI units. The

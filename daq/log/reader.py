@@ -42,12 +42,22 @@ class Other:
 
 @dataclass(frozen=True)
 class Recording:
-    """A log. Small things are read, samples come when asked for. complete : closed, and every part of it intact.
+    """A log. Its samples are read from the file when they are asked for.
 
-    gaps : (index, count, reason) in order; estimates : all that were logged; clock : the last that was stated.
-    first, stop : absolute sample indices; damage : what is wrong with the file, one line each. info : the first
-    description of the device; others : what a later one says otherwise, so that the samples from an index on are no
-    continuation, and how many those are: counts() and samples() leave them out like a gap.
+    path : of the file.
+    head : device, clock offset and metadata of the session.
+    info : first description of the device: channels, rate, scaling.
+    first, stop : absolute sample index of the first sample, and of the one after the last.
+    lost_samples : samples of each channel that are missing between `first` and `stop`.
+    gaps : index, count and reason of each gap, in order.
+    notices : what the operator was told, in order.
+    estimates : all logged estimates, in order.
+    clocks : (sample index, mapping of device to host clock) for each statement of the clock.
+    last_status : the last status; None if there is none.
+    findings : what the pass over the file found.
+    growing : another process is writing the log; it was read up to `stop`.
+    others : samples under a later description of the device that is no continuation of `info` (another rate, channels
+        or unit); `counts` and `samples` leave them out like a gap.
     """
 
     path: Path
@@ -59,47 +69,55 @@ class Recording:
     gaps: tuple[Gap, ...]
     notices: tuple[Notice, ...]
     estimates: tuple[LoggedEstimate, ...]
-    clocks: tuple[tuple[int, ClockState], ...]  # as stated when the stream was at this index
+    clocks: tuple[tuple[int, ClockState], ...]
     last_status: Status | None
     findings: Findings = field(repr=False)
-    growing: bool = False  # somebody is writing it: it was read up to here
+    growing: bool = False
     others: tuple[Other, ...] = ()
 
     @property
     def rate_hz(self) -> float:
+        """Sampling rate as the device states it, Hz."""
         return self.info.rate_hz
 
     @property
     def channels(self) -> tuple[str, ...]:
+        """Names of the logged channels, in the order of the columns of `samples()`."""
         return tuple(s.name for s in self.info.signals)
 
     @property
     def n_samples(self) -> int:
-        """Samples that are there."""
+        """Number of samples of each channel that are there."""
         return self.stop - self.first - self.lost_samples
 
     @property
     def seconds(self) -> float:
+        """Length of the log in device time, s; gaps included."""
         return (self.stop - self.first) / self.rate_hz
 
     @property
     def clock(self) -> ClockState | None:
+        """The last statement of how device and host clock go together; None if there is none."""
         return self.clocks[-1][1] if self.clocks else None
 
     @property
     def complete(self) -> bool:
+        """Whether the log was closed, and every part of it is intact."""
         return self.findings.complete
 
     @property
     def damage(self) -> tuple[str, ...]:
+        """What is wrong with the file, one line each."""
         return tuple(self.findings.damage)
 
     @property
     def metadata(self) -> dict[str, str]:
+        """Versions, link and command of the session."""
         return self.head.metadata
 
     @property
     def attachments(self) -> dict[str, bytes]:
+        """The attached files by name: rig file, DBC, modules of custom laws."""
         return {name: data for name, (_, data) in self.findings.attachments.items()}
 
     @property
@@ -112,6 +130,7 @@ class Recording:
 
     @property
     def dbc(self) -> str | None:
+        """Text of the attached DBC; None if there is none."""
         return next((d.decode("utf-8", "replace") for n, d in self.attachments.items() if n.endswith(".dbc")), None)
 
     def counts(self) -> NDArray[np.int32]:

@@ -69,14 +69,17 @@ class Rig:
 
     @property
     def acquisition(self) -> AcquisitionTable | None:
+        """The [acquisition] table; None if the file has none."""
         return self.file.acquisition
 
     @property
     def estimator(self) -> EstimatorTable:
+        """The [estimator] table: method and time constant of the rolling estimate."""
         return self.file.estimator
 
     @property
     def link(self) -> LinkTable:
+        """The [link] table: name of the link, DBC, signals."""
         return self.file.link
 
     @cached_property
@@ -91,6 +94,7 @@ class Rig:
 
     @cached_property
     def si_units(self) -> tuple[str, ...]:
+        """SI unit of each channel, in the order of `model.channels`."""
         return tuple(SI_UNIT[c.kind] for c in self.file.channel)
 
     @property

@@ -166,7 +166,7 @@ class Effect:
 
     @property
     def power(self) -> int | None:
-        """n of a law that is an amplitude times x^n."""
+        """Exponent n of a law that is an amplitude times x^n."""
         return None if self.force is None else law_power(self.force, self.parameters)
 
     @property

@@ -83,6 +83,7 @@ class EffectUse:
 
     @property
     def at(self) -> tuple[str, ...]:
+        """Locations (dofs) at which the law acts."""
         return tuple(self.parameters)
 
 

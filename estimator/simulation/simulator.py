@@ -185,7 +185,7 @@ def reads_shaft_angle(effect: Effect) -> bool:
 
 
 def quantise(y: Array, full_scale: float, bits: int = 16) -> Array:
-    """y in SI after a converter: whole counts of full_scale / (2^(bits-1) - 1), clipped at full scale."""
+    """Samples in SI after a converter: whole counts of full_scale / (2^(bits-1) - 1), clipped at full scale."""
     top = 2 ** (bits - 1) - 1
     return np.asarray(np.clip(np.rint(y * (top / full_scale)), -top, top) * (full_scale / top))
 

@@ -289,9 +289,11 @@ def _clipped(entries: list[Entry]) -> tuple[Message, ...]:
 
 
 def _rivals(entries: list[Entry]) -> list[int]:
-    """Numbers of the first of the ranking and of force laws so close behind that a law of the wrong shape may have
-    passed them by its number of parameters; and of the first law behind a stop that is odd or even: a stop is both, and
-    passes by two laws that are one of each."""
+    """Indices of the ranked entries that may be the true law although another one is first.
+
+    They are the first entry; force laws so close behind that a law of the wrong shape may have passed them by its
+    number of parameters; and the first law behind a stop that is odd or even, as a stop is both.
+    """
     least = entries[0].score - THRESHOLDS.rival_nats
     sure = [k for k, e in enumerate(entries) if e.placed and e.p_value < THRESHOLDS.max_p_value]
     near = [k for k in sure if k < MAX_RANK_JUDGED and entries[k].score > least]
@@ -330,6 +332,7 @@ def _is_little(before: MissingForce) -> bool:
 
 
 def verdict_without_law(point: WorkingPoint, before: MissingForce, entries: tuple[Entry, ...]) -> Diagnosis:
+    """The verdict "unknown" or "complete", with a hint where a shaft of another stiffness explains the record."""
     loss, nats = _shaft_loss(entries)
     shaft = []
     if nats > THRESHOLDS.shaft_min_gain_nats and point.data.disc is not None:

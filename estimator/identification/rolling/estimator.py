@@ -168,8 +168,10 @@ class RollingEstimator:
                 self._trim(end - wanted)
 
     def _advance(self, fitted: RollingFit, most: int) -> None:
-        """Take the next blocks, `most` at a time, and solve when there is none: no call has much to do, so that none
-        is late. A whole record given at once is worked through at once."""
+        """Take the next blocks, `most` at a time, and solve when there is none.
+
+        No call has much to do, so that none is late. A whole record given at once is worked through at once.
+        """
         grid, end = self._grid, self._kept[-1].start + self._kept[-1].rows
         at_once, taken = most > 1, 0
         while (
