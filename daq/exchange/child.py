@@ -2,7 +2,7 @@
 
 A process of its own, because compiled parts of the libraries for these formats (asammdf, scipy) crash on some damaged
 files. OUT gets the columns, their names and units, and the rate or the time. Exit status TOLD (a complete sentence) or
-REFUSED (what the library said): the last line of standard error has it.
+REFUSED (what the library said): the last line of standard error has it. NO_MEMORY: the memory was not enough.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-REFUSED_STATUS, TOLD_STATUS = 4, 5
+REFUSED_STATUS, TOLD_STATUS, NO_MEMORY_STATUS = 4, 5, 6
 LEAST_S, BYTES_PER_S = 20, 100_000  # of CPU time: on some damaged files asammdf does not come to an end
 
 
@@ -114,8 +114,8 @@ def refusal(error: Exception) -> tuple[int, str]:
     """The exit status, and the last line of standard error. What was being read is let go: it may be all the memory."""
     error.__traceback__ = error.__context__ = error.__cause__ = None
     text = " ".join(str(error).split())
-    line = f"MemoryError {text}" if isinstance(error, MemoryError) else text or type(error).__name__
-    return TOLD_STATUS if isinstance(error, Told) else REFUSED_STATUS, line
+    status = NO_MEMORY_STATUS if isinstance(error, MemoryError) else REFUSED_STATUS
+    return TOLD_STATUS if isinstance(error, Told) else status, text or type(error).__name__
 
 
 def _bounded(file_bytes: int) -> None:

@@ -174,8 +174,10 @@ def answered(path: Path, out: Path, status: int, said: str) -> Columns:
     last = said.strip().rpartition("\n")[2]
     if status == child.TOLD_STATUS:
         raise LogError(f"{path}: {last}")
+    if status == child.NO_MEMORY_STATUS:
+        raise MemoryError
     if status == child.REFUSED_STATUS:
-        raise MemoryError if last.startswith("MemoryError") else ValueError(last)
+        raise ValueError(last)
     if status == -getattr(signal, "SIGXCPU", 0):
         raise ValueError("the library that reads it comes to no end")
     if status:

@@ -69,10 +69,15 @@ def line_numbers(text: str) -> dict[Path, int]:
 def did_you_mean(word: str, words: Iterable[str], otherwise: str = "use") -> str:
     """A remedy: the nearest word, or all of them."""
     words = list(words)
-    near = difflib.get_close_matches(word.lower(), [w.lower() for w in words], n=1, cutoff=0.6)
-    if near:
-        return f'did you mean "{next(w for w in words if w.lower() == near[0])}"?'
+    if question := _nearest(word, words):
+        return question
     return f"{otherwise} {', '.join(words)}" if words else "remove it"
+
+
+def _nearest(word: str, words: list[str]) -> str:
+    """A question for the nearest word; "" where none is near."""
+    near = difflib.get_close_matches(word.lower(), [w.lower() for w in words], n=1, cutoff=0.6)
+    return f'did you mean "{next(w for w in words if w.lower() == near[0])}"?' if near else ""
 
 
 def of_validation(
@@ -91,8 +96,8 @@ def _text(e: Any, table: type[BaseModel], loc: Path) -> str:
         return "is missing; add it"
     if kind == "literal_error":
         allowed = re.findall(r"'([^']*)'", e["ctx"]["expected"]) or [e["ctx"]["expected"]]
-        near = did_you_mean(str(given), allowed)
-        return f"{_toml(given)} is not one of {', '.join(allowed)}" + (f"; {near}" if near.startswith("did") else "")
+        near = _nearest(str(given), allowed)
+        return f"{_toml(given)} is not one of {', '.join(allowed)}" + (f"; {near}" if near else "")
     if kind == "value_error":
         return str(e["ctx"]["error"])
     if kind == "string_pattern_mismatch":

@@ -224,7 +224,7 @@ def _npz() -> list[bytes]:
 
 def _answer() -> list[bytes]:
     """A status and what comes with it, see targets.py."""
-    out = [b"\3\nMemoryError", b"\3\ntruncated", b"\4\nb1y was not sampled at the same times as b1x; resample them"]
+    out = [b"\5\nfull", b"\3\ntruncated", b"\4\nb1y was not sampled at the same times as b1x; resample them"]
     for extra in ({"rate": np.array(25600.0)}, {"time": np.arange(6) / 25600}):
         buffer = io.BytesIO()
         columns = {f"column {k}": _ROWS[:, k] for k in range(2)}

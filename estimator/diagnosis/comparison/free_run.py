@@ -1,4 +1,4 @@
-"""Free-run simulation under a measured force: the fitted model driven by the force alone, beside the measurement.
+"""Free-run simulation: the fitted model driven by the measured force alone, compared with the measurement.
 
 The force is known as band-limited samples. It is interpolated to the steps of the integration (a zero-order hold of
 the samples would cost more than most missing terms), and both sides are compared in the analysis band.

@@ -1,4 +1,4 @@
-"""Held-out likelihood of a working point, in nats per sample, and of a flexible black box beside it."""
+"""Held-out likelihood of a working point and of a flexible black box, in nats per sample."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def heldout_nll(point: WorkingPoint) -> float:
 
 
 def reference_nll(point: WorkingPoint, found: MissingForce, nll: float) -> float:
-    """The same for a black box: the smooth columns found (ridge), and a force spectrum that is free in 40 cells.
+    """Held-out nats per sample of a black box: smooth regressors (ridge), and a force spectrum free in 40 cells.
 
     Its parts count only where they help on held-out data, so it is never above `nll`.
     """

@@ -1,4 +1,4 @@
-"""A simulated twin of the fitted model beside the measurement: spectra, densities, orbits, and their distances."""
+"""A simulated twin of the fitted model compared with the measurement: spectra, densities, orbits, distances."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _driven(model: Model, record: Array, rate_hz: float) -> Array:
 
 
 def _density(x: Series, at: Array) -> Array:
-    """(cells,) per m, of x (n,) between points evenly spaced: told so, numpy counts without sorting."""
+    """(cells,) per m, of x (n,) between evenly spaced points. numpy counts without sorting if the range is given."""
     return np.asarray(np.histogram(x, at.size - 1, (at[0], at[-1]), density=True)[0])
 
 

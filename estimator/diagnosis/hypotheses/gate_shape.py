@@ -93,8 +93,7 @@ def damping_laws(point: WorkingPoint, places: set[int]) -> list[LocatedLaw]:
 
 
 def smooth_gains_nats(point: WorkingPoint, effect: str, places: set[int]) -> dict[int, float]:
-    """Nats, less one for each term, that the smooth terms of a state earn beside an effect at each place where they
-    do."""
+    """By place, nats that smooth terms gain together with an effect, less one for each term; where that is positive."""
     earned: dict[int, float] = {}
     for i in places:
         for state, orders in STATE_TERMS.get(effect, ()):

@@ -149,12 +149,17 @@ def _trial(effect: Effect, location: str, found: LawGain, placed: LocatedLaw, lo
     if effect.kind == "shaft":  # by what turns: a mean loss alone is a shaft that is softer than the rig file says
         turning = [value / sd for name, (value, sd) in values.items() if name.endswith(SHAFT_ANGLE_SUFFIXES)]
         gained, df = min(gained, 0.5 * float(np.sum(np.square(turning)))), max(len(turning), 1)
-    return Trial(effect, location, placed, gained, df, values, spread, problem, fit)
+    return Trial(
+        effect=effect, location=location, placed=placed, gain=gained, df=df, values=values, spread=spread,
+        problem=problem, fit=fit,
+    )  # fmt: skip
 
 
 def are_contenders(trials: Sequence[Trial]) -> list[bool]:
-    """Which trials on part of a record the whole of it could bring to the front, or to significance; and those of the
-    runner-up, to be compared."""
+    """Which trials on part of a record the rest of it could bring to the front or to significance.
+
+    Trials of the runner-up count too, for comparison.
+    """
     total: dict[str, float] = {}
     for t in trials:
         total[t.effect.name] = total.get(t.effect.name, 0.0) + max(t.gain, 0.0)
@@ -199,16 +204,14 @@ def _stepped(point: WorkingPoint, model: Model, trial: Trial) -> Trial | None:
 
 
 def repeated_trial(point: WorkingPoint, model: Model, found: Trial) -> Trial | None:
-    """A trial found on part of the record, at the same searched parameters on the whole."""
+    """A trial fitted again on another part of the record, at the searched parameters found; None if it cannot be."""
     linear = [q.linear for q in found.effect.parameters]
     p = np.where(linear, 1.0, found.placed.p)
     placed = LocatedLaw(found.effect, found.placed.key, found.placed.at, p, _amplitudes(found.effect, point))
     got = fitted_gain(point, placed)
-    return (
-        None
-        if got is None
-        else _trial(found.effect, found.location, got, placed, searched_parameters(found.effect, model))
-    )
+    if got is None:
+        return None
+    return _trial(found.effect, found.location, got, placed, searched_parameters(found.effect, model))
 
 
 def with_borrowed_parameters(

@@ -218,7 +218,7 @@ def verdict_of_laws(
     model: Model, point: WorkingPoint, before: MissingForce, entries: list[Entry], say: Progress,
     known: gate_residual.PartFit | None = None,
 ) -> Diagnosis:  # fmt: skip
-    """The first of the ranking, if its law has the shape of what is missing, or one close behind that has."""
+    """The verdict among force laws: the first of the ranking, or one close behind it, that passes the residual gate."""
     left: dict[str, float] = {}
     for k in _rivals(entries):
         name = entries[k].effect
@@ -260,7 +260,7 @@ def verdict_of_laws(
 
 
 def _named(entries: list[Entry], k: int, left: dict[str, float]) -> Diagnosis:
-    """The finding of the k-th of the ranking. left : what it leaves, and all that were judged before it."""
+    """The diagnosis that names the k-th of the ranking. left : misfit of it and of those judged before it."""
     ranking = (entries[k], *entries[:k], *entries[k + 1 :])
     said = (*_passed_over(left), *_clipped(entries))
     return Diagnosis(entries[k].effect, ranking, separates=separation_text(ranking), messages=said)
@@ -270,7 +270,7 @@ def _named_pair(
     model: Model, point: WorkingPoint, before: MissingForce, entries: list[Entry], pair: tuple[str, str],
     left: dict[str, float], say: Progress,
 ) -> Diagnosis:  # fmt: skip
-    """The finding of the first of two laws of one state that together leave nothing of it."""
+    """The diagnosis that names the first of two laws of one state that together leave no misfit."""
     name, other = pair
     k = next(j for j, e in enumerate(entries) if e.effect == name)
     if name not in left:
@@ -284,7 +284,7 @@ def _named_pair(
 
 
 def _clipped(entries: list[Entry]) -> tuple[Message, ...]:
-    """What to tell of clipped channels, beside a law that has more evidence than they could make."""
+    """Notes on clipped channels, for a verdict on a law with more evidence than clipping can make."""
     return tuple(note for e in entries if e.effect == "sensor_clipping" for note in e.notes)
 
 
@@ -306,7 +306,7 @@ def _rivals(entries: list[Entry]) -> list[int]:
 
 
 def _passed_over(left: dict[str, float]) -> tuple[Message, ...]:
-    """What was ahead, and why it is not the answer. left : of each effect judged, the last one named."""
+    """Messages on effects that were ahead of the verdict. left : misfit of each effect judged, the named one last."""
     return tuple(
         Message(
             "ahead_leaves", f"{effect} was ahead but leaves {100 * rest:.0f} % of the state-dependent missing force"
@@ -320,13 +320,13 @@ def _is_claimed(entries: Sequence[Entry]) -> bool:
 
 
 def _is_negligible(point: WorkingPoint, best: Entry) -> bool:
-    """Whether a force law, however certain, explains less than any simulation, filter or ceiling leaves behind."""
+    """Whether a force law explains less than the errors of a simulation, a filter or a clipped sensor."""
     least = max((missing_force.negligible_share(point, i) for i in best.places), default=0.0)
     return best.explained_percent < 100 * least
 
 
 def _is_little(before: MissingForce) -> bool:
-    """Whether so little is missing, or so little known of it that it may be nothing, that nothing is claimed."""
+    """Whether the missing force is negligible or may be zero."""
     value, low, _ = before.interval()
     return value < 100 * missing_force.NEGLIGIBLE_FORCE_SHARE or low <= 0.0
 
@@ -363,12 +363,12 @@ def verdict_without_law(point: WorkingPoint, before: MissingForce, entries: tupl
 
 
 def _regions(before: missing_force.MissingForce) -> tuple[Message, ...]:
-    """Where the parts of the missing force lie that no state explains."""
+    """Messages on the parts of the missing force that no state explains."""
     return tuple(Message("missing_where", region) for region in dict.fromkeys(s.region for s in before.disturbances))
 
 
 def _measured_force_message(point: WorkingPoint) -> Message:
-    """What is not tried where the force is measured."""
+    """The message on effects that are not searched for where the force is measured."""
     known = [p for p, S in zip(point.data.places, point.data.driven, strict=True) if S > 0.0]
     text = (
         f"the force at {', '.join(known)} is measured: its spectrum and its correlation with other forces are known, "

@@ -195,9 +195,11 @@ def _if_significant(
 def at_identifiable_bearings(
     point: WorkingPoint, entry: Entry, after_point: WorkingPoint
 ) -> tuple[Entry, WorkingPoint]:
-    """The entry and its fit without bearings where the law, fitted at all of them together, is not told from zero and
-    predicts no better: on trial by themselves they win by what they share with the one that has it, as where the
-    forces at the two are coherent."""
+    """The entry and its fit, without bearings at which the law is not significant.
+
+    Fitted at all bearings together, the law cannot be distinguished from zero there and does not improve the held-out
+    likelihood. Such a bearing was named because its force is coherent with that of the bearing that has the law.
+    """
     silent = set(unidentifiable_laws(after_point))
     idle = [n for n in entry.at if all(use.key in silent for use in entry.placed if use.key.split(".")[0] == n)]
     if not idle or len(idle) == len(entry.at):

@@ -26,7 +26,7 @@ def rig() -> Model:
 def test_complete_model_leaves_nothing(rig: Model) -> None:
     y = simulate(rig, RATE, 10.0, seed=8, noise=0.02, full_scale=490.5)
     steps: list[float] = []
-    c = compare(rig, y, RATE, lambda fraction, text: steps.append(fraction))
+    c = compare(rig, y, RATE, progress=lambda fraction, text: steps.append(fraction))
     value = c.to_json()
     jsonschema.validate(value, schema("compare"))
     json.dumps(value, allow_nan=False)
