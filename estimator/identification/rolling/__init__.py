@@ -1,4 +1,4 @@
-"""The same fit while samples arrive."""
+"""The fit while samples arrive: parameters from memories that forget exponentially."""
 
 from .estimator import RollingEstimator
 from .watch import watchable_effects

@@ -1,14 +1,13 @@
-"""The spectral estimator while samples arrive: the same filters, columns, Gram matrices and likelihood as `fit`.
+"""The spectral estimator while samples arrive, with the filters, regressors, Gram matrices and likelihood of a fit.
 
-The first seconds are kept and fitted as a record; until that works nothing is shown. Their Gram matrices start the
-memory, which then forgets exponentially. A second memory that forgets faster watches for change: when a parameter as
-the recent data have it differs from that of the long memory by five standard deviations of the difference, twice in a
-row, the recent memory replaces the long one: a change is followed faster, and the interval, wider for a while, stays
-honest.
+The first seconds are fitted as a record; until that succeeds no parameter is shown. Their Gram matrices start the slow
+memory, which then forgets exponentially. A fast memory detects changes: if a parameter differs between the two memories
+by five standard deviations of the difference, twice in a row, the fast memory replaces the slow one. The estimate then
+follows the change at once, and its interval is wider for a while.
 
-Lines that were there at the start are left out of the grid for good, those that come or move block by block
-(moving_lines.py); a tacho channel gives the angle of the shaft. The candidates of watch.py have a memory of their own,
-of every third block, and are looked at every three seconds. What is computed when depends on the data alone.
+Lines of the first seconds are left out for good, lines that come or move block by block; a tacho channel gives the
+shaft angle. The candidate effects have a memory of their own, of every third block, and are scored every three seconds.
+The order of all computations depends on the data alone.
 """
 
 from __future__ import annotations
@@ -34,10 +33,10 @@ from .scope import rolling_scope
 from .update import WARM_UP_S, RollingFit
 from .watch import DEFAULT_CANDIDATES
 
-SHOW_EVERY_S = 0.45
-MIN_BLOCKS = 6
-CATCH_UP_FACTOR = 2  # times as many blocks in a call until the first ones have been taken
-MAX_STILL_RMS_REL = 1e-6  # of what a place usually moves, or of what the others do: it does not move
+SHOW_EVERY_S = 0.45  # of samples, between two estimates
+MIN_BLOCKS = 6  # in the slow memory, for an estimate
+CATCH_UP_FACTOR = 2  # on the blocks per call, until the first blocks have been taken
+MAX_STILL_RMS_REL = 1e-6  # of the usual acceleration of a place, or of the other places: it does not move
 
 
 class RollingEstimator:
@@ -93,9 +92,9 @@ class RollingEstimator:
     ) -> None:
         if time_constant_s <= 0:
             raise ValueError(f"time constant {time_constant_s} s: it must be positive")
-        self._followed = rolling_scope(model)
-        self.model, self.rate_hz, self.time_constant_s = self._followed.model, rate_hz, time_constant_s
-        self.watch = () if self._followed.lacking else watch  # where the model lacks what is known, no more is sought
+        self._scope = rolling_scope(model)
+        self.model, self.rate_hz, self.time_constant_s = self._scope.model, rate_hz, time_constant_s
+        self.watch = () if self._scope.lacking else watch  # no missing force of an incomplete model
         motions, forces = motion_channels(model), force_channels(model)
         self._used = [*motions, *forces.values()]
         kinds = [model.channels[c].kind for c in self._used]
@@ -116,13 +115,13 @@ class RollingEstimator:
         gains = _sensor_gains(self.model)[self._used]
         self._gain = None if (gains == 1.0).all() else gains
         self._estimate = Estimate(0, {}, 0.0, status="warming up")
-        reasons = [self._followed.lacking.get(place, "") for place in model.places]
-        self._nothing = all(reasons) and bool(reasons)  # can be said of any place
+        reasons = [self._scope.lacking.get(place, "") for place in model.places]
+        self._nothing = all(reasons) and bool(reasons)  # no place has an identifiable parameter
         if self._nothing:
             self._estimate = Estimate(0, {}, 0.0, status=reasons[0])
 
     def update(self, block: Array) -> None:
-        """Take the next rows, (n, channels); NaN where a sample is missing or clipped."""
+        """Take the next rows, (n, channels), SI; NaN where a sample is missing or clipped."""
         self._seen += len(block)
         if self._nothing:
             return
@@ -147,7 +146,7 @@ class RollingEstimator:
         self._estimate = Estimate(self._seen, {}, 0.0, status=status)
 
     def _record(self, first: int = 0) -> Record:
-        """What is kept, from the piece that holds row `first` on, as a record."""
+        """The kept motion as a record, from the piece that holds row `first` on."""
         parts = [p for p in self._kept if p.start + p.rows > first]
         record = as_record(self.model, self.rate_hz, parts, self._grid)
         if self._fitted is not None:
@@ -158,7 +157,7 @@ class RollingEstimator:
         return record if angle is None else replace(record, phase=angle)
 
     def _start(self) -> None:
-        """Begin, once there is enough to fit."""
+        """Fit the first seconds, once there are enough samples."""
         end = self._kept[-1].start + self._kept[-1].rows
         wanted = max(int(WARM_UP_S * self.rate_hz), 24 * self._grid.hop)
         if end - self._kept[0].start >= wanted and end >= self._retry_at:
@@ -168,9 +167,9 @@ class RollingEstimator:
                 self._trim(end - wanted)
 
     def _advance(self, fitted: RollingFit, most: int) -> None:
-        """Take the next blocks, `most` at a time, and solve when there is none.
+        """Take the next blocks, at most `most`, and renew the estimate when none is left.
 
-        No call has much to do, so that none is late. A whole record given at once is worked through at once.
+        The work is spread over the calls. A whole record given in one call is worked through in it.
         """
         grid, end = self._grid, self._kept[-1].start + self._kept[-1].rows
         at_once, taken = most > 1, 0
@@ -203,7 +202,7 @@ class RollingEstimator:
                 self._solve()
 
     def _standing(self, a: Array) -> str:
-        """What to tell about a place whose acceleration (places, n) is none, if any is known."""
+        """A status if a place does not move, else empty. a : (places, n) acceleration, m/s^2."""
         if not a.size:
             return ""
         rms = np.sqrt(np.einsum("cn,cn->c", a, a) / a.shape[1])
@@ -216,12 +215,13 @@ class RollingEstimator:
         )
 
     def _trim(self, needed: int) -> None:
+        """Drop kept motion before row `needed`."""
         while len(self._kept) > 1 and self._kept[1].start <= needed:
             self._kept.pop(0)
         self._shaft.drop(self._kept[0].start)
 
     def _begin(self) -> None:
-        """Fit what is kept as a record, or say why it cannot be."""
+        """Fit the kept motion as a record, or show why that fails."""
         record = self._record()
         self._moves = np.zeros(len(record.motion.a))
         self._fault = self._standing(record.motion.a[:, record.motion.valid])
@@ -238,7 +238,7 @@ class RollingEstimator:
         self._moves, self._next, self._ahead = record.rms("a"), record.motion.start, None
 
     def _settle(self, fitted: RollingFit) -> bool:
-        """All of the first rows have been taken; False if too little of them was of use, and a new start is due."""
+        """Fit the first blocks once all are taken; False if too few of them are valid, and a new start is due."""
         if fitted.slow.n < MIN_BLOCKS:
             self._fitted = None
             return False
@@ -252,6 +252,7 @@ class RollingEstimator:
         return True
 
     def _solve(self) -> None:
+        """Renew the estimate from the memories, or show why there is none."""
         fitted = self._fitted
         if fitted is None:
             return
@@ -270,14 +271,14 @@ class RollingEstimator:
             return
         parameters = judged_parameters(fitted.balance, *fitted.shown(), self.model)
         samples = fitted.slow.n**2 / fitted.slow.n2 * self._grid.hop
-        shown = self._followed.shown(parameters | fitted.held)
+        shown = self._scope.shown(parameters | fitted.held)
         self._estimate = Estimate(self._seen, shown, samples, -fitted.local.nll, extra=fitted.missing)
 
 
 def _known_line_stretches(model: Model, grid: BlockLayout) -> tuple[tuple[float, float], ...]:
-    """Hz, about the lines that the model's periodic effects make, too weak to stand out perhaps.
+    """Stretches (f1, f2) in Hz about the lines of the model's periodic effects, strong or weak.
 
-    None where a tacho follows the speed: they move then; nor where they would take half of the band.
+    Empty with a tacho, as the lines move with the speed, and where the stretches would take half of the band.
     """
     half, low, high = 3.5 * grid.rate_hz / grid.size, *model.band
     lines = [hz for hz in known_lines(model) if low - half < hz < high + half]
@@ -287,7 +288,7 @@ def _known_line_stretches(model: Model, grid: BlockLayout) -> tuple[tuple[float,
 
 
 def _sensor_gains(model: Model) -> Array:
-    """(channels,) by which each reads too much, as far as the model gives it."""
+    """(channels,) gain of each channel by the sensor gain errors that the model gives."""
     out = np.ones(len(model.channels))
     for use in model.effects:
         for place, settings in use.parameters.items() if use.name == "sensor_gain" else ():

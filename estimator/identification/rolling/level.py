@@ -1,8 +1,8 @@
-"""How strong the unknown force is in a block of a rolling fit: what its Gram matrices are divided by.
+"""Level of the excitation in a block of a rolling fit, by which the Gram matrices of the block are divided.
 
 The level of a block, common to all places, is a parameter of its own, profiled out. With F = A a the score of anything
-in A is then that of u = F / |F|, which the level leaves alone: estimates and missing force are those of an even force
-(why an uneven one misleads: excitation_level.py), for one part in the number of bins of what the data tell.
+in A is then that of u = F / |F|, which does not depend on the level: estimates and missing force are those of a
+stationary excitation. This costs one part in the number of bins of the information.
 """
 
 from __future__ import annotations
@@ -18,13 +18,17 @@ from estimator.likelihood.path.gram_likelihood import Point
 
 from .memory import Memory
 
-MIN_LEVEL_RATIO = 1.1  # of the power of the force, from which it has moved: a twentieth in rms
+MIN_LEVEL_RATIO = 1.1  # of the power, from which the level has changed: 5 % in rms
 
 
 @dataclass(frozen=True, slots=True)
 class ExcitationLevel:
-    """usual : (places,) sum over the bins of a block of |F|^2, N^2/Hz, that counts as level 1. bins : that are summed.
-    known : the force is measured, and what is left of it is noise, not weighed."""
+    """The excitation that counts as level 1.
+
+    usual : (places,) sum of |F|^2 over the bins of a block, N^2/Hz.
+    bins : number of bins in that sum.
+    known : whether the force is measured; then every block has level 1, as the residual is sensor noise.
+    """
 
     usual: Array
     bins: int
@@ -32,19 +36,21 @@ class ExcitationLevel:
 
     @classmethod
     def of_first(cls, power: Array, per_cell: NDArray[np.intp], known: bool) -> ExcitationLevel:
-        """power : (cells, places) mean |F|^2 of the first seconds."""
+        """Level 1 is that of the first seconds. power : (cells, places) their mean |F|^2. per_cell : bins per cell."""
         return cls(np.asarray(per_cell @ power), int(per_cell.sum()), known)
 
     def of(self, B: Array, gram: Array) -> float:
-        """Of a block. B (places, k): coefficients of the columns; gram (cells, k, k): of the block."""
+        """Level of a block, in power. B : (places, k) coefficients. gram : (cells, k, k) of the block."""
         if self.known:
             return 1.0
         power = np.sum((B @ gram.sum(axis=0)) * B, axis=1)
         return max(float(np.mean(power / self.usual)), 1e-12)
 
     def shown(self, point: Point, covariance: Array, long: Memory, recent: Memory) -> tuple[Point, Array]:
-        """The point and its covariance, of the long memory, with the S that the force has of late: what all places have
-        in common of the scatter of S is not that of the long memory, where it is divided out, but of the recent one."""
+        """The point and covariance of the long memory, with the S of the recent one.
+
+        The long memory has the common scatter of S divided out, so that scatter is that of the recent memory.
+        """
         if self.known:
             return point, covariance
         p, P = point.beta.size, point.S.size
@@ -55,10 +61,9 @@ class ExcitationLevel:
 
 
 class LevelHistory:
-    """Whether the level of the last `blocks` blocks has moved since somebody last followed it.
+    """Mean level of the last `blocks` blocks, and whether it has changed since the corrections were last renewed.
 
-    To follow takes a second of a core for some models, so that a small move waits: the sooner after the last time, the
-    larger it has to be.
+    A renewal takes up to a second, so a small change waits: soon after a renewal a change has to be large.
     """
 
     def __init__(self, blocks: int) -> None:
@@ -69,14 +74,16 @@ class LevelHistory:
         return len(self._last)
 
     def add(self, level: float) -> None:
+        """Take the level of the next block."""
         self._last.append(level)
         self._waited += 1
 
-    def moved(self) -> bool:
+    def has_changed(self) -> bool:
+        """Whether the mean level differs enough from that of the last renewal."""
         share = min(1.0, self._waited / len(self._last))
         return bool(abs(np.log(np.mean(self._last) / self._at)) * share > np.log(MIN_LEVEL_RATIO))
 
-    def follow(self) -> float:
-        """By how much the level has moved, in power."""
+    def renew(self) -> float:
+        """Ratio of the mean level to that of the last renewal, in power, which it replaces."""
         before, self._at, self._waited = self._at, float(np.mean(self._last)), 0
         return self._at / before

@@ -1,4 +1,4 @@
-"""What a rolling fit remembers: sums over blocks that forget exponentially."""
+"""Memories of a rolling fit: sums over blocks, with old blocks forgotten exponentially."""
 
 from __future__ import annotations
 
@@ -11,18 +11,26 @@ from estimator.likelihood.motion.law_columns import Columns, Stretch
 from estimator.likelihood.motion.law_smoothing import MARGIN_ROWS
 from estimator.likelihood.response.second_order import TangentNoise
 
-MAX_STALE_SHARE = 1e-2  # share of other self-energies that is let go
+MAX_STALE_SHARE = 1e-2  # of the memory that may have other self-energies than the last block
 
 
 @dataclass(slots=True)
 class Memory:
-    """n : blocks; n2 : sum of squared weights; tangents : of `rows` rows; motion : what FlutterSums wants to know.
+    """Sums over blocks of weights that decay exponentially.
 
-    level : sum of what the blocks of `gram` were weighed by (level.py). pairs : self-energies (second_order.py),
-    the mean over its blocks but for `fresh` ones. apart : share of it that may differ from those of the last block.
+    keep : factor on all weights per block.
+    gram : (cells, k, k) Gram matrices, each divided by the level of its block.
+    tangents : (k, 4) tangents of the columns, of `rows` rows.
+    motion : (m,) sums for the tangent noise.
+    n, n2 : sum of the weights and of the squared weights.
+    rows : weighted number of rows.
+    level : sum of the levels.
+    self_energies : second-order terms, the mean over the blocks except for `fresh` ones; None: no law fluctuates.
+    fresh : weight of the blocks since the self-energies were last taken.
+    stale_share : share of the weight whose self-energies may differ from the present ones.
     """
 
-    keep: float  # what is left after one block
+    keep: float
     gram: Array
     tangents: Array
     motion: Array = field(default_factory=lambda: np.zeros(0))
@@ -30,11 +38,12 @@ class Memory:
     n2: float = 0.0
     rows: float = 0.0
     level: float = 0.0
-    pairs: Complexes | None = None
+    self_energies: Complexes | None = None
     fresh: float = 0.0
-    apart: float = 0.0
+    stale_share: float = 0.0
 
     def forget(self) -> None:
+        """Let the weights decay by one block."""
         factor = self.keep
         self.gram *= factor
         self.tangents *= factor
@@ -46,7 +55,7 @@ class Memory:
         self.fresh *= factor
 
     def add(self, gram: Array, tangents: Array, motion: Array, rows: int, square: float, level: float) -> None:
-        """square : mean square of the weights of the bins, whose mean is 1. level : that `gram` was divided by."""
+        """Add a block. square : mean square of its bin weights, whose mean is 1. level : that divided `gram`."""
         self.gram += gram
         self.level += level
         self.fresh += 1.0
@@ -56,30 +65,34 @@ class Memory:
         self.n2 += square
         self.rows += rows
 
-    def dress(self, pairs: Complexes | None) -> None:
-        """Let the blocks since the last call have these self-energies."""
+    def take_self_energies(self, self_energies: Complexes | None) -> None:
+        """Give the blocks since the last call these self-energies."""
         share = self.fresh / self.n if self.n > 0.0 else 1.0
-        self.apart *= 1.0 - share
-        if pairs is None or self.pairs is None or self.apart < MAX_STALE_SHARE:
-            self.pairs = pairs
+        self.stale_share *= 1.0 - share
+        if self_energies is None or self.self_energies is None or self.stale_share < MAX_STALE_SHARE:
+            self.self_energies = self_energies
         else:
-            self.pairs = self.pairs + share * (pairs - self.pairs)
+            self.self_energies = self.self_energies + share * (self_energies - self.self_energies)
         self.fresh = 0.0
 
     def copy_from(self, other: Memory) -> None:
+        """Take all sums of another memory."""
         self.gram, self.tangents, self.motion = other.gram.copy(), other.tangents.copy(), other.motion.copy()
         self.n, self.n2, self.rows, self.level = other.n, other.n2, other.rows, other.level
-        self.pairs, self.fresh, self.apart = other.pairs, other.fresh, other.apart
+        self.self_energies, self.fresh, self.stale_share = other.self_energies, other.fresh, other.stale_share
 
     def clear(self) -> None:
+        """Forget all blocks."""
         for sums in (self.gram, self.tangents, self.motion):
             sums[:] = 0.0
-        self.n = self.n2 = self.rows = self.level = self.fresh = self.apart = 0.0
+        self.n = self.n2 = self.rows = self.level = self.fresh = self.stale_share = 0.0
 
 
 class TangentNoiseSums:
-    """dressing.flutter from sums over blocks: of the tangents of the laws where the sensor is one of displacement, of
-    the square of that, and of all their products. `size` is 0 where no such law is."""
+    """Tangent noise of the laws at displacement sensors, from sums over blocks.
+
+    The sums are those of the products of 1, x^2 and the tangents of the laws. size : how many; 0 without such a law.
+    """
 
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
@@ -96,8 +109,8 @@ class TangentNoiseSums:
         self._laws = {row: laws for row, laws in self._laws.items() if laws}
         self.size = sum((2 + len(laws)) ** 2 for laws in self._laws.values())
 
-    def of(self, stretch: Stretch) -> Array:
-        """(size,) of one block: the products of 1, x^2 and the tangents, summed over its rows."""
+    def of_block(self, stretch: Stretch) -> Array:
+        """(size,) sums over the rows of a block."""
         out = []
         for row, laws in self._laws.items():
             inner = slice(MARGIN_ROWS, MARGIN_ROWS + stretch.rows)
@@ -109,8 +122,8 @@ class TangentNoiseSums:
             out.append((z @ z.T).ravel())
         return np.concatenate(out) if out else np.zeros(0)
 
-    def flutter(self, sums: Array) -> TangentNoise:
-        """From the sums over all blocks."""
+    def tangent_noise(self, sums: Array) -> TangentNoise:
+        """The tangent noise from sums (size,) over blocks."""
         P, K = len(self._columns.balance.places), len(self._columns.balance.columns)
         covariance, bend, at = np.zeros((P, K, K)), np.zeros((P, K)), 0
         for row, laws in self._laws.items():

@@ -1,8 +1,8 @@
-"""What of a model a rolling estimate follows, what it holds at given numbers, and what it leaves to a fit and says so.
+"""The scope of a rolling estimate: effects that it estimates, holds at given values, or leaves to a fit.
 
-Laws of the states are estimated. Forces with memory and shapes of the force's spectrum (coloured excitation, a sensor's
-resonance) are held at the numbers of the rig file; without them nothing sound can be said of their places. Periodic
-forces show as lines, which are left out. What else there is does not move the rest, and is left to a fit.
+Laws of the states are estimated. Forces with memory and spectral shapes (coloured excitation, a sensor resonance) are
+held at the values of the rig file; without these values no parameter of their places is identifiable. Periodic forces
+are left out as lines. All other effects do not bias the rest, and are left to a fit.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from estimator.signals.channel_response import GAIN_AND_DELAY
 FIT_HINT = "rotorscope fit has its numbers"
 CLIPPED_REASON = "its sensor is clipped: what that took away is missing from the motion"
 BREATHING_SHAFT_REASON = f"beside a shaft that breathes: {FIT_HINT}"
-MIN_CRACK_STIFFNESS_REL = 1e-3  # of a stiffness
+MIN_CRACK_STIFFNESS_REL = 1e-3  # of the stiffness at a place: a weaker crack does not bias it
 WRITE_HINT = "rotorscope fit --out writes what it finds"
 
 
 @dataclass(frozen=True, slots=True)
 class RollingScope:
-    """What of a model a rolling estimate follows.
+    """What a rolling estimate does with each effect of a model.
 
     model : the model with the effects that are estimated or held at given numbers, and no other.
     not_estimated : parameters that are given, or left to a fit, by full name.
@@ -41,19 +41,19 @@ class RollingScope:
     lacking: Mapping[str, str]
 
     def shown(self, found: Mapping[str, Parameter]) -> dict[str, Parameter]:
-        """What was found, but for the places of which nothing can be said; and the rest."""
+        """All parameters by full name: those found, without the places that lack something, and those not estimated."""
         out = dict(found)
         for name, p in found.items():
             node, direction = name.split(".")[:2]
             own = f"{node}.{direction}" if direction in DIRECTIONS else node  # of both directions of a node
             why = next((w for place, w in self.lacking.items() if own in (place, place.split(".")[0])), "")
             if why and p.sd != 0.0:  # what is given stays
-                out[name] = Parameter(None, None, p.unit, False, why)
+                out[name] = Parameter(None, None, p.unit, identifiable=False, reason=why)
         return out | dict(self.not_estimated)
 
 
 def rolling_scope(model: Model) -> RollingScope:
-    """Sorts the effects of a model. Raises ModelError for an effect at a place where it cannot act."""
+    """The scope of a model. Raises ModelError for an effect at a place where it cannot act."""
     kept: list[EffectUse] = []
     not_estimated: dict[str, Parameter] = {}
     lacking: dict[str, str] = {}
@@ -67,7 +67,10 @@ def rolling_scope(model: Model) -> RollingScope:
             missing = [name for name in held if own.get(name, Setting()).value is None]
             if not _is_estimated_or_held(effect) or missing:
                 why = _reason_not_estimated(effect, missing)
-                not_estimated |= {names[q.name]: Parameter(None, None, q.unit, False, why) for q in effect.parameters}
+                not_estimated |= {
+                    names[q.name]: Parameter(None, None, q.unit, identifiable=False, reason=why)
+                    for q in effect.parameters
+                }
                 if effect.kind == "shaft" and effect.name not in PERIODIC_EFFECTS:
                     lacking |= {p: BREATHING_SHAFT_REASON for p in model.places if _crack_is_felt(own, model, p)}
                 elif effect.name == "sensor_clipping":
@@ -82,14 +85,14 @@ def rolling_scope(model: Model) -> RollingScope:
             for q in effect.parameters:
                 s = new[key].get(q.name)
                 if s is not None and s.fixed and s.value is not None:
-                    not_estimated[names[q.name]] = Parameter(s.value, 0.0, q.unit, True, "given")
+                    not_estimated[names[q.name]] = Parameter(s.value, 0.0, q.unit, reason="given")
         if new:
             kept.append(replace(use, parameters=new))
     return RollingScope(replace(model, effects=tuple(kept)), not_estimated, lacking)
 
 
 def _crack_is_felt(own: Mapping[str, Setting], model: Model, place: str) -> bool:
-    """Whether what a crack takes of the shaft is anything beside the stiffness at a place; if in doubt, it is."""
+    """Whether a crack changes the stiffness at a place noticeably; True if its values are not known."""
     values = [s.value for s in own.values()]
     kL = model.linear.get(place, {}).get("kL", Setting()).value
     if not values or None in values or not kL:
@@ -103,14 +106,15 @@ def _is_estimated_or_held(effect: Effect) -> bool:
 
 
 def _is_state_law(effect: Effect) -> bool:
+    """Whether an effect is a force law of the states."""
     return effect.kind == "force" and effect.name not in PERIODIC_EFFECTS
 
 
 def _held_parameters(effect: Effect, model: Model, remembers: bool) -> list[str]:
-    """Parameters that are not estimated. remembers : beside hidden states no shape of a law is searched.
+    """Names of the parameters that are held at given values.
 
-    Nor is the order at which stiffness turns: the first seconds tell it to some thousandths of a turn a second, and the
-    phase is lost within the memory.
+    remembers : whether a force of the model has memory; then no nonlinear parameter is searched. A shaft order of a
+    parametric stiffness is never searched: the first seconds do not give it well enough to keep the phase.
     """
     if effect.name in (*SPECTRAL_SHAPES, "sensor_gain"):
         return [q.name for q in effect.parameters]
@@ -122,6 +126,7 @@ def _held_parameters(effect: Effect, model: Model, remembers: bool) -> list[str]
 
 
 def _reason_not_estimated(effect: Effect, missing: list[str]) -> str:
+    """Why a rolling estimate has no parameters of an effect. missing : held parameters without a value."""
     if missing and effect.name != "sensor_gain":
         return f"to be given: {WRITE_HINT}"
     if effect.name in PERIODIC_EFFECTS:

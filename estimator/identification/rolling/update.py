@@ -1,4 +1,4 @@
-"""The memories of a rolling fit, and how its point is renewed from them (estimator.py)."""
+"""The memories of a rolling fit, and the renewal of its working point from them."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ from .memory_laws import HiddenStates, linear_of
 from .recorder_fall import RollingRollOff
 from .watch import watched_force, with_candidates
 
-WARM_UP_S = 4.0
-FAST_TIME_CONSTANT_REL = 0.25  # time constant of the watching memory over that of the long one
-MIN_CHANGE_SD = 5.0  # standard deviations
-SOLUTIONS_PER_CHECK = 2  # solutions, for a change
-BLOCKS_PER_WATCH = 3  # blocks: every other one at most, so that no two share rows
-SOLUTIONS_PER_LOOK = 8  # solutions
-MIN_WATCHED_BLOCKS = 6  # blocks
-MAX_ROLL_OFF_FITS = 4  # fits of the first blocks, each with the roll-off that the last one left
-MAX_CENTRE_FITS = 4  # fits of the first seconds, each about the centre that the last one's lopsided laws make
-MAX_NEWTON_NATS = (
-    10.0  # nats: a standard deviation or so of each parameter; one Newton step from there leaves a few per cent
-)
+WARM_UP_S = 4.0  # of samples, at least, before the first fit
+FAST_TIME_CONSTANT_REL = 0.25  # time constant of the fast memory over that of the slow one
+MIN_CHANGE_SD = 5.0  # between the two memories, of a parameter that has changed
+SOLUTIONS_PER_CHECK = 2  # check for a change
+BLOCKS_PER_WATCH = 3  # of the memory with the candidates: two at least, so that no two blocks share rows
+SOLUTIONS_PER_LOOK = 8  # look for missing force
+MIN_WATCHED_BLOCKS = 6  # of the memory with the candidates
+MAX_ROLL_OFF_FITS = 4  # of the first blocks, each with the anti-alias roll-off of the one before
+MAX_CENTRE_FITS = 4  # of the first seconds, each about the mean displacement of the one before
+MAX_NEWTON_NATS = 10.0  # about one standard deviation of each parameter: one Newton step leaves a few per cent of it
 
 
 class RollingFit:
-    """Balances, memories and the point of a rolling fit. `wide` is the balance with the candidates, `balance` without;
-    `own` are the columns of `balance` among those of `wide`. Memories: `slow` and `fast` of `balance`, `seen` of
-    `wide`."""
+    """Balances, memories and the working point of a rolling fit.
+
+    balance : force balance of the model. wide : the same with the candidates. own : columns of `balance` in `wide`.
+    slow, fast : memories of `balance`. watched : memory of `wide`.
+    """
 
     def __init__(
         self, record: Record, start: LinearStart, wide: Balance, laws: int, time_constant_s: float, columns: Columns
@@ -66,13 +66,13 @@ class RollingFit:
         self.own = np.array(own, dtype=np.intp)
         self.columns = record.columns(self.balance, columns.widths, columns.linear)
         self.states = HiddenStates(self.columns, start.nodes.f_hz)
-        self.fall = RollingRollOff(record, start, _spectral_shape(record, start))
+        self.roll_off = RollingRollOff(record, start, _spectral_shape(record, start))
         self.spectra = BlockSpectra(columns, self.own, grid)
         hop_s = grid.hop / record.rate_hz
         watching = max(FAST_TIME_CONSTANT_REL * time_constant_s, 10 * hop_s)
-        self.own_flutter, self.wide_flutter = TangentNoiseSums(self.columns), TangentNoiseSums(columns)
-        sizes = (len(own), self.own_flutter.size), (len(wide.columns), self.wide_flutter.size)
-        self.slow, self.fast, self.seen = (
+        self.own_tangent_noise, self.wide_tangent_noise = TangentNoiseSums(self.columns), TangentNoiseSums(columns)
+        sizes = (len(own), self.own_tangent_noise.size), (len(wide.columns), self.wide_tangent_noise.size)
+        self.slow, self.fast, self.watched = (
             Memory(float(np.exp(-hop_s / t)), np.zeros((grid.starts.size, k, k)), np.zeros((k, 4)), np.zeros(m))
             for t, (k, m) in ((time_constant_s, sizes[0]), (watching, sizes[0]), (time_constant_s, sizes[1]))
         )
@@ -80,22 +80,23 @@ class RollingFit:
         self.rate_hz, self.band = record.rate_hz, record.model.band
         self.centre = SlowMotion(self.columns, record)
         self.lines = MovingLines(grid.f_hz, record.model.tacho is not None)
-        self.pairs: NDArray[np.complex128] | None = None
+        self.self_energies: NDArray[np.complex128] | None = None
         self.local: Local
         self.level: ExcitationLevel
-        self.moves = LevelHistory(max(2, int(WARM_UP_S / hop_s)))
-        self.suspicions = 0
-        self.shared = 0.0  # sum of the products of the two memories' weights
-        self.turn = 0  # blocks taken
-        self.solved = 0
+        self.level_history = LevelHistory(max(2, int(WARM_UP_S / hop_s)))
+        self.changes_in_a_row = 0
+        self.shared = 0.0  # sum of the products of the weights of `slow` and `fast`
+        self.blocks_taken = 0
+        self.solutions = 0
         self.settled = False
         self.missing: dict[str, float] | None = None
-        self.held: dict[str, Parameter] = {}  # numbers of the first seconds
+        self.held: dict[str, Parameter] = {}  # nonlinear parameters, held at the values of the first seconds
 
     @classmethod
     def begin(
         cls, record: Record, start: LinearStart, model: Model, time_constant_s: float, watch: tuple[str, ...]
     ) -> RollingFit:
+        """The rolling fit of the first seconds. watch : names of the candidate effects. Raises DataError."""
         values: dict[str, float] = {}
         held: dict[str, Parameter] = {}
         linear = start.linear.copy()
@@ -105,7 +106,7 @@ class RollingFit:
         point: Point | None = None
         for _ in range(MAX_CENTRE_FITS):
             if searched:
-                best = maximum(record, start, model)  # the shapes as the first seconds have them
+                best = maximum(record, start, model)  # the nonlinear parameters of the first seconds
                 values, held = best.values, _held_parameters(best)
             own = build_balance(model, start.sizes, values, search=False)
             point = point or initial(own, start, values)
@@ -118,7 +119,16 @@ class RollingFit:
             bank.tangents[states.columns] = 0.0
             gram, blocks = bank.grams.sum(axis=0), float(bank.blocks.sum())
             colour = _spectral_shape(record, start)
-            first = Evidence(own, record.grid, gram, blocks, bank.tangents, start.nodes, states.dressing, colour)
+            first = Evidence(
+                balance=own,
+                grid=record.grid,
+                gram=gram,
+                blocks=blocks,
+                tangents=bank.tangents,
+                nodes=start.nodes,
+                dressing=states.dressing,
+                colour=colour,
+            )
             local, _ = maximise(Likelihood(first), point)
             point = local.point
             if not centre.reach and not states.columns.size and colour is None:
@@ -133,44 +143,45 @@ class RollingFit:
         return fitted
 
     def settle(self, record: Record) -> None:
-        """The first blocks have been taken (once more, now that the force is known in which moving lines are seen)."""
+        """Fit the memory of the first blocks, once all of them have been taken. record : the last seconds."""
         for _ in range(MAX_ROLL_OFF_FITS):
             self.local, _ = maximise(self._likelihood(self.slow, None), self.local.point)
-            if not self.fall.follow(self.local, self.slow.n):
+            if not self.roll_off.follow(self.local, self.slow.n):
                 break
-        self._dress(record)
+        self._renew_corrections(record)
         self.settled = True
 
-    def _dress(self, record: Record) -> None:
-        """Take what dresses the laws from the last seconds."""
+    def _renew_corrections(self, record: Record) -> None:
+        """Renew the second-order correction of the laws from a record of the last seconds."""
         B = self.balance.coefficients(self.local.point.beta)
         self.states.follow(B, record)
         record = self.centre.whole(record, B)
         mean = self.fast.tangents / self.fast.rows
-        self.pairs = self_energies(record, self.columns, B, mean, self.start.nodes.f_hz, WARM_UP_S)
-        moved = self.moves.follow()
+        self.self_energies = self_energies(record, self.columns, B, mean, self.start.nodes.f_hz, WARM_UP_S)
+        level_ratio = self.level_history.renew()
         if self.settled:
-            self.columns.widths *= np.sqrt(moved)  # those of `spectra` too: one array
-        for memory in (self.slow, self.fast, self.seen):
-            memory.apart = float(self.settled)
+            self.columns.widths *= np.sqrt(level_ratio)  # those of `spectra` too: one array
+        for memory in (self.slow, self.fast, self.watched):
+            memory.stale_share = float(self.settled)
 
     def _follow_level(self, record: Callable[[], Record]) -> None:
-        """Dress the laws anew where the level of the force has moved: what they fluctuate goes with the motion, and so
-        does what the band leaves out."""
-        if self.moves.moved():
+        """Renew the second-order correction where the level of the excitation has changed. record : makes the record of
+        the last seconds."""
+        if self.level_history.has_changed():
             last = record()
-            if valid_blocks(last.motion.valid, self.grid).size >= len(self.moves) // 2:
-                self._dress(last)
-        for memory in (self.slow, self.fast, self.seen):
-            memory.dress(self.pairs)
+            if valid_blocks(last.motion.valid, self.grid).size >= len(self.level_history) // 2:
+                self._renew_corrections(last)
+        for memory in (self.slow, self.fast, self.watched):
+            memory.take_self_energies(self.self_energies)
 
     def forget(self) -> None:
-        for memory in (self.slow, self.fast, self.seen):
+        """Let all memories decay by one block."""
+        for memory in (self.slow, self.fast, self.watched):
             memory.forget()
         self.shared *= self.slow.keep * self.fast.keep
 
     def skip(self) -> None:
-        """The next block does not follow on the last one."""
+        """Leave a block out, so that the next one does not follow on the last one."""
         self.lines.restart()
         self.spectra.restart()
 
@@ -180,8 +191,11 @@ class RollingFit:
         return MARGIN_ROWS + self.centre.reach + (0 if self.calm is None else self.calm.reach)
 
     def take(self, record: Record, at: int, measured: bool) -> None:
-        """Add the block that begins at row `at`, its lines left out. measured : the angle is that of a tacho."""
-        watches = len(self.wide.laws) > len(self.balance.laws) and self.turn % BLOCKS_PER_WATCH == 0
+        """Add the block that begins at row `at`, without its moving lines. measured : whether a tacho gives the angle.
+
+        Raises NotFiniteError, before any memory has changed.
+        """
+        watches = len(self.wide.laws) > len(self.balance.laws) and self.blocks_taken % BLOCKS_PER_WATCH == 0
         B = self.balance.coefficients(self.local.point.beta)
         stretch = self.centre.stretch(record, at, at + self.grid.size, B)
         Z, tangents = self.spectra.take(stretch, watches)
@@ -194,60 +208,77 @@ class RollingFit:
         G, square = Z.gram(self.grid, weights), 1.0 if weights is None else float(np.mean(weights**2))
         rows, G_own = self.grid.size, G[:, self.own[:, None], self.own] if watches else G
         level = self.level.of(B, G_own)
-        self.moves.add(level)
+        self.level_history.add(level)
         if watches:
-            self.seen.add(G / level, tangents, self.wide_flutter.of(stretch), rows, square, level)
+            self.watched.add(G / level, tangents, self.wide_tangent_noise.of_block(stretch), rows, square, level)
             tangents = tangents[self.own]
-        self.turn += 1
-        motion, G = self.own_flutter.of(stretch), G_own / level
+        self.blocks_taken += 1
+        motion, G = self.own_tangent_noise.of_block(stretch), G_own / level
         self.slow.add(G, tangents, motion, rows, square, level)
         self.fast.add(G, tangents, motion, rows, square, level)
         self.shared += square
 
     def _likelihood(self, memory: Memory, beta: Array | None) -> Likelihood:
-        """Of the balance's own columns. beta : where the responses are dressed; None: they are not."""
-        gram, mean = self._still(memory)
-        if memory is self.seen:
+        """Likelihood of `balance` on a memory. beta : parameters of the second-order correction; None: without it."""
+        gram, mean = self._without_tangent_noise(memory)
+        if memory is self.watched:
             gram, mean = gram[:, self.own[:, None], self.own], mean[self.own]
-        nodes, dressing = self.start.nodes, self._dressing(memory, beta)
-        return Likelihood(Evidence(self.balance, self.grid, gram, memory.n, mean, nodes, dressing, self.fall.colour))
+        return self._likelihood_of(self.balance, memory, gram, mean, self._correction(memory, beta))
 
-    def _still(self, memory: Memory) -> tuple[Array, Array]:
-        """Gram matrices and mean tangents without what the noise of displacement sensors does in the laws."""
+    def _likelihood_of(
+        self, balance: Balance, memory: Memory, gram: Array, mean: Array, correction: NDArray[np.complex128] | None
+    ) -> Likelihood:
+        """Likelihood of a balance. gram, mean : Gram matrices and mean tangents of its columns, of a memory."""
+        return Likelihood(
+            Evidence(
+                balance=balance,
+                grid=self.grid,
+                gram=gram,
+                blocks=memory.n,
+                tangents=mean,
+                nodes=self.start.nodes,
+                dressing=correction,
+                colour=self.roll_off.colour,
+            )
+        )
+
+    def _without_tangent_noise(self, memory: Memory) -> tuple[Array, Array]:
+        """Gram matrices and mean tangents of a memory without the tangent noise of displacement sensors."""
         gram, mean = memory.gram, memory.tangents / memory.rows
         noise = self.local.point.noise
         if memory.motion.size == 0 or not noise.any():
             return gram, mean
-        sums = self.wide_flutter if memory is self.seen else self.own_flutter
-        still = without_noise(sums.flutter(memory.motion), noise, self.rate_hz, self.band)
+        sums = self.wide_tangent_noise if memory is self.watched else self.own_tangent_noise
+        still = without_noise(sums.tangent_noise(memory.motion), noise, self.rate_hz, self.band)
         return still(gram, np.asarray(memory.n * self.grid.per_cell[:, None, None], np.float64), mean)
 
-    def _dressing(self, memory: Memory, beta: Array | None) -> NDArray[np.complex128] | None:
+    def _correction(self, memory: Memory, beta: Array | None) -> NDArray[np.complex128] | None:
+        """(nodes, columns) correction of the mean responses by second order and by forces with memory; None: none."""
         remembered = self.states.dressing
-        if memory.pairs is None or beta is None:
+        if memory.self_energies is None or beta is None:
             return remembered
         by_laws = second_order_change(
-            memory.pairs, self.balance, self.balance.coefficients(beta), self.start.nodes.f_hz
+            memory.self_energies, self.balance, self.balance.coefficients(beta), self.start.nodes.f_hz
         )
         return by_laws if remembered is None else by_laws + remembered
 
     def solve(self, record: Callable[[], Record]) -> None:
-        """Renew the point from the memory, and the memory if the recent data contradict it. record : makes the last
-        seconds."""
+        """Renew the point from the slow memory, and that memory if the recent data contradict it. record : makes the
+        record of the last seconds."""
         self._follow_level(record)
         self._renew()
         if self.states.columns.size:
             self.states.follow(self.balance.coefficients(self.local.point.beta))
-        if self.solved % SOLUTIONS_PER_CHECK == 0:
-            self.suspicions = self.suspicions + 1 if self._changed() else 0
-            if self.suspicions >= 2:
+        if self.solutions % SOLUTIONS_PER_CHECK == 0:
+            self.changes_in_a_row = self.changes_in_a_row + 1 if self._changed() else 0
+            if self.changes_in_a_row >= 2:
                 self._replace()
-        if self.solved % SOLUTIONS_PER_LOOK == 1:
-            self.missing = self._look()
-        self.solved += 1
+        if self.solutions % SOLUTIONS_PER_LOOK == 1:
+            self.missing = self._missing_force()
+        self.solutions += 1
 
     def _renew(self) -> None:
-        """One Newton step from the last point, which is never far; from farther away, to the maximum."""
+        """Renew the point by one Newton step on the slow memory, or by a full maximisation if the step is long."""
         point = self.local.point
         likelihood = self._likelihood(self.slow, point.beta)
         count = np.asarray(0.5 * self.slow.n * self.grid.per_cell, np.float64)
@@ -257,15 +288,15 @@ class RollingFit:
         p, P = point.beta.size, S.size
         beta = point.beta + step[:p]
         if decrement < MAX_NEWTON_NATS and likelihood.damping(beta).min() > 0.0:
-            # S and noise are best for the old beta: along the step they fall as a parabola, half its first slope
+            # S and noise fit the old beta; along the step they fall as a parabola, by half the first slope
             level = np.asarray(S * np.exp(0.5 * step[p : p + P]), np.float64)
             self.local = replace(local, point=Point(beta, level, np.maximum(noise + 0.5 * step[p + P :], 0.0)))
         else:
             self.local, _ = maximise(likelihood, point, iterations=8, tolerance=1e-3)
-        self.fall.follow(local, self.slow.n)
+        self.roll_off.follow(local, self.slow.n)
 
     def _changed(self) -> bool:
-        """Whether one Newton step on the recent memory leads away from the point of the long one."""
+        """Whether one Newton step on the fast memory leads away from the point of the slow one."""
         recent = self._likelihood(self.fast, self.local.point.beta).at(self.local.point)
         step, variance, _ = _newton_step(recent)
         f, s = self.fast, self.slow
@@ -273,30 +304,28 @@ class RollingFit:
         return bool(np.any(np.abs(step) > MIN_CHANGE_SD * np.sqrt(variance * f.n * max(spread, 1e-9))))
 
     def _replace(self) -> None:
-        """The recent memory in place of the long one; of the candidates nothing recent enough is kept."""
+        """Replace the slow memory by the fast one, and clear that of the candidates, which has no recent one."""
         self.slow.copy_from(self.fast)
-        self.shared, self.suspicions = self.fast.n2, 0
-        self.seen.clear()
+        self.shared, self.changes_in_a_row = self.fast.n2, 0
+        self.watched.clear()
         self.missing = None
         self.local, _ = maximise(self._likelihood(self.slow, self.local.point.beta), self.local.point, 8, 1e-3)
 
-    def _look(self) -> dict[str, float] | None:
-        """Force that candidates would explain, per cent of the rms linear bearing force; None if it is not known."""
-        seen, beta = self.seen, self.local.point.beta
-        if len(self.wide.laws) == len(self.balance.laws) or seen.n < MIN_WATCHED_BLOCKS:
+    def _missing_force(self) -> dict[str, float] | None:
+        """The `extra` of an estimate: force that candidates would explain, per cent of the rms linear bearing force;
+        None if it is not known."""
+        watched, beta = self.watched, self.local.point.beta
+        if len(self.wide.laws) == len(self.balance.laws) or watched.n < MIN_WATCHED_BLOCKS:
             return None
-        dressing = self._dressing(seen, beta)
-        if dressing is not None:
-            whole = np.zeros((dressing.shape[0], len(self.wide.columns)), complex)
-            whole[:, self.own] = dressing
-            dressing = whole
-        gram, mean = self._still(seen)
-        colour = self.fall.colour
-        wide = Likelihood(Evidence(self.wide, self.grid, gram, seen.n, mean, self.start.nodes, dressing, colour))
-        # blocks that share no rows vary less than the likelihood's count of them says
-        redundancy = seen.n2 / seen.n / (1.0 + 2.0 * BLOCK_ENERGY_CORRELATION)
-        own = self._likelihood(seen, beta)
-        count = np.asarray(0.5 * seen.n * self.grid.per_cell, np.float64)
+        correction = self._correction(watched, beta)
+        if correction is not None:
+            of_own, correction = correction, np.zeros((correction.shape[0], len(self.wide.columns)), complex)
+            correction[:, self.own] = of_own
+        wide = self._likelihood_of(self.wide, watched, *self._without_tangent_noise(watched), correction)
+        # blocks that share no rows carry more information each than the likelihood counts
+        redundancy = watched.n2 / watched.n / (1.0 + 2.0 * BLOCK_ENERGY_CORRELATION)
+        own = self._likelihood(watched, beta)
+        count = np.asarray(0.5 * watched.n * self.grid.per_cell, np.float64)
         point = Point(beta, *levels(*own.power(beta), count, self.local.point.S, self.local.point.noise))
         found = watched_force(wide, self.balance, point, redundancy)
         if found is None:
@@ -304,18 +333,17 @@ class RollingFit:
             found = watched_force(wide, self.balance, point, redundancy)
         if found is None:
             return None
-        sure = {f"missing_force_percent_{name}": percent for name, percent in found.sure.items()}
-        return {"missing_force_percent": found.total} | sure
+        certain = {f"missing_force_percent_{name}": percent for name, percent in found.certain.items()}
+        return {"missing_force_percent": found.total} | certain
 
     def shown(self) -> tuple[Point, Array]:
-        """The point and its covariance, H^-1 for weights that forget: the score varies by n2 / n of what the Hessian
-        says."""
+        """The point and its covariance: H^-1 n2 / n for weights that decay. S is that of the fast memory."""
         covariance = inverse(self.local) * (self.slow.n2 / self.slow.n)
         return self.level.shown(self.local.point, covariance, self.slow, self.fast)
 
 
 def _spectral_shape(record: Record, start: LinearStart) -> Array | None:
-    """(nodes, places) shape of S that the model gives, each the mean of the bins that a node stands for; None: flat."""
+    """(nodes, places) spectral shape of S in the model, each the mean of the bins of a node; None: flat."""
     by_bin, weight = excitation_shapes(record.model, record.model.places, record.grid.f_hz).T, start.nodes.weight
     if (by_bin == 1.0).all():
         return None
@@ -324,17 +352,17 @@ def _spectral_shape(record: Record, start: LinearStart) -> Array | None:
 
 
 def _held_parameters(best: Maximum) -> dict[str, Parameter]:
-    """The searched numbers by name."""
+    """The nonlinear parameters of the first seconds, by full name."""
     spread = np.sqrt(np.diag(inverse(best.local)))
     return {
-        f.name: Parameter(best.values[f.name], float(spread[j]), f.unit, True, "held at what the first seconds gave")
+        f.name: Parameter(best.values[f.name], float(spread[j]), f.unit, reason="held at what the first seconds gave")
         for j, f in enumerate(best.balance.free)
         if f.searched
     }
 
 
 def _newton_step(local: Local) -> tuple[Array, Array, float]:
-    """Newton step and variances (p + 2 P,) as in `Local`, zero for what the data leave free; decrement in nats."""
+    """Newton step and variances (p + 2 P,), zero for what the data leave free, and the decrement in nats."""
     V, used = inverse(local), active(local.point)
     used = used[np.isfinite(np.diag(V)[used])]
     V, g = V[np.ix_(used, used)], local.gradient[used]

@@ -1,8 +1,8 @@
-"""What the model leaves over, while samples arrive: candidate effects beside a rolling fit.
+"""The missing force while samples arrive: what candidate effects would explain of the residual force.
 
-The candidates' columns lie in the same Gram matrices as the model's own. At the fitted point, with the candidates'
-amplitudes at zero, one Newton step in all parameters says how strong each candidate would be, the score how sure that
-is, and the Gram matrix how much force it would explain. No second fit is needed.
+The regressors of the candidates are in the Gram matrices of the model. At the fitted point, with the amplitudes of the
+candidates at zero, one Newton step in all parameters gives the strength of each candidate, the score its significance,
+and the Gram matrix the force that it would explain. No second fit is needed.
 """
 
 from __future__ import annotations
@@ -18,27 +18,36 @@ from estimator.likelihood.motion.force_balance import Balance
 from estimator.likelihood.path.gram_likelihood import Likelihood, Point
 from estimator.model.rig import EffectUse, Model
 
-# one of each kind of state dependence; shapes at their defaults
+# one effect of each kind of state dependence, nonlinear parameters at their defaults
 DEFAULT_CANDIDATES = (
     "cubic", "quintic", "quadratic", "clearance", "coulomb", "quadratic_damping", "displacement_damping",
     "cross_coupling", "anisotropy",
 )  # fmt: skip
-UNWATCHABLE_EFFECTS = ("line", "stiffness_drift")  # a frequency or a time scale would have to be searched first
-MAX_FALSE_ALARM_P = 1e-6  # of a false alarm, per look and candidate
-MAX_STEP_NATS = 10.0  # nats, as far as one Newton step is good
+UNWATCHABLE_EFFECTS = ("line", "stiffness_drift")  # have a frequency or a time scale to be searched
+MAX_FALSE_ALARM_P = 1e-6  # per look and candidate
+MAX_STEP_NATS = 10.0  # up to which one Newton step is good enough
 
 
 @dataclass(frozen=True, slots=True)
 class WatchedForce:
-    """Per cent of the rms linear bearing force. total : by all candidates together, at least by the certain ones
-    together; sure : by those that are certain, strongest first."""
+    """Force that candidate effects would explain, per cent of the rms linear bearing force.
+
+    total : by all candidates together, and at least by the certain ones together.
+    certain : effect -> per cent, for those that are certain, strongest first.
+    """
 
     total: float
-    sure: dict[str, float]
+    certain: dict[str, float]
 
 
 def watchable_effects() -> tuple[str, ...]:
-    """All effects of the catalogue whose force is an amplitude times a law of the state or the shaft angle."""
+    """Names of the catalogue effects that a rolling estimate can look for.
+
+    Returns
+    -------
+    tuple of str
+        Effects whose force is an amplitude times a law of the states or of the shaft angle.
+    """
     return tuple(
         name
         for name, effect in CATALOGUE.items()
@@ -47,7 +56,7 @@ def watchable_effects() -> tuple[str, ...]:
 
 
 def with_candidates(model: Model, names: tuple[str, ...]) -> Model:
-    """The model and every candidate that it does not have, wherever that can act."""
+    """The model with every candidate that it does not have, at all places where that can act."""
     from estimator.effects.places import places
 
     have = {use.name for use in model.effects}
@@ -60,10 +69,11 @@ def with_candidates(model: Model, names: tuple[str, ...]) -> Model:
 
 
 def watched_force(wide: Likelihood, own: Balance, point: Point, redundancy: float) -> WatchedForce | None:
-    """What the candidates of `wide`, of a balance that holds all of `own`, would explain near own's fitted point.
+    """The force that candidates would explain; None if the maximum of the model is over MAX_STEP_NATS away.
 
-    The step to own's maximum on the same evidence is taken along. None if that is more than `CLOSE` nats away.
-    redundancy : variance of a score over what the Hessian says, for weights that forget.
+    wide : likelihood of the model with the candidates. own : balance of the model without them. point : its fitted
+    point; the step to its maximum on the evidence of `wide` is included.
+    redundancy : variance of a score over that of the Hessian, for weights that decay.
     """
     from scipy.special import chdtri
 
@@ -78,7 +88,7 @@ def watched_force(wide: Likelihood, own: Balance, point: Point, redundancy: floa
     inverse = _pseudo_inverse(H[np.ix_(mine, mine)])
     if g[mine] @ inverse @ g[mine] > MAX_STEP_NATS:
         return None
-    follow = -inverse @ H[np.ix_(mine, ~mine)]  # what own's parameters do when a candidate's is moved
+    follow = -inverse @ H[np.ix_(mine, ~mine)]  # change of own parameters per change of a candidate's
     H = H[np.ix_(~mine, ~mine)] + H[np.ix_(~mine, mine)] @ follow
     g = g[~mine] + follow.T @ g[mine]
     gram = evidence.gram.sum(axis=0)
@@ -86,7 +96,7 @@ def watched_force(wide: Likelihood, own: Balance, point: Point, redundancy: floa
     linear = sum(float(B[i, 2 * P + i] ** 2 * gram[2 * P + i, 2 * P + i]) for i in range(P))
 
     def explained(members: NDArray[np.intp]) -> tuple[float, float]:
-        """Chi-squared of these candidates and their share of force, less what chance explains."""
+        """Chi-squared of these candidates, and their power over the linear force less what chance explains."""
         step = -_pseudo_inverse(H[np.ix_(members, members)]) @ g[members]
         statistic = float(-step @ g[members]) / redundancy
         moved = np.zeros(p)
@@ -97,19 +107,19 @@ def watched_force(wide: Likelihood, own: Balance, point: Point, redundancy: floa
         return statistic, max(float(np.sum((change @ gram) * change)) - chance, 0.0) / linear
 
     names = [f.name.rsplit(".", 2)[1] for f, m in zip(balance.free, mine, strict=True) if not m]
-    sure = {}
+    certain = {}
     for effect in dict.fromkeys(names):
         members = np.flatnonzero([name == effect for name in names])
         statistic, share = explained(members)
         if statistic > chdtri(members.size, MAX_FALSE_ALARM_P):
-            sure[effect] = 100.0 * float(np.sqrt(share))
-    certain = np.flatnonzero([name in sure for name in names])  # chance does not eat these up, however many others
-    total = 100.0 * float(np.sqrt(max(explained(m)[1] for m in (np.arange(len(names)), certain) if m.size)))
-    return WatchedForce(total, dict(sorted(sure.items(), key=lambda item: -item[1])))
+            certain[effect] = 100.0 * float(np.sqrt(share))
+    together = np.flatnonzero([name in certain for name in names])  # alone, many other candidates cost no power
+    total = 100.0 * float(np.sqrt(max(explained(m)[1] for m in (np.arange(len(names)), together) if m.size)))
+    return WatchedForce(total, dict(sorted(certain.items(), key=lambda item: -item[1])))
 
 
 def _pseudo_inverse(H: Array) -> Array:
-    """Of a symmetric matrix of unit diagonal, or smaller; zero along what the data do not tell."""
+    """Pseudo-inverse of a symmetric matrix with a diagonal of at most 1; zero along what the data leave free."""
     w, V = np.linalg.eigh(H)
     keep = w > 1e-7 * max(float(w.max()), 1.0)
     return np.asarray((V[:, keep] / w[keep]) @ V[:, keep].T)

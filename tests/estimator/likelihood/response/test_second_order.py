@@ -75,8 +75,8 @@ def test_sums_over_blocks_say_the_same() -> None:
     sums = TangentNoiseSums(columns)
     grid = record.grid
     blocks = [2 * b for b in range(2, int(len(x) / grid.size) - 2)]
-    total = np.sum([sums.of(record.stretch(b * grid.hop, b * grid.hop + grid.size)) for b in blocks], axis=0)
-    exact, found = tangent_noise(record, columns, 1e6), sums.flutter(total)
+    total = np.sum([sums.of_block(record.stretch(b * grid.hop, b * grid.hop + grid.size)) for b in blocks], axis=0)
+    exact, found = tangent_noise(record, columns, 1e6), sums.tangent_noise(total)
     assert exact is not None
     assert found.covariance == pytest.approx(exact.covariance, rel=0.05)
     assert found.bend == pytest.approx(exact.bend, rel=0.02)
