@@ -119,14 +119,17 @@ def refine_harmonics(model: Model, point: WorkingPoint, force: Series) -> tuple[
             q.name: replace(old.get(q.name, Setting()), value=float(v))
             for q, v in zip(one.effect.parameters, p, strict=True)
         }
-        told = _identifiable(one, p, sd)
+        identifiable = _identifiable(one, p, sd)
         for k, q in enumerate(one.effect.parameters):
             value, spread = float(p[k]), float(sd[k])
-            found[f"{one.key}.{one.effect.name}.{q.name}"] = (
-                Parameter(value, 0.0, q.unit, True, "given") if not one.free[k]
-                else Parameter(value, spread, q.unit) if told[k]
-                else Parameter(None, None, q.unit, False, f"{value:.3g} +- {spread:.2g}: {NOT_IDENTIFIABLE_TEXT}")
-            )  # fmt: skip
+            if not one.free[k]:
+                parameter = Parameter(value, 0.0, q.unit, reason="given")
+            elif identifiable[k]:
+                parameter = Parameter(value, spread, q.unit)
+            else:
+                reason = f"{value:.3g} +- {spread:.2g}: {NOT_IDENTIFIABLE_TEXT}"
+                parameter = Parameter(None, None, q.unit, identifiable=False, reason=reason)
+            found[f"{one.key}.{one.effect.name}.{q.name}"] = parameter
     effects = tuple(replace(u, parameters=uses[u.name]) for u in model.effects)
     return replace(model, effects=effects), found
 

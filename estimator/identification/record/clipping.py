@@ -15,10 +15,21 @@ MIN_PILE_SAMPLES = 20  # of one extreme value, besides three times as many as ha
 
 
 def clipping_level(y: Array) -> tuple[float, int] | None:
-    """Level of a clipped channel (n,) and number of samples at it; None for a channel that is not clipped.
+    """Level of a clipped channel and number of samples at it.
 
     The density of any vibration falls towards its extremes. A limiter collects all samples beyond its level in one
     value, or in a narrow range if noise is added after it.
+
+    Parameters
+    ----------
+    y : (n,) float64
+        Samples of one channel, any unit; NaN where a sample is missing.
+
+    Returns
+    -------
+    tuple of (float, int) or None
+        Level in the unit of ``y`` and number of samples at it; None if the channel is not clipped or has under 1000
+        samples.
     """
     y = np.ascontiguousarray(y)  # a column is read five times
     if np.count_nonzero(np.isfinite(y)) < 1000:
@@ -46,7 +57,22 @@ def extreme_pileups(y: Array, low: float, high: float) -> tuple[tuple[float, int
 
 
 def clipping_text(name: str, level: float, count: int, samples: int) -> str:
-    """The message on a channel of which `count` of `samples` are at a level."""
+    """The message on a clipped channel.
+
+    Parameters
+    ----------
+    name : str
+        Name of the channel.
+    level : float
+        Level of the limiter, in the unit of the channel.
+    count, samples : int
+        Number of samples at the level, and of all samples.
+
+    Returns
+    -------
+    str
+        One sentence without a full stop.
+    """
     share = 100 * count / samples
     return f"{name} is limited to +-{level:.3g} in {f'{share:.2g}' if share < 99.5 else '100'} % of its samples"
 

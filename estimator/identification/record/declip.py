@@ -27,7 +27,7 @@ MAX_CLIPPED_SHARE = 0.15  # of the samples of a channel, that are restored
 RESTORED_MESSAGE = (
     "the sensor clips: the clipped samples are reconstructed from their neighbours; a larger range is better"
 )
-# why a number is not told, here or where the shaft brings what is not known of this cap
+# reasons why a parameter is not identifiable, at this cap or at the other one of a coupling shaft
 SPOILED_MESSAGE = "a sensor clips, here or at the other end of the shaft, and the clipped samples cannot be restored"
 LOST_MESSAGE = "the sensor clips, and the clipped samples cannot be restored: use a larger range"
 

@@ -1,7 +1,7 @@
-"""A flexible black box for the residual force: smooth columns of every state that a cap force can depend on.
+"""A flexible black box for the residual force: regressors of every state that a cap force can depend on, in groups.
 
-By group, named as the map of comparison names them. Columns of one state are hat functions (piecewise linear, exact
-mean derivative); of two states, low products. u = x / rms, w = v / rms, r^2 = u^2 + w^2.
+Regressors of one state are hat functions (piecewise linear, with exact mean derivative). Regressors of two states are
+products of low degree. u = x / rms, w = v / rms, r^2 = u^2 + w^2.
 """
 
 from __future__ import annotations
@@ -45,7 +45,19 @@ MIN_HAT_WIDTH_KICKS = 2.5  # of a hat of velocity, over the change of velocity b
 
 @dataclass(frozen=True, slots=True)
 class RegressorGroup:
-    """Columns of one place (k, n) float32 N-free, their tangents (k, places, 2) and, for hats, their knots (SI)."""
+    """Regressors of one location that depend on the same states.
+
+    Attributes
+    ----------
+    name : str
+        One of `GROUP_NAMES`.
+    series : list of (n,) float32
+        The regressors, without unit.
+    tangents : list of (places, 2) float64
+        Mean derivative of each with respect to displacement (1/m) and velocity (s/m) of every location.
+    knots : (k,) float64 or None
+        Knots of hat functions, m or m/s; None for other groups.
+    """
 
     name: str
     series: list[Float32Series]
@@ -55,7 +67,7 @@ class RegressorGroup:
 
 @njit(cache=True, nogil=True)
 def _hat_regressors(z, low, step, out, slopes):  # type: ignore[no-untyped-def]
-    """Hat functions with knots low + k step; linear beyond the ends. slopes (k,): mean derivative."""
+    """Hat functions with knots low + k step, linear beyond the ends. slopes (k,) : mean derivatives."""
     k = out.shape[0]
     n = z.size
     for i in range(n):
@@ -76,7 +88,7 @@ def _hat_regressors(z, low, step, out, slopes):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _level_regressors(u, w, out, slopes):  # type: ignore[no-untyped-def]
-    """Products of u and w, and what goes with r = |(u, w)|. slopes (k, 4): sums of d/du, d/dw, d/duo, d/dwo."""
+    """Products of u and w, and of each with r = |(u, w)|. slopes (k, 4) : sums of d/du, d/dw, d/duo, d/dwo."""
     for i in range(u.size):
         x, v = u[i], w[i]
         r = max(np.sqrt(x * x + v * v), 1e-6)
@@ -95,7 +107,10 @@ def _level_regressors(u, w, out, slopes):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _other_direction_regressors(u, uo, wo, out, slopes):  # type: ignore[no-untyped-def]
-    """What depends on the other direction: its state, products, and radial springs with a gap. slopes as in _level."""
+    """States of the other direction, their products with u, and radial springs with a gap.
+
+    slopes (k, 4) : sums of d/du, d/dw, d/duo, d/dwo.
+    """
     for i in range(u.size):
         x, y = u[i], uo[i]
         out[0, i], out[1, i], out[2, i], out[3, i] = y, wo[i], y * y, x * y
@@ -125,17 +140,17 @@ LEVEL_REGRESSORS, OTHER_DIRECTION_REGRESSORS = 5, 11  # columns of these
 
 
 def _evaluated(law: Callable[..., None], columns: int, *states: Float32Series) -> tuple[list[Float32Series], Array]:
-    """Singles of the columns, and the means of their slopes."""
+    """The regressors of a law of some states, and the means (columns, 4) of their derivatives."""
     out, slopes = np.empty((columns, states[0].size), np.float32), np.zeros((columns, 4))
     law(*states, out, slopes)
     return list(out), slopes / states[0].size
 
 
 def hat_knots(z: NDArray[np.floating[Any]], scale: float, step: float) -> Array:
-    """(k,) knots of hats of a state, SI: over +-SPAN rms (scale), as far as it is visited. step : between them, in rms.
+    """(k,) knots of hat functions of a state z, SI, over the range that the state visits.
 
-    A column that is not zero at one sample only, little as it is there, has a mean slope as one that is 1: for the
-    determinant of it 790 nats were won, in a complete model whose damping grows with the motion and thins its tails.
+    scale : rms of the state. step : between knots, over the rms. A hat function that is not zero at one sample only
+    would gain likelihood by its mean derivative alone.
     """
     half = int(np.ceil(KNOT_SPAN_RMS / step))
     while half > 2 and min(np.sum(side > (half - 1) * step * scale) for side in (z, -z)) < MIN_VISIT_SAMPLES:
@@ -146,7 +161,10 @@ def hat_knots(z: NDArray[np.floating[Any]], scale: float, step: float) -> Array:
 def hat_group(
     name: str, z: NDArray[np.floating[Any]], knots: Array, place: int, which: int, places: int
 ) -> RegressorGroup:
-    """Hats at some knots of a state; which: 0 for x, 1 for v."""
+    """Hat functions of a state z (n,) at some knots.
+
+    which : 0 for displacement, 1 for velocity. places : number of locations.
+    """
     out = np.zeros((knots.size, z.size), np.float32)
     slopes = np.zeros(knots.size)
     _hat_regressors(z, float(knots[0]), float(knots[1] - knots[0]), out, slopes)
@@ -159,11 +177,11 @@ def hat_group(
 
 
 def velocity_knot_step(point: WorkingPoint, i: int) -> float:
-    """Between knots of the velocity, over its rms.
+    """Distance between knots of the velocity at location i, over its rms.
 
-    Within tau = 1 / (2 high), which the band resolves, a white force moves it by sqrt(2 c tau / m) of its rms, and the
-    motion turns by w0 tau. Hats no wider are passed within tau: their force then follows the force of the same instant
-    by more than the likelihood knows (5 % damping, high = 4 f0: p under 0.001 in 8 of 60 complete records).
+    Within tau = 1 / (2 high), which the band resolves, a white force moves the velocity by sqrt(2 c tau / m) of its
+    rms, and the motion turns by w0 tau. The velocity crosses a narrower hat within tau, and the force of that hat then
+    follows the force of the same instant by more than the likelihood allows for.
     """
     tau, mass = 0.5 / point.data.band[1], float(point.data.mass[i])
     k, c = (max(float(z), 0.0) / mass for z in point.mean_tangent[i, i])
@@ -171,7 +189,7 @@ def velocity_knot_step(point: WorkingPoint, i: int) -> float:
 
 
 def _state_group(data: MotionRecord, i: int, name: str, series: list[Float32Series], slopes: Array) -> RegressorGroup:
-    """slopes : (columns, 4) mean d/du, d/dw, d/duo, d/dwo."""
+    """A group of regressors of location i. slopes : (columns, 4) mean d/du, d/dw, d/duo, d/dwo."""
     o = data.other(i)
     tangents = np.zeros((len(series), len(data.places), 2))
     tangents[:, i] = slopes[:, :2] / data.rms[:2, i]
@@ -181,7 +199,7 @@ def _state_group(data: MotionRecord, i: int, name: str, series: list[Float32Seri
 
 
 def other_direction_group(data: MotionRecord, i: int) -> RegressorGroup | None:
-    """What place i has in common with the other direction of its node, if that is measured."""
+    """Regressors of location i and the other direction of its node; None if that is not measured."""
     o = data.other(i)
     if o is None:
         return None
@@ -196,8 +214,10 @@ def other_direction_group(data: MotionRecord, i: int) -> RegressorGroup | None:
 
 
 def _on_denoised_displacement(group: RegressorGroup, data: MotionRecord, i: int) -> RegressorGroup:
-    """The group, made of the displacements that laws see, with their mean tangents along the whole of these, as laws
-    have them. With the noise of sensors in it x^2 v beside itself won 290 nats (behind a mean over a sample)."""
+    """The group evaluated at the denoised displacement, with its mean tangents, as laws are evaluated.
+
+    Sensor noise in the displacement would gain likelihood as x^2 v.
+    """
     if data.calm is not None:
         o = data.other(i)
         for series, tangents in zip(group.series, group.tangents, strict=True):
@@ -214,15 +234,16 @@ def regressor_groups(
     knots: tuple[Array, Array],
     times: tuple[float, float] | None = None,
 ) -> Iterator[RegressorGroup]:
-    """Every group of columns of place i, one at a time (they are large). orders : of shaft rotation, for stiffness.
+    """Groups of regressors of location i, one at a time, as they are large.
 
-    knots : of the hats of x and v. times : s, first and last of the record where the data are a part of it.
+    orders : of the shaft, for varying stiffness. knots : of hat functions of displacement (m) and velocity (m/s). times
+    : s, first and last of the record if the data are a part of it.
     """
     P = len(data.places)
     sx, sv = float(data.rms[0, i]), float(data.rms[1, i])
     u, w = (data.calmed(i) / sx).astype(np.float32), (data.v[i] / sv).astype(np.float32)
-    # of calmed displacements a sum of hats is nearly the law's own column, but for mean tangents that are known to a
-    # part in a hundred: 97 nats of nothing were won at one cap behind a Bessel filter of order 6
+    # Hats are functions of the measured displacement. Of the denoised one their sum is nearly the law's own regressor,
+    # with a mean tangent known to one per cent only, and wins likelihood without any force.
     yield hat_group("displacement", data.seen(i), knots[0], i, 0, P)
     yield hat_group("velocity", data.v[i], knots[1], i, 1, P)
 
@@ -256,9 +277,9 @@ def regressor_groups(
 
 
 def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[Subproblem, dict[str, Array]]:
-    """Every group of place i on trial beside the model, and the knots of the hat functions.
+    """The model of location i with every group of regressors on trial, and the knots of the hat functions by group.
 
-    Fold by fold, as the columns of all are large; each is scaled to the rms of the inferred force.
+    Regressors are evaluated fold by fold, as all together are large, and scaled to the rms of the residual force.
     """
     data, times = point.data, (float(point.data.t[0]), float(point.data.t[-1]))
     plain = subproblem(point, (i,))
@@ -304,11 +325,10 @@ def group_pool(point: WorkingPoint, i: int, orders: tuple[float, ...]) -> tuple[
 
 
 def with_known_response(problem: Subproblem) -> Subproblem:
-    """The same with the response of the model's own columns in extra ones that they span: one force has one response.
+    """The problem in which extra regressors that the model's own regressors span have the response of these.
 
-    With another, as a law knows its own to a part in a hundred only, what one takes from the other moves the
-    determinant and nothing else: of complete models with a drift, a ball pass or a drag of the user's, with x^2 v, up
-    to 220 nats were won by a force of nothing (`time`, `shaft_angle`, `level`).
+    One force has one response. The second-order response of an extra regressor is known to one per cent only. Its
+    difference from the model's own response would change the determinant, and win likelihood, without any force.
     """
     gram, b = problem.gram, len(problem.base)
     G = gram.G.sum(axis=(0, 1))[1:, 1:]
@@ -329,7 +349,7 @@ def _group_tangents(
     point: WorkingPoint, i: int, group: RegressorGroup, here: Fluctuation | Probe | None, orders: tuple[float, ...],
     times: tuple[float, float],
 ) -> Complexes:  # fmt: skip
-    """(columns, places, places, bins) what the columns of a group add to A per unit. here : what dresses them."""
+    """(columns, places, places, bins) tangent of a group per unit. here : for second-order corrections."""
     P = len(point.data.places)
     out = np.zeros((len(group.tangents), P, P, point.whitened.tangents.shape[-1]), complex)
     for k, t in enumerate(group.tangents):

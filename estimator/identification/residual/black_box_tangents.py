@@ -1,4 +1,4 @@
-"""Tangents along the path of the flexible columns, which a fluctuating model dresses: fluctuation.py, black_box.py."""
+"""Second-order corrections of the tangents of black-box regressors, where the model's stiffness fluctuates."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from estimator.likelihood.response.impulse_probe import Probe
 
 
 def legendre_in_time(t: Array, first: float, last: float) -> tuple[Array, Array]:
-    """Legendre polynomials of degree 1 and 2 of the time t, (n,) s, from first to last."""
+    """Legendre polynomials of degree 1 and 2 of time t (n,) s, from first to last."""
     tau = 2 * (t - first) / max(last - first, 1e-9) - 1
     return tau, 1.5 * tau**2 - 0.5
 
 
 def shaft_waves(phase: Array, orders: tuple[float, ...]) -> list[NDArray[np.float32]]:
-    """Cosine and sine of each order of the shaft's angle, (n,) rad."""
+    """Cosine and sine of each order of the shaft angle (n,) rad."""
     turns = phase / (2 * np.pi)
     angles = [2 * np.pi * (k * turns - np.floor(k * turns)) for k in orders]
     return [wave(z.astype(np.float32)) for z in angles for wave in (np.cos, np.sin)]
@@ -29,10 +29,10 @@ def second_order_tangents(
     name: str, here: Fluctuation | Probe, sizes: Array, knots: Array | None, orders: tuple[float, ...],
     times: tuple[float, float],
 ) -> Iterator[Complexes]:  # fmt: skip
-    """(bins,) N/m per column of a group, in its order; nothing for groups whose tangents the model leaves alone.
+    """(bins,) N/m correction of each regressor of a group, in its order; nothing for groups without a correction.
 
-    sizes : (2,) rms of x and v that the group is built with; knots of a group of hat functions; orders, times : of
-    those that turn or change with time.
+    sizes : (2,) rms of displacement and velocity. knots : of a group of hat functions. orders, times : of groups that
+    vary with shaft angle or time.
     """
     x, v = (here.data.calmed if knots is None else here.data.seen)(here.place), here.data.v[here.place]
     if knots is not None:

@@ -54,8 +54,10 @@ FINDING_NOTE = (
 
 @dataclass(frozen=True, slots=True)
 class Between:
-    """Changes of B between two places, by index, as in FAULTS. mean : (4,). information : (4, 4). rms : (4,) N of the
-    force that a unit of each makes."""
+    """Changes of the coupling B between two caps, in the directions of `FAULT_PATTERNS`.
+
+    i, j : indices of the locations. mean : (4,). information : (4, 4). rms : (4,) N, force of a unit of each change.
+    """
 
     i: int
     j: int
@@ -259,4 +261,4 @@ def _between(model: Model, point: WorkingPoint, i: int, j: int) -> Between:
     grown = np.array([*(1.0 + mean[:2]), 1.0, 1.0])
     mean = np.array([*np.log(np.maximum(grown[:2], 1e-3)), *mean[2:]])
     information = np.asarray(np.linalg.inv(C / np.outer(grown, grown)), dtype=np.float64)
-    return Between(i, j, mean, information, np.array([1.0 / t.scale for t in terms]))
+    return Between(i=i, j=j, mean=mean, information=information, rms=np.array([1.0 / t.scale for t in terms]))

@@ -128,7 +128,13 @@ class Tried:
             own: dict[str, Any] = {name: float(z[-1])}
             return replace(way.made(z[:-1]), **own)
 
-        return Way(made, ((*self.numbers.tolist(), first),), (*way.least, least), (*way.most, most), quiet)
+        return Way(
+            made=made,
+            first=((*self.numbers.tolist(), first),),
+            least=(*way.least, least),
+            most=(*way.most, most),
+            quiet=quiet,
+        )
 
 
 def likeliest(seen: Sequence[Seen], blank: Filter) -> tuple[float, Filter]:
@@ -137,7 +143,10 @@ def likeliest(seen: Sequence[Seen], blank: Filter) -> tuple[float, Filter]:
     back, more or less of it, also white, or a fall of any form that folds nothing back."""
     count = POWERS.size
     any_form = Way(
-        lambda z: replace(blank, nepers=tuple(z.tolist())), ((0.01,) * count,), (0.0,) * count, (np.inf,) * count
+        made=lambda z: replace(blank, nepers=tuple(z.tolist())),
+        first=((0.01,) * count,),
+        least=(0.0,) * count,
+        most=(np.inf,) * count,
     )
     ways = [any_form, *_ways(blank)]
     tried = sorted(map_processes([partial(_tried, seen, way) for way in ways], ways), key=lambda one: one.information)
@@ -161,7 +170,7 @@ def mean_or_none(seen: Sequence[Seen], blank: Filter) -> tuple[float, float]:
     """Deviance that a mean over a sample explains of what is behind no filter, and the relative standard deviation that
     S has about that behind none, by what both are worth: low in the band such a mean looks like noise of the sensors.
     """
-    none = _tried(seen, Way(lambda z: replace(blank, nepers=(0.0,) * POWERS.size), ((),), (), ()))
+    none = _tried(seen, Way(made=lambda z: replace(blank, nepers=(0.0,) * POWERS.size), first=((),), least=(), most=()))
     mean = _tried(seen, next(_ways(blank)))
     return none.information - mean.information, _doubt(none, (none, mean))
 
@@ -188,13 +197,20 @@ def _ways(blank: Filter) -> Iterator[Way]:
     def rippled(order: int, z: Array) -> Filter:
         return poles(f"Chebyshev filter of order {order}", chebyshev(order, float(z[1])), z)
 
-    yield Way(lambda z: replace(blank, means=float(z[0])), ((1.0,), (3.0,)), (0.0,), (MOST_MEANS,))
+    yield Way(
+        made=lambda z: replace(blank, means=float(z[0])), first=((1.0,), (3.0,)), least=(0.0,), most=(MOST_MEANS,)
+    )
     for name, own in designs().items():
         cutoffs = np.log(blank.top_hz) - 0.5 * np.log(_squares(own))
-        yield Way(partial(poles, name, own), tuple((z,) for z in cutoffs.tolist()), (lowest,), (highest,))
+        yield Way(
+            made=partial(poles, name, own),
+            first=tuple((z,) for z in cutoffs.tolist()),
+            least=(lowest,),
+            most=(highest,),
+        )
     for order in CHEBYSHEV_ORDERS:
         first = [(float(np.log(blank.top_hz / x)), 10 ** (dB / 10) - 1) for x in BAND_END_REL for dB in RIPPLES_DB]
-        yield Way(partial(rippled, order), tuple(first), (lowest, 0.0), (highest, MOST_RIPPLE))
+        yield Way(made=partial(rippled, order), first=tuple(first), least=(lowest, 0.0), most=(highest, MOST_RIPPLE))
 
 
 def _further(found: Tried) -> Iterator[Way]:
@@ -220,7 +236,7 @@ def _tried(seen: Sequence[Seen], way: Way) -> Tried:
     begun = [_begun(seen, way, z) for z in first]
     k = min(range(len(begun)), key=lambda k: begun[k][0])
     deviance, z, u, variance = _scored(seen, way, first[k], begun[k][1])
-    return Tried(deviance + price * len(way.least), way, z, u, variance)
+    return Tried(information=deviance + price * len(way.least), way=way, z=z, u=u, variance=variance)
 
 
 def _schwarz(seen: Sequence[Seen]) -> float:

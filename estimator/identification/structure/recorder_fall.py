@@ -1,5 +1,4 @@
-"""Whether the spectra of all inferred forces fall alike, or those of each bearing, as behind filters of one recorder or
-of two: recorder.py."""
+"""The anti-alias roll-off that the residual forces have in common: of all channels, or of each bearing's recorder."""
 
 from __future__ import annotations
 
@@ -41,10 +40,12 @@ RIVAL_MARGIN_DEVIANCE = 12.0  # per place, that causes of other kinds with two n
 
 
 def find_roll_off(model: Model, point: WorkingPoint) -> RollOff | None:
-    """None where nothing falls, or something else fits better. A place whose force has a colour in the model takes the
-    filter that the others show, and so does one on a pedestal, or whose sensor's resonance is undone: what falls there
-    is within that. Where the others show none, it is sought with these shapes: filter_search.py. Places that cannot be
-    judged, as behind a clipped channel, take it too."""
+    """The roll-off by location; None where there is none, or where something else fits better.
+
+    A location with a shaped excitation, a pedestal or an undone sensor resonance takes the filter that the others show,
+    as its own shape contains it. If no other location shows one, the filter is fitted together with these shapes.
+    Locations that cannot be judged, as behind a clipped channel, take it too.
+    """
     data, whole = point.data, _judged_places(point)
     if not whole:
         return None
@@ -66,7 +67,7 @@ def find_roll_off(model: Model, point: WorkingPoint) -> RollOff | None:
 
 
 def level_doubt(model: Model, point: WorkingPoint) -> float:
-    """Relative standard deviation of S, where no filter is found, by a mean over a sample that would be as likely."""
+    """Relative standard deviation of S where no filter is found, as an averaging filter would be as likely."""
     whole = _judged_places(point)
     if not whole:
         return 0.0
@@ -75,12 +76,13 @@ def level_doubt(model: Model, point: WorkingPoint) -> float:
 
 
 def _judged_places(point: WorkingPoint) -> list[int]:
-    """Places of which a filter is told."""
+    """Indices of locations from which a filter is identified."""
     whole = [*point.data.judged]
     return [] if point.data.measured_force or not whole or point.kL[whole].min() <= 0.0 else whole
 
 
 def _blank_filter(point: WorkingPoint) -> Filter:
+    """A filter of the record's rate and band without roll-off."""
     return Filter(point.data.rate_hz, point.data.band[1])
 
 
@@ -89,6 +91,7 @@ def _seen_places(point: WorkingPoint, own: list[MeasuredPlace], shaped: Mapping[
 
 
 def _shape_numbers(model: Model, point: WorkingPoint, i: int) -> ShapeNumbers:
+    """Numbers of sensor resonance, excitation shape and pedestal of the model at location i; None where missing."""
     resonance, colour = (fitted_shape(model, point.data.places[i], name) for name in SHAPE_PARAMETERS)
     for use in point.placed:
         if use.effect.name == "pedestal" and i in use.at:
@@ -98,7 +101,7 @@ def _shape_numbers(model: Model, point: WorkingPoint, i: int) -> ShapeNumbers:
 
 
 def _roll_off_of(point: WorkingPoint, own: list[MeasuredPlace]) -> RollOff | None:
-    """The same by what some places show."""
+    """The roll-off that some locations show; None without one."""
     data = point.data
     together, found = common_fall(point, own, MIN_EXPLAINED_SHARE)
     if found is not None and together - (df := sum(c.n.size - 4 for _, c, _ in own)) < DEVIANCE_MARGIN_SD * np.sqrt(
@@ -123,6 +126,7 @@ def _roll_off_of(point: WorkingPoint, own: list[MeasuredPlace]) -> RollOff | Non
 
 
 def measured_cells(point: WorkingPoint, places: list[int]) -> list[MeasuredPlace]:
+    """Index, cells without lines and fitted base model of each location."""
     cells, fits = _without_lines(point, [cells_of(point, i) for i in places])
     return list(zip(places, cells, fits, strict=True))
 
@@ -130,8 +134,11 @@ def measured_cells(point: WorkingPoint, places: list[int]) -> list[MeasuredPlace
 def common_fall(
     point: WorkingPoint, own: list[MeasuredPlace], explained: float, shaped: Mapping[int, ShapeNumbers] = NO_SHAPES
 ) -> tuple[float, Filter | None]:
-    """Deviance of some places behind what they fall alike by, and that; without it where nothing falls, or something
-    else fits better. explained : of the misfit beyond chance, at least."""
+    """Deviance of some locations behind their common filter, and that filter; without a filter where there is none.
+
+    explained : least share of the misfit beyond chance that the filter explains. A filter is refused if other causes
+    fit better.
+    """
     hz, count = own[0][1].w / (2 * np.pi), own[0][1].n
     before, df = -2 * sum(fit[0] for _, _, fit in own), float(sum(c.n.size - 4 for _, c, _ in own))
     seen, blank = _seen_places(point, own, shaped), _blank_filter(point)
@@ -154,8 +161,10 @@ def common_fall(
 
 
 def _fall_of_all_but_one(point: WorkingPoint, own: list[MeasuredPlace]) -> tuple[float, Filter | None]:
-    """Deviance of all places, and what all but some one fall by, if what that one has of its own, as a sensor's
-    resonance or noise, is likelier behind the same filter."""
+    """Deviance of all locations, and the filter of all but one.
+
+    The remaining location's own cause must be likelier behind the same filter than without it.
+    """
     best, found = np.inf, None
     for k, (i, c, fit) in enumerate(own):
         after, off = common_fall(point, own[:k] + own[k + 1 :], MIN_EXPLAINED_SHARE_PAIR)
@@ -169,14 +178,14 @@ def _fall_of_all_but_one(point: WorkingPoint, own: list[MeasuredPlace]) -> tuple
 
 
 def explains_half(point: WorkingPoint, off: Filter, own: list[MeasuredPlace], before: float) -> bool:
-    """Whether a filter takes half of some places' misfit beyond chance. before : their deviance without it."""
+    """Whether a filter explains half of some locations' misfit beyond chance. before : their deviance without it."""
     behind = [(i, _cells_behind(point, i, c, off)) for i, c, _ in own]
     after = -2 * sum(spectral_models.fit_base_model(point, i, c)[0] for i, c in behind)
     return after - (df := sum(c.n.size - 4 for _, c, _ in own)) < (1 - MIN_EXPLAINED_SHARE) * (before - df)
 
 
 def _cells_behind(point: WorkingPoint, i: int, c: SpectralCells, off: Filter) -> SpectralCells:
-    """The cells of a place behind a filter."""
+    """The cells of location i behind a filter."""
     hz = c.w / (2 * np.pi)
     here, others = c.white
     echoes = here * off.echoes(hz, point.data.kinds[i])
@@ -196,7 +205,10 @@ def _have_common_misfit(own: list[MeasuredPlace]) -> bool:
 
 
 def _without_lines(point: WorkingPoint, cells: list[SpectralCells]) -> tuple[list[SpectralCells], list[BaseFit]]:
-    """The cells that no line raises at any place, if they are few, and the model of each place fitted to them."""
+    """The cells that no line raises at any location, and the base model of each location fitted to them.
+
+    All cells are kept if lines raise too many.
+    """
     whole = cells[0].n.size
     while True:
         fits = [spectral_models.fit_base_model(point, i, c) for i, c in enumerate(cells)]
