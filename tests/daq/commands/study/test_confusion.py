@@ -158,4 +158,4 @@ def _ladder_to_truth(known: Model, pair: Pair, model: Model, seconds: float) -> 
     truth, _ = with_hidden(model, pair.at, 0.06, seconds)
     rungs = tuple(Rung((), 0.0, (p, p, p)) for p in (6.0, 3.0, 0.0))
     said = tuple(Diagnosis(v, ()) for v in (*pair.at, "complete"))
-    return Improvement(rungs, truth, {}, said[-1], (), said)
+    return Improvement(rungs=rungs, model=truth, parameters={}, last=said[-1], diagnoses=said)
