@@ -30,7 +30,7 @@ def map_threads(function: Callable[[T], R], items: Iterable[T], done: Callable[[
     items : iterable
         Its arguments.
     done : callable or None
-        Called in this thread with the number of results so far; None: nobody is told.
+        Called in this thread with the number of results so far; None: no report.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def map_processes(
         Objects that results of the second process may hold but that cannot be pickled, such as laws: references to
         them are sent.
     done : callable or None
-        Called with the approximate number of results so far; None: nobody is told.
+        Called with the approximate number of results so far; None: no report.
     """
     if len(questions) < 2 or not _alone():
         return map_threads(lambda question: question(), questions, done)

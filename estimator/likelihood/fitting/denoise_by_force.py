@@ -40,8 +40,8 @@ def denoised_by_force(point: WorkingPoint, nu: Array) -> tuple[NDArray[np.float3
     n = point.force.shape[1]
     size = next_fast_len(n, real=True)
     there: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(size, 1 / data.rate_hz), dtype=np.float64)
-    inferred = point.force if data.slow is None else point.force - _below_band_stiffness(point) @ data.slow
-    forces = map_threads(lambda force: rfft(force, size), inferred)
+    residual = point.force if data.slow is None else point.force - _below_band_stiffness(point) @ data.slow
+    forces = map_threads(lambda force: rfft(force, size), residual)
     inside = there > np.pi * data.band[0]  # below half of it nothing is measured
 
     def at(i: int) -> Array:
@@ -56,9 +56,9 @@ def _below_band_stiffness(point: WorkingPoint) -> NDArray[np.float32]:
     return np.asarray(point.mean_tangent[..., 0] - np.diag(point.kL), np.float32)
 
 
-def is_settled(point: WorkingPoint, calm: NDArray[np.float32] | None) -> bool:
+def is_settled(point: WorkingPoint, correction: NDArray[np.float32] | None) -> bool:
     """Whether denoised minus measured displacement (places, n) is that of the point; None: 0."""
     before = point.data.calm
-    if calm is None or before is None:
-        return calm is before
-    return bool(np.all(np.mean((calm - before) ** 2, axis=1) <= SETTLED_REL**2 * point.data.rms[0] ** 2))
+    if correction is None or before is None:
+        return correction is before
+    return bool(np.all(np.mean((correction - before) ** 2, axis=1) <= SETTLED_REL**2 * point.data.rms[0] ** 2))

@@ -112,9 +112,9 @@ def _renewed_record(point: WorkingPoint, nu: Array, settled: bool) -> tuple[Moti
         data = replace(data, calm=calm, doubt=doubt)
     else:
         data = data if settled else _denoised(data, nu, point.S)
-    beside = _out_of_band_sd(point)
-    if not np.allclose(beside, data.left_out, rtol=LEFT_OUT_TOLERANCE_REL, atol=0.0):
-        data, settled = replace(data, left_out=beside), False
+    outside = _out_of_band_sd(point)
+    if not np.allclose(outside, data.left_out, rtol=LEFT_OUT_TOLERANCE_REL, atol=0.0):
+        data, settled = replace(data, left_out=outside), False
     level = _excitation_level(point)
     if not levels_agree(level, data.level):
         data, settled = replace(data, level=level), False
@@ -158,7 +158,7 @@ def _first_linear_values(
 
     Least squares is consistent for kL, because E[a v] = 0.
 
-    uses : laws whose force, at (places, 3) m, kL, c, is known beside.
+    uses : laws whose force, at (places, 3) m, kL, c, is taken out of the balance.
     """
     kL, c, powers = np.zeros((3, len(data.places)))
     for i in range(len(data.places)):
@@ -259,8 +259,10 @@ def _out_of_band_sd_at(data: MotionRecord, c: Array, kL: Array, S: Array) -> Arr
 
     Below the band a measured force may determine the motion.
     """
-    told = np.zeros_like(S) if data.shaken is None else data.driven
-    return out_of_band_sd(data.mass, c, kL, S + data.driven - told, data.band, data.rate_hz, data.kinds, told)
+    below_band_psd = np.zeros_like(S) if data.shaken is None else data.driven
+    return out_of_band_sd(
+        data.mass, c, kL, S + data.driven - below_band_psd, data.band, data.rate_hz, data.kinds, below_band_psd
+    )
 
 
 def _denoised(data: MotionRecord, nu: Array, S: Array) -> MotionRecord:

@@ -101,14 +101,14 @@ class PathSpectra:
         """The spectra without the aliased motion that the measured force determines; its rest counts as noise."""
         alike = fold.force
         folded = np.minimum(fold.seen, 0.5 * self.ff / np.abs(alike) ** 2)
-        told = alike.conj() * folded / self.ff
-        B, rest = told * (self.A - alike), 1 - (told * alike).real
+        determined = alike.conj() * folded / self.ff
+        B, rest = determined * (self.A - alike), 1 - (determined * alike).real
         return replace(
             self,
             rr=self.rr - 2 * np.real(B.conj() * self.rf) + np.abs(B) ** 2 * self.ff,
-            ra=self.ra - told.conj() * self.rf - B * self.af.conj() + B * told.conj() * self.ff,
-            aa=self.aa - 2 * np.real(told.conj() * self.af) + np.abs(told) ** 2 * self.ff,
+            ra=self.ra - determined.conj() * self.rf - B * self.af.conj() + B * determined.conj() * self.ff,
+            aa=self.aa - 2 * np.real(determined.conj() * self.af) + np.abs(determined) ** 2 * self.ff,
             rf=rest * (self.rf - B * self.ff),
-            af=rest * (self.af - told * self.ff),
+            af=rest * (self.af - determined * self.ff),
             ff=rest**2 * self.ff, alike=alike, folded=rest * folded, apart=rest**2 * fold.apart, fold=fold, bare=self,
         )  # fmt: skip

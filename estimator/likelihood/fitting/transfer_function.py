@@ -79,8 +79,8 @@ def path_spectra_of(point: WorkingPoint, i: int, lines: Collection[float] = (), 
 
     rr, ra, aa, rf, af, ff, A, H, ww = (mean(z) for z in (*power, point.A[:, i, i], np.linalg.inv(point.A)[:, i, i], w))
     shape = noise_shape(data.kinds[i : i + 1], w)[0] * data.sharpened[i]
-    beside = data.noise_shape * (point.nu * point.S)[:, None] + data.folded_beside
-    across = np.sum(np.abs(point.A[:, i]) ** 2 * beside.T, axis=1, where=others)
+    noise_psd = data.noise_shape * (point.nu * point.S)[:, None] + data.folded_beside
+    across = np.sum(np.abs(point.A[:, i]) ** 2 * noise_psd.T, axis=1, where=others)
     found = PathSpectra(
         w=ww.real,
         n=INDEPENDENT_PER_BIN * width * len(R),
@@ -209,9 +209,9 @@ def fit_linear_path(point: WorkingPoint, i: int, r: PathSpectra) -> tuple[Peak, 
 
 def noise_starts(r: PathSpectra, A: Complexes) -> list[tuple[float, float]]:
     """Start values of ln Q and ln N at a tangent A (cells,): mostly one noise, mostly the other."""
-    heard = float(np.mean(r.noise * np.abs(A) ** 2))
+    referred = float(np.mean(r.noise * np.abs(A) ** 2))
     S = float(np.exp(np.average(np.log(residual_power(r, A)), weights=r.n)))
-    return [(float(np.log(S * q)), float(np.log(S * n / heard))) for q, n in ((1.0, 0.1), (0.1, 1.0), (1.0, 1e-4))]
+    return [(float(np.log(S * q)), float(np.log(S * n / referred))) for q, n in ((1.0, 0.1), (0.1, 1.0), (1.0, 1e-4))]
 
 
 def linear_tangent(r: PathSpectra, d: Array) -> Complexes:

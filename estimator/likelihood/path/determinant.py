@@ -148,8 +148,8 @@ class Jacobian:
         for i, j in np.ndindex(tangents.shape[1:3]):
             here, there = np.flatnonzero(row == i), np.flatnonzero(row == j)
             traces[here[:, None], there] = (weighted[here, j] @ passed[there, i].T).real
-        terms = np.equal.outer(np.arange(len(tangents)), term).astype(float)
-        return terms @ weighted[own, row].real.sum(axis=1), -terms @ traces @ terms.T
+        of_tangent = np.equal.outer(np.arange(len(tangents)), term).astype(float)
+        return of_tangent @ weighted[own, row].real.sum(axis=1), -of_tangent @ traces @ of_tangent.T
 
 
 def _determinants(A: Complexes) -> Complexes:

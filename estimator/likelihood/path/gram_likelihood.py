@@ -2,10 +2,10 @@
 
 Per block and frequency bin, in nats (constants left out):  F^H S^-1 F + log det S - log |det A|^2,  F = B Z,  A = B R,
 where R is what each column answers to the acceleration of each place: 1 for a, 1 / (i w) for v, -1 / w^2 for x, the
-mean tangents of a law times those; det A is summed where contour.py says. S = diag(S_i) + sensor noise seen through A.
-The factor 1/2 in front is the redundancy of the overlapping blocks (blocks.py). Where S varies within a cell, the
-Jacobian is weighted as the quadratic form is, so that the score stays unbiased: E[F F^H] = S at every frequency.
-Where the force is measured at every place the slopes have none of the determinant (measured_force.py).
+mean tangents of a law times those; det A is summed along a line that leaves all modes to its left. S = diag(S_i) +
+sensor noise seen through A. The factor 1/2 in front is the redundancy of the overlapping blocks. Where S varies within
+a cell, the Jacobian is weighted as the quadratic form is, so that the score stays unbiased: E[F F^H] = S at every
+frequency. Where the force is measured at every place the slopes have none of the determinant.
 """
 
 from __future__ import annotations
@@ -26,13 +26,8 @@ from .contour import contiguous_bands, phase_steps, shift_past_modes, slowest_mo
 from .jacobian import levels, log_determinant, noise_slope
 from .measured_force import is_force_measured, noise_bias, noise_responses, residual_over_noise
 
-SHORE_NODES, SHORE_WEIGHTS = (
-    0.5 + 0.5 * leggauss(3)[0],
-    0.5 * leggauss(3)[1],
-)  # between axis and line; a mode may be as near
-MARGIN_NODES = (
-    2.0  # spacings of the nodes from a mode to the line of the determinant: the slopes are good to exp(-4 pi)
-)
+AXIS_TO_LINE_NODES, AXIS_TO_LINE_WEIGHTS = 0.5 + 0.5 * leggauss(3)[0], 0.5 * leggauss(3)[1]  # Gauss-Legendre
+MARGIN_NODES = 2.0  # spacings of the nodes from a mode to the line: the error of the slopes is exp(-4 pi)
 
 
 def responses(balance: Balance, tangents: Array, f_hz: Array, shift: float = 0.0) -> Complexes:
@@ -66,7 +61,7 @@ class Evidence:
     blocks: float
     tangents: Array
     nodes: FrequencyNodes
-    dressing: Complexes | None = None  # (nodes, columns), see second_order.py
+    dressing: Complexes | None = None  # (nodes, columns) second-order correction
     colour: Array | None = None  # (nodes, places) shape of S
 
 
@@ -108,7 +103,7 @@ class Local:
 @dataclass(frozen=True, slots=True)
 class Line:
     """R and A along s = shift + iw; total : sum of log |det A|^2 over the bins of a block, as it is on either side of
-    the axis (contour.py). ends : (ways, 2 stretches, columns, places) R between axis and line, at both ends of every
+    the axis. ends : (ways, 2 stretches, columns, places) R between axis and line, at both ends of every
     stretch of bins; inverses : of A there."""
 
     shift: float
@@ -169,7 +164,10 @@ class Likelihood:
             shift = shift_past_modes(modes, margin, self.band)
         if shift == 0.0:
             return Line(0.0, self.R, A, self._sum(size), self.R[:0], A[:0])
-        R, ends = self._responses(shift, f), np.stack([self._responses(x * shift, self.ends) for x in SHORE_NODES])
+        R, ends = (
+            self._responses(shift, f),
+            np.stack([self._responses(x * shift, self.ends) for x in AXIS_TO_LINE_NODES]),
+        )
         beside, there = B @ R, B @ ends
         determinant = np.linalg.det(beside)
         turned = self._turned(determinant, np.linalg.det(there))
@@ -183,7 +181,9 @@ class Likelihood:
         f, turned = self.evidence.nodes.f_hz, 0.0
         for k, (low, high) in enumerate(self.ends.reshape(-1, 2)):
             here = float(phase_steps(determinant[(f >= low) & (f <= high)]).sum())
-            turned += here + float(SHORE_WEIGHTS @ np.angle(ends[:, 2 * k + 1] / ends[:, 2 * k] * np.exp(-1j * here)))
+            turned += here + float(
+                AXIS_TO_LINE_WEIGHTS @ np.angle(ends[:, 2 * k + 1] / ends[:, 2 * k] * np.exp(-1j * here))
+            )
         return turned
 
     def _sum(self, size: Array) -> float:
@@ -285,7 +285,7 @@ class Likelihood:
     def with_slope_of_dressing(self, local: Local, pairs: Complexes) -> Local:
         """The Hessian as it is when the dressing follows the parameters, which the steps to the maximum hold.
 
-        pairs : (nodes, columns, columns) self-energies, see second_order.py.
+        pairs : (nodes, columns, columns) self-energies.
         """
         ev, B = self.evidence, self.evidence.balance.coefficients(local.point.beta)
         line = self.line(B, B @ self.R)
@@ -346,8 +346,8 @@ class Likelihood:
         passed = np.einsum("hseq,hsqf->hsef", line.ends[:, :, self.column], line.inverses[..., self.row])
         grid, sign = self.evidence.grid, np.tile([-1.0, 1.0], len(self.band))
         length = grid.size / grid.rate_hz * line.shift / (2 * np.pi)
-        slope = np.einsum("h,s,hsee->e", SHORE_WEIGHTS, sign, passed).imag
-        bend = -np.einsum("h,s,hsef,hsfe->ef", SHORE_WEIGHTS, sign, passed, passed).imag
+        slope = np.einsum("h,s,hsee->e", AXIS_TO_LINE_WEIGHTS, sign, passed).imag
+        bend = -np.einsum("h,s,hsef,hsfe->ef", AXIS_TO_LINE_WEIGHTS, sign, passed, passed).imag
         return length * slope, length * bend
 
 

@@ -106,11 +106,11 @@ class Gram:
         )
 
 
-def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *columns: WhitenedRegressors) -> Gram:
+def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *whitened: WhitenedRegressors) -> Gram:
     """Gram matrices of the whitened residual force (by place) and of all regressors."""
     data = whitening.data
     P = len(data.places)
-    total = sum(len(c.names) for c in columns)
+    total = sum(len(c.names) for c in whitened)
     G = np.zeros((P, TIME_FOLDS, 1 + total, 1 + total))
     n = np.zeros((P, TIME_FOLDS))
     kept = np.ones_like(whitening.weight) if whitening.ringing is None else whitening.ringing.kept
@@ -120,7 +120,7 @@ def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *columns: Wh
         rows = [0]
         stacks = [force[i][None]]
         offset = 1
-        for c in columns:
+        for c in whitened:
             if i in c.spectra:
                 stacks.append(c.spectra[i])
                 rows += list(offset + c.index[i])
@@ -141,11 +141,11 @@ def gram_matrices(whitening: Whitening, force: dict[int, Spectrum], *columns: Wh
         G=G,
         n=n,
         log_weight=log_weight,
-        tangents=np.concatenate([c.tangents for c in columns]),
-        scales=np.concatenate([c.scales for c in columns]),
-        names=tuple(k for c in columns for k in c.names),
-        units=tuple(u for c in columns for u in c.units),
-        apart=np.concatenate([c.apart for c in columns]),
+        tangents=np.concatenate([c.tangents for c in whitened]),
+        scales=np.concatenate([c.scales for c in whitened]),
+        names=tuple(k for c in whitened for k in c.names),
+        units=tuple(u for c in whitened for u in c.units),
+        apart=np.concatenate([c.apart for c in whitened]),
         s=whitening.s,
     )
 

@@ -123,31 +123,31 @@ class Whitening:
             return tangents
         return tangent_times(tangents, self.measured)
 
-    def whiten(self, terms: list[Regressor]) -> WhitenedRegressors:
+    def whiten(self, regressors: list[Regressor]) -> WhitenedRegressors:
         """The whitened spectra and the tangents of regressors."""
         index: dict[int, list[int]] = {}
-        for k, term in enumerate(terms):
-            for i in term.series:
+        for k, regressor in enumerate(regressors):
+            for i in regressor.series:
                 index.setdefault(i, []).append(k)
 
         def at(i: int) -> Spectrum:
             out = np.empty((len(index[i]), self.data.blocks, 2 * self.weight.shape[1]), np.float32)
             for row, k in zip(out, index[i], strict=True):
-                self.spectrum(i, terms[k].series[i], terms[k].scale, row)
-                if (shape := terms[k].shape) is not None:
+                self.spectrum(i, regressors[k].series[i], regressors[k].scale, row)
+                if (shape := regressors[k].shape) is not None:
                     row.view(np.complex64)[...] *= shape.astype(np.complex64)
             return out
 
         spectra = dict(zip(index, map_threads(at, index), strict=True))
-        tangents = self.tangents_to_measured(np.array([regressor_response(t, self.s) for t in terms]))
+        tangents = self.tangents_to_measured(np.array([regressor_response(t, self.s) for t in regressors]))
         return WhitenedRegressors(
-            names=tuple(t.name for t in terms),
-            units=tuple(t.unit for t in terms),
-            scales=np.array([t.scale for t in terms]),
+            names=tuple(t.name for t in regressors),
+            units=tuple(t.unit for t in regressors),
+            scales=np.array([t.scale for t in regressors]),
             tangents=tangents,
             spectra=spectra,
             index={i: np.array(k) for i, k in index.items()},
             apart=np.array(
-                [np.zeros((TIME_FOLDS, *t.tangent.shape)) if t.apart is None else t.apart * t.scale for t in terms]
+                [np.zeros((TIME_FOLDS, *t.tangent.shape)) if t.apart is None else t.apart * t.scale for t in regressors]
             ),
         )

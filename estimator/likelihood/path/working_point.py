@@ -198,8 +198,8 @@ def point_at(
         own = map_threads(lambda k: _corrected_as_longer(own[k], uses[k], longer), range(len(uses)))
     common = {(i, j): force_correlation(data, A, noise.weight, i, j) for i, j in data.shared}
     made = _all_regressors(data, lin, uses, own) + _common_force_regressors(data, F, noise.weight, common)
-    columns = whitening.whiten(made)
-    G = gram_matrices(whitening, spectra, columns)
+    whitened = whitening.whiten(made)
+    G = gram_matrices(whitening, spectra, whitened)
     correction = _add_second_order(A, data.f_hz, around)
     there = (1j * s.imag / s) ** 2  # over -w^2 becomes over s^2
     kept = None if whitening.ringing is None else whitening.ringing.kept.mean(axis=0)
@@ -219,7 +219,7 @@ def point_at(
         whitening=whitening,
         spectra=spectra,
         regressors=own_regressors,
-        whitened=columns,
+        whitened=whitened,
         gram=G,
         jacobian=jacobian,
         fit=result,
@@ -255,20 +255,20 @@ def _modal_responses(
         if (own := linear_memory.state_matrix(use.effect, use.p, lin[i])) is not None
     ]  # fmt: skip
     bare = modal_responses(data.mass, D, data.places, data.disc, linear)
-    beside = np.zeros((len(data.places), 2))
+    memory_tangent = np.zeros((len(data.places), 2))
     for use, regressors_of in zip(uses, made, strict=True):
         for i in use.at if has_nonlinear_memory(use, lin[use.at[0]]) else ():
             units = {t.name: t for t in regressors_of}
             at = int(np.argmin(np.abs(data.f_hz - bare[i].hz)))
             for k, q in enumerate(use.effect.parameters):
                 if q.linear and use.name(k) in units:
-                    answer = use.p[k] * units[use.name(k)].memory[i][i, at]
-                    beside[i] += answer.real, answer.imag / (2 * np.pi * data.f_hz[at])
-    if not beside.any():
+                    response = use.p[k] * units[use.name(k)].memory[i][i, at]
+                    memory_tangent[i] += response.real, response.imag / (2 * np.pi * data.f_hz[at])
+    if not memory_tangent.any():
         return list(bare)
     out = []
     for i in range(len(data.places)):
-        others = np.where(np.arange(len(beside)) == i, 0.0, beside.T).T
+        others = np.where(np.arange(len(memory_tangent)) == i, 0.0, memory_tangent.T).T
         there = D + np.eye(len(D))[..., None] * others[:, None]
         out.append(modal_responses(data.mass, there, data.places, data.disc, linear)[i])
     return out
