@@ -67,9 +67,8 @@ def find_lines(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:
     for hz in lines:
         if hz not in tracked and not s.steady(hz):
             continue
-        suspect = _line_finding(model, point, s, hz, rotation, threshold)
-        if suspect is not None:
-            out.append(suspect)
+        if (found := _line_finding(model, point, s, hz, rotation, threshold)) is not None:
+            out.append(found)
     return out if rotation > 0.0 else _noting_common_fundamental(out, s)
 
 

@@ -136,7 +136,7 @@ def _other_direction_regressors(u, uo, wo, out, slopes):  # type: ignore[no-unty
             slopes[8 + 2 * k, 2] += over + bend * y * y
 
 
-LEVEL_REGRESSORS, OTHER_DIRECTION_REGRESSORS = 5, 11  # columns of these
+LEVEL_REGRESSORS, OTHER_DIRECTION_REGRESSORS = 5, 11  # in these groups
 
 
 def _evaluated(law: Callable[..., None], columns: int, *states: Float32Series) -> tuple[list[Float32Series], Array]:

@@ -42,13 +42,12 @@ def find_spectral_shapes(model: Model, point: WorkingPoint) -> list[Finding]:
     taken = {(u.name, place) for u in model.effects for place in u.parameters}
     out: list[Finding] = []
     noise = np.zeros(len(data.places))
-    seen = data.colour / excitation_shapes(
-        model, data.places, data.f_hz, FORCE_SHAPES
-    )  # of a spectrum as it is: see below
+    # shapes taken from the measured spectra, which the model does not have
+    seen = data.colour / excitation_shapes(model, data.places, data.f_hz, FORCE_SHAPES)
     shaped = set(np.flatnonzero(np.ptp(seen, axis=1) > SHAPE_TOLERANCE_REL * seen.mean(axis=1)).tolist())
     white: list[tuple[int, SpectralCells, float, Array, Array]] = []
     for i, place in enumerate(data.places):
-        if data.driven[i] > 0.0:  # what is left of a known force is noise: transfer_faults.py
+        if data.driven[i] > 0.0:  # the residual of a measured force is noise
             shaped.add(i)
             continue
         if point.kL[i] <= 0.0:  # a fit far from the rotor: no resonance to begin from

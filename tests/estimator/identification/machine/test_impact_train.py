@@ -36,9 +36,9 @@ def test_a_train_is_found_that_no_geometry_and_no_single_line_announces(rig: Mod
     hidden = EffectUse("local_defect", {"bearing1.x": {k: Setting(v) for k, v in values.items()}})
     truth = replace(rig, effects=(*rig.effects, hidden))
     y = simulate(truth, RATE, SECONDS, seed=5, noise=0.02, full_scale=490.5)
-    suspects = found(rig, y)
-    assert set(suspects) == {"local_defect"}
-    assert suspects["local_defect"].settings["bearing1.x"]["order"].value == pytest.approx(4.6527, abs=2e-4)
+    findings = found(rig, y)
+    assert set(findings) == {"local_defect"}
+    assert findings["local_defect"].settings["bearing1.x"]["order"].value == pytest.approx(4.6527, abs=2e-4)
 
 
 def test_a_train_with_a_harmonic_on_the_discs_resonance_is_one() -> None:
@@ -52,9 +52,9 @@ def test_a_train_with_a_harmonic_on_the_discs_resonance_is_one() -> None:
     values = {"strike": Setting(6.0), "order": Setting(order), "angle": Setting(1.0), "width": Setting(0.06)}
     hidden = EffectUse("local_defect", {"bearing1.x": values, "bearing1.y": values})
     y = simulate(replace(rig, effects=(cubic, *rig.effects, hidden)), RATE, SECONDS, seed=5, noise=0.02)
-    suspects = found(replace(rig, effects=(cubic,)), y)
-    assert set(suspects) == {"local_defect"}
-    assert suspects["local_defect"].settings["bearing1.x"]["order"].value == pytest.approx(order, abs=2e-4)
+    findings = found(replace(rig, effects=(cubic,)), y)
+    assert set(findings) == {"local_defect"}
+    assert findings["local_defect"].settings["bearing1.x"]["order"].value == pytest.approx(order, abs=2e-4)
 
 
 @pytest.mark.parametrize(("order", "strike"), [(2.1, 0.9), (0.7, 1.2)])
