@@ -58,18 +58,19 @@ def fit(model: Model, y: Array, rate_hz: float, *, method: Method = "spectral") 
     True
     """
     clipped = clipping.find_clipping(model, y)
-    y, off = declip.restore_clipped(model, y, frozenset(place for s in clipped for place in s.at))
+    y, errors = declip.restore_clipped(model, y, frozenset(place for s in clipped for place in s.at))
     result = _FIT_METHODS[method](model, y, rate_hz)
-    drawn = {place for place, error in off.items() if error < np.inf}
-    said = [
+    restored = {place for place, error in errors.items() if error < np.inf}
+    notes = [
         Message("clipped_restored", f"{s.region}: {declip.RESTORED_MESSAGE}", s.at[0])
-        if s.at[0] in drawn else clipping.clipped_message(s)
+        if s.at[0] in restored else clipping.clipped_message(s)
         for s in clipped
     ]  # fmt: skip
-    return replace(result, messages=(*result.messages, *said))
+    return replace(result, messages=(*result.messages, *notes))
 
 
 def _spectral(model: Model, y: Array, rate_hz: float) -> Fit:
+    """By the path likelihood, at the shaft angle of a tacho channel if there is one."""
     from .batch import spectral
 
     phase = measured_phase(model, y, rate_hz)
@@ -79,18 +80,21 @@ def _spectral(model: Model, y: Array, rate_hz: float) -> Fit:
 
 
 def _fokker_planck(model: Model, y: Array, rate_hz: float) -> Fit:
+    """By least squares on the logarithm of the histogram."""
     from .moments import fokker_planck
 
     return fokker_planck.fit_fokker_planck(model, y, rate_hz)
 
 
 def _score_matching(model: Model, y: Array, rate_hz: float) -> Fit:
+    """By moments of displacement and velocity."""
     from .moments import score_matching
 
     return score_matching.fit_score_matching(model, y, rate_hz)
 
 
 def _volterra(model: Model, y: Array, rate_hz: float) -> Fit:
+    """By the Volterra kernels of a measured force."""
     from .moments import volterra
 
     return volterra.fit_volterra(model, y, rate_hz)

@@ -1,4 +1,4 @@
-"""Where the likelihood of a model is highest: Newton in what is linear, Gauss-Newton in the shapes of the laws."""
+"""The maximum of the likelihood of a model: Newton in linear parameters, Gauss-Newton in nonlinear ones."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def _move(balance: Balance, local: Local, values: dict[str, float], last: bool) 
 
 @dataclass(frozen=True, slots=True)
 class Tangents:
-    """What fluctuating tangents do (second_order.py). pairs : (nodes, columns, columns); flutter : what noise does."""
+    """Second-order terms of the laws. pairs : (nodes, columns, columns) self-energies. flutter : None without noise."""
 
     pairs: NDArray[np.complex128]
     flutter: TangentNoise | None
@@ -179,7 +179,7 @@ def tangents_of(record: Record, start: LinearStart, bank: Bank, local: Local) ->
 
 
 def without_flutter(record: Record, bank: Bank, local: Local, tangents: Tangents | None) -> Bank:
-    """The bank without what the noise of displacement sensors adds to the laws and their squares (dressing.flutter)."""
+    """The bank without the tangent noise that displacement sensors add to the laws and their squares."""
     if tangents is None or tangents.flutter is None:
         return bank
     count = bank.blocks[:, None, None, None] * bank.grid.per_cell[:, None, None]
@@ -191,7 +191,8 @@ def without_flutter(record: Record, bank: Bank, local: Local, tangents: Tangents
 def without_noise(
     flutter: TangentNoise, noise: Array, rate_hz: float, band: tuple[float, float]
 ) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
-    """What takes it out of Gram matrices (..., k, k) of `count` bins and of mean tangents (k, 4): (gram, count, mean).
+    """A function (gram, count, mean) that removes tangent noise from Gram matrices (..., k, k) of `count` bins and from
+    mean tangents (k, 4).
 
     noise : (places,) one-sided PSD of the sensors.
     """
@@ -213,7 +214,7 @@ def without_noise(
 def dress(
     bank: Bank, start: LinearStart, local: Local, tangents: Tangents | None, converged: bool
 ) -> tuple[Likelihood, Local, bool]:
-    """The maximum with the responses of the laws dressed, which depends on the parameters a little.
+    """The maximum with the second-order correction of the mean responses, which depends a little on the parameters.
 
     Where the nonlinearity is so strong that the second order does not settle, the mean tangents are kept.
     """

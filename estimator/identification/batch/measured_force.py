@@ -1,8 +1,8 @@
-"""The most likely path under a measured force: what the laws act along once a first fit is there.
+"""The most likely path of the caps under a measured force, along which the laws are evaluated after a first fit.
 
 In the band the acceleration is measured as y with noise N, and through the rotor by the force with noise S. Both
 together say y - N A^H S_r^-1 r, S_r = A N A^H + S, r what the fit leaves of the force. It is independent of r, so a law
-along it is not bent by noise (measured_force.py): integrated twice, noise is strong at the lower end of the band. Below
+along it has no bias by noise: integrated twice, noise is strong at the lower end of the band. Below
 the band, where no accelerometer counts, the force alone gives the displacement, less what the laws take of it: the slow
 displacement is smaller while the cap vibrates more.
 """

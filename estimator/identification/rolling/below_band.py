@@ -1,4 +1,4 @@
-"""The slow displacement that lopsided laws make (below_band.py), along a block of a stream."""
+"""The displacement below the band that laws with an even part make, along a block of a stream."""
 
 from __future__ import annotations
 

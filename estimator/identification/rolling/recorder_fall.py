@@ -1,4 +1,4 @@
-"""As it rolls: the recorder's filter (recorder.py), kept in the shape of the force's spectrum."""
+"""The anti-alias roll-off of the recorder in a rolling fit, as a spectral shape of the excitation."""
 
 from __future__ import annotations
 
