@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from estimator.effects import found_by
 from estimator.model.rig import EffectUse, Setting
 from estimator.results import Parameter
 
 MAX_P_VALUE = 1e-3  # of a finding that counts as missing force
 UNKNOWN_EFFECT = "unknown"  # effect of a finding that nothing of the catalogue explains
-SPECTRAL_EFFECTS = (  # rival causes of one force spectrum
-    "coloured_excitation", "sensor_resonance", "pedestal", "sensor_noise", "sensor_gain", "sensor_skew", UNKNOWN_EFFECT,
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +56,11 @@ class Finding:
     detectable: tuple[float, str] | None = None
 
 
+def is_cause_of_spectrum(effect: str) -> bool:
+    """Whether an effect, or what nothing of the catalogue explains, is one of the rival causes of one spectrum."""
+    return effect == UNKNOWN_EFFECT or found_by(effect) == "spectrum"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DisturbanceForce:
     """A part of the missing force that no state explains.
@@ -87,7 +90,7 @@ def disturbance_forces(findings: Sequence[Finding]) -> list[DisturbanceForce]:
             continue
         for place, power_N2 in f.power_N2.items():
             force = DisturbanceForce(place=place, against=f.against, region=f.region, power_N2=power_N2)
-            if f.effect not in SPECTRAL_EFFECTS:
+            if not is_cause_of_spectrum(f.effect):
                 out.append(force)
             elif place not in spectral or f.gain_nats > spectral[place][0]:
                 spectral[place] = (f.gain_nats, force)

@@ -266,8 +266,8 @@ def _of_model(model: Model) -> dict[str, Parameter]:
             out[f"{place}.kL"] = Parameter(settings["kL"].value, None, "N/m")
     for use in model.effects:
         for place, settings in use.parameters.items():
-            if use.name == "cubic" and "kNL" in settings and settings["kNL"].value is not None:
-                out[f"{place}.cubic.kNL"] = Parameter(settings["kNL"].value, None, "N/m^3")
+            if use.custom is None and "kNL" in settings and settings["kNL"].value is not None:
+                out[f"{place}.{use.name}.kNL"] = Parameter(settings["kNL"].value, None, "N/m^3")
     return out
 
 

@@ -13,15 +13,20 @@ from collections.abc import Mapping
 import numpy as np
 
 from estimator.arrays import Array, Complexes
+from estimator.effects import CATALOGUE
 from estimator.model.recorder import Filter, images
 from estimator.model.rig import MOTION, EffectUse, Model
 from estimator.parallel import map_threads
 
 from .band_limit import to_acceleration
 
-GAIN_AND_DELAY = ("sensor_gain", "sensor_skew")  # identifiable beside a measured force or on coupled bearing caps only
-RESPONSE_EFFECTS = (*GAIN_AND_DELAY, "sensor_resonance")  # sensor faults that are a linear response
-SHAPE_PARAMETERS = {"sensor_resonance": ("frequency", "quality"), "coloured_excitation": ("gain", "corner")}
+# sensor faults that are a linear response
+RESPONSE_EFFECTS = tuple(name for name, e in CATALOGUE.items() if e.channel_response is not None)
+# identifiable beside a measured force or on coupled bearing caps only
+GAIN_AND_DELAY = tuple(n for n in RESPONSE_EFFECTS if CATALOGUE[n].flat_magnitude)
+SHAPE_PARAMETERS = {
+    name: tuple(q.name for q in e.parameters) for name, e in CATALOGUE.items() if e.spectral_factor is not None
+}
 FILTER_GRID_POINTS = 8192  # of a filter's response, linear between: error 1e-6
 
 
@@ -31,16 +36,12 @@ def measured_force_places(model: Model) -> frozenset[str]:
 
 
 def fault_response(name: str, values: Mapping[str, float | None], w: Array) -> Complexes:
-    """Of one fault at w rad/s, of its shape; 1 where a number is not known."""
-    if name == "sensor_gain":
-        return np.full(w.shape, 1.0 + (values.get("error") or 0.0), complex)
-    if name == "sensor_skew":
-        return np.asarray(np.exp(-1j * w * (values.get("delay") or 0.0)))
-    f0, quality = values.get("frequency"), values.get("quality")
-    if not f0 or not quality:
+    """(f,) response of one fault, measured over true, at w (f,) rad/s; 1 where a number is not known or 0."""
+    effect = CATALOGUE[name]
+    p = [values.get(q.name) for q in effect.parameters]
+    if effect.channel_response is None or not all(p):
         return np.ones(w.shape, complex)
-    r = w / (2 * np.pi * f0)
-    return np.asarray(1.0 / (1.0 - r**2 + 1j * r / quality))
+    return np.asarray(effect.channel_response(w, p))
 
 
 def channel_response(model: Model, place: str, w: Array) -> Complexes:

@@ -76,7 +76,7 @@ def simulation_plan(model: Model) -> Plan:
             if effect.kind == "sensor":
                 hit = [i for i, c in enumerate(model.channels) if c.place == place and c.kind not in ("force", "tacho")]
                 sensors += [(i, effect, p) for i in hit]
-            elif effect.name == "correlated_force":
+            elif effect.scope == "bearings":
                 i, j = (rig.index(f"{n}.{place.split('.')[1]}") for n in NODES)
                 correlation.append((i, j, float(p[0])))
             elif effect.kind == "excitation" and effect.shape is not None:

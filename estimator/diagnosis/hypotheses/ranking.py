@@ -10,13 +10,12 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.diagnosis.thresholds import THRESHOLDS
-from estimator.effects import CATALOGUE, NAMED
+from estimator.effects import CATALOGUE, LINE_NAMES, NAMED, found_by
 from estimator.effects.places import at
 from estimator.effects.rotating.ball_pass import BALL_PASS
 from estimator.identification.finding import MAX_P_VALUE, UNKNOWN_EFFECT, Finding
 from estimator.identification.machine import stiffness_order
 from estimator.identification.residual.missing_force import MissingForce
-from estimator.likelihood.motion.harmonics import LINE_NAMES
 from estimator.likelihood.motion.located_law import LocatedLaw
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.rig import Model
@@ -103,7 +102,7 @@ def clipping_behind_laws(found: list[Entry]) -> list[Entry]:
     laws = max((e.gain for e in found if e.placed), default=0.0)
     return [
         replace(e, score=e.gain, notes=(*e.notes[:1], FEW_CLIPPED))
-        if e.effect == "sensor_clipping" and laws > THRESHOLDS.nats_per_clipped_sample * e.gain
+        if found_by(e.effect) == "samples" and laws > THRESHOLDS.nats_per_clipped_sample * e.gain
         else e
         for e in found
     ]
@@ -112,14 +111,19 @@ def clipping_behind_laws(found: list[Entry]) -> list[Entry]:
 def behind_impact_train(found: list[Entry], low_hz: float) -> list[Entry]:
     """Lines that are all below the band stand behind strikes in it: of these sampling folds harmonics to anywhere, and
     what is at a few Hz is many times as much in newtons as in the motion that shows it."""
-    strikes = max((e.score for e in found if e.effect == "local_defect" and e.p_value < MAX_P_VALUE), default=np.inf)
+    strikes = max((e.score for e in found if _is_impact_train(e) and e.p_value < MAX_P_VALUE), default=np.inf)
     return [
         replace(e, score=min(e.score, np.nextafter(strikes, -np.inf)))
-        if e.effect == "line"
+        if e.effect in LINE_NAMES
         and all((q["frequency"].value or 0.0) < low_hz for own in e.settings.values() for q in own.values())
         else e
         for e in found
     ]
+
+
+def _is_impact_train(entry: Entry) -> bool:
+    """Whether it is a force with every harmonic of its angle."""
+    return entry.effect in NAMED and NAMED[entry.effect].harmonics == "all"
 
 
 def _entry(point: WorkingPoint, own: list[Trial], tried: int, before: MissingForce) -> Entry:
@@ -194,7 +198,7 @@ def _finding_entry(model: Model, point: WorkingPoint, own: list[Finding], before
     scale = float(np.sum(before.bearing_force_N[list(places)] ** 2))
     part = sum(p for s in own for p in s.power_N2.values())
     settings = _layers(model, own)
-    first = float("inf") if own[0].effect == "sensor_clipping" else gain - THRESHOLDS.parameter_cost_nats * df
+    first = float("inf") if found_by(own[0].effect) == "samples" else gain - THRESHOLDS.parameter_cost_nats * df
     return Entry(
         effect=own[0].effect,
         at=tuple(dict.fromkeys(p.split(".")[0] for s in own for p in s.at)),
@@ -223,7 +227,7 @@ def _layers(model: Model, own: list[Finding]) -> dict[str, Settings]:
             if free is None:
                 layers.append(free := {})
             free[place] = values
-    if own[0].effect != "line":
+    if own[0].effect not in LINE_NAMES:
         return {own[0].effect: layers[0]} if layers else {}
     taken = {u.name: set(at(NAMED[u.name], u, model)) for u in model.effects if u.name in LINE_NAMES}
     out: dict[str, Settings] = {}

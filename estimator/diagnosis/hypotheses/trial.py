@@ -13,7 +13,6 @@ from estimator.arrays import Array
 from estimator.effects.engine.strength import search_range
 from estimator.effects.places import kinematic
 from estimator.effects.places import places as canonical_places
-from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
 from estimator.likelihood.motion.located_law import (
     FORCE_KINDS,
     LocatedLaw,
@@ -75,7 +74,7 @@ class Trial:
 
 def open_locations(effect: Effect, model: Model, point: WorkingPoint) -> list[str]:
     """Canonical places where a force effect could be added: measured, and not in the model there already."""
-    if effect.kind not in FORCE_KINDS or effect.name in PERIODIC_EFFECTS or effect.name == "pedestal":
+    if effect.kind not in FORCE_KINDS or effect.found_by != "law":
         return []
     taken = {u.key for u in point.placed}
     return [

@@ -132,7 +132,7 @@ def _gate_result(
         whole = gate_second_law.another_explains(
             after_part, gate_second_law.others(model, after_part, after, entry), after, entry
         )
-    if whole and left > THRESHOLDS.misfit_max_rel and entry.effect == "coulomb":
+    if whole and left > THRESHOLDS.misfit_max_rel and entry.placed and entry.placed[0].effect.steps_at_rest:
         note = Message(
             "friction_not_sharp", f"{100 * left:.0f} % of the velocity-dependent force is left: {STEP_NOT_SHARP}"
         )

@@ -10,6 +10,7 @@ from estimator.arrays import Array
 from estimator.diagnosis.comparison.heldout import heldout_nll, heldout_rmse
 from estimator.diagnosis.hypotheses.ranking import Entry, Settings
 from estimator.diagnosis.thresholds import THRESHOLDS
+from estimator.effects import CATALOGUE
 from estimator.errors import DataError
 from estimator.identification.batch.disturbance_numbers import with_found_effects
 from estimator.identification.batch.full_fit import SPECTRAL_AND_SENSOR_EFFECTS, FullFit, fit_all_effects
@@ -29,7 +30,7 @@ Progress = Callable[[float, str], None]
 MAX_EFFECTS_ADDED = 5  # by one run
 VERDICTS_WITHOUT_EFFECT = ("complete", "unknown")
 # may lie out of the band or outside the likelihood, so the held-out likelihood does not judge them
-UNSCORED_EFFECTS = ("sensor_noise", "sensor_clipping", "imbalance", "bow", "line", "misalignment")
+UNSCORED_EFFECTS = tuple(name for name, e in CATALOGUE.items() if not e.in_likelihood)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.effects import NAMED
+from estimator.effects import LINE_NAMES, NAMED
 from estimator.effects.places import at, written
 from estimator.identification.finding import Finding, effect_use
 from estimator.identification.structure import noisy_sensor
@@ -41,16 +41,16 @@ def further_lines_found(model: Model, findings: list[Finding]) -> dict[str, dict
     A line of unknown frequency in the model stands for all lines at its location.
     """
     out: dict[str, dict[str, dict[str, Setting]]] = {}
-    uses = [(u, at(NAMED[u.name], u, model)) for u in model.effects if u.name in harmonics.LINE_NAMES]
+    uses = [(u, at(NAMED[u.name], u, model)) for u in model.effects if u.name in LINE_NAMES]
     for key in dict.fromkeys(key for _, keys in uses for key in keys):
         own = {u.name: written(NAMED[u.name], u, model, key).get("frequency", Setting()) for u, ks in uses if key in ks}
         if all(setting.value is not None for setting in own.values()):
             continue
-        free = [name for name in harmonics.LINE_NAMES if name not in own]
-        count = sum(s.effect == "line" and key in s.settings for s in findings) - len(own)
+        free = [name for name in LINE_NAMES if name not in own]
+        count = sum(s.effect in LINE_NAMES and key in s.settings for s in findings) - len(own)
         for name in free[: max(count, 0)]:
             out.setdefault(name, {})[key] = {}
-    return {name: out[name] for name in harmonics.LINE_NAMES if name in out}
+    return {name: out[name] for name in LINE_NAMES if name in out}
 
 
 def is_identifiable_by_force(use: EffectUse, model: Model) -> bool:
@@ -125,13 +125,14 @@ def _found_at_location(
     use: EffectUse, key: str, model: Model, findings: list[Finding], point: WorkingPoint
 ) -> dict[str, Parameter]:
     """Parameters found for an effect at a location, by parameter name."""
-    if use.name == "sensor_noise" and key in point.data.places:
+    if NAMED[use.name].adds_noise and key in point.data.places:
         return {"rms": noisy_sensor.sensor_noise_rms(point, point.data.places.index(key))}
-    if use.name == "bow":
-        return _bow_of_imbalance(model, [s.settings[key] for s in findings if s.effect == "imbalance"])
-    if use.name in harmonics.LINE_NAMES:
+    if NAMED[use.name].kind == "shaft":
+        on_disc = [s for s in findings if s.effect in NAMED and NAMED[s.effect].kind == "disc"]
+        return _bow_of_imbalance(model, [s.settings[key] for s in on_disc])
+    if use.name in LINE_NAMES:
         return _line_at_location(
-            use, key, model, [s.settings[key] for s in findings if s.effect == "line" and key in s.settings]
+            use, key, model, [s.settings[key] for s in findings if s.effect in LINE_NAMES and key in s.settings]
         )
     return next((s.settings[key] for s in findings if s.effect == use.name and key in s.settings), {})
 
@@ -146,7 +147,7 @@ def _line_at_location(
     lines = {
         u.name: written(NAMED[u.name], u, model, key).get("frequency", Setting()).value
         for u in model.effects
-        if u.name in harmonics.LINE_NAMES and key in at(NAMED[u.name], u, model)
+        if u.name in LINE_NAMES and key in at(NAMED[u.name], u, model)
     }
     remaining = list(lines_found)
     for name, hz in sorted(lines.items(), key=lambda item: not item[1]):

@@ -14,6 +14,8 @@ from itertools import starmap
 import numpy as np
 
 from estimator.arrays import Array
+from estimator.effects import CATALOGUE, LINE_NAMES
+from estimator.effects.excitation.coloured_excitation import COLOURED_EXCITATION
 from estimator.identification.machine import harmonic_fit, stiffness_order
 from estimator.identification.record import clipping
 from estimator.identification.record.declip import LOST_MESSAGE, RESTORED_MESSAGE, SPOILED_MESSAGE, restore_clipped
@@ -28,7 +30,7 @@ from estimator.identification.structure import (
 )
 from estimator.likelihood.fitting.fitted_values import fitted_parameters
 from estimator.likelihood.motion import harmonics, shaft_law
-from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, SPECTRAL_SHAPES, excitation_shapes
+from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes
 from estimator.likelihood.motion.located_law import clipped_places
 from estimator.likelihood.motion.motion_record import MotionRecord
 from estimator.likelihood.motion.prepare import prepare, shortening_messages
@@ -52,7 +54,11 @@ from .disturbance_numbers import (
 from .grid_start import fit_record
 from .linear_start import refuse_without_resonance, resonates
 
-SPECTRAL_AND_SENSOR_EFFECTS = (*SPECTRAL_SHAPES, "correlated_force", "sensor_clipping", "sensor_noise")
+SPECTRAL_AND_SENSOR_EFFECTS = tuple(
+    name
+    for name, e in CATALOGUE.items()
+    if e.found_by in ("spectrum", "coherence", "samples") and e.kind != "memory" and not e.flat_magnitude
+)
 MIN_RESOLVING_ROUNDS = 2  # fits of the laws and the disturbances in turn: each depends a little on the other
 MAX_RESOLVING_ROUNDS = 6  # while sensor faults at weakly coupled bearing caps still move
 
@@ -277,7 +283,8 @@ def _several_lines_message(
 ) -> tuple[Message, ...]:
     """A message if several lines were found where the model has one of unknown frequency."""
     names = [u.name for u in model.effects if u.name in further]
-    text = f"the effect line stands for several lines ({', '.join(['line', *names])}): fit --out writes each of them"
+    every = ", ".join([LINE_NAMES[0], *names])
+    text = f"the effect line stands for several lines ({every}): fit --out writes each of them"
     return (Message("several_lines", text),) if names else ()
 
 
@@ -285,7 +292,7 @@ def _coloured_levels(model: Model, found: Mapping[str, Parameter], point: Workin
     """S of the places whose coloured excitation was found, by full name."""
     out = {}
     for i, place in enumerate(point.data.places):
-        gain, corner = (found.get(f"{place}.coloured_excitation.{n}") for n in ("gain", "corner"))
+        gain, corner = (found.get(f"{place}.{COLOURED_EXCITATION.name}.{n}") for n in ("gain", "corner"))
         if gain and corner and gain.value is not None and corner.value is not None and (gain.sd or corner.sd):
             out[f"{place}.S"] = spectral_models.coloured_force_level(point, i, gain.value, corner.value)
     return out

@@ -14,6 +14,7 @@ from itertools import product
 import numpy as np
 
 from estimator.arrays import Array
+from estimator.effects.engine.custom import effect_of
 from estimator.identification.structure import spectral_models, transfer_bias
 from estimator.likelihood.fitting.gauss_newton import coarse_fit, fit_model
 from estimator.likelihood.motion.located_law import LocatedLaw, located_laws
@@ -68,7 +69,7 @@ def _without_pedestal_values(model: Model) -> Model:
         return {name: s if s.fixed else replace(s, value=None) for name, s in own.items()}
 
     uses = (
-        replace(u, parameters={p: bare(own) for p, own in u.parameters.items()}) if u.name == "pedestal" else u
+        replace(u, parameters={p: bare(own) for p, own in u.parameters.items()}) if effect_of(u).adds_resonance else u
         for u in model.effects
     )
     return replace(model, effects=tuple(uses))
@@ -84,7 +85,7 @@ def _with_pedestal_starts(
 
     uses : located laws at the values of the model. natural : the same laws with pedestals at their natural size.
     """
-    shaped = [k for k, use in enumerate(uses) if use.effect.name == "pedestal" and any(use.free)]
+    shaped = [k for k, use in enumerate(uses) if use.effect.adds_resonance and any(use.free)]
     others = [use for k, use in enumerate(uses) if k not in shaped and not _searched_parameters(use)]
     if not shaped:
         return uses, None

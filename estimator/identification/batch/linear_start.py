@@ -8,6 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from estimator.arrays import Array
+from estimator.effects import CATALOGUE
+from estimator.effects.engine.custom import effect_of
 from estimator.errors import DataError
 from estimator.likelihood.motion.denoise import denoising_filter, noise_displacement_psd, noise_is_negligible
 from estimator.likelihood.motion.force_balance import build_balance, motion_channels
@@ -28,7 +30,8 @@ from estimator.signals.blocks import FrequencyNodes, block_spectra, frequency_no
 
 LINEAR_START_S = 20.0  # of the record, for the start
 MIN_DAMPING_RATIO = 0.002  # of critical: lower end of the scan
-ENERGY_FEEDING_EFFECTS = ("cross_coupling", "rub")  # do work on the rotor: a fit without them may have no damping
+# do work on the rotor: a fit without them may have no damping
+ENERGY_FEEDING_EFFECTS = tuple(name for name, e in CATALOGUE.items() if e.feeds_energy)
 START_MASSES_REL = np.array([0.05, 0.15, 0.5, 1.5])  # of the disc: start values of unknown cap masses
 
 
@@ -239,4 +242,4 @@ def _refuse_bad_start(place: str, m: float, c: float, kL: float, record: Record)
 def may_be_fed_energy(model: Model, place: str) -> bool:
     """Whether the model has an effect at a place that may do work on the rotor."""
     own = (place, place.split(".")[0])
-    return any(p in own for u in model.effects if u.name in ENERGY_FEEDING_EFFECTS or u.custom for p in u.parameters)
+    return any(p in own for u in model.effects if u.custom or effect_of(u).feeds_energy for p in u.parameters)

@@ -19,12 +19,11 @@ from estimator.effects.places import written
 from estimator.identification.finding import effect_use
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.harmonics import (
-    FREQUENCY_PARAMETER,
-    LINE_NAMES,
     NOT_IDENTIFIABLE_TEXT,
     PeriodicEffect,
     acts_on,
     below_band_forces,
+    frequency_index,
     periodic_amplitudes,
     periodic_effects,
     periodic_series,
@@ -151,7 +150,7 @@ def _one_step(model: Model, one: PeriodicEffect, point: WorkingPoint, force: Ser
     if inside.size == 0 or not loose:
         return None
     # theta per unit of the frequency parameter
-    turned = 2 * np.pi * data.t if one.effect.name in LINE_NAMES else data.phase
+    turned = 2 * np.pi * data.t if one.effect.state == "time" else data.phase
     pieces = _piece_index(turned.size)
     middle = np.bincount(pieces, turned) / np.bincount(pieces)
     ratio = np.bincount(pieces, shaft_speeds(data.t, data.phase)) / np.bincount(pieces) / (2 * np.pi * one.hz)
@@ -163,7 +162,7 @@ def _one_step(model: Model, one: PeriodicEffect, point: WorkingPoint, force: Ser
         seen = demodulate(force[i], one.angle(data.t, data.phase), count)[:, inside]
         slopes = np.zeros((len(loose), *seen.shape), complex)
         for j, k in enumerate(loose):
-            if k == FREQUENCY_PARAMETER.get(one.effect.name):
+            if k == frequency_index(one.effect):
                 F = one.harmonics(model, place, count)[inside]
                 slopes[j] = 1j * (1 + inside) * F * middle[:, None]
             else:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc
 
 from estimator.arrays import Array
-from estimator.effects import CATALOGUE
 from estimator.effects.places import kinematic, orders
+from estimator.effects.rotating.local_defect import LOCAL_DEFECT
 from estimator.identification.finding import Finding
 from estimator.likelihood.path.working_point import WorkingPoint, tangent_at
 from estimator.model.rig import Model
@@ -224,9 +224,9 @@ def _defect_finding(
             "width": Parameter(width, 2 * np.pi / bins, "rad"),
         }
         power[i] = max(float(np.mean(folded**2)) - sd**2, 0.0)
-    effect = CATALOGUE["local_defect"]
+    effect = LOCAL_DEFECT
     return Finding(
-        effect="local_defect",
+        effect=LOCAL_DEFECT.name,
         at=tuple(places),
         gain_nats=gained,
         dof=4 * len(places),

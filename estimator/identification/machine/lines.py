@@ -19,6 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes
+from estimator.effects.engine.custom import effect_of
+from estimator.effects.excitation.line import LINE
+from estimator.effects.rotating.imbalance import IMBALANCE
+from estimator.effects.rotating.misalignment import MISALIGNMENT
 from estimator.identification.finding import Finding
 from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE
 from estimator.likelihood.motion.force_balance import shaft_notch
@@ -54,7 +58,7 @@ def find_lines(model: Model, point: WorkingPoint, y: Array) -> list[Finding]:
         or (s.over_neighbours(hz) > threshold and not _loads_caps_alike(point, s, hz))
     ]
     out: list[Finding] = []
-    if rotation > 0.0 and not any(use.name == "local_defect" for use in model.effects):
+    if rotation > 0.0 and not any(effect_of(use).harmonics == "all" for use in model.effects):
         turned = order_spectrum(s)
         own = lines if turned is s else _outstanding_lines(turned, known, threshold)
         defect, fundamental = impact_train.find_impact_train(model, point, turned, own, rotation, known)
@@ -202,7 +206,7 @@ def _line_finding(
     if not order and rotation > 0:
         what += f", {hz / rotation:.3f} x shaft speed"
     return Finding(
-        effect="misalignment" if order == 2 else "line",
+        effect=MISALIGNMENT.name if order == 2 else LINE.name,
         at=tuple(point.data.places[i] for i in at),
         gain_nats=total,
         dof=len(at) * 2 + (order != 2),
@@ -240,7 +244,7 @@ def _imbalance_finding(
         return None
     sd = float(np.sqrt(0.5 / np.sum(np.abs(weights) ** 2 / noise)))
     return Finding(
-        effect="imbalance",
+        effect=IMBALANCE.name,
         at=("disc",),
         gain_nats=explained,
         dof=2,

@@ -17,11 +17,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from estimator.effects import CATALOGUE
 from estimator.model.rig import DIRECTIONS, Model
 from estimator.results import Parameter
 
 MAX_SHAFT_MASS_SD_REL = 0.25  # of a mass that the shaft gives: four standard deviations
-POWER_EFFECTS = {"quadratic": (2, "kq"), "cubic": (3, "kNL"), "quintic": (5, "k5")}
+POWER_EFFECTS = {name: (n, e.parameters[0].name) for name, e in CATALOGUE.items() if (n := e.power)}
 POWER_UNITS = {1: "N/m", 2: "N/m^2", 3: "N/m^3", 5: "N/m^5"}
 
 

@@ -17,10 +17,15 @@ import math
 import numpy as np
 
 from estimator.arrays import Array
+from estimator.effects import CATALOGUE
 from estimator.model.rig import Model
 from estimator.results import Message
 
-ORDERS_BY_EFFECT = {"imbalance": (1,), "bow": (1,), "misalignment": (1, 2)}  # of the shaft speed
+ORDERS_BY_EFFECT = {  # of the shaft speed, up to the highest: what makes the second makes some of the first
+    name: tuple(range(1, max(e.harmonics) + 1))
+    for name, e in CATALOGUE.items()
+    if isinstance(e.harmonics, tuple) and e.turns
+}
 WINDOW_S = 1.0  # of one least-squares fit
 
 

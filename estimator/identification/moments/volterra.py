@@ -27,7 +27,7 @@ from estimator.results import Fit, Message, Parameter
 from estimator.signals.band_limit import band_limit
 
 from .batch_means import BlockMoments
-from .planes import Plane, density_band, planes_of
+from .planes import POWER_EFFECTS, Plane, density_band, planes_of
 
 FIT_BLOCKS = 64  # of a record, for the covariance
 MIN_ROWS = 8192  # of a fit
@@ -180,7 +180,7 @@ def fit_volterra(model: Model, y: Array, rate_hz: float) -> Fit:
             notes.append(Message("motion_unexplained", text, cap.place))
     if not found:
         raise DataError('no channel of kind "force" at a measured cap: volterra needs one; use another method')
-    ignored = [e.name for e in model.effects if e.name != "cubic"]
+    ignored = [e.name for e in model.effects if POWER_EFFECTS.get(e.name, (0,))[0] != 3]
     if ignored:
         text = f"volterra fits only the linear and the cubic law; left out: {', '.join(ignored)}"
         notes.append(Message("effects_ignored", text))

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.special import betainc
 
 from estimator.arrays import Array
+from estimator.effects.sensor.sensor_clipping import SENSOR_CLIPPING
 from estimator.identification.finding import Finding
 from estimator.model.rig import Model
 from estimator.results import Message, Parameter
@@ -99,7 +100,7 @@ def pileup_p_value(count: int) -> float:
 def find_clipping(model: Model, y: Array) -> list[Finding]:
     """Clipped channels of motion that the model does not call clipped. y : (n, channels)."""
     out = []
-    have = {p for u in model.effects if u.name == "sensor_clipping" for p in u.parameters}
+    have = {p for u in model.effects if u.name == SENSOR_CLIPPING.name for p in u.parameters}
     for k, channel in enumerate(model.channels):
         if channel.place in have or channel.place not in model.places or channel.kind == "force":
             continue
@@ -110,7 +111,7 @@ def find_clipping(model: Model, y: Array) -> list[Finding]:
         place = model.places.index(channel.place)
         out.append(
             Finding(
-                effect="sensor_clipping",
+                effect=SENSOR_CLIPPING.name,
                 at=(channel.place,),
                 gain_nats=float(count),
                 dof=1,

@@ -20,7 +20,7 @@ import numpy as np
 
 from estimator.arrays import Array
 from estimator.effects.places import kinematic
-from estimator.identification.finding import SPECTRAL_EFFECTS, DisturbanceForce, Finding, disturbance_forces
+from estimator.identification.finding import DisturbanceForce, Finding, disturbance_forces, is_cause_of_spectrum
 from estimator.likelihood.path.path_fit import PathFit
 from estimator.likelihood.path.subproblem import Subproblem
 from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
@@ -210,7 +210,7 @@ class MissingForce:
 
         def counts(f: Finding) -> bool:
             """Whether a finding is one of its own: a missing law shapes the spectrum of the residual force too."""
-            return f.effect not in SPECTRAL_EFFECTS or all(f.gain_nats > by_state.get(i, 0.0) for i in f.power_N2)
+            return not is_cause_of_spectrum(f.effect) or all(f.gain_nats > by_state.get(i, 0.0) for i in f.power_N2)
 
         return replace(self, disturbances=tuple(disturbance_forces([f for f in others if counts(f)])))
 

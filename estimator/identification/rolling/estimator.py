@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.arrays import Array
+from estimator.effects import CATALOGUE
 from estimator.errors import DataError, NotFiniteError
 from estimator.identification.batch.line_notches import start_without_lines
 from estimator.identification.batch.report import judged_parameters
@@ -27,6 +28,7 @@ from estimator.model.rig import Model
 from estimator.results import Estimate
 from estimator.signals.band_limit import BandLimit, BandLimitedMotion
 from estimator.signals.blocks import BlockLayout, block_layout
+from estimator.signals.channel_response import RESPONSE_EFFECTS, fault_response
 from estimator.signals.shaft_angle import ShaftAngle
 
 from .scope import rolling_scope
@@ -291,7 +293,8 @@ def _sensor_gains(model: Model) -> Array:
     """(channels,) gain of each channel by the sensor gain errors that the model gives."""
     out = np.ones(len(model.channels))
     for use in model.effects:
-        for place, settings in use.parameters.items() if use.name == "sensor_gain" else ():
+        gain = use.name in RESPONSE_EFFECTS and CATALOGUE[use.name].scales_channel
+        for place, settings in use.parameters.items() if gain else ():
             own = [k for k, c in enumerate(model.channels) if c.place == place and c.kind != "force"]
-            out[own] += settings["error"].value or 0.0
+            out[own] *= fault_response(use.name, {name: s.value for name, s in settings.items()}, np.zeros(1))[0].real
     return out

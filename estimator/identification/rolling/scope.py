@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.places import at, kinematic, written
 from estimator.likelihood.motion.harmonics import PERIODIC_EFFECTS
-from estimator.likelihood.motion.known_spectra import SPECTRAL_SHAPES
 from estimator.model.disc import disc_of
 from estimator.model.effect import Effect
 from estimator.model.rig import DIRECTIONS, EffectUse, Model, Setting
@@ -73,9 +72,9 @@ def rolling_scope(model: Model) -> RollingScope:
                 }
                 if effect.kind == "shaft" and effect.name not in PERIODIC_EFFECTS:
                     lacking |= {p: BREATHING_SHAFT_REASON for p in model.places if _crack_is_felt(own, model, p)}
-                elif effect.name == "sensor_clipping":
+                elif effect.found_by == "samples":
                     lacking |= dict.fromkeys([key], CLIPPED_REASON)
-                elif missing and effect.name != "sensor_gain":
+                elif missing and not effect.scales_channel:
                     places = (p for p in model.places if key in (p, p.split(".")[0]))
                     lacking |= dict.fromkeys(
                         places, f"not without the {', '.join(missing)} of {use.name}: {WRITE_HINT}"
@@ -102,7 +101,12 @@ def _crack_is_felt(own: Mapping[str, Setting], model: Model, place: str) -> bool
 
 def _is_estimated_or_held(effect: Effect) -> bool:
     """Whether an effect is estimated or held, not left to a fit."""
-    return _is_state_law(effect) or effect.kind == "memory" or effect.name in (*SPECTRAL_SHAPES, "sensor_gain")
+    return _is_state_law(effect) or effect.kind == "memory" or _is_undone_as_given(effect)
+
+
+def _is_undone_as_given(effect: Effect) -> bool:
+    """Whether an effect is a known spectral shape or a gain, undone at the values of the rig file."""
+    return effect.spectral_factor is not None or effect.scales_channel
 
 
 def _is_state_law(effect: Effect) -> bool:
@@ -116,7 +120,7 @@ def _held_parameters(effect: Effect, model: Model, remembers: bool) -> list[str]
     remembers : whether a force of the model has memory; then no nonlinear parameter is searched. A shaft order of a
     parametric stiffness is never searched: the first seconds do not give it well enough to keep the phase.
     """
-    if effect.name in (*SPECTRAL_SHAPES, "sensor_gain"):
+    if _is_undone_as_given(effect):
         return [q.name for q in effect.parameters]
     if effect.kind != "memory" and not _is_state_law(effect):
         return []
@@ -127,7 +131,7 @@ def _held_parameters(effect: Effect, model: Model, remembers: bool) -> list[str]
 
 def _reason_not_estimated(effect: Effect, missing: list[str]) -> str:
     """Why a rolling estimate has no parameters of an effect. missing : held parameters without a value."""
-    if missing and effect.name != "sensor_gain":
+    if missing and not effect.scales_channel:
         return f"to be given: {WRITE_HINT}"
     if effect.name in PERIODIC_EFFECTS:
         return f"as it rolls its lines are left out: {FIT_HINT}"

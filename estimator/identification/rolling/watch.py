@@ -19,11 +19,9 @@ from estimator.likelihood.path.gram_likelihood import Likelihood, Point
 from estimator.model.rig import EffectUse, Model
 
 # one effect of each kind of state dependence, nonlinear parameters at their defaults
-DEFAULT_CANDIDATES = (
-    "cubic", "quintic", "quadratic", "clearance", "coulomb", "quadratic_damping", "displacement_damping",
-    "cross_coupling", "anisotropy",
-)  # fmt: skip
-UNWATCHABLE_EFFECTS = ("line", "stiffness_drift")  # have a frequency or a time scale to be searched
+DEFAULT_CANDIDATES = tuple(name for name, e in CATALOGUE.items() if e.watched)
+# have a frequency or a time scale to be searched
+UNWATCHABLE_EFFECTS = tuple(name for name, e in CATALOGUE.items() if e.state == "time")
 MAX_FALSE_ALARM_P = 1e-6  # per look and candidate
 MAX_STEP_NATS = 10.0  # up to which one Newton step is good enough
 

@@ -17,6 +17,8 @@ from scipy.special import chdtrc
 from estimator.arrays import Array, Complexes
 from estimator.effects import CATALOGUE
 from estimator.effects.places import at, written
+from estimator.effects.sensor.sensor_gain import SENSOR_GAIN
+from estimator.effects.sensor.sensor_skew import SENSOR_SKEW
 from estimator.identification.finding import Finding
 from estimator.likelihood.motion.force_balance import shaft_notch
 from estimator.likelihood.path.subproblem import Subproblem, subproblem
@@ -28,7 +30,7 @@ from estimator.parallel import map_threads
 from estimator.results import Parameter
 from estimator.signals.channel_response import GAIN_AND_DELAY, RESPONSE_EFFECTS
 
-GAIN_EFFECT, SKEW_EFFECT = GAIN_AND_DELAY
+GAIN_EFFECT, SKEW_EFFECT = SENSOR_GAIN.name, SENSOR_SKEW.name
 # Changes of B: ln of its size in the first cap's force and in the second's, its delay (s) and, in the second's, advance
 FAULT_PATTERNS = {GAIN_EFFECT: (1.0, -1.0, 0.0, 0.0), SKEW_EFFECT: (0.0, 0.0, 1.0, 1.0)}
 OTHER_PATTERNS = (
@@ -84,7 +86,7 @@ def find_coupled_sensor_faults(model: Model, point: WorkingPoint) -> list[Findin
         here = {point.data.places[i], point.data.places[j]}
         uses = [use for use in model.effects if use.name in RESPONSE_EFFECTS]
         used = {use.name for use in uses if here.intersection(at(CATALOGUE[use.name], use, model))}
-        if "sensor_resonance" in used:  # undone, by numbers whose errors would be a delay
+        if not used.issubset(GAIN_AND_DELAY):  # undone, by numbers whose errors would be a delay
             continue
         if names := [name for name in _told(model, point, i, j) if name not in used]:
             out += _found(point, _between(model, point, i, j), names)

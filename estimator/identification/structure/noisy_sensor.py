@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.arrays import Array
+from estimator.effects.sensor.sensor_noise import SENSOR_NOISE
 from estimator.identification.finding import Finding
 from estimator.likelihood.fitting.path_spectra import PathSpectra
 from estimator.likelihood.fitting.transfer_function import (
@@ -36,7 +37,7 @@ def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: 
     """
     data = point.data
     out, heard = [], data.heard(point.A)
-    have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
+    have = {place for u in model.effects if u.name == SENSOR_NOISE.name for place in u.parameters}
     known = [k for k in range(len(data.places)) if k not in shaped]
     plain = [k for k in known if not any(fitted_shape(model, data.places[k], name) for name in SHAPE_PARAMETERS)]
     for i in known:
@@ -55,7 +56,7 @@ def find_noisy_sensors(model: Model, point: WorkingPoint, noise: Array, shaped: 
         name, unit = next(c.name for c in model.channels if c.place == place), MOTION[data.kinds[i]]
         out.append(
             Finding(
-                effect="sensor_noise",
+                effect=SENSOR_NOISE.name,
                 at=(place,),
                 gain_nats=gain,
                 dof=1,
@@ -96,7 +97,7 @@ def find_noisy_sensors_under_force(
     heard : by location, the path spectra without a cause, their fit and the scales of its numbers.
     """
     data = point.data
-    have = {place for u in model.effects if u.name == "sensor_noise" for place in u.parameters}
+    have = {place for u in model.effects if u.name == SENSOR_NOISE.name for place in u.parameters}
     out = []
     for i, (r, base, scale) in heard.items():
         place = data.places[i]
@@ -119,7 +120,7 @@ def find_noisy_sensors_under_force(
         power = float((density * r.noise * np.abs(r.A) ** 2) @ r.hz)
         out.append(
             Finding(
-                effect="sensor_noise",
+                effect=SENSOR_NOISE.name,
                 at=(place,),
                 gain_nats=gain,
                 dof=1,

@@ -10,11 +10,13 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.arrays import Array
+from estimator.effects.excitation.coloured_excitation import COLOURED_EXCITATION
+from estimator.effects.sensor.sensor_resonance import SENSOR_RESONANCE
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.model.recorder import POWERS, Filter, RollOff, devices, images
 from estimator.model.rig import Model
 from estimator.parallel import map_processes
-from estimator.signals.channel_response import SHAPE_PARAMETERS, fitted_shape
+from estimator.signals.channel_response import fitted_shape
 
 from . import spectral_models
 from .filter_search import Seen, Standing, likeliest, mean_or_none
@@ -92,9 +94,11 @@ def _seen_places(point: WorkingPoint, own: list[MeasuredPlace], shaped: Mapping[
 
 def _shape_numbers(model: Model, point: WorkingPoint, i: int) -> ShapeNumbers:
     """Numbers of sensor resonance, excitation shape and pedestal of the model at location i; None where missing."""
-    resonance, colour = (fitted_shape(model, point.data.places[i], name) for name in SHAPE_PARAMETERS)
+    resonance, colour = (
+        fitted_shape(model, point.data.places[i], name) for name in (SENSOR_RESONANCE.name, COLOURED_EXCITATION.name)
+    )
     for use in point.placed:
-        if use.effect.name == "pedestal" and i in use.at:
+        if use.effect.adds_resonance and i in use.at:
             mass, frequency, damping = use.p.tolist()
             return resonance, colour, Standing(point.kL[i], point.c[i], (mass, frequency, damping))
     return resonance, colour, None

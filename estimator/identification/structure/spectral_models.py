@@ -9,6 +9,9 @@ from functools import partial
 import numpy as np
 
 from estimator.arrays import Array
+from estimator.effects.excitation.coloured_excitation import COLOURED_EXCITATION
+from estimator.effects.excitation.pedestal import PEDESTAL
+from estimator.effects.sensor.sensor_resonance import SENSOR_RESONANCE
 from estimator.likelihood.fitting.noise_level import MIN_NOISE_RATIO
 from estimator.likelihood.path.working_point import WorkingPoint
 from estimator.results import Parameter
@@ -67,7 +70,7 @@ def _coloured_shape(place_peak: float) -> SpectralShape:
 
     starts = tuple((g, float(np.log(place_peak * f))) for g in (0.6, 1.5, -0.5) for f in (0.4, 1.0, 2.5))
     return SpectralShape(
-        effect="coloured_excitation",
+        effect=COLOURED_EXCITATION.name,
         names=("gain", "corner"),
         units=("1", "Hz"),
         starts=starts,
@@ -90,7 +93,7 @@ def _resonance_shape(top: float) -> SpectralShape:
 
     starts = tuple((float(np.log(top * f)), float(np.log(q))) for f in (0.25, 0.45, 0.7, 1.0, 1.4) for q in (4, 25))
     return SpectralShape(
-        effect="sensor_resonance",
+        effect=SENSOR_RESONANCE.name,
         names=("frequency", "quality"),
         units=("Hz", "1"),
         starts=starts,
@@ -123,7 +126,7 @@ def _pedestal_shape(mass: float, kL: float, c0: float, peak: float) -> SpectralS
 
     names, units = ("mass", "frequency", "damping"), ("kg", "Hz", "1")
     return SpectralShape(
-        effect="pedestal",
+        effect=PEDESTAL.name,
         names=names,
         units=units,
         starts=pedestal_form.pedestal_starts(peak),
@@ -195,7 +198,7 @@ def best_other_deviance(point: WorkingPoint, i: int, c: SpectralCells, level: fl
     for shape in spectral_causes(point, i):
         found, z, _ = fit_shape(c, shape, u, scale)
         values = shape.values(z[4:])
-        if is_peakless(shape.effect, values, top) or (shape.effect == "coloured_excitation" and values[1] > top):
+        if is_peakless(shape.effect, values, top) or (shape.effect == COLOURED_EXCITATION.name and values[1] > top):
             continue
         least = min(least, -2 * found)
     return least
@@ -251,4 +254,4 @@ def fit_shape(c: SpectralCells, shape: SpectralShape, u: Array, scale: Array) ->
 
 def is_peakless(effect: str, values: Array, top_hz: float) -> bool:
     """Whether a sensor resonance lies above the band and has no peak: an anti-alias roll-off looks the same."""
-    return effect == "sensor_resonance" and bool(values[0] > top_hz and values[1] < MIN_PEAK_QUALITY)
+    return effect == SENSOR_RESONANCE.name and bool(values[0] > top_hz and values[1] < MIN_PEAK_QUALITY)

@@ -13,7 +13,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.arrays import Array
-from estimator.effects import CATALOGUE
+from estimator.effects.excitation.correlated_force import CORRELATED_FORCE
+from estimator.effects.excitation.pedestal import PEDESTAL
 from estimator.identification.finding import UNKNOWN_EFFECT, Finding
 from estimator.likelihood.fitting.gauss_newton import fit_model
 from estimator.likelihood.motion.known_spectra import FORCE_SHAPES, excitation_shapes
@@ -103,7 +104,7 @@ def _same_cause_elsewhere(
     white : locations without a significant shape: index, cells, log-likelihood, numbers and scales of the base model.
     taken : (effect, location) in the model. shaped : indices of locations with a shape; new ones are added.
     """
-    best = max((s for s in found if s.effect == "pedestal"), key=lambda s: s.gain_nats, default=None)
+    best = max((s for s in found if s.effect == PEDESTAL.name), key=lambda s: s.gain_nats, default=None)
     if best is None or best.gain_nats < max(s.gain_nats for s in found):
         return []
     out = []
@@ -136,7 +137,9 @@ def _shape_findings(
         gain = found - level
         if gain < MIN_EXPLAINED_SHARE * (-level - 0.5 * (c.n.size - 4)):
             continue
-        if shape.effect == "pedestal" and (pedestal_form.is_at_limit(z[4:]) or _bearing_drives_rotor(point, i, z, sd)):
+        if shape.effect == PEDESTAL.name and (
+            pedestal_form.is_at_limit(z[4:]) or _bearing_drives_rotor(point, i, z, sd)
+        ):
             continue
         q = len(shape.names)
         values = shape.values(z[4:])
@@ -218,7 +221,7 @@ def _find_shared_force(model: Model, point: WorkingPoint) -> list[Finding]:
     """Forces shared by the two bearings, from the coherence of their residual forces, by direction."""
     data = point.data
     out = []
-    have = {p for u in model.effects if u.name == "correlated_force" for p in u.parameters}
+    have = {p for u in model.effects if u.name == CORRELATED_FORCE.name for p in u.parameters}
     for i, place in enumerate(data.places):
         j = data.opposite(i)
         if j is None or j < i or place in have or data.driven[i] > 0.0 or data.driven[j] > 0.0:
@@ -237,7 +240,7 @@ def _find_shared_force(model: Model, point: WorkingPoint) -> list[Finding]:
         sd = (1 - rho**2) / np.sqrt(2 * n)
         out.append(
             Finding(
-                effect="correlated_force",
+                effect=CORRELATED_FORCE.name,
                 at=(place,),
                 gain_nats=gain,
                 dof=1,
@@ -246,7 +249,7 @@ def _find_shared_force(model: Model, point: WorkingPoint) -> list[Finding]:
                 against="other_bearing",
                 region=f"the forces at {place} and {data.places[j]} are correlated by {100 * rho:.0f} %",
                 settings={place: {"rho": Parameter(rho, float(sd), "1")}},
-                note=CATALOGUE["correlated_force"].distinguish,
+                note=CORRELATED_FORCE.distinguish,
                 detectable=(float(5 / np.sqrt(2 * n)), "1"),
             )
         )

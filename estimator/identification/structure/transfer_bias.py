@@ -10,7 +10,11 @@ import numpy as np
 
 from estimator.arrays import Array, Complexes
 from estimator.effects import CATALOGUE
+from estimator.effects.excitation.pedestal import PEDESTAL
 from estimator.effects.places import at, written
+from estimator.effects.sensor.sensor_gain import SENSOR_GAIN
+from estimator.effects.sensor.sensor_resonance import SENSOR_RESONANCE
+from estimator.effects.sensor.sensor_skew import SENSOR_SKEW
 from estimator.likelihood.fitting.folded_force import images, of_late_sensor
 from estimator.likelihood.fitting.path_spectra import PathSpectra
 from estimator.likelihood.fitting.transfer_function import (
@@ -81,7 +85,7 @@ def _pedestal_cause(mass: float, peak: float) -> TransferCause:
         partial(pedestal_form.pedestal_coordinates, cap_mass=mass),
     )
     return TransferCause(
-        effect="pedestal", starts=pedestal_form.pedestal_starts(peak), values=values, free=free, bend=bend
+        effect=PEDESTAL.name, starts=pedestal_form.pedestal_starts(peak), values=values, free=free, bend=bend
     )
 
 
@@ -122,9 +126,9 @@ def transfer_causes(point: WorkingPoint, i: int, have: Mapping[str, Mapping[str,
     ) + ((float(np.log(30 * top)), 0.0),)
     return [
         _pedestal_cause(float(data.mass[i]), peak),
-        _sensor_cause("sensor_gain", GAIN_STARTS, 1.0, have.get("sensor_gain", {})),
-        _sensor_cause("sensor_skew", SKEW_STARTS, 1.0 / data.rate_hz, have.get("sensor_skew", {})),
-        _sensor_cause("sensor_resonance", resonances, 0.0, have.get("sensor_resonance", {})),
+        _sensor_cause(SENSOR_GAIN.name, GAIN_STARTS, 1.0, have.get(SENSOR_GAIN.name, {})),
+        _sensor_cause(SENSOR_SKEW.name, SKEW_STARTS, 1.0 / data.rate_hz, have.get(SENSOR_SKEW.name, {})),
+        _sensor_cause(SENSOR_RESONANCE.name, resonances, 0.0, have.get(SENSOR_RESONANCE.name, {})),
     ]
 
 
@@ -205,7 +209,7 @@ def refine_sensor_faults(model: Model, point: WorkingPoint) -> tuple[Model, dict
             (cause,) = (c for c in transfer_causes(point, i, {use.name: now}) if c.effect == use.name)
             starts = [cause.free(np.array([now[n] for n in cause.names])), *map(np.array, cause.starts)]
             r = path_spectra_of(point, i, lines)
-            late = of_late_sensor(r, point.data.rate_hz) if use.name == "sensor_skew" else None
+            late = of_late_sensor(r, point.data.rate_hz) if use.name == SENSOR_SKEW.name else None
             peaks = [fit_cause(point, i, z, cause, *fit_linear_path(point, i, z), starts) for z in (r, late) if z]
             best = cause_parameters(cause, max(peaks, key=lambda peak: peak.nats))
             new.pop(key.split(".")[0], None)

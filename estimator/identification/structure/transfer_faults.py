@@ -15,7 +15,10 @@ import numpy as np
 from scipy.special import chdtrc
 
 from estimator.arrays import Array, Complexes
-from estimator.effects import CATALOGUE
+from estimator.effects.excitation.pedestal import PEDESTAL
+from estimator.effects.sensor.sensor_gain import SENSOR_GAIN
+from estimator.effects.sensor.sensor_resonance import SENSOR_RESONANCE
+from estimator.effects.sensor.sensor_skew import SENSOR_SKEW
 from estimator.identification.finding import UNKNOWN_EFFECT, Finding
 from estimator.identification.residual.missing_force import NEGLIGIBLE_FORCE_SHARE
 from estimator.likelihood.fitting.folded_force import of_late_sensor
@@ -50,10 +53,14 @@ READING_TOLERANCE_NATS = 10.0  # within which the remaining force is read as sen
 DELAY_GAIN_REL = 0.99  # of the gain (nats) of the likeliest cause, that a delay must have
 MIN_GAIN_ERROR_REL = 2e-3  # of a sensor gain: less is within any calibration and weighing of a cap
 EFFECT_NOTES = {
-    "pedestal": CATALOGUE["pedestal"].distinguish,
-    "sensor_gain": "a cap mass in the rig file wrong by this factor, or a force channel by the inverse, looks the same",
-    "sensor_skew": "a force channel that is early by as much looks the same: only the relative delay is identifiable",
-    "sensor_resonance": CATALOGUE["sensor_resonance"].distinguish,
+    PEDESTAL.name: PEDESTAL.distinguish,
+    SENSOR_GAIN.name: (
+        "a cap mass in the rig file wrong by this factor, or a force channel by the inverse, looks the same"
+    ),
+    SENSOR_SKEW.name: (
+        "a force channel that is early by as much looks the same: only the relative delay is identifiable"
+    ),
+    SENSOR_RESONANCE.name: SENSOR_RESONANCE.distinguish,
 }
 
 
@@ -134,7 +141,7 @@ class TriedCauses:
     def late(self) -> bool:
         """Whether a delay is as likely as any cause; a resonance far above the band is hardly likelier."""
         gains = {cause.effect: peak.nats - self.base.nats for cause, peak in self.causes.items()}
-        return gains.get("sensor_skew", 0.0) > DELAY_GAIN_REL * max(gains.values(), default=0.0)
+        return gains.get(SENSOR_SKEW.name, 0.0) > DELAY_GAIN_REL * max(gains.values(), default=0.0)
 
     @property
     def likely(self) -> float:
@@ -203,7 +210,7 @@ def _try_causes(
     place = point.data.places[i]
     base, scale = fit_linear_path(point, i, r)
     taken = {u.name for u in model.effects if place in u.parameters or place.split(".")[0] in u.parameters}
-    taken |= {"sensor_gain"} if model.cap_mass(place) is None else set()
+    taken |= {SENSOR_GAIN.name} if model.cap_mass(place) is None else set()
     if about is None:
         starts = {c: [np.array(z) for z in c.starts] for c in transfer_causes(point, i, {}) if c.effect not in taken}
     else:
@@ -218,12 +225,12 @@ def _place_findings(model: Model, point: WorkingPoint, i: int, at_place: TriedCa
     least = (NEGLIGIBLE_FORCE_SHARE * point.bearing_force[i]) ** 2
     judge = partial(_cause_finding, point, i, r, base, least)
     out = [f for cause, peak in tried.items() for f in judge(cause, CAUSE_NUMBERS, peak, base)]
-    late = next((peak for cause, peak in tried.items() if cause.effect == "sensor_skew"), base)
+    late = next((peak for cause, peak in tried.items() if cause.effect == SENSOR_SKEW.name), base)
     if at_place.late and not _is_biased(r, late, least):
-        out = [f for f in out if f.effect != "sensor_resonance"]
+        out = [f for f in out if f.effect != SENSOR_RESONANCE.name]
     best = at_place.best
     if not _is_biased(r, best, least):
-        gain = next((peak for cause, peak in tried.items() if cause.effect == "sensor_gain"), None)
+        gain = next((peak for cause, peak in tried.items() if cause.effect == SENSOR_GAIN.name), None)
         slight = gain is not None and abs(gain.u[4]) < MIN_GAIN_ERROR_REL and not _is_biased(r, gain, least)
         return [] if slight else out
     near = {(a, b): _fit_two_causes(point, i, r, a, b, tried, scale).nats for a, b in combinations(tried, 2)}

@@ -19,7 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Complexes, Series
-from estimator.effects import MORE_LINES, NAMED
+from estimator.effects import NAMED
 from estimator.effects.engine.law_loop import force_array
 from estimator.effects.places import at, kinematic, values, written
 from estimator.errors import ModelError
@@ -28,8 +28,7 @@ from estimator.model.rig import Model, Setting
 from estimator.model.rotor import shaft_at_caps
 from estimator.signals.band_limit import passband
 
-LINE_NAMES = ("line", *MORE_LINES)
-PERIODIC_EFFECTS = ("imbalance", "bow", "misalignment", "local_defect", *LINE_NAMES)
+PERIODIC_EFFECTS = tuple(name for name, effect in NAMED.items() if effect.found_by == "harmonics")
 POINTS_PER_TURN = 1 << 14
 NOT_IDENTIFIABLE_TEXT = "not distinguishable from zero in this record"
 MIN_BAND_GAIN = 1e-4  # gain of the band filter below which a harmonic is neglected
@@ -37,7 +36,6 @@ SPEED_RATIOS = np.geomspace(0.1, 10.0, 1201)  # speeds over the mean speed at wh
 MAX_SPEED_CHANGE_REL = 1e-3  # up to which the speed counts as constant
 SPEED_REACH_S = 0.25  # to either side, over which the speed is averaged
 MAX_HARMONICS = 399
-FREQUENCY_PARAMETER = {"local_defect": 1} | dict.fromkeys(LINE_NAMES, 2)  # index of the parameter that scales the angle
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,15 +50,16 @@ class PeriodicEffect:
 
     def angle(self, t: Array, phase: Array) -> Array:
         """(n,) theta, rad."""
-        if self.effect.name in LINE_NAMES:
+        if self.effect.state == "time":
             return np.asarray(2 * np.pi * self.hz * t)
-        return phase * self.p[1] if self.effect.name == "local_defect" else phase
+        k = frequency_index(self.effect)
+        return phase if k is None else phase * self.p[k]
 
     def harmonics(self, model: Model, place: str, count: int, p: Array | None = None) -> Complexes:
         """(count,) F_1, F_2, ... in N of the force on a cap; the mean is of no interest."""
         p = self.p if p is None else p
         theta = 2 * np.pi * (np.arange(POINTS_PER_TURN) + 0.5) / POINTS_PER_TURN
-        f = FREQUENCY_PARAMETER.get(self.effect.name)
+        f = frequency_index(self.effect)
         own = p.copy()
         if f is not None:
             own[f] = 1.0  # the law over one turn does not depend on it
@@ -71,9 +70,8 @@ class PeriodicEffect:
         k = np.arange(1.0, count + 1)
         F = -2.0 / POINTS_PER_TURN * np.fft.rfft(law)[1 : count + 1] * np.exp(-0.5j * k * 2 * np.pi / POINTS_PER_TURN)
         if self.effect.kind in ("disc", "shaft"):
-            F *= cap_force_per_shaft_force(model, place, np.asarray(2 * np.pi * self.hz * k)) - (
-                0.5 if self.effect.name == "bow" else 0.0
-            )
+            on_caps = 0.5 if self.effect.kind == "shaft" else 0.0  # half of what a shaft's force puts on the disc
+            F *= cap_force_per_shaft_force(model, place, np.asarray(2 * np.pi * self.hz * k)) - on_caps
         return np.asarray(F)
 
     def highest(self, band: tuple[float, float]) -> int:
@@ -87,24 +85,30 @@ class PeriodicEffect:
 
     def sounding(self, count: int) -> NDArray[np.bool_]:
         """(count,) which harmonics its law has."""
-        return present_harmonics(self.effect.name, count)
+        return present_harmonics(self.effect, count)
 
 
-def present_harmonics(name: str, count: int) -> NDArray[np.bool_]:
-    """(count,) which harmonics a periodic effect has."""
-    if name == "local_defect":
+def present_harmonics(effect: Effect, count: int) -> NDArray[np.bool_]:
+    """(count,) which harmonics of its angle, from the first, a periodic effect has."""
+    if effect.harmonics == "all":
         return np.ones(count, bool)
-    return np.asarray(np.arange(1, count + 1) == (2 if name == "misalignment" else 1))
+    return np.isin(np.arange(1, count + 1), effect.harmonics or ())
+
+
+def frequency_index(effect: Effect) -> int | None:
+    """Number of the parameter that turns the angle of a periodic effect; None where that is the shaft's angle."""
+    numbers = (k for k, q in enumerate(effect.parameters) if not q.linear and q.scale in ("bpfo", "hz_peak"))
+    return next(numbers, None)
 
 
 def fundamental_hz(effect: Effect, own: Mapping[str, Setting], model: Model) -> float:
     """Hz at which the angle of a periodic effect with these settings turns; 0 where that is not known."""
-    rotation, k = (model.speed_rpm or 0.0) / 60.0, FREQUENCY_PARAMETER.get(effect.name)
+    rotation, k = (model.speed_rpm or 0.0) / 60.0, frequency_index(effect)
     if k is None:
         return rotation
     q = effect.parameters[k]
     value = own.get(q.name, Setting()).value or kinematic(q.scale, model) or 0.0
-    return value if effect.name in LINE_NAMES else rotation * value
+    return value if effect.state == "time" else rotation * value
 
 
 def known_lines(model: Model) -> list[float]:
@@ -113,7 +117,7 @@ def known_lines(model: Model) -> list[float]:
     for use in model.effects:
         if use.name in PERIODIC_EFFECTS:
             effect = NAMED[use.name]
-            orders = 1 + np.flatnonzero(present_harmonics(use.name, MAX_HARMONICS))
+            orders = 1 + np.flatnonzero(present_harmonics(effect, MAX_HARMONICS))
             for key in at(effect, use, model):
                 hz = fundamental_hz(effect, written(effect, use, model, key), model)
                 out |= dict.fromkeys((hz * orders).tolist() if hz > 0.0 else ())
@@ -206,8 +210,8 @@ def speed_gain(model: Model, one: PeriodicEffect, place: str) -> Complexes | Non
     if one.effect.kind not in ("disc", "shaft") or one.sounding(2)[1]:
         return None
     omega = 2 * np.pi * one.hz * np.append(SPEED_RATIOS, 1.0)
-    through = cap_force_per_shaft_force(model, place, omega) - (0.5 if one.effect.name == "bow" else 0.0)
-    grown = SPEED_RATIOS**2 if one.effect.name == "imbalance" else np.ones(SPEED_RATIOS.size)
+    through = cap_force_per_shaft_force(model, place, omega) - (0.5 if one.effect.kind == "shaft" else 0.0)
+    grown = SPEED_RATIOS**one.effect.speed_power
     return np.asarray(grown * through[:-1] / through[-1])
 
 

@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 from estimator.arrays import Array
 from estimator.effects import CATALOGUE
 from estimator.model.disc import disc_of
-from estimator.model.rig import Model
+from estimator.model.rig import Model, Setting
 from estimator.signals.channel_response import channel_response, folded_images, measured_force_places
 
 from .force_balance import shaft_notch
 
-FORCE_SHAPES = ("coloured_excitation",)  # effects that are a spectral shape of the force itself
-SPECTRAL_SHAPES = (*FORCE_SHAPES, "sensor_resonance")  # with those that look like one where the record is not corrected
+# effects that shape a spectrum: of the force, or of the motion where the record is not corrected; the former alone
+SPECTRAL_SHAPES = tuple(name for name, e in CATALOGUE.items() if e.spectral_factor is not None)
+FORCE_SHAPES = tuple(name for name in SPECTRAL_SHAPES if CATALOGUE[name].kind == "excitation")
 
 
 def shaft_response(model: Model, places: tuple[str, ...], f_hz: Array) -> NDArray[np.complex128]:
@@ -56,7 +57,8 @@ def excitation_shapes(
     known = measured_force_places(model)
     out = np.ones((len(places), f_hz.size))
     for use in model.effects:
-        if use.name not in names:
+        factor = CATALOGUE[use.name].spectral_factor if use.name in names else None
+        if factor is None:
             continue
         for i, place in enumerate(places):
             if place in known:  # a measured force has the colour that it has, and its sensor is undone
@@ -64,13 +66,8 @@ def excitation_shapes(
             own = [s for k, s in use.parameters.items() if k in (place, place.split(".")[0])]
             if not own:
                 continue
-            values = [s.value for q in CATALOGUE[use.name].parameters if (s := own[0].get(q.name)) is not None]
-            a, b = (*(z for z in values if z is not None), None, None)[:2]
-            if a is None or b is None:
+            p = [own[0].get(q.name, Setting()).value for q in CATALOGUE[use.name].parameters]
+            if None in p:
                 continue
-            if use.name == "coloured_excitation":
-                out[i] *= 1 + a / (1 + (f_hz / b) ** 2)
-            else:
-                r = f_hz / a
-                out[i] /= (1 - r**2) ** 2 + (r / b) ** 2
+            out[i] *= factor(f_hz, p)
     return out

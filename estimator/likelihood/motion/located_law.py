@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.arrays import Array, Series
-from estimator.effects import CATALOGUE
+from estimator.effects import CATALOGUE, found_by
 from estimator.effects.engine.custom import effect_of
 from estimator.effects.engine.strength import Size
 from estimator.effects.places import at, kinematic, written
@@ -111,7 +111,7 @@ def trial_effects(model: Model) -> list[Effect]:
 
 def clipped_places(model: Model) -> frozenset[str]:
     """Places whose channel the model calls clipped."""
-    named = {p for u in model.effects if u.name == "sensor_clipping" for p in u.parameters}
+    named = {p for u in model.effects if found_by(u.name) == "samples" for p in u.parameters}
     return frozenset(p for p in model.places if p in named or p.split(".")[0] in named)
 
 

@@ -186,7 +186,7 @@ def _below(model: Model, forces: Series, at: list[str], rate_hz: float) -> Serie
 
 def _shared(model: Model) -> tuple[tuple[int, int], ...]:
     """Pairs of places whose unknown forces the model lets be correlated."""
-    found = [at(effect_of(u), u, model) for u in model.effects if u.name == "correlated_force"]
+    found = [at(effect_of(u), u, model) for u in model.effects if effect_of(u).scope == "bearings"]
     return tuple((model.places.index(p), model.places.index(f"bearing2.{p[-1]}")) for keys in found for p in keys)
 
 
