@@ -24,7 +24,7 @@ from estimator.likelihood.path.working_point import WorkingPoint, point_on_part
 from estimator.model.rig import Model
 from estimator.results import Message, Parameter, messages_json
 
-from .diagnosis import Diagnosis, diagnose_point
+from .diagnosis import Diagnosis, diagnose_point, quiet
 
 Progress = Callable[[float, str], None]
 MAX_EFFECTS_ADDED = 5  # by one run
@@ -119,16 +119,22 @@ def improve(model: Model, y: Array, rate_hz: float, *, progress: Progress | None
     >>> improvement.last.verdict, len(improvement.rungs)
     ('complete', 1)
     """
-    return _improvement(model, y, rate_hz, progress or (lambda fraction, text: None))
+    return improvement(model, y, rate_hz, progress or quiet)
 
 
-def _improvement(model: Model, y: Array, rate_hz: float, say: Progress) -> Improvement:
-    """Diagnose, add, fit again, until the diagnosis names nothing or its effect is refused."""
+def improvement(
+    model: Model, y: Array, rate_hz: float, say: Progress = quiet, *,
+    diagnose: Callable[..., Diagnosis] = diagnose_point, max_effects_added: int = MAX_EFFECTS_ADDED,
+) -> Improvement:  # fmt: skip
+    """Diagnose, add, fit again, until the diagnosis names nothing or its effect is refused.
+
+    diagnose : from the fitted model, its working point, the samples and the progress.
+    """
     ladder = _Ladder(model, y, rate_hz, fit_all_effects(model, y, rate_hz))
     messages: list[Message] = []
     diagnoses: list[Diagnosis] = []
-    for step in range(MAX_EFFECTS_ADDED):
-        found = diagnose_point(ladder.whole.model, ladder.whole.point, y, _second_half(say, step / (step + 1.0)))
+    for step in range(max_effects_added):
+        found = diagnose(ladder.whole.model, ladder.whole.point, y, _second_half(say, step / (step + 1.0)))
         diagnoses.append(found)
         best = found.ranking[0] if found.ranking else None
         if found.verdict in VERDICTS_WITHOUT_EFFECT or best is None:
@@ -137,7 +143,7 @@ def _improvement(model: Model, y: Array, rate_hz: float, say: Progress) -> Impro
             messages.append(Message("not_added", f"{found.verdict} was named but {refusal}: not added"))
             break
     else:
-        text = f"{MAX_EFFECTS_ADDED} effects were added, the limit of one run: run improve again on the rig file"
+        text = f"{max_effects_added} effects were added, the limit of one run: run improve again on the rig file"
         messages.append(Message("most_added", f"{text} that it wrote"))
     if len(diagnoses) == len(ladder.rungs):  # the last one was not followed
         found = _last_verdict(found, ladder.rungs[-1])
@@ -244,26 +250,29 @@ class _Ladder:
 
 
 def refitted_with_found(
-    before: Model, given: Model, settings: dict[str, Settings], y: Array, rate_hz: float
-) -> FullFit:
+    before: Model, given: Model, settings: dict[str, Settings], y: Array, rate_hz: float,
+    fit: Callable[[Model, Array, float], FullFit] = fit_all_effects,
+) -> FullFit:  # fmt: skip
     """The full fit of a model with effects that were found.
 
     The fit starts from the fit without them. Where that one lies too far from the rotor, as beside a sensor that clips
     much, the fit starts from the given values. Raises DataError if neither is sound. settings : by name, by place.
     """
     try:
-        return _refitted(with_found_effects(before, settings), y, rate_hz)
+        return _refitted(with_found_effects(before, settings), y, rate_hz, fit)
     except DataError:
         own = {use.name: use for use in given.effects}
         afresh = replace(
             before, linear=given.linear, effects=tuple(own.get(use.name, use) for use in before.effects)
         )  # fmt: skip
-        return _refitted(with_found_effects(afresh, settings), y, rate_hz)
+        return _refitted(with_found_effects(afresh, settings), y, rate_hz, fit)
 
 
-def _refitted(model: Model, y: Array, rate_hz: float) -> FullFit:
+def _refitted(
+    model: Model, y: Array, rate_hz: float, fit: Callable[[Model, Array, float], FullFit] = fit_all_effects
+) -> FullFit:
     """The full fit of a model, the masses that the rig file leaves out included; its model has the fitted values."""
-    whole = fit_all_effects(model, y, rate_hz)
+    whole = fit(model, y, rate_hz)
     return replace(whole, model=fitted_model(whole.model, whole.point))
 
 

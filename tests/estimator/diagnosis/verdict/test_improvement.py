@@ -13,7 +13,7 @@ from daq.rig.rig import load_rig
 from estimator.diagnosis.comparison.comparison import compare
 from estimator.diagnosis.hypotheses.ranking import Entry
 from estimator.diagnosis.verdict.diagnosis import Diagnosis, diagnose
-from estimator.diagnosis.verdict.improvement import improve, refitted_with_found
+from estimator.diagnosis.verdict.improvement import improve, improvement, refitted_with_found
 from estimator.effects import CATALOGUE
 from estimator.effects.engine.strength import size, strengths, with_effect
 from estimator.effects.places import places
@@ -52,22 +52,19 @@ def having(rig: Model, use: EffectUse) -> Model:
     return replace(rig, effects=(*rig.effects, use))
 
 
-def test_what_is_named_and_not_told_from_zero_is_not_added(rig: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_named_and_not_told_from_zero_is_not_added(rig: Model) -> None:
     """A diagnosis may be wrong, as beside masses that are not known: then it was the law ahead, of no known size."""
     rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
     law = LocatedLaw(CATALOGUE["quadratic_damping"], "bearing1.x.quadratic_damping", (0,), np.zeros(1), (True,))
     ahead = Entry("quadratic_damping", ("bearing1",), 9.0, 8.0, 1e-4, 0.3, 0.0, {}, 7.0, placed=(law,))
     wrong = Diagnosis("quadratic_damping", (ahead,))
-    monkeypatch.setattr("estimator.diagnosis.verdict.improvement.diagnose_point", lambda *_: wrong)
-    ladder = improve(rig, simulate(rig, RATE, 4.0, seed=4, noise=NOISE), RATE)
+    ladder = improvement(rig, simulate(rig, RATE, 4.0, seed=4, noise=NOISE), RATE, diagnose=lambda *_: wrong)
     assert len(ladder.rungs) == 1
     assert any(m.code == "not_added" and ahead.effect in m.text for m in ladder.messages)
     assert (ladder.rungs[-1].missing[0], ladder.last.verdict) == (0.0, "complete")
 
 
-def test_a_law_that_is_not_upheld_where_something_is_missing_is_no_name_for_it(
-    rig: Model, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_law_that_is_not_upheld_where_something_is_missing_is_no_name_for_it(rig: Model) -> None:
     """As of a cross-coupling of which one direction is measured: a quintic was named, and refused, and still the last
     word."""
     rig = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
@@ -75,18 +72,14 @@ def test_a_law_that_is_not_upheld_where_something_is_missing_is_no_name_for_it(
     hidden = with_effect(rig, cubic, strengths(cubic, size(rig, "bearing1.x", RATE), 0.3, rig), "bearing1.x")
     law = LocatedLaw(CATALOGUE["quadratic"], "bearing1.x.quadratic", (0,), np.zeros(1), (True,))
     wrong = Entry("quadratic", ("bearing1",), 9.0, 8.0, 1e-4, 0.3, 0.0, {}, 7.0, placed=(law,))
-    monkeypatch.setattr(
-        "estimator.diagnosis.verdict.improvement.diagnose_point", lambda *_: Diagnosis("quadratic", (wrong,))
-    )
-    ladder = improve(rig, simulate(hidden, RATE, 4.0, seed=4, noise=NOISE), RATE)
+    y = simulate(hidden, RATE, 4.0, seed=4, noise=NOISE)
+    ladder = improvement(rig, y, RATE, diagnose=lambda *_: Diagnosis("quadratic", (wrong,)))
     assert len(ladder.rungs) == 1
     assert ladder.rungs[-1].missing[0] > 5.0
     assert (ladder.last.verdict, ladder.diagnoses[-1].verdict) == ("unknown", "quadratic")
 
 
-def test_where_a_faulty_sensor_led_the_fit_astray_it_begins_from_what_was_given(
-    rig: Model, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_a_faulty_sensor_led_the_fit_astray_it_begins_from_what_was_given(rig: Model) -> None:
     """Of a channel with a tenth of its samples at the ceiling the cubic ends softening without end, without a mode in
     the band, and from there no fit was sound: the clipping was named and not added."""
     given = replace(rig, channels=rig.channels[:1], linear={"bearing1.x": rig.linear["bearing1.x"]}, effects=())
@@ -101,14 +94,13 @@ def test_where_a_faulty_sensor_led_the_fit_astray_it_begins_from_what_was_given(
             raise DataError("no resonance of bearing1.x inside the band")
         return fit_all_effects(model, y, rate_hz)
 
-    monkeypatch.setattr("estimator.diagnosis.verdict.improvement.fit_all_effects", fitted)
     found = {"sensor_noise": {"bearing1.x": {"rms": Parameter(NOISE, 1e-3, "m/s^2")}}}
-    whole = refitted_with_found(astray, given, found, y, RATE)
+    whole = refitted_with_found(astray, given, found, y, RATE, fitted)
     assert [sound for _, sound in begun] == [False, True]
     assert [use.name for use in begun[1][0].effects] == ["cubic", "sensor_noise"]
     assert whole.parameters["bearing1.x.kL"].value == pytest.approx(1e7, rel=0.01)
     with pytest.raises(DataError):
-        refitted_with_found(astray, replace(given, linear=soft), found, np.zeros((100, 1)), RATE)
+        refitted_with_found(astray, replace(given, linear=soft), found, np.zeros((100, 1)), RATE, fitted)
 
 
 def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(
@@ -124,10 +116,9 @@ def test_a_colour_found_beside_a_missing_law_is_sought_again_with_it(
     law = LocatedLaw(cubic, "bearing1.x.cubic", (0,), np.array([own["kNL"]]), (True,))
     named = Entry("cubic", ("bearing1",), 9.0, 8.0, 1e-4, 6.0, 0.0, {}, 7.0, placed=(law,))
     said = iter([Diagnosis("cubic", (named,)), Diagnosis("complete", ())])
-    monkeypatch.setattr("estimator.diagnosis.verdict.improvement.diagnose_point", lambda *_: next(said))
     # where all places have the wrong colour it passes for the recorder's filter, which is sought again anyway
     monkeypatch.setattr("estimator.identification.structure.recorder_fall.find_roll_off", lambda *_: {})
-    ladder = improve(known, y, RATE)
+    ladder = improvement(known, y, RATE, diagnose=lambda *_: next(said))
     assert ladder.rungs[-1].effects == ("coloured_excitation", "cubic")
     alone = fit_all_effects(having(known, EffectUse("cubic", {"bearing1.x": {}})), y, RATE).parameters
     for name in colour:
@@ -198,13 +189,10 @@ def test_a_law_of_no_catalogue_is_unknown_and_explained_when_the_user_types_it(r
 
 
 @pytest.mark.slow
-def test_a_law_that_the_user_types_as_a_candidate_is_tried_like_one_of_the_catalogue(
-    rig: Model, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("estimator.diagnosis.verdict.improvement.MAX_EFFECTS_ADDED", 1)
+def test_a_law_that_the_user_types_as_a_candidate_is_tried_like_one_of_the_catalogue(rig: Model) -> None:
     true, typed = unlisted(rig, "tanh")
     y = simulate(having(rig, true), RATE, SECONDS, seed=6, noise=NOISE, full_scale=FULL_SCALE)
-    ladder = improve(replace(rig, candidates=(typed,)), y, RATE)
+    ladder = improvement(replace(rig, candidates=(typed,)), y, RATE, max_effects_added=1)
     assert ladder.diagnoses[0].verdict == "mine"
     assert [u.name for u in ladder.model.effects] == ["cubic", "mine"]
     assert not ladder.model.candidates
