@@ -27,7 +27,13 @@ def make_info(bits: int = 16, rate_hz: float = RATE_HZ) -> Info:
 
 def make_session(bits: int = 16, rate_hz: float = RATE_HZ) -> Session:
     attachments = {"rig.toml": RIG_TEXT.encode(), "own.dbc": DBC_TEXT.encode()}
-    return Session(MODEL, make_info(bits, rate_hz), "dev1", attachments, {"rotorscope": "0.1.0", "link": "virtual:"})
+    return Session(
+        model=MODEL,
+        info=make_info(bits, rate_hz),
+        device="dev1",
+        attachments=attachments,
+        metadata={"rotorscope": "0.1.0", "link": "virtual:"},
+    )
 
 
 def counts_at(index: int, n: int, bits: int = 16) -> NDArray[np.int32]:
@@ -46,17 +52,34 @@ def make_block(index: int, n: int, bits: int = 16, device: bool = True, t0_ns: i
 def make_estimate(index: int) -> Estimate:
     parameters = {
         "bearing1.x.kL": Parameter(1e7 + index / 3, 1e4, "N/m"),
-        "bearing1.x.c": Parameter(None, None, "N s/m", False, "relative standard deviation over 50 %"),
+        "bearing1.x.c": Parameter(
+            value=None, sd=None, unit="N s/m", identifiable=False, reason="relative standard deviation over 50 %"
+        ),
         "bearing1.y.kL": Parameter(float("nan"), 0.0, "N/m"),
     }
     extra = {"lag": 0.1} if index % 3 else None
-    return Estimate(index, parameters, index / 7, -1.5 if index % 2 else None, "ok", extra)
+    return Estimate(
+        index=index,
+        parameters=parameters,
+        samples=index / 7,
+        log_likelihood=-1.5 if index % 2 else None,
+        status="ok",
+        extra=extra,
+    )
 
 
 def make_status(index: int) -> Status:
     link = LinkStats(frames=index // 64, bytes=index * 9, crc_errors=1, other={"odd": 2})
     clock = ClockState(123456789, 25601.28, 50.0, 700_000)
-    return Status(10**12 + index, index, 25600.0, link, clock, {"estimator": 0.01}, {"log": 3})
+    return Status(
+        t_host_ns=10**12 + index,
+        index=index,
+        rate_hz=25600.0,
+        link=link,
+        clock=clock,
+        lag_s={"estimator": 0.01},
+        dropped={"log": 3},
+    )
 
 
 def make_stream(blocks: int = 40, rows: int = 320) -> list[Reading]:

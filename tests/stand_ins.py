@@ -92,8 +92,14 @@ class MomentEstimator:
 
     def snapshot(self) -> Estimate:
         values = {f"bearing1.x.p{i}": Parameter(float(v), 1.0, "N/m") for i, v in enumerate(self._sum)}
-        nan = Parameter(float("nan"), self._fine, "1", False, "never")
-        return Estimate(self._n, values | {"bearing1.y.kL": nan}, float(self._n), None, "ok")
+        nan = Parameter(value=float("nan"), sd=self._fine, unit="1", identifiable=False, reason="never")
+        return Estimate(
+            index=self._n,
+            parameters=values | {"bearing1.y.kL": nan},
+            samples=float(self._n),
+            log_likelihood=None,
+            status="ok",
+        )
 
 
 @dataclass

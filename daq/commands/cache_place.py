@@ -85,7 +85,7 @@ def _writable(folder: Path) -> bool:
 
 
 def _ours(temporary: Path) -> Path:
-    """The same one each time, for compiling takes half a minute; never another user's: what is in it is executed."""
+    """A folder of this user's alone, as its content is executed; one for all runs, as compiling takes half a minute."""
     user = getattr(os, "getuid", os.getpid)()
     path = temporary / f"rotorscope-numba-{user}"
     try:

@@ -62,7 +62,7 @@ def checked(
     factors = tuple(_factor(path, columns, rig, c.name) for c in rig.file.channel)
     if rig.acquisition is not None and abs(rate / rig.acquisition.rate_hz - 1) > RATE_TOLERANCE:
         note(f"{rate:g} Hz, where the rig file expects {rig.acquisition.rate_hz:g} Hz; the file's rate is used")
-    return Record(names, values, factors, rate, missing)
+    return Record(names=names, values=values, factors=factors, rate_hz=rate, missing=missing)
 
 
 def _column(path: Path, columns: Columns, name: str, rig: Rig) -> NDArray[Any]:

@@ -171,11 +171,24 @@ def encode_estimate(estimate: Estimate) -> bytes:
 def decode_estimate(data: bytes) -> Estimate:
     m = message("rotorscope.Estimate").FromString(data)
     parameters = {
-        p.name: Parameter(_optional(p, "value"), _optional(p, "sd"), p.unit, p.identifiable, p.reason)
+        p.name: Parameter(
+            value=_optional(p, "value"),
+            sd=_optional(p, "sd"),
+            unit=p.unit,
+            identifiable=p.identifiable,
+            reason=p.reason,
+        )
         for p in m.parameters
     }
     extra = {n.name: n.value for n in m.extra} if m.has_extra else None
-    return Estimate(m.index, parameters, m.samples, _optional(m, "log_likelihood"), m.status, extra)
+    return Estimate(
+        index=m.index,
+        parameters=parameters,
+        samples=m.samples,
+        log_likelihood=_optional(m, "log_likelihood"),
+        status=m.status,
+        extra=extra,
+    )
 
 
 def encode_status(status: Status) -> bytes:
@@ -200,7 +213,15 @@ def decode_status(data: bytes) -> Status:
     c = m.clock
     clock = ClockState(c.offset_ns, c.rate_hz, c.drift_ppm, c.bound_ns) if m.HasField("clock") else None
     lag = {n.name: n.value for n in m.lag_s}
-    return Status(m.t_host_ns, m.index, m.rate_hz, link, clock, lag, {n.name: n.count for n in m.dropped})
+    return Status(
+        t_host_ns=m.t_host_ns,
+        index=m.index,
+        rate_hz=m.rate_hz,
+        link=link,
+        clock=clock,
+        lag_s=lag,
+        dropped={n.name: n.count for n in m.dropped},
+    )
 
 
 def encode_multi_array(values: NDArray[np.float64]) -> bytes:

@@ -190,7 +190,15 @@ class Naming:
         self._since, self._asked = None, index
         y = self._samples(first, index)
         rig, known = self._rig, tuple(self._known.items())
-        question = Question(rig.text, rig.base, rig.path, known, y, self._rate_hz, first / self._rate_hz)
+        question = Question(
+            text=rig.text,
+            base=rig.base,
+            path=rig.path,
+            known=known,
+            y=y,
+            rate_hz=self._rate_hz,
+            since_s=first / self._rate_hz,
+        )
         if not self._live:
             self._tell(self._ask(question), question)
             return

@@ -39,7 +39,11 @@ LOG_LOST_CODES = ("log_incomplete", "log_failed", "log_cut")  # notices that say
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What a session is about. make : what makes its estimator; None: no estimates. rate_hz : what is expected."""
+    """What a session is about. model : of the rig; metadata, attachments : for its log; device : its name, "" if alone.
+
+    make : what makes its estimator; None: no estimates. rate_hz : expected sampling rate; None: any.
+    limit_s : seconds of data; None: no limit. busy_blocks : that wait for the estimator at most.
+    """
 
     model: Model
     make: MakeEstimator | None = None
@@ -47,8 +51,8 @@ class Plan:
     device: str = ""
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     metadata: Mapping[str, str] = field(default_factory=dict)
-    limit_s: float | None = None  # of data
-    busy_blocks: int = BUSY_BLOCKS  # that wait for the estimator at most
+    limit_s: float | None = None
+    busy_blocks: int = BUSY_BLOCKS
 
 
 class Pipeline:
@@ -151,9 +155,10 @@ class Pipeline:
         if self._live and self.device_clock and self._plan.metadata.get("link_kind") != "virtual":  # at any speed
             self._watch.rate(self.device_clock, clock)
         status = Status(
-            now, self.ledger.stop, rate, replace(stats, other=dict(stats.other)), clock,
-            self._lag_s | {name: h.lag_s for name, h in health.items()},
-            {**dropped, **{name: h.dropped for name, h in health.items()}, "clipped": self.clipped},
+            t_host_ns=now, index=self.ledger.stop, rate_hz=rate, link=replace(stats, other=dict(stats.other)),
+            clock=clock,
+            lag_s=self._lag_s | {name: h.lag_s for name, h in health.items()},
+            dropped={**dropped, **{name: h.dropped for name, h in health.items()}, "clipped": self.clipped},
         )  # fmt: skip
         self._lag_s = {}
         self._each_sink("status", lambda sink: sink.status(status))
@@ -285,7 +290,9 @@ class Pipeline:
         if first:
             self._watch.begin()
             plan = self._plan
-            session = Session(plan.model, info, plan.device, plan.attachments, plan.metadata)
+            session = Session(
+                model=plan.model, info=info, device=plan.device, attachments=plan.attachments, metadata=plan.metadata
+            )
             self._each_sink("start", lambda sink: sink.start(session))
             early, self._early = self._early, []
             self._take([r for reading in early for r in self.ledger.accept(reading)])

@@ -154,11 +154,11 @@ def machine(
     fields: dict[str, object] = {"seconds": seconds, "seed": seed} | dict(config or {})
     try:
         device = DeviceConfig(
-            rate_hz,
-            names,
-            rig.si_units,
-            tuple(full_scale.tolist()),
-            layout or "fd16",
+            rate_hz=rate_hz,
+            channels=names,
+            units=rig.si_units,
+            full_scale=tuple(full_scale.tolist()),
+            layout=layout or "fd16",
             **fields,  # type: ignore[arg-type]
         )
     except ValueError as error:

@@ -28,7 +28,11 @@ class LinkLost(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What a source noticed that is no data. cause: why samples may be missing now, "" if they are not."""
+    """What a source noticed that is no data.
+
+    level, code, text : as of a Notice.
+    cause : reason of a gap that may follow; "" if no samples are missing.
+    """
 
     level: str
     code: str

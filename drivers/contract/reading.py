@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """One channel as the link delivers it: SI value = counts * scale + offset."""
+    """One channel as the link delivers it: SI value = counts * scale + offset.
+
+    name : of the channel, as the device gives it.
+    unit : SI unit of the value; "" if the device does not say.
+    scale, offset : SI value of one count, and of count zero.
+    """
 
     name: str
     unit: str
@@ -25,12 +30,18 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """The device's description of itself; sent once before the first block and again after every change."""
+    """The device's description of itself; sent once before the first block and again after every change.
+
+    signals : the channels, in the order of the columns of a block.
+    rate_hz : nominal sampling rate, Hz.
+    serial_number : of the device; "" if it has none.
+    count_bits : counts beyond +-(2**(bits-1) - 1) cannot be distinguished from a clipped sensor.
+    """
 
     signals: tuple[Signal, ...]
     rate_hz: float
     serial_number: str = ""
-    count_bits: int = 16  # counts beyond +-(2**(bits-1) - 1) cannot be told from a clipped sensor
+    count_bits: int = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +63,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """`count` samples from `index` on that will never come. reason: one of REASONS."""
+    """`count` samples from `index` on that will never come. reason : one of GAP_REASONS."""
 
     index: int
     count: int
@@ -67,7 +78,13 @@ GAP_REASONS = (
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """Something an operator should read. level: info | warning | error; code: short, stable, snake_case."""
+    """Something an operator should read.
+
+    t_host_ns : host monotonic time, ns.
+    level : info | warning | error.
+    code : short, stable, snake_case: for programs.
+    text : one line for the operator.
+    """
 
     t_host_ns: int
     level: str
@@ -80,7 +97,17 @@ Reading = Info | Block | Gap | Notice
 
 @dataclass(slots=True)
 class LinkStats:
-    """Running totals of a link since it was opened; only ever grow."""
+    """Running totals of a link since it was opened; only ever grow.
+
+    frames, bytes : received.
+    crc_errors : frames dropped because they were damaged.
+    resyncs : times that the start of a frame was searched anew in a byte stream.
+    reconnects : times that a lost link was opened again.
+    restarts : restarts of the device.
+    duplicates : frames dropped because they came twice.
+    lost_samples : of each channel.
+    other : counters of one kind of link, by name.
+    """
 
     frames: int = 0
     bytes: int = 0

@@ -189,8 +189,9 @@ def _field(message: Any, signal: Any, channel: str) -> Field:
         selector = Bits.of(chooser.start, chooser.length, chooser.byte_order == "big_endian")
         selected = frozenset(signal.multiplexer_ids)
     return Field(
-        Bits.of(signal.start, signal.length, big), signal.is_signed, signal.is_float,
-        Signal(channel, signal.unit or "", scale, offset), step, low, high, selector, selected,
+        bits=Bits.of(signal.start, signal.length, big), signed=signal.is_signed, floating=signal.is_float,
+        signal=Signal(channel, signal.unit or "", scale, offset), step=step, low=low, high=high, selector=selector,
+        selected=selected,
     )  # fmt: skip
 
 
@@ -202,5 +203,9 @@ def _message(message: Any, fields: list[tuple[int, Field]]) -> Message:
         addressed = (identifier >> 16) & 0xFF < 240
         mask = EXTENDED_FLAG | (_J1939_PGN_ADDRESSED if addressed else _J1939_PGN)
     return Message(
-        message.name, identifier & mask, mask, tuple(each for _, each in fields), tuple(column for column, _ in fields)
+        name=message.name,
+        identifier=identifier & mask,
+        mask=mask,
+        fields=tuple(each for _, each in fields),
+        columns=tuple(column for column, _ in fields),
     )

@@ -223,8 +223,9 @@ def _can(rest: str, options: _Options) -> CanConfig:
         if value is not None:
             extra[name] = int(value) if value.isdigit() else value
     return CanConfig(
-        interface, channel, options.optional("bitrate"), options.flag("fd", True), options.optional("data_bitrate"),
-        _base_id(options), extra,
+        interface=interface, channel=channel, bitrate=options.optional("bitrate"), fd=options.flag("fd", True),
+        data_bitrate=options.optional("data_bitrate"),
+        base_id=_base_id(options), options=extra,
     )  # fmt: skip
 
 
@@ -246,8 +247,9 @@ def _port(rest: str, options: _Options) -> str:
 
 def _slcan(rest: str, options: _Options) -> SlcanConfig:
     return SlcanConfig(
-        _port(rest, options), options.integer("bitrate", 1_000_000), options.optional("data_bitrate"),
-        options.integer("baud", 3_000_000), _base_id(options), options.flag("setup", True),
+        port=_port(rest, options), bitrate=options.integer("bitrate", 1_000_000),
+        data_bitrate=options.optional("data_bitrate"),
+        baud=options.integer("baud", 3_000_000), base_id=_base_id(options), setup=options.flag("setup", True),
     )  # fmt: skip
 
 

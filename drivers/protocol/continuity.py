@@ -72,10 +72,12 @@ class Continuity:
     def begin(self, position: int, epoch: int, time_us: int, t_host_ns: int) -> None:
         """The axis starts at this position, though its samples may not be readable (classic CAN)."""
         if self._anchor is None:
-            self._anchor = _Anchor(position, 0, 0, time_us, t_host_ns, epoch, 0)
+            self._anchor = _Anchor(
+                position=position, rows=0, index=0, time_us=time_us, t_host_ns=t_host_ns, epoch=epoch, lost=0
+            )
 
     def feed_unchecked(self, frames: SampleFrames, t_host_ns: int) -> list[Reading]:
-        """The same for a link without check sums: a frame that its neighbours contradict is dropped, by reason crc."""
+        """Readings of a link without check sums: a frame that contradicts its neighbours is dropped, by reason crc."""
         out: list[Reading] = []
         for k, piece in enumerate(self._neighbours.plausible(frames, self.rate_hz)):
             if k:
@@ -144,8 +146,9 @@ class Continuity:
         self._causes &= {"overflow"}  # the queue that overflowed still held good frames: its hole comes later
         self._last_counts = f.counts[stop - 1]
         self._anchor = _Anchor(
-            int(f.position[stop - 1]), rows, self.index - rows, final_us, t_host_ns,
-            int(f.epoch[stop - 1]), int(f.lost[stop - 1]),
+            position=int(f.position[stop - 1]), rows=rows, index=self.index - rows, time_us=final_us,
+            t_host_ns=t_host_ns,
+            epoch=int(f.epoch[stop - 1]), lost=int(f.lost[stop - 1]),
         )  # fmt: skip
 
     @staticmethod

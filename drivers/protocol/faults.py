@@ -23,7 +23,7 @@ FAULT_KINDS = (
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """`count` frames from frame number `at` on (frames of samples since the first start)."""
+    """A fault of kind `kind` in `count` frames from frame number `at` on (frames of samples since the first start)."""
 
     kind: str
     at: int

@@ -28,7 +28,14 @@ I64Array = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """One way of packing samples. header : bytes before the samples; counter : values of the frame counter."""
+    """One way of packing samples.
+
+    name, code : of the layout, in words and on the wire.
+    bits : of a sample.
+    header : bytes before the samples.
+    counter : number of values of the frame counter.
+    max_channels : that a frame can carry.
+    """
 
     name: str
     code: int
@@ -209,7 +216,18 @@ def unpack_sync(payload: bytes) -> tuple[int, int, int]:
 
 @dataclass(frozen=True, slots=True)
 class InfoRecord:
-    """One channel of the device's description; 64 bytes on the wire, the same on every link."""
+    """One channel of the device's description; 64 bytes on the wire, the same on every link.
+
+    layout : code of the layout of the sample frames.
+    channels, channel : number of channels, and which one this record describes.
+    count_bits : of a sample, as of `Info`.
+    serial_number : of the device.
+    rate_hz : sampling rate, Hz.
+    signal : name, unit, scale and offset of the channel.
+    full_scale : value of the largest count, in the unit of the channel.
+    epoch : number of the device's start, modulo 16.
+    firmware, version : of the device's program, and of the protocol.
+    """
 
     layout: int
     channels: int

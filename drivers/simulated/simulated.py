@@ -19,10 +19,24 @@ Samples = Callable[[int], NDArray[np.float64]]
 
 @dataclass(frozen=True, slots=True)
 class DeviceConfig:
-    """A device. full_scale : the value of the largest count, in `units`, for all channels or one each.
+    """Settings of a simulated device.
 
-    clock_ppm : how much faster than the truth its clock runs. jitter_s, burst_s : how late frames leave (exponential),
-    and the period at which an adapter hands them on together. fault_rates : kind -> probability per frame.
+    rate_hz : sampling rate by its own clock, Hz.
+    channels, units : names and units of the channels.
+    full_scale : value of the largest count, in `units`; one for all channels or one each.
+    layout : name of the layout of its frames.
+    count_bits : of a sample; None: those of the layout.
+    rows : samples of each channel in a serial frame.
+    serial_number : of the device.
+    epoch : number of its first start.
+    base_id : first of its CAN identifiers.
+    clock_ppm : how much faster than the truth its clock runs.
+    jitter_s : mean delay of its frames (exponential), s.
+    burst_s : period at which an adapter hands frames on together, s; 0: each by itself.
+    seconds : length of the data; None: without end.
+    seed : of the random faults and delays.
+    faults : scheduled faults.
+    fault_rates : kind of fault -> probability per frame.
     """
 
     rate_hz: float
@@ -31,9 +45,9 @@ class DeviceConfig:
     full_scale: float | tuple[float, ...] = 490.5
     layout: str = "fd16"
     count_bits: int | None = None
-    rows: int = 64  # samples in a serial frame
+    rows: int = 64
     serial_number: int = 0x52530001
-    epoch: int = 1  # of its first start
+    epoch: int = 1
     base_id: int = protocol.BASE_ID
     clock_ppm: float = 0.0
     jitter_s: float = 0.0
@@ -249,8 +263,9 @@ class SimulatedDevice:
         scale = np.broadcast_to(config.full_scale, len(config.channels)).tolist()
         return [
             InfoRecord(
-                LAYOUT_OF_NAME[config.layout].code, len(config.channels), k, config.bits, config.serial_number,
-                config.rate_hz, signal, scale[k], self._epoch,
+                layout=LAYOUT_OF_NAME[config.layout].code, channels=len(config.channels), channel=k,
+                count_bits=config.bits, serial_number=config.serial_number,
+                rate_hz=config.rate_hz, signal=signal, full_scale=scale[k], epoch=self._epoch,
             )
             for k, signal in enumerate(self._signals)
         ]  # fmt: skip

@@ -13,13 +13,20 @@ from estimator.results import Estimate
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """What a sink is told before the first sample. attachments : file name -> bytes (rig file, DBC)."""
+    """What a sink is told before the first sample.
+
+    model : of the rig, SI.
+    info : first description of the device.
+    device : name of the device in a service with several; "" if alone.
+    attachments : file name -> bytes (rig file, DBC).
+    metadata : versions, link, command.
+    """
 
     model: Model
     info: Info
-    device: str  # name of the device in a service with several; "" if alone
+    device: str
     attachments: Mapping[str, bytes]
-    metadata: Mapping[str, str]  # versions, link, command
+    metadata: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +41,16 @@ class ClockState:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """Once a second. lag_s : stage name -> seconds behind; queues : name -> dropped items so far."""
+    """The state of a session, once a second.
+
+    t_host_ns : host monotonic time, ns.
+    index : absolute sample index that follows the last sample.
+    rate_hz : samples that came in the last second, on the host clock.
+    link : counters of the link.
+    clock : mapping of device to host clock; None in the first seconds.
+    lag_s : stage name -> seconds behind.
+    dropped : queue name -> items dropped so far.
+    """
 
     t_host_ns: int
     index: int

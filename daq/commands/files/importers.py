@@ -107,7 +107,11 @@ def write_record(
     whole = False
     writer = LogWriter(out, live=False, wanted=lambda: whole)
     try:
-        writer.start(Session(rig.model, info, "", rig.attachments(), versions() | metadata))
+        writer.start(
+            Session(
+                model=rig.model, info=info, device="", attachments=rig.attachments(), metadata=versions() | metadata
+            )
+        )
         writer.readings(found)
         for index, readings in _blocks(record, scales):
             writer.readings(readings)

@@ -69,7 +69,13 @@ def run_devices(
             if table is not None:
                 sinks.append(table.rows[name])
             url = link or rig.link.url or ""
-            device = Device(name, rig, Patient(driver) if live else driver, sinks, {"command": "run", "link": url})
+            device = Device(
+                name=name,
+                rig=rig,
+                driver=Patient(driver) if live else driver,
+                sinks=sinks,
+                metadata={"command": "run", "link": url},
+            )
             devices.append(_Asked(device, url, log))
         undo.pop_all()
         operators = {name: Operator(output, name) for name in names}

@@ -45,7 +45,9 @@ def section6(rows: list[Row], case: str) -> Theory:
         ):
             name = row.parameter.replace(".kNL", ".cubic.kNL")
             known = row.value is not None
-            found[name] = Parameter(row.value, row.sd, row.unit, known, "" if known else "over 50 %")
+            found[name] = Parameter(
+                value=row.value, sd=row.sd, unit=row.unit, identifiable=known, reason="" if known else "over 50 %"
+            )
     model, _ = paper_model(SOFT_SHAFT)
     return theory(model, Fit(found, None, 0, "fokker-planck"))
 

@@ -116,7 +116,7 @@ def run_case(name: str, title: str, shaft: float, seconds: float, seed: int, pro
 
     x = {d: take(d, "displacement") for d in CAP_KG}
     v = {d: take(d, "velocity") for d in CAP_KG}
-    return Case(name, title, model, temperature, x, v)
+    return Case(name=name, title=title, model=model, temperature=temperature, x=x, v=v)
 
 
 def plane_of(case: Case, direction: str, masses_known: bool) -> Plane:
@@ -157,5 +157,17 @@ def estimates(case: Case, direction: str, masses_known: bool, replicates: int = 
                 if value is not None and sd is not None:
                     value, sd = DISC_KG / value, DISC_KG / value * sd / value
             given = "given" if masses_known else "unknown"
-            rows.append(Row(case.name, given, direction, f"{place}.{kind}", unit, true, method, value, sd))
+            rows.append(
+                Row(
+                    case=case.name,
+                    masses=given,
+                    direction=direction,
+                    parameter=f"{place}.{kind}",
+                    unit=unit,
+                    true=true,
+                    method=method,
+                    value=value,
+                    sd=sd,
+                )
+            )
     return rows

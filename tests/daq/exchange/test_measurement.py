@@ -36,7 +36,7 @@ SCALE = 0.01
 def write(path: Path, counts: np.ndarray, names: tuple[str, ...] = ("a", "b", "c"), gap: int = 0) -> Path:
     info = Info(tuple(Signal(n, "m/s^2", SCALE) for n in names), RATE)
     writer = LogWriter(path, live=False)
-    writer.start(Session(rig().model, info, "", {}, {}))
+    writer.start(Session(model=rig().model, info=info, device="", attachments={}, metadata={}))
     half = len(counts) // 2
     writer.readings([Block(0, counts[:half], 0), Gap(half, gap, "crc")] if gap else [Block(0, counts[:half], 0)])
     writer.readings([Block(half + gap, counts[half:], 1_000_000)])

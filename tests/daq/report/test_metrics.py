@@ -27,7 +27,13 @@ from estimator.results import Estimate, Parameter
 
 def session(device: str = "") -> Session:
     info = Info((Signal("b1x", "m/s^2", 0.01),), 25600.0, "SN7")
-    return Session(Model((Channel("b1x", "bearing1", "x"),), (150.0, 8000.0)), info, device, {}, {})
+    return Session(
+        model=Model((Channel("b1x", "bearing1", "x"),), (150.0, 8000.0)),
+        info=info,
+        device=device,
+        attachments={},
+        metadata={},
+    )
 
 
 def read(server: MetricsServer) -> dict[tuple[str, ...], float]:
@@ -44,10 +50,23 @@ def read(server: MetricsServer) -> dict[tuple[str, ...], float]:
 def fill(sink: MetricsSink) -> None:
     sink.readings([Block(0, np.zeros((256, 1), np.int32), 1), Gap(256, 7, "crc"), Gap(300, 3, "crc")])
     sink.readings([Notice(1, "warning", "crc", "bad frame"), Block(303, np.zeros((10, 1), np.int32), 2)])
-    known = {"bearing1.x.kL": Parameter(1e7, 1e5, "N/m"), "bearing1.x.c": Parameter(None, None, "N s/m", False, "no")}
+    known = {
+        "bearing1.x.kL": Parameter(1e7, 1e5, "N/m"),
+        "bearing1.x.c": Parameter(value=None, sd=None, unit="N s/m", identifiable=False, reason="no"),
+    }
     sink.estimate(Estimate(300, known, 10.0, extra={"missing_force_percent": 4.0, "missing_force_percent_low": 3.0}))
     link = LinkStats(frames=12, crc_errors=2, other={"bus_off": 1})
-    sink.status(Status(1, 300, 25599.0, link, ClockState(0, 25599.0, -39.0, 20_000), {"log": 0.2}, {"rerun": 5}))
+    sink.status(
+        Status(
+            t_host_ns=1,
+            index=300,
+            rate_hz=25599.0,
+            link=link,
+            clock=ClockState(0, 25599.0, -39.0, 20_000),
+            lag_s={"log": 0.2},
+            dropped={"rerun": 5},
+        )
+    )
 
 
 def test_every_number_is_served() -> None:
@@ -84,7 +103,13 @@ def test_a_parameter_that_is_lost_disappears() -> None:
     sink = server.sink()
     sink.start(session())
     fill(sink)
-    sink.estimate(Estimate(900, {"bearing1.x.kL": Parameter(None, None, "N/m", False, "no data")}, 1.0))
+    sink.estimate(
+        Estimate(
+            900,
+            {"bearing1.x.kL": Parameter(value=None, sd=None, unit="N/m", identifiable=False, reason="no data")},
+            1.0,
+        )
+    )
     assert not any(key[0] == "estimate" for key in read(server))
     sink.close()
 

@@ -116,7 +116,7 @@ def test_fitted_values_take_the_place_of_the_old_ones() -> None:
     rig = load_rig(PAPER)
     fitted = {
         "bearing1.x.kL": Parameter(10.123456e6, 1e4, "N/m"),
-        "bearing1.y.c": Parameter(None, None, "N s/m", False, "too short"),
+        "bearing1.y.c": Parameter(value=None, sd=None, unit="N s/m", identifiable=False, reason="too short"),
         "bearing2.x.cubic.kNL": Parameter(1.5e18, 1e16, "N/m^3"),
         "bearing1.x.m": Parameter(0.21, 0.01, "kg"),  # known already: stays
     }

@@ -42,7 +42,7 @@ class Told:
         self.asked: list[Question] = []
         self.found = found or named()
         self.sink = Naming(RIG, live=False, ask=self.ask)
-        self.sink.start(Session(RIG.model, INFO, "", {}, {}))
+        self.sink.start(Session(model=RIG.model, info=INFO, device="", attachments={}, metadata={}))
         self.index = 0
 
     def ask(self, question: Question) -> dict[str, Any]:
@@ -134,20 +134,30 @@ def test_the_line_of_the_live_table() -> None:
 
 
 def test_an_effect_whose_force_is_not_seen_yet_is_not_said_to_fall_from_nothing_to_nothing() -> None:
-    question = Question(RIG.text, RIG.base, RIG.path, (), np.zeros((7000, 4)), RATE, 60.0)
+    question = Question(
+        text=RIG.text, base=RIG.base, path=RIG.path, known=(), y=np.zeros((7000, 4)), rate_hz=RATE, since_s=60.0
+    )
     row = named()["ranking"][0] | {"missing_force_before_percent": 0.0}
     assert "->" in said(named(), question)[2]
     assert "its force not yet seen" in said({"verdict": "clearance", "ranking": [row]}, question)[2]
 
 
 def test_a_question_that_cannot_be_answered_is_one_line() -> None:
-    short = Question(RIG.text, RIG.base, RIG.path, (("clearance", ("bearing1.x",)),), np.zeros((100, 4)), 25600.0, 0.0)
+    short = Question(
+        text=RIG.text,
+        base=RIG.base,
+        path=RIG.path,
+        known=(("clearance", ("bearing1.x",)),),
+        y=np.zeros((100, 4)),
+        rate_hz=25600.0,
+        since_s=0.0,
+    )
     assert "\n" not in answer(short)["error"]
 
 
 def test_live_the_catalogue_is_tried_in_a_process_of_its_own() -> None:
     sink = Naming(RIG, live=True)
-    sink.start(Session(RIG.model, INFO, "", {}, {}))
+    sink.start(Session(model=RIG.model, info=INFO, device="", attachments={}, metadata={}))
     for k in range(40):
         sink.readings([Block(500 * k, np.zeros((500, 4), np.int16), 0)])
         sink.estimate(Estimate(500 * k + 500, {}, 1000.0, extra=OPEN))

@@ -272,7 +272,9 @@ def test_the_session_says_what_the_log_must_know() -> None:
     plan = replace(PLAN, attachments={"rig.toml": b"x"}, metadata={"a": "b"}, device="left")
     _, sink = run([[INFO]], plan)
     session = sink.of("start")[0]
-    assert session == Session(RIG.model, INFO, "left", {"rig.toml": b"x"}, {"a": "b"})
+    assert session == Session(
+        model=RIG.model, info=INFO, device="left", attachments={"rig.toml": b"x"}, metadata={"a": "b"}
+    )
 
 
 def test_seconds_are_seconds_of_data() -> None:

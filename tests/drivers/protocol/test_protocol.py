@@ -22,7 +22,18 @@ from drivers.serial.serial_decoder import pack_samples
 from drivers.simulated.simulated import DeviceConfig
 
 ROOT = Path(__file__).parents[3]
-RECORD = InfoRecord(1, 4, 2, 16, 0x52530001, 25600.0, Signal("b2x", "m/s^2", 0.015625), 511.984375, epoch=3, firmware=7)
+RECORD = InfoRecord(
+    layout=1,
+    channels=4,
+    channel=2,
+    count_bits=16,
+    serial_number=0x52530001,
+    rate_hz=25600.0,
+    signal=Signal("b2x", "m/s^2", 0.015625),
+    full_scale=511.984375,
+    epoch=3,
+    firmware=7,
+)
 FLAGS = np.array([0x34], np.uint8)
 
 
@@ -149,11 +160,12 @@ def test_info_round_trip(name: str, data: st.DataObject) -> None:
     channels = data.draw(st.integers(1, layout.max_channels))
     number = st.floats(1e-9, 1e9)
     record = InfoRecord(
-        layout.code, channels, data.draw(st.integers(0, channels - 1)), data.draw(st.integers(2, 32)),
-        data.draw(st.integers(0, 2**32 - 1)), data.draw(st.floats(1e-3, 1e7)),
-        Signal(data.draw(st.text("abcxyz019_", max_size=16)), data.draw(st.sampled_from(protocol.UNIT_OF_CODE)),
+        layout=layout.code, channels=channels, channel=data.draw(st.integers(0, channels - 1)),
+        count_bits=data.draw(st.integers(2, 32)),
+        serial_number=data.draw(st.integers(0, 2**32 - 1)), rate_hz=data.draw(st.floats(1e-3, 1e7)),
+        signal=Signal(data.draw(st.text("abcxyz019_", max_size=16)), data.draw(st.sampled_from(protocol.UNIT_OF_CODE)),
                data.draw(number), data.draw(number)),
-        data.draw(number), epoch=data.draw(st.integers(0, 15)),
+        full_scale=data.draw(number), epoch=data.draw(st.integers(0, 15)),
     )  # fmt: skip
     assert protocol.unpack_info(protocol.pack_info(record)) == record
 

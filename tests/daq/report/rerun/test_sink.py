@@ -32,7 +32,9 @@ def session() -> Session:
     channels = tuple(Channel(n, f"bearing{n[1]}", n[2]) for n in NAMES)
     info = Info(tuple(Signal(n, "m/s^2", SCALE) for n in NAMES), RATE, "SN 1")
     model = Model(channels, (150.0, 8000.0), name="rig")
-    return Session(model, info, "", {"rig.toml": b"schema = 1\n"}, {"rotorscope": "test"})
+    return Session(
+        model=model, info=info, device="", attachments={"rig.toml": b"schema = 1\n"}, metadata={"rotorscope": "test"}
+    )
 
 
 def feed(sink: RerunSink, seconds: float, start: float = 0.0, pace: float = 0.0) -> float:
@@ -48,11 +50,22 @@ def feed(sink: RerunSink, seconds: float, start: float = 0.0, pace: float = 0.0)
         longest = max(longest, time.perf_counter() - before)
         if k % 10 == 0:
             known = {f"bearing1.{d}.kL": Parameter(1e7, 1e5, "N/m") for d in "xy"}
-            known["bearing1.x.cubic.kNL"] = Parameter(None, None, "N/m^3", False, "too little motion")
+            known["bearing1.x.cubic.kNL"] = Parameter(
+                value=None, sd=None, unit="N/m^3", identifiable=False, reason="too little motion"
+            )
             sink.estimate(Estimate(index, known, 1000.0, extra={"missing_force_percent": 1.5}))
         if k % 100 == 0:
             clock = ClockState(t0, RATE, 20.0, 15_000)
-            sink.status(Status(t0 + int(index / RATE * 1e9), index, RATE, LinkStats(), clock, {"estimator": 0.01}))
+            sink.status(
+                Status(
+                    t_host_ns=t0 + int(index / RATE * 1e9),
+                    index=index,
+                    rate_hz=RATE,
+                    link=LinkStats(),
+                    clock=clock,
+                    lag_s={"estimator": 0.01},
+                )
+            )
         if pace:
             time.sleep(pace)
     return longest

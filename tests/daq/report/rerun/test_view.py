@@ -21,7 +21,9 @@ def draw(path: Path, info: Info, items: list[object]) -> dict[str, int]:
     places = {s.name: (f"bearing1.{'xy'[k % 2]}", "acceleration") for k, s in enumerate(info.signals)}
     recording = rr.RecordingStream("test")
     recording.save(path)
-    view = RerunView(recording, ViewSession("test", "id", info, places, (1.0, 1e4), 0))
+    view = RerunView(
+        recording, ViewSession(name="test", recording_id="id", info=info, places=places, band=(1.0, 1e4), wall_ns=0)
+    )
     for item in items:
         view.take(item)  # type: ignore[arg-type]
     view.close()
@@ -39,7 +41,10 @@ def blocks(channels: int, rate: float, seconds: float, start: int = 0) -> list[o
 @pytest.mark.parametrize(("channels", "rate"), [(0, 100.0), (1, 5.0), (1, 200.0), (3, 1000.0), (9, 51200.0)])
 def test_devices_of_every_kind(tmp_path: Path, channels: int, rate: float) -> None:
     info = Info(tuple(Signal(f"c {k}", UNITS[k % 4], 0.01) for k in range(channels)), rate)
-    items = [*blocks(channels, rate, 3.0), Status(0, int(3 * rate), rate, LinkStats(), None)]
+    items = [
+        *blocks(channels, rate, 3.0),
+        Status(t_host_ns=0, index=int(3 * rate), rate_hz=rate, link=LinkStats(), clock=None),
+    ]
     rows = draw(tmp_path / "a.rrd", info, items)
     for k in range(channels):
         expected = 3 * rate if rate <= 500 else 1400
